@@ -84,7 +84,7 @@ def _numbers(simulator: ArmSimulator) -> dict[Term, Parameter]:
     found: dict[Term, Parameter] = {}
     for candidate in simulator.candidates:
         effect = effects[candidate.effect]
-        if effect.acts_on not in ("arm", "sensor") or effect.needs_time:
+        if effect.acts_on not in ("load", "arm", "sensor") or effect.needs_time:
             continue
         pairs = any("_into_" in place for place in candidate.places)
         places = [p for p in candidate.places if (p == WHOLE_ARM) == pairs]

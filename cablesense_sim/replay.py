@@ -21,6 +21,7 @@ from cablesense_sim.effects.registry import (
     Variants,
     actuations,
     amended,
+    loadings,
     sensings,
     transmissions,
 )
@@ -39,7 +40,7 @@ class Replay:
     Attributes:
         time_s: (R,) of the samples, ascending.
         command_rad: (R, 2N) commanded joint angles.
-        forces_n: (R, N, 3) loads in base axes.
+        forces_n: (R, N, 3) loads in base axes, as recorded.
     """
 
     def __init__(self, nominal: Arm, time_s: Array, command_rad: Array, forces_n: Array) -> None:
@@ -67,9 +68,9 @@ class Replay:
             return self._through(sensings(variants), self._memoryless_n(variants, unborne_n))
         from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
 
-        mechanisms, held = self._moved(variants)
+        mechanisms, held, forces = self._moved(variants)
         arm = QuasiStaticArm(mechanisms, variants, some_may_fail=unborne_n is not None)
-        rests = zip(self.time_s, np.moveaxis(held, 1, 0), self.forces_n, strict=True)
+        rests = zip(self.time_s, held.swapaxes(0, 1), forces.swapaxes(0, 1), strict=True)
         tensions = np.stack([arm.step(*rest) for rest in rests], axis=1)
         return self._through(sensings(variants), tensions)
 
@@ -87,18 +88,22 @@ class Replay:
         }
         known = {key: self._latest[key] for key in keys if key in self._latest}
         if new:
-            mechanisms, held = self._moved(list(new.values()))
-            for key, mechanism, held_m in zip(new, mechanisms, held, strict=True):
-                known[key] = self._at_rest_n(mechanism, held_m, unborne_n)
+            moved = self._moved(list(new.values()))
+            for key, mechanism, held_m, forces_n in zip(new, *moved, strict=True):
+                known[key] = self._at_rest_n(mechanism, held_m, forces_n, unborne_n)
         self._latest = dict(list({**self._latest, **known}.items())[-_KEPT:])
         return np.stack([known[key] for key in keys])
 
-    def _moved(self, variants: Variants) -> tuple[list[Mechanism], Array]:
-        """Each arm with what its effects change of it, and the lengths (P, R, M) held."""
+    def _moved(self, variants: Variants) -> tuple[list[Mechanism], Array, Array]:
+        """Each arm with what its effects change of it, lengths (P, R, M) held, loads that act."""
         held = np.repeat(self._held_m[None], len(variants), axis=0)
+        forces = np.broadcast_to(self.forces_n, (len(variants), *self.forces_n.shape))
+        for matrix in loadings(variants):
+            forces = forces @ matrix.swapaxes(1, 2)[:, None]
         return (
             [amended(self._nominal, entries) for entries in variants],
             self._through(actuations(variants), held),
+            forces,
         )
 
     def _through(self, chain: Sequence[Actuation | Sensing], values: Array) -> Array:
@@ -107,13 +112,15 @@ class Replay:
             values = each.along(self.time_s, values)
         return values
 
-    def _at_rest_n(self, mechanism: Mechanism, held_m: Array, unborne_n: Array | None) -> Array:
+    def _at_rest_n(
+        self, mechanism: Mechanism, held_m: Array, forces_n: Array, unborne_n: Array | None
+    ) -> Array:
         """Tensions (R, M); rows with equal command and loads are solved once."""
         first, same = self._first, self._same
         if not np.array_equal(held_m, held_m[first][same]):
             first = same = np.arange(len(held_m))
         start = self.command_rad[first] if self._start_rad is None else self._start_rad[first]
-        command, forces, held = self.command_rad[first], self.forces_n[first], held_m[first]
+        command, forces, held = self.command_rad[first], forces_n[first], held_m[first]
         borne = np.ones(len(first), dtype=bool)
         try:
             rest = solve_equilibrium(mechanism, command, forces, held_m=held, start_rad=start)

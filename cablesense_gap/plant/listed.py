@@ -165,6 +165,30 @@ def joint_friction(draw: Draw) -> Change:
     return Change(rough, form, places("joint", share[:, 0]))
 
 
+@_DRAWS.of_size("deg")
+def load_cell(draw: Draw) -> Change:
+    """A load cell that is turned against the base, of the wrong scale, or both."""
+    form = draw.one_of(["axes", "scale", "axes and scale"])
+    axis = np.array([1.0, 0.0, 0.0]) * draw.sign() + draw.rng.uniform(-0.4, 0.4, 3)
+    sign = draw.sign()
+    if form == "scale":
+        return Change(partial(_load_scaled, sign=sign), form, unit="1", least=0.003, most=0.5)
+    per_deg = sign * draw.uniform(0.005, 0.02) if form == "axes and scale" else 0.0
+    turned_ = partial(_load_turned, axis=axis / np.linalg.norm(axis), per_deg=per_deg)
+    return Change(turned_, form, details={"scale_per_deg": per_deg}, least=0.3, most=25.0)
+
+
+def _load_turned(arm: RealArm, size: float, axis: Array, per_deg: float) -> RealArm:
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_rotvec(np.deg2rad(size) * axis).as_matrix()
+    return replace(arm, load_turn=(1.0 + size * per_deg) * turn @ arm.load_turn)
+
+
+def _load_scaled(arm: RealArm, size: float, sign: float) -> RealArm:
+    return replace(arm, load_turn=(1.0 + sign * size) * arm.load_turn)
+
+
 @_DRAWS.of_size("kg", 0.005, 4.0)
 def payload(draw: Draw) -> Change:
     """A mass on a segment's axis, anywhere along it."""

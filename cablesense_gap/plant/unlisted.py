@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -167,28 +166,6 @@ def wall(draw: Draw) -> Change:
 
 def _reach_m(draw: Draw) -> float:
     return draw.nominal.plate_offset_m + float(draw.nominal.length_m.sum())
-
-
-@_DRAWS.of_size("deg", 0.3, 40.0)
-def load_direction(draw: Draw) -> Change:
-    """A load frame that is turned against the base: loads do not point as they are labelled."""
-    vector = np.array([1.0, 0.0, 0.0]) * draw.sign() + draw.rng.uniform(-0.4, 0.4, 3)
-    return Change(partial(_load_turned, vector=vector))
-
-
-def _load_turned(arm: RealArm, size: float, vector: Array) -> RealArm:
-    turn = _rotations(arm.load_turn, size, vector / np.linalg.norm(vector))
-    return replace(arm, load_turn=turn @ arm.load_turn)
-
-
-@_DRAWS.of_size("1", 0.003, 0.5)
-def load_scale(draw: Draw) -> Change:
-    """A load cell of the wrong scale: loads are weaker or stronger than written down."""
-    return Change(partial(_load_scaled, sign=draw.sign()))
-
-
-def _load_scaled(arm: RealArm, size: float, sign: float) -> RealArm:
-    return replace(arm, load_turn=(1.0 + sign * size) * arm.load_turn)
 
 
 @_DRAWS.of_size("1/N", 2e-5, 0.01)

@@ -78,7 +78,7 @@ class Effect:
 
     Attributes:
         name: as arm files and verdicts call it.
-        acts_on: where in the chain from arm to reading it acts.
+        acts_on: where in the chain from load to reading it acts.
         about: what it is, as the end of `the gap comes from …`.
         source: where the model comes from.
         sites: the kinds of its places: `arm`, `segment`, `joint`, `cable`.
@@ -92,7 +92,7 @@ class Effect:
     """
 
     name: ClassVar[str]
-    acts_on: ClassVar[Literal["arm", "transmission", "actuator", "sensor"]]
+    acts_on: ClassVar[Literal["load", "arm", "transmission", "actuator", "sensor"]]
     about: ClassVar[str]
     source: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
@@ -116,6 +116,10 @@ class Effect:
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         """The mechanism as the effect leaves it."""
         return mechanism
+
+    def loading(self, place: str, values: Values) -> Array | None:
+        """(P, 3, 3) from a load as it is recorded to the one that acts, both in base axes."""
+        return None
 
     def actuation(self, place: str, values: Values) -> Actuation | None:
         """What it does between the commanded and the held cable length."""

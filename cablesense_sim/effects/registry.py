@@ -16,7 +16,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from cablesense_base import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_sim import effects
 from cablesense_sim.effects.effect import Actuation, Effect, Sensing, Transmission, Values
 from cablesense_sim.mechanism import Mechanism
@@ -114,6 +114,11 @@ def amended(mechanism: Mechanism, entries: Sequence[EffectEntry]) -> Mechanism:
     for entry in sorted(entries, key=_order):
         mechanism = entry.effect.amend(mechanism, entry.place, entry.values)
     return mechanism
+
+
+def loadings(variants: Variants) -> list[Array]:
+    """What lies between the recorded loads and those that act, (P, 3, 3) each."""
+    return _acting(variants, lambda effect, place, values: effect.loading(place, values))
 
 
 def actuations(variants: Variants) -> list[Actuation]:

@@ -23,7 +23,7 @@ from cablesense_sim.replay import replay_arm
 pytestmark = pytest.mark.slow
 
 
-QUICK = ("load_scale", "none")
+QUICK = ("actuator_ratio", "none")
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_answers_stand_apart_and_no_recording_contains_them(folder: Path) -> Non
         rows = list(csv.DictReader(file))
     assert list(rows[0])[:3] == ["recording", "effects", "where"]
     assert [row["effects"] for row in rows] == ["unknown", "none"]
-    assert [row["form"] for row in rows] == ["load_scale", ""]
+    assert [row["form"] for row in rows] == ["actuator_ratio", ""]
     names = [row["recording"] for row in rows]
     assert names == ["case_001", "case_002"] == sorted(path.stem for path in folder.glob("*.csv"))
     for path in folder.glob("*.csv"):

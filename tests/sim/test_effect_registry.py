@@ -27,7 +27,7 @@ def test_an_effect_says_what_it_is(effect: Effect) -> None:
     assert not effect.about.endswith(".")
     assert effect.tolerance or effect.advice.endswith(".")
     assert effect.source
-    assert effect.acts_on in ("arm", "transmission", "actuator", "sensor")
+    assert effect.acts_on in ("load", "arm", "transmission", "actuator", "sensor")
     assert effect.parameters[0].role == "size"
     assert len(set(effect.places(4, 12))) == len(effect.places(4, 12)) > 0
     names = [p.name for p in effect.parameters]
@@ -48,6 +48,7 @@ def test_where_an_effect_acts_is_where_it_says(effect: Effect) -> None:
     place = effect.places(4, 12)[0]
     values = {p.name: np.array([p.default]) for p in effect.parameters}
     acting = {
+        "load": effect.loading(place, values),
         "actuator": effect.actuation(place, values),
         "transmission": effect.transmission(place, values),
         "sensor": effect.sensing(place, values),

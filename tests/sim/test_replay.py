@@ -218,3 +218,18 @@ def test_reading_leaves_the_truth_alone() -> None:
     truth = np.full(12, 50.0)
     read_tensions_n(truth, SENSORS, np.random.default_rng(0))
     np.testing.assert_array_equal(truth, 50.0)
+
+
+@pytest.mark.parametrize("beside", [(), (entry("joint_friction", "joint_2"),)], ids=["", "rough"])
+def test_a_load_cell_changes_the_loads_that_act(beside) -> None:
+    """A fifth more, turned by half a radian about the base's x axis."""
+    cell = entry("load_cell", scale=0.2, turn_x_rad=0.5)
+    y, z = LOADS[..., 1], LOADS[..., 2]
+    acting = 1.2 * np.stack(
+        [LOADS[..., 0], np.cos(0.5) * y - np.sin(0.5) * z, np.sin(0.5) * y + np.cos(0.5) * z], -1
+    )
+    np.testing.assert_allclose(
+        readings(course(COMMANDS, LOADS), cell, *beside),
+        readings(course(COMMANDS, acting), *beside),
+        atol=1e-5,
+    )
