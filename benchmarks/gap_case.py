@@ -1,9 +1,12 @@
-"""Pictures of an arm from its recording to its repaired estimator, for docs/diagnosis.md.
+"""Pictures of reports: an arm from its recording to its repaired estimator, and a robot.
 
     cablesense gap withhold --count 1 --seed 9401002 --out cases
         --only contact_offset+joint_elasticity+sensor_lag
     cablesense gap adapt cases/case_001.csv --arm cdsm_lab --out adapted
     python benchmarks/gap_case.py adapted [--write]
+
+    python benchmarks/real_double_pendulum.py --data DIR --design C.1 --report reports
+    python benchmarks/gap_case.py reports/c1 --robot [--write]
 
 Photographs parts of the report in a headless Chromium.
 """
@@ -23,17 +26,19 @@ PARTS = {
     "case_budget.png": ("", "The budget"),
     "case_estimator.png": ("What it does to the force estimator",),
 }
+PARTS_OF_A_ROBOT = {"robot_report.png": ("", "What to do next")}
 """Sections of the report by their headings, the head of the page by an empty one."""
 _WIDTH, _HEIGHT, _MARGIN = 900, 3000, 16
 
 
 def main() -> None:
     """Photographs into the folder itself; with `--write` into docs/images/."""
-    parser = harness.parser(__doc__, "docs/images/case_*.png")
-    parser.add_argument("folder", type=Path, help="of cablesense gap adapt")
+    parser = harness.parser(__doc__, "docs/images/")
+    parser.add_argument("folder", type=Path, help="of a report")
+    parser.add_argument("--robot", action="store_true", help="whether it is of a robot")
     options = parser.parse_args()
     page = (options.folder / "report.html").read_text(encoding="utf-8")
-    for name, headings in PARTS.items():
+    for name, headings in (PARTS_OF_A_ROBOT if options.robot else PARTS).items():
         path = (IMAGES if options.write else options.folder) / name
         _photograph(_only(page, headings), path)
         print(path)
