@@ -27,10 +27,6 @@ if TYPE_CHECKING:
     from cablesense_gap.recorded_contacts import RecordedErrors
 
 ADAPTED_MODEL = "estimator.onnx"
-_FRICTION = (
-    "Friction of cables hides forces from any estimator at rest: let the arm breathe "
-    "(docs/breathing.md)."
-)
 
 
 def adapt(
@@ -65,7 +61,7 @@ def adapt(
     from cablesense_gap.arm_simulator import AMENDED_ARM
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
-    from cablesense_gap.report.text import headline
+    from cablesense_gap.report.text import FRICTION_HIDES, headline
     from cablesense_online.misfit_limit import put_simulated_limit
     from cablesense_sim.arm import find_arm, load_arm
     from cablesense_training.errors import TrainingError
@@ -114,7 +110,7 @@ def adapt(
     console.print(_outcome(found, first), soft_wrap=True, highlight=False)
     console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
     if "capstan_friction" in found.diagnosis.verdict.effects:
-        console.print(_FRICTION, soft_wrap=True)
+        console.print(FRICTION_HIDES, soft_wrap=True)
     if found.better:
         run = f"ros2 run cablesense_ros estimator --ros-args -p arm:={out / AMENDED_ARM}"
         console.print(f"Run it: {run} -p model:={adapted}", soft_wrap=True)

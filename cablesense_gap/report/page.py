@@ -29,6 +29,7 @@ from cablesense_gap.report.style import (
     style,
 )
 from cablesense_gap.report.text import (
+    FRICTION_HIDES,
     SURE,
     candidate_name,
     cause,
@@ -123,6 +124,7 @@ def report_page(
         "worst": sorted(parts, key=lambda part: -part.over_floor)[:_WORST],
         "findings": found.findings,
         "errors": error_rows(verdict.estimator) if verdict.estimator else [],
+        "hidden": FRICTION_HIDES if "capstan_friction" in verdict.effects else "",
     }
     filters: dict[str, Any] = {
         made.__name__: made for made in (newtons, percent, listed, earlier_sentence)

@@ -55,6 +55,12 @@ def earlier_sentence(earlier: Earlier) -> str:
     return f"The arm file's {name} is {_OUTCOMES[earlier.outcome]}{after}."
 
 
+FRICTION_HIDES = (
+    "Friction of cables hides forces from any estimator at rest: let the arm breathe "
+    "(docs/breathing.md)."
+)
+"""Beside errors of estimators where a verdict names that friction."""
+
 _ERRORS: dict[str, tuple[str, Callable[[float], str]]] = {
     "contact_accuracy": ("loaded segment named", percent),
     "force_mae_n": ("force off by, mean", newtons),
