@@ -7,9 +7,10 @@ tendons). The hidden side is the rigid-body code, friction, drives and sensors o
 which shares nothing with what is tested. Every robot is recorded twice: the amended model of the
 first recording predicts the second. Seeds up to 8103, 8310 and 8311 were used while the diagnosis
 was made. With `--commands` no torque is recorded, and causes that show in torques alone are none;
-with `--play` all that is hidden is backlash, which few joints of the other two show. With
-`--folder` it goes on where it was stopped; after `--minutes` it begins no further case, and scores
-those that are done.
+with `--play` all that is hidden is backlash, which few joints of the other two show; with
+`--tendons` a finger has tendons over guides, which rub in half of the cases, while of the others
+half have other friction. With `--folder` it goes on where it was stopped; after `--minutes` it
+begins no further case, and scores those that are done.
 """
 
 from __future__ import annotations
@@ -30,8 +31,7 @@ import harness
 import numpy as np
 import pandas as pd
 from robot_plant.cases import Answer as Hidden
-from robot_plant.cases import Case, drawn, record, with_play, write_answers
-from robot_plant.kinds import KINDS
+from robot_plant.cases import Case, drawn, record, with_play, with_tendons, write_answers
 
 from cablesense_gap.scoring import Answer, as_json, proportion, score
 from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, read_verdict, removed_fraction
@@ -56,9 +56,11 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, help="of recordings and verdicts, goes on there")
     parser.add_argument("--commands", action="store_true", help="record them, and no torques")
     parser.add_argument("--play", action="store_true", help="hide backlash alone, in two links")
+    parser.add_argument("--tendons", action="store_true", help="hide friction over guides")
     options = parser.parse_args()
     folder = options.folder or Path(tempfile.mkdtemp(prefix="robot_blind_"))
-    drawing = with_play if options.play else partial(drawn, commands=options.commands)
+    usual = partial(drawn, commands=options.commands)
+    drawing = with_play if options.play else with_tendons if options.tendons else usual
     cases = drawing(options.count, options.seed)
     write_answers(cases, folder / "answers" / "answers.csv")
     until, done = time.monotonic() + 60.0 * options.minutes, {}
@@ -90,6 +92,7 @@ def main() -> None:
     if options.write:
         lines = [v.model_dump_json(exclude_none=True) for _, v in sorted(verdicts.items())]
         place = "../robot_blind/" + "forward/" * options.commands + "play/" * options.play
+        place += "tendons/" * options.tendons
         harness.write_result(f"{place}score.json", result)
         answers = (folder / "answers" / "answers.csv").read_text().splitlines()
         kept = [row for row in answers if row.partition(",")[0] in {"recording", *done}]
@@ -126,6 +129,7 @@ def scored(
     budgets = score(verdicts, [truth[h.recording] for h in several]).budgets if several else None
     whole = as_json(score(verdicts, list(truth.values())))
     del whole["budgets"]["shares"]  # of the verdict's floors, while answers count samples' noise
+    models = dict.fromkeys(h.robot for h in hidden)
     held_out = {name: verdict.gap.removed_fraction for name, verdict in verdicts.items()}
     return {
         "none": exact(of(NONE)),
@@ -139,7 +143,7 @@ def scored(
         "places of those right": [sum(placed), len(placed)],
         "median gap removed, one effect, held-out trials": removed(single, held_out),
         "median gap removed, one effect, second recording": removed(single, second),
-        "by model": {name: exact([h for h in hidden if h.robot == name]) for name in KINDS},
+        "by model": {name: exact([h for h in hidden if h.robot == name]) for name in models},
         "score": whole,
         "second recording": dict(second),
     }
@@ -163,7 +167,7 @@ def _kind(hidden: Hidden) -> str:
 
 
 def _record(cases: Sequence[Case], folder: Path, until: float) -> None:
-    for kind in KINDS:
+    for kind in dict.fromkeys(case.kind.name for case in cases):
         own = [c for c in cases if c.kind.name == kind and not _second(folder, c).exists()]
         for begin in range(0, len(own), _TOGETHER):
             if time.monotonic() > until:

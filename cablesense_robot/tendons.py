@@ -7,11 +7,10 @@ it slips is that of Dahl's law, guide by guide, along the way that it passes the
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_robot.model import Change, Robot
@@ -23,31 +22,31 @@ _LEAST_M, _RIDGE = 1e-9, 1e-9
 _SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
 
 
-class _Path(NamedTuple):
-    """One tendon at R rows, in P straight pieces from its actuator on, with guides between them.
-
-    Attributes:
-        lever_m: (R, P, J) of each piece, its length by the joints.
-        turn_rad: (R, P - 1) wrap angle at each guide.
-        passed_m: (R, P - 1) cable that has passed it towards the actuator.
-    """
-
-    lever_m: Array
-    turn_rad: Array
-    passed_m: Array
-
-
 class GuidedTendons:
-    """The tendons of a robot along a motion, as it was measured or is asked for."""
+    """The K guided tendons of a robot along a motion, as it was measured or is asked for."""
 
     def __init__(self, robot: Robot, motion: Trajectory) -> None:
         """Tensions are those that the actuators make of recorded commands, where there are any."""
-        model = robot.model
-        self._trial, self._shares = motion.trial, dict[tuple[int, float], Array]()
-        tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
-        pulls = tendon & (model.actuator_trnid[:, :1] == robot.tendon_ids[:, None, None])[..., 0]
+        model, data, rows = robot.model, mujoco.MjData(robot.model), len(motion.position)
+        self._motion, self._shares = motion, dict[int, tuple[float, Array]]()
+        of_tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
+        pulls = of_tendon & (model.actuator_trnid[:, 0] == robot.tendon_ids[:, None])
         self._pulls = np.where(pulls, -model.actuator_gear[:, 0], 0.0)
-        self._moment, force, self._paths = _followed(robot, motion)
+        self._moment, force = np.zeros((rows, model.nu, model.nv)), np.empty((rows, model.nu))
+        guides = {t: _guides(model, t) for t in robot.tendon_ids.tolist()}
+        paths: dict[int, list[tuple[Array, Array]]] = {t: [] for t in guides}
+        for row, command in enumerate(np.nan_to_num(motion.command)):
+            data.qpos[:], data.qvel[:] = motion.position[row], motion.speed[row]
+            data.ctrl[:] = command
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+            mujoco.mj_fwdActuation(model, data)
+            force[row] = data.actuator_force
+            moment = data.actuator_moment, data.moment_rownnz, data.moment_rowadr
+            mujoco.mju_sparse2dense(self._moment[row], *moment, data.moment_colind)
+            for t, own in guides.items():
+                paths[t].append(_followed(model, data, data.ten_wrapadr[t], own))
+        self._paths = [[np.array(each) for each in zip(*paths[t], strict=True)] for t in paths]
         known = np.isfinite(motion.command).all() and not model.na
         self._tension_n = force @ self._pulls.T if known else None
 
@@ -63,127 +62,80 @@ class GuidedTendons:
             tension_n = self._least_n(self._moment, torque)
         lost = {k: self._lost_m(k, change, np.sign(tension_n[:, k])) for k in used}
         if self._tension_n is None and not at_drive:
-            moment = self._moment.copy()
-            for k in used:
-                moment -= self._pulls[k][:, None] * lost[k][:, None, :]
-            tension_n = self._least_n(moment, torque)
+            left = self._moment - sum(self._pulls[k][:, None] * lost[k][:, None] for k in used)
+            tension_n = self._least_n(left, torque)
         return np.asarray(sum(tension_n[:, k, None] * lost[k] for k in used))
 
     def _least_n(self, moment: Array, torque: Array) -> Array:
         """(R, K) tensions of actuators with moments (R, A, J) that give torques (R, J)."""
         square = moment.swapaxes(1, 2) @ moment
         own = np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(square.shape[-1])
-        by_joint = np.linalg.solve(square + _RIDGE * own + 1e-30, torque[..., None])
+        by_joint = np.linalg.solve(square + _RIDGE * own, torque[..., None])
         return np.asarray((moment @ by_joint)[..., 0] @ self._pulls.T)
 
-    def _lost_m(self, k: int, change: Change, way: Array) -> Array:
+    def _lost_m(self, k: int, change: Change, sign: Array) -> Array:
         """(R, J) what a tendon loses of its moment, pulling (1) or pushing (-1)."""
         from cablesense_sim.cable_chain import kept  # compiled: none without friction waits
 
-        path, give_m = self._paths[k], float(change.capstan_presliding[k])
-        if (k, give_m) not in self._shares:
-            self._shares = {key: each for key, each in self._shares.items() if key[0] != k}
-            ends = np.flatnonzero(np.diff(self._trial)) + 1
-            self._shares[k, give_m] = np.column_stack(
-                [
-                    np.concatenate([dahl(p, max(give_m, least)) for p in np.split(passed, ends)])
-                    for passed in path.passed_m.T
-                    for least in (_LEAST_GIVE * np.ptp(passed) + _LEAST_M,)
-                ]
-            )
-        share = self._shares[k, give_m] * way[:, None]
-        left = kept(share, change.capstan_friction[k] * path.turn_rad) - 1.0
-        return np.einsum("rp,rpj->rj", left, path.lever_m[:, 1:])
+        lever_m, turn_rad = self._paths[k]
+        give_m = float(change.capstan_presliding[k])
+        if k not in self._shares or self._shares[k][0] != give_m:
+            self._shares[k] = give_m, self._slid(lever_m, give_m)
+        share = self._shares[k][1] * sign[:, None]
+        left = kept(share, change.capstan_friction[k] * turn_rad) - 1.0
+        return np.einsum("rp,rpj->rj", left, lever_m[:, 1:])
+
+    def _slid(self, lever_m: Array, give_m: Array | float) -> Array:
+        """(R, P - 1) share of its limit that each guide carries.
+
+        Cable passes a guide, towards the actuator, as all pieces beyond it become shorter.
+        """
+        position, trial = self._motion.position, self._motion.trial
+        beyond = np.cumsum(lever_m[:, :0:-1], axis=1)[:, ::-1]
+        between = 0.5 * (beyond[1:] + beyond[:-1])
+        step = -np.einsum("rpj,rj->rp", between, np.diff(position, axis=0))
+        passed = np.vstack([np.zeros_like(step[:1]), np.cumsum(step, axis=0)])
+        least = _LEAST_GIVE * np.ptp(passed, axis=0) + _LEAST_M
+        trials = np.split(passed, np.flatnonzero(np.diff(trial)) + 1)
+        gives = np.maximum(give_m, least)
+        parts = [[dahl(*each) for each in zip(own.T, gives, strict=True)] for own in trials]
+        return np.hstack(parts).T
 
 
-def _followed(robot: Robot, motion: Trajectory) -> tuple[Array, Array, list[_Path]]:
-    """Moments (R, A, J) and forces (R, A) of all actuators, and the paths of guided tendons."""
-    model, data, rows = robot.model, mujoco.MjData(robot.model), len(motion.position)
-    parts = [_parts(model, t) for t in robot.tendon_ids]
-    points = [np.full((rows, len(own), 2, 3), np.nan) for own in parts]
-    moment, force = np.zeros((rows, model.nu, model.nv)), np.empty((rows, model.nu))
-    axis, anchor = np.empty((rows, model.nv, 3)), np.empty((rows, model.nv, 3))
-    command = np.nan_to_num(motion.command)
-    for row in range(rows):
-        data.qpos[:], data.qvel[:] = motion.position[row], motion.speed[row]
-        data.ctrl[:] = command[row]
-        mujoco.mj_fwdPosition(model, data)
-        mujoco.mj_fwdVelocity(model, data)
-        mujoco.mj_fwdActuation(model, data)
-        axis[row], anchor[row], force[row] = data.xaxis, data.xanchor, data.actuator_force
-        mujoco.mju_sparse2dense(
-            moment[row], data.actuator_moment, data.moment_rownnz, data.moment_rowadr,
-            data.moment_colind,
-        )  # fmt: skip
-        place, of = data.wrap_xpos.reshape(-1, 3), data.wrap_obj.ravel()
-        for tendon, own, found in zip(robot.tendon_ids, parts, points, strict=True):
-            at = data.ten_wrapadr[tendon]
-            for n, (geom, _) in enumerate(own):
-                if geom < 0 or of[at] == geom:  # else the tendon passes it without touching
-                    found[row, n] = place[at], place[at + (geom >= 0)]
-                    at += 1 + (geom >= 0)
-    paths = []
-    for own, found in zip(parts, points, strict=True):
-        bodies = np.array([body for _, body in own])
-        if bodies[0] > bodies[-1]:
-            bodies, found = bodies[::-1], found[:, ::-1, ::-1]
-        paths.append(_path(robot, motion, bodies, found, axis, anchor))
-    return moment, force, paths
-
-
-def _parts(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int]]:
-    """Geom, -1 of a site, and body of each of a tendon's guides and ends."""
+def _guides(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int]]:
+    """Of a tendon's ends and guides the geom, -1 of a site, and the body."""
     own = slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
-    sites = model.wrap_type[own] == _SITE
     return [
-        (-1, int(model.site_bodyid[number])) if site else (int(number), model.geom_bodyid[number])
-        for site, number in zip(sites, model.wrap_objid[own], strict=True)
+        (-1, int(model.site_bodyid[number]))
+        if kind == _SITE
+        else (number, model.geom_bodyid[number])
+        for kind, number in zip(model.wrap_type[own], model.wrap_objid[own].tolist(), strict=True)
     ]
 
 
-def _path(
-    robot: Robot,
-    motion: Trajectory,
-    bodies: NDArray[np.int64],
-    points_m: Array,
-    axis: Array,
-    anchor_m: Array,
-) -> _Path:
-    """From where a tendon comes to and leaves its guides, (R, P + 1, 2, 3), NaN of those not met.
+def _followed(
+    model: mujoco.MjModel, data: mujoco.MjData, at: int, guides: list[tuple[int, int]]
+) -> tuple[Array, Array]:
+    """Levers (P, J), m, of a tendon's straight pieces, and wrap angles (P - 1,) between them.
 
-    What a guide does not move, neither do the pieces beside it: a piece grows as points of the two
-    bodies move along it, and cable passes a guide as all pieces beyond it grow.
+    From its actuator on, the end nearer to the base; `at` is the first of its points in the data.
+    A piece has the number of the guide that it comes from; one that the tendon passes without
+    touching has neither.
     """
-    model = robot.model
-    body = np.tile(bodies, (len(points_m), 1))
-    for n in reversed(range(1, len(bodies) - 1)):
-        missed = np.isnan(points_m[:, n, 0, 0])
-        points_m[missed, n] = points_m[missed, n + 1, :1]
-        body[missed, n] = body[missed, n + 1]
-    carried = np.array(
-        [[_carries(model, j, b) for j in range(model.nv)] for b in range(model.nbody)]
-    )
-    arm = points_m[:, :, :, None] - anchor_m[:, None, None]
-    turned = np.cross(axis[:, None, None], arm)
-    hinge = (model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)[:, None]
-    moved = np.where(hinge, turned, axis[:, None, None]) * carried[body][:, :, None, :, None]
-    straight = points_m[:, 1:, 0] - points_m[:, :-1, 1]
-    length = np.linalg.norm(straight, axis=-1, keepdims=True)
-    way = straight / np.maximum(length, _LEAST_M)
-    for p in range(1, way.shape[1]):
-        way[:, p] = np.where(length[:, p] > _LEAST_M, way[:, p], way[:, p - 1])
-    lever = np.einsum("rpx,rpjx->rpj", way, moved[:, 1:, 0] - moved[:, :-1, 1])
-    beyond = np.cumsum(lever[:, :0:-1], axis=1)[:, ::-1]
-    grown = np.einsum(
-        "rpj,rj->rp", 0.5 * (beyond[1:] + beyond[:-1]), np.diff(motion.position, axis=0)
-    )
-    passed = -np.cumsum(np.vstack([np.zeros_like(grown[:1]), grown]), axis=0)
-    turn = np.arccos(np.clip((way[:, 1:] * way[:, :-1]).sum(-1), -1.0, 1.0))
-    return _Path(lever, turn, passed)
-
-
-def _carries(model: mujoco.MjModel, joint: int, body: int) -> bool:
-    """Whether a joint moves a body."""
-    while body and body != model.jnt_bodyid[joint]:
-        body = int(model.body_parentid[body])
-    return bool(body)
+    place, met = data.wrap_xpos.reshape(-1, 3), data.wrap_obj.ravel()
+    lever, turn = np.zeros((len(guides) - 1, model.nv)), np.zeros(len(guides) - 1)
+    here, there = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    last, way = 0, np.zeros(3)
+    for n, (geom, body) in enumerate(guides):
+        if geom >= 0 and met[at] != geom:
+            continue
+        if n:
+            mujoco.mj_jac(model, data, there, None, place[at], body)
+            straight = place[at] - place[at - 1]
+            before, way = way, straight / max(math.sqrt(straight @ straight), _LEAST_M)
+            lever[last] = way @ (there - here)
+            turn[last] = math.acos(min(max(before @ way, -1.0), 1.0))
+        last, at = n, at + (1 if geom < 0 else 2)
+        mujoco.mj_jac(model, data, here, None, place[at - 1], body)
+    towards = slice(None, None, -1 if guides[0][1] > guides[-1][1] else 1)
+    return lever[towards], turn[1:][towards]

@@ -12,9 +12,9 @@ import numpy as np
 import pandas as pd
 
 from cablesense_base import Array
-from robot_plant.causes import UNKNOWN, Cause, Draw, in_turn, pools, with_tolerances
+from robot_plant.causes import UNKNOWN, Cause, Draw, in_turn, of_tendons, pools, with_tolerances
 from robot_plant.hidden import Hidden, Kind, stacked
-from robot_plant.kinds import KINDS
+from robot_plant.kinds import GUIDED, KINDS
 from robot_plant.motion import (
     Reference,
     prescribed_n_m,
@@ -100,6 +100,16 @@ def with_play(count: int, seed: int) -> list[Case]:
     """Pendulums of two links, each with backlash in one joint."""
     known, kind = pools(commands=True), KINDS["two_links"]
     return [draw_case(kind, ["backlash"], seed, index + 1, known) for index in range(count)]
+
+
+def with_tendons(count: int, seed: int) -> list[Case]:
+    """Fingers with guides: of four two have tendons that rub, one other friction, one nothing."""
+    known = of_tendons()
+    others = in_turn(np.random.default_rng([seed]), list(known[1]))
+    turns = [["capstan_friction"], [], ["capstan_friction"], ["other"]]
+    sets = [turns[k % len(turns)] for k in range(count)]
+    names = [[next(others)] if own == ["other"] else own for own in sets]
+    return [draw_case(GUIDED, own, seed, k + 1, known) for k, own in enumerate(names)]
 
 
 def _different(names: Iterator[str], count: int) -> list[str]:
@@ -203,7 +213,7 @@ def _size_for(
 
 
 def _read(kind: Kind, robot: Hidden, asked: Reference) -> Array:
-    return prescribed_n_m(robot, asked, kind.trial_s)
+    return prescribed_n_m(kind, robot, asked)
 
 
 def _gap(kind: Kind, first: Array, second: Array) -> float:

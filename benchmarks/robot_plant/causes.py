@@ -115,6 +115,16 @@ def _load_friction(draw: Draw) -> Cause:
     return _by_joint(draw, "load_friction", "proportional", weight, 0.3, "1")
 
 
+def _capstan_friction(draw: Draw) -> Cause:
+    names, two = draw.kind.drives, draw.rng.random() < _TWO_PLACES
+    chosen = draw.rng.permutation(len(names))[: 2 if two else 1]
+    weight = np.zeros(len(names))
+    weight[chosen] = 1.0
+    places = tuple(names[k] for k in sorted(chosen))
+    rubs = _added("capstan", weight)
+    return Cause("capstan_friction", "elastic tendons stick and slip", rubs, 1.0, "1", places)
+
+
 def _viscous_friction(draw: Draw) -> Cause:
     weight = draw.weighted_joints(draw.speed())
     return _by_joint(draw, "viscous_friction", "damping", weight, 50.0, "N·m·s/rad")
@@ -355,6 +365,12 @@ def pools(*, commands: bool) -> tuple[dict[str, Callable[[Draw], Cause]], ...]:
         for pool in ({**LISTED, "backlash": _backlash}, UNLISTED)
     )
     return listed, unlisted
+
+
+def of_tendons() -> tuple[dict[str, Callable[[Draw], Cause]], ...]:
+    """Friction of tendons over guides, and the kinds of friction that it may be taken for."""
+    alike = ("joint_friction", "load_friction", "viscous_friction")
+    return {"capstan_friction": _capstan_friction}, {name: LISTED[name] for name in alike}
 
 
 def in_turn(rng: np.random.Generator, names: list[str]) -> Iterator[str]:

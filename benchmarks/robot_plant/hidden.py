@@ -11,6 +11,7 @@ import numpy as np
 
 from cablesense_base import Array
 from robot_plant.chain import Chain, read_chain
+from robot_plant.guides import Guides
 
 _T = TypeVar("_T")
 _RIGID = 1e9
@@ -35,6 +36,7 @@ class Kind:
         trial_s: of each trial.
         gain_1_s2: (N,) of the controller's position error, by the joint's own inertia.
         tendon_m: (K, N) by how much tendon k pulls at joint n, m; none where motors sit in joints.
+        guides: over which its tendons run, where they do.
         drives: names of its actuators.
     """
 
@@ -49,6 +51,7 @@ class Kind:
     gain_1_s2: float
     drives: tuple[str, ...]
     tendon_m: Array | None = None
+    guides: Guides | None = None
 
     @property
     def name(self) -> str:
@@ -65,6 +68,7 @@ class Kind:
             **sizes,
             dry=none,
             proportional=none,
+            capstan=np.zeros(len(self.drives)),
             stribeck=np.array(0.0),
             stribeck_speed=np.array(0.05),
             presliding_rad=np.full(count, 0.002),
@@ -97,6 +101,7 @@ class Hidden:
     Attributes:
         damping, armature, stiffness: as of MuJoCo.
         dry, proportional: kinetic friction, N·m, and its share of the drive's torque.
+        capstan: (K,) friction of tendons with their guides.
         stribeck, stribeck_speed: () by how much more it is at rest, as a share, and until when.
         presliding_rad: how far a stuck joint gives until it slips.
         play_rad: between a motor and its joint, from one flank of the teeth to the other.
@@ -117,6 +122,7 @@ class Hidden:
     stiffness: Array
     dry: Array
     proportional: Array
+    capstan: Array
     stribeck: Array
     stribeck_speed: Array
     presliding_rad: Array

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from robot_plant.guides import read_guides
 from robot_plant.hidden import Kind
 
 MODELS = Path(__file__).parents[2] / "config" / "robots"
@@ -52,3 +54,7 @@ KINDS = {
         ),
     )
 }
+
+_GUIDED = MODELS / "guided_finger.xml"
+GUIDED = replace(KINDS["finger"], path=_GUIDED, tendon_m=None, guides=read_guides(_GUIDED))
+"""The finger with tendons over guides, for causes that the others cannot show."""

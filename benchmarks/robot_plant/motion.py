@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from cablesense_base import Array
+from robot_plant.guides import Rubbing, pulls_n
 from robot_plant.hidden import Hidden, Kind, stacked
 
 STEP_S = 1e-3
@@ -23,7 +24,6 @@ _CURRENT_S = 0.002
 _FILTER_S = 0.0016
 """Of the filter that a torque's noise passes."""
 _VELOCITY_S = 0.004
-_PRETENSION_N = 2.0
 _STRIDE = 8
 _PASSING_ROWS = 2.5
 """That a joint takes from tooth to tooth, as what is hidden is sized."""
@@ -100,7 +100,7 @@ def stacked_references(references: list[Reference]) -> Reference:
     return Reference(*(np.stack(parts, 1) for parts in zip(*references, strict=True)))
 
 
-def prescribed_n_m(robot: Hidden, asked: Reference, trial_s: float) -> Array:
+def prescribed_n_m(kind: Kind, robot: Hidden, asked: Reference) -> Array:
     """Torques (T', N) that sensors would read if one robot did just what it is asked for.
 
     Every eighth step. To size what is hidden: quick, without a controller, friction without its
@@ -129,7 +129,13 @@ def prescribed_n_m(robot: Hidden, asked: Reference, trial_s: float) -> Array:
     at_joint = chain.torques_n_m(*whole)[..., 1:] + robots.spring_n_m(joint[0])
     drive = at_joint @ robot.moved
     drive = drive + robots.armature * motor[2] + robots.motor_n_m(motor[0], motor[1])
-    drive = drive - _push(robots, time_s, trial_s)
+    drive = drive - _push(robots, time_s, kind.trial_s)
+    if kind.guides is not None and robots.capstan.any():
+        rubbing = Rubbing(kind.guides, robots.capstan, joint[0][0])
+        lost = np.zeros_like(drive)
+        for k in range(1, len(drive)):
+            lost[k] = rubbing.lost_n_m(joint[0][k], drive[k] + lost[k - 1])
+        drive = drive + lost
     way = np.tanh(motor[1] / 0.01)
     return robots.read_n_m(drive + way * robots.kinetic_n_m(motor[1], drive), time_s)[:, 0]
 
@@ -185,6 +191,7 @@ def simulate(kind: Kind, robots: Hidden, asked: Reference) -> Motion:
     extra = np.zeros((count, angle.shape[1], angle.shape[1]))
     extra[:, 0, 0], extra[:, 1:, 1:] = base_own, inertia
     push = _push(robots, asked.time_s, kind.trial_s)
+    rubbing = kind.guides and Rubbing(kind.guides, robots.capstan, home)
     bristle, drive = np.zeros_like(home), forward[0].copy()
     kept = np.empty((4, *asked.angle.shape))
     steps = _STEPS_OF_PLAY if loose.any() else 1
@@ -223,6 +230,8 @@ def simulate(kind: Kind, robots: Hidden, asked: Reference) -> Motion:
         bristle = bristle * (1.0 - slip) + motor_speed * grown
         friction = robots.kinetic_n_m(motor_speed, drive) * bristle / robots.presliding_rad
         held = drive - friction + push[k]
+        if rubbing:
+            held = held - rubbing.lost_n_m(angle[:, 1:], drive)
         for _ in range(steps):
             now = angle, speed, rotor, rotor_speed
             first, turned = acceleration(*now, held)
@@ -260,6 +269,10 @@ def written(
         step = 0.5 * kind.noise_n_m
         torque = np.round((_lagged(read[:, b], _FILTER_S) + noise) / step) * step
         command = motion.command_n_m[:, b]
+        if kind.guides is not None:
+            command = pulls_n(kind.guides.moments_m(motion.motor[:, b]), motion.drive_n_m[:, b])
+        elif kind.tendon_m is not None:
+            command = pulls_n(np.tile(kind.tendon_m, (len(command), 1, 1)), command)
         found.append(
             {
                 "time_s": time_s[rows],
@@ -267,26 +280,10 @@ def written(
                 "position": counted[rows],
                 "velocity": _lagged(change, _VELOCITY_S)[rows],
                 "torque": torque[rows],
-                "command": (command if kind.tendon_m is None else _pulls(kind, command))[rows],
+                "command": command[rows],
             }
         )
     return found
-
-
-def _pulls(kind: Kind, torque_n_m: Array) -> Array:
-    """Tensions (T, K) of a pair of tendons for each joint, the last joint's first."""
-    tendons = kind.tendon_m
-    assert tendons is not None
-    left = torque_n_m.copy()
-    pulls = np.full((len(left), len(tendons)), _PRETENSION_N)
-    for joint in reversed(range(left.shape[1])):
-        pair = [2 * joint, 2 * joint + 1]
-        left = left - _PRETENSION_N * tendons[pair].sum(0)
-        for tendon in pair:
-            more = np.maximum(left[:, joint] / tendons[tendon, joint], 0.0)
-            pulls[:, tendon] += more
-            left = left - more[:, None] * tendons[tendon]
-    return pulls
 
 
 def _lagged(signal: Array, time_s: float) -> Array:

@@ -89,7 +89,7 @@ def test_a_controlled_robot_needs_the_torques_of_what_it_is_asked_for():
     asked = Reference(*(part[:1000] for part in reference(kind, np.random.default_rng(3))))
     robots = stacked([nominal, rough])
     motion = simulate(kind, robots, stacked_references([asked, asked]))
-    needed = prescribed_n_m(nominal, asked, kind.trial_s) / kind.noise_n_m
+    needed = prescribed_n_m(kind, nominal, asked) / kind.noise_n_m
     taken = motion.drive_n_m[::8] / kind.noise_n_m
     assert np.sqrt(((taken[:, 0] - needed) ** 2).mean()) < 1.0
     speed = asked.speed[::8]
