@@ -1,9 +1,10 @@
-"""The da Vinci jaw of `real_jaw.py` through the door of any robot: an MJCF and recordings.
+"""The da Vinci jaw of `real_jaw.py` through the door of any robot: MJCFs and recordings.
 
     python benchmarks/robot_jaw.py --data DIR [--write]
 
-The nominal model (`config/robots/jaw.xml`) has no friction. Every other level of the brake is
-diagnosed, the levels between are predicted by the amended model.
+Neither nominal model of `config/robots` has friction: `jaw.xml` has a transmission, in
+`jaw_cable.xml` a cable over guides drives it. Every other level of the brake is diagnosed, the
+levels between are predicted by the amended model.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from cablesense_robot.pipeline import diagnose
 from cablesense_robot.prediction import predicted
 from cablesense_robot.recording import RobotRecording, read_recording
 
-MODEL = Path(__file__).parents[1] / "config" / "robots" / "jaw.xml"
-_TRIAL_GAP_S = 30.0
+MODELS = Path(__file__).parents[1] / "config" / "robots"
+_NAMES, _TRIAL_GAP_S = ("jaw.xml", "jaw_cable.xml"), 30.0
 
 
 def main() -> None:
@@ -35,21 +36,34 @@ def main() -> None:
     parser.add_argument("--data", required=True, help="folder of the jaw's recordings")
     options = parser.parse_args()
     train, parts = split(read_recordings(options.data), None, 0)
-    robot = load_robot(MODEL)
+    result: dict[str, Any] = {
+        **harness.origin("mujoco"),
+        "trials": [len(train), len(parts[0].test)],
+        **{name: _found(MODELS / name, train, parts[0].test) for name in _NAMES},
+    }
+    print(json.dumps(result, indent=1, ensure_ascii=False))
+    if options.write:
+        harness.write_result("robot_jaw.json", result)
+
+
+def _found(
+    path: Path, train: Sequence[JawRecording], test: Sequence[JawRecording]
+) -> dict[str, Any]:
+    robot = load_robot(path)
     with tempfile.TemporaryDirectory() as folder:
         one, other = (
             _recording(Path(folder) / f"{name}.csv", recordings, robot)
-            for name, recordings in (("train", train), ("test", parts[0].test))
+            for name, recordings in (("train", train), ("test", test))
         )
         found = diagnose(one, robot)
         write_amended(Path(folder), robot, found.amended, {})
         amended = load_amended(folder)
         gaps = [predicted(other, *model).gaps[0][2] for model in ((robot, {}), amended)]
     verdict = found.verdict
-    result: dict[str, Any] = {
-        **harness.origin("mujoco"),
+    return {
         "effects": verdict.effects,
         "probability": round(verdict.probability, 3),
+        "ambiguity_group": verdict.ambiguity_group,
         "numbers": {
             name: f"{e.value:.3g} ({e.ci95[0]:.3g} to {e.ci95[1]:.3g}) {e.unit}"
             for name, e in verdict.parameters.items()
@@ -58,12 +72,8 @@ def main() -> None:
             round(1e3 * gap, 2) for gap in gaps
         ],
         "removed": round(1.0 - gaps[1] / gaps[0], 3),
-        "trials": [len(train), len(parts[0].test)],
         "seconds": round(verdict.seconds or 0.0, 1),
     }
-    print(json.dumps(result, indent=1, ensure_ascii=False))
-    if options.write:
-        harness.write_result("robot_jaw.json", result)
 
 
 def _recording(path: Path, recordings: Sequence[JawRecording], robot: Robot) -> RobotRecording:

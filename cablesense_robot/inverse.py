@@ -63,11 +63,12 @@ class InverseDynamics:
         dry = self._slid(change.friction, change.presliding)
         by_load = self._slid(change.load_friction, change.load_presliding)
         loss = by_load * np.sign(transmitted)
-        at_drive = transmitted * np.exp(loss) * np.cosh(loss) ** change.load_side + dry
+        at_drive = transmitted * np.exp(loss) * np.cosh(loss) ** change.load_side
         if change.capstan_friction.any():
             self._tendons = self._tendons or GuidedTendons(self._robot, motion)
             lost = self._tendons.lost(change, at_drive)
             at_drive = at_drive + lost + lost @ self._robot.geared
+        at_drive = at_drive + dry
         if change.delay_s:
             at_drive = self._later(at_drive, change.delay_s)
         return np.asarray((1.0 + change.torque_scale) * at_drive + change.torque_offset)

@@ -44,9 +44,17 @@ class Trajectory:
         """
         if presliding <= 0.0:
             return self.direction[:, joint]
-        ends = np.flatnonzero(np.diff(self.trial)) + 1
-        parts = np.split(self.position[:, joint], ends)
-        return np.concatenate([dahl(part, presliding) for part in parts])
+        own = np.zeros_like(self.position)
+        own[:, joint] = 1.0
+        return self.slid_along(own, presliding)
+
+    def slid_along(self, by_joint: Array, give: float) -> Array:
+        """(R,) the same along a way that grows by (R, J) of each joint's motion."""
+        parts = zip(*(self._by_trial(each) for each in (self.position, by_joint)), strict=True)
+        return np.concatenate([_dahl(_way(*part), give) for part in parts])
+
+    def _by_trial(self, rows: Array) -> list[Array]:
+        return np.split(rows, np.flatnonzero(np.diff(self.trial)) + 1)
 
 
 @dataclass(frozen=True)
@@ -118,24 +126,20 @@ class Motion(Trajectory):
             first += len(path)
         return np.concatenate(found)
 
-    def slid(self, joint: int, presliding: float) -> Array:
+    def slid_along(self, by_joint: Array, give: float) -> Array:
         """As of a trajectory; between rows a joint may turn round, so it goes the whole path."""
-        if presliding <= 0.0:
-            return self.direction[:, joint]
         found = []
-        for path in self.paths:
-            share = dahl(path[:, joint], presliding)
-            smooth = smoothing.smoothed(share, self.rate_hz, self.smoothed_hz)
-            found.append(
-                smooth[inner_rows(len(path), self.rate_hz, self.smoothed_hz)][:: self.step]
-            )
+        for path, own in zip(self.paths, self._by_trial(by_joint), strict=True):
+            inner = inner_rows(len(path), self.rate_hz, self.smoothed_hz)
+            rows = np.arange(inner.start, inner.stop, self.step)
+            whole = np.stack([np.interp(np.arange(len(path)), rows, b) for b in own.T], axis=1)
+            share = _dahl(_way(path, whole), give)
+            found.append(smoothing.smoothed(share, self.rate_hz, self.smoothed_hz)[rows])
         return np.concatenate(found)
 
     def compared(self, torque: Array) -> Array:
         """(Q, J) of torques (R, J): those that do not count taken out, then the low-pass."""
-        known = np.where(self.counts, torque, 0.0)
-        ends = np.flatnonzero(np.diff(self.trial)) + 1
-        parts = np.split(known, ends)
+        parts = self._by_trial(np.where(self.counts, torque, 0.0))
         return np.concatenate([own @ part for own, part in zip(self.passes, parts, strict=True)])
 
 
@@ -145,7 +149,13 @@ def inner_rows(count: int, rate_hz: float, smoothed_hz: float) -> slice:
     return slice(edge, count - edge)
 
 
-def dahl(position: Array, presliding: float) -> Array:
+def _way(position: Array, by_joint: Array) -> Array:
+    """(T,) that grows by (T, J) of each joint's motion, positions (T, J)."""
+    step = 0.5 * (by_joint[1:] + by_joint[:-1]) * np.diff(position, axis=0)
+    return np.concatenate([[0.0], np.cumsum(step.sum(1))])
+
+
+def _dahl(position: Array, presliding: float) -> Array:
     """Shares (T,) of dry friction along a path (T,), from none at its beginning."""
     moved = np.diff(position, prepend=position[0])
     stays = np.exp(-np.abs(moved) / presliding)

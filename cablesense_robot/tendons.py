@@ -14,7 +14,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_robot.model import Change, Robot
-from cablesense_robot.motion import Trajectory, dahl
+from cablesense_robot.motion import Trajectory
 
 _LEAST_GIVE = 1e-4
 """Of the way that passes a guide: how far cable gives at least."""
@@ -85,21 +85,16 @@ class GuidedTendons:
         left = kept(share, change.capstan_friction[k] * turn_rad) - 1.0
         return np.einsum("rp,rpj->rj", left, lever_m[:, 1:])
 
-    def _slid(self, lever_m: Array, give_m: Array | float) -> Array:
+    def _slid(self, lever_m: Array, give_m: float) -> Array:
         """(R, P - 1) share of its limit that each guide carries.
 
         Cable passes a guide, towards the actuator, as all pieces beyond it become shorter.
         """
-        position, trial = self._motion.position, self._motion.trial
         beyond = np.cumsum(lever_m[:, :0:-1], axis=1)[:, ::-1]
-        between = 0.5 * (beyond[1:] + beyond[:-1])
-        step = -np.einsum("rpj,rj->rp", between, np.diff(position, axis=0))
-        passed = np.vstack([np.zeros_like(step[:1]), np.cumsum(step, axis=0)])
-        least = _LEAST_GIVE * np.ptp(passed, axis=0) + _LEAST_M
-        trials = np.split(passed, np.flatnonzero(np.diff(trial)) + 1)
-        gives = np.maximum(give_m, least)
-        parts = [[dahl(*each) for each in zip(own.T, gives, strict=True)] for own in trials]
-        return np.hstack(parts).T
+        way_m = (np.abs(beyond).max(0) * np.ptp(self._motion.position, axis=0)).sum(1)
+        gives = np.maximum(give_m, _LEAST_GIVE * way_m + _LEAST_M).tolist()
+        guides = zip(beyond.swapaxes(0, 1), gives, strict=True)
+        return np.stack([self._motion.slid_along(-own, give) for own, give in guides], axis=1)
 
 
 def _guides(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int]]:

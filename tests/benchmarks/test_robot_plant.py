@@ -12,8 +12,9 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 from robot_plant.cases import drawn
 from robot_plant.chain import Chain, read_chain
+from robot_plant.guides import PRETENSION_N, Rubbing, pulls_n
 from robot_plant.hidden import Kind, stacked
-from robot_plant.kinds import KINDS
+from robot_plant.kinds import GUIDED, KINDS
 from robot_plant.motion import (
     Reference,
     prescribed_n_m,
@@ -98,6 +99,36 @@ def test_a_controlled_robot_needs_the_torques_of_what_it_is_asked_for():
     assert np.median(extra) == pytest.approx(20.0, rel=0.1)
     first, _ = written(kind, robots, motion, [1, 2])
     assert np.diff(first["time_s"]) == pytest.approx(1.0 / kind.rate_hz)
+
+
+def test_tendons_pull_as_those_of_mujoco():
+    model = mujoco.MjModel.from_xml_path(str(GUIDED.path))
+    data, angles = mujoco.MjData(model), np.random.default_rng(2).uniform(-0.2, 1.2, (5, 2))
+    for angle, moment in zip(angles, GUIDED.guides.moments_m(angles), strict=True):
+        data.qpos[:], data.ctrl[:] = angle, [3.0, 1.0, 2.0, 5.0]
+        mujoco.mj_forward(model, data)
+        assert data.ctrl @ moment == pytest.approx(data.qfrc_actuator, rel=1e-9)
+        torque = np.array([0.02, -0.01])
+        pulls = pulls_n(moment, torque)
+        assert pulls @ moment == pytest.approx(torque)
+        assert pulls.min() == pytest.approx(PRETENSION_N)
+
+
+def test_a_tendon_that_is_drawn_over_its_guides_loses_by_their_angles():
+    friction, guides = np.array([[0.4, 0.0, 0.0, 0.0]]), GUIDED.guides
+    torque = np.array([[0.05, 0.0]])
+    for turned, way in ((0.02, 1.0), (-0.02, -1.0)):
+        rubbing = Rubbing(guides, friction, np.array([[0.5, 0.5]]))
+        for share in np.linspace(0.0, 1.0, 200):
+            angle = np.array([[0.5 + share * turned, 0.5]])
+            lost = rubbing.lost_n_m(angle, torque)
+        points, _ = guides.pose(angle)
+        ways = np.diff(points[0, 0], axis=0)
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        wrap = np.arccos(np.clip((ways[1:] * ways[:-1]).sum(1), -1.0, 1.0)).sum()
+        moment = guides.moments_m(angle)
+        whole = pulls_n(moment, torque)[0, 0] * moment[0, 0]
+        assert lost[0] == pytest.approx(whole * (1.0 - np.exp(-way * 0.4 * wrap)), rel=3e-3)
 
 
 def test_cases_are_the_same_again_and_hide_what_they_say():

@@ -266,7 +266,7 @@ def test_friction_of_a_tendon_is_found_sized_and_predicted(tmp_path, rubbing):
     assert found.verdict.effects == ("capstan_friction",)
     assert found.verdict.where.places == ("flexor",)
     size = found.verdict.parameters["capstan_friction.coefficient"]
-    assert size.ci95[0] <= MU <= size.ci95[1]
+    assert size.value == pytest.approx(MU, rel=0.05)  # the law's cable is rigid, this one is not
     write_amended(tmp_path, robot, found.amended, {})
     gaps = [predicted(read, *model).gaps[0][2] for model in ((robot, {}), load_amended(tmp_path))]
     assert gaps[1] < 0.1 * gaps[0]
