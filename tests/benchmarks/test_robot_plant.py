@@ -117,7 +117,7 @@ def test_tendons_pull_as_those_of_mujoco():
 def test_a_tendon_that_is_drawn_over_its_guides_loses_by_their_angles():
     friction, guides = np.array([[0.4, 0.0, 0.0, 0.0]]), GUIDED.guides
     torque = np.array([[0.05, 0.0]])
-    for turned, way in ((0.02, 1.0), (-0.02, -1.0)):
+    for turned, way in ((0.2, 1.0), (-0.2, -1.0)):
         rubbing = Rubbing(guides, friction, np.array([[0.5, 0.5]]))
         for share in np.linspace(0.0, 1.0, 200):
             angle = np.array([[0.5 + share * turned, 0.5]])
