@@ -8,6 +8,7 @@ Whatever is compared with smoothed motion goes through the same filter.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt, welch
@@ -26,10 +27,14 @@ def smoothed(signal: Array, rate_hz: float, bandwidth_hz: float) -> Array:
     """(T, …) of evenly sampled signals (T, …)."""
     if len(signal) < 8:
         return np.repeat(signal.mean(0, keepdims=True), len(signal), axis=0)
-    sections = butter(3, bandwidth_hz, fs=rate_hz, output="sos")
     most = len(signal) - 1
     pad = min(int(3.0 * rate_hz / bandwidth_hz), most)
-    return np.asarray(sosfiltfilt(sections, signal, axis=0, padlen=pad))
+    return np.asarray(sosfiltfilt(_sections(rate_hz, bandwidth_hz), signal, axis=0, padlen=pad))
+
+
+@lru_cache
+def _sections(rate_hz: float, bandwidth_hz: float) -> Array:
+    return np.asarray(butter(3, bandwidth_hz, fs=rate_hz, output="sos"))
 
 
 def derivatives(signal: Array, rate_hz: float) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ from cablesense_robot.motion import Trajectory
 _LEAST_GIVE = 1e-4
 """Of the way that passes a guide: how far cable gives at least."""
 _LEAST_M, _RIDGE = 1e-9, 1e-9
+_CACHED = 48
 _SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
 
 
@@ -28,7 +29,7 @@ class GuidedTendons:
     def __init__(self, robot: Robot, motion: Trajectory) -> None:
         """Tensions are those that the actuators make of recorded commands, where there are any."""
         model, data, rows = robot.model, mujoco.MjData(robot.model), len(motion.position)
-        self._motion, self._shares = motion, dict[int, tuple[float, Array]]()
+        self._motion, self._shares = motion, dict[tuple[int, float], Array]()
         of_tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
         pulls = of_tendon & (model.actuator_trnid[:, 0] == robot.tendon_ids[:, None])
         self._pulls = np.where(pulls, -model.actuator_gear[:, 0], 0.0)
@@ -79,9 +80,11 @@ class GuidedTendons:
 
         lever_m, turn_rad = self._paths[k]
         give_m = float(change.capstan_presliding[k])
-        if k not in self._shares or self._shares[k][0] != give_m:
-            self._shares[k] = give_m, self._slid(lever_m, give_m)
-        share = self._shares[k][1] * sign[:, None]
+        if (k, give_m) not in self._shares:
+            if len(self._shares) >= _CACHED:
+                self._shares.pop(next(iter(self._shares)))
+            self._shares[k, give_m] = self._slid(lever_m, give_m)
+        share = self._shares[k, give_m] * sign[:, None]
         left = kept(share, change.capstan_friction[k] * turn_rad) - 1.0
         return np.einsum("rp,rpj->rj", left, lever_m[:, 1:])
 
@@ -93,8 +96,12 @@ class GuidedTendons:
         beyond = np.cumsum(lever_m[:, :0:-1], axis=1)[:, ::-1]
         way_m = (np.abs(beyond).max(0) * np.ptp(self._motion.position, axis=0)).sum(1)
         gives = np.maximum(give_m, _LEAST_GIVE * way_m + _LEAST_M).tolist()
-        guides = zip(beyond.swapaxes(0, 1), gives, strict=True)
-        return np.stack([self._motion.slid_along(-own, give) for own, give in guides], axis=1)
+        found = np.zeros(beyond.shape[:2])
+        for p in np.flatnonzero(way_m > _LEAST_M).tolist():
+            same = p > 0 and np.allclose(beyond[:, p], beyond[:, p - 1], rtol=0.0, atol=_LEAST_M)
+            own = found[:, p - 1] if same else self._motion.slid_along(-beyond[:, p], gives[p])
+            found[:, p] = own
+        return found
 
 
 def _guides(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int]]:
