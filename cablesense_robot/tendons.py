@@ -70,8 +70,10 @@ class GuidedTendons:
     def _least_n(self, moment: Array, torque: Array) -> Array:
         """(R, K) tensions of actuators with moments (R, A, J) that give torques (R, J)."""
         square = moment.swapaxes(1, 2) @ moment
-        own = np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(square.shape[-1])
-        by_joint = np.linalg.solve(square + _RIDGE * own, torque[..., None])
+        own = np.maximum(np.trace(square, axis1=1, axis2=2), _LEAST_M**2)[:, None, None]
+        by_joint = np.linalg.solve(
+            square + _RIDGE * own * np.eye(square.shape[-1]), torque[..., None]
+        )
         return np.asarray((moment @ by_joint)[..., 0] @ self._pulls.T)
 
     def _lost_m(self, k: int, change: Change, sign: Array) -> Array:

@@ -60,7 +60,7 @@ def written(folder, xml):
 
 def waves(robot, sizes, command=np.nan):
     """A motion by sines of each joint, (T, J)."""
-    time_s = np.arange(0.0, 6.0, 0.005)
+    time_s = np.arange(0.0, 4.0, 0.005)
     speed = np.arange(2.0, 2.0 + len(sizes))
     at = time_s[:, None] * speed
     return Trajectory(
@@ -71,7 +71,7 @@ def waves(robot, sizes, command=np.nan):
         acceleration=-sizes * speed**2 * np.sin(at),
         direction=np.sign(np.cos(at)),
         load=np.zeros((len(time_s), len(sizes))),
-        command=np.tile(np.broadcast_to(command, robot.model.nu), (len(time_s), 1)),
+        command=np.broadcast_to(command, (len(time_s), robot.model.nu)),
     )
 
 
@@ -131,6 +131,22 @@ def test_a_tendon_takes_of_every_joint_beyond_its_guides_by_virtual_work(tmp_pat
         left = np.exp(MU * np.cumsum(np.sign(beyond) * angles)) - 1.0
         expected = 7.0 * left @ by_joint[1:]
         assert lost[row] == pytest.approx(expected, rel=0.02, abs=2e-5)
+
+
+def test_tensions_that_are_commanded_and_those_that_torques_need_lose_alike(tmp_path):
+    robot = written(tmp_path, FINGER.replace('<motor name="free" tendon="free"/>', ""))
+    sizes, coefficients = np.array([0.3, 0.35]), {"long": MU, "back": 0.5}
+    motion = waves(robot, sizes)
+    read = torques(robot, motion, **coefficients)
+    data, pulled = mujoco.MjData(robot.model), np.empty_like(read)
+    for row, position in enumerate(motion.position):
+        data.qpos[:], columns = position, []
+        for data.ctrl[:] in np.eye(2):
+            mujoco.mj_forward(robot.model, data)
+            columns.append(data.qfrc_actuator.copy())
+        pulled[row] = np.linalg.solve(np.array(columns).T, read[row])
+    again = torques(robot, waves(robot, sizes, pulled), **coefficients)
+    assert again == pytest.approx(read, rel=1e-6, abs=1e-9)
 
 
 def test_a_tendon_without_a_guide_or_an_actuator_has_no_place(tmp_path):
