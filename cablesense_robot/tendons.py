@@ -1,8 +1,8 @@
 """Tendons over guides: what friction takes of their pull, by the chain law of `cable_chain`.
 
-Cables are taken as rigid: a recording has the joints' positions, and either tensions at the
-actuators or torques, but no lengths from which a stretch would follow. What a cable gives before
-it slips is that of Dahl's law, guide by guide, along the way that it passes there.
+Where tensions at the actuators are known, from commands, cables are elastic: what lies beyond a
+guide is stretched by the joints until it slips. From torques alone, where tensions are those that
+the joints need, they are rigid, and give by Dahl's law along the way that passes each guide.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cablesense_robot.motion import Trajectory
 
 _LEAST_GIVE = 1e-4
 """Of the way that passes a guide: how far cable gives at least."""
-_LEAST_M, _RIDGE = 1e-9, 1e-9
+_LEAST_M, _RIDGE, _LEAST_SHARE = 1e-9, 1e-9, 1e-6
 _CACHED = 48
 _SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
 
@@ -81,14 +81,40 @@ class GuidedTendons:
         from cablesense_sim.cable_chain import kept  # compiled: none without friction waits
 
         lever_m, turn_rad = self._paths[k]
+        limit = change.capstan_friction[k] * turn_rad
         give_m = float(change.capstan_presliding[k])
+        if self._tension_n is not None:
+            left = self._left(np.abs(self._tension_n[:, k]), sign, lever_m, limit, give_m) - 1.0
+            return np.einsum("rp,rpj->rj", left, lever_m[:, 1:])
         if (k, give_m) not in self._shares:
             if len(self._shares) >= _CACHED:
                 self._shares.pop(next(iter(self._shares)))
             self._shares[k, give_m] = self._slid(lever_m, give_m)
         share = self._shares[k, give_m] * sign[:, None]
-        left = kept(share, change.capstan_friction[k] * turn_rad) - 1.0
+        left = kept(share, limit) - 1.0
         return np.einsum("rp,rpj->rj", left, lever_m[:, 1:])
+
+    def _left(
+        self, near_n: Array, sign: Array, lever_m: Array, limit: Array, give_m: float
+    ) -> Array:
+        """(R, P - 1) what elastic cable beyond each guide has of the tension at the actuator.
+
+        It is so stiff that at its usual tension it goes from rest to slip within `give_m`.
+        """
+        from cablesense_sim.cable_law import drawn
+
+        position, trial = self._motion.position, self._motion.trial
+        beyond = np.cumsum(lever_m[:, :0:-1], axis=1)[:, ::-1]
+        between, moved = 0.5 * (beyond[1:] + beyond[:-1]), np.diff(position, axis=0)
+        longer = np.vstack([0.0 * limit[:1], np.einsum("rpj,rj->rp", between, moved)])
+        way_m = np.abs(longer).sum(0).max()
+        give_m = max(give_m, _LEAST_GIVE * way_m + _LEAST_M)
+        near_n = np.maximum(near_n, _LEAST_SHARE * near_n.max() + _LEAST_M)
+        stiffness_n_m = limit.mean() * near_n.mean() / give_m
+        begins = np.diff(trial, prepend=trial[0] - 1) != 0
+        pulled_n = stiffness_n_m * sign[:, None] * longer
+        held = drawn(near_n, pulled_n, np.exp(limit), begins.astype(float))
+        return np.asarray(held / near_n[:, None])
 
     def _slid(self, lever_m: Array, give_m: float) -> Array:
         """(R, P - 1) share of its limit that each guide carries.
