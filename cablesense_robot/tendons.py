@@ -77,59 +77,57 @@ class GuidedTendons:
         return np.asarray((moment @ by_joint)[..., 0] @ self._pulls.T)
 
     def _lost_m(self, k: int, change: Change, sign: Array) -> Array:
-        """(R, J) what a tendon loses of its moment, pulling (1) or pushing (-1)."""
-        from cablesense_sim.cable_chain import kept  # compiled: none without friction waits
+        """(R, J) what a tendon loses of its moment, pulling (1) or pushing (-1).
 
+        Cable passes a guide, towards the actuator, as all pieces beyond it become shorter.
+        """
         lever_m, turn_rad = self._paths[k]
         limit = change.capstan_friction[k] * turn_rad
-        give_m = float(change.capstan_presliding[k])
-        if self._tension_n is not None:
-            left = self._left(np.abs(self._tension_n[:, k]), sign, lever_m, limit, give_m) - 1.0
-            return np.einsum("rp,rpj->rj", left, lever_m[:, 1:])
-        if (k, give_m) not in self._shares:
-            if len(self._shares) >= _CACHED:
-                self._shares.pop(next(iter(self._shares)))
-            self._shares[k, give_m] = self._slid(lever_m, give_m)
-        share = self._shares[k, give_m] * sign[:, None]
-        left = kept(share, limit) - 1.0
-        return np.einsum("rp,rpj->rj", left, lever_m[:, 1:])
+        beyond = np.cumsum(lever_m[:, :0:-1], axis=1)[:, ::-1]
+        way_m = (np.abs(beyond).max(0) * np.ptp(self._motion.position, axis=0)).sum(1)
+        gives_m = np.maximum(change.capstan_presliding[k], _LEAST_GIVE * way_m + _LEAST_M)
+        if self._tension_n is None:
+            left = self._left_rigid(k, sign, beyond, limit, gives_m)
+        else:
+            left = self._left_elastic(k, sign, beyond, limit, gives_m.max())
+        return np.einsum("rp,rpj->rj", left - 1.0, lever_m[:, 1:])
 
-    def _left(
-        self, near_n: Array, sign: Array, lever_m: Array, limit: Array, give_m: float
+    def _left_elastic(
+        self, k: int, sign: Array, beyond: Array, limit: Array, give_m: float
     ) -> Array:
         """(R, P - 1) what elastic cable beyond each guide has of the tension at the actuator.
 
         It is so stiff that at its usual tension it goes from rest to slip within `give_m`.
         """
-        from cablesense_sim.cable_law import drawn
+        from cablesense_sim.cable_law import drawn  # compiled: none without friction waits
 
+        assert self._tension_n is not None
         position, trial = self._motion.position, self._motion.trial
-        beyond = np.cumsum(lever_m[:, :0:-1], axis=1)[:, ::-1]
+        near_n = np.abs(self._tension_n[:, k])
+        near_n = np.maximum(near_n, _LEAST_SHARE * near_n.max() + _LEAST_M)
         between, moved = 0.5 * (beyond[1:] + beyond[:-1]), np.diff(position, axis=0)
         longer = np.vstack([0.0 * limit[:1], np.einsum("rpj,rj->rp", between, moved)])
-        way_m = np.abs(longer).sum(0).max()
-        give_m = max(give_m, _LEAST_GIVE * way_m + _LEAST_M)
-        near_n = np.maximum(near_n, _LEAST_SHARE * near_n.max() + _LEAST_M)
-        stiffness_n_m = limit.mean() * near_n.mean() / give_m
-        begins = np.diff(trial, prepend=trial[0] - 1) != 0
-        pulled_n = stiffness_n_m * sign[:, None] * longer
-        held = drawn(near_n, pulled_n, np.exp(limit), begins.astype(float))
-        return np.asarray(held / near_n[:, None])
+        pulled_n = limit.mean() * near_n.mean() / give_m * sign[:, None] * longer
+        begins = (np.diff(trial, prepend=trial[0] - 1) != 0).astype(float)
+        return np.asarray(drawn(near_n, pulled_n, np.exp(limit), begins) / near_n[:, None])
 
-    def _slid(self, lever_m: Array, give_m: float) -> Array:
-        """(R, P - 1) share of its limit that each guide carries.
+    def _left_rigid(
+        self, k: int, sign: Array, beyond: Array, limit: Array, gives_m: Array
+    ) -> Array:
+        """The same of rigid cable that slips the other way by Dahl's law."""
+        from cablesense_sim.cable_chain import kept
 
-        Cable passes a guide, towards the actuator, as all pieces beyond it become shorter.
-        """
-        beyond = np.cumsum(lever_m[:, :0:-1], axis=1)[:, ::-1]
-        way_m = (np.abs(beyond).max(0) * np.ptp(self._motion.position, axis=0)).sum(1)
-        gives = np.maximum(give_m, _LEAST_GIVE * way_m + _LEAST_M).tolist()
-        found = np.zeros(beyond.shape[:2])
-        for p in np.flatnonzero(way_m > _LEAST_M).tolist():
-            same = p > 0 and np.allclose(beyond[:, p], beyond[:, p - 1], rtol=0.0, atol=_LEAST_M)
-            own = found[:, p - 1] if same else self._motion.slid_along(-beyond[:, p], gives[p])
-            found[:, p] = own
-        return found
+        key = k, float(gives_m.max())
+        if key not in self._shares:
+            if len(self._shares) >= _CACHED:
+                self._shares.pop(next(iter(self._shares)))
+            found = np.zeros(limit.shape)
+            for p in np.flatnonzero(np.abs(beyond).max((0, 2)) > _LEAST_M).tolist():
+                same = p and np.allclose(beyond[:, p], beyond[:, p - 1], rtol=0.0, atol=_LEAST_M)
+                slid = self._motion.slid_along
+                found[:, p] = found[:, p - 1] if same else slid(-beyond[:, p], gives_m[p])
+            self._shares[key] = found
+        return kept(self._shares[key] * sign[:, None], limit)
 
 
 def _guides(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int]]:
