@@ -29,7 +29,7 @@ from cablesense_base.workers import WorkerPool
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.pipeline import diagnose
 from cablesense_gap.recordings.protocol import rows_of, standard_protocol
-from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_gap.verdict import Verdict
 from cablesense_sim.arm import open_arm
@@ -125,15 +125,18 @@ def _case(
             return None
         read = read_tensions_n(ideal, arm.sensors, rng)
         began = time.process_time()
-        verdict = diagnose(replace(asked, tensions_n=read), arm).verdict
+        try:
+            verdict = diagnose(replace(asked, tensions_n=read), arm).verdict
+        except RecordingError:  # so large that the recording seems to be of another arm
+            verdict = None
         case = {
             "effect": candidate.effect,
             "place": place,
             "multiple": multiple,
             "gap_over_floor": round(_rms(ideal - without) / simulator.floor, 2),
             "cpu_s": round(time.process_time() - began, 1),
-            "verdict": "+".join(verdict.effects),
-            "probability": round(verdict.probability, 3),
+            "verdict": "+".join(verdict.effects) if verdict else "refused",
+            "probability": round(verdict.probability, 3) if verdict else 0.0,
             **_judged(verdict, candidate, place, truth),
         }
         kept.write_text(json.dumps(case), encoding="utf-8")
@@ -153,12 +156,14 @@ def _truth(
 
 
 def _judged(
-    verdict: Verdict, candidate: Candidate, place: str, truth: Mapping[Term, float]
+    verdict: Verdict | None, candidate: Candidate, place: str, truth: Mapping[Term, float]
 ) -> dict[str, Any]:
     """Whether the verdict has the effect, in its place alone, and how many sizes are right."""
-    found = verdict.effects == (candidate.effect,)
     sizes = {p.name for p in candidate.parameters if p.role == "size"}
     wanted = {term: value for term, value in truth.items() if term.parameter in sizes}
+    if verdict is None:
+        return {"found": False, "in_place": False, "sizes": len(wanted), "sizes_right": 0}
+    found = verdict.effects == (candidate.effect,)
     several = any(key.count(".") > 1 for key in verdict.parameters)
     expected = set() if place == WHOLE_ARM else {place.split("_into_")[0]}
     right, in_place = 0, found and set(verdict.where.places) == expected

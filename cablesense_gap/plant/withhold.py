@@ -34,7 +34,8 @@ _SHARES = (0.1, 0.78, 0.12)
 """Size of a change as the gap it makes, by the error of one reading."""
 _PLAIN = (8.0, 60.0)
 """The same of changes that are not in the list, or one of two."""
-_VISIBLE_FLOORS = 5.0
+_VISIBLE_FLOORS, _WANTED_SHARE = 5.0, 0.1
+"""The least gap of such a change, and of one alone as a share of the gap that it was to make."""
 _CHANGE_REDRAWS = 8
 
 _TRIES = 6
@@ -242,8 +243,8 @@ def record_case(
             bounds = _PLAIN if plain else _FLOORS[str(rng.choice(list(_FLOORS), p=_SHARES))]
             wanted_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(bounds))))
             size = size_for(change, plain_arm, wanted_n, *done)
-            visible_n = _VISIBLE_FLOORS * nominal.floor_n
-            if not plain or _alone_n(change, size, plain_arm, *done) >= visible_n:
+            least_n = _VISIBLE_FLOORS * nominal.floor_n if plain else _WANTED_SHARE * wanted_n
+            if _alone_n(change, size, plain_arm, *done) >= least_n:
                 break
         changes.append((change, size))
     noise_rng = np.random.default_rng(int(rng.integers(2**63)))
