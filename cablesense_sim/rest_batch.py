@@ -23,10 +23,9 @@ from cablesense_sim.rest_pose import (
     take_load_torque,
     turn_axes,
 )
+from cablesense_sim.rest_search import ARMIJO, LONGEST_TURN_RAD, ROUNDING
 
 _MOST_STEPS = 12
-_ARMIJO = 1e-4
-_LONGEST_TURN_RAD = 0.1
 
 
 class _Case(NamedTuple):
@@ -110,9 +109,9 @@ def _to_rest(
                 tensions[b], residual[b], iterations[b] = case.tension_n, largest, iteration
                 break
             turn = downhill
-            turn *= min(1.0, _LONGEST_TURN_RAD / max(np.abs(turn).max(), 1e-300))
-            highest = potential + _ARMIJO * (turn * case.gradient_n_m).sum()
-            highest += 1e-13 * (abs(potential) + 1.0) + rounding_m * case.tension_n.sum()
+            turn *= min(1.0, LONGEST_TURN_RAD / max(np.abs(turn).max(), 1e-300))
+            highest = potential + ARMIJO * (turn * case.gradient_n_m).sum()
+            highest += ROUNDING * (abs(potential) + 1.0) + rounding_m * case.tension_n.sum()
             angles[b] += turn
     return angles, tensions, residual, iterations
 

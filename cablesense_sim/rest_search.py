@@ -18,10 +18,12 @@ from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
 
 MAX_ITERATIONS = 100
-_ARMIJO = 1e-4
+ARMIJO = 1e-4
 _SHORTEST_STEP = 1e-9
 _CUT = (0.01, 0.9)
-_LONGEST_TURN_RAD = 0.1
+LONGEST_TURN_RAD = 0.1
+ROUNDING = 1e-13
+"""Of the potential, beside what cables' stretches leave open."""
 _LEAST_ESCAPE_RAD = 1e-3
 
 
@@ -187,7 +189,7 @@ def descent_step(hessian: Array, gradient: Array, stable: NDArray[np.bool_]) -> 
         escaping = (values < 0.0) & (np.abs(newton) < _LEAST_ESCAPE_RAD)
         step[~stable] = (vectors @ np.where(escaping, away, newton)[..., None])[..., 0]
     longest = np.abs(step).max(-1, keepdims=True)
-    return step * np.minimum(1.0, _LONGEST_TURN_RAD / np.maximum(longest, 1e-300))
+    return step * np.minimum(1.0, LONGEST_TURN_RAD / np.maximum(longest, 1e-300))
 
 
 def _line_search(
@@ -201,13 +203,13 @@ def _line_search(
     where the potential is flat to rounding, full steps pass.
     """
     slope = (step * start.gradient_n_m).sum(-1)
-    rounding = 1e-13 * (np.abs(start.potential_j) + 1.0)
+    rounding = ROUNDING * (np.abs(start.potential_j) + 1.0)
     rounding += rounding_m(mechanism) * start.tension_n.sum(-1)
     fraction = np.ones(len(step))
     end = _Point.at(mechanism, start.angles_rad + step, rest, arms)
     while True:
         rise = end.potential_j - start.potential_j
-        found = rise <= _ARMIJO * fraction * slope + rounding
+        found = rise <= ARMIJO * fraction * slope + rounding
         again = np.flatnonzero(~found & (fraction > _SHORTEST_STEP))
         if not again.size:
             return end, found
