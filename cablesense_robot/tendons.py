@@ -99,7 +99,9 @@ class GuidedTendons:
 
         It is so stiff that at its usual tension it goes from rest to slip within `give_m`.
         """
-        from cablesense_sim.cable_law import drawn  # compiled: none without friction waits
+        from cablesense_sim.cable_chain import (
+            pulled_over_guides_n,
+        )  # compiled: others need not wait
 
         assert self._tension_n is not None
         position, trial = self._motion.position, self._motion.trial
@@ -109,7 +111,8 @@ class GuidedTendons:
         longer = np.vstack([0.0 * limit[:1], np.einsum("rpj,rj->rp", between, moved)])
         pulled_n = limit.mean() * near_n.mean() / give_m * sign[:, None] * longer
         begins = (np.diff(trial, prepend=trial[0] - 1) != 0).astype(float)
-        return np.asarray(drawn(near_n, pulled_n, np.exp(limit), begins) / near_n[:, None])
+        found_n = pulled_over_guides_n(near_n, pulled_n, np.exp(limit), begins)
+        return np.asarray(found_n / near_n[:, None])
 
     def _left_rigid(
         self, k: int, sign: Array, beyond: Array, limit: Array, gives_m: Array

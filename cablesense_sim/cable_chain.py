@@ -20,6 +20,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_sim import cable_law
+from cablesense_sim.compiled import compiled
 from cablesense_sim.effects.effect import Pull
 
 _LEAST_GIVE_M = 1e-8
@@ -109,6 +110,31 @@ def kept(share: Array, limit: Array) -> Array:
     Nodes carry a share, from -1 to 1, of their limit φ.
     """
     return np.exp(-np.cumsum(share * limit, axis=-1))
+
+
+@compiled
+def pulled_over_guides_n(near_n: Array, pulled_n: Array, ratio: Array, begins: Array) -> Array:
+    """Tensions (R, G), N, beyond G guides in a row, while a motor holds that before the first.
+
+    Row after row what lies beyond a guide is pulled by its own stretch, and slips as soon as the
+    tensions beside the guide are apart by more than its ratio. Each run is taken to be as stiff as
+    all that lies beyond its guide.
+
+    Args:
+        near_n: (R,) at the motor, above zero.
+        pulled_n: (R, G) by how much the tension beyond each would grow if nothing slipped.
+        ratio: (R, G) exp(φ) of each guide.
+        begins: (R,) 1 where a course begins, without friction, else 0.
+    """
+    found = np.empty(pulled_n.shape)
+    for row in range(len(near_n)):
+        near = near_n[row]
+        for k in range(pulled_n.shape[1]):
+            if begins[row] == 0.0:
+                free = found[row - 1, k] + pulled_n[row, k]
+                near = min(max(free, near / ratio[row, k]), near * ratio[row, k])
+            found[row, k] = near
+    return found
 
 
 def _contiguous(values: Array) -> Array:

@@ -105,31 +105,6 @@ def settle(cables: Cables, lengths_m: Array, limit: Array) -> None:
 
 
 @compiled
-def drawn(near_n: Array, pulled_n: Array, ratio: Array, begins: Array) -> Array:
-    """Tensions (R, G), N, beyond G guides in a row, while a motor holds that before the first.
-
-    Row after row what lies beyond a guide is pulled by its own stretch, and slips as soon as the
-    tensions beside the guide are apart by more than its ratio. Each run is taken to be as stiff as
-    all that lies beyond its guide.
-
-    Args:
-        near_n: (R,) at the motor, above zero.
-        pulled_n: (R, G) by how much the tension beyond each would grow if nothing slipped.
-        ratio: (R, G) exp(φ) of each guide.
-        begins: (R,) 1 where a course begins, without friction, else 0.
-    """
-    found = np.empty(pulled_n.shape)
-    for row in range(len(near_n)):
-        near = near_n[row]
-        for k in range(pulled_n.shape[1]):
-            if begins[row] == 0.0:
-                free = found[row - 1, k] + pulled_n[row, k]
-                near = min(max(free, near / ratio[row, k]), near * ratio[row, k])
-            found[row, k] = near
-    return found
-
-
-@compiled
 def balancing_turn(
     cables: Cables,
     lengths_m: Array,
