@@ -58,7 +58,7 @@ def chunk_sizes(samples: int) -> list[int]:
 
 
 _ALL = "all"
-"""Stands for every effect that is known."""
+"""Stands for every effect that changes samples; those of recorded loads do not."""
 
 
 def effect_names(randomise: str) -> list[str]:
@@ -68,13 +68,14 @@ def effect_names(randomise: str) -> list[str]:
         DatasetError: an effect that is not known, or none.
     """
     names = [name.strip() for name in randomise.split(",")]
+    known = [name for name, effect in known_effects().items() if effect.acts_on != "load"]
     if names == [_ALL]:
-        return list(known_effects())
+        return known
     for name in names:
-        if name not in known_effects():
+        if name not in known:
             raise DatasetError(
                 f"randomise = {randomise!r}: {name!r} is no effect; give {_ALL}, or names from "
-                f"{', '.join(known_effects())}, with commas between them"
+                f"{', '.join(known)}, with commas between them"
             )
     return sorted(set(names))
 
