@@ -23,6 +23,7 @@ from cablesense_gap.recorded_contacts import (
     recorded_errors,
     tares_from_before,
     tares_n,
+    with_acting_loads,
 )
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import Estimator as Errors
@@ -119,7 +120,11 @@ def adapt_to(
     command: str,
     on_epoch: OnEpoch = lambda _: None,
 ) -> Adaptation:
-    """What follows in `adapt` from a diagnosis that has not seen some trials."""
+    """What follows in `adapt` from a diagnosis that has not seen some trials.
+
+    Estimators are judged on the loads that acted, which a load cell may have got wrong.
+    """
+    recording = with_acting_loads(recording, found.amended)
     estimator = open_estimator(first)
     before, after, better = recorded_errors(recording, estimator, unseen), None, False
     if found.verdict.shares:

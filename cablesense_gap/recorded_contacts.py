@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_sim.arm import Arm
-from cablesense_sim.build import mechanism_of
+from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.effects.registry import loadings
 from cablesense_sim.loads import normal_components_n
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
@@ -71,6 +72,14 @@ def tares_from_before(recording: Recording, tare_n: Array) -> Array:
     found = tare_n.copy()
     found[before] = tare_n[before + 1]
     return found
+
+
+def with_acting_loads(recording: Recording, arm: Arm) -> Recording:
+    """The recording with the loads that acted, by what an arm lists of its load cell."""
+    load_n = recording.load_n
+    for matrix in loadings([entries_of(arm)]):
+        load_n = load_n @ matrix[0].T
+    return replace(recording, load_n=load_n)
 
 
 class RecordedErrors(NamedTuple):

@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arm_variants import variant
 from gap_recordings import CYCLE, LAB, small_recording
+from scipy.spatial.transform import Rotation
 
-from cablesense_gap.recorded_contacts import recorded_errors, tares_n
+from cablesense_gap.recorded_contacts import recorded_errors, tares_n, with_acting_loads
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_sim.replay import read_tensions_n, replay_arm
 from cablesense_training.inference.estimator import Estimator
@@ -95,3 +97,16 @@ def test_a_history_dependent_model_answers_along_the_recording(recording: Record
     found = recorded_errors(replace(recording, tensions_n=true_n), estimator, [1, 2])
     assert found.whole.contact_accuracy > 0.9
     assert found.whole.errors.magnitude_mae_n < 1.0
+
+
+def test_an_estimator_is_not_blamed_for_a_load_cell(
+    recording: Recording, estimator: Estimator
+) -> None:
+    """A cell that reads a fifth too little, turned by half a radian about the base's x axis."""
+    turn = Rotation.from_rotvec([0.5, 0.0, 0.0]).as_matrix()
+    misread = replace(recording, load_n=recording.load_n @ turn / 1.2)
+    cell = {"effect": "load_cell", "parameters": {"scale": 0.2, "turn_x_rad": 0.5}}
+    acting = with_acting_loads(misread, variant({"effects": [cell]}, "cdsm_lab"))
+    np.testing.assert_allclose(acting.load_n, recording.load_n, atol=1e-9)
+    assert recorded_errors(misread, estimator).whole.errors.magnitude_mae_n > 3.0
+    assert recorded_errors(acting, estimator).whole.errors.magnitude_mae_n < 0.3
