@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import faulthandler
 import gc
+import os
 import signal
 import sys
 import threading
@@ -11,6 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -56,6 +59,7 @@ def refuse_negative_clock() -> None:
 
 
 _WAKE_S = 0.2
+_DESTROYED_AFTER_S = 10.0
 _RCLError = rclpy_implementation.RCLError
 
 
@@ -90,9 +94,23 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
     handle_end_signals(signal.SIG_IGN)  # the end is under way and must not be cut short
     if node is not None:
         with suppress(_RCLError):
-            node.destroy_node()
+            _destroy(node)
     rclpy.utilities.try_shutdown()
     return code
+
+
+def _destroy(node: Node) -> None:
+    """Destroy a node; where that takes forever, the process ends with code 1.
+
+    Fast DDS 2.14 never comes back, at full load and with Python's lock held, when another
+    participant is discovered just then (eProsima/Fast-DDS#6513).
+    """
+    with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
+        faulthandler.dump_traceback_later(_DESTROYED_AFTER_S, exit=True, file=nowhere)
+        try:
+            node.destroy_node()
+        finally:
+            faulthandler.cancel_dump_traceback_later()
 
 
 def _spin(node: Node, wanted_end: Future) -> None:
@@ -124,7 +142,7 @@ def spun_node(name: str, namespace: str = "") -> Iterator[tuple[Node, EventsExec
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         stack.callback(rclpy.utilities.try_shutdown)
         node = Node(name, namespace=namespace or None)
-        stack.callback(node.destroy_node)
+        stack.callback(_destroy, node)
         executor = EventsExecutor()
         stack.callback(executor.shutdown)
         executor.add_node(node)

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from cablesense_base import CableSenseError
 from cablesense_gap.recordings.mcap_file import BagRows
-from cablesense_gap.recordings.mcap_messages import CHUNK_S, TopicFile
+from cablesense_gap.recordings.mcap_messages import CHUNK_S, TopicFile, topic_file_path
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import INPUTS, TopicType, resolved, segment_of
@@ -214,6 +214,7 @@ def record_topics(
     def end(*_: object) -> None:
         wanted_end.set_result(None)
 
+    topic_file_path(path, force)  # refused before a node starts
     with end_signals(end), spun_node("recorder", namespace) as (node, executor):
         recorder = Recorder(node, path, wanted, arm, say, force)
         end_s = float("inf") if duration_s is None else time.monotonic() + duration_s

@@ -208,6 +208,17 @@ class BagTypes:
         )[0]
 
 
+def topic_file_path(path: str | Path, force: bool) -> Path:
+    """Where a `TopicFile` of this name is to stand, links followed.
+
+    Raises:
+        RecordingError: the name does not end in .mcap, or the file must not be written.
+    """
+    if Path(path).suffix != ".mcap":
+        raise RecordingError(f"{path}: a recording of topics must be named ….mcap")
+    return output_file(path, RecordingError, force=force)
+
+
 class TopicFile:
     """One rosbag2 .mcap file being written; as a context, closed, or discarded after an error."""
 
@@ -226,9 +237,7 @@ class TopicFile:
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
 
-        if Path(path).suffix != ".mcap":
-            raise RecordingError(f"{path}: a recording of topics must be named ….mcap")
-        self._path = output_file(path, RecordingError, force=force)
+        self._path = topic_file_path(path, force)
         self._in_place = False
         self._beside = self._path.parent / f".{self._path.name}.{os.getpid()}.part"
         self._folder = self._beside / self._path.stem  # rosbags names the file for its folder

@@ -2,6 +2,8 @@
 
 import re
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -132,3 +134,30 @@ def test_a_signal_after_a_request_to_end_does_not_cut_the_end_short(graph, numbe
         time.sleep(0.02)
     assert process.wait() == 0, process.log
     assert "Traceback" not in process.log
+
+
+# as Fast DDS does where a participant is discovered at that moment
+NEVER_GONE = """
+import ctypes
+from rclpy.node import Node
+from cablesense_ros import node_process
+
+class NeverGone(Node):
+    def __init__(self):
+        super().__init__("never_gone")
+        print("up", flush=True)
+
+    def destroy_node(self):
+        ctypes.PyDLL(None).pause()
+
+node_process._DESTROYED_AFTER_S = 0.5
+raise SystemExit(node_process.run_node(NeverGone))
+"""
+
+
+def test_a_node_whose_destruction_never_comes_back_ends():
+    process = subprocess.Popen([sys.executable, "-c", NEVER_GONE], stdout=subprocess.PIPE)
+    with process:
+        assert process.stdout.readline() == b"up\n"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=20.0) == 1
