@@ -59,7 +59,7 @@ def refuse_negative_clock() -> None:
 
 
 _WAKE_S = 0.2
-_DESTROYED_AFTER_S = 10.0
+_DESTROYED_AFTER_S = 4.0  # launch ends with a signal that nobody can handle after five
 _RCLError = rclpy_implementation.RCLError
 
 

@@ -133,8 +133,9 @@ class Graph:
         return future.result().success
 
     def close(self) -> None:
-        """Leave."""
+        """Leave, once others' ends are known: Fast DDS may hang while it learns of one."""
         self.executor.shutdown()
+        time.sleep(0.1)
         self.node.destroy_node()
         try_shutdown()
 
