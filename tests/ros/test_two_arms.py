@@ -63,6 +63,8 @@ def test_a_push_and_a_death_of_one_arm_are_of_that_arm_alone(graph, nodes):
     graph.until(
         lambda: graph.statuses[named["right"]].level == bytes([Level.STALE]), "the right to end"
     )
-    assert read_force_state(states["right"][-1])[0] is ForceState.SILENT
+    graph.until(
+        lambda: read_force_state(states["right"][-1])[0] is ForceState.SILENT, "the right's state"
+    )
     assert graph.statuses[named["left"]].level != bytes([Level.STALE])
     assert wrenches["left"][-1].header.frame_id == "left_segment_3"
