@@ -291,18 +291,19 @@ class DryContact:
     exp(-moved / give) (Dahl, A solid friction model, Aerospace Corp. TOR-0158, 1968).
     """
 
-    def __init__(self, give: Array, rounded: Array, start: Array, at: Array) -> None:
-        """`start` is the share carried at the positions `at`; all broadcast together."""
+    def __init__(self, give: Array, rounded: Array, start: Array) -> None:
+        """Wherever they first rest they carry the share `start`; all broadcast together."""
         self._give, self._rounded = give, rounded
-        self._sharp = self._round = np.broadcast_to(start, at.shape)
-        self._at = at
+        self._sharp = self._round = start
+        self._at: Array | None = None
 
     def share(self, at: Array) -> tuple[Array, Array]:
         """The share at new positions, and its derivative by them."""
-        sharp, round_, free, full = self._moved(at)
-        moved = at - self._at
+        if self._at is None:
+            return self._sharp, np.zeros_like(at)
+        sharp, round_, free, full = self._moved(at - self._at)
         sharp_slope = np.abs(free) < 1.0
-        round_slope = np.where(moved == 0.0, 1.0, np.abs(full - round_))
+        round_slope = np.where(at == self._at, 1.0, np.abs(full - round_))
         return (
             (1.0 - self._rounded) * sharp + self._rounded * round_,
             ((1.0 - self._rounded) * sharp_slope + self._rounded * round_slope) / self._give,
@@ -310,11 +311,12 @@ class DryContact:
 
     def settle(self, at: Array) -> None:
         """Stay at these positions."""
-        self._sharp, self._round, *_ = self._moved(at)
+        if self._at is not None:
+            self._sharp, self._round, *_ = self._moved(at - self._at)
         self._at = at
 
-    def _moved(self, at: Array) -> tuple[Array, Array, Array, Array]:
-        moved = (at - self._at) / self._give
+    def _moved(self, by: Array) -> tuple[Array, Array, Array, Array]:
+        moved = by / self._give
         free = self._sharp + moved
         full = np.sign(moved)
         round_ = full - (full - self._round) * np.exp(-np.abs(moved))

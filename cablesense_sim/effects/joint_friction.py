@@ -58,7 +58,6 @@ class _DryJoints(Transmission):
             self._values["give_rad"][:, None],
             self._values["rounded"][:, None],
             np.tile(start, mechanism.segment_count),
-            rest.angles_rad,
         )
 
     def joint_torque_n_m(self, angles_rad: Array) -> tuple[Array, Array]:
