@@ -43,9 +43,9 @@ _PROMISING, _EXCHANGED = 2.0, 10.0
 """What leaves at most so many times as much is tried, and can be missed for another effect."""
 _HELPS, _BETTER, _SLIGHTLY = 1.02, 0.95, 0.99
 """By how much each added one makes what is left smaller, and what is left as a share of before."""
-_EFFECT_WORTH, _FURTHER_WORTH, _SIZE_WORTH = 1.08, 1.03, 1.005
+_EFFECT_WORTH, _FURTHER_WORTH, _SIZE_WORTH = 1.08, 1.02, 1.003
 """By which factor an effect, a place and a number each make what is left smaller, to be kept."""
-_PLACE_WORTH, _ELSEWHERE = 1.04, 0.04
+_PLACE_WORTH, _ELSEWHERE = 1.03, 0.02
 """The least factor for an effect's places, and the power of the number of choices of as many."""
 _CHANCE = 1.28
 """Standard deviations over trials; less may be chance."""
@@ -102,16 +102,17 @@ class JointSelection:
 
     def _offered(self, about: Hypothesis) -> Offered:
         linear = self._spread(partial(_linear_about, about), self._candidates)
-        whole = {t.effect for t in about.values if t.place == WHOLE_ARM}
-        single = {t.effect for t in about.values} - whole
-        others = {e: shapes for e, shapes in self._known.items() if e not in about.effects}
-        return others | {
-            c.effect: [
-                tuple(e for e in every if c.effect not in single or e.place != WHOLE_ARM)
-                for every in shapes
-            ]
-            for c, shapes in zip(self._candidates, linear, strict=True)
-            if c.effect not in whole
+        own = zip((c.effect for c in self._candidates), linear, strict=True)
+        taken = {term[:2] for term in about.values}
+
+        def is_left(effect: str, place: str) -> bool:
+            beside = place == WHOLE_ARM and effect in about.effects
+            return not beside and (effect, place) not in taken
+
+        return {
+            effect: [tuple(e for e in every if is_left(effect, e.place)) for every in shapes]
+            for effect, shapes in chain(self._known.items(), own)
+            if (effect, WHOLE_ARM) not in taken
         }
 
     def _grown(self, beside: Hypothesis, offered: Offered) -> list[Screened]:

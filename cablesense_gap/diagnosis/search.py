@@ -197,6 +197,9 @@ class _Search:
             pairs += self._unseen([one for one in beside if one.effects not in known], single)
         self._fit(pairs, "pairs with history-dependent effects", 0.8)
         self._reselect_best(offered)
+        present = self._best()
+        beside = self._unseen(screen_singles(problem, expensive, present), present)
+        self._fit(beside, "history-dependent effects beside the best", 0.85)
         for start in self._starts_with(expensive):
             if not self._is_resolved():
                 self._select_jointly(expensive, start)
