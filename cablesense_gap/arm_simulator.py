@@ -17,7 +17,7 @@ from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.arm import Arm, ArmFileError, ListedEffect, find_arm, parse_arm
 from cablesense_sim.build import entries_of
 from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Transmission
-from cablesense_sim.effects.registry import EffectEntry, known_effects
+from cablesense_sim.effects.registry import EffectEntry, known_effects, transmissions
 from cablesense_sim.equilibrium import EquilibriumError
 from cablesense_sim.replay import Replay, reading_variance_n2
 
@@ -94,6 +94,19 @@ def has_one_equilibrium(tensions_n: Array, arm: Arm) -> NDArray[np.bool_]:
     """
     slack = tensions_n < SLACK_SHARE * arm.cables.pretension_n
     return np.asarray(slack.sum(-1) < arm.cables.per_segment)
+
+
+def borne_rows(arm: Arm, recording: Recording) -> NDArray[np.bool_]:
+    """(R,) in which an arm finds a rest under what is recorded.
+
+    All of them where it depends on history, as it then has no later rest either.
+    """
+    entries = entries_of(arm)
+    replay = Replay(arm, recording.time_s, recording.command_rad, recording.forces_n)
+    if transmissions([entries]):
+        return np.ones(len(recording), dtype=bool)
+    predicted = replay.readings_n([entries], np.full(recording.tensions_n.shape, np.nan))[0]
+    return np.asarray(np.isfinite(predicted).all(axis=1))
 
 
 def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[np.bool_]:

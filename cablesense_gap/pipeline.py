@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_gap.arm_simulator import ArmSimulator, amended_arm, counted_rows
+from cablesense_gap.arm_simulator import ArmSimulator, amended_arm, borne_rows, counted_rows
 from cablesense_gap.budget import rest_of, shares, trades
 from cablesense_gap.diagnosis.probability import (
     Ranked,
@@ -37,7 +37,7 @@ from cablesense_gap.diagnosis.problem import (
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.earlier import GoingOn, going_on, listed_values, without_effects
 from cablesense_gap.experiments import next_experiment
-from cablesense_gap.recordings.channels import stiffness_findings
+from cablesense_gap.recordings.channels import stiffness_findings, unborne_findings
 from cablesense_gap.recordings.checks import check_recording, refuse_unusable
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.recordings.thinning import rows_along_path, rows_to_use
@@ -63,6 +63,8 @@ NEGLIGIBLE = 0.1
 _MUCH_UNEXPLAINED = 0.25
 """Of the gap: the next experiment is then the one that shows most of it."""
 _DRAWS = 2000
+_LEAST_BORNE = 0.98
+"""Of the rows: so few others, in which the nominal arm finds no rest, are left out."""
 _SKETCH_SHARE = 0.7
 """Of the rows, at most, that a search among effects that depend on the past goes through first."""
 
@@ -149,6 +151,10 @@ def diagnose(
     if listed_values(arm):
         progress("judging what the arm file lists", 0.0)
         arm, earlier = _going_on(arm, recording, unseen)
+    borne, unborne = borne_rows(arm, recording), np.zeros(len(whole), dtype=bool)
+    if not borne.all() and borne.mean() >= _LEAST_BORNE:
+        unborne[rows[~borne]] = True
+        recording, rows = recording.rows(np.flatnonzero(borne)), rows[borne]
     simulator = ArmSimulator(arm, recording)
     nominal = simulator.predict([{}])[0]
     if not np.isfinite(nominal).all():  # raises with the row that cannot be borne
@@ -156,6 +162,7 @@ def diagnose(
     findings = check_recording(whole, arm, nominal, rows)
     refuse_unusable(whole, findings)
     findings += stiffness_findings(recording, arm, nominal)
+    findings += unborne_findings(unborne, arm)
     for finding in findings:
         on_finding(finding.text)
     problem = problem_of(recording, simulator, nominal, unseen)

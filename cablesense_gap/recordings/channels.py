@@ -106,6 +106,20 @@ def channel_findings(
     return [*findings, *_foreign(own, expected, arm)] if len(cables) >= 2 else findings
 
 
+def unborne_findings(unborne: NDArray[np.bool_], arm: Arm) -> list[Finding]:
+    """Of rows (R,) whose loads the arm does not bear as it is described."""
+    if not unborne.any():
+        return []
+    return [
+        _warn(
+            "unborne",
+            f"{rows_named(unborne)}: {arm.name} as its file describes it finds no rest under the "
+            "recorded loads, though the real arm did; left out. Check the scale of the loads, or "
+            "load the arm less",
+        )
+    ]
+
+
 def stiffness_findings(recording: Recording, arm: Arm, nominal_n: Array) -> list[Finding]:
     """Whether the readings are those of an arm many times as stiff, or as soft, as the nominal.
 

@@ -137,6 +137,16 @@ def test_a_load_that_the_nominal_arm_cannot_bear_is_refused_in_a_line():
         diagnose(replace(PROTOCOL, load_n=load_n), LAB)
 
 
+def test_few_rows_that_the_nominal_arm_cannot_bear_are_left_out_and_said():
+    recording = made({Term("payload", "segment_3", "mass_kg"): MASS_KG})
+    load_n = recording.load_n.copy()
+    load_n[26:28] = [0.0, 1500.0, 0.0]
+    found = diagnose(replace(recording, load_n=load_n), LAB)
+    assert found.verdict.effects == ("payload",)
+    assert found.verdict.rows_used == len(recording) - 2
+    assert any(text.startswith("rows 27 to 28: ") for text in found.findings)
+
+
 def trials(kinds: list[tuple[int, bool]], rows: int = 4) -> Recording:
     """A recording of trials, each with a segment that is loaded, and moving or not."""
     count = rows * len(kinds)
