@@ -1,7 +1,7 @@
 """The diagnosis on recordings whose effects are withheld, made by the independent plant.
 
     python benchmarks/gap_blind.py [--count 60] [--friction 16] [--seed 9101] [--write]
-    python benchmarks/gap_blind.py --effects 3-5 --count 40 --seed 9303 [--minutes 8] [--write]
+    python benchmarks/gap_blind.py --effects 3-5 --count 40 --seed 9304 [--minutes 8] [--write]
 
 Draws the recordings, diagnoses each without its answer, and scores the verdicts: those of all
 kinds in turn, and apart from them those with friction of cables, of which more can be drawn; or
