@@ -99,7 +99,10 @@ def has_one_equilibrium(tensions_n: Array, arm: Arm) -> NDArray[np.bool_]:
 def borne_rows(arm: Arm, recording: Recording) -> NDArray[np.bool_]:
     """(R,) in which an arm finds a rest under what is recorded.
 
-    All of them where it depends on history, as it then has no later rest either.
+    All of them where it depends on history: which later rests it has is then not known.
+
+    Raises:
+        EquilibriumError: an arm finds no rest, and which rows are to blame is not known.
     """
     entries = entries_of(arm)
     replay = Replay(arm, recording.time_s, recording.command_rad, recording.forces_n)

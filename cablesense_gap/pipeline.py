@@ -134,7 +134,8 @@ def diagnose(
     Raises:
         RecordingError: the recording cannot be used.
         ArmFileError: the arm's sensors are perfect.
-        EquilibriumError: the nominal arm has no static equilibrium under its commands and loads.
+        EquilibriumError: the nominal arm has no static equilibrium in too many rows, or depends
+            on history and has none in one.
     """
     began = time.monotonic()
     if reading_variance_n2(arm.sensors) == 0.0:
@@ -151,14 +152,17 @@ def diagnose(
     if listed_values(arm):
         progress("judging what the arm file lists", 0.0)
         arm, earlier = _going_on(arm, recording, unseen)
-    borne, unborne = borne_rows(arm, recording), np.zeros(len(whole), dtype=bool)
-    if not borne.all() and borne.mean() >= _LEAST_BORNE:
-        unborne[rows[~borne]] = True
-        recording, rows = recording.rows(np.flatnonzero(borne)), rows[borne]
     simulator = ArmSimulator(arm, recording)
     nominal = simulator.predict([{}])[0]
-    if not np.isfinite(nominal).all():  # raises with the row that cannot be borne
-        nominal = replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
+    unborne = np.zeros(len(whole), dtype=bool)
+    if not np.isfinite(nominal).all():
+        borne = borne_rows(arm, recording)
+        if borne.all() or borne.mean() < _LEAST_BORNE:  # raises with a row that cannot be borne
+            replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
+        unborne[rows[~borne]] = True
+        recording, rows = recording.rows(np.flatnonzero(borne)), rows[borne]
+        simulator = ArmSimulator(arm, recording)
+        nominal = simulator.predict([{}])[0]
     findings = check_recording(whole, arm, nominal, rows)
     refuse_unusable(whole, findings)
     findings += stiffness_findings(recording, arm, nominal)

@@ -12,7 +12,7 @@ from xdist.scheduler import LoadFileScheduling
 
 from cablesense_ros.discovery import free_domain
 
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # of tests under nohup, which processes inherit
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup all that tests start would ignore it
 os.environ["MPLBACKEND"] = "Agg"
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each other on a busy core
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"

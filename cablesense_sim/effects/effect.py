@@ -292,14 +292,20 @@ class DryContact:
     """
 
     def __init__(self, give: Array, rounded: Array, start: Array) -> None:
-        """Wherever they first rest they carry the share `start`; all broadcast together."""
+        """Wherever they first rest they carry the share `start`.
+
+        Args:
+            give: (P, 1), in the unit of the positions (P, K) that `share` and `settle` take.
+            rounded: (P, 1), of the contact, from 0 to 1.
+            start: (P, K), from -1 to 1.
+        """
         self._give, self._rounded = give, rounded
         self._sharp = self._round = start
         self._at: Array | None = None
 
     def share(self, at: Array) -> tuple[Array, Array]:
-        """The share at new positions, and its derivative by them."""
-        if self._at is None:
+        """The share (P, K) at new positions, and its derivative by them."""
+        if self._at is None:  # it yields nothing until the first rest is found
             return self._sharp, np.zeros_like(at)
         sharp, round_, free, full = self._moved(at - self._at)
         sharp_slope = np.abs(free) < 1.0
