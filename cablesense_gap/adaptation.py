@@ -24,22 +24,28 @@ from cablesense_gap.recorded_contacts import (
     tares_from_before,
     tares_n,
     with_acting_loads,
+    without_history_n,
 )
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import Estimator as Errors
 from cablesense_sim.arm import Arm
-from cablesense_sim.effects.registry import known_effects
-from cablesense_sim.effects.sensor_lag import SensorLag
 from cablesense_sim.load_capacity import contact_range_n
 from cablesense_training.evaluation.metrics import ContactAnswer, angle_difference_deg
 from cablesense_training.fit import EpochRecord, OnEpoch
-from cablesense_training.inference.estimator import NORMAL_95, Estimator
-from cablesense_training.inference.temporal_estimator import TemporalEstimator, open_estimator
+from cablesense_training.inference.estimator import NORMAL_95, Estimator, SequenceEstimator
+from cablesense_training.inference.history_simulation import (
+    HistorySimulation,
+    depends_on_history,
+    remembered,
+    without_history,
+)
+from cablesense_training.inference.metadata import HISTORY_SIMULATED
+from cablesense_training.inference.temporal_estimator import open_estimator
 from cablesense_training.model_training import contact_answer, draw_training_data, train_model
 from cablesense_training.networks import Network
 from cablesense_training.networks.corrected import CorrectedClosedForm
 from cablesense_training.networks.temporal import TemporalNetwork
-from cablesense_training.networks.unlagged import UnlaggedClosedForm, lags, settled_sensors
+from cablesense_training.networks.unlagged import UnlaggedClosedForm, lags
 from cablesense_training.recipes import adjusted, recipe_for
 
 NETWORK = "closed-form-corrected"
@@ -166,27 +172,9 @@ def kept_apart(recording: Recording) -> tuple[int, ...]:
     return tuple(int(number) for number in numbers[apart])
 
 
-def that_can_be_undone(arm: Arm) -> Arm:
-    """The arm with those of its effects that an estimator can undo.
-
-    That is what its rest and its readings have at every moment alike, and lag of its sensors. One
-    that is trained on samples with friction trusts no reading any more, and misses contacts.
-    """
-    known = known_effects()
-    kept = [
-        listed
-        for listed in arm.effects
-        for effect in (known[listed.effect],)
-        if effect.acts_on == "arm"
-        or (effect.acts_on == "sensor" and not effect.needs_time)
-        or isinstance(effect, SensorLag)
-    ]
-    return arm.model_copy(update={"effects": kept})
-
-
 def train_for(
     arm: Arm,
-    first: Estimator | TemporalEstimator,
+    first: Estimator | SequenceEstimator,
     recording: Recording,
     path: Path,
     command: str,
@@ -194,13 +182,18 @@ def train_for(
 ) -> None:
     """Train a network for an arm over the poses and forces of a first model, into a file.
 
-    It knows what `that_can_be_undone` leaves of the arm. Poses go as far as the recording's where
-    that is farther, forces as far as the arm bears. Its intervals are widened until they hold the
+    What depends on history it knows by a simulation beside the network, lag of sensors alone by
+    its inverse. Poses go as far as the recording's where that
+    is farther, forces as far as the arm bears. Its intervals are widened until they hold the
     forces of the recording, which has what no simulation has.
     """
-    arm, metadata = that_can_be_undone(arm), first.metadata
-    network = "unlagged" if lags(arm) else NETWORK
-    arm = arm if lags(arm) else settled_sensors(arm)
+    network, metadata = NETWORK, first.metadata
+    if depends_on_history(arm):
+        network = HISTORY_SIMULATED
+    elif lags(arm):
+        network, arm = "unlagged", remembered(arm)
+    else:
+        arm = without_history(arm)
     pose_deg = float(np.rad2deg(np.abs(recording.command_rad).max()))
     options: dict[str, Any] = {
         "samples": _SAMPLES,
@@ -216,12 +209,14 @@ def train_for(
         assert isinstance(trained, CorrectedClosedForm)
 
         def answering(taken: Recording, tare_n: Array, rows: NDArray[np.bool_]) -> ContactAnswer:
+            difference_n = taken.tensions_n - tare_n
             if isinstance(trained, UnlaggedClosedForm):
                 tare_n = tares_from_before(taken, tare_n)
                 difference_n = taken.tensions_n - tare_n
                 difference_n = trained.undone_n(difference_n, tare_n, taken.time_s)
-            else:
-                difference_n = taken.tensions_n - tare_n
+            elif network == HISTORY_SIMULATED:
+                simulation = HistorySimulation(arm, metadata.tare_samples)
+                difference_n = without_history_n(taken, tare_n, simulation)
             return contact_answer(trained, difference_n[rows], taken.command_rad[rows])
 
         errors = contact_errors(recording, arm, answering)

@@ -21,8 +21,8 @@ from cablesense_training.evaluation.metrics import (
     SingleContactMetrics,
     single_contact_metrics,
 )
-from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.temporal_estimator import TemporalEstimator
+from cablesense_training.inference.estimator import Estimator, SequenceEstimator
+from cablesense_training.inference.history_simulation import HistorySimulation
 
 STEADY_N = 1.0
 """Standard deviation of a cable's readings above which the estimator node takes no tare."""
@@ -114,7 +114,7 @@ Answering = Callable[[Recording, Array, NDArray[np.bool_]], ContactAnswer]
 
 def recorded_errors(
     recording: Recording,
-    estimator: Estimator | TemporalEstimator,
+    estimator: Estimator | SequenceEstimator,
     trials: Collection[int] | None = None,
 ) -> RecordedErrors:
     """The errors of a model on a recording of its arm, or on the contacts of some of its trials.
@@ -130,10 +130,10 @@ def recorded_errors(
         return ContactAnswer.of(found)
 
     def along(recording: Recording, tare_n: Array, rows: NDArray[np.bool_]) -> ContactAnswer:
-        assert isinstance(estimator, TemporalEstimator)
+        assert isinstance(estimator, SequenceEstimator)
         return _along(recording, tare_n, estimator).select(rows)
 
-    answering = along if isinstance(estimator, TemporalEstimator) else at_once
+    answering = along if isinstance(estimator, SequenceEstimator) else at_once
     return contact_errors(recording, estimator.metadata.arm, answering, trials)
 
 
@@ -175,7 +175,25 @@ def contact_errors(
     )
 
 
-def _along(recording: Recording, tare_n: Array, estimator: TemporalEstimator) -> ContactAnswer:
+def without_history_n(recording: Recording, tare_n: Array, simulation: HistorySimulation) -> Array:
+    """(R, M) tension differences from tares (R, M) as they would be without the arm's history.
+
+    NaN where there is no tare.
+    """
+    tare_n = tares_from_before(recording, tare_n)
+    tared = np.asarray(np.isfinite(tare_n).all(axis=1))
+    simulation.forget()
+    found = recording.tensions_n - tare_n
+    for row, command_rad in enumerate(recording.command_rad):
+        time_s = float(recording.time_s[row])
+        if not (tared[row] and row and (tare_n[row] == tare_n[row - 1]).all()):
+            simulation.unloaded(time_s, command_rad)
+        if tared[row]:
+            found[row] = simulation.without_n(found[row], time_s, command_rad)
+    return found
+
+
+def _along(recording: Recording, tare_n: Array, estimator: SequenceEstimator) -> ContactAnswer:
     """Answers on all rows (R,), row after row, each tare (R, M) taken when it counts first."""
     tare_n = tares_from_before(recording, tare_n)
     tared = np.asarray(np.isfinite(tare_n).all(axis=1))
@@ -184,9 +202,9 @@ def _along(recording: Recording, tare_n: Array, estimator: TemporalEstimator) ->
     found = []
     for row, command_rad in enumerate(recording.command_rad):
         difference_n = np.zeros(tare_n.shape[1])
+        if not (tared[row] and row and (tare_n[row] == tare_n[row - 1]).all()):
+            estimator.tare()
         if tared[row]:
-            if not row or (tare_n[row] != tare_n[row - 1]).any():
-                estimator.tare()
             difference_n = recording.tensions_n[row] - tare_n[row]
         time_s = float(recording.time_s[row])
         found.append(estimator.estimate(difference_n, command_rad, still, still, time_s))

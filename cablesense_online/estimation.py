@@ -56,8 +56,7 @@ from cablesense_online.state import (
 from cablesense_online.tare import Tare, Tares, UnloadedTensions
 from cablesense_sim.arm import Arm
 from cablesense_sim.replay import reading_variance_n2
-from cablesense_training.inference.estimator import MultiEstimator
-from cablesense_training.inference.temporal_estimator import TemporalEstimator
+from cablesense_training.inference.estimator import MultiEstimator, SequenceEstimator
 
 _STEPS = {-1: EventKind.CLOCK, 1: EventKind.CLOCK_AHEAD}
 _REFUSED = {
@@ -426,7 +425,7 @@ class Estimation:
         self, estimator: AnyEstimator, unloaded: UnloadedTensions, straight_rad: Array
     ) -> ContactModel:
         speed_rad_s = self._settings.joint_speed_rad_s
-        if isinstance(estimator, TemporalEstimator):
+        if isinstance(estimator, SequenceEstimator):
             predict_n = unloaded.predict_n
             return HistoryDependentModel(
                 estimator, self.tares, predict_n, straight_rad, speed_rad_s

@@ -28,10 +28,11 @@ from cablesense_training.inference.estimator import (
     Estimate,
     Estimator,
     MultiEstimator,
+    SequenceEstimator,
 )
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.session import model_sha256, read_model
-from cablesense_training.inference.temporal_estimator import TemporalEstimator, open_estimator
+from cablesense_training.inference.temporal_estimator import open_estimator
 
 LARGEST_MISFIT = 2.3
 """With model files that state none: by noise alone one sample of twelve cables in ten million."""
@@ -46,7 +47,7 @@ _HALF_TURN_DEG = 179.9
 """Half the widest interval of a direction: the ends of a whole turn could not be distinguished."""
 
 
-AnyEstimator = Estimator | MultiEstimator | TemporalEstimator
+AnyEstimator = Estimator | MultiEstimator | SequenceEstimator
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,7 @@ class HistoryDependentModel(ContactModel):
 
     def __init__(
         self,
-        estimator: TemporalEstimator,
+        estimator: SequenceEstimator,
         tares: Tares,
         predict_n: Callable[[Array], Array],
         command_rad: Array,
@@ -192,6 +193,8 @@ class HistoryDependentModel(ContactModel):
         self._motion.advance(max(0.0, passed_s))
         angle, speed, acceleration = self._motion.state
         unloaded = self._unloaded_n(angle)
+        if unloaded is None:
+            self._sequence.tare()
         difference = np.zeros(len(tensions_n)) if unloaded is None else tensions_n - unloaded
         estimate = self._sequence.estimate(difference, angle, speed, acceleration, stamp_ns * 1e-9)
         return None if unloaded is None else estimate

@@ -11,6 +11,7 @@ stretch s of the whole; with it, every span has its own (`cablesense_sim.cable_c
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -68,6 +69,13 @@ class QuasiStaticArm:
         self._some_may_fail, self._lost = some_may_fail, np.zeros(len(self._each), dtype=bool)
         self._begun = False
         self._last: tuple[Array, Array, _Pose] | None = None
+
+    def branched(self) -> QuasiStaticArm:
+        """Others that go on from the same state."""
+        other = copy.copy(self)
+        other._lost = self._lost.copy()
+        other._transmissions = copy.deepcopy(self._transmissions)
+        return other
 
     @property
     def joint_angles_rad(self) -> Array:

@@ -51,7 +51,6 @@ from cablesense_training.networks.temporal import TemporalNetwork
 from cablesense_training.networks.unlagged import (
     UnlaggedClosedForm,
     added_noise_n,
-    settled_sensors,
 )
 from cablesense_training.recipes import build_network, network_name, recipe_for
 
@@ -148,18 +147,21 @@ def draw_training_data(
         with progress_bar(motion.sequences, shown=show_progress, what="sequences") as advance:
             return draw_sequences(arm, motion, seed, workers=workers, on_done=advance)
     protocol = protocol_from_options({"kind": recipe.learns_from, **given}, arm)
-    settled = settled_sensors(arm) if network_name(network) == "unlagged" else arm
     parts = []
     with progress_bar(protocol.samples, shown=show_progress) as advance:
-        for part in generate(settled, protocol, seed, workers=workers):
+        for part in generate(recipe.drawn_on(arm), protocol, seed, workers=workers):
             parts.append(part)
             advance(len(part))
-    data = Dataset.concatenate(parts)
-    return data if settled is arm else _as_undone(data, arm)
+    return _as_undone(Dataset.concatenate(parts), arm, network)
 
 
-def _as_undone(settled: Dataset, arm: Arm) -> Dataset:
-    """Samples of an arm with settled sensors as undoing the lags of `arm` leaves them."""
+def _as_undone(settled: Dataset, arm: Arm, network: str) -> Dataset:
+    """Samples that a recipe's `drawn_on` gives as they are behind what undoes the rest of an arm.
+
+    Undoing lags adds noise.
+    """
+    if network_name(network) != "unlagged":
+        return replace(settled, arm=arm)
     std_n = added_noise_n(arm, settled.protocol.tare_samples)
     noise_n = np.random.default_rng(settled.seed).normal(0.0, 1.0, (len(settled), len(std_n)))
     difference_n = settled.tension_difference_n + std_n * noise_n
@@ -231,10 +233,8 @@ def train_model(
         built.double()
         on_trained(built)
         protocol = replace(data.protocol, samples=test_samples or TEST_SAMPLES)
-        lagging = isinstance(built, UnlaggedClosedForm)
-        drawn_on = settled_sensors(data.arm) if lagging else data.arm
-        tested = draw_dataset(drawn_on, protocol, test_seed)
-        errors = _sample_errors(built, _as_undone(tested, data.arm) if lagging else tested)
+        tested = draw_dataset(recipe.drawn_on(data.arm), protocol, test_seed)
+        errors = _sample_errors(built, _as_undone(tested, data.arm, name))
         export_model(built, path, metadata)
     return TrainingReport(path, name, parameters, history, **errors)
 

@@ -13,8 +13,14 @@ from cablesense_sim.arm import Arm
 from cablesense_training.errors import TrainingError
 from cablesense_training.fit import FitSettings, LoopSettings
 from cablesense_training.fit_sequences import SequenceFitSettings
+from cablesense_training.inference.history_simulation import without_history
+from cablesense_training.inference.metadata import HISTORY_SIMULATED
 from cablesense_training.networks import Network
-from cablesense_training.networks.corrected import CorrectedClosedForm, PlainClosedForm
+from cablesense_training.networks.corrected import (
+    CorrectedClosedForm,
+    PlainClosedForm,
+    WithoutHistory,
+)
 from cablesense_training.networks.multi_contact import (
     MultiContactClosedForm,
     TwoStageMultiContactNetwork,
@@ -26,7 +32,7 @@ from cablesense_training.networks.single_contact import (
     TwoStageNetwork,
 )
 from cablesense_training.networks.temporal import TemporalNetwork
-from cablesense_training.networks.unlagged import UnlaggedClosedForm
+from cablesense_training.networks.unlagged import UnlaggedClosedForm, settled_sensors
 
 Settings = TypeVar("Settings", bound=LoopSettings)
 
@@ -40,12 +46,14 @@ class Recipe:
         build: makes it for an arm and the number of readings averaged into a tare.
         samples: how many samples, or sequences, to draw.
         settings: of the training.
+        drawn_on: the arm whose samples it learns from, where it is behind what undoes the rest.
     """
 
     learns_from: Literal["single", "multi", "motion"]
     build: Callable[[Arm, int], Network | TemporalNetwork]
     samples: int
     settings: FitSettings | SequenceFitSettings
+    drawn_on: Callable[[Arm], Arm] = lambda arm: arm
 
 
 _PAPER = FitSettings()
@@ -64,6 +72,14 @@ RECIPES: dict[str, Recipe] = {
         UnlaggedClosedForm.for_arm,
         40_000,
         FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4),
+        settled_sensors,
+    ),
+    HISTORY_SIMULATED: Recipe(
+        "single",
+        WithoutHistory.for_arm,
+        40_000,
+        FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4),
+        without_history,
     ),
     "decoupled": Recipe("single", DecoupledNetwork.for_arm, 100_000, _PAPER),
     "shared-backbone": Recipe("single", SharedBackboneNetwork.for_arm, 100_000, _PAPER),

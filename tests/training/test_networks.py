@@ -17,7 +17,7 @@ from cablesense_training.networks.single_contact import TwoStageNetwork
 from cablesense_training.recipes import RECIPES, build_network
 
 ARM = load_arm(config_path("arms/cdsm.yaml"))
-OTHERS = ("unlagged",)  # which is for arms that list lag
+OTHERS = ("unlagged", "history-simulated")  # which are for arms that list what they undo
 SAMPLE_NETWORKS = [
     name
     for name, recipe in RECIPES.items()

@@ -253,6 +253,33 @@ class Estimator(OpenedModel):
         self._command = command.tobytes()
 
 
+class SequenceEstimator(OpenedModel):
+    """A single-contact model that takes samples one after another; for one thread at a time."""
+
+    def forget(self) -> None:
+        """Begin without a past."""
+        raise NotImplementedError
+
+    def tare(self) -> None:
+        """Tension differences count from the next sample on."""
+        raise NotImplementedError
+
+    def estimate(
+        self,
+        tension_difference_n: ArrayLike,
+        joint_command_rad: ArrayLike,
+        joint_speed_rad_s: ArrayLike,
+        joint_acceleration_rad_s2: ArrayLike,
+        time_s: float,
+    ) -> Estimate:
+        """The contact behind tension differences (M,) at a set-point (2N,) in motion or at rest.
+
+        Raises:
+            EstimateError: a wrong shape, or numbers that are not finite.
+        """
+        raise NotImplementedError
+
+
 class MultiEstimates(NamedTuple):
     """B estimates of an arm with N segments, all (B, N).
 

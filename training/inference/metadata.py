@@ -38,6 +38,9 @@ SEQUENCE_UNITS = {
 }
 """The same of a model with memory."""
 
+HISTORY_SIMULATED = "history-simulated"
+"""The network whose files are of an arm that is simulated beside the real one."""
+
 _KEY = "cablesense"
 MISFIT_KEY = "cablesense_misfit"
 

@@ -20,10 +20,12 @@ from cablesense_training.inference.estimator import (
     Estimate,
     Estimates,
     Estimator,
-    OpenedModel,
+    SequenceEstimator,
     finite_answers,
     finite_table,
 )
+from cablesense_training.inference.history_simulation import HistoryEstimator
+from cablesense_training.inference.metadata import HISTORY_SIMULATED
 from cablesense_training.inference.session import (
     ACCELERATION,
     COMMAND,
@@ -121,7 +123,7 @@ class TickClock:
             self._last_s += ticks * self._tick_s
 
 
-class TemporalEstimator(OpenedModel):
+class TemporalEstimator(SequenceEstimator):
     """A single-contact model that carries a state from tick to tick; for one thread at a time.
 
     Its state follows from the samples given since `forget`, their times and their set-points
@@ -230,11 +232,13 @@ def _contiguous(inputs: dict[str, Array]) -> dict[str, Array]:
     return {k: np.ascontiguousarray(values, dtype=np.float64) for k, values in inputs.items()}
 
 
-def open_estimator(path: str | Path, arm: Arm | None = None) -> Estimator | TemporalEstimator:
+def open_estimator(path: str | Path, arm: Arm | None = None) -> Estimator | SequenceEstimator:
     """The estimator in a model file, history-dependent or not, for an arm where one is given.
 
     Raises:
         ModelFileError: the file is no single-contact model, or not one for this arm.
     """
     _, metadata = read_model(path)
+    if metadata.network == HISTORY_SIMULATED:
+        return HistoryEstimator.load(path, arm)
     return (TemporalEstimator if metadata.memory else Estimator).load(path, arm)

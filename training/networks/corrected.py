@@ -30,6 +30,9 @@ from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.history import sensed_along_n
 from cablesense_training.data.protocols import SingleContact
+from cablesense_training.errors import TrainingError
+from cablesense_training.inference.history_simulation import depends_on_history, without_history
+from cablesense_training.inference.metadata import HISTORY_SIMULATED
 from cablesense_training.networks.closed_form import Candidates, ClosedForm, pose_corrections_for
 from cablesense_training.networks.layers import (
     SingleContactOutput,
@@ -227,6 +230,28 @@ class PlainClosedForm(CorrectedClosedForm):
         """The closed form of an arm that is assumed to stand where it is commanded."""
         network = cls(arm, exact_statics(arm, tare_samples, pose_corrections=0))
         return network.requires_grad_(False)
+
+
+class WithoutHistory(CorrectedClosedForm):
+    """Behind a simulation that takes the arm's history out of the readings; trained as the base.
+
+    See `inference.history_simulation`.
+    """
+
+    @classmethod
+    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> WithoutHistory:
+        """The network of an arm without what depends on its history.
+
+        Raises:
+            TrainingError: nothing does.
+        """
+        if not depends_on_history(arm):
+            raise TrainingError(
+                f"network {HISTORY_SIMULATED} is for an arm file that lists friction, creep or "
+                f"backlash; {arm.identity} does not"
+            )
+        settled = without_history(arm)
+        return cls(settled, statics(settled, tare_samples))
 
 
 def _length(rows: Tensor) -> Tensor:

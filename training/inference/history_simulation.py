@@ -1,0 +1,323 @@
+"""An estimator that knows what friction, creep and backlash do, from a simulation beside the arm.
+
+An arm whose readings depend on what came before is simulated along with the real one, from sample
+to sample, under the load that explains the readings. What its history adds to the simulated
+readings is taken from the real ones, and the model file's network, which is of the same arm
+without a history, answers what is left.
+
+A cable that sticks keeps what it carried. So the load is not sought in each sample anew: it stays
+as it was while that explains the readings, and none is assumed where none explains them.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cablesense_base import Array
+from cablesense_sim import kinematics
+from cablesense_sim.arm import Arm
+from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.effects.registry import EffectEntry, actuations, amended, sensings
+from cablesense_sim.effects.sensor_drift import SensorDrift
+from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.replay import difference_variance_n2
+from cablesense_training.inference.estimator import (
+    OUTPUTS,
+    Estimate,
+    SequenceEstimator,
+    finite_table,
+)
+from cablesense_training.inference.session import ModelSession
+
+_TICK_S = 0.05
+"""Samples that come sooner after a simulated one are answered with its history."""
+_EXPLAINED = 22.0
+"""Squared misfit of M readings, in deviations, up to which a load explains them: of twelve, noise
+alone has more in one sample of thirty."""
+_OFF = 3.0
+"""Standard deviations of the squared misfit by which it has to grow before a load is sought anew,
+where the best load does not explain the readings."""
+_PROBE_N, _LIKELY_STEP_N, _LONGEST_STEP_N, _ENOUGH_N = 0.3, 20.0, 60.0, 0.02
+_MOST_STEPS = 8
+_SOFTENED = 0.01
+"""Of a cable's stretch under pretension: what sticks gives by that at least, as no step towards a
+load can be computed from readings that do not change at all before something slips."""
+
+
+def remembered(arm: Arm) -> Arm:
+    """The arm with those effects that a simulation beside it can follow, without their past.
+
+    What acts on loads is nothing that an arm does, sensors that drift know no time to begin at,
+    and in which state another run of the arm began does not count for this one.
+    """
+    kept = []
+    for listed, entry in zip(arm.effects, entries_of(arm), strict=True):
+        effect = entry.effect
+        if effect.acts_on == "load" or isinstance(effect, SensorDrift):
+            continue
+        every = (*effect.parameters, *effect.history(arm.segment_count, arm.cable_count))
+        past = {parameter.name for parameter in every if parameter.past}
+        numbers = {k: value for k, value in listed.parameters.items() if k not in past}
+        kept.append(listed.model_copy(update={"parameters": numbers}))
+    return arm.model_copy(update={"effects": kept})
+
+
+def without_history(arm: Arm) -> Arm:
+    """The arm with those effects that its rest and its readings have at every moment alike."""
+    listed = zip(arm.effects, entries_of(arm), strict=True)
+    kept = [each for each, entry in listed if not _by_history(entry)]
+    return arm.model_copy(update={"effects": kept})
+
+
+def depends_on_history(arm: Arm) -> bool:
+    """Whether an arm lists effects along its cables, in its joints or of its actuators."""
+    return any(e.effect.acts_on in ("transmission", "actuator") for e in entries_of(arm))
+
+
+def _by_history(entry: EffectEntry) -> bool:
+    effect = entry.effect
+    return effect.acts_on not in ("arm", "sensor") or (
+        effect.acts_on == "sensor" and effect.needs_time
+    )
+
+
+class _Copies:
+    """Arms alike that go from sample to sample, each under a load of its own."""
+
+    def __init__(self, arm: Arm, count: int) -> None:
+        from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
+
+        self._nominal = mechanism_of(arm)
+        entries = [_softened(entry, self._nominal) for entry in entries_of(arm)]
+        variants = [entries] * count
+        mechanisms = [amended(self._nominal, entries)] * count
+        self._rest = QuasiStaticArm(mechanisms, variants, some_may_fail=True)
+        self._actuations, self._sensings = actuations(variants), sensings(variants)
+        self._count = count
+
+    def readings_n(self, time_s: float, command_rad: Array, forces_n: Array) -> Array:
+        """(P, M) at a command (2N,) under forces (P, N, 3); NaN where an arm cannot bear them."""
+        held = np.repeat(held_lengths_m(self._nominal, command_rad[None]), self._count, axis=0)
+        for actuation in self._actuations:
+            held = actuation.step(time_s, held)
+        tensions = self._rest.step(time_s, held, forces_n)
+        for sensing in self._sensings:
+            tensions = sensing.step(time_s, tensions)
+        return tensions
+
+    def branched(self) -> _Copies:
+        """Others that go on from the same state."""
+        other = copy.copy(self)
+        other._rest = self._rest.branched()
+        other._actuations, other._sensings = copy.deepcopy((self._actuations, self._sensings))
+        return other
+
+
+class _Load(NamedTuple):
+    """A force on a segment, 0 for none: its components (2,) along y and z, and its misfit."""
+
+    segment: int
+    force_n: Array
+    misfit: float = np.inf
+
+
+_NOTHING = _Load(0, np.zeros(2))
+
+
+class HistorySimulation:
+    """An arm that is simulated beside the real one, and what its history adds to readings.
+
+    Args:
+        arm: with the effects that are to be known.
+        tare_samples: readings averaged into a tare.
+    """
+
+    def __init__(self, arm: Arm, tare_samples: int) -> None:
+        self._arm, self._mechanism = remembered(arm), mechanism_of(arm)
+        self._noise_n = difference_variance_n2(arm.sensors, tare_samples) ** 0.5
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin with the first sample, which is one of the unloaded arm."""
+        self._arms, self._plain = _Copies(self._arm, 4), _Copies(without_history(self._arm), 1)
+        self._load, self._usual = _NOTHING, 0.0
+        self._history_n = self._none_n = np.zeros(self._arm.cable_count)
+        self._bias_n: Array | None = None
+
+    def unloaded(self, time_s: float, command_rad: Array) -> None:
+        """The arm is not touched at a command (2N,); differences count from its readings on.
+
+        Raises:
+            EquilibriumError: the arm has no rest there.
+        """
+        self._load, self._usual = _NOTHING, 0.0
+        none = np.zeros((4, self._arm.segment_count, 3))
+        bias = self._arms.readings_n(time_s, command_rad, none)[0]
+        plain = self._plain.readings_n(time_s, command_rad, none[:1])[0]
+        if not np.isfinite([bias, plain]).all():
+            self.forget()
+            raise EquilibriumError("the arm with its history has no rest at this command")
+        self._bias_n, self._none_n = bias, bias - plain
+        self._history_n = np.zeros_like(bias)
+
+    def without_n(self, difference_n: Array, time_s: float, command_rad: Array) -> Array:
+        """What a difference (M,) of readings would be without history, at a command (2N,)."""
+        if self._bias_n is None:
+            self.unloaded(time_s, command_rad)
+        assert self._bias_n is not None
+        self._axes = kinematics.segment_rotations(self._mechanism, command_rad)[:, :, 1:]
+        self._now = time_s, command_rad, self._bias_n + difference_n
+        load = self._explanation()
+        forces = self._forces_n(load)
+        arms, plain = self._arms.branched(), self._plain.branched()
+        read = arms.readings_n(time_s, command_rad, forces)[0]
+        read_plain = plain.readings_n(time_s, command_rad, forces[:1])[0]
+        if np.isfinite([read, read_plain]).all():
+            self._arms, self._plain, self._load = arms, plain, load
+            self._history_n = read - read_plain - self._none_n
+        return difference_n - self._history_n
+
+    @property
+    def history_n(self) -> Array:
+        """(M,) what history has added since the tare, as of the last sample."""
+        return self._history_n
+
+    def _explanation(self) -> _Load:
+        """No load where that explains the readings, then the one before, then the likeliest."""
+        before = self._load
+        tried = self._tried(before)
+        none = _NOTHING._replace(misfit=self._misfit(tried[3]))
+        if none.misfit <= _EXPLAINED:
+            self._usual = 0.0
+            return none
+        spread = np.sqrt(2.0 * self._arm.cable_count + 4.0 * self._usual)
+        enough = max(_EXPLAINED, self._usual + _OFF * spread)
+        found = before._replace(misfit=self._misfit(tried[0])) if before.segment else none
+        if found.misfit > enough and before.segment:
+            found = self._fitted(before)
+            self._usual = min(self._usual, found.misfit)
+        if found.misfit <= enough:
+            return found
+        segments = set(range(1, self._arm.segment_count + 1)) - {before.segment}
+        others = (self._fitted(_Load(segment, np.zeros(2))) for segment in sorted(segments))
+        found = min(found, *others, key=lambda load: load.misfit)
+        self._usual = found.misfit
+        return found
+
+    def _fitted(self, start: _Load) -> _Load:
+        """The likeliest force on a segment, by damped Gauss-Newton steps from a first one."""
+        best, force, damping = start._replace(misfit=np.inf), start.force_n, 0.0
+        normal, slope = np.zeros((2, 2)), np.zeros(2)
+        for _ in range(_MOST_STEPS):
+            tried = self._tried(best._replace(force_n=force))
+            moved = (force - start.force_n) / _LIKELY_STEP_N
+            misfit = self._misfit(tried[0]) + float(moved @ moved)
+            gain = best.misfit - misfit
+            if gain > 0.0:
+                best, damping = best._replace(force_n=force, misfit=misfit), 0.3 * damping
+                jacobian = (tried[1:3] - tried[0]).T / (_PROBE_N * self._noise_n)
+                if gain < 0.5 or not np.isfinite(jacobian).all():
+                    break
+                residual = (self._now[2] - tried[0]) / self._noise_n
+                normal = jacobian.T @ jacobian
+                slope = jacobian.T @ residual - moved / _LIKELY_STEP_N
+            elif not np.isfinite(best.misfit):
+                break
+            else:
+                damping = max(4.0 * damping, 0.1)
+            held = _LIKELY_STEP_N**-2.0 + 0.5 * damping * np.trace(normal)
+            step = np.linalg.solve(normal + held * np.eye(2), slope)
+            length = np.linalg.norm(step)
+            if length < _ENOUGH_N:
+                break
+            force = best.force_n + step * min(1.0, _LONGEST_STEP_N / length)
+        return best
+
+    def _tried(self, load: _Load) -> Array:
+        """Readings (4, M): of a load, a little more along y, along z, and of none."""
+        time_s, command_rad, _ = self._now
+        return self._arms.branched().readings_n(
+            time_s, command_rad, self._forces_n(load, _PROBE_N)
+        )
+
+    def _misfit(self, reading_n: Array) -> float:
+        off = (self._now[2] - reading_n) / self._noise_n
+        return float(off @ off) if np.isfinite(off).all() else np.inf
+
+    def _forces_n(self, load: _Load, probe_n: float = 0.0) -> Array:
+        """(4, N, 3) in base axes; with a probe, those of `_tried`."""
+        forces = np.zeros((4, self._arm.segment_count, 3))
+        if load.segment:
+            each = np.repeat(load.force_n[None], 4, axis=0)
+            if probe_n:
+                each += probe_n * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+                each[3] = 0.0
+            forces[:, load.segment - 1] = each @ self._axes[load.segment - 1].T
+        return forces
+
+
+class HistoryEstimator(SequenceEstimator):
+    """A memoryless single-contact model behind a simulation of its arm's history.
+
+    Its state follows from the samples given since `forget`, their times and their set-points.
+    """
+
+    outputs = OUTPUTS
+
+    def __init__(self, session: ModelSession) -> None:
+        super().__init__(session)
+        self._simulation = HistorySimulation(self.metadata.arm, self.metadata.tare_samples)
+        self._tared, self._last_s = False, -np.inf
+
+    def forget(self) -> None:
+        """See the base class; the next sample counts as one of the unloaded arm."""
+        self._simulation.forget()
+        self._tared, self._last_s = False, -np.inf
+
+    def tare(self) -> None:
+        """See the base class; the next sample counts as one of the unloaded arm."""
+        self._tared = False
+
+    def estimate(
+        self,
+        tension_difference_n: ArrayLike,
+        joint_command_rad: ArrayLike,
+        joint_speed_rad_s: ArrayLike,
+        joint_acceleration_rad_s2: ArrayLike,
+        time_s: float,
+    ) -> Estimate:
+        """See the base class; speeds and accelerations do not count, as the arm goes by rests.
+
+        Where the time runs back, the arm counts as unloaded.
+
+        Raises:
+            EstimateError: a wrong shape, or numbers that are not finite.
+            EquilibriumError: the arm has no rest where it is set to be.
+        """
+        difference_n = self._tensions(tension_difference_n, 1)[0]
+        joints = self.metadata.arm.joint_count
+        command_rad = finite_table(joint_command_rad, joints, "set-point angles", 1)[0]
+        if time_s < self._last_s:
+            self.forget()
+        if not self._tared:
+            self._simulation.unloaded(time_s, command_rad)
+            self._tared, self._last_s = True, -np.inf
+        if time_s - self._last_s >= _TICK_S:
+            left_n = self._simulation.without_n(difference_n, time_s, command_rad)
+            self._last_s = time_s
+        else:
+            left_n = difference_n - self._simulation.history_n
+        return Estimate.of_outputs([each[0] for each in self._answers(left_n, command_rad)])
+
+
+def _softened(entry: EffectEntry, mechanism: Mechanism) -> EffectEntry:
+    if "give_m" not in entry.values:
+        return entry
+    least_m = _SOFTENED * float(np.median(mechanism.pretension_n / mechanism.stiffness_n_m))
+    return replace(entry, values={**entry.values, "give_m": max(entry.values["give_m"], least_m)})
