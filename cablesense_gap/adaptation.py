@@ -30,6 +30,9 @@ from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import Estimator as Errors
 from cablesense_sim.arm import Arm
 from cablesense_sim.load_capacity import contact_range_n
+from cablesense_training.data.dataset import Dataset
+from cablesense_training.data.sequences import Sequences
+from cablesense_training.errors import DatasetError
 from cablesense_training.evaluation.metrics import ContactAnswer, angle_difference_deg
 from cablesense_training.fit import EpochRecord, OnEpoch
 from cablesense_training.inference.estimator import NORMAL_95, Estimator, SequenceEstimator
@@ -50,6 +53,8 @@ from cablesense_training.recipes import adjusted, recipe_for
 
 NETWORK = "closed-form-corrected"
 _SAMPLES, _EPOCHS, _TEST_SAMPLES = 4096, 8, 512
+_WEAKER = 4
+"""How often forces to train on are lowered by three tenths where an arm does not bear them."""
 _LESS = 0.95
 """Of the first estimator's force error: so much must the second be below it."""
 _CONTACTS_GIVEN_UP = 0.01
@@ -203,7 +208,7 @@ def train_for(
     }
     recipe = recipe_for(network).settings
     settings = adjusted(recipe, seed=0, threads=1, epochs=_EPOCHS, batch_size=256)
-    data = draw_training_data(arm, network, options, seed=0)
+    data = _drawn(arm, network, options)
 
     def widen(trained: Network | TemporalNetwork) -> None:
         assert isinstance(trained, CorrectedClosedForm)
@@ -240,6 +245,16 @@ def train_for(
         on_epoch=on_epoch,
         on_trained=widen,
     )
+
+
+def _drawn(arm: Arm, network: str, options: dict[str, Any]) -> Dataset | Sequences:
+    """Samples of an arm, with weaker forces where it does not bear these in every pose."""
+    for _ in range(_WEAKER):
+        try:
+            return draw_training_data(arm, network, options, seed=0)
+        except DatasetError:
+            options = {**options, "force_high_n": 0.7 * options["force_high_n"]}
+    return draw_training_data(arm, network, options, seed=0)
 
 
 def _is_better(before: RecordedErrors, after: RecordedErrors) -> bool:

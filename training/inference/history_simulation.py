@@ -5,8 +5,12 @@ to sample, under the load that explains the readings. What its history adds to t
 readings is taken from the real ones, and the model file's network, which is of the same arm
 without a history, answers what is left.
 
-A cable that sticks keeps what it carried. So the load is not sought in each sample anew: it stays
-as it was while that explains the readings, and none is assumed where none explains them.
+A cable that sticks keeps what it carried, and a load that has changed may leave its reading as it
+was. So the load is not sought in each sample anew: it stays as it was while that explains the
+readings, and none is assumed where none explains them.
+
+How an arm that has not moved yet began is not known: its past is taken as none. Motion wipes it
+out, so the arm should have moved before it is tared.
 """
 
 from __future__ import annotations
@@ -28,6 +32,7 @@ from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.inference.estimator import (
+    NORMAL_95,
     OUTPUTS,
     Estimate,
     SequenceEstimator,
@@ -37,14 +42,20 @@ from cablesense_training.inference.session import ModelSession
 
 _TICK_S = 0.05
 """Samples that come sooner after a simulated one are answered with its history."""
-_EXPLAINED = 22.0
-"""Squared misfit of M readings, in deviations, up to which a load explains them: of twelve, noise
-alone has more in one sample of thirty."""
-_OFF = 3.0
-"""Standard deviations of the squared misfit by which it has to grow before a load is sought anew,
-where the best load does not explain the readings."""
-_PROBE_N, _LIKELY_STEP_N, _LONGEST_STEP_N, _ENOUGH_N = 0.3, 20.0, 60.0, 0.02
-_MOST_STEPS = 8
+_OFF = 3.5
+"""Standard deviations of the squared misfit by which it has to exceed that of noise, or that of a
+load which explained readings best before, until another load is sought: once in 500 samples by
+noise alone, with twelve cables."""
+_RELEASED = 12.0
+"""By how much a load has to lower the squared misfit, times what no load explains of it, to last:
+chance alone lowers it by so much once in 400 samples, with two components of a force."""
+_PROBE_N = 0.3
+"""Of the numeric derivative by the force."""
+_LIKELY_STEP_N = 20.0
+"""Standard deviation of a force's change from sample to sample, where readings do not tell."""
+_LONGEST_STEP_N, _ENOUGH_N, _MOST_STEPS = 60.0, 0.02, 8
+_ABSORBED = 0.1
+"""Of what a load leaves over in a sample: so much is expected of the next ones too."""
 _SOFTENED = 0.01
 """Of a cable's stretch under pretension: what sticks gives by that at least, as no step towards a
 load can be computed from readings that do not change at all before something slips."""
@@ -120,11 +131,19 @@ class _Copies:
 
 
 class _Load(NamedTuple):
-    """A force on a segment, 0 for none: its components (2,) along y and z, and its misfit."""
+    """A force on a segment, 0 for none, and how well it explains readings.
+
+    Attributes:
+        segment: its number.
+        force_n: components (2,) along the segment's y and z.
+        misfit: squared, in deviations of the readings.
+        information_n2: (2, 2) of the force in the readings, 1/N².
+    """
 
     segment: int
     force_n: Array
     misfit: float = np.inf
+    information_n2: Array = np.zeros((2, 2))
 
 
 _NOTHING = _Load(0, np.zeros(2))
@@ -157,6 +176,7 @@ class HistorySimulation:
             EquilibriumError: the arm has no rest there.
         """
         self._load, self._usual = _NOTHING, 0.0
+        self._unexplained_n = np.zeros(self._arm.cable_count)
         none = np.zeros((4, self._arm.segment_count, 3))
         bias = self._arms.readings_n(time_s, command_rad, none)[0]
         plain = self._plain.readings_n(time_s, command_rad, none[:1])[0]
@@ -172,7 +192,7 @@ class HistorySimulation:
             self.unloaded(time_s, command_rad)
         assert self._bias_n is not None
         self._axes = kinematics.segment_rotations(self._mechanism, command_rad)[:, :, 1:]
-        self._now = time_s, command_rad, self._bias_n + difference_n
+        self._now = time_s, command_rad, self._bias_n + self._unexplained_n + difference_n
         load = self._explanation()
         forces = self._forces_n(load)
         arms, plain = self._arms.branched(), self._plain.branched()
@@ -181,6 +201,7 @@ class HistorySimulation:
         if np.isfinite([read, read_plain]).all():
             self._arms, self._plain, self._load = arms, plain, load
             self._history_n = read - read_plain - self._none_n
+            self._unexplained_n = self._unexplained_n - _ABSORBED * (self._now[2] - read)
         return difference_n - self._history_n
 
     @property
@@ -188,20 +209,42 @@ class HistorySimulation:
         """(M,) what history has added since the tare, as of the last sample."""
         return self._history_n
 
+    @property
+    def deviation_n(self) -> tuple[float, float]:
+        """Of the load, along it and across it: from what sticks readings tell little or nothing.
+
+        Zero where there is no load.
+        """
+        load = self._load
+        if not load.segment:
+            return 0.0, 0.0
+        beyond_noise = max(1.0, load.misfit / self._arm.cable_count)
+        least = np.eye(2) / _LIKELY_STEP_N**2
+        covariance = beyond_noise * np.linalg.inv(load.information_n2 + least)
+        along = load.force_n / max(float(np.linalg.norm(load.force_n)), 1e-9)
+        across = np.array([-along[1], along[0]])
+        n_along, n_across = (float(np.sqrt(n @ covariance @ n)) for n in (along, across))
+        return n_along, n_across
+
     def _explanation(self) -> _Load:
         """No load where that explains the readings, then the one before, then the likeliest."""
         before = self._load
         tried = self._tried(before)
         none = _NOTHING._replace(misfit=self._misfit(tried[3]))
-        if none.misfit <= _EXPLAINED:
+        count = self._arm.cable_count
+        by_noise = count + _OFF * np.sqrt(2.0 * count)
+        if none.misfit <= by_noise:
             self._usual = 0.0
             return none
-        spread = np.sqrt(2.0 * self._arm.cable_count + 4.0 * self._usual)
-        enough = max(_EXPLAINED, self._usual + _OFF * spread)
-        found = before._replace(misfit=self._misfit(tried[0])) if before.segment else none
+        enough = max(by_noise, self._usual + _OFF * np.sqrt(2.0 * count + 4.0 * self._usual))
+        found = self._judged(before, tried) if before.segment else none
         if found.misfit > enough and before.segment:
             found = self._fitted(before)
             self._usual = min(self._usual, found.misfit)
+        if before.segment and none.misfit - found.misfit <= _RELEASED * max(
+            1.0, found.misfit / count
+        ):
+            return none
         if found.misfit <= enough:
             return found
         segments = set(range(1, self._arm.segment_count + 1)) - {before.segment}
@@ -217,16 +260,16 @@ class HistorySimulation:
         for _ in range(_MOST_STEPS):
             tried = self._tried(best._replace(force_n=force))
             moved = (force - start.force_n) / _LIKELY_STEP_N
-            misfit = self._misfit(tried[0]) + float(moved @ moved)
+            judged = self._judged(best._replace(force_n=force), tried)
+            misfit = judged.misfit + float(moved @ moved)
             gain = best.misfit - misfit
             if gain > 0.0:
-                best, damping = best._replace(force_n=force, misfit=misfit), 0.3 * damping
-                jacobian = (tried[1:3] - tried[0]).T / (_PROBE_N * self._noise_n)
-                if gain < 0.5 or not np.isfinite(jacobian).all():
+                best, damping = judged._replace(misfit=misfit), 0.3 * damping
+                if gain < 0.5:
                     break
                 residual = (self._now[2] - tried[0]) / self._noise_n
-                normal = jacobian.T @ jacobian
-                slope = jacobian.T @ residual - moved / _LIKELY_STEP_N
+                normal = judged.information_n2
+                slope = self._jacobian(tried).T @ residual - moved / _LIKELY_STEP_N
             elif not np.isfinite(best.misfit):
                 break
             else:
@@ -246,6 +289,16 @@ class HistorySimulation:
             time_s, command_rad, self._forces_n(load, _PROBE_N)
         )
 
+    def _judged(self, load: _Load, tried: Array) -> _Load:
+        """The load with what its readings `tried` say of it."""
+        jacobian = self._jacobian(tried)
+        misfit = self._misfit(tried[0]) if np.isfinite(jacobian).all() else np.inf
+        return load._replace(misfit=misfit, information_n2=jacobian.T @ jacobian)
+
+    def _jacobian(self, tried: Array) -> Array:
+        """(M, 2) of readings by the force, in deviations."""
+        return np.asarray((tried[1:3] - tried[0]).T / (_PROBE_N * self._noise_n))
+
     def _misfit(self, reading_n: Array) -> float:
         off = (self._now[2] - reading_n) / self._noise_n
         return float(off @ off) if np.isfinite(off).all() else np.inf
@@ -256,7 +309,8 @@ class HistorySimulation:
         if load.segment:
             each = np.repeat(load.force_n[None], 4, axis=0)
             if probe_n:
-                each += probe_n * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0]])
+                each[1, 0] += probe_n
+                each[2, 1] += probe_n
                 each[3] = 0.0
             forces[:, load.segment - 1] = each @ self._axes[load.segment - 1].T
         return forces
@@ -294,7 +348,7 @@ class HistoryEstimator(SequenceEstimator):
     ) -> Estimate:
         """See the base class; speeds and accelerations do not count, as the arm goes by rests.
 
-        Where the time runs back, the arm counts as unloaded.
+        Where the time runs back by over a tick, the past ends and the arm counts as unloaded.
 
         Raises:
             EstimateError: a wrong shape, or numbers that are not finite.
@@ -303,7 +357,7 @@ class HistoryEstimator(SequenceEstimator):
         difference_n = self._tensions(tension_difference_n, 1)[0]
         joints = self.metadata.arm.joint_count
         command_rad = finite_table(joint_command_rad, joints, "set-point angles", 1)[0]
-        if time_s < self._last_s:
+        if time_s < self._last_s - _TICK_S:
             self.forget()
         if not self._tared:
             self._simulation.unloaded(time_s, command_rad)
@@ -313,7 +367,14 @@ class HistoryEstimator(SequenceEstimator):
             self._last_s = time_s
         else:
             left_n = difference_n - self._simulation.history_n
-        return Estimate.of_outputs([each[0] for each in self._answers(left_n, command_rad)])
+        answers = [each[0] for each in self._answers(left_n, command_rad)]
+        _, _, magnitude_n, std_n, angle_std_deg = answers
+        along_n, across_n = self._simulation.deviation_n
+        turned_deg = np.rad2deg(across_n / max(float(magnitude_n), 1e-9))
+        std_n = np.hypot(std_n, along_n)
+        ends_n = magnitude_n + NORMAL_95 * std_n * np.array([-1.0, 1.0])
+        answers[3:] = std_n, np.hypot(angle_std_deg, turned_deg), np.maximum(ends_n, 0.0)
+        return Estimate.of_outputs(answers)
 
 
 def _softened(entry: EffectEntry, mechanism: Mechanism) -> EffectEntry:

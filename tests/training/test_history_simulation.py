@@ -1,0 +1,216 @@
+"""Readings of arms that stick, creep or have play, freed of it by a simulation beside them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_recordings import LAB, small_recording
+
+from cablesense_gap.recorded_contacts import tares_n, without_history_n
+from cablesense_sim.arm import Arm, ListedEffect, open_arm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.loads import normal_force_n
+from cablesense_sim.replay import read_tensions_n, replay_arm
+from cablesense_training.data.dataset import Dataset
+from cablesense_training.errors import TrainingError
+from cablesense_training.inference.estimator import EstimateError
+from cablesense_training.inference.history_simulation import (
+    HistoryEstimator,
+    HistorySimulation,
+    depends_on_history,
+    remembered,
+    without_history,
+)
+from cablesense_training.inference.temporal_estimator import open_estimator
+from cablesense_training.model_training import draw_training_data, train_model
+from cablesense_training.recipes import adjusted, build_network, recipe_for
+
+PROTOCOL = small_recording()
+STILL = np.zeros(LAB.joint_count)
+TARE = 50
+STICKING = ListedEffect(
+    effect="capstan_friction",
+    parameters={"coefficient": 0.08, "pulley_wrap_rad": 1.0, "give_m": 2e-5},
+)
+HELD = [
+    ListedEffect(effect="joint_friction", at=f"joint_{n}", parameters={"torque_n_m": 0.3})
+    for n in range(1, 5)
+]
+CREEPING = ListedEffect(effect="cable_creep", parameters={"share": 0.2, "time_s": 20.0})
+PLAY = ListedEffect(effect="actuator_backlash", at="cable_4", parameters={"play_m": 1e-4})
+LAG = ListedEffect(effect="sensor_lag", parameters={"time_constant_s": 0.3})
+
+
+def having(*effects: ListedEffect) -> Arm:
+    return LAB.model_copy(update={"effects": list(effects)})
+
+
+def read_by(arm: Arm, seed: int = 0) -> np.ndarray:
+    true_n = replay_arm(arm, PROTOCOL.time_s, PROTOCOL.command_rad, PROTOCOL.forces_n)
+    return read_tensions_n(true_n, LAB.sensors, np.random.default_rng(seed))
+
+
+def differences(arm: Arm, known: Arm) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the rows with a tare: those of `arm`, freed by what is `known`, and of a plain arm."""
+    recording = replace(PROTOCOL, tensions_n=read_by(arm))
+    tare_n = tares_n(recording)
+    rows = np.isfinite(tare_n).all(axis=1)
+    freed_n = without_history_n(recording, tare_n, HistorySimulation(known, TARE))
+    plain = replace(PROTOCOL, tensions_n=read_by(without_history(arm)))
+    return (
+        (recording.tensions_n - tare_n)[rows],
+        freed_n[rows],
+        (plain.tensions_n - tares_n(plain))[rows],
+    )
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("effects", "left"),
+    [
+        ([STICKING], 0.1),
+        (HELD, 0.15),
+        ([CREEPING], 0.2),  # a tare is the mean of readings that creep
+        ([STICKING, *HELD], 0.15),
+        ([STICKING, LAG], 0.15),
+    ],
+    ids=["cables stick", "joints stick", "cables creep", "both stick", "sensors lag beside"],
+)
+def test_readings_become_those_of_the_arm_without_its_history(
+    effects: list[ListedEffect], left: float
+) -> None:
+    arm = having(*effects)
+    raw_n, freed_n, plain_n = differences(arm, arm)
+    assert rms(freed_n - plain_n) < max(left * rms(raw_n - plain_n), 2.0 * LAB.sensors.noise_std_n)
+
+
+@pytest.mark.slow
+def test_a_coefficient_that_is_a_little_off_still_helps() -> None:
+    wrong = {**STICKING.parameters, "coefficient": 0.07}
+    known = having(STICKING.model_copy(update={"parameters": wrong}))
+    raw_n, freed_n, plain_n = differences(having(STICKING), known)
+    assert rms(freed_n - plain_n) < 0.4 * rms(raw_n - plain_n)
+
+
+def test_an_arm_that_moves_untouched_shows_no_load() -> None:
+    arm = having(STICKING)
+    rng = np.random.default_rng(1)
+    command = np.cumsum(rng.normal(0.0, np.deg2rad(0.7), (40, LAB.joint_count)), axis=0)
+    time_s = 0.1 * np.arange(len(command))
+    read_n = replay_arm(arm, time_s, command, np.zeros((len(command), LAB.segment_count, 3)))
+    at_rest_n = replay_arm(LAB, time_s, command, np.zeros((len(command), LAB.segment_count, 3)))
+    simulation = HistorySimulation(arm, TARE)
+    simulation.unloaded(time_s[0], command[0])
+    for row in range(1, len(command)):
+        freed = simulation.without_n(read_n[row] - read_n[0], time_s[row], command[row])
+        np.testing.assert_allclose(freed, at_rest_n[row] - at_rest_n[0], atol=0.01)
+        assert simulation.deviation_n == (0.0, 0.0)
+
+
+def test_the_same_samples_give_the_same_again_after_forgetting() -> None:
+    simulation = HistorySimulation(having(STICKING), TARE)
+    recording = PROTOCOL.rows(slice(0, 120))
+    recording = replace(recording, tensions_n=read_by(having(STICKING))[:120])
+    first, second = (without_history_n(recording, tares_n(recording), simulation) for _ in "ab")
+    np.testing.assert_array_equal(first, second)
+
+
+def test_the_past_of_a_recording_is_not_that_of_the_next_one() -> None:
+    begun = {"torque_n_m": 0.5, "start_pitch": 0.9}
+    joint = ListedEffect(effect="joint_friction", at="joint_2", parameters=begun)
+    cell = ListedEffect(effect="load_cell", parameters={})
+    drift = ListedEffect(effect="sensor_drift", at="cable_1", parameters={})
+    arm = having(STICKING, joint, cell, drift)
+    kept = remembered(arm).effects
+    assert [each.effect for each in kept] == ["capstan_friction", "joint_friction"]
+    assert kept[1].parameters == {"torque_n_m": 0.5}
+
+
+def test_what_depends_on_history_is_told_from_what_does_not() -> None:
+    softer = ListedEffect(effect="cable_stiffness", parameters={"change": -0.2})
+    gain = ListedEffect(effect="sensor_gain", at="cable_1", parameters={"gain": 0.1})
+    arm = having(softer, gain, LAG, PLAY)
+    assert [each.effect for each in without_history(arm).effects] == [
+        "cable_stiffness",
+        "sensor_gain",
+    ]
+    assert depends_on_history(arm)
+    assert not depends_on_history(having(softer, gain, LAG))
+    with pytest.raises(TrainingError, match="lists friction, creep or backlash"):
+        build_network("history-simulated", having(gain))
+
+
+@pytest.fixture(scope="module")
+def estimator(tmp_path_factory: pytest.TempPathFactory) -> HistoryEstimator:
+    path: Path = tmp_path_factory.mktemp("history") / "sticking.onnx"
+    arm = open_arm("cdsm_lab").model_copy(update={"effects": [STICKING]})
+    data = draw_training_data(arm, "history-simulated", {"samples": 256}, seed=0)
+    assert isinstance(data, Dataset)
+    settings = adjusted(recipe_for("history-simulated").settings, seed=0, threads=1, epochs=1)
+    train_model(path, "history-simulated", data, settings, command="by a test", test_samples=16)
+    found = open_estimator(path, arm)
+    assert isinstance(found, HistoryEstimator)
+    return found
+
+
+def pushed(estimator: HistoryEstimator, sizes_n: np.ndarray) -> np.ndarray:
+    """Forces that are answered while segment 3 is pushed so hard, sample by sample."""
+    arm, count = estimator.metadata.arm, len(sizes_n)
+    command = np.repeat(np.deg2rad([[3.0, -4.0, 2.0, 5.0, -3.0, 1.0, 4.0, -2.0]]), count, axis=0)
+    command[: count // 4] *= np.linspace(0.0, 1.0, count // 4)[:, None]
+    forces_n = normal_force_n(mechanism_of(arm), command, 3, 60.0, sizes_n)
+    time_s = 0.1 * np.arange(count)
+    read_n = replay_arm(arm, time_s, command, forces_n)
+    estimator.forget()
+    found = []
+    for row in range(count):
+        if row <= count // 4:
+            estimator.tare()
+            unloaded_n = read_n[row]
+        difference_n = read_n[row] - unloaded_n
+        answer = estimator.estimate(difference_n, command[row], STILL, STILL, time_s[row])
+        found.append(answer.magnitude_n if answer.segment == 3 else -float(answer.segment))
+    return np.array(found)
+
+
+@pytest.mark.slow  # exports a model
+def test_a_force_is_known_while_it_rises_and_while_it_falls(estimator: HistoryEstimator) -> None:
+    sizes_n = np.concatenate(
+        [np.zeros(20), np.linspace(0.0, 40.0, 21), np.full(5, 40.0), np.linspace(40.0, 0.0, 21)]
+    )
+    found = pushed(estimator, np.concatenate([sizes_n, np.zeros(5)]))
+    firm = sizes_n > 5.0
+    np.testing.assert_allclose(found[: len(sizes_n)][firm], sizes_n[firm], atol=1.0)
+    assert (found[-4:] == 0.0).all()  # no contact remains after release
+
+
+@pytest.mark.slow  # exports a model
+def test_samples_between_ticks_are_answered_with_the_history_of_the_last(
+    estimator: HistoryEstimator,
+) -> None:
+    difference_n = np.zeros(LAB.cable_count)
+    estimator.forget()
+    estimator.estimate(difference_n, STILL, STILL, STILL, 10.0)
+    difference_n[8] = 5.0
+    early = estimator.estimate(difference_n, STILL, STILL, STILL, 10.001)
+    late = estimator.estimate(difference_n, STILL, STILL, STILL, 10.2)
+    assert early.magnitude_n > 0.0
+    assert late.magnitude_n != early.magnitude_n
+    back = estimator.estimate(difference_n, STILL, STILL, STILL, 3.0)
+    assert np.isfinite(back.magnitude_n)
+
+
+@pytest.mark.slow  # exports a model
+def test_what_cannot_be_weighed_is_refused(estimator: HistoryEstimator) -> None:
+    bad = np.full(LAB.cable_count, np.nan)
+    with pytest.raises(EstimateError, match="finite"):
+        estimator.estimate(bad, STILL, STILL, STILL, 0.0)
+    with pytest.raises(EstimateError, match="shape"):
+        estimator.estimate(np.zeros(3), STILL, STILL, STILL, 0.0)
