@@ -6,7 +6,8 @@ Cables stick rigidly at every guide and at a pulley of a quarter turn. Arms side
 them straight and half bent by up to 8 degrees, are loaded with 5 to 100 N on one segment, the load
 is lowered, and taken off; at each of these rests they breathe once. The shipped static model, of
 the arm without friction, answers from one reading after the breath, with noise and step. Beside
-it the same course without breathing (`passive`) and with the shape of a demagnetisation: joints to
+it the same course without breathing (`passive`), also with a simulation beside each arm that knows
+its friction and not its loads (`simulated`), and with the shape of a demagnetisation: joints to
 and fro with shrinking amplitude, all cables in and out by 0.1 mm, the geometric mean of these two
 readings (`to and fro`), and breaths of 0.6 of the least circle that turns every guide (`gentle
 breath`), both on the soft arm.
@@ -33,6 +34,7 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.replay import read_tensions_n
 from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.history_simulation import HistorySimulation
 from cablesense_training.inference.metadata import find_model
 
 SEED = 20_261_122
@@ -40,6 +42,7 @@ TURN_S, SETTLE_S = 0.4, 0.5
 _PULLEY_RAD, _BENT_DEG, _FORCES_N = np.pi / 2, 8.0, (5.0, 100.0)
 _STEPS = 4
 """Of a load, and of a move."""
+_STEP_S, _TARE_SAMPLES = 0.1, 50
 _GENTLE = 0.6
 _BARS_N = {0.05: 0.3, 0.10: 0.4, 0.15: 0.6}
 
@@ -84,6 +87,39 @@ class Course:
     def tips_m(self) -> Array:
         """(B, 3) where the arms' ends are."""
         return tip_m(mechanism_of(self.arm), self._stepped.angles_rad)
+
+
+class SimulatedCourse(Course):
+    """The same, with a simulation beside each arm that knows its friction."""
+
+    def __init__(self, name: str, coefficient: float, arms: int) -> None:
+        known = with_friction(open_arm(name), coefficient)
+        self._simulations = [HistorySimulation(known, _TARE_SAMPLES) for _ in range(arms)]
+        self._time_s, self._tare_n = 0.0, np.zeros(0)
+        super().__init__(name, coefficient, arms)
+
+    def step(self, command_rad: Array, offset_m: float = 0.0) -> None:
+        """See the base class."""
+        super().step(command_rad, offset_m)
+        self._time_s += _STEP_S
+        if not self._tare_n.size:
+            for simulation, command in zip(self._simulations, command_rad, strict=True):
+                simulation.unloaded(self._time_s, command)
+            return
+        each = zip(self._simulations, self.read_n() - self._tare_n, command_rad, strict=True)
+        self._left_n = np.array(
+            [
+                simulation.without_n(read, self._time_s, command)
+                for simulation, read, command in each
+            ]
+        )
+
+    def without_history_n(self) -> Array:
+        """(B, M) what readings have changed by since the first call, without history."""
+        if not self._tare_n.size:
+            self._tare_n = self.read_n()
+            self._left_n = np.zeros_like(self._tare_n)
+        return self._left_n
 
 
 class Breathing:
@@ -221,6 +257,8 @@ def main() -> None:
             case = {"arm": name, "friction": coefficient, "breath": breath}
             course = Course(name, coefficient, options.arms)
             case["passive"] = errors(course, course.read_n, options.loads)
+            simulated = SimulatedCourse(name, coefficient, options.arms)
+            case["simulated"] = errors(simulated, simulated.without_history_n, options.loads)
             if name == "cdsm_lab":
                 case["gentle breath"] = breathed(name, coefficient, options, _GENTLE)
                 course = Course(name, coefficient, options.arms)

@@ -79,6 +79,7 @@ CASES = (
         24,
         8,
         {
+            "simulated beside (shipped)": "cdsm_friction_simulated",
             "temporal (shipped)": "cdsm_friction",
             "statics of the arm without friction": "cdsm",
         },

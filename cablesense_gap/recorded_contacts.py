@@ -175,22 +175,25 @@ def contact_errors(
     )
 
 
-def without_history_n(recording: Recording, tare_n: Array, simulation: HistorySimulation) -> Array:
-    """(R, M) tension differences from tares (R, M) as they would be without the arm's history.
+def without_history_n(
+    recording: Recording, tare_n: Array, simulation: HistorySimulation
+) -> tuple[Array, Array]:
+    """Tension differences (R, M) from tares (R, M) as they would be without the arm's history.
 
-    NaN where there is no tare.
+    NaN where there is no tare. Beside them the deviation (R, 2) of the load, along and across.
     """
     tare_n = tares_from_before(recording, tare_n)
     tared = np.asarray(np.isfinite(tare_n).all(axis=1))
     simulation.forget()
-    found = recording.tensions_n - tare_n
+    found, deviation_n = recording.tensions_n - tare_n, np.zeros((len(recording), 2))
     for row, command_rad in enumerate(recording.command_rad):
         time_s = float(recording.time_s[row])
         if not (tared[row] and row and (tare_n[row] == tare_n[row - 1]).all()):
             simulation.unloaded(time_s, command_rad)
         if tared[row]:
             found[row] = simulation.without_n(found[row], time_s, command_rad)
-    return found
+            deviation_n[row] = simulation.deviation_n
+    return found, deviation_n
 
 
 def _along(recording: Recording, tare_n: Array, estimator: SequenceEstimator) -> ContactAnswer:

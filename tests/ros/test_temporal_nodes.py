@@ -91,3 +91,29 @@ def test_under_friction_it_says_what_may_act_unseen():
     codes = [node.stop() for node in nodes]
     graph.close()
     assert codes == [0, 0], [node.log for node in nodes]
+
+
+def test_a_push_under_friction_is_known_as_it_falls():
+    graph = Graph()
+    settings = {"arm": "cdsm_friction"}
+    nodes = [
+        NodeProcess("cablesense_ros.sim_node", **settings),
+        NodeProcess("cablesense_ros.estimator_node", model="cdsm_friction_simulated", **settings),
+    ]
+    graph.until(lambda: "tare taken" in nodes[1].log, "the tare")
+    for size_n in (60.0, 20.0):
+        graph.push(3, (0.0, size_n, 0.0))
+
+        def known(pushed_n: float = size_n) -> bool:
+            found = [w for w in graph.wrenches[-5:] if w.header.frame_id == "segment_3"]
+            sizes = [np.linalg.norm(force(wrench)) for wrench in found]
+            return len(sizes) == 5 and all(abs(size - pushed_n) < 2.0 for size in sizes)
+
+        graph.until(known, f"{size_n} N")
+    graph.push(3, (0.0, 0.0, 0.0))
+    graph.until(
+        lambda: not any(any(force(wrench)) for wrench in graph.wrenches[-5:]), "the release"
+    )
+    codes = [node.stop() for node in nodes]
+    graph.close()
+    assert codes == [0, 0], [node.log for node in nodes]

@@ -28,7 +28,7 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import EffectEntry, actuations, amended, sensings
 from cablesense_sim.effects.sensor_drift import SensorDrift
-from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m
+from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.inference.estimator import (
@@ -49,6 +49,8 @@ noise alone, with twelve cables."""
 _RELEASED = 12.0
 """By how much a load has to lower the squared misfit, times what no load explains of it, to last:
 chance alone lowers it by so much once in 400 samples, with two components of a force."""
+_LEAST_SHARE = 0.01
+"""Of a force that is there: what its interval begins at, at least."""
 _PROBE_N = 0.3
 """Of the numeric derivative by the force."""
 _LIKELY_STEP_N = 20.0
@@ -158,7 +160,9 @@ class HistorySimulation:
     """
 
     def __init__(self, arm: Arm, tare_samples: int) -> None:
-        self._arm, self._mechanism = remembered(arm), mechanism_of(arm)
+        self._arm = remembered(arm)
+        self._mechanism = amended(mechanism_of(arm), entries_of(arm))
+        self._predicted_at_rad, self._latest_n = np.zeros(0), np.zeros(0)
         self._noise_n = difference_variance_n2(arm.sensors, tare_samples) ** 0.5
         self.forget()
 
@@ -183,16 +187,23 @@ class HistorySimulation:
         if not np.isfinite([bias, plain]).all():
             self.forget()
             raise EquilibriumError("the arm with its history has no rest at this command")
-        self._bias_n, self._none_n = bias, bias - plain
+        self._bias_n, self._none_n = bias - self._predicted_n(command_rad), bias - plain
         self._history_n = np.zeros_like(bias)
 
     def without_n(self, difference_n: Array, time_s: float, command_rad: Array) -> Array:
-        """What a difference (M,) of readings would be without history, at a command (2N,)."""
+        """What a difference (M,) of readings would be without history, at a command (2N,).
+
+        Differences count from the tare, and follow commands as unloaded tensions at rest do.
+
+        Raises:
+            EquilibriumError: the arm has no rest there.
+        """
         if self._bias_n is None:
             self.unloaded(time_s, command_rad)
         assert self._bias_n is not None
         self._axes = kinematics.segment_rotations(self._mechanism, command_rad)[:, :, 1:]
-        self._now = time_s, command_rad, self._bias_n + self._unexplained_n + difference_n
+        unloaded_n = self._bias_n + self._predicted_n(command_rad)
+        self._now = time_s, command_rad, unloaded_n + self._unexplained_n + difference_n
         load = self._explanation()
         forces = self._forces_n(load)
         arms, plain = self._arms.branched(), self._plain.branched()
@@ -210,6 +221,11 @@ class HistorySimulation:
         return self._history_n
 
     @property
+    def touched(self) -> bool:
+        """Whether the readings of the last sample call for a load."""
+        return self._load.segment > 0
+
+    @property
     def deviation_n(self) -> tuple[float, float]:
         """Of the load, along it and across it: from what sticks readings tell little or nothing.
 
@@ -225,6 +241,18 @@ class HistorySimulation:
         across = np.array([-along[1], along[0]])
         n_along, n_across = (float(np.sqrt(n @ covariance @ n)) for n in (along, across))
         return n_along, n_across
+
+    def _predicted_n(self, command_rad: Array) -> Array:
+        """(M,) unloaded tensions at rest at a command, by which differences follow the commands.
+
+        Raises:
+            EquilibriumError: the arm has no rest there.
+        """
+        if not np.array_equal(command_rad, self._predicted_at_rad):
+            held_m = held_lengths_m(mechanism_of(self._arm), command_rad)
+            found = solve_equilibrium(self._mechanism, command_rad, held_m=held_m)
+            self._predicted_at_rad, self._latest_n = command_rad.copy(), found.tensions_n
+        return self._latest_n
 
     def _explanation(self) -> _Load:
         """No load where that explains the readings, then the one before, then the likeliest."""
@@ -372,8 +400,11 @@ class HistoryEstimator(SequenceEstimator):
         along_n, across_n = self._simulation.deviation_n
         turned_deg = np.rad2deg(across_n / max(float(magnitude_n), 1e-9))
         std_n = np.hypot(std_n, along_n)
-        ends_n = magnitude_n + NORMAL_95 * std_n * np.array([-1.0, 1.0])
-        answers[3:] = std_n, np.hypot(angle_std_deg, turned_deg), np.maximum(ends_n, 0.0)
+        low_n, high_n = magnitude_n + NORMAL_95 * std_n * np.array([-1.0, 1.0])
+        # one that the readings call for is not nothing, however uncertain its size
+        low_n = max(low_n, _LEAST_SHARE * magnitude_n) if self._simulation.touched else 0.0
+        interval_n = np.array([low_n, high_n])
+        answers[3:] = std_n, np.hypot(angle_std_deg, turned_deg), interval_n
         return Estimate.of_outputs(answers)
 
 

@@ -26,6 +26,7 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import actuations, amended, sensings, transmissions
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
+from cablesense_sim.load_capacity import contact_range_n
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.history import sensed_along_n
@@ -42,7 +43,8 @@ from cablesense_training.networks.layers import (
 from cablesense_training.networks.second_order import SecondOrderClosedForm
 from cablesense_training.networks.single_contact import SingleContactNetwork
 
-_JUDGED_SAMPLES = 256
+_JUDGED_SAMPLES, _BORNE_BENT = 256, 0.5
+"""How many contacts spread is judged on, and up to which share of what the straight arm bears."""
 _LEAST_CORRECTIONS_OF_ANOTHER_GEOMETRY = 2
 
 
@@ -92,7 +94,11 @@ def unexplained_variance_n2(arm: Arm) -> float:
     entries = entries_of(arm)
     if not (actuations([entries]) or transmissions([entries]) or sensings([entries])):
         return 0.0
-    drawn = draw_dataset(arm, SingleContact(samples=_JUDGED_SAMPLES, pose="random", noise=False))
+    force_high_n = _BORNE_BENT * contact_range_n(arm)
+    protocol = SingleContact(
+        samples=_JUDGED_SAMPLES, pose="random", force_high_n=force_high_n, noise=False
+    )
+    drawn = draw_dataset(arm, protocol)
     nominal = mechanism_of(arm)
     mechanism, held = amended(nominal, entries), held_lengths_m(nominal, drawn.command_rad)
     loaded, unloaded = (
