@@ -21,6 +21,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_base.progress import progress_bar
@@ -35,7 +36,7 @@ from cablesense_training.evaluation.metrics import (
     sequence_metrics,
     unsettled,
 )
-from cablesense_training.inference.estimator import Estimates
+from cablesense_training.inference.estimator import Estimates, SequenceEstimator
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.temporal_estimator import open_estimator
 
@@ -130,6 +131,11 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: Axes) -> dict
         answer = ContactAnswer.of(found)
         metrics[name] = _plain(sequence_metrics(answer, sequences))
         metrics[name]["intervals95"] = _intervals(found, sequences)
+        followed = _moved_before(sequences)
+        if sequences.arm.effects and isinstance(estimator, SequenceEstimator) and followed.any():
+            told = answer.select(np.repeat(followed, sequences.segment.shape[1]))
+            part = _plain(sequence_metrics(told, sequences.select(followed)))
+            metrics[f"{name}, where it ran before the arm moved"] = part
         if long is not None:
             metrics[name] |= _along(long, _force_error_n(sequence_answer(estimator, long), long))
         metrics[name]["trained by"] = estimator.metadata.command
@@ -155,13 +161,18 @@ def _along(long: Sequences, error_n: Array) -> dict[str, Any]:
     tenths = [float(part.mean()) for part in np.array_split(error_n, 10, axis=1)]
     along: dict[str, Any] = {"by_tenth_of_the_long_courses": tenths}
     if len(long) > 1:
-        # whether the estimator has all commands, or only those after a late start
-        moved = np.abs(long.before_rad - long.before_rad[:, -1:]).max((1, 2)) > 0.0
+        moved = _moved_before(long)
         along["of_long_courses_started"] = {
             "before the arm moved": float(error_n[moved].mean()),
             "late": float(error_n[~moved].mean()),
         }
     return along
+
+
+def _moved_before(sequences: Sequences) -> NDArray[np.bool_]:
+    """(S,) whether the estimator has all commands, and not only those after a late start."""
+    before = sequences.before_rad
+    return np.asarray(np.abs(before - before[:, -1:]).max((1, 2)) > 0.0)
 
 
 def _drawn(arm: str, protocol: MotionProtocol, seed: int, workers: int) -> Sequences:
