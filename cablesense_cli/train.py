@@ -100,7 +100,12 @@ def train(
     from cablesense_sim.arm import find_arm, load_arm
     from cablesense_training.data.parquet import read_dataset
     from cablesense_training.fit import EpochRecord
-    from cablesense_training.model_training import draw_training_data, train_model
+    from cablesense_training.inference.metadata import HISTORY_SIMULATED
+    from cablesense_training.model_training import (
+        draw_training_data,
+        train_model,
+        widened_by_history,
+    )
     from cablesense_training.recipes import adjusted, recipe_for
 
     if data is not None:
@@ -136,6 +141,9 @@ def train(
         )
     else:
         training = read_dataset(data, description)
+    after = (
+        widened_by_history(description, seed) if network == HISTORY_SIMULATED else lambda _: None
+    )
     with progress_bar(settings.epochs, shown=not json_output, what="epochs") as advance:
 
         def on_epoch(record: EpochRecord) -> None:
@@ -156,6 +164,7 @@ def train(
             settings,
             command=command_line("train", command),
             on_epoch=on_epoch,
+            on_trained=after,
         )
     if report.single is not None:
         put_simulated_limit(out)

@@ -212,19 +212,19 @@ def train_for(
 
     def widen(trained: Network | TemporalNetwork) -> None:
         assert isinstance(trained, CorrectedClosedForm)
-        known_n = np.zeros((0, 2))  # what the simulation states of each answer itself
+        unseen_n = np.zeros((0, 2))  # what the simulation states of each answer itself
 
         def answering(taken: Recording, tare_n: Array, rows: NDArray[np.bool_]) -> ContactAnswer:
-            nonlocal known_n
-            difference_n, deviation_n = taken.tensions_n - tare_n, np.zeros((len(taken), 2))
+            nonlocal unseen_n
+            difference_n, hidden_n = taken.tensions_n - tare_n, np.zeros((len(taken), 2))
             if isinstance(trained, UnlaggedClosedForm):
                 tare_n = tares_from_before(taken, tare_n)
                 difference_n = taken.tensions_n - tare_n
                 difference_n = trained.undone_n(difference_n, tare_n, taken.time_s)
             elif network == HISTORY_SIMULATED:
                 simulation = HistorySimulation(arm, metadata.tare_samples)
-                difference_n, deviation_n = without_history_n(taken, tare_n, simulation)
-            known_n = deviation_n[rows]
+                difference_n, hidden_n = without_history_n(taken, tare_n, simulation)
+            unseen_n = hidden_n[rows]
             return contact_answer(trained, difference_n[rows], taken.command_rad[rows])
 
         errors = contact_errors(recording, arm, answering)
@@ -234,10 +234,10 @@ def train_for(
         if not found.any():  # no error to widen by; such a model is then judged and not used
             return
         stated = errors.answer.magnitude_std_n, errors.answer.angle_std_deg
-        known_n[:, 1] = np.rad2deg(known_n[:, 1] / np.maximum(errors.answer.magnitude_n, 1e-9))
+        unseen_n[:, 1] = np.rad2deg(unseen_n[:, 1] / np.maximum(errors.answer.magnitude_n, 1e-9))
         for k, (error, std) in enumerate(zip((off, turned), stated, strict=True)):
-            unstated = np.maximum((error / NORMAL_95) ** 2 - known_n[:, k] ** 2, 0.0) ** 0.5
-            ratio = unstated[found] / std[found]
+            beyond = np.maximum(error**2 - unseen_n[:, k] ** 2, 0.0) ** 0.5
+            ratio = beyond[found] / (NORMAL_95 * std[found])
             trained.spread.factor[k] *= max(1.0, float(np.quantile(ratio, 0.95)))
 
     train_model(

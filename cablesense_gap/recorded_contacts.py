@@ -180,20 +180,21 @@ def without_history_n(
 ) -> tuple[Array, Array]:
     """Tension differences (R, M) from tares (R, M) as they would be without the arm's history.
 
-    NaN where there is no tare. Beside them the deviation (R, 2) of the load, along and across.
+    NaN where there is no tare. Beside them what may be hidden (R, 2) of the load, N, along it and
+    across it.
     """
     tare_n = tares_from_before(recording, tare_n)
     tared = np.asarray(np.isfinite(tare_n).all(axis=1))
     simulation.forget()
-    found, deviation_n = recording.tensions_n - tare_n, np.zeros((len(recording), 2))
+    found, hidden_n = recording.tensions_n - tare_n, np.zeros((len(recording), 2))
     for row, command_rad in enumerate(recording.command_rad):
         time_s = float(recording.time_s[row])
         if not (tared[row] and row and (tare_n[row] == tare_n[row - 1]).all()):
             simulation.unloaded(time_s, command_rad)
         if tared[row]:
             found[row] = simulation.without_n(found[row], time_s, command_rad)
-            deviation_n[row] = simulation.deviation_n
-    return found, deviation_n
+            hidden_n[row] = simulation.hidden_n
+    return found, hidden_n
 
 
 def _along(recording: Recording, tare_n: Array, estimator: SequenceEstimator) -> ContactAnswer:

@@ -39,6 +39,8 @@ from cablesense_training.evaluation.metrics import (
 from cablesense_training.export import export_model
 from cablesense_training.fit import ROWS_AT_ONCE, FitHistory, FitSettings, OnEpoch, fit
 from cablesense_training.fit_sequences import SequenceFitSettings, fit_sequences
+from cablesense_training.inference.estimator import NORMAL_95
+from cablesense_training.inference.history_simulation import HistorySimulation
 from cablesense_training.inference.metadata import (
     SEQUENCE_UNITS,
     UNITS,
@@ -47,6 +49,7 @@ from cablesense_training.inference.metadata import (
 )
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
 from cablesense_training.networks import MultiContactNetwork, Network, SingleContactNetwork
+from cablesense_training.networks.corrected import CorrectedClosedForm
 from cablesense_training.networks.temporal import TemporalNetwork
 from cablesense_training.networks.unlagged import (
     UnlaggedClosedForm,
@@ -58,6 +61,9 @@ TEST_SAMPLES = 20_000
 TEST_SHARE_OF_SEQUENCES = 0.125
 TEST_SEED_OFFSET = 1_000_000
 """Test data follow the protocol of the training data, with its seed plus this."""
+
+_JUDGED_SEQUENCES = 12
+"""From which intervals behind a simulation of history are found."""
 
 WEAKEST_JUDGED_N = 5.0
 """Multi-contact recognition is also reported for contacts of at least this force."""
@@ -237,6 +243,31 @@ def train_model(
         errors = _sample_errors(built, _as_undone(tested, data.arm, name))
         export_model(built, path, metadata)
     return TrainingReport(path, name, parameters, history, **errors)
+
+
+def widened_by_history(arm: Arm, seed: int) -> Callable[[Network | TemporalNetwork], None]:
+    """For `train_model`: widens a network's intervals until they hold the forces of sequences.
+
+    Behind a simulation of its history an arm is known as well as its friction tells, which no
+    network learns from samples without history. Forces are those of fresh sequences.
+    """
+
+    def widen(trained: Network | TemporalNetwork) -> None:
+        assert isinstance(trained, CorrectedClosedForm)
+        protocol = MotionProtocol(sequences=_JUDGED_SEQUENCES)
+        sequences = draw_sequences(arm, protocol, seed + TEST_SEED_OFFSET)
+        simulation = HistorySimulation(arm, protocol.tare_samples)
+        left_n, hidden_n = simulation.along_n(sequences)
+        flat = sequences.joint_command_rad.reshape(-1, arm.joint_count)
+        answer = contact_answer(trained, left_n.reshape(-1, arm.cable_count), flat)
+        truth = ContactTruth.of(sequences)
+        found = (truth.segment > 0) & (truth.segment == answer.segment)
+        error_n = np.abs(truth.magnitude_n - answer.magnitude_n)[found]
+        beyond_n = np.sqrt(np.maximum(error_n**2 - hidden_n.ravel()[found] ** 2, 0.0))
+        ratio = beyond_n / (NORMAL_95 * answer.magnitude_std_n[found])
+        trained.spread.factor *= max(1.0, float(np.quantile(ratio, 0.95)))
+
+    return widen
 
 
 def _sample_errors(network: Network, test: Dataset) -> dict[str, Any]:

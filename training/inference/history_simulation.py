@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -40,6 +40,9 @@ from cablesense_training.inference.estimator import (
 )
 from cablesense_training.inference.session import ModelSession
 
+if TYPE_CHECKING:
+    from cablesense_training.data.sequences import Sequences
+
 _TICK_S = 0.05
 """Samples that come sooner after a simulated one are answered with its history."""
 _OFF = 3.5
@@ -49,6 +52,10 @@ noise alone, with twelve cables."""
 _RELEASED = 12.0
 """By how much a load has to lower the squared misfit, times what no load explains of it, to last:
 chance alone lowers it by so much once in 400 samples, with two components of a force."""
+_HIDDEN = 4.0
+"""By how much a change of the load raises the squared misfit, times what no load explains of it,
+where it shows with 95 %."""
+_WIDENED, _LEAST_HIDDEN_N, _MOST_HIDDEN_N = 2, 0.01, 100.0
 _LEAST_SHARE = 0.01
 """Of a force that is there: what its interval begins at, at least."""
 _PROBE_N = 0.3
@@ -133,19 +140,11 @@ class _Copies:
 
 
 class _Load(NamedTuple):
-    """A force on a segment, 0 for none, and how well it explains readings.
-
-    Attributes:
-        segment: its number.
-        force_n: components (2,) along the segment's y and z.
-        misfit: squared, in deviations of the readings.
-        information_n2: (2, 2) of the force in the readings, 1/N².
-    """
+    """A force on a segment, 0 for none: components (2,) along y and z, and its squared misfit."""
 
     segment: int
     force_n: Array
     misfit: float = np.inf
-    information_n2: Array = np.zeros((2, 2))
 
 
 _NOTHING = _Load(0, np.zeros(2))
@@ -171,6 +170,8 @@ class HistorySimulation:
         self._arms, self._plain = _Copies(self._arm, 4), _Copies(without_history(self._arm), 1)
         self._load, self._usual = _NOTHING, 0.0
         self._history_n = self._none_n = np.zeros(self._arm.cable_count)
+        self._hidden_n = np.full((self._arm.segment_count, 4), _PROBE_N)  # ahead, back, aside
+        self._asked = 0
         self._bias_n: Array | None = None
 
     def unloaded(self, time_s: float, command_rad: Array) -> None:
@@ -205,6 +206,7 @@ class HistorySimulation:
         unloaded_n = self._bias_n + self._predicted_n(command_rad)
         self._now = time_s, command_rad, unloaded_n + self._unexplained_n + difference_n
         load = self._explanation()
+        self._look_for_hidden(load)
         forces = self._forces_n(load)
         arms, plain = self._arms.branched(), self._plain.branched()
         read = arms.readings_n(time_s, command_rad, forces)[0]
@@ -214,6 +216,28 @@ class HistorySimulation:
             self._history_n = read - read_plain - self._none_n
             self._unexplained_n = self._unexplained_n - _ABSORBED * (self._now[2] - read)
         return difference_n - self._history_n
+
+    def along_n(self, sequences: Sequences) -> tuple[Array, Array]:
+        """What differences (S, T, M) would be without history, and what is hidden (S, T), N."""
+        left_n = np.empty_like(sequences.tension_difference_n)
+        hidden_n = np.empty(left_n.shape[:2])
+        tick_s, every = (
+            sequences.protocol.tick_s,
+            max(1, round(_TICK_S / sequences.protocol.tick_s)),
+        )
+        for number, differences_n in enumerate(sequences.tension_difference_n):
+            self.forget()
+            before = sequences.before_rad[number]
+            for tick, command_rad in enumerate(before, start=-len(before)):
+                self.unloaded(tick * tick_s, command_rad)
+            commands = sequences.joint_command_rad[number]
+            self.unloaded(0.0, commands[0])
+            for tick, command_rad in enumerate(commands):
+                if tick % every == 0:
+                    self.without_n(differences_n[tick], tick * tick_s, command_rad)
+                left_n[number, tick] = differences_n[tick] - self._history_n
+                hidden_n[number, tick] = self.hidden_n[0]
+        return left_n, hidden_n
 
     @property
     def history_n(self) -> Array:
@@ -226,21 +250,15 @@ class HistorySimulation:
         return self._load.segment > 0
 
     @property
-    def deviation_n(self) -> tuple[float, float]:
-        """Of the load, along it and across it: from what sticks readings tell little or nothing.
+    def hidden_n(self) -> tuple[float, float]:
+        """By how much the load may be off along it and across it, with 95 %, unseen in readings.
 
-        Zero where there is no load.
+        Where there is none: what may act unseen on the segment that shows least, and zero.
         """
-        load = self._load
-        if not load.segment:
-            return 0.0, 0.0
-        beyond_noise = max(1.0, load.misfit / self._arm.cable_count)
-        least = np.eye(2) / _LIKELY_STEP_N**2
-        covariance = beyond_noise * np.linalg.inv(load.information_n2 + least)
-        along = load.force_n / max(float(np.linalg.norm(load.force_n)), 1e-9)
-        across = np.array([-along[1], along[0]])
-        n_along, n_across = (float(np.sqrt(n @ covariance @ n)) for n in (along, across))
-        return n_along, n_across
+        if not self._load.segment:
+            return float(self._hidden_n.max()), 0.0
+        along, across = self._hidden_n[self._load.segment - 1].reshape(2, 2).max(axis=1)
+        return float(along), float(across)
 
     def _predicted_n(self, command_rad: Array) -> Array:
         """(M,) unloaded tensions at rest at a command, by which differences follow the commands.
@@ -265,7 +283,7 @@ class HistorySimulation:
             self._usual = 0.0
             return none
         enough = max(by_noise, self._usual + _OFF * np.sqrt(2.0 * count + 4.0 * self._usual))
-        found = self._judged(before, tried) if before.segment else none
+        found = before._replace(misfit=self._misfit(tried[0])) if before.segment else none
         if found.misfit > enough and before.segment:
             found = self._fitted(before)
             self._usual = min(self._usual, found.misfit)
@@ -288,16 +306,16 @@ class HistorySimulation:
         for _ in range(_MOST_STEPS):
             tried = self._tried(best._replace(force_n=force))
             moved = (force - start.force_n) / _LIKELY_STEP_N
-            judged = self._judged(best._replace(force_n=force), tried)
-            misfit = judged.misfit + float(moved @ moved)
+            misfit = self._misfit(tried[0]) + float(moved @ moved)
             gain = best.misfit - misfit
             if gain > 0.0:
-                best, damping = judged._replace(misfit=misfit), 0.3 * damping
-                if gain < 0.5:
+                best, damping = best._replace(force_n=force, misfit=misfit), 0.3 * damping
+                jacobian = (tried[1:3] - tried[0]).T / (_PROBE_N * self._noise_n)
+                if gain < 0.5 or not np.isfinite(jacobian).all():
                     break
                 residual = (self._now[2] - tried[0]) / self._noise_n
-                normal = judged.information_n2
-                slope = self._jacobian(tried).T @ residual - moved / _LIKELY_STEP_N
+                normal = jacobian.T @ jacobian
+                slope = jacobian.T @ residual - moved / _LIKELY_STEP_N
             elif not np.isfinite(best.misfit):
                 break
             else:
@@ -317,15 +335,29 @@ class HistorySimulation:
             time_s, command_rad, self._forces_n(load, _PROBE_N)
         )
 
-    def _judged(self, load: _Load, tried: Array) -> _Load:
-        """The load with what its readings `tried` say of it."""
-        jacobian = self._jacobian(tried)
-        misfit = self._misfit(tried[0]) if np.isfinite(jacobian).all() else np.inf
-        return load._replace(misfit=misfit, information_n2=jacobian.T @ jacobian)
+    def _look_for_hidden(self, load: _Load) -> None:
+        """Widen or narrow the changes of a load up to which readings are explained as well.
 
-    def _jacobian(self, tried: Array) -> Array:
-        """(M, 2) of readings by the force, in deviations."""
-        return np.asarray((tried[1:3] - tried[0]).T / (_PROBE_N * self._noise_n))
+        Of no load, those of one segment after another, sample by sample.
+        """
+        time_s, command_rad, _ = self._now
+        limit = load.misfit + _HIDDEN * max(1.0, load.misfit / self._arm.cable_count)
+        self._asked = load.segment or self._asked % self._arm.segment_count + 1
+        along = np.array([1.0, 0.0])
+        if load.segment:
+            along = load.force_n / max(float(np.linalg.norm(load.force_n)), 1e-9)
+        across = np.array([-along[1], along[0]])
+        ways = np.array([along, -along, across, -across])
+        for _ in range(_WIDENED):
+            width_n = self._hidden_n[self._asked - 1]
+            forces = np.zeros((4, self._arm.segment_count, 3))
+            each = load.force_n + width_n[:, None] * ways
+            forces[:, self._asked - 1] = each @ self._axes[self._asked - 1].T
+            read = self._arms.branched().readings_n(time_s, command_rad, forces)
+            unseen = np.array([self._misfit(each) <= limit for each in read])
+            self._hidden_n[self._asked - 1] = np.clip(
+                np.where(unseen, 2.0, 0.5) * width_n, _LEAST_HIDDEN_N, _MOST_HIDDEN_N
+            )
 
     def _misfit(self, reading_n: Array) -> float:
         off = (self._now[2] - reading_n) / self._noise_n
@@ -397,14 +429,14 @@ class HistoryEstimator(SequenceEstimator):
             left_n = difference_n - self._simulation.history_n
         answers = [each[0] for each in self._answers(left_n, command_rad)]
         _, _, magnitude_n, std_n, angle_std_deg = answers
-        along_n, across_n = self._simulation.deviation_n
+        along_n, across_n = self._simulation.hidden_n
         turned_deg = np.rad2deg(across_n / max(float(magnitude_n), 1e-9))
-        std_n = np.hypot(std_n, along_n)
-        low_n, high_n = magnitude_n + NORMAL_95 * std_n * np.array([-1.0, 1.0])
+        half_n = float(np.hypot(NORMAL_95 * std_n, along_n))
         # one that the readings call for is not nothing, however uncertain its size
-        low_n = max(low_n, _LEAST_SHARE * magnitude_n) if self._simulation.touched else 0.0
-        interval_n = np.array([low_n, high_n])
-        answers[3:] = std_n, np.hypot(angle_std_deg, turned_deg), interval_n
+        low_n = max(magnitude_n - half_n, _LEAST_SHARE * magnitude_n)
+        interval_n = (low_n, magnitude_n + half_n) if self._simulation.touched else (0.0, half_n)
+        std_deg = np.hypot(angle_std_deg, turned_deg / NORMAL_95)
+        answers[3:] = np.array(half_n / NORMAL_95), std_deg, np.array(interval_n)
         return Estimate.of_outputs(answers)
 
 
