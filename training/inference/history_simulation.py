@@ -56,8 +56,6 @@ _HIDDEN = 4.0
 """By how much a change of the load raises the squared misfit, times what no load explains of it,
 where it shows with 95 %."""
 _WIDENED, _LEAST_HIDDEN_N, _MOST_HIDDEN_N = 2, 0.01, 100.0
-_LEAST_SHARE = 0.01
-"""Of a force that is there: what its interval begins at, at least."""
 _PROBE_N = 0.3
 """Of the numeric derivative by the force."""
 _LIKELY_STEP_N = 20.0
@@ -432,8 +430,7 @@ class HistoryEstimator(SequenceEstimator):
         along_n, across_n = self._simulation.hidden_n
         turned_deg = np.rad2deg(across_n / max(float(magnitude_n), 1e-9))
         half_n = float(np.hypot(NORMAL_95 * std_n, along_n))
-        # one that the readings call for is not nothing, however uncertain its size
-        low_n = max(magnitude_n - half_n, _LEAST_SHARE * magnitude_n)
+        low_n = max(0.0, float(magnitude_n) - half_n)
         interval_n = (low_n, magnitude_n + half_n) if self._simulation.touched else (0.0, half_n)
         std_deg = np.hypot(angle_std_deg, turned_deg / NORMAL_95)
         answers[3:] = np.array(half_n / NORMAL_95), std_deg, np.array(interval_n)
