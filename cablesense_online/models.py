@@ -206,9 +206,9 @@ class HistoryDependentModel(ContactModel):
     def decide(
         self, estimate: Any, threshold: float, contact_m: Sequence[float]
     ) -> tuple[Contact, ...]:
-        """See `ContactModel`; there is none where the force's interval begins at zero."""
+        """See `ContactModel`; there is none where the estimator answers none."""
         contacts = super().decide(estimate, threshold, contact_m)
-        return contacts if estimate.low_n > 0.0 else ()
+        return contacts if estimate.segment else ()
 
     def tared(self) -> None:
         """The estimator gets tensions since the tare, as in training."""

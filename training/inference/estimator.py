@@ -44,7 +44,7 @@ class Estimate(NamedTuple):
         magnitude_n: force; what it would be where `segment` is 0 and the caller thinks otherwise.
         magnitude_std_n, angle_std_deg: stated standard deviations.
         low_n, high_n: between which the force lies with 95 %, where there is a contact. A
-            history-dependent model answers one only where this does not begin at 0.
+            recurrent model answers one only where this does not begin at 0.
     """
 
     probabilities: Array

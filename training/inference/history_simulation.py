@@ -406,6 +406,9 @@ class HistoryEstimator(SequenceEstimator):
     ) -> Estimate:
         """See the base class; speeds and accelerations do not count, as the arm goes by rests.
 
+        A contact is answered where the readings call for a load, however uncertain its size: its
+        interval may begin at nothing. Elsewhere the interval ends at what may act unseen.
+
         Where the time runs back by over a tick, the past ends and the arm counts as unloaded.
 
         Raises:
@@ -426,15 +429,18 @@ class HistoryEstimator(SequenceEstimator):
         else:
             left_n = difference_n - self._simulation.history_n
         answers = [each[0] for each in self._answers(left_n, command_rad)]
-        _, _, magnitude_n, std_n, angle_std_deg = answers
-        along_n, across_n = self._simulation.hidden_n
-        turned_deg = np.rad2deg(across_n / max(float(magnitude_n), 1e-9))
-        half_n = float(np.hypot(NORMAL_95 * std_n, along_n))
-        low_n = max(0.0, float(magnitude_n) - half_n)
-        interval_n = (low_n, magnitude_n + half_n) if self._simulation.touched else (0.0, half_n)
-        std_deg = np.hypot(angle_std_deg, turned_deg / NORMAL_95)
-        answers[3:] = np.array(half_n / NORMAL_95), std_deg, np.array(interval_n)
-        return Estimate.of_outputs(answers)
+        left = Estimate.of_outputs(answers)
+        touched, (along_n, across_n) = self._simulation.touched, self._simulation.hidden_n
+        half_n = float(np.hypot(NORMAL_95 * left.magnitude_std_n, along_n))
+        middle_n = left.magnitude_n if touched else 0.0
+        turned_deg = np.rad2deg(across_n / max(left.magnitude_n, 1e-9)) / NORMAL_95
+        return left._replace(
+            segment=1 + int(left.probabilities[1:].argmax()) if touched else 0,
+            magnitude_std_n=half_n / NORMAL_95,
+            angle_std_deg=float(np.hypot(left.angle_std_deg, turned_deg)),
+            low_n=max(0.0, middle_n - half_n),
+            high_n=middle_n + half_n,
+        )
 
 
 def _softened(entry: EffectEntry, mechanism: Mechanism) -> EffectEntry:
