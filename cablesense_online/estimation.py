@@ -387,7 +387,7 @@ class Estimation:
         dropped = False
         if np.array_equal(command_rad, self.gate.command_rad):
             if self._pose_assumed:
-                self._events.note(EventKind.POSE_CONFIRMED)
+                self._events.note(EventKind.POSE_CONFIRMED, command_rad)
         elif self.gate.follows(command_rad):
             self.gate.command(command_rad)
             self._model.command(command_rad)

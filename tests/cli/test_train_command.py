@@ -98,7 +98,7 @@ def test_the_command_names_what_was_chosen_and_quotes_it():
 def test_a_network_for_sequences_draws_them_itself(tmp_path, monkeypatch):
     asked = {}
 
-    def train_nothing(path, network, data, settings, *, command, on_epoch):
+    def train_nothing(path, network, data, settings, *, command, **_):
         asked.update(data, network=network, epochs=settings.epochs, command=command)
         raise TrainingError("enough")
 

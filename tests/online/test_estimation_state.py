@@ -156,6 +156,17 @@ def test_a_tare_before_any_command_is_dropped_after_a_restart_too(confirmed):
     assert again.estimation.tares.automatic is not confirmed
 
 
+def test_the_command_that_confirms_a_pose_is_told_from_one_right_behind_it():
+    feed = Feed(tare_deviation_n=2.0).tared()
+    feed.sample()
+    feed.command(np.zeros(8))
+    feed.command(np.full(8, 0.1))
+    assert feed.sample().state.events == (
+        Event(EventKind.POSE_CONFIRMED, (0.0,) * 8),
+        Event(EventKind.COMMAND, (0.1,) * 8),
+    )
+
+
 def test_a_state_has_the_tare_once_there_is_one():
     feed = Feed()
     first = feed.sample().state
