@@ -103,7 +103,14 @@ def channel_findings(
         if swapped:  # other findings would be of the wrong channels
             return [*findings, *swapped]
     findings += _stuck(compared, numbers, nominal_n, moved_n)
-    return [*findings, *_foreign(own, expected, arm)] if len(cables) >= 2 else findings
+    if len(cables) < 2:
+        return findings
+    _, pose = np.unique(compared.command_rad, axis=0, return_inverse=True)
+    responses_n = [(own, expected)]
+    of_loads = _less_means(own, pose), _less_means(expected, pose)
+    if (np.ptp(of_loads[1], axis=0) > moved_n).all():
+        responses_n.append(of_loads)
+    return [*findings, *_foreign(responses_n, arm)]
 
 
 def unborne_findings(unborne: NDArray[np.bool_], arm: Arm) -> list[Finding]:
@@ -237,22 +244,41 @@ def _swapped(own: Array, predicted: Array, cables: NDArray[np.int64]) -> Iterato
         )
 
 
-def _foreign(own: Array, predicted: Array, arm: Arm) -> Iterator[Finding]:
-    """Tensions of another arm, or in another unit; as `_swapped`."""
-    product, power = (own * predicted).sum(axis=0), (predicted**2).sum(axis=0)
-    correlation = np.median(product / np.sqrt((own**2).sum(axis=0) * power))
-    if correlation < _LEAST_CORRELATION:
-        yield _refuse(
-            "arm",
-            f"the tensions do not follow loads and poses as arm {arm.name} does (correlation "
-            f"{correlation:.2f}); give the arm file of this arm, and see that axes and signs of "
-            "loads and joints are those of the base frame",
-        )
-        return
-    scale = np.median(product / power)
-    if not _SCALES[0] <= scale <= _SCALES[1]:
-        yield _refuse(
-            "unit",
-            f"the tensions answer {scale:.3g} times as much as those of arm {arm.name}; they and "
-            "the loads must be in N",
-        )
+def _foreign(responses_n: list[tuple[Array, Array]], arm: Arm) -> list[Finding]:
+    """Tensions of another arm, or in another unit, if no pair of `responses_n` is of this one.
+
+    A pair is what is read and what is predicted (R, C), less means. Springs in joints outweigh the
+    rest of a recording over poses, and friction hides loads, but neither does both.
+    """
+    found = []
+    for read, predicted in responses_n:
+        product, power = (read * predicted).sum(axis=0), (predicted**2).sum(axis=0)
+        correlation = np.median(product / np.sqrt((read**2).sum(axis=0) * power))
+        scale = np.median(product / power)
+        if correlation < _LEAST_CORRELATION:
+            found.append(
+                _refuse(
+                    "arm",
+                    f"the tensions do not follow loads and poses as arm {arm.name} does "
+                    f"(correlation {correlation:.2f}); give the arm file of this arm, and see "
+                    "that axes and signs of loads and joints are those of the base frame",
+                )
+            )
+        elif not _SCALES[0] <= scale <= _SCALES[1]:
+            found.append(
+                _refuse(
+                    "unit",
+                    f"the tensions answer {scale:.3g} times as much as those of arm {arm.name}; "
+                    "they and the loads must be in N",
+                )
+            )
+        else:
+            return []
+    return found[:1]
+
+
+def _less_means(values: Array, group: NDArray[np.int64]) -> Array:
+    """`values` (R, C) less the mean of their group (R,)."""
+    sums = np.zeros((group.max() + 1, values.shape[1]))
+    np.add.at(sums, group, values)
+    return values - (sums / np.bincount(group)[:, None])[group]

@@ -192,6 +192,18 @@ def test_another_arm_and_other_units_are_refused():
         assert of_kind(found, kind), found
 
 
+def test_springs_that_outweigh_all_else_over_poses_are_not_taken_for_another_arm():
+    """The arm still answers loads as its file says."""
+    springs = replace(MECHANISM, joint_stiffness_n_m_rad=MECHANISM.joint_stiffness_n_m_rad + 15.0)
+    tensions = tensions_of(springs, BARE)
+    over_poses = np.corrcoef(
+        (tensions - tensions.mean(0)).ravel(), (NOMINAL - NOMINAL.mean(0)).ravel()
+    )
+    assert over_poses[0, 1] < 0.6
+    found = check_recording(replace(BARE, tensions_n=tensions), LAB, NOMINAL)
+    assert not refused(found), found
+
+
 def test_a_recording_at_rest_has_no_findings_of_channels():
     rest = SOUND.rows(SOUND.trial == 0)
     nominal = NOMINAL[SOUND.trial == 0]
