@@ -67,7 +67,7 @@ def _searched(path: Path) -> dict[str, object]:
         recording = read_recording(path, arm)
         simulator = ArmSimulator(arm, recording)
         problem = problem_of(recording, simulator, simulator.predict([{}])[0])
-        hypotheses = [problem.with_outliers(each) for each in search(problem)]
+        hypotheses = search(problem)
         content = {
             "floor": problem.floor,
             "effects": [h.effects for h in hypotheses],

@@ -171,8 +171,7 @@ def diagnose(
         on_finding(finding.text)
     problem = problem_of(recording, simulator, nominal, unseen)
     calibration = bundled_calibration()
-    hypotheses = [problem.with_outliers(each) for each in search(problem, progress, workers)]
-    found = posterior(hypotheses, problem.floor, calibration)
+    found = posterior(search(problem, progress, workers), problem.floor, calibration)
     ranked = named(problem, found, calibration)
     progress("describing the verdict", 0.98)
     best = ranked[0].hypothesis

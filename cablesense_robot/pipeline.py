@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -37,6 +37,8 @@ _FOLLOWS, _OTHER_UNIT = 0.8, 5.0
 _AT_ZERO = 0.002
 """Of a joint's span."""
 _STEPS, _RENAMED = 12, 3
+_FAR_OFF = 3.0
+"""Standard deviations that one tolerance among many may be off."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ def diagnose(
     comparison = simulator.comparison
     problem = problem_of(simulator)
     calibration = bundled_calibration()
-    hypotheses = [problem.with_outliers(each) for each in search(problem, progress, workers)]
+    hypotheses = [_with_outliers(problem, each) for each in search(problem, progress, workers)]
     hypotheses = with_other_names(problem, robot, hypotheses)
     found = posterior(hypotheses, problem.floor, calibration)
     ranked = named(problem, found, calibration)
@@ -181,7 +183,7 @@ def with_other_names(
         for one, other in product(names & set(of_links), set(of_links) - names):
             fitted = refit(problem, _renamed(begun, one, of_links[other]), _STEPS)
             if fitted is not None:
-                fitted = problem.with_outliers(final_refinement(problem, fitted)[0])
+                fitted = _with_outliers(problem, final_refinement(problem, fitted)[0])
                 rival = known.setdefault(fitted.effects, fitted)
                 known[fitted.effects] = min(rival, fitted, key=judged)
     return list(known.values())
@@ -193,6 +195,18 @@ def _renamed(begun: Hypothesis, one: str, other: Candidate) -> dict[Term, float]
     kept = {term: value for term, value in begun.values.items() if term.effect != one}
     new = {Term(other.effect, at, p.name): p.default for at in places for p in other.parameters}
     return kept | new
+
+
+def _with_outliers(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+    """One tolerance far off counts as all of them off would.
+
+    A robot has so many that one alone, as a delay of many samples, would not show in their sum.
+    """
+    std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
+    tolerances = hypothesis.tolerances
+    largest = max((abs(value) / std[term] for term, value in tolerances.items()), default=0.0)
+    least = len(tolerances) * (largest / _FAR_OFF) ** 4
+    return replace(hypothesis, tolerance_chi2=max(hypothesis.tolerance_chi2, least))
 
 
 def doubtful(simulator: RobotSimulator, predicted: Array) -> list[str]:

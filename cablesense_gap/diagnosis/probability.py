@@ -8,8 +8,7 @@ a factor for every effect that a hypothesis names:
 for k effects of n sizes in all,
 
 with s the sum of squares of the m tolerances in standard deviations, taken as m where it is less:
-manufacturing tolerances should not have to be many deviations off, nor one of them far
-(`Problem.with_outliers`),
+manufacturing tolerances should not have to be many deviations off,
 
 for tolerances alone, which are out where the gap is plain, with a power κ₀ of its own,
 

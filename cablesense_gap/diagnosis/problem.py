@@ -23,8 +23,6 @@ SIZE_PRIOR = 3.0
 """Sizes are expected within this many typical ones of zero (one standard deviation)."""
 
 _CHI2_POWER = 1.0 / 3.0
-_FAR_OFF = 3.0
-"""Standard deviations that one tolerance among many may be off."""
 
 
 @dataclass(frozen=True)
@@ -126,22 +124,6 @@ class Problem:
     def cost_of(self, hypothesis: Hypothesis) -> float:
         """That of what a hypothesis leaves on held-out trials."""
         return self.cost(hypothesis.held_out_rmse**2, hypothesis.tolerance_chi2)
-
-    def farthest_tolerance(self, hypothesis: Hypothesis) -> float:
-        """The largest of a hypothesis, in standard deviations."""
-        std = dict(zip(self.tolerance_terms, self.tolerance_std, strict=True))
-        off = (abs(value) / std[term] for term, value in hypothesis.tolerances.items())
-        return max(off, default=0.0)
-
-    def with_outliers(self, hypothesis: Hypothesis) -> Hypothesis:
-        """The same, where one tolerance far off counts as all of them off would.
-
-        There are so many that one alone, ten deviations off in place of a wrong sensor, would not
-        show in their sum.
-        """
-        far = self.farthest_tolerance(hypothesis) / _FAR_OFF
-        least = len(hypothesis.tolerances) * far**4
-        return replace(hypothesis, tolerance_chi2=max(hypothesis.tolerance_chi2, least))
 
 
 @dataclass(frozen=True)

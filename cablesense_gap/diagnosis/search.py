@@ -377,9 +377,14 @@ class _Search:
         rest makes up for it by a tolerance that is far off.
         """
         more = rest.held_out_rmse**2 - hypothesis.held_out_rmse**2
-        farthest = self._problem.farthest_tolerance
-        strained = farthest(rest) > max(_FAR_OFF, farthest(hypothesis))
+        strained = self._worst_tolerance(rest) > max(_FAR_OFF, self._worst_tolerance(hypothesis))
         return strained or more > (_LEAST_SHOWN * self._problem.floor) ** 2
+
+    def _worst_tolerance(self, hypothesis: Hypothesis) -> float:
+        """In standard deviations."""
+        std = dict(zip(self._problem.tolerance_terms, self._problem.tolerance_std, strict=True))
+        off = (abs(value) / std[term] for term, value in hypothesis.tolerances.items())
+        return max(off, default=0.0)
 
     def _is_resolved(self) -> bool:
         """Whether something leaves so little that nothing more has anything to do."""

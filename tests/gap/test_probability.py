@@ -125,24 +125,6 @@ def test_the_bundled_numbers_are_all_there():
     assert all(np.isfinite(values))
 
 
-@pytest.mark.parametrize(("deviations", "name"), [(1.5, ("none",)), (7.0, ("sensor",))])
-def test_one_tolerance_of_many_may_be_usual_but_not_far_off(deviations, name):
-    """A wrong sensor is not one of thirty tolerances, which the others would outvote."""
-    signals = np.random.default_rng(7).normal(size=(30, *SIGNALS.shape[1:]))
-    std, places = 0.05, tuple(map(str, range(len(signals))))
-    tolerance = {
-        Candidate("zero", places, (size("amount", std),)): lambda place, numbers: (
-            numbers["amount"] * signals[int(place)]
-        )
-    }
-    simulator = Sums(linear("sensor", "a", signals[:1]), tolerance)
-    problem = problem_of(simulator, deviations * std * signals[0])
-    hypotheses = [problem.with_outliers(each) for each in search(problem)]
-    found = posterior(hypotheses, FLOOR, BUNDLED)
-    assert found[0].effects == name
-    assert found[0].probability > 0.6
-
-
 ONE, OTHER = SIGNALS[:2]
 
 
