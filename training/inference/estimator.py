@@ -7,6 +7,7 @@ joint angles, rad.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, NamedTuple, Self
@@ -253,17 +254,18 @@ class Estimator(OpenedModel):
         self._command = command.tobytes()
 
 
-class SequenceEstimator(OpenedModel):
+class SequenceEstimator(OpenedModel, ABC):
     """A single-contact model that takes samples one after another; for one thread at a time."""
 
+    @abstractmethod
     def forget(self) -> None:
         """Begin without a past."""
-        raise NotImplementedError
 
+    @abstractmethod
     def tare(self) -> None:
         """Tension differences count from the next sample on."""
-        raise NotImplementedError
 
+    @abstractmethod
     def estimate(
         self,
         tension_difference_n: ArrayLike,
@@ -277,7 +279,6 @@ class SequenceEstimator(OpenedModel):
         Raises:
             EstimateError: a wrong shape, or numbers that are not finite.
         """
-        raise NotImplementedError
 
 
 class MultiEstimates(NamedTuple):
