@@ -121,7 +121,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "cablesense = cablesense_cli.app:main",
+            "cablesense = cablesense_ros.cli.app:main",
             "sim = cablesense_ros.sim_node:main",
             "estimator = cablesense_ros.estimator_node:main",
             "page = cablesense_ros.page_node:main",

@@ -25,10 +25,10 @@ import harness
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.plant.arm import SteppedArms, ideal_arm
-from cablesense_gap.plant.body import Friction, read_nominal
 from cablesense_online.breath_readings import BreathReadings
 from cablesense_online.breathing import SET_POINTS_A_TURN, Breath, breath_circle, tip_m
+from cablesense_plants.arm.arm import SteppedArms, ideal_arm
+from cablesense_plants.arm.body import Friction, read_nominal
 from cablesense_sim.arm import Arm, find_arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import normal_force_n

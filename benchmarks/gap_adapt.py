@@ -26,14 +26,14 @@ from rich.console import Console
 from cablesense_base.installation import config_path
 from cablesense_gap.adaptation import adapt_to, kept_apart
 from cablesense_gap.pipeline import Diagnosis, diagnose
-from cablesense_gap.plant.body import read_nominal
-from cablesense_gap.plant.protocol import Schedule
-from cablesense_gap.plant.withhold import draw_several, make_case
 from cablesense_gap.recorded_contacts import tares_n
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.scoring import proportion
+from cablesense_plants.arm.body import read_nominal
+from cablesense_plants.arm.protocol import Schedule
+from cablesense_plants.arm.withhold import draw_several, make_case
 from cablesense_sim.arm import find_arm, open_arm
 from cablesense_training.evaluation.metrics import ContactAnswer
 from cablesense_training.inference.estimator import Estimator

@@ -30,8 +30,6 @@ from rich.progress import track
 
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.pipeline import diagnose
-from cablesense_gap.plant.body import read_nominal
-from cablesense_gap.plant.withhold import Answer, draw_kinds, draw_several, withhold
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.scoring import Answer as Case
 from cablesense_gap.scoring import as_json, read_answers, score
@@ -43,6 +41,8 @@ from cablesense_gap.verdict import (
     read_verdict,
     write_verdict,
 )
+from cablesense_plants.arm.body import read_nominal
+from cablesense_plants.arm.withhold import Answer, draw_kinds, draw_several, withhold
 from cablesense_sim.arm import find_arm, open_arm
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")

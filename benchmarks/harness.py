@@ -28,7 +28,7 @@ from cablesense_base.files import write_atomically
 RESULTS = Path(__file__).parent / "results"
 CABLESENSE = [
     *(sys.executable, "-c"),
-    "import sys; from cablesense_cli.app import main; sys.exit(main())",
+    "import sys; from cablesense_ros.cli.app import main; sys.exit(main())",
 ]
 """The command `cablesense` in this Python, also where it is not installed."""
 

@@ -35,17 +35,17 @@ import pandas as pd
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.gauss_newton import refit
+from cablesense_gap.robot import smoothing
+from cablesense_gap.robot.catalogue import changed
+from cablesense_gap.robot.inverse import InverseDynamics
+from cablesense_gap.robot.model import Robot, load_robot
+from cablesense_gap.robot.motion import Motion
+from cablesense_gap.robot.pipeline import RobotDiagnosis, diagnose, problem_of
+from cablesense_gap.robot.preparation import prepared
+from cablesense_gap.robot.recording import RobotRecording, read_recording
+from cablesense_gap.robot.report import write_robot_diagnosis
+from cablesense_gap.robot.simulator import RobotSimulator
 from cablesense_gap.simulator import Assignment, Term
-from cablesense_robot import smoothing
-from cablesense_robot.catalogue import changed
-from cablesense_robot.inverse import InverseDynamics
-from cablesense_robot.model import Robot, load_robot
-from cablesense_robot.motion import Motion
-from cablesense_robot.pipeline import RobotDiagnosis, diagnose, problem_of
-from cablesense_robot.preparation import prepared
-from cablesense_robot.recording import RobotRecording, read_recording
-from cablesense_robot.report import write_robot_diagnosis
-from cablesense_robot.simulator import RobotSimulator
 
 MODELS = Path(__file__).parents[1] / "config" / "robots"
 DESIGNS = {"A.0": "a0", "C.0": "c0", "C.1": "c1"}

@@ -30,17 +30,24 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import harness
 import numpy as np
 import pandas as pd
-from robot_plant.cases import Answer as Hidden
-from robot_plant.cases import Case, drawn, record, with_play, with_tendons, write_answers
 
+from cablesense_gap.robot.model import Robot, load_robot
+from cablesense_gap.robot.pipeline import diagnose
+from cablesense_gap.robot.preparation import prepared
+from cablesense_gap.robot.recording import RobotRecording, read_recording
+from cablesense_gap.robot.simulator import RobotSimulator
 from cablesense_gap.scoring import Answer, as_json, proportion, score
 from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, read_verdict, removed_fraction
 from cablesense_gap.verdict import write_verdict as write
-from cablesense_robot.model import Robot, load_robot
-from cablesense_robot.pipeline import diagnose
-from cablesense_robot.preparation import prepared
-from cablesense_robot.recording import RobotRecording, read_recording
-from cablesense_robot.simulator import RobotSimulator
+from cablesense_plants.robot.cases import Answer as Hidden
+from cablesense_plants.robot.cases import (
+    Case,
+    drawn,
+    record,
+    with_play,
+    with_tendons,
+    write_answers,
+)
 
 _LONG_ROWS = 20_000
 _TOGETHER = 10

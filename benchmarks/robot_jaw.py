@@ -20,11 +20,11 @@ import numpy as np
 import pandas as pd
 from real_jaw_recordings import SAMPLE_S, JawRecording, read_recordings, split
 
-from cablesense_robot.amending import load_amended, write_amended
-from cablesense_robot.model import Robot, load_robot
-from cablesense_robot.pipeline import diagnose
-from cablesense_robot.prediction import predicted
-from cablesense_robot.recording import RobotRecording, read_recording
+from cablesense_gap.robot.amending import load_amended, write_amended
+from cablesense_gap.robot.model import Robot, load_robot
+from cablesense_gap.robot.pipeline import diagnose
+from cablesense_gap.robot.prediction import predicted
+from cablesense_gap.robot.recording import RobotRecording, read_recording
 
 MODELS = Path(__file__).parents[1] / "config" / "robots"
 _NAMES, _TRIAL_GAP_S = ("jaw.xml", "jaw_cable.xml"), 30.0

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import pytest
 
-from cablesense_cli.app import main
+from cablesense_ros.cli.app import main
 
 
 class Ended(NamedTuple):

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from cablesense_cli.app import app
-from cablesense_cli.arm_file import arm_keys_markdown, arm_template
+from cablesense_ros.cli.app import app
+from cablesense_ros.cli.arm_file import arm_keys_markdown, arm_template
 from cablesense_sim.arm import parse_arm
 
 DOCS = Path(__file__).parents[2] / "docs"

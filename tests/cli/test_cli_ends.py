@@ -16,7 +16,7 @@ from cablesense_gap.recordings.csv_file import write_csv
 
 pytestmark = pytest.mark.slow  # processes start
 
-COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()"]
+COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 143, signal.SIGHUP: 129}
 DATASET = ("dataset", "--samples", "50000000", "--workers", "2", "--out", "out/d.parquet")
 

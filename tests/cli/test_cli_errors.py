@@ -12,11 +12,11 @@ from urllib.request import urlopen
 import pytest
 from typer.testing import CliRunner
 
-from cablesense_cli.app import app
 from cablesense_gap.recordings.csv_file import all_columns
+from cablesense_ros.cli.app import app
 from cablesense_sim.arm import open_arm
 
-COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()"]
+COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
 VERBS = ("demo", "dataset", "train", "evaluate", "info", "paper", "gap", "sensors")
 GAP_VERBS = ("diagnose", "predict", "protocol", "record", "score", "withhold")
 
@@ -56,7 +56,7 @@ def test_every_verb_of_the_diagnosis_explains_itself(verb):
 @pytest.mark.slow
 def test_help_loads_neither_ros_nor_torch_nor_the_page():
     code = (
-        "import sys; from cablesense_cli.app import app;"
+        "import sys; from cablesense_ros.cli.app import app;"
         "print(*(m for m in ('rclpy', 'torch', 'viser', 'mujoco', 'onnxruntime', 'matplotlib',"
         " 'pandas', 'rosbags', 'jinja2', 'scipy') if m in sys.modules))"
     )
@@ -231,7 +231,7 @@ sys.meta_path.insert(0, Absent())
 """
 """The beginning of a program for which the libraries named first are not installed."""
 
-COMMAND_TEXT = "from cablesense_cli.app import main\nmain()\n"
+COMMAND_TEXT = "from cablesense_ros.cli.app import main\nmain()\n"
 
 
 def run_without(libraries, *arguments, program=COMMAND_TEXT):

@@ -9,15 +9,15 @@ import pytest
 from gap_recordings import LAB, small_recording
 from typer.testing import CliRunner
 
-from cablesense_cli.app import app
-from cablesense_cli.options import OptionError
 from cablesense_gap.recordings.csv_file import write_csv
+from cablesense_ros.cli.app import app
+from cablesense_ros.cli.options import OptionError
 from cablesense_sim.arm import open_arm
 from cablesense_sim.replay import read_tensions_n, replay_arm
 from cablesense_training.evaluation.comparison import SHIPPED, TABLE2_MODELS
 from cablesense_training.inference.metadata import find_model
 
-COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "evaluate"]
+COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()", "evaluate"]
 
 
 def _run(*arguments):

@@ -14,15 +14,15 @@ from arm_variants import five_by_four_text
 from gap_recordings import LAB, small_recording
 from typer.testing import CliRunner
 
-from cablesense_cli.app import app
 from cablesense_gap.recordings.csv_file import read_csv, write_csv
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.scoring import read_answers
 from cablesense_gap.verdict import read_verdict
+from cablesense_ros.cli.app import app
 from cablesense_sim.arm import Arm, load_arm
 from cablesense_sim.replay import read_tensions_n, replay_arm
 
-COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "gap"]
+COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()", "gap"]
 PROTOCOL = small_recording(peak_n=25.0)
 SHORT = PROTOCOL.rows(np.flatnonzero(np.arange(len(PROTOCOL)) % 4 == 0))
 

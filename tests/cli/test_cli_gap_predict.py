@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from cablesense_base import CableSenseError
-from cablesense_cli.app import app
 from cablesense_gap.arm_simulator import amended_arm, write_arm
 from cablesense_gap.recordings.csv_file import read_csv, write_csv
 from cablesense_gap.simulator import Term
+from cablesense_ros.cli.app import app
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.replay import replay_arm

@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cablesense_base import CableSenseError
-from cablesense_cli.app import app
 from cablesense_gap.recordings.protocol import standard_protocol
+from cablesense_ros.cli.app import app
 from cablesense_sim.arm import open_arm
 
 

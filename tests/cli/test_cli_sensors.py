@@ -10,14 +10,14 @@ from sensor_series import ARM, EXPECTED, RATE_HZ, good_tensions_n, series
 from typer.testing import CliRunner
 
 from cablesense_base import CableSenseError
-from cablesense_cli.app import app
-from cablesense_cli.sensors import check_table
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.mcap_file import write_mcap
 from cablesense_gap.recordings.recording import Recording
 from cablesense_online.can.calibration import calibrated, load_calibration
 from cablesense_online.commissioning.sensor_check import check_sensors
 from cablesense_online.commissioning.tables import Pull, TimeWindow
+from cablesense_ros.cli.app import app
+from cablesense_ros.cli.sensors import check_table
 from cablesense_sim.arm import open_arm
 
 

@@ -10,7 +10,7 @@ import yaml
 from arm_variants import variant
 from typer.testing import CliRunner
 
-from cablesense_cli.app import app
+from cablesense_ros.cli.app import app
 from cablesense_sim.effects.registry import known_effects
 
 

@@ -4,8 +4,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from cablesense_cli.app import app
-from cablesense_cli.options import OptionError, refuse_given
+from cablesense_ros.cli.app import app
+from cablesense_ros.cli.options import OptionError, refuse_given
 
 
 @pytest.mark.parametrize(

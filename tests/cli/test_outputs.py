@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from cablesense_base import CableSenseError
-from cablesense_cli.app import app
+from cablesense_ros.cli.app import app
 
 
 def refused(*arguments):

@@ -8,8 +8,8 @@ import yaml
 from arm_variants import variant
 from typer.testing import CliRunner
 
-from cablesense_cli.options import command_line
-from cablesense_cli.train import train
+from cablesense_ros.cli.options import command_line
+from cablesense_ros.cli.train import train
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.recipes import RECIPES

@@ -11,7 +11,6 @@ from gap_recordings import LAB, small_recording
 from typer.testing import CliRunner
 from verdict_cases import gap_of, verdict_of
 
-from cablesense_cli.app import app
 from cablesense_gap.arm_simulator import AMENDED_ARM, write_arm
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.scoring import (
@@ -26,6 +25,7 @@ from cablesense_gap.scoring import (
     score,
 )
 from cablesense_gap.verdict import Share, VerdictError, write_verdict
+from cablesense_ros.cli.app import app
 from cablesense_sim.arm import ListedEffect
 from cablesense_sim.replay import replay_arm
 

@@ -12,7 +12,7 @@ PACKAGES = (
     "training",
     "cablesense_gap",
     "cablesense_paper",
-    "cablesense_robot",
+    "cablesense_plants",
     "cablesense_ros",
 )
 SOURCES = sorted(path for package in PACKAGES for path in (CHECKOUT / package).rglob("*.py"))

@@ -13,8 +13,7 @@ from packaging.utils import canonicalize_name
 CHECKOUT = Path(__file__).resolve().parents[2]
 PACKAGES = [
     "cablesense_base", "cablesense_msgs_py", "cablesense_sim", "training", "cablesense_gap",
-    "cablesense_paper", "cablesense_online", "cablesense_robot", "cablesense_ros",
-    "cablesense_cli",
+    "cablesense_paper", "cablesense_online", "cablesense_plants", "cablesense_ros",
 ]  # fmt: skip
 _BROUGHT_BY = packages_distributions()
 
@@ -62,11 +61,10 @@ def ros_modules() -> set[str]:
         (["training/inference"], [""]),
         (["training"], ["", "train"]),
         (["cablesense_gap"], ["", "gap"]),
-        (["cablesense_gap/plant"], [""]),
+        (["cablesense_plants"], ["", "gap"]),
         (["cablesense_paper"], ["", "gap", "train"]),
-        (["cablesense_robot"], ["", "gap"]),
         (["cablesense_online"], ["", "page", "can", "gap"]),
-        (["cablesense_ros"], ["", "page", "ros", "can"]),
+        (["cablesense_ros"], ["", "page", "ros", "can", "gap", "train"]),
         (["tests", "benchmarks"], ["", "page", "ros", "can", "train", "gap", "dev"]),
     ],
     ids=lambda value: "+".join(value),

@@ -6,8 +6,8 @@ import pytest
 from paper_studies import failing, study
 from typer.testing import CliRunner
 
-from cablesense_cli.app import app
 from cablesense_paper.study import FailedStudyError, PaperError, StudyResult
+from cablesense_ros.cli.app import app
 
 
 def invoke(*arguments):
@@ -68,7 +68,7 @@ def test_a_missing_package_is_named_before_anything_is_made(missing, tmp_path, m
         if name == missing:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-    monkeypatch.setattr("cablesense_cli.paper.import_module", import_module)
+    monkeypatch.setattr("cablesense_ros.cli.paper.import_module", import_module)
     result = invoke("--out", str(tmp_path / "report"))
     assert isinstance(result.exception, ModuleNotFoundError)
     assert result.exception.name == missing

@@ -7,11 +7,11 @@ import pytest
 from plant_arm import ARM_FILE, NOMINAL
 
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.plant.arm import SteppedArms, ideal_arm
-from cablesense_gap.plant.body import Friction
-from cablesense_gap.plant.protocol import draw_schedule
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
+from cablesense_plants.arm.arm import SteppedArms, ideal_arm
+from cablesense_plants.arm.body import Friction
+from cablesense_plants.arm.protocol import draw_schedule
 from cablesense_sim.arm import open_arm
 
 pytestmark = pytest.mark.slow

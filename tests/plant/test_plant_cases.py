@@ -10,12 +10,12 @@ import pytest
 from arm_variants import five_by_four_text
 from plant_arm import NOMINAL
 
-from cablesense_gap.plant.arm import ideal_arm
-from cablesense_gap.plant.body import PlantError, read_nominal
-from cablesense_gap.plant.listed import LISTED
-from cablesense_gap.plant.protocol import draw_history, draw_schedule
-from cablesense_gap.plant.unlisted import UNLISTED
-from cablesense_gap.plant.withhold import (
+from cablesense_plants.arm.arm import ideal_arm
+from cablesense_plants.arm.body import PlantError, read_nominal
+from cablesense_plants.arm.listed import LISTED
+from cablesense_plants.arm.protocol import draw_history, draw_schedule
+from cablesense_plants.arm.unlisted import UNLISTED
+from cablesense_plants.arm.withhold import (
     draw_kinds,
     gap_n,
     record_case,

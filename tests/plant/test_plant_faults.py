@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from plant_arm import NOMINAL
 
-from cablesense_gap.plant.arm import Actuation, ideal_arm, with_tolerances
-from cablesense_gap.plant.sensing import (
+from cablesense_plants.arm.arm import Actuation, ideal_arm, with_tolerances
+from cablesense_plants.arm.sensing import (
     Drift,
     DriftShape,
     Dropouts,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from plant_arm import BODY, NOMINAL
 
-from cablesense_gap.plant.body import Body, CableContact, rigid_body
-from cablesense_gap.plant.geometry import cable_lengths_m, frames, points_m, spans, turns
+from cablesense_plants.arm.body import Body, CableContact, rigid_body
+from cablesense_plants.arm.geometry import cable_lengths_m, frames, points_m, spans, turns
 
 JOINTS = 2 * NOMINAL.segment_count
 RNG = np.random.default_rng(0)

@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plant_arm import BODY, NOMINAL
 
-from cablesense_gap.plant.body import (
+from cablesense_plants.arm.body import (
     Body,
     Creep,
     Friction,
     PlantError,
 )
-from cablesense_gap.plant.chains import friction_state, piece_compliance_m_n
-from cablesense_gap.plant.geometry import cable_lengths_m, spans, turns
-from cablesense_gap.plant.quasi_static import QuasiStaticPath, State
-from cablesense_gap.plant.rest import follow_path
+from cablesense_plants.arm.chains import friction_state, piece_compliance_m_n
+from cablesense_plants.arm.geometry import cable_lengths_m, spans, turns
+from cablesense_plants.arm.quasi_static import QuasiStaticPath, State
+from cablesense_plants.arm.rest import follow_path
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 

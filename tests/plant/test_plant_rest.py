@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from plant_arm import BODY, NOMINAL
 
-from cablesense_gap.plant.body import Body, PlantError, TipSpring
-from cablesense_gap.plant.geometry import cable_lengths_m, frames, points_m, torques, turns
-from cablesense_gap.plant.protocol import draw_schedule
-from cablesense_gap.plant.rest import commanded_angles_rad, find_rest, follow_path, tension_law
+from cablesense_plants.arm.body import Body, PlantError, TipSpring
+from cablesense_plants.arm.geometry import cable_lengths_m, frames, points_m, torques, turns
+from cablesense_plants.arm.protocol import draw_schedule
+from cablesense_plants.arm.rest import commanded_angles_rad, find_rest, follow_path, tension_law
 
 RNG = np.random.default_rng(1)
 STRAIGHT = np.zeros((1, 8))

@@ -10,13 +10,13 @@ from arm_variants import variant
 from plant_arm import ARM_FILE, NOMINAL
 from typer.testing import CliRunner
 
-from cablesense_cli.app import app
 from cablesense_gap.arm_simulator import counted_rows, write_arm
-from cablesense_gap.plant.body import PlantError, read_nominal
-from cablesense_gap.plant.protocol import draw_schedule
-from cablesense_gap.plant.withhold import draw_several, make_case, withhold
 from cablesense_gap.recordings.checks import check_recording, read_recording
 from cablesense_gap.recordings.csv_file import read_csv
+from cablesense_plants.arm.body import PlantError, read_nominal
+from cablesense_plants.arm.protocol import draw_schedule
+from cablesense_plants.arm.withhold import draw_several, make_case, withhold
+from cablesense_ros.cli.app import app
 from cablesense_sim.arm import open_arm
 from cablesense_sim.replay import replay_arm
 

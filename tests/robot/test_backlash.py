@@ -6,15 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from cablesense_gap.robot import withholding
+from cablesense_gap.robot.catalogue import changed
+from cablesense_gap.robot.model import load_robot
+from cablesense_gap.robot.pipeline import diagnose
+from cablesense_gap.robot.preparation import prepared
+from cablesense_gap.robot.protocol import standard_protocol
+from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.simulator import RobotSimulator
 from cablesense_gap.simulator import Term
-from cablesense_robot import withholding
-from cablesense_robot.catalogue import changed
-from cablesense_robot.model import load_robot
-from cablesense_robot.pipeline import diagnose
-from cablesense_robot.preparation import prepared
-from cablesense_robot.protocol import standard_protocol
-from cablesense_robot.recording import read_recording
-from cablesense_robot.simulator import RobotSimulator
 
 ROTOR, INERTIA, WEIGHT = 0.005, 0.05, 1.2  # kg·m², kg·m², N·m
 PLAY_RAD, ARM_M = 0.02, WEIGHT / 9.81

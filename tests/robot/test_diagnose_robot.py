@@ -8,25 +8,25 @@ import pytest
 from two_link import model_torques, motion, recorded, torques, write_model
 from typer.testing import CliRunner
 
-from cablesense_cli.app import app
 from cablesense_gap.diagnosis.gauss_newton import refine, refit
-from cablesense_gap.simulator import Term
-from cablesense_gap.verdict import read_verdict
-from cablesense_robot.amending import load_amended, write_amended
-from cablesense_robot.catalogue import changed
-from cablesense_robot.inverse import InverseDynamics
-from cablesense_robot.model import load_robot
-from cablesense_robot.pipeline import (
+from cablesense_gap.robot.amending import load_amended, write_amended
+from cablesense_gap.robot.catalogue import changed
+from cablesense_gap.robot.inverse import InverseDynamics
+from cablesense_gap.robot.model import load_robot
+from cablesense_gap.robot.pipeline import (
     begun_at_zero,
     diagnose,
     doubtful,
     problem_of,
     with_other_names,
 )
-from cablesense_robot.prediction import predicted
-from cablesense_robot.preparation import prepared
-from cablesense_robot.recording import read_recording
-from cablesense_robot.simulator import RobotSimulator
+from cablesense_gap.robot.prediction import predicted
+from cablesense_gap.robot.preparation import prepared
+from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.simulator import RobotSimulator
+from cablesense_gap.simulator import Term
+from cablesense_gap.verdict import read_verdict
+from cablesense_ros.cli.app import app
 
 
 @pytest.fixture

@@ -8,14 +8,14 @@ import pytest
 from two_link import recorded, write_model
 
 from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.robot.catalogue import changed, known_effects
+from cablesense_gap.robot.effects.effect import Scale
+from cablesense_gap.robot.model import load_robot
+from cablesense_gap.robot.pipeline import beyond_range, diagnose
+from cablesense_gap.robot.preparation import prepared
+from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.simulator import RobotSimulator
 from cablesense_gap.simulator import Term
-from cablesense_robot.catalogue import changed, known_effects
-from cablesense_robot.effects.effect import Scale
-from cablesense_robot.model import load_robot
-from cablesense_robot.pipeline import beyond_range, diagnose
-from cablesense_robot.preparation import prepared
-from cablesense_robot.recording import read_recording
-from cablesense_robot.simulator import RobotSimulator
 
 
 @pytest.fixture

@@ -11,18 +11,18 @@ from two_link import recorded, write_model
 from cablesense_gap.recordings import mcap_file
 from cablesense_gap.recordings.mcap_file import BagWriter
 from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.robot import bag as bag_module
+from cablesense_gap.robot import recording
+from cablesense_gap.robot.amending import load_amended, write_amended
+from cablesense_gap.robot.bag import bag_table
+from cablesense_gap.robot.inverse import InverseDynamics
+from cablesense_gap.robot.model import RobotError, load_robot
+from cablesense_gap.robot.motion import Trajectory
+from cablesense_gap.robot.preparation import prepared
+from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.smoothing import smoothed
 from cablesense_gap.simulator import Term
 from cablesense_msgs_py.topics import CABLE_TENSIONS, JOINT_COMMANDS
-from cablesense_robot import bag as bag_module
-from cablesense_robot import recording
-from cablesense_robot.amending import load_amended, write_amended
-from cablesense_robot.bag import bag_table
-from cablesense_robot.inverse import InverseDynamics
-from cablesense_robot.model import RobotError, load_robot
-from cablesense_robot.motion import Trajectory
-from cablesense_robot.preparation import prepared
-from cablesense_robot.recording import read_recording
-from cablesense_robot.smoothing import smoothed
 
 BODY = "<mujoco><worldbody><body>{}<geom size='1'/></body></worldbody></mujoco>"
 STILL = {"position.shoulder": 0.0, "position.elbow": 0.0}

@@ -7,17 +7,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from cablesense_gap.robot.amending import load_amended, write_amended
+from cablesense_gap.robot.catalogue import changed, known_effects
+from cablesense_gap.robot.inverse import InverseDynamics
+from cablesense_gap.robot.model import load_robot
+from cablesense_gap.robot.motion import Trajectory
+from cablesense_gap.robot.pipeline import diagnose
+from cablesense_gap.robot.prediction import predicted
+from cablesense_gap.robot.preparation import prepared
+from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.simulator import RobotSimulator
 from cablesense_gap.simulator import Term
-from cablesense_robot.amending import load_amended, write_amended
-from cablesense_robot.catalogue import changed, known_effects
-from cablesense_robot.inverse import InverseDynamics
-from cablesense_robot.model import load_robot
-from cablesense_robot.motion import Trajectory
-from cablesense_robot.pipeline import diagnose
-from cablesense_robot.prediction import predicted
-from cablesense_robot.preparation import prepared
-from cablesense_robot.recording import read_recording
-from cablesense_robot.simulator import RobotSimulator
 
 MU, TURN = 0.3, np.deg2rad(70.0)
 SLIDE = f"""

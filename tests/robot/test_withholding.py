@@ -6,13 +6,13 @@ import pytest
 from two_link import write_model
 from verdict_cases import verdict_of
 
+from cablesense_gap.robot import withholding
+from cablesense_gap.robot.model import RobotError, inverse_dynamics, load_robot
+from cablesense_gap.robot.protocol import next_experiment, standard_protocol
+from cablesense_gap.robot.smoothing import derivatives, smoothed
 from cablesense_gap.scoring import Answer, read_answers, score
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Channel
-from cablesense_robot import withholding
-from cablesense_robot.model import RobotError, inverse_dynamics, load_robot
-from cablesense_robot.protocol import next_experiment, standard_protocol
-from cablesense_robot.smoothing import derivatives, smoothed
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import pytest
 from arm_variants import five_by_four, five_by_four_text
 from typer.testing import CliRunner
 
-from cablesense_cli import runs
-from cablesense_cli.app import app
+from cablesense_ros.cli import runs
+from cablesense_ros.cli.app import app
 from cablesense_ros.demo import run
 from cablesense_ros.demo.run import Controller, DemoOptions, Source, node_commands, run_headless
 

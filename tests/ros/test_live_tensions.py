@@ -27,11 +27,11 @@ pytestmark = [
 SHORT_WAITS = (
     "from cablesense_ros import tension_capture as capture; "
     "capture._FIRST_SAMPLE_S, capture._PULLING_S, capture._RELEASED_S = {}, 0.5, 0.5; "
-    "from cablesense_cli.app import main; main()"
+    "from cablesense_ros.cli.app import main; main()"
 )
 HEARING = (
     "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    "from cablesense_cli.app import main; main()"
+    "from cablesense_ros.cli.app import main; main()"
 )
 """A shell starts what runs in its background with Ctrl-C ignored, and tests may run there."""
 ROOT = Path(__file__).parents[2]

@@ -31,7 +31,7 @@ pytestmark = [
 ]
 
 ARM = open_arm("cdsm_lab")
-COMMAND = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "gap"]
+COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()", "gap"]
 ROOT = Path(__file__).parents[2]
 
 

@@ -37,7 +37,8 @@ pytestmark = [
 
 ARM = open_arm("cdsm")
 ROOT = Path(__file__).parents[2]
-RECORD = [sys.executable, "-c", "from cablesense_cli.app import main; main()", "record", "--out"]
+COMMAND = "from cablesense_ros.cli.app import main; main()"
+RECORD = [sys.executable, "-c", COMMAND, "record", "--out"]
 SIM, ESTIMATOR = "cablesense_ros.sim_node", "cablesense_ros.estimator_node"
 
 

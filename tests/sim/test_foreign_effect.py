@@ -16,10 +16,10 @@ from gap_recordings import LAB, small_recording
 from typer.testing import CliRunner
 from verdict_cases import verdict_of
 
-from cablesense_cli.app import app
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.report.text import effect_advice, headline
 from cablesense_gap.simulator import Term
+from cablesense_ros.cli.app import app
 from cablesense_sim.effects.registry import EffectError, known_effects
 from cablesense_sim.replay import replay_arm
 

@@ -6,7 +6,7 @@ import pytest
 from arm_variants import five_by_four, five_by_four_text
 from typer.testing import CliRunner
 
-from cablesense_cli.app import app
+from cablesense_ros.cli.app import app
 from cablesense_training.data.parquet import read_dataset
 from cablesense_training.inference.estimator import Estimator, MultiEstimator
 

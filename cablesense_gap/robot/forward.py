@@ -1,0 +1,236 @@
+"""From measured states forward in time, over short windows: what the sensors read at their ends.
+
+MuJoCo's own step goes from a smoothed state on, with the recorded commands, or with the recorded
+torques, and with friction, limits, contacts and equalities as the model has them. What a window
+adds to coasting on is compared, of positions and of speeds.
+"""
+
+from __future__ import annotations
+
+import copy
+
+import mujoco
+import numpy as np
+from mujoco.rollout import rollout
+from numpy.typing import NDArray
+
+from cablesense_base import Array
+from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.robot import smoothing
+from cablesense_gap.robot.model import Change, Robot, actuated, inverse_dynamics
+from cablesense_gap.robot.motion import LEAST_FLOOR, Motion, inner_rows
+from cablesense_gap.robot.play import BacklashMotion
+from cablesense_gap.robot.tendons import GuidedTendons
+
+_OF_MOTION, _OF_COMPARISON = 1.0, 0.5
+"""Periods of these bandwidths, that a window takes at least and at most: shorter ones show what
+smoothing took of the motion, in longer ones what comes and goes averages out."""
+_MOST_STEPS = 8_000
+"""Of all windows together; those of a longer recording lie apart."""
+_FEWEST = 15
+_OF_READING = ("zero", "encoder_scale", "coupling")
+_STATE, _CONTROL = mujoco.mjtState.mjSTATE_FULLPHYSICS, (
+    mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
+)  # fmt: skip
+
+
+class ForwardComparison:
+    """Positions and speeds of all joints at the ends of windows, see `Comparison`."""
+
+    def __init__(self, robot: Robot, motion: Motion) -> None:
+        """`motion` is what was measured."""
+        self._robot, self._smoothed_hz, rate_hz = robot, motion.smoothed_hz, motion.rate_hz
+        span = _span(motion)
+        self._substeps = int(np.ceil(1.0 / (rate_hz * robot.model.opt.timestep) - 1e-6))
+        self._step_s, self._rate_hz = 1.0 / (rate_hz * self._substeps), rate_hz
+        self.span_s = span / rate_hz
+        begins, self._ends, self.trial = _windows(motion, span, self._substeps)
+        moved = [smoothing.derivatives(path, rate_hz) for path in motion.paths]
+        speed, acceleration = (np.concatenate(each) for each in zip(*moved, strict=True))
+        position = np.concatenate(motion.paths)
+        self._state = position[begins], speed[begins]
+        inside = (np.arange(span * self._substeps) + 0.5) / self._substeps
+        self._at = begins[:, None] + inside
+        self._path = tuple(_at(each, self._at) for each in (position, speed, acceleration))
+        self._gaps, self._motion = BacklashMotion(robot, motion), motion
+        self._tendons: GuidedTendons | None = None
+        torques = [self._smoothed(np.nan_to_num(each.torque)) for each in motion.driven]
+        self._torque = np.concatenate(torques)
+        commands = [each.command for each in motion.driven if each.command is not None]
+        self._command = np.concatenate([*map(self._smoothed, commands)]) if commands else None
+        self.time_s = np.concatenate([each.time_s for each in motion.driven])[begins + span]
+        kinds = ("position", "velocity")
+        self.names = self.columns = tuple(f"{k}.{j}" for k in kinds for j in robot.joints)
+        self.units = (*robot.position_units, *(f"{unit}/s" for unit in robot.position_units))
+        self.readings = self._beyond_coasting(position[begins + span], speed[begins + span])
+        self.floor = self.noise = np.maximum(*_noise_and_least(motion, self.span_s))
+        driven = "measured torques" if self._command is None else "recorded commands"
+        self.description = (
+            f"Compared forward in time: from measured states, smoothed to "
+            f"{motion.smoothed_hz:.3g} Hz, with {driven} over {len(begins):,} windows of "
+            f"{1e3 * self.span_s:.3g} ms, positions and speeds out."
+        )
+
+    def _smoothed(self, drive: Array) -> Array:
+        """As the motion is: what drives make beyond that shows in none of its states."""
+        return smoothing.smoothed(drive, self._rate_hz, self._smoothed_hz)
+
+    def predicted(self, change: Change) -> Array:
+        """(Q, C) by a variant of the robot."""
+        robot = self._robot
+        moved = np.eye(len(robot.joints)) + change.coupling
+        back, true = np.linalg.inv(moved), 1.0 + change.encoder_scale
+
+        def joints(position: Array, speed: Array) -> tuple[Array, Array]:
+            return (position - change.zero) / true @ moved.T, speed / true @ moved.T
+
+        at = self._at + change.delay_s * self._rate_hz
+        at = np.clip(at, self._ends[:, :1], self._ends[:, 1:])
+        torque, command = _at(self._torque, at), None
+        applied = (torque - change.torque_offset) / (1.0 + change.torque_scale) @ back
+        load = np.abs(applied).mean(1)
+        if change.play.any():
+            applied = applied - self._of_play(change)
+        if change.capstan_friction.any():
+            applied = applied - self._lost(change)
+        if change.coupling.any():  # rotors and dampers are the drives'
+            _, speed, acceleration = self._path
+            at_drive = change.armature * acceleration + change.damping * speed
+            speed, acceleration = speed @ moved.T, acceleration @ moved.T
+            at_joint = change.armature * acceleration + change.damping * speed
+            applied = applied + at_joint - at_drive @ back
+        if self._command is not None:  # the model's actuators act as well
+            command = _at(self._command, at)
+            by_model = torque
+            if change.key(*_OF_READING) != robot.nominal().key(*_OF_READING):
+                by_model = self._actuated(joints(*self._path[:2]), command)
+            applied = applied - by_model
+        model = robot.varied(change)
+        ends = self._ended(model, joints(*self._state), command, applied, change, load)
+        position, speed = (each @ back.T for each in ends)
+        return self._beyond_coasting(position * true + change.zero, speed * true)
+
+    def _of_play(self, change: Change) -> Array:
+        """(Q, S, J) torques that links need beside those of the measured motion, by backlash."""
+        behind = [_at(each, self._at) for each in self._gaps.moved(change.play)]
+        model = self._robot.varied(change)
+        model.dof_armature[:], model.dof_damping[:] = 0.0, 0.0
+        needed = [
+            inverse_dynamics(model, *(each.reshape(-1, model.nv) for each in moved))
+            for moved in (
+                self._path,
+                [each + gap for each, gap in zip(self._path, behind, strict=True)],
+            )
+        ]
+        return np.asarray((needed[1] - needed[0]).reshape(self._path[0].shape))
+
+    def _lost(self, change: Change) -> Array:
+        """(Q, S, J) what guides take of the tendons' torques, along the measured motion."""
+        motion = self._motion
+        self._tendons = self._tendons or GuidedTendons(self._robot, motion)
+        lost = self._tendons.lost(change, np.nan_to_num(motion.torque), at_drive=True)
+        return np.stack([np.interp(self._at, motion.rows, own) for own in lost.T], axis=-1)
+
+    def _actuated(self, moved: tuple[Array, Array], command: Array) -> Array:
+        """(Q, S, J) what actuators give at other positions than those that were read."""
+        flat = (each.reshape(-1, each.shape[-1]) for each in (*moved, command))
+        return actuated(self._robot, *flat).reshape(moved[0].shape)
+
+    def _ended(
+        self,
+        model: mujoco.MjModel,
+        begin: tuple[Array, Array],
+        command: Array | None,
+        applied: Array,
+        change: Change,
+        load: Array,
+    ) -> tuple[Array, Array]:
+        """Positions and speeds (Q, J) at the ends."""
+        model.opt.timestep = self._step_s
+        if command is None:
+            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ACTUATION
+            command = np.zeros((*applied.shape[:2], model.nu))
+        data = mujoco.MjData(model)
+        state = np.empty(mujoco.mj_stateSize(model, _STATE))
+        mujoco.mj_getState(model, data, state, _STATE)
+        states = np.tile(state, (len(load), 1))
+        joints = len(self._robot.joints)
+        states[:, 1 : 1 + 2 * joints] = np.concatenate(begin, 1)
+        models = model
+        if change.load_friction.any():
+            models = [copy.copy(model) for _ in load]
+            for own, torque in zip(models, np.sinh(change.load_friction) * load, strict=True):
+                own.dof_frictionloss[:] += torque
+        control = np.concatenate([command, applied], 2)
+        found, _ = rollout(models, data, states, control, control_spec=_CONTROL)
+        last = found[:, -1, 1 : 1 + 2 * joints]
+        position, speed = last[:, :joints], last[:, joints:]
+        if model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4:
+            # a step goes on with its last speed, which over a window is half a step too far
+            position = position - 0.5 * self._step_s * (speed - begin[1])
+        return position, speed
+
+    def _beyond_coasting(self, position: Array, speed: Array) -> Array:
+        """(Q, C) what a window adds to going on at the speed of its beginning."""
+        begun, at_speed = self._state
+        return np.hstack([position - begun - self.span_s * at_speed, speed - at_speed])
+
+
+def _windows(
+    motion: Motion, span: int, substeps: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """First rows (Q,) among those of all trials, the trials' ends (Q, 2), and their numbers.
+
+    Raises:
+        RecordingError: there are too few.
+    """
+    begins, ends, numbers = [], [], []
+    first = 0
+    for number, path in enumerate(motion.paths):
+        inner = inner_rows(len(path), motion.rate_hz, motion.smoothed_hz)
+        own = first + np.arange(inner.start, inner.stop - span, span)
+        begins.append(own)
+        ends.append(np.tile([first, first + len(path) - 1], (len(own), 1)))
+        numbers.append(np.full(len(own), number))
+        first += len(path)
+    every = -(-sum(len(own) for own in begins) * span * substeps // _MOST_STEPS)
+    begin, end, trial = (
+        np.concatenate(each)[:: max(every, 1)] for each in (begins, ends, numbers)
+    )
+    if len(begin) < _FEWEST:
+        raise RecordingError(
+            f"{len(begin)} windows of {span / motion.rate_hz:.2g} s are in the recording; record "
+            f"trials of several seconds, for {_FEWEST} at least"
+        )
+    return begin, end, np.unique(trial, return_inverse=True)[1]
+
+
+def _span(motion: Motion) -> int:
+    """Samples of a window: as few as noise allows, it grows less than what torques make."""
+    least = _OF_MOTION * motion.rate_hz / motion.smoothed_hz
+    most = max(_OF_COMPARISON * motion.rate_hz / motion.compared_hz, least)
+    spans = np.unique(np.geomspace(least, most, 12).round().astype(int))
+    for span in spans[spans >= 2]:
+        noise, allowed = _noise_and_least(motion, span / motion.rate_hz)
+        if (noise <= allowed).all():
+            break
+    return int(span)
+
+
+def _noise_and_least(motion: Motion, span_s: float) -> tuple[Array, Array]:
+    """(C,) what noise of positions and of torques, where measured, leaves; the least floor."""
+    drift = smoothing.noise_of_drift(motion.noise.position, span_s, motion.smoothed_hz)
+    noise = [*drift]
+    if motion.driven[0].command is None:
+        by_torque = np.sqrt(0.5 * motion.noise.torque * span_s) / motion.inertia
+        through = by_torque * span_s / np.sqrt(3.0), by_torque
+        noise = [np.hypot(*each) for each in zip(drift, through, strict=True)]
+    least = LEAST_FLOOR * motion.scale.torque / motion.inertia * span_s
+    return np.concatenate(noise), np.concatenate([0.5 * span_s * least, least])
+
+
+def _at(values: Array, at: Array) -> Array:
+    """(…, K) of rows (T, K) at numbers of rows (…), straight on between them."""
+    low = np.minimum(at.astype(np.int64), len(values) - 2)
+    share = (at - low)[..., None]
+    return np.asarray((1.0 - share) * values[low] + share * values[low + 1])

@@ -1,0 +1,204 @@
+"""Measured motion in, torques out: what the model says the drives must have given.
+
+Nothing is integrated, so nothing drifts.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from cablesense_base import Array
+from cablesense_gap.robot.model import Change, Robot, inverse_dynamics
+from cablesense_gap.robot.motion import Motion, Trajectory
+from cablesense_gap.robot.play import BacklashMotion
+from cablesense_gap.robot.tendons import GuidedTendons
+
+_CACHED = 48
+_OF_BODIES = ("mass_kg", "centre_m", "inertia_kg_m2")
+_OF_MOTION = ("gravity_m_s2", "zero", "encoder_scale", "coupling", "play")
+_LEAST_KG = 1e-9
+_PLACES = np.array([*np.zeros((1, 3)), *np.eye(3), *-np.eye(3), *(1.0 - np.eye(3))])
+"""Of point masses, m; their inertial parameters are independent."""
+
+
+class InverseDynamics:
+    """Torques that variants of a robot need for one motion."""
+
+    def __init__(self, robot: Robot, motion: Trajectory) -> None:
+        """`motion` is what was measured, or is asked for."""
+        self._robot, self._motion = robot, motion
+        self._nominal = robot.nominal()
+        self._gaps = BacklashMotion(robot, motion) if isinstance(motion, Motion) else None
+        self._tendons: GuidedTendons | None = None
+        self._cached: dict[tuple[bytes, ...], Array] = {}
+        self._slides: dict[tuple[int, float], Array] = {}
+        self._own: Array | None = None
+        self._columns: dict[int, Array] = {}
+
+    def torques(self, change: Change) -> Array:
+        """(R, J) as the drives' torques would be read."""
+        motion, nominal = self._motion, self._nominal
+        drive = self._drive(change)
+        behind = self._behind(change)
+        position, speed, acceleration = (
+            each + each @ change.coupling.T + gap for each, gap in zip(drive, behind, strict=True)
+        )
+        transmitted = (
+            self._rigid(change, (position, speed, acceleration))
+            + (change.armature - nominal.armature) * acceleration
+            + (change.damping - nominal.damping) * speed
+            + (change.stiffness - nominal.stiffness) * (position - self._robot.model.qpos_spring)
+        )
+        # what drives a geared joint transmits its torque, less what acts on that from outside
+        transmitted = transmitted + (transmitted - motion.load) @ self._robot.geared
+        if change.coupling.any() or change.play.any():  # rotors and dampers are the drives'
+            transmitted -= change.armature * acceleration + change.damping * speed
+            transmitted += transmitted @ change.coupling
+            transmitted += change.armature * drive[2] + change.damping * drive[1]
+        dry = self._slid(change.friction, change.presliding)
+        by_load = self._slid(change.load_friction, change.load_presliding)
+        loss = by_load * np.sign(transmitted)
+        at_drive = transmitted * np.exp(loss) * np.cosh(loss) ** change.load_side
+        if change.capstan_friction.any():
+            self._tendons = self._tendons or GuidedTendons(self._robot, motion)
+            lost = self._tendons.lost(change, at_drive)
+            at_drive = at_drive + lost + lost @ self._robot.geared
+        at_drive = at_drive + dry
+        if change.delay_s:
+            at_drive = self._later(at_drive, change.delay_s)
+        return np.asarray((1.0 + change.torque_scale) * at_drive + change.torque_offset)
+
+    def _slid(self, friction: Array, presliding: Array) -> Array:
+        """(R, J) torque of dry friction, at most (J,), along the motion."""
+        found = np.zeros_like(self._motion.position)
+        for j in np.flatnonzero(friction).tolist():
+            key = j, float(presliding[j])
+            if key not in self._slides:
+                if len(self._slides) >= _CACHED:
+                    self._slides.pop(next(iter(self._slides)))
+                self._slides[key] = self._motion.slid(*key)
+            found[:, j] = friction[j] * self._slides[key]
+        return found
+
+    def _behind(self, change: Change) -> tuple[Array | float, ...]:
+        """Motion of joints relative to drives, as `_drive`; zero where none was measured."""
+        motion = self._motion
+        if self._gaps is None or not (isinstance(motion, Motion) and change.play.any()):
+            return 0.0, 0.0, 0.0
+        return tuple(each[motion.rows] for each in self._gaps.moved(change.play))
+
+    def _drive(self, change: Change) -> tuple[Array, Array, Array]:
+        """Position, speed and acceleration of the drives, of what encoders read."""
+        motion, true = self._motion, 1.0 + change.encoder_scale
+        position = (motion.position - change.zero) / true
+        return position, motion.speed / true, motion.acceleration / true
+
+    def _rigid(self, change: Change, moved: tuple[Array, Array, Array]) -> Array:
+        """Torques of the bodies, with the nominal model's springs, dampers and rotors."""
+        elsewhere = change.key(*_OF_MOTION)
+        if elsewhere == self._nominal.key(*_OF_MOTION):
+            return self._by_inertia(change)
+        key = (*elsewhere, *change.key(*_OF_BODIES))
+        if key not in self._cached:
+            if len(self._cached) >= _CACHED:
+                self._cached.pop(next(iter(self._cached)))
+            self._cached[key] = self._whole(change, moved)
+        return self._cached[key]
+
+    def _whole(self, change: Change, moved: tuple[Array, Array, Array]) -> Array:
+        nominal = self._nominal
+        held = replace(
+            change,
+            armature=nominal.armature,
+            damping=nominal.damping,
+            stiffness=nominal.stiffness,
+        )
+        return inverse_dynamics(self._robot.varied(held), *moved)
+
+    def _by_inertia(self, change: Change) -> Array:
+        """Linear in masses, first moments and inertias: exact, and quick."""
+        if self._own is None:
+            motion = self._motion
+            moved = motion.position, motion.speed, motion.acceleration
+            self._own = self._whole(self._nominal, moved)
+        torque, nominal = self._own, self._nominal
+        more = change.inertial_parameters() - nominal.inertial_parameters()
+        for b in np.flatnonzero(more.any(axis=1)).tolist():
+            if b not in self._columns:
+                self._columns[b] = self._regressor(b)
+            torque = torque + self._columns[b] @ more[b]
+        return torque
+
+    def _regressor(self, b: int) -> Array:
+        """(R, J, 10) torques by a body's inertial parameters, from ten point masses on it."""
+        robot, motion = self._robot, self._motion
+        light = copy.copy(robot.model)
+        light.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SPRING
+        light.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_DAMPER
+        light.dof_armature[:] = 0.0
+        bare = replace(robot, model=light).nominal()
+        bare.mass_kg[:], bare.inertia_kg_m2[:] = _LEAST_KG, _LEAST_KG * np.eye(3)
+        own = replace(robot, model=light)
+        moved = motion.position, motion.speed, motion.acceleration
+        torques, parameters = [], []
+        for place in _PLACES:
+            with_mass = bare.copied()
+            with_mass.centre_m[b] = place
+            with_mass.mass_kg[b] = 1.0
+            torques.append(inverse_dynamics(own.varied(with_mass), *moved))
+            parameters.append(with_mass.inertial_parameters()[b])
+        return np.einsum("kri,pk->rip", torques, np.linalg.inv(np.array(parameters)))
+
+    def _later(self, torque: Array, delay_s: float) -> Array:
+        motion, found = self._motion, np.empty_like(torque)
+        for t in np.unique(motion.trial):
+            rows = motion.trial == t
+            time_s = motion.time_s[rows]
+            if len(time_s) < 4:
+                found[rows] = torque[rows]
+                continue
+            at = np.clip(time_s - delay_s, time_s[0], time_s[-1])
+            found[rows] = CubicSpline(time_s, torque[rows])(at)
+        return found
+
+    def __getstate__(self) -> dict[str, object]:
+        """Without what is worked out again."""
+        return {**self.__dict__, "_cached": {}, "_slides": {}, "_tendons": None}
+
+
+class InverseComparison:
+    """Torques of those joints that have one, see `Comparison`.
+
+    Where a joint is at rest, readings and predictions are zero alike; units are such that noise
+    alone has a root mean square of one over all rows.
+    """
+
+    def __init__(self, robot: Robot, motion: Motion) -> None:
+        """`motion` is what was measured."""
+        self._motion, self._dynamics = motion, InverseDynamics(robot, motion)
+        self._joints = joints = np.flatnonzero(motion.counts.any(0))
+        self.names = tuple(robot.joints[j] for j in joints)
+        self.columns = tuple(f"torque.{name}" for name in self.names)
+        self.units = tuple(robot.torque_units[j] for j in joints)
+        self.floor = motion.floor[joints]
+        counted = motion.compared(np.ones_like(motion.torque))[:, joints]
+        self.noise = self.floor * np.sqrt((counted**2).mean(0))
+        self.readings = self._compared(motion.torque)
+        self.trial, self.time_s = motion.compared_trial, motion.compared_time_s
+        self.description = (
+            f"Compared by inverse dynamics: measured motion, smoothed to {motion.smoothed_hz:.3g} "
+            f"Hz, in, torques out, with a bandwidth of {motion.compared_hz:.3g} Hz at "
+            f"{len(self.trial):,} rows."
+        )
+
+    def predicted(self, change: Change) -> Array:
+        """(Q, C) by a variant of the robot."""
+        return self._compared(self._dynamics.torques(change))
+
+    def _compared(self, torque: Array) -> Array:
+        return self._motion.compared(torque)[:, self._joints]

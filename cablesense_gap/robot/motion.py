@@ -1,0 +1,166 @@
+"""Motion as it is compared: a trajectory of joints, and torques along it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array
+from cablesense_gap.robot import smoothing
+from cablesense_gap.robot.effects.effect import Scale
+
+LEAST_FLOOR = 0.005
+"""Of a joint's torque: no model of a machine is better."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Motion of R rows.
+
+    Attributes:
+        position, speed, acceleration: (R, J).
+        direction: (R, J) of each joint's motion, -1 to 1.
+        load: (R, J) torques that act on geared joints from outside, zero at the others.
+        command: (R, A) of the actuators, NaN where none was recorded.
+    """
+
+    time_s: Array
+    trial: NDArray[np.int64]
+    position: Array
+    speed: Array
+    acceleration: Array
+    direction: Array
+    load: Array
+    command: Array
+
+    def slid(self, joint: int, presliding: float) -> Array:
+        """(R,) share of its dry friction, -1 to 1, that acts on a joint: after Dahl.
+
+        A joint that turns round gives elastically over about `presliding`, in the position's
+        unit, until it slips the other way; with none, friction turns round with the motion.
+        """
+        if presliding <= 0.0:
+            return self.direction[:, joint]
+        own = np.zeros_like(self.position)
+        own[:, joint] = 1.0
+        return self.slid_along(own, presliding)
+
+    def slid_along(self, by_joint: Array, give: float) -> Array:
+        """(R,) the same along a way that grows by (R, J) of each joint's motion."""
+        parts = zip(*(self._by_trial(each) for each in (self.position, by_joint)), strict=True)
+        return np.concatenate([_dahl(_way(*part), give) for part in parts])
+
+    def _by_trial(self, rows: Array) -> list[Array]:
+        return np.split(rows, np.flatnonzero(np.diff(self.trial)) + 1)
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What drives one trial, (T, …) rows at one rate; without commands where torques are read."""
+
+    time_s: Array
+    torque: Array
+    command: Array | None
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Densities (J,), by hertz."""
+
+    position: Array
+    torque: Array
+
+
+@dataclass(frozen=True)
+class Motion(Trajectory):
+    """Smoothed motion at R rows, and how torques at these rows become Q rows that are compared.
+
+    Attributes:
+        torque: (R, J) of the drives; NaN for joints without.
+        counts: (R, J) where the torque is compared: the joint moves, and its torque was measured.
+        floor: (J,) what noise of torques and positions leaves of any model in what is compared.
+        scale: how large torques and motion are.
+        paths: by trial, the smoothed position (T, J) at the recording's rate.
+        rate_hz: of that.
+        step: of its rows from one of the R to the next.
+        smoothed_hz: bandwidth of the motion.
+        compared_hz: bandwidth of the comparison.
+        passes: by trial, rows (P, R_t) that take torques of its rows to P compared ones.
+        compared_trial, compared_time_s: (Q,) of those.
+        forward: whether the comparison is to go forward in time.
+        zeroed: whether encoders were set to zero where each trial begins.
+        driven: by trial, at the recording's rate: times, drives' torques (T, J), and, where these
+            are what the model's actuators make of them, commands (T, A).
+        noise: of what was measured.
+        inertia: (J,) that each joint feels alone.
+    """
+
+    torque: Array
+    counts: NDArray[np.bool_]
+    floor: Array
+    scale: Scale
+    paths: tuple[Array, ...]
+    rate_hz: float
+    step: int
+    smoothed_hz: float
+    compared_hz: float
+    passes: tuple[Array, ...]
+    compared_trial: NDArray[np.int64]
+    compared_time_s: Array
+    forward: bool
+    zeroed: bool
+    driven: tuple[Driven, ...]
+    noise: Noise
+    inertia: Array
+
+    @cached_property
+    def rows(self) -> NDArray[np.int64]:
+        """(R,) of its rows among those of all trials at the recording's rate."""
+        found, first = [], 0
+        for path in self.paths:
+            inner = inner_rows(len(path), self.rate_hz, self.smoothed_hz)
+            found.append(first + np.arange(inner.start, inner.stop, self.step))
+            first += len(path)
+        return np.concatenate(found)
+
+    def slid_along(self, by_joint: Array, give: float) -> Array:
+        """As of a trajectory; between rows a joint may turn round, so it goes the whole path."""
+        found = []
+        for path, own in zip(self.paths, self._by_trial(by_joint), strict=True):
+            inner = inner_rows(len(path), self.rate_hz, self.smoothed_hz)
+            rows = np.arange(inner.start, inner.stop, self.step)
+            whole = np.stack([np.interp(np.arange(len(path)), rows, b) for b in own.T], axis=1)
+            share = _dahl(_way(path, whole), give)
+            found.append(smoothing.smoothed(share, self.rate_hz, self.smoothed_hz)[rows])
+        return np.concatenate(found)
+
+    def compared(self, torque: Array) -> Array:
+        """(Q, J) of torques (R, J): those that do not count taken out, then the low-pass."""
+        parts = self._by_trial(np.where(self.counts, torque, 0.0))
+        return np.concatenate([own @ part for own, part in zip(self.passes, parts, strict=True)])
+
+
+def inner_rows(count: int, rate_hz: float, smoothed_hz: float) -> slice:
+    """Rows without those at both ends where the filter has one side."""
+    edge = min(round(rate_hz / smoothed_hz), count // 3)
+    return slice(edge, count - edge)
+
+
+def _way(position: Array, by_joint: Array) -> Array:
+    """(T,) that grows by (T, J) of each joint's motion, positions (T, J)."""
+    step = 0.5 * (by_joint[1:] + by_joint[:-1]) * np.diff(position, axis=0)
+    return np.concatenate([[0.0], np.cumsum(step.sum(1))])
+
+
+def _dahl(position: Array, presliding: float) -> Array:
+    """Shares (T,) of dry friction along a path (T,), from none at its beginning."""
+    moved = np.diff(position, prepend=position[0])
+    stays = np.exp(-np.abs(moved) / presliding)
+    share, found = 0.0, []
+    for way, stay in zip(np.sign(moved).tolist(), stays.tolist(), strict=True):
+        share = way + (share - way) * stay
+        found.append(share)
+    return np.array(found)

@@ -1,0 +1,374 @@
+"""A recording as it is compared: motion smoothed, torques cleared of glitches, noise known.
+
+Smoothing has two stages. Positions and torques are smoothed lightly, as far as the noise of
+accelerations asks for, since a model's products of smoothed motion are not the smoothed products.
+Then what was measured and what a model predicts go through the same low-pass at the bandwidth in
+which they are compared. A joint at rest does not count, as dry friction may hold any torque there:
+its torques are taken out of both before that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from cablesense_base import Array
+from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.robot import smoothing
+from cablesense_gap.robot.effects.effect import Scale
+from cablesense_gap.robot.model import Robot, actuated
+from cablesense_gap.robot.motion import LEAST_FLOOR, Driven, Motion, Noise, Trajectory, inner_rows
+from cablesense_gap.robot.recording import RobotRecording
+
+MOST_ROWS = 5000
+"""Rows at which a model is evaluated; a longer recording has them farther apart."""
+
+_ROWS_A_PERIOD = 3.0
+_LIGHTER = 4.0
+"""Times the bandwidth of the comparison, at most, motion is smoothed with."""
+_POWER_SHARE, _MOTION_SHARE, _HARMONICS = 0.95, 0.9, 2.0
+"""Shares of the power of torques and of speeds; friction has harmonics of the motion."""
+_SLOW_SHARE = 0.02
+"""Of a joint's usual speed; slower is standing still, as far as friction is concerned."""
+_NOISE_DEVIATIONS = 3.0
+_LEAST_MOVING = 0.05
+_REST_S = 0.4
+_FEWEST_ROWS, _FEWEST_SAMPLES = 30, 16
+_GLITCH_SAMPLES, _GLITCH_DEVIATIONS = 5, 6.0
+
+
+def prepared(
+    recording: RobotRecording,
+    robot: Robot,
+    bandwidth_hz: float | None = None,
+    forward: bool | None = None,
+    *,
+    zeroed: bool = False,
+) -> Motion:
+    """The recording's motion and torques; by default compared as far as torques have power.
+
+    Without torques those count that the model's actuators make of the commands, and, unless asked
+    otherwise, the comparison goes forward.
+
+    Raises:
+        RecordingError: it has neither torques nor commands, or its trials are too short.
+    """
+    trials = _evenly_sampled(recording)
+    rate_hz = 1.0 / trials[0].interval_s
+    most_hz = min(smoothing.MOST_HZ, rate_hz / smoothing.SAMPLES)
+    by_command = not np.isfinite(recording.torque).any()
+    if by_command:
+        _check_commands(recording, robot)
+        trials = [replace(t, torque=_commanded(robot, t, most_hz)) for t in trials]
+    if bandwidth_hz is None:
+        compared_hz = float(np.clip(_comparison_hz(trials, rate_hz), smoothing.LEAST_HZ, most_hz))
+    elif 0.1 <= bandwidth_hz <= most_hz:
+        compared_hz = bandwidth_hz
+    else:
+        raise RecordingError(
+            f"{recording.name}: a bandwidth of {bandwidth_hz:g} Hz must be from 0.1 to "
+            f"{most_hz:.3g} Hz at this rate"
+        )
+    noise = _noise(trials, rate_hz)
+    inertia = _inertia(robot, recording.position)
+    smoothed_hz = _smoothing_hz(
+        noise, inertia, trials, compared_hz, min(_LIGHTER * compared_hz, most_hz)
+    )
+    step = max(
+        1,
+        round(rate_hz / (_ROWS_A_PERIOD * smoothed_hz)),
+        -(-sum(len(t.position) for t in trials) // MOST_ROWS),
+    )
+    speed_noise = np.sqrt(noise.position) * 2.0 * np.pi * smoothed_hz**1.5 / np.sqrt(3.0)
+    slow = _least_speed(trials, rate_hz, smoothed_hz, speed_noise)
+    parts = [_of_trial(t, rate_hz, smoothed_hz, slow, robot) for t in trials]
+    joined = {
+        f.name: np.concatenate([getattr(p, f.name)[::step] for p in parts])
+        for f in fields(_Smoothed)
+    }
+    moving, torque = joined.pop("moving"), joined["torque"]
+    tied = robot.geared.any(axis=1)
+    counts = (moving | (moving.mean(0) < _LEAST_MOVING)) & np.isfinite(torque) & ~tied
+    rows_hz = rate_hz / step
+    passes, kept = _low_passes([len(p.position[::step]) for p in parts], rows_hz, compared_hz)
+    trial = np.unique(joined["trial"], return_inverse=True)[1]
+    if len(kept) < _FEWEST_ROWS:
+        raise RecordingError(
+            f"{recording.name}: {len(kept)} rows are left of it after smoothing; record trials "
+            "of several seconds"
+        )
+    scale = _scale(joined, moving)
+    torque_noise = np.maximum(noise.torque, _noise_at_rest(trials, parts, rate_hz, compared_hz))
+    floor = np.hypot(
+        smoothing.noise_of_smoothed(torque_noise, compared_hz),
+        inertia * smoothing.noise_of_acceleration(noise.position, compared_hz, smoothed_hz),
+    )
+    joined["trial"] = trial
+    return Motion(
+        **joined,
+        counts=counts,
+        floor=np.maximum(floor, LEAST_FLOOR * scale.torque),
+        scale=scale,
+        paths=tuple(smoothing.smoothed(t.position, rate_hz, smoothed_hz) for t in trials),
+        rate_hz=rate_hz,
+        step=step,
+        smoothed_hz=smoothed_hz,
+        compared_hz=compared_hz,
+        passes=passes,
+        compared_trial=trial[kept],
+        compared_time_s=joined["time_s"][kept],
+        forward=by_command if forward is None else forward,
+        zeroed=zeroed,
+        driven=tuple(
+            Driven(t.time_s, t.torque, t.command if by_command else None) for t in trials
+        ),
+        noise=noise,
+        inertia=inertia,
+    )
+
+
+@dataclass(frozen=True)
+class _Trial:
+    number: int
+    time_s: Array
+    position: Array
+    torque: Array
+    command: Array
+    interval_s: float
+
+
+@dataclass(frozen=True)
+class _Smoothed(Trajectory):
+    """One trial, as `Motion`, at the recording's rate; and which joints move."""
+
+    torque: Array
+    moving: NDArray[np.bool_]
+
+
+def _evenly_sampled(recording: RobotRecording) -> list[_Trial]:
+    """Every trial at one rate, that of most rows."""
+    same = np.diff(recording.trial) == 0
+    interval_s = float(np.median(np.diff(recording.time_s)[same]))
+    found = []
+    for t in np.unique(recording.trial):
+        rows = np.flatnonzero(recording.trial == t)
+        own = recording.time_s[rows]
+        count = int((own[-1] - own[0]) / interval_s + 0.5) + 1
+        if count < _FEWEST_SAMPLES:
+            continue
+        time_s = own[0] + interval_s * np.arange(count)
+        position, torque, command = (
+            _interpolated(time_s, own, values[rows])
+            for values in (recording.position, recording.torque, recording.command)
+        )
+        found.append(
+            _Trial(int(t), time_s, position, _without_glitches(torque), command, interval_s)
+        )
+    if not found:
+        raise RecordingError(
+            f"{recording.name}: no trial has {_FEWEST_SAMPLES} rows; record longer ones"
+        )
+    return found
+
+
+def _interpolated(at_s: Array, time_s: Array, values: Array) -> Array:
+    columns = [np.interp(at_s, time_s, column) for column in values.T]
+    return np.array(columns).reshape(values.shape[1], len(at_s)).T
+
+
+def _without_glitches(torque: Array) -> Array:
+    """Without single samples that stand out from their neighbours, as a switching drive makes."""
+    middle = median_filter(np.nan_to_num(torque), size=(_GLITCH_SAMPLES, 1), mode="nearest")
+    off = np.abs(torque - middle)
+    usual = np.median(off, axis=0) / 0.6745 + 1e-12
+    return np.where(off > _GLITCH_DEVIATIONS * usual, middle, torque)
+
+
+def _check_commands(recording: RobotRecording, robot: Robot) -> None:
+    if not (recording.command.size and np.isfinite(recording.command).all()):
+        raise RecordingError(
+            f"{recording.name}: has neither torque.<joint> nor the commands of all actuators; "
+            "a comparison needs either"
+        )
+    if robot.model.na:
+        raise RecordingError(
+            f"{recording.name}: has no torque.<joint>, and actuators of {robot.path.name} have a "
+            "state of their own, which nothing records; record torques"
+        )
+
+
+def _commanded(robot: Robot, trial: _Trial, most_hz: float) -> Array:
+    """(T, J) what the actuators make of a trial's commands."""
+    rate_hz = 1.0 / trial.interval_s
+    position = smoothing.smoothed(trial.position, rate_hz, most_hz)
+    return actuated(robot, position, smoothing.derivatives(position, rate_hz)[0], trial.command)
+
+
+def _comparison_hz(trials: Sequence[_Trial], rate_hz: float) -> float:
+    """The frequency, Hz, up to which torques are compared: a multiple of that of the motion.
+
+    Where torques have their power below that, it is theirs; noise has no part in either. Above it
+    is what drives and controllers do against noise and resonances, which no motion shows.
+    """
+    moved = np.median(_frequency_below([t.position for t in trials], rate_hz, _MOTION_SHARE, 1))
+    torques = _frequency_below([t.torque for t in trials], rate_hz, _POWER_SHARE, 0)
+    return _HARMONICS * float(min(moved, torques.max()))
+
+
+def _frequency_below(
+    signals: Sequence[Array], rate_hz: float, share: float, derivative: int
+) -> Array:
+    """(J,) frequencies, Hz, below which a derivative of signals has a share of its power."""
+    known = [np.nan_to_num(signal) for signal in signals]
+    frequency, density = smoothing.mean_spectrum(known, rate_hz)
+    noise = np.mean([smoothing.noise_density(s, rate_hz, rate_hz / 4.0) for s in known], axis=0)
+    beyond = np.maximum(density - 2.0 * noise, 0.0) * frequency[:, None] ** (2 * derivative)
+    power = np.cumsum(beyond, axis=0)
+    return frequency[(power < share * power[-1]).sum(0)]
+
+
+def _noise(trials: Sequence[_Trial], rate_hz: float) -> Noise:
+    """Median over the longer trials of what positions and torques have in the upper half."""
+    longest = max(len(t.position) for t in trials)
+    long = [t for t in trials if len(t.position) >= 0.5 * longest]
+    densities = []
+    for signals in ([t.position for t in long], [t.torque for t in long]):
+        each = [smoothing.noise_density(np.nan_to_num(s), rate_hz, rate_hz / 4.0) for s in signals]
+        densities.append(np.median(each, axis=0))
+    return Noise(*densities)
+
+
+def _inertia(robot: Robot, position: Array) -> Array:
+    """(J,) that each joint feels alone, at some of the poses."""
+    model, data = robot.model, mujoco.MjData(robot.model)
+    whole = np.zeros((model.nv, model.nv))
+    found = []
+    for row in np.linspace(0, len(position) - 1, 20).astype(int):
+        data.qpos[:] = position[row]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, whole)
+        found.append(whole.diagonal().copy())
+    return np.asarray(np.mean(found, axis=0))
+
+
+def _smoothing_hz(
+    noise: Noise, inertia: Array, trials: Sequence[_Trial], compared_hz: float, most_hz: float
+) -> float:
+    """The widest bandwidth of the motion, Hz, at which the noise of accelerations is small enough.
+
+    As compared it stays below the noise of the torques, or 1 % of the torques.
+    """
+    torque = np.concatenate([t.torque for t in trials])
+    own = smoothing.noise_of_smoothed(noise.torque, compared_hz)
+    least = np.maximum(own, 0.01 * np.nan_to_num(torque.std(0)).max())
+    good = compared_hz
+    for tried_hz in np.geomspace(compared_hz, most_hz, 20):
+        left = smoothing.noise_of_acceleration(noise.position, compared_hz, float(tried_hz))
+        if (inertia * left <= least).all():
+            good = float(tried_hz)
+    return good
+
+
+def _least_speed(
+    trials: Sequence[_Trial], rate_hz: float, smoothed_hz: float, noise: Array
+) -> Array:
+    """(J,) speeds below which the direction of motion is not known."""
+    squares = [
+        smoothing.derivatives(smoothing.smoothed(t.position, rate_hz, smoothed_hz), rate_hz)[0]
+        ** 2
+        for t in trials
+    ]
+    usual = np.sqrt(np.concatenate(squares).mean(0))
+    return np.maximum(np.maximum(_NOISE_DEVIATIONS * noise, _SLOW_SHARE * usual), 1e-9)
+
+
+def _of_trial(
+    trial: _Trial,
+    rate_hz: float,
+    smoothed_hz: float,
+    slow: Array,
+    robot: Robot,
+) -> _Smoothed:
+    def filtered(signal: Array) -> Array:
+        return smoothing.smoothed(signal, rate_hz, smoothed_hz)
+
+    position = filtered(trial.position)
+    speed, acceleration = smoothing.derivatives(position, rate_hz)
+    direction = filtered(np.clip(speed / slow, -1.0, 1.0))
+    torque = filtered(trial.torque)
+    inner = inner_rows(len(position), rate_hz, smoothed_hz)
+    return _Smoothed(
+        trial=np.full(len(position), trial.number)[inner],
+        time_s=trial.time_s[inner],
+        position=position[inner],
+        speed=speed[inner],
+        acceleration=acceleration[inner],
+        direction=direction[inner],
+        load=np.where(robot.geared.any(axis=1), np.nan_to_num(torque), 0.0)[inner],
+        command=filtered(trial.command)[inner],
+        torque=torque[inner],
+        moving=np.abs(speed[inner]) >= slow,
+    )
+
+
+def _low_passes(
+    counts: Sequence[int], rows_hz: float, compared_hz: float
+) -> tuple[tuple[Array, ...], NDArray[np.int64]]:
+    """The low-pass of each trial as a matrix, without its ends, and which rows it leads to."""
+    step = max(1, round(rows_hz / (_ROWS_A_PERIOD * compared_hz)))
+    edge = round(0.5 * rows_hz / compared_hz)
+    passes, kept, begin = [], [], 0
+    for count in counts:
+        own = np.arange(min(edge, count // 2), count - edge, step)
+        low = compared_hz < rows_hz / 2.5
+        passes.append(
+            smoothing.smoothed(np.eye(count), rows_hz, compared_hz)[own]
+            if low
+            else np.eye(count)[own]
+        )
+        kept.append(begin + own)
+        begin += count
+    return tuple(passes), np.concatenate(kept)
+
+
+def _scale(joined: dict[str, Array], moving: NDArray[np.bool_]) -> Scale:
+    """Joints without a torque count as those with the largest."""
+    sizes = np.sqrt((joined["torque"] ** 2).mean(0))
+    largest = np.nanmax(sizes, initial=0.0)
+    if not largest > 0.0:
+        raise RecordingError("all torques are zero; record those of the drives")
+    sizes = np.where(np.isfinite(sizes), np.maximum(sizes, 1e-3 * largest), largest)
+    moved = np.maximum(moving.mean(0), 1e-6)
+    return Scale(
+        torque=sizes,
+        speed=np.sqrt((joined["speed"] ** 2 * moving).mean(0) / moved),
+        acceleration=np.sqrt((joined["acceleration"] ** 2 * moving).mean(0) / moved),
+        position=0.5 * np.ptp(joined["position"], axis=0),
+    )
+
+
+def _noise_at_rest(
+    trials: Sequence[_Trial], parts: Sequence[_Smoothed], rate_hz: float, compared_hz: float
+) -> Array:
+    """(J,) density of the torques' noise about the bandwidth, while all joints stand still.
+
+    Filtered noise is larger there than at high frequencies. The torque of a joint that sticks
+    changes more slowly, and differs from rest to rest.
+    """
+    least, found = int(_REST_S * rate_hz), []
+    low_hz = max(compared_hz, 1.0 / _REST_S)
+    for trial, part in zip(trials, parts, strict=True):
+        edge = (len(trial.position) - len(part.position)) // 2
+        still = ~part.moving.any(1)
+        ends = np.flatnonzero(np.diff(still.astype(int), prepend=0, append=0)) + edge
+        found += [
+            smoothing.noise_density(torque, rate_hz, low_hz, 2.0 * low_hz)
+            for begin, end in zip(ends[::2], ends[1::2], strict=True)
+            if len(torque := np.nan_to_num(trial.torque[begin:end])) >= least
+        ]
+    return np.median(found, axis=0) if found else np.zeros(trials[0].position.shape[1])

@@ -1,0 +1,147 @@
+"""What to record of a robot, so that effects can be distinguished, and what to record next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array
+from cablesense_base.files import written_whole
+from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.robot.catalogue import changed
+from cablesense_gap.robot.inverse import InverseDynamics
+from cablesense_gap.robot.model import Robot
+from cablesense_gap.robot.motion import Trajectory
+from cablesense_gap.robot.smoothing import derivatives
+from cablesense_gap.simulator import Assignment
+
+RATE_HZ = 100.0
+_RANGE_SHARE, _FREE_RAD, _MOST_RAD = 0.8, 1.2, 1.6
+_LEAST_PERIOD_S = 4.0
+_RAD_S, _M_S = 0.5, 0.1
+"""Peak speeds of a slow sweep of a hinge and of a slide."""
+_FAST, _LONG = 2.0, 20.0
+_TOGETHER = 4
+_SLOW_SPEED = 0.02
+_EVERY = 10
+
+
+@dataclass(frozen=True)
+class Block:
+    """One trial: what it is, what to do, and the positions (T, J) at `RATE_HZ`."""
+
+    kind: str
+    does: str
+    position: Array
+
+    @property
+    def duration_s(self) -> float:
+        """How long it takes."""
+        return len(self.position) / RATE_HZ
+
+
+def standard_protocol(robot: Robot) -> list[Block]:
+    """Each joint alone slowly and faster, then all at once."""
+    middle, reach = _ranges(robot)
+    speed = np.where([unit == "rad" for unit in robot.position_units], _RAD_S, _M_S)
+    period_s = np.maximum(2.0 * np.pi * reach / speed, _LEAST_PERIOD_S)
+    blocks = []
+    for j, joint in enumerate(robot.joints):
+        for kind, times in (("slow sweep", 1.0), ("fast sweep", _FAST)):
+            own_s = period_s[j] / times
+            time_s = np.arange(0.0, max(2.0 * own_s, 6.0), 1.0 / RATE_HZ)
+            position = np.tile(middle, (len(time_s), 1))
+            position[:, j] += reach[j] * np.sin(2.0 * np.pi * time_s / own_s)
+            low, high = middle[j] - reach[j], middle[j] + reach[j]
+            unit = robot.position_units[j]
+            does = (
+                f"move {joint} alone between {low:.2g} and {high:.2g} {unit} as a sine, "
+                f"{own_s:.0f} s each time; the others stay at the middle of their ranges"
+            )
+            blocks.append(Block(kind, does, position))
+    rng = np.random.default_rng(0)
+    for _ in range(_TOGETHER):
+        time_s = np.arange(0.0, _LONG, 1.0 / RATE_HZ)
+        waves = np.zeros((len(time_s), len(reach)))
+        for times in (1.0, _FAST, 2.0 * _FAST):
+            begin = rng.uniform(0.0, 2.0 * np.pi, len(reach))
+            at = 2.0 * np.pi * times * time_s[:, None] / period_s + begin
+            waves += np.sin(at) * reach / (3.0 * times)
+        does = "move all joints at once, each as a sum of three sines"
+        blocks.append(Block("all joints", does, middle + waves))
+    return blocks
+
+
+def write_protocol(path: Path, robot: Robot, blocks: Sequence[Block]) -> int:
+    """Write positions as rows of a recording without torques; gives how many.
+
+    Raises:
+        RecordingError: the place cannot be written to.
+    """
+    import pandas as pd
+
+    position, trial = _joined(blocks)
+    columns = {"time_s": np.arange(len(position)) / RATE_HZ, "trial": trial + 1}
+    columns |= {f"position.{name}": position[:, j] for j, name in enumerate(robot.joints)}
+    with written_whole(path, RecordingError) as beside:
+        pd.DataFrame(columns).to_csv(beside, index=False, float_format="%.6f")
+    return len(position)
+
+
+def next_experiment(robot: Robot, rivals: Sequence[Assignment], floor: Array) -> str:
+    """The block of the protocol in which explanations differ most, as text; empty without any.
+
+    `rivals` are the fitted numbers of each, `floor` (J,) the noise of each joint's torque. With
+    one of them it is the block that shows most of it.
+    """
+    if not rivals:
+        return ""
+    blocks = standard_protocol(robot)
+    position, number = _joined(blocks, _EVERY)
+    moved = [derivatives(block.position, RATE_HZ) for block in blocks]
+    speed, acceleration = (np.concatenate([each[k][::_EVERY] for each in moved]) for k in range(2))
+    trajectory = Trajectory(
+        time_s=np.arange(len(position)) * _EVERY / RATE_HZ,
+        trial=number,
+        position=position,
+        speed=speed,
+        acceleration=acceleration,
+        direction=np.clip(speed / _SLOW_SPEED, -1.0, 1.0),
+        load=np.zeros_like(position),
+        command=np.full((len(position), robot.model.nu), np.nan),
+    )
+    dynamics = InverseDynamics(robot, trajectory)
+    weighed = rivals if len(rivals) > 1 else [{}, *rivals]
+    torques = [dynamics.torques(changed(robot, [values])) / floor for values in weighed]
+    pairs = [(a - b) ** 2 for a, b in combinations(torques, 2)]
+    nearest = np.min([np.bincount(number, pair.mean(1)) for pair in pairs], axis=0)
+    size = np.sqrt(nearest / np.bincount(number))
+    if not size.max() > 0.0:  # backlash, which no trajectory shows that was not measured
+        return ""
+    best = blocks[int(size.argmax())]
+    part = "The explanations differ there by" if len(rivals) > 1 else "It shows there as"
+    return (
+        f"Record several times, as {best.kind}: {best.does}. {part} {size.max():.2g} floors RMS."
+    )
+
+
+def _ranges(robot: Robot) -> tuple[Array, Array]:
+    """Middle and half width (J,) of what each joint goes through."""
+    low, high = robot.model.jnt_range.T
+    limited = robot.model.jnt_limited.astype(bool)
+    middle = np.where(limited, 0.5 * (low + high), robot.model.qpos0)
+    return middle, np.where(
+        limited, np.minimum(0.5 * _RANGE_SHARE * (high - low), _MOST_RAD), _FREE_RAD
+    )
+
+
+def _joined(blocks: Sequence[Block], every: int = 1) -> tuple[Array, NDArray[np.int64]]:
+    """Positions and numbers of blocks, one after the other."""
+    positions = [block.position[::every] for block in blocks]
+    number = np.repeat(np.arange(len(blocks)), [len(each) for each in positions])
+    return np.concatenate(positions), number

@@ -1,0 +1,149 @@
+"""The folder that a diagnosis of a robot leaves: verdict, amended model and report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cablesense_base.files import write_atomically
+from cablesense_gap.report.charts import gap_bars, steps
+from cablesense_gap.report.style import (
+    AFTER,
+    BEFORE,
+    INK,
+    WIDTH_IN,
+    ReportError,
+    as_uri,
+    percent,
+    rendered,
+    style,
+    with_interval,
+)
+from cablesense_gap.report.text import SURE, candidate_name
+from cablesense_gap.robot.amending import AMENDED_MODEL, BESIDE_MODEL, write_amended
+from cablesense_gap.robot.catalogue import known_effects
+from cablesense_gap.robot.pipeline import RobotDiagnosis
+from cablesense_gap.simulator import Term
+from cablesense_gap.verdict import (
+    NONE,
+    UNKNOWN,
+    Verdict,
+    VerdictError,
+    joined,
+    listed,
+    write_verdict,
+)
+
+ROBOT_FILES = ("verdict.json", AMENDED_MODEL, BESIDE_MODEL, "report.html")
+
+
+def write_robot_diagnosis(
+    folder: Path, found: RobotDiagnosis, beside: Mapping[Term, float]
+) -> None:
+    """Write all files, each whole or not at all; `beside` are effects of the nominal JSON.
+
+    Raises:
+        VerdictError: the folder cannot be made, or the verdict not be written.
+        RobotError: the amended model cannot be written.
+        ReportError: the report cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise VerdictError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    write_verdict(folder / "verdict.json", found.verdict)
+    write_amended(folder, found.robot, found.amended, beside)
+    write_atomically(folder / "report.html", report_page(found, folder.name), ReportError)
+
+
+def robot_headline(verdict: Verdict) -> str:
+    """The first line: what, where, how sure."""
+    sure, gap = percent(verdict.probability), floors(verdict.gap.before_n)
+    if verdict.effects == (NONE,):
+        return (
+            f"Nothing to add: the gap of {gap} is what noise and manufacturing tolerances leave "
+            f"({sure} sure)."
+        )
+    if verdict.effects == (UNKNOWN,):
+        return f"Something that no known effect explains makes a gap of {gap} ({sure} sure)."
+    causes = ", and from ".join(_cause(verdict, name) for name in verdict.effects)
+    probably = "" if verdict.probability >= SURE else " probably"
+    return f"The gap{probably} comes from {causes} ({sure} sure)."
+
+
+def floors(value: float) -> str:
+    """`8.4 floors`."""
+    return f"{value:.3g} floor{'' if value == 1.0 else 's'}"
+
+
+def _cause(verdict: Verdict, name: str) -> str:
+    places = verdict.shares[name].places if name in verdict.shares else ()
+    where = f" at {listed([place.replace('_into_', ' into ') for place in places])}"
+    return known_effects()[name].about + (where if places else "")
+
+
+def report_page(found: RobotDiagnosis, folder: str) -> str:
+    """The report, one HTML page that needs nothing beside it."""
+    verdict = found.verdict
+    with style():
+        overlay = _overlay(found)
+    named = verdict.effects[0] not in (NONE, UNKNOWN)
+    rivals = [name for name in verdict.ambiguity_group if name != joined(verdict.effects)]
+    content = {
+        "kind": "effect" if named else verdict.effects[0],
+        "headline": robot_headline(verdict),
+        "rivals": [candidate_name(name.split("+")) for name in rivals],
+        "causes": [(_cause(verdict, n), known_effects()[n].advice) for n in verdict.effects]
+        if named
+        else [],
+        "verdict": verdict,
+        "trials": int(found.comparison.trial.max()) + 1,
+        "folder": folder,
+        "findings": found.findings,
+        "forward": found.motion.forward,
+        "overlay": overlay,
+        "bars": gap_bars(verdict),
+        "steps": steps(verdict),
+        "parameters": [
+            (effect, " ".join(place or verdict.shares[effect].places), parameter, estimate)
+            for name, estimate in verdict.parameters.items()
+            for effect, *place, parameter in (name.split("."),)
+        ],
+    }
+    filters: dict[str, Any] = {
+        made.__name__: made for made in (floors, percent, with_interval, listed)
+    }
+    return rendered("cablesense_gap.robot", "report.html", content, filters)
+
+
+def _overlay(found: RobotDiagnosis) -> str:
+    """The trial with the largest gap, channel by channel."""
+    import matplotlib.pyplot as plt
+
+    compared = found.comparison
+    gap = (((compared.readings - found.before) / compared.floor) ** 2).sum(1)
+    worst = int(np.bincount(compared.trial, gap).argmax())
+    rows = compared.trial == worst
+    figure, axes = plt.subplots(
+        len(compared.names), 1, figsize=(WIDTH_IN, 0.7 + 1.5 * len(compared.names)),
+        sharex=True, squeeze=False, layout="constrained",
+    )  # fmt: skip
+    drawn = [
+        (compared.readings, INK, 1.8, "measured"), (found.before, BEFORE, 1.2, "nominal model"),
+    ]  # fmt: skip
+    if not np.allclose(found.before, found.after):
+        drawn.append((found.after, AFTER, 1.2, "amended model"))
+    for c, name in enumerate(compared.names):
+        panel = axes[c, 0]
+        for values, colour, width, label in drawn:
+            time_s, own = compared.time_s[rows], values[rows, c]
+            panel.plot(time_s, own, color=colour, lw=width, label=label)
+        panel.set_title(name, pad=2)
+        panel.set_ylabel(compared.units[c])
+        panel.grid(axis="y")
+    axes[-1, 0].set_xlabel("time, s")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    return as_uri(figure)

@@ -1,0 +1,172 @@
+"""Tendons over guides: what friction takes of their pull, by the chain law of `cable_chain`.
+
+Where tensions at the actuators are known, from commands, cables are elastic: what lies beyond a
+guide is stretched by the joints until it slips. From torques alone, where tensions are those that
+the joints need, they are rigid, and give by Dahl's law along the way that passes each guide.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_gap.robot.model import Change, Robot
+from cablesense_gap.robot.motion import Trajectory
+
+_LEAST_GIVE = 1e-4
+"""Of the way that passes a guide: how far cable gives at least."""
+_LEAST_M, _RIDGE, _LEAST_SHARE = 1e-9, 1e-9, 1e-6
+_CACHED = 48
+_SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
+
+
+class GuidedTendons:
+    """The K guided tendons of a robot along a motion, as it was measured or is asked for."""
+
+    def __init__(self, robot: Robot, motion: Trajectory) -> None:
+        """Tensions are those that the actuators make of recorded commands, where there are any."""
+        model, data, rows = robot.model, mujoco.MjData(robot.model), len(motion.position)
+        self._motion, self._shares = motion, dict[tuple[int, float], Array]()
+        of_tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
+        pulls = of_tendon & (model.actuator_trnid[:, 0] == robot.tendon_ids[:, None])
+        self._pulls = np.where(pulls, -model.actuator_gear[:, 0], 0.0)
+        self._moment, force = np.zeros((rows, model.nu, model.nv)), np.empty((rows, model.nu))
+        guides = {t: _guides(model, t) for t in robot.tendon_ids.tolist()}
+        paths: dict[int, list[tuple[Array, Array]]] = {t: [] for t in guides}
+        for row, command in enumerate(np.nan_to_num(motion.command)):
+            data.qpos[:], data.qvel[:] = motion.position[row], motion.speed[row]
+            data.ctrl[:] = command
+            mujoco.mj_fwdPosition(model, data)
+            mujoco.mj_fwdVelocity(model, data)
+            mujoco.mj_fwdActuation(model, data)
+            force[row] = data.actuator_force
+            moment = data.actuator_moment, data.moment_rownnz, data.moment_rowadr
+            mujoco.mju_sparse2dense(self._moment[row], *moment, data.moment_colind)
+            for t, own in guides.items():
+                paths[t].append(_followed(model, data, data.ten_wrapadr[t], own))
+        self._paths = [[np.array(each) for each in zip(*paths[t], strict=True)] for t in paths]
+        known = np.isfinite(motion.command).all() and not model.na
+        self._tension_n = force @ self._pulls.T if known else None
+
+    def lost(self, change: Change, torque: Array, *, at_drive: bool = False) -> Array:
+        """(R, J) by how much the torques of the drives are more than what reaches the joints.
+
+        Where no commands were recorded, tensions are the least that give `torque` (R, J), at the
+        joints or `at_drive`; a tendon that pushes then stands for its counterpart, which pulls.
+        """
+        used = np.flatnonzero(change.capstan_friction).tolist()
+        tension_n = self._tension_n
+        if tension_n is None:
+            tension_n = self._least_n(self._moment, torque)
+        lost = {k: self._lost_m(k, change, np.sign(tension_n[:, k])) for k in used}
+        if self._tension_n is None and not at_drive:
+            left = self._moment - sum(self._pulls[k][:, None] * lost[k][:, None] for k in used)
+            tension_n = self._least_n(left, torque)
+        return np.asarray(sum(tension_n[:, k, None] * lost[k] for k in used))
+
+    def _least_n(self, moment: Array, torque: Array) -> Array:
+        """(R, K) tensions of actuators with moments (R, A, J) that give torques (R, J)."""
+        square = moment.swapaxes(1, 2) @ moment
+        own = np.maximum(np.trace(square, axis1=1, axis2=2), _LEAST_M**2)[:, None, None]
+        by_joint = np.linalg.solve(
+            square + _RIDGE * own * np.eye(square.shape[-1]), torque[..., None]
+        )
+        return np.asarray((moment @ by_joint)[..., 0] @ self._pulls.T)
+
+    def _lost_m(self, k: int, change: Change, sign: Array) -> Array:
+        """(R, J) what a tendon loses of its moment, pulling (1) or pushing (-1).
+
+        Cable passes a guide, towards the actuator, as all pieces beyond it become shorter.
+        """
+        lever_m, turn_rad = self._paths[k]
+        limit = change.capstan_friction[k] * turn_rad
+        beyond = np.cumsum(lever_m[:, :0:-1], axis=1)[:, ::-1]
+        way_m = (np.abs(beyond).max(0) * np.ptp(self._motion.position, axis=0)).sum(1)
+        gives_m = np.maximum(change.capstan_presliding[k], _LEAST_GIVE * way_m + _LEAST_M)
+        if self._tension_n is None:
+            left = self._left_rigid(k, sign, beyond, limit, gives_m)
+        else:
+            left = self._left_elastic(k, sign, beyond, limit, gives_m.max())
+        return np.einsum("rp,rpj->rj", left - 1.0, lever_m[:, 1:])
+
+    def _left_elastic(
+        self, k: int, sign: Array, beyond: Array, limit: Array, give_m: float
+    ) -> Array:
+        """(R, P - 1) what elastic cable beyond each guide has of the tension at the actuator.
+
+        It is so stiff that at its usual tension it goes from rest to slip within `give_m`.
+        """
+        from cablesense_sim.cable_chain import (
+            pulled_over_guides_n,
+        )  # compiled: others need not wait
+
+        assert self._tension_n is not None
+        position, trial = self._motion.position, self._motion.trial
+        near_n = np.abs(self._tension_n[:, k])
+        near_n = np.maximum(near_n, _LEAST_SHARE * near_n.max() + _LEAST_M)
+        between, moved = 0.5 * (beyond[1:] + beyond[:-1]), np.diff(position, axis=0)
+        longer = np.vstack([0.0 * limit[:1], np.einsum("rpj,rj->rp", between, moved)])
+        pulled_n = limit.mean() * near_n.mean() / give_m * sign[:, None] * longer
+        begins = (np.diff(trial, prepend=trial[0] - 1) != 0).astype(float)
+        found_n = pulled_over_guides_n(near_n, pulled_n, np.exp(limit), begins)
+        return np.asarray(found_n / near_n[:, None])
+
+    def _left_rigid(
+        self, k: int, sign: Array, beyond: Array, limit: Array, gives_m: Array
+    ) -> Array:
+        """The same of rigid cable that slips the other way by Dahl's law."""
+        from cablesense_sim.cable_chain import kept
+
+        key = k, float(gives_m.max())
+        if key not in self._shares:
+            if len(self._shares) >= _CACHED:
+                self._shares.pop(next(iter(self._shares)))
+            found = np.zeros(limit.shape)
+            for p in np.flatnonzero(np.abs(beyond).max((0, 2)) > _LEAST_M).tolist():
+                same = p and np.allclose(beyond[:, p], beyond[:, p - 1], rtol=0.0, atol=_LEAST_M)
+                slid = self._motion.slid_along
+                found[:, p] = found[:, p - 1] if same else slid(-beyond[:, p], gives_m[p])
+            self._shares[key] = found
+        return kept(self._shares[key] * sign[:, None], limit)
+
+
+def _guides(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int]]:
+    """Of a tendon's ends and guides the geom, -1 of a site, and the body."""
+    own = slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
+    return [
+        (-1, int(model.site_bodyid[number]))
+        if kind == _SITE
+        else (number, model.geom_bodyid[number])
+        for kind, number in zip(model.wrap_type[own], model.wrap_objid[own].tolist(), strict=True)
+    ]
+
+
+def _followed(
+    model: mujoco.MjModel, data: mujoco.MjData, at: int, guides: list[tuple[int, int]]
+) -> tuple[Array, Array]:
+    """Levers (P, J), m, of a tendon's straight pieces, and wrap angles (P - 1,) between them.
+
+    From its actuator on, the end nearer to the base; `at` is the first of its points in the data.
+    A piece has the number of the guide that it comes from; one that the tendon passes without
+    touching has neither.
+    """
+    place, met = data.wrap_xpos.reshape(-1, 3), data.wrap_obj.ravel()
+    lever, turn = np.zeros((len(guides) - 1, model.nv)), np.zeros(len(guides) - 1)
+    here, there = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    last, way = 0, np.zeros(3)
+    for n, (geom, body) in enumerate(guides):
+        if geom >= 0 and met[at] != geom:
+            continue
+        if n:
+            mujoco.mj_jac(model, data, there, None, place[at], body)
+            straight = place[at] - place[at - 1]
+            before, way = way, straight / max(math.sqrt(straight @ straight), _LEAST_M)
+            lever[last] = way @ (there - here)
+            turn[last] = math.acos(min(max(before @ way, -1.0), 1.0))
+        last, at = n, at + (1 if geom < 0 else 2)
+        mujoco.mj_jac(model, data, here, None, place[at - 1], body)
+    towards = slice(None, None, -1 if guides[0][1] > guides[-1][1] else 1)
+    return lever[towards], turn[1:][towards]

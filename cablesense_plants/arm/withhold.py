@@ -1,0 +1,337 @@
+"""Cases: arms with something hidden in them, what is done to them, and their recordings.
+
+A set of cases becomes files: recordings as CSV, what is hidden in them as a table beside.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import astuple, dataclass, fields, replace
+from functools import partial
+from math import ceil
+from pathlib import Path
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_base.files import written_whole
+from cablesense_base.workers import WorkerPool
+from cablesense_plants.arm.arm import RealArm, ideal_arm, with_tolerances
+from cablesense_plants.arm.body import Nominal, PlantError
+from cablesense_plants.arm.change import UNKNOWN, Change
+from cablesense_plants.arm.listed import LISTED
+from cablesense_plants.arm.protocol import Schedule, draw_history, draw_schedule
+from cablesense_plants.arm.sensing import read_n
+from cablesense_plants.arm.unlisted import UNLISTED
+
+NONE = "none"
+
+_FLOORS = {"faint": (1.0, 5.0), "plain": (5.0, 60.0), "gross": (60.0, 100.0)}
+_SHARES = (0.1, 0.78, 0.12)
+"""Size of a change as the gap it makes, by the error of one reading."""
+_PLAIN = (8.0, 60.0)
+"""The same of changes that are not in the list, or one of two."""
+_VISIBLE_FLOORS, _WANTED_SHARE = 5.0, 0.1
+"""The least gap of such a change, and of one alone as a share of the gap that it was to make."""
+_CHANGE_REDRAWS = 8
+
+_TRIES = 6
+_NEAR = 1.25
+_TRIED_HZ, _STRIDE = 5.0, 6
+_RETREAT = 0.4
+_NONE_SHARE, _UNKNOWN_SHARE, _DOUBLE_SHARE = 0.2, 0.2, 0.12
+_REDRAWS = 5
+
+
+def withhold(
+    folder: Path,
+    answers_file: Path,
+    nominal: Nominal,
+    count: int,
+    seed: int,
+    only: Sequence[str] = (),
+    workers: int = 1,
+    *,
+    second: bool = False,
+) -> Iterator[Answer]:
+    """Write `case_001.csv` … into a folder and, at the end, the answers; yields them as they come.
+
+    With `second`, the folder `second/` beside them gets another recording of each arm, with other
+    commands, loads and past. The same seed makes the same files, whatever the number of processes.
+
+    Raises:
+        PlantError: an unknown kind in `only`, sensors that are perfect, or a place that cannot be
+            written to.
+    """
+    if nominal.floor_n == 0.0:
+        raise PlantError(
+            "noise_std_n and step_n of the arm's sensors are both 0; sizes are drawn by what the "
+            "sensors add to a reading, so one of them must be above 0"
+        )
+    kinds = draw_kinds(np.random.default_rng([seed]), count, only)
+    answers = []
+    with WorkerPool(workers, nominal, seed, refusal=PlantError) as pool:
+        make = partial(make_case, second=second)
+        for recorded in pool.map(make, range(1, count + 1), kinds):
+            name = f"{recorded.answer.recording}.csv"
+            hertz = nominal.rate_hz
+            _write_recording(folder / name, hertz, recorded.schedule, recorded.tensions_n)
+            if recorded.second is not None:
+                _write_recording(folder / "second" / name, hertz, *recorded.second)
+            answers.append(recorded.answer)
+            yield recorded.answer
+    with _written(answers_file) as beside, beside.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(field.name for field in fields(Answer))
+        for answer in answers:
+            row = astuple(answer)
+            table.writerow(f"{x:.4f}" if isinstance(x, float) else x for x in row)
+
+
+def draw_several(rng: np.random.Generator, count: int, least: int, most: int) -> list[str]:
+    """Kinds of `count` cases, each of `least` to `most` different effects of the list."""
+    drawn = [rng.choice(list(LISTED), rng.integers(least, most + 1), False) for _ in range(count)]
+    return ["+".join(sorted(map(str, names))) for names in drawn]
+
+
+def draw_kinds(rng: np.random.Generator, count: int, only: Sequence[str] = ()) -> list[str]:
+    """Kinds of `count` cases for `record_case`, in random order.
+
+    At least a fifth hide nothing and a fifth something that no verdict has a name for; an eighth
+    hides two effects, the rest one. Effects come in turn, so that none comes twice before all
+    have come once. With `only`, those kinds in turn.
+    """
+    if only:
+        return [only[i % len(only)] for i in range(count)]
+    listed, unlisted = _in_turn(rng, list(LISTED)), _in_turn(rng, list(UNLISTED))
+    none, unknown = ceil(_NONE_SHARE * count), ceil(_UNKNOWN_SHARE * count)
+    doubles = round(_DOUBLE_SHARE * count)
+    singles = max(0, count - none - unknown - doubles)
+    kinds = [NONE] * none
+    kinds += [next(unlisted) for _ in range(unknown)]
+    kinds += [next(listed) for _ in range(singles)]
+    kinds += [_pair(listed) for _ in range(doubles)]
+    return [kinds[i] for i in rng.permutation(len(kinds))][:count]
+
+
+def make_case(
+    nominal: Nominal, seed: int, index: int, kind: str, *, second: bool = False
+) -> CaseRecording:
+    """Case `index` (from 1) of the set of a seed; an arm that finds no rest is drawn anew."""
+    for attempt in range(_REDRAWS):
+        rng = np.random.default_rng([seed, index, attempt])
+        try:
+            return record_case(rng, index, nominal, kind, second=second)
+        except PlantError:
+            if attempt == _REDRAWS - 1:
+                raise
+    raise AssertionError
+
+
+def _in_turn(rng: np.random.Generator, names: list[str]) -> Iterator[str]:
+    while True:
+        yield from (names[i] for i in rng.permutation(len(names)))
+
+
+def _pair(names: Iterator[str]) -> str:
+    first = next(names)
+    second = next(name for name in names if name != first)
+    return "+".join(sorted((first, second)))
+
+
+def _write_recording(path: Path, rate_hz: float, done: Schedule, tensions_n: Array) -> None:
+    """One row a sample, columns named with their units."""
+    angles, cables = done.command_rad.shape[1], tensions_n.shape[1]
+    header = ["time_s", "trial", *(f"q{i + 1}_cmd_rad" for i in range(angles)), "load_segment"]
+    header += ["load_x_n", "load_y_n", "load_z_n", *(f"tension_{i + 1}_n" for i in range(cables))]
+    time_decimals = 2 if 100.0 % rate_hz == 0.0 else 6  # microseconds, where 10 ms are too coarse
+    decimals = [time_decimals, 0, *[6] * angles, 0, *[3] * 3, *[4] * cables]
+    table = np.column_stack([*done, tensions_n])
+    for column, places in zip(table.T, decimals, strict=True):
+        column[:] = np.round(column, places) + 0.0  # no -0.00
+    formats = [f"%.{places}f" for places in decimals]
+    with _written(path) as beside:
+        np.savetxt(beside, table, formats, ",", header=",".join(header), comments="")
+
+
+def _written(path: Path) -> AbstractContextManager[Path]:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise PlantError(f"{path}: cannot be written ({error.strerror or error})") from error
+    return written_whole(path, PlantError)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What was hidden in a recording.
+
+    Attributes:
+        recording: its name.
+        effects: names joined by `+` in alphabetical order, `none` or `unknown`.
+        where: places joined by spaces; empty for the whole arm.
+        form: what it physically is, joined by ` + `.
+        sizes: of each, with units, as JSON.
+        gap_n: root mean square of what the hidden changes make of the noise-free readings.
+        gap_over_floor: the same by the error of one reading.
+        scatter_gap_n: of the arm with manufacturing tolerances alone against the arm as drawn.
+        each_gap_n: of each change alone, joined by spaces; where an arm is history-dependent,
+            from every sixth row.
+    """
+
+    recording: str
+    effects: str
+    where: str
+    form: str
+    sizes: str
+    gap_n: float
+    gap_over_floor: float
+    scatter_gap_n: float
+    each_gap_n: str
+
+
+@dataclass(frozen=True)
+class CaseRecording:
+    """What is handed out of a case, and what is kept back.
+
+    Attributes:
+        second: another recording of the same arm.
+    """
+
+    schedule: Schedule
+    tensions_n: Array
+    answer: Answer
+    second: tuple[Schedule, Array] | None = None
+
+
+def record_case(
+    rng: np.random.Generator, index: int, nominal: Nominal, kind: str, *, second: bool = False
+) -> CaseRecording:
+    """Draw an arm, what is hidden in it and what is done to it, and record that.
+
+    Args:
+        rng: all of the case comes from it.
+        index: number in the name, `case_001`.
+        nominal: the arm as drawn.
+        kind: `none`, `unknown`, the name of an effect inside or outside the list, or several
+            inside it joined by `+`.
+        second: whether the same arm is recorded a second time.
+
+    Raises:
+        PlantError: a kind that is none of those, or an arm that finds no rest in some row.
+    """
+    draws = {**LISTED, **UNLISTED} if "+" not in kind else LISTED
+    names = [] if kind == NONE else kind.split("+")
+    if names == [UNKNOWN]:
+        names = [str(rng.choice(list(UNLISTED)))]
+    strange = [name for name in names if name not in draws]
+    if strange:
+        raise PlantError(
+            f"no effect {strange[0]!r}; the plant has none, unknown, {', '.join(draws)}, and "
+            "several of the list joined by +"
+        )
+    done = draw_schedule(nominal, rng), draw_history(nominal, rng)
+    plain_arm = with_tolerances(ideal_arm(nominal), rng)
+    changes = []
+    for name in sorted(names):
+        for _ in range(_CHANGE_REDRAWS):
+            change = draws[name](rng, nominal)
+            plain = len(names) > 1 or change.effect == UNKNOWN
+            bounds = _PLAIN if plain else _FLOORS[str(rng.choice(list(_FLOORS), p=_SHARES))]
+            wanted_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(bounds))))
+            size = size_for(change, plain_arm, wanted_n, *done)
+            least_n = _VISIBLE_FLOORS * nominal.floor_n if plain else _WANTED_SHARE * wanted_n
+            if _alone_n(change, size, plain_arm, *done) >= least_n:
+                break
+        changes.append((change, size))
+    noise_rng = np.random.default_rng(int(rng.integers(2**63)))
+    arm = plain_arm
+    for change, size in changes:
+        arm = change.apply(arm, size)
+    signals, plain_n = arm.signals_n(*done), plain_arm.signals_n(*done)
+    gap = gap_n(signals, plain_n)
+    each = [gap]
+    if len(changes) > 1:
+        each = [_alone_n(change, size, plain_arm, *done) for change, size in changes]
+    sizes = [
+        {"effect": change.effect, "size": float(f"{size:.6g}"), "unit": change.unit}
+        | {key: float(f"{value:.6g}") for key, value in change.details.items()}
+        for change, size in changes
+    ]
+    found = {tuple(place.split("_")) for change, _ in changes for place in change.where}
+    places = sorted((kind, int(number)) for kind, number in found)
+    answer = Answer(
+        recording=f"case_{index:03d}",
+        effects="+".join(sorted(change.effect for change, _ in changes)) or NONE,
+        where=" ".join(f"{kind}_{number}" for kind, number in places),
+        form=" + ".join(change.form for change, _ in changes),
+        sizes=json.dumps(sizes),
+        gap_n=gap,
+        gap_over_floor=gap / nominal.floor_n,
+        scatter_gap_n=gap_n(plain_n, ideal_arm(nominal).signals_n(*done)),
+        each_gap_n=" ".join(f"{value:.4f}" for value in each),
+    )
+    sensors = nominal.noise_std_n, nominal.step_n, noise_rng
+    recorded = CaseRecording(done[0], read_n(signals, *sensors), answer)
+    if not second:
+        return recorded
+    again = draw_schedule(nominal, noise_rng), draw_history(nominal, noise_rng)
+    return replace(recorded, second=(again[0], read_n(arm.signals_n(*again), *sensors)))
+
+
+def size_for(
+    change: Change, arm: RealArm, wanted_n: float, schedule: Schedule, history: Schedule
+) -> float:
+    """Size within the change's bounds whose gap against the arm without it is nearest.
+
+    By secants in the logarithms, to within some percent; a history-dependent arm is tried on every
+    sixth row. A size that leaves no rest lowers the upper bound.
+    """
+    low, high = np.log(change.least), np.log(change.most)
+    rows = _rows_to_try(change, arm, schedule)
+    without = arm.signals_n(rows, history)
+    at, best, nearest = 0.5 * (low + high), low, np.inf
+    steepness, last = 1.0, None
+    for _ in range(_TRIES):
+        try:
+            gap = gap_n(change.apply(arm, float(np.exp(at))).signals_n(rows, history), without)
+        except PlantError:
+            high = at + np.log(_RETREAT)
+            at = min(0.5 * (low + at), high)
+            continue
+        off = np.log(max(gap, 1e-6) / wanted_n)
+        if abs(off) < nearest:
+            best, nearest = float(np.clip(at - off, low, high)), abs(off)
+        if nearest < np.log(_NEAR):
+            break
+        if last is not None and abs(at - last[0]) > 1e-6:
+            steepness = float(np.clip((off - last[1]) / (at - last[0]), 0.3, 3.0))
+        last = at, off
+        at = float(np.clip(at - off / steepness, low, high))
+        if abs(at - last[0]) < 1e-6:
+            break
+    return float(np.exp(best))
+
+
+def gap_n(first_n: Array, second_n: Array) -> float:
+    """Root mean square difference of two recordings over rows and cables."""
+    return float(np.sqrt(np.mean((first_n - second_n) ** 2)))
+
+
+def _alone_n(
+    change: Change, size: float, arm: RealArm, schedule: Schedule, history: Schedule
+) -> float:
+    rows = _rows_to_try(change, arm, schedule)
+    changed = change.apply(arm, size).signals_n(rows, history)
+    return gap_n(changed, arm.signals_n(rows, history))
+
+
+def _rows_to_try(change: Change, arm: RealArm, schedule: Schedule) -> Schedule:
+    """The rows of a schedule that a gap is computed from: fewer where each waits for the last."""
+    rows = len(schedule.time_s) / (schedule.time_s[-1] - schedule.time_s[0]) / _TRIED_HZ
+    history_dependent = change.apply(arm, change.least).history_dependent
+    stride = max(1, round(rows)) * (_STRIDE if history_dependent else 1)
+    return schedule.rows(slice(None, None, stride))

@@ -1,0 +1,262 @@
+"""Sets of cases: robots with something hidden, their recordings, and what is hidden."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from cablesense_base import Array
+from cablesense_plants.robot.causes import (
+    UNKNOWN,
+    Cause,
+    Draw,
+    in_turn,
+    of_tendons,
+    pools,
+    with_tolerances,
+)
+from cablesense_plants.robot.hidden import Hidden, Kind, stacked
+from cablesense_plants.robot.kinds import GUIDED, KINDS
+from cablesense_plants.robot.motion import (
+    Reference,
+    prescribed_n_m,
+    reference,
+    simulate,
+    stacked_references,
+    written,
+)
+
+Drawing = Callable[[Draw], Cause]
+NONE = "none"
+_OF_LINKS = ("link_centre", "link_mass", "payload")
+_NONE_SHARE, _UNKNOWN_SHARE, _SEVERAL_SHARE = 0.2, 0.2, 0.2
+_FLOORS = (6.0, 40.0)
+"""What a cause makes of the torques, by the noise of one sample."""
+_TOLERANCES = 3.0
+"""A cause is at least so many times what tolerances make."""
+_VISIBLE = 0.8
+"""Of the size that is wanted: less and the cause is drawn anew."""
+_TRIES, _REDRAWS, _OF_ONE_NAME = 5, 60, 6
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What is hidden in a recording; gaps are in noise of one sample of a torque, pooled.
+
+    Attributes:
+        recording: its name.
+        robot: the name of its model.
+        effects: names joined by `+` in alphabetical order, `none` or `unknown`.
+        where: places joined by spaces.
+        form: what it physically is, joined by ` + `.
+        sizes: of each, with units, as JSON.
+        gap_over_floor: of the robot as asked to move, with all that is hidden, to the one with
+            tolerances alone.
+        scatter_over_floor: of the latter to the nominal robot.
+        each_gap_n: of each cause alone, joined by spaces.
+    """
+
+    recording: str
+    robot: str
+    effects: str
+    where: str
+    form: str
+    sizes: str
+    gap_over_floor: float
+    scatter_over_floor: float
+    each_gap_n: str
+
+
+@dataclass(frozen=True)
+class Case:
+    """A robot with something hidden, and what it is asked to do in two recordings."""
+
+    answer: Answer
+    kind: Kind
+    robot: Hidden
+    asked: tuple[Reference, Reference]
+    seeds: tuple[int, int]
+
+
+def drawn(count: int, seed: int, *, commands: bool = False) -> list[Case]:
+    """Cases of a seed: robots in turn; shares of `none`, `unknown`, one and several effects.
+
+    By `commands` causes are left out that show in torques alone.
+    """
+    rng = np.random.default_rng([seed])
+    known = pools(commands=commands)
+    listed, unlisted = (in_turn(rng, list(pool)) for pool in known)
+    none, unknown = round(_NONE_SHARE * count), round(_UNKNOWN_SHARE * count)
+    several = round(_SEVERAL_SHARE * count)
+    sets: list[list[str]] = [[]] * none + [[next(unlisted)] for _ in range(unknown)]
+    sets += [_different(listed, 2 + int(rng.random() < 0.4)) for _ in range(several)]
+    sets += [[next(listed)] for _ in range(count - len(sets))]
+    kinds = in_turn(rng, list(KINDS))
+    return [
+        draw_case(KINDS[next(kinds)], sets[at], seed, index + 1, known)
+        for index, at in enumerate(rng.permutation(count))
+    ]
+
+
+def with_play(count: int, seed: int) -> list[Case]:
+    """Pendulums of two links, each with backlash in one joint."""
+    known, kind = pools(commands=True), KINDS["two_links"]
+    return [draw_case(kind, ["backlash"], seed, index + 1, known) for index in range(count)]
+
+
+def with_tendons(count: int, seed: int) -> list[Case]:
+    """Fingers with guides: of four two have tendons that rub, one other friction, one nothing."""
+    known = of_tendons()
+    others = in_turn(np.random.default_rng([seed]), list(known[1]))
+    turns = [["capstan_friction"], [], ["capstan_friction"], ["other"]]
+    sets = [turns[k % len(turns)] for k in range(count)]
+    names = [[next(others)] if own == ["other"] else own for own in sets]
+    return [draw_case(GUIDED, own, seed, k + 1, known) for k, own in enumerate(names)]
+
+
+def _different(names: Iterator[str], count: int) -> list[str]:
+    found: list[str] = []
+    while len(found) < count:
+        name = next(names)
+        found += [name] if name not in found else []
+    return found
+
+
+def draw_case(
+    kind: Kind, names: list[str], seed: int, index: int, known: Sequence[Mapping[str, Drawing]]
+) -> Case:
+    """One case; a cause that this robot cannot show is drawn anew, of another name if need be."""
+    rng = np.random.default_rng([seed, index])
+    nominal, joints, links = kind.nominal()
+    asked = reference(kind, rng), reference(kind, rng)
+    plain = with_tolerances(nominal, kind, rng)
+    without = _read(kind, plain, asked[0])
+    scatter = _gap(kind, without, _read(kind, nominal, asked[0]))
+    draw = Draw(rng, kind, nominal, joints, links)
+    causes: list[tuple[Cause, float, float]] = []
+    for name in names:
+        taken = [c for c, *_ in causes]
+        pool = next(pool for pool in known if name in pool)
+        causes.append(_sized(draw, name, pool, taken, plain, asked[0], without, scatter))
+    causes.sort(key=lambda each: each[0].effect)
+    robot = plain
+    for cause, size, _ in causes:
+        robot = cause.apply(robot, size)
+    places = [place for cause, *_ in causes for place in cause.places if cause.effect != UNKNOWN]
+    sizes = [
+        {"effect": c.effect, "size": float(f"{size:.4g}"), "unit": c.unit, "places": c.places}
+        | {key: round(value, 4) for key, value in c.details.items()}
+        for c, size, _ in causes
+    ]
+    answer = Answer(
+        recording=f"case_{index:03d}",
+        robot=kind.name,
+        effects="+".join(c.effect for c, *_ in causes) or NONE,
+        where=" ".join(sorted(places)),
+        form=" + ".join(c.form for c, *_ in causes),
+        sizes=json.dumps(sizes),
+        gap_over_floor=round(_gap(kind, _read(kind, robot, asked[0]), without), 2),
+        scatter_over_floor=round(scatter, 2),
+        each_gap_n=" ".join(f"{gap:.2f}" for *_, gap in causes),
+    )
+    seeds = int(rng.integers(2**31)), int(rng.integers(2**31))
+    return Case(answer, kind, robot, asked, seeds)
+
+
+def _sized(
+    draw: Draw,
+    name: str,
+    pool: Mapping[str, Drawing],
+    taken: list[Cause],
+    plain: Hidden,
+    asked: Reference,
+    without: Array,
+    scatter: float,
+) -> tuple[Cause, float, float]:
+    """A cause, a size that makes about the gap wanted, and that gap."""
+    known = {cause.effect for cause in taken}
+    others = [n for n in pool if n not in known and _can_show(draw, n)]
+    for attempt in range(_REDRAWS):
+        stuck = attempt % _OF_ONE_NAME == _OF_ONE_NAME - 1
+        if stuck or name not in others:
+            name = str(draw.rng.choice(others))
+        cause = pool[name](draw)
+        if cause.effect in _OF_LINKS and any(
+            other.effect in _OF_LINKS and other.places == cause.places for other in taken
+        ):
+            continue  # three names for one thing
+        least = max(_FLOORS[0], _TOLERANCES * scatter)
+        wanted = float(np.exp(draw.rng.uniform(*np.log((least, max(_FLOORS[1], 2.0 * least))))))
+        size, gap = _size_for(draw.kind, cause, plain, asked, without, wanted)
+        if gap >= _VISIBLE * least and size >= cause.least:
+            return cause, size, gap
+    raise ValueError(f"{draw.kind.name}: no {name} shows")
+
+
+def _can_show(draw: Draw, name: str) -> bool:
+    """In a plane a tilt is the first joint's zero, and a zero turns the last link's centre."""
+    indistinct = ("base_tilt", "joint_zero") if not draw.robot.stiffness.any() else ("base_tilt",)
+    return not (draw.planar and name in indistinct)
+
+
+def _size_for(
+    kind: Kind, cause: Cause, plain: Hidden, asked: Reference, without: Array, wanted: float
+) -> tuple[float, float]:
+    """By the ratio of what is wanted to what a size makes, within the cause's bounds."""
+    size, best, found = 0.1 * cause.most, 0.0, 0.0
+    for _ in range(_TRIES):
+        gap = _gap(kind, _read(kind, cause.apply(plain, size), asked), without)
+        if not best or abs(np.log(max(gap, 1e-9) / wanted)) < abs(np.log(found / wanted)):
+            best, found = size, max(gap, 1e-9)
+        if abs(np.log(max(gap, 1e-9) / wanted)) < 0.1:
+            break
+        size = float(np.clip(size * wanted / max(gap, 1e-9), size / 20.0, cause.most))
+    return best, found
+
+
+def _read(kind: Kind, robot: Hidden, asked: Reference) -> Array:
+    return prescribed_n_m(kind, robot, asked)
+
+
+def _gap(kind: Kind, first: Array, second: Array) -> float:
+    return float(np.sqrt((((first - second) / kind.noise_n_m) ** 2).mean()))
+
+
+def record(cases: list[Case], folder: Path) -> None:
+    """Recordings of cases of one kind: `case_001.csv.gz` …, and the other in `second/`."""
+    kind = cases[0].kind
+    robots = stacked([case.robot for case in cases for _ in case.asked])
+    asked = stacked_references([each for case in cases for each in case.asked])
+    motion = simulate(kind, robots, asked)
+    _, joints, _ = kind.nominal()
+    seeds = [seed for case in cases for seed in case.seeds]
+    columns = written(kind, robots, motion, seeds)
+    names = [
+        folder / part / f"{case.answer.recording}.csv.gz"
+        for case in cases
+        for part in ("", "second")
+    ]
+    for path, each in zip(names, columns, strict=True):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        table = {"time_s": each["time_s"], "trial": each["trial"].astype(int)}
+        for what in ("position", "velocity", "torque"):
+            table |= {f"{what}.{j}": c for j, c in zip(joints, each[what].T, strict=True)}
+        table |= {f"command.{d}": c for d, c in zip(kind.drives, each["command"].T, strict=True)}
+        beside = path.with_name(f"part_{path.name}")
+        pd.DataFrame(table).to_csv(beside, index=False, float_format="%.6g")
+        beside.rename(path)
+
+
+def write_answers(cases: list[Case], path: Path) -> None:
+    """What is hidden, as a table."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(f.name for f in fields(Answer))
+        table.writerows(astuple(case.answer) for case in cases)

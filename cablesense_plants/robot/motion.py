@@ -1,0 +1,302 @@
+"""What robots are made to do, what they then do, and what is written down of it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from cablesense_base import Array
+from cablesense_plants.robot.guides import Rubbing, pulls_n
+from cablesense_plants.robot.hidden import Hidden, Kind, stacked
+
+STEP_S = 1e-3
+"""Of the simulation and of the robots' controller."""
+TRIALS = ("sines", "points", "sines", "slow", "points", "sines")
+_STEPS_OF_PLAY = 5
+"""Within one step, where teeth touch and part."""
+_TAPER = 0.16
+"""Of a trial, at both ends: how long sines take to come and to go."""
+_MOVE_S, _HOLD_S = 0.9, 0.5
+_CURRENT_S = 0.002
+"""Lag of a drive's current."""
+_FILTER_S = 0.0016
+"""Of the filter that a torque's noise passes."""
+_VELOCITY_S = 0.004
+_STRIDE = 8
+_PASSING_ROWS = 2.5
+"""That a joint takes from tooth to tooth, as what is hidden is sized."""
+
+
+class Reference(NamedTuple):
+    """What the controllers of B robots are asked for, (T, B, N); T steps of the simulation."""
+
+    angle: Array
+    speed: Array
+    acceleration: Array
+
+    @property
+    def time_s(self) -> Array:
+        """(T,)."""
+        return _times_s(len(self.angle))
+
+
+def reference(kind: Kind, rng: np.random.Generator) -> Reference:
+    """All trials of one recording, (T, N); each begins and ends at rest at home."""
+    steps = round(kind.trial_s / STEP_S)
+    time_s = _times_s(steps)
+    trials = []
+    for what in TRIALS:
+        if what == "points":
+            trials.append(_points(kind, rng, time_s))
+        elif what == "sines":
+            trials.append(_sines(kind, rng, time_s))
+        else:
+            trials.append(_slow(kind, rng, time_s))
+    angle = kind.home_rad + np.concatenate(trials) * kind.reach_rad
+    speed = np.gradient(angle, STEP_S, axis=0)
+    return Reference(angle, speed, np.gradient(speed, STEP_S, axis=0))
+
+
+def _sines(kind: Kind, rng: np.random.Generator, time_s: Array) -> Array:
+    """Four sines by joint, as identification of robots takes them."""
+    count = len(kind.home_rad)
+    frequency = kind.speed_hz * rng.uniform(0.15, 1.0, (4, count))
+    phase, share = rng.uniform(0.0, 2.0 * np.pi, (4, count)), rng.uniform(0.3, 1.0, (4, count))
+    waves = np.sin(2.0 * np.pi * frequency * time_s[:, None, None] + phase)
+    whole = (share * waves).sum(1) / share.sum(0) * 1.4
+    edge = np.minimum(time_s, time_s[-1] - time_s) / (_TAPER * time_s[-1])
+    return np.asarray(whole * _smooth(edge)[:, None])
+
+
+def _points(kind: Kind, rng: np.random.Generator, time_s: Array) -> Array:
+    """From point to point with a rest at each, and home again."""
+    count = max(2, int(time_s[-1] / (_MOVE_S + _HOLD_S)))
+    slot_s = time_s[-1] / count
+    goals = rng.uniform(-1.0, 1.0, (count + 1, len(kind.home_rad)))
+    goals[[0, -1]] = 0.0
+    at = np.minimum((time_s / slot_s).astype(int), count - 1)
+    share = _smooth((time_s - at * slot_s) / (slot_s * _MOVE_S / (_MOVE_S + _HOLD_S)))
+    return np.asarray(goals[at] + share[:, None] * (goals[at + 1] - goals[at]))
+
+
+def _slow(kind: Kind, rng: np.random.Generator, time_s: Array) -> Array:
+    """Every joint to one side and the other, once or twice in the trial."""
+    turns = rng.integers(1, 3, len(kind.home_rad)) * rng.choice([-1, 1], len(kind.home_rad))
+    share = (time_s / time_s[-1])[:, None]
+    edge = np.minimum(share, 1.0 - share) / _TAPER
+    return np.asarray(0.9 * np.sin(2.0 * np.pi * turns * share) * _smooth(edge))
+
+
+def _smooth(share: Array) -> Array:
+    """From 0 to 1 without a jump of acceleration."""
+    s = np.clip(share, 0.0, 1.0)
+    return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
+
+
+def stacked_references(references: list[Reference]) -> Reference:
+    """Of several robots, (T, B, N)."""
+    return Reference(*(np.stack(parts, 1) for parts in zip(*references, strict=True)))
+
+
+def prescribed_n_m(kind: Kind, robot: Hidden, asked: Reference) -> Array:
+    """Torques (T', N) that sensors would read if one robot did just what it is asked for.
+
+    Every eighth step. To size what is hidden: quick, without a controller, friction without its
+    past.
+    """
+    asked = Reference(*(part[::_STRIDE, None, :] for part in asked))
+    time_s = _times_s(len(asked.angle), _STRIDE)
+    robots: Hidden = stacked([robot])
+    gain = 1.0 + robots.encoder_scale
+    motor = [(asked.angle - robots.zero) / gain, asked.speed / gain, asked.acceleration / gain]
+    joint = [part @ robot.moved.T for part in motor]
+    base = np.zeros_like(time_s)[:, None, None]
+    chain = robots.on_base()
+    if robots.play_rad.any():
+        still = [np.concatenate([base, part], -1) for part in joint]
+        borne = np.sign(chain.torques_n_m(*still)[..., 1:])
+        behind = gaussian_filter1d(-0.5 * robots.play_rad * borne, _PASSING_ROWS, axis=0)
+        for part in joint:
+            part += behind
+            behind = np.gradient(behind, STEP_S * _STRIDE, axis=0)
+    moment = chain.torques_n_m(*(np.concatenate([base, part], -1) for part in joint))[..., :1]
+    give = [-moment / robot.base_stiffness]
+    give += [np.gradient(give[0], STEP_S * _STRIDE, axis=0)]
+    give += [np.gradient(give[1], STEP_S * _STRIDE, axis=0)]
+    whole = [np.concatenate(parts, -1) for parts in zip(give, joint, strict=True)]
+    at_joint = chain.torques_n_m(*whole)[..., 1:] + robots.spring_n_m(joint[0])
+    drive = at_joint @ robot.moved
+    drive = drive + robots.armature * motor[2] + robots.motor_n_m(motor[0], motor[1])
+    drive = drive - _push(robots, time_s, kind.trial_s)
+    if kind.guides is not None and robots.capstan.any():
+        rubbing = Rubbing(kind.guides, robots.capstan, joint[0][0])
+        lost = np.zeros_like(drive)
+        for k in range(1, len(drive)):
+            lost[k] = rubbing.lost_n_m(joint[0][k], drive[k] + lost[k - 1])
+        drive = drive + lost
+    way = np.tanh(motor[1] / 0.01)
+    return robots.read_n_m(drive + way * robots.kinetic_n_m(motor[1], drive), time_s)[:, 0]
+
+
+def _push(robots: Hidden, time_s: Array, trial_s: float) -> Array:
+    """(T, B, N) torque by someone, who comes and goes."""
+    since = time_s / trial_s - np.floor(time_s / trial_s)
+    strength = _smooth(np.minimum(since - 0.4, 0.95 - since) / 0.1)[:, None, None]
+    now = np.floor(time_s / trial_s)[:, None, None] == robots.push_trial
+    return np.asarray(strength * now * robots.push)
+
+
+class Motion(NamedTuple):
+    """What B robots did, (T, B, N) at every step.
+
+    Attributes:
+        motor, motor_speed: angles and speeds of the motors.
+        drive_n_m: their torques.
+        command_n_m: what the controllers asked of them.
+    """
+
+    motor: Array
+    motor_speed: Array
+    drive_n_m: Array
+    command_n_m: Array
+
+
+def simulate(kind: Kind, robots: Hidden, asked: Reference) -> Motion:
+    """Robots under their controllers: midpoint steps, bristles integrated exactly beside.
+
+    The controllers know the nominal robot: its torques of what is asked for, and by its inertia a
+    feedback of position and speed.
+    """
+    nominal = stacked([kind.nominal()[0]])
+    forward = nominal.chain.torques_n_m(*asked) + nominal.armature * asked.acceleration
+    forward = forward + nominal.spring_n_m(asked.angle)
+    forward = forward + nominal.motor_n_m(asked.angle, asked.speed)
+    alone = nominal.chain.mass_matrix(kind.home_rad[None])[0].diagonal()
+    own = np.asarray(alone + nominal.armature[0])
+    stiff, damp = own * kind.gain_1_s2, own * 1.4 * np.sqrt(kind.gain_1_s2)
+    back = np.asarray(np.linalg.inv(robots.moved), dtype=float)
+    gain = 1.0 + robots.encoder_scale
+    count = asked.angle.shape[1]
+    home = _times(robots.moved, (asked.angle[0] - robots.zero) / gain)
+    angle = np.concatenate([np.zeros((count, 1)), home], 1)
+    speed = np.zeros_like(angle)
+    chain = robots.on_base()
+    loose = robots.play_rad > 0.0  # there the rotor is a mass of its own
+    fixed = np.where(loose, 0.0, robots.armature)
+    inertia = np.swapaxes(back, 1, 2) * fixed[:, None, :] @ back
+    carried = chain.mass_matrix(angle)[:, 0, 0]
+    base_own, base_damping = robots.base(carried)
+    extra = np.zeros((count, angle.shape[1], angle.shape[1]))
+    extra[:, 0, 0], extra[:, 1:, 1:] = base_own, inertia
+    push = _push(robots, asked.time_s, kind.trial_s)
+    rubbing = kind.guides and Rubbing(kind.guides, robots.capstan, home)
+    bristle, drive = np.zeros_like(home), forward[0].copy()
+    kept = np.empty((4, *asked.angle.shape))
+    steps = _STEPS_OF_PLAY if loose.any() else 1
+    step_s = STEP_S / steps
+    rotor, rotor_speed = _times(back, angle[:, 1:]), np.zeros_like(home)
+
+    def motors(
+        angle: Array, speed: Array, rotor: Array, rotor_speed: Array
+    ) -> tuple[Array, Array]:
+        rigid = _times(back, angle[:, 1:]), _times(back, speed[:, 1:])
+        return np.where(loose, rotor, rigid[0]), np.where(loose, rotor_speed, rigid[1])
+
+    def acceleration(
+        angle: Array, speed: Array, rotor: Array, rotor_speed: Array, held: Array
+    ) -> tuple[Array, Array]:
+        """Of the chain, and of rotors with play."""
+        motor, motor_speed = motors(angle, speed, rotor, rotor_speed)
+        torque = held - robots.motor_n_m(motor, motor_speed)
+        passed = robots.flank_n_m(motor - angle[:, 1:], motor_speed - speed[:, 1:])
+        free = np.where(loose, torque - passed, 0.0) / np.where(loose, robots.armature, 1.0)
+        torque = np.where(loose, passed, torque)
+        base = -robots.base_stiffness * angle[:, 0] - base_damping * speed[:, 0]
+        joint = _times(np.swapaxes(back, 1, 2), torque) - robots.spring_n_m(angle[:, 1:])
+        whole = np.concatenate([base[:, None], joint], 1)
+        return chain.accelerations(angle, speed, whole, extra), free
+
+    for k in range(len(asked.angle)):
+        motor, motor_speed = motors(angle, speed, rotor, rotor_speed)
+        error = asked.angle[k] - gain * motor - robots.zero
+        command = forward[k] + stiff * error + damp * (asked.speed[k] - gain * motor_speed)
+        kept[:, k] = motor, motor_speed, drive, command
+        drive = drive + (command - drive) * (STEP_S / _CURRENT_S)
+        rate = np.abs(motor_speed) / robots.presliding_rad
+        slip = -np.expm1(-rate * STEP_S)
+        grown = np.where(rate > 1e-9, slip / np.maximum(rate, 1e-9), STEP_S)
+        bristle = bristle * (1.0 - slip) + motor_speed * grown
+        friction = robots.kinetic_n_m(motor_speed, drive) * bristle / robots.presliding_rad
+        held = drive - friction + push[k]
+        if rubbing:
+            held = held - rubbing.lost_n_m(angle[:, 1:], drive)
+        for _ in range(steps):
+            now = angle, speed, rotor, rotor_speed
+            first, turned = acceleration(*now, held)
+            middle, half = speed + 0.5 * step_s * first, rotor_speed + 0.5 * step_s * turned
+            between = (
+                angle + 0.5 * step_s * speed,
+                middle,
+                rotor + 0.5 * step_s * rotor_speed,
+                half,
+            )
+            then, turned = acceleration(*between, held)
+            angle, speed = angle + step_s * middle, speed + step_s * then
+            rotor, rotor_speed = rotor + step_s * half, rotor_speed + step_s * turned
+    if not np.isfinite(angle).all():
+        raise FloatingPointError("a robot flew away")
+    return Motion(*kept)
+
+
+def written(
+    kind: Kind, robots: Hidden, motion: Motion, seeds: list[int]
+) -> list[dict[str, Array]]:
+    """The recording of each robot: columns (T, …) by what they are."""
+    time_s = _times_s(len(motion.motor))
+    read = robots.read_n_m(motion.drive_n_m, time_s)
+    angle = (1.0 + robots.encoder_scale) * motion.motor + robots.zero
+    rows = slice(None, None, round(1.0 / (kind.rate_hz * STEP_S)))
+    found = []
+    for b, seed in enumerate(seeds):
+        rng = np.random.default_rng(seed)
+        jitter = 0.5 * kind.encoder_rad * rng.standard_normal(angle[:, b].shape)
+        counted = np.round((angle[:, b] + jitter) / kind.encoder_rad) * kind.encoder_rad
+        change = np.diff(counted, axis=0, prepend=counted[:1]) / STEP_S
+        noise = _lagged(rng.standard_normal(read[:, b].shape), _FILTER_S)
+        noise *= kind.noise_n_m / noise.std(0)
+        step = 0.5 * kind.noise_n_m
+        torque = np.round((_lagged(read[:, b], _FILTER_S) + noise) / step) * step
+        command = motion.command_n_m[:, b]
+        if kind.guides is not None:
+            command = pulls_n(kind.guides.moments_m(motion.motor[:, b]), motion.drive_n_m[:, b])
+        elif kind.tendon_m is not None:
+            command = pulls_n(np.tile(kind.tendon_m, (len(command), 1, 1)), command)
+        found.append(
+            {
+                "time_s": time_s[rows],
+                "trial": np.floor(time_s[rows] / kind.trial_s + 1e-9),
+                "position": counted[rows],
+                "velocity": _lagged(change, _VELOCITY_S)[rows],
+                "torque": torque[rows],
+                "command": command[rows],
+            }
+        )
+    return found
+
+
+def _lagged(signal: Array, time_s: float) -> Array:
+    from scipy.signal import lfilter
+
+    share = 1.0 - np.exp(-STEP_S / time_s)
+    start = (1.0 - share) * signal[:1]
+    return np.asarray(lfilter([share], [1.0, share - 1.0], signal, axis=0, zi=start)[0])
+
+
+def _times(matrix: Array, vector: Array) -> Array:
+    return np.asarray((matrix * vector[..., None, :]).sum(-1))
+
+
+def _times_s(steps: int, stride: int = 1) -> Array:
+    return np.asarray(np.arange(steps) * (STEP_S * stride), dtype=float)

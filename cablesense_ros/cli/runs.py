@@ -1,0 +1,203 @@
+"""Verbs that run nodes: `cablesense demo`, and `record` and `replay` of a run in a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cablesense_base.files import output_file, output_folder
+from cablesense_ros.cli.options import (
+    DurationOption,
+    ForceOption,
+    JsonOption,
+    RecordingFile,
+    refuse_given,
+)
+from cablesense_ros.demo.run import (
+    DEMO_FILES,
+    DEMO_FOLDER,
+    Controller,
+    DemoOptions,
+    Source,
+    run_headless,
+    run_live,
+)
+
+
+def demo(
+    context: typer.Context,
+    arm: Annotated[
+        str | None,
+        typer.Option(
+            help="Arm file: the name of a bundled one, or a path.",
+            show_default="cdsm; with --breathe cdsm_friction, with the model cdsm",
+        ),
+    ] = None,
+    model: Annotated[
+        str, typer.Option(help="Model file: a bundled name, or a path. Default: the arm's own.")
+    ] = "",
+    host: Annotated[
+        str, typer.Option(help="Address of the page. 0.0.0.0 opens it to your network.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option(min=1, max=65535, help="Port of the page; when busy, the next free one.")
+    ] = 8080,
+    no_open: Annotated[
+        bool, typer.Option("--no-open", help="Do not open the page in your browser.")
+    ] = False,
+    headless: Annotated[
+        bool,
+        typer.Option(
+            "--headless", help="No page: play a script, print a report, write a picture."
+        ),
+    ] = False,
+    duration: Annotated[
+        float,
+        typer.Option(min=4.0, max=3600.0, help="With --headless: length of the script, seconds."),
+    ] = 60.0,
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="Folder for the headless picture and for the nodes' logs; those of the last demo "
+            "in the default folder are replaced."
+        ),
+    ] = DEMO_FOLDER,
+    force: ForceOption = False,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the pushes and of the sensor noise.")
+    ] = 0,
+    source: Annotated[
+        Source,
+        typer.Option(
+            help="Where tensions come from: the simulation at once, or through CAN frames, an "
+            "emulated adapter and the driver."
+        ),
+    ] = Source.SIM,
+    controller: Annotated[
+        Controller,
+        typer.Option(
+            help="What moves the arm: nothing but you, or an admittance controller that yields to "
+            "an elastic wall."
+        ),
+    ] = Controller.NONE,
+    breathe: Annotated[
+        bool,
+        typer.Option(
+            "--breathe",
+            help="The arm breathes all the time: cables slide a little at every guide, so that "
+            "friction hides no force.",
+        ),
+    ] = False,
+    json_output: Annotated[
+        bool, typer.Option("--json", help="With --headless: print the report as JSON.")
+    ] = False,
+) -> None:
+    """Watch an arm being pushed, and the force estimated from its cables beside the true one.
+
+    Starts the simulated arm, the estimator and a page in the browser where you can push the arm
+    and move its joints. Ctrl-C ends all of it. With --headless it needs no browser: a script of
+    pushes, or of the wall, runs for a minute.
+    """
+    output_folder(out, DEMO_FILES, force=force or out == DEMO_FOLDER)
+    if arm is None:
+        arm, model = ("cdsm_friction", model or "cdsm") if breathe else ("cdsm", model)
+    options = DemoOptions(
+        arm, model, host, port, out, seed, source, controller, breathe, not no_open
+    )
+    if headless:
+        given = ("host", "port", "no_open")
+        refuse_given(context, given, "with --headless, which serves no page")
+        run_headless(options, duration_s=duration, as_json=json_output)
+    else:
+        refuse_given(context, ("duration", "json_output"), "without --headless")
+        run_live(options)
+
+
+def record(
+    out: RecordingFile,
+    duration: DurationOption = None,
+    namespace: Annotated[str, typer.Option(help="Namespace of the nodes.")] = "",
+    force: ForceOption = False,
+) -> None:
+    """Record all topics of the contract from running nodes, as rosbag2 MCAP.
+
+    Tensions, commands and loads, the estimates and the estimator's journal, diagnostics, joint
+    states, the robot description. Opens in Foxglove and PlotJuggler, plays in `ros2 bag play`,
+    and `cablesense replay` gives the same estimates again. A recorder that is killed loses half a
+    second. Ctrl-C ends it.
+
+    Example: cablesense record --out run.mcap
+    """
+    from rich.console import Console
+
+    from cablesense_msgs_py.qos import CONTRACT
+    from cablesense_ros.recorder import record_topics
+
+    record_topics(out, CONTRACT, duration, None, Console(), namespace, force)
+
+
+def replay(
+    context: typer.Context,
+    recording: Annotated[Path, typer.Argument(help="The .mcap file of `cablesense record`.")],
+    arm: Annotated[
+        str, typer.Option(help="Another arm than the recorded: a bundled name, or an arm file.")
+    ] = "",
+    model: Annotated[
+        str, typer.Option(help="Another model than the recorded: a bundled name, or a path.")
+    ] = "",
+    estimates: Annotated[
+        Path | None, typer.Option(help="Write the estimates to this .csv file.")
+    ] = None,
+    force: ForceOption = False,
+    publish: Annotated[
+        bool,
+        typer.Option("--publish", help="Publish the inputs over ROS, for an estimator that runs."),
+    ] = False,
+    rate: Annotated[
+        float, typer.Option(min=0.01, max=100.0, help="With --publish: how many times as fast.")
+    ] = 1.0,
+    namespace: Annotated[str, typer.Option(help="With --publish: of the estimator.")] = "",
+    json: JsonOption = False,
+) -> None:
+    """Give a recording's estimates again, and compare them with the recorded ones bit by bit.
+
+    Exit code 1 where one differs. With another arm or model it states how many stay the same, and
+    --estimates writes the estimates of that model.
+
+    Example: cablesense replay run.mcap
+    """
+    from dataclasses import asdict
+    from functools import partial
+    from json import dumps
+
+    from cablesense_gap.recordings.recording import RecordingError
+    from cablesense_online.recorded_run import RecordedRun
+    from cablesense_online.replay import comparison_lines, replay_in_process
+
+    if publish and (arm or model or estimates):
+        raise RecordingError(
+            "--publish: the estimator that runs has its own arm and model, and publishes its "
+            "estimates; leave out --arm, --model and --estimates"
+        )
+    if not publish:
+        refuse_given(context, ("rate", "namespace"), "without --publish")
+    if estimates is None:
+        refuse_given(context, ["force"], "without --estimates")
+    else:
+        output_file(estimates, force=force, inputs=(recording, arm, model))
+    run = RecordedRun(recording)
+    if publish:
+        from cablesense_ros.replay_through_node import replay_through_node
+
+        comparison = replay_through_node(run, rate, namespace, partial(typer.echo, err=True))
+    else:
+        comparison = replay_in_process(run, arm, model, estimates)
+    if json:
+        typer.echo(dumps(asdict(comparison) | {"cut": run.cut}))
+    else:
+        for line in comparison_lines(comparison, run.cut):
+            typer.echo(line)
+    if not (comparison.same or arm or model):
+        raise typer.Exit(1)

@@ -1,0 +1,139 @@
+"""The simulator behind the planted robots, against closed forms, conservation and MuJoCo."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+
+from cablesense_plants.robot.cases import drawn
+from cablesense_plants.robot.chain import Chain, read_chain
+from cablesense_plants.robot.guides import PRETENSION_N, Rubbing, pulls_n
+from cablesense_plants.robot.hidden import Kind, stacked
+from cablesense_plants.robot.kinds import GUIDED, KINDS
+from cablesense_plants.robot.motion import (
+    Reference,
+    prescribed_n_m,
+    reference,
+    simulate,
+    stacked_references,
+    written,
+)
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_torques_are_those_of_mujoco_without_effects(kind):
+    chain, sizes, _, _ = read_chain(kind.path)
+    model = mujoco.MjModel.from_xml_path(str(kind.path))
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    data, rng = mujoco.MjData(model), np.random.default_rng(1)
+    for _ in range(5):
+        motion = rng.normal(size=(3, model.nv))
+        data.qpos[:], data.qvel[:], data.qacc[:] = motion
+        mujoco.mj_inverse(model, data)
+        own = sizes["armature"] * motion[2] + sizes["damping"] * motion[1]
+        found = chain.torques_n_m(*motion) + own + sizes["stiffness"] * motion[0]
+        assert found == pytest.approx(data.qfrc_inverse, rel=1e-9, abs=1e-9)
+
+
+def test_a_pendulum_swings_with_its_period_and_keeps_its_energy():
+    mass, length, angle = 2.0, 0.4, 0.05
+    chain = Chain(
+        axis=np.array([[0.0, 1.0, 0.0]]),
+        origin_m=np.zeros((1, 3)),
+        mass_kg=np.array([mass]),
+        centre_m=np.array([[0.0, 0.0, -length]]),
+        inertia_kg_m2=np.zeros((1, 3, 3)),
+        gravity_m_s2=np.array([0.0, 0.0, -9.81]),
+    )
+    at = np.array([angle])
+    (acceleration,) = chain.accelerations(at, np.zeros(1), np.zeros(1), np.zeros((1, 1)))
+    assert acceleration == pytest.approx(-9.81 / length * np.sin(angle))
+    with_payload = chain.with_mass(0, mass, np.array([0.0, 0.0, -3.0 * length]))
+    (loaded,) = with_payload.accelerations(at, np.zeros(1), np.zeros(1), np.zeros((1, 1)))
+    assert loaded == pytest.approx(acceleration * 4.0 / 10.0)  # mgl and ml² of both
+
+
+class Idle(Kind):
+    """A robot whose controller asks for no torque."""
+
+    def nominal(self):
+        robot, *names = super().nominal()
+        none = np.zeros_like(robot.damping)
+        chain = replace(robot.chain, gravity_m_s2=np.zeros(3), mass_kg=0.0 * robot.chain.mass_kg)
+        return replace(robot, chain=chain, damping=none, armature=none, stiffness=none), *names
+
+
+def test_a_free_double_pendulum_keeps_its_energy():
+    kind = KINDS["two_links"]
+    none = np.zeros(2)
+    robot = replace(kind.nominal()[0], damping=none, armature=none)
+    still = np.zeros((300, 1, 2))
+    asked = Reference(still + np.array([2.0, -1.0]), still, still)
+    motion = simulate(Idle(**vars(kind) | {"gain_1_s2": 0.0}), stacked([robot]), asked)
+    energy = robot.chain.energy_j(motion.motor[:, 0], motion.motor_speed[:, 0])
+    assert np.ptp(motion.motor[:, 0]) > 1.0
+    assert np.ptp(energy) < 1e-4 * (energy[0] - robot.chain.energy_j(none, none))
+
+
+@pytest.mark.slow  # simulates for a while, until joints are fast
+def test_a_controlled_robot_needs_the_torques_of_what_it_is_asked_for():
+    kind = KINDS["two_links"]
+    nominal, *_ = kind.nominal()
+    rough = replace(
+        nominal, dry=20.0 * kind.noise_n_m, presliding_rad=np.full_like(nominal.dry, 1e-4)
+    )
+    asked = Reference(*(part[:1000] for part in reference(kind, np.random.default_rng(3))))
+    robots = stacked([nominal, rough])
+    motion = simulate(kind, robots, stacked_references([asked, asked]))
+    needed = prescribed_n_m(kind, nominal, asked) / kind.noise_n_m
+    taken = motion.drive_n_m[::8] / kind.noise_n_m
+    assert np.sqrt(((taken[:, 0] - needed) ** 2).mean()) < 1.0
+    speed = asked.speed[::8]
+    fast = np.abs(speed) > 0.3 * np.abs(speed).max(0)
+    extra = (taken[:, 1] - taken[:, 0])[fast] * np.sign(speed[fast])
+    assert np.median(extra) == pytest.approx(20.0, rel=0.1)
+    first, _ = written(kind, robots, motion, [1, 2])
+    assert np.diff(first["time_s"]) == pytest.approx(1.0 / kind.rate_hz)
+
+
+def test_tendons_pull_as_those_of_mujoco():
+    model = mujoco.MjModel.from_xml_path(str(GUIDED.path))
+    data, angles = mujoco.MjData(model), np.random.default_rng(2).uniform(-0.2, 1.2, (5, 2))
+    for angle, moment in zip(angles, GUIDED.guides.moments_m(angles), strict=True):
+        data.qpos[:], data.ctrl[:] = angle, [3.0, 1.0, 2.0, 5.0]
+        mujoco.mj_forward(model, data)
+        assert data.ctrl @ moment == pytest.approx(data.qfrc_actuator, rel=1e-9)
+        torque = np.array([0.02, -0.01])
+        pulls = pulls_n(moment, torque)
+        assert pulls @ moment == pytest.approx(torque)
+        assert pulls.min() == pytest.approx(PRETENSION_N)
+
+
+def test_a_tendon_that_is_drawn_over_its_guides_loses_by_their_angles():
+    friction, guides = np.array([[0.4, 0.0, 0.0, 0.0]]), GUIDED.guides
+    torque = np.array([[0.05, 0.0]])
+    for turned, way in ((0.2, 1.0), (-0.2, -1.0)):
+        rubbing = Rubbing(guides, friction, np.array([[0.5, 0.5]]))
+        for share in np.linspace(0.0, 1.0, 200):
+            angle = np.array([[0.5 + share * turned, 0.5]])
+            lost = rubbing.lost_n_m(angle, torque)
+        points, _ = guides.pose(angle)
+        ways = np.diff(points[0, 0], axis=0)
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        wrap = np.arccos(np.clip((ways[1:] * ways[:-1]).sum(1), -1.0, 1.0)).sum()
+        moment = guides.moments_m(angle)
+        whole = pulls_n(moment, torque)[0, 0] * moment[0, 0]
+        assert lost[0] == pytest.approx(whole * (1.0 - np.exp(-way * 0.4 * wrap)), rel=3e-3)
+
+
+def test_cases_are_the_same_again_and_hide_what_they_say():
+    cases, again = drawn(2, 7), drawn(2, 7)
+    assert [c.answer for c in cases] == [c.answer for c in again]
+    for case in cases:
+        hides = case.answer.effects != "none"
+        assert hides == (case.answer.gap_over_floor > 4.0)
