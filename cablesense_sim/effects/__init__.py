@@ -1,7 +1,7 @@
-"""What a real arm does beyond the ideal one: one effect a file, found by `registry`.
+"""How a real arm differs from the ideal one: effects, in modules by what they act on.
 
-An effect declares its name, places, parameters, order and text, and what it does. The static
-replay, the running sim node, the randomisation in training and the diagnosis all work from that
-one file. To add an effect, add a file here, or offer the class under the entry point group
-`cablesense.effects` of another package.
+An effect is one class: it declares its name, places, parameters, order and text, and how it acts.
+The static replay, the sim node, the randomisation in training and the diagnosis all use that
+class. To add an effect, add it to the module of what it acts on, or offer the class in another
+package under the entry point group `cablesense.effects`.
 """

@@ -1,4 +1,4 @@
-"""What every effect declares, how it can act on an arm, and dry friction as a state."""
+"""What every effect declares, and the ways in which it can act on an arm."""
 
 from __future__ import annotations
 
@@ -37,14 +37,15 @@ class Parameter:
         typical: what one expects to meet; for a tolerance, one standard deviation.
         default: its value where none is given.
         role: a `size` of zero means that the effect is absent, and its default is zero; a `shape`
-            determines how the effect behaves where it is present.
+            determines how the effect behaves when it is present.
         starts: values to screen with, instead of the default of a shape or the typical size.
         trials: values of a shape from which a fit should begin.
         about: what it means, in a few words.
-        fades: whether what it changes fades along a recording, as the past does.
-        past: whether it is what the past has left, so that each recording has its own.
-        relative: whether it is the share by which something positive is larger, so that a
-            quarter and four times as much are equally far from nothing.
+        fades: whether its influence fades along a recording, as a friction state does.
+        past: whether it describes the state before the first sample, which differs between
+            recordings.
+        relative: whether it is the share by which a positive quantity is larger, so that a
+            quarter and four times the quantity are equally far from zero.
     """
 
     name: str
@@ -63,14 +64,7 @@ class Parameter:
 
 
 shape = partial(Parameter, role="shape")
-"""A parameter that determines how the effect behaves where it is present."""
-
-start_share = partial(shape, unit="1", low=-1.0, high=1.0, typical=0.5, fades=True, past=True)
-"""A share of its limit that friction carries before the first sample."""
-
-_SLIPS = "share of the contact that slips little by little"
-ROUNDED = shape("rounded", "1", 0.0, 1.0, 0.5, _SLIPS, trials=(0.0, 1.0))
-"""Of a `DryContact`."""
+"""A parameter of the role `shape`."""
 
 
 class Effect:
@@ -81,14 +75,15 @@ class Effect:
         acts_on: where in the chain from load to reading it acts.
         about: what it is, as the end of `the gap comes from …`.
         source: where the model comes from.
-        sites: the kinds of its places: `arm`, `segment`, `joint`, `cable`.
+        sites: the kinds of places where it can be: `arm`, `segment`, `joint`, `cable`.
         parameters: sizes first.
         advice: what someone at the arm can check or do about it, in sentences; may be empty.
-        order: of those that act on the same, lower ones act first, and equal ones by name. The
-            default follows all that change a tension or signal and only add to it.
-        needs_time: whether it acts by the time that passes, and not only by the samples' order.
-        tolerance: whether it is manufacturing tolerance, fitted beside all others and no cause.
-        version: of its law; what was trained on another is refused.
+        order: among effects that act on the same, lower ones act first, equal ones by name. Those
+            that scale or filter a signal come before those that add to it, which have the default.
+        needs_time: whether it depends on the time that passes, and not only on the samples' order.
+        tolerance: whether it is manufacturing tolerance: fitted together with every candidate,
+            and never named as a cause.
+        version: of its law; a model that was trained on another version is refused.
     """
 
     name: ClassVar[str]
@@ -104,13 +99,13 @@ class Effect:
     version: ClassVar[int] = 1
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        """Where it can sit: `arm`, `segment_n`, `joint_n`, `cable_i` or what the effect names."""
+        """Where it can be: `arm`, `segment_n`, `joint_n`, `cable_i` or what the effect names."""
         counts = {"segment": segment_count, "joint": segment_count, "cable": cable_count}
         places = (_numbered(s, counts[s]) if s in counts else (s,) for s in self.sites)
         return tuple(itertools.chain.from_iterable(places))
 
     def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
-        """Further shapes, zero if not given: what the past left in each cable or joint."""
+        """Further shapes, zero if not given: the friction state of each cable or joint."""
         return ()
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
@@ -126,7 +121,7 @@ class Effect:
         return None
 
     def transmission(self, place: str, values: Values) -> Transmission | None:
-        """What it does along the cables and in the joints, where that depends on the past."""
+        """What it does along the cables and in the joints, if that depends on the history."""
         return None
 
     def sensing(self, place: str, values: Values) -> Sensing | None:
@@ -201,6 +196,11 @@ class Instant(Sensing):
         return np.moveaxis(self._reading_n(time_s, np.moveaxis(tensions_n, 1, 0)), 0, 1)
 
 
+def shifted(place: str, offset_n: Array) -> Sensing:
+    """A sensor that adds offsets (P,) to the readings of a place."""
+    return Instant(lambda _, n: n + offset_n[:, None] * chosen(place, n.shape[-1]))
+
+
 class Rest(NamedTuple):
     """Where P arms side by side rest at one moment.
 
@@ -234,19 +234,19 @@ class Pull(NamedTuple):
 class Transmission:
     """Base: an ideal transmission. Holds the state of P arms side by side, from rest to rest.
 
-    The search for the next rest asks for everything but `settle` at trial poses, as often as it
-    needs; `settle` then gives what came of it, and only there may the state change.
+    The search for the next equilibrium calls every method but `settle` at trial poses, as often
+    as it needs. `settle` gives the equilibrium that was found; only it may change the state.
     """
 
     def begin(self, mechanism: Mechanism, rest: Rest) -> None:
-        """The state before the first sample; `rest` is that of the arm without the past."""
+        """Set the state before the first sample; `rest` is that of the arm without history."""
 
     def lengthening_m(self, time_s: float) -> Array | None:
         """(P, M) by which the cables are longer than when they were tensioned."""
         return None
 
     def hold(self, rest_m: Array, longer_m: Array) -> None:
-        """Take what holds the cables, before a search; each (P, M).
+        """Take the lengths that hold the cables, before a search; each (P, M).
 
         A cable is just slack where its spans add up to `rest_m`, which the actuators set, and
         to the length `longer_m` that it has gained since it was tensioned.
@@ -280,50 +280,4 @@ class Transmission:
         return None
 
     def settle(self, rest: Rest) -> None:
-        """Take the rest that was reached."""
-
-
-class DryContact:
-    """Contacts that carry a share between -1 and 1 of their limit, and keep it at rest.
-
-    A share moves with the contact until it slips. Part of the contact is sharp, and yields evenly
-    over `give` until it slips at once (Prandtl 1928); the rest is rounded, and nears its limit as
-    exp(-moved / give) (Dahl, A solid friction model, Aerospace Corp. TOR-0158, 1968).
-    """
-
-    def __init__(self, give: Array, rounded: Array, start: Array) -> None:
-        """Wherever they first rest they carry the share `start`.
-
-        Args:
-            give: (P, 1), in the unit of the positions (P, K) that `share` and `settle` take.
-            rounded: (P, 1), of the contact, from 0 to 1.
-            start: (P, K), from -1 to 1.
-        """
-        self._give, self._rounded = give, rounded
-        self._sharp = self._round = start
-        self._at: Array | None = None
-
-    def share(self, at: Array) -> tuple[Array, Array]:
-        """The share (P, K) at new positions, and its derivative by them."""
-        if self._at is None:  # it yields nothing until the first rest is found
-            return self._sharp, np.zeros_like(at)
-        sharp, round_, free, full = self._moved(at - self._at)
-        sharp_slope = np.abs(free) < 1.0
-        round_slope = np.where(at == self._at, 1.0, np.abs(full - round_))
-        return (
-            (1.0 - self._rounded) * sharp + self._rounded * round_,
-            ((1.0 - self._rounded) * sharp_slope + self._rounded * round_slope) / self._give,
-        )
-
-    def settle(self, at: Array) -> None:
-        """Stay at these positions."""
-        if self._at is not None:
-            self._sharp, self._round, *_ = self._moved(at - self._at)
-        self._at = at
-
-    def _moved(self, by: Array) -> tuple[Array, Array, Array, Array]:
-        moved = by / self._give
-        free = self._sharp + moved
-        full = np.sign(moved)
-        round_ = full - (full - self._round) * np.exp(-np.abs(moved))
-        return np.clip(free, -1.0, 1.0), np.where(moved == 0.0, self._round, round_), free, full
+        """Take the equilibrium that was reached."""

@@ -1,6 +1,7 @@
-"""Every effect that is known, entries of arm files, and what listed effects do in their order.
+"""Every known effect, the entries of arm files, and listed effects applied in their order.
 
-Known are the files of this folder and what other packages offer under `ENTRY_POINTS`.
+Known are the effects in the modules of this folder, and those that other packages offer under
+`ENTRY_POINTS`.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ ENTRY_POINTS = "cablesense.effects"
 
 
 class EffectError(CableSenseError):
-    """An effect that cannot be: unknown, in a wrong place, or with a number out of range."""
+    """An effect that is unknown, at a wrong place, or has a number out of range."""
 
 
 @cache
@@ -34,7 +35,7 @@ def known_effects() -> Mapping[str, Effect]:
     """Effects by name, tolerances included.
 
     Raises:
-        EffectError: what another package offers cannot be loaded or takes a name that is taken.
+        EffectError: an offered effect cannot be loaded, or its name is taken.
     """
     found: dict[str, Effect] = {}
     for module in pkgutil.iter_modules(effects.__path__, f"{effects.__name__}."):
@@ -44,7 +45,7 @@ def known_effects() -> Mapping[str, Effect]:
     for offered in entry_points(group=ENTRY_POINTS):
         try:
             value = offered.load()
-        except Exception as error:  # whatever a stranger's module raises
+        except Exception as error:  # a foreign module may raise anything
             raise EffectError(f"effect {offered.name} of {offered.value}: {error}") from error
         if not _is_effect(value):
             raise EffectError(f"effect {offered.name}: {offered.value} is no class of effect")
@@ -104,35 +105,35 @@ def side_by_side(entries: Sequence[EffectEntry]) -> Values:
 
 
 Variants = Sequence[Sequence[EffectEntry]]
-"""The entries of P arms, which have the same effects with other numbers."""
+"""The entries of P arms, which have the same effects with different numbers."""
 
 _Acting = TypeVar("_Acting")
 
 
 def amended(mechanism: Mechanism, entries: Sequence[EffectEntry]) -> Mechanism:
-    """The mechanism with what its effects change of the arm itself."""
+    """The mechanism as changed by those effects that act on the arm itself."""
     for entry in sorted(entries, key=_order):
         mechanism = entry.effect.amend(mechanism, entry.place, entry.values)
     return mechanism
 
 
 def loadings(variants: Variants) -> list[Array]:
-    """What lies between the recorded loads and those that act, (P, 3, 3) each."""
+    """Maps from the recorded loads to those that act, (P, 3, 3) each."""
     return _acting(variants, lambda effect, place, values: effect.loading(place, values))
 
 
 def actuations(variants: Variants) -> list[Actuation]:
-    """What lies between the commanded and the held cable lengths, each for all arms."""
+    """Effects between the commanded and the held cable lengths, each for all arms."""
     return _acting(variants, lambda effect, place, values: effect.actuation(place, values))
 
 
 def transmissions(variants: Variants) -> list[Transmission]:
-    """What is history-dependent along the cables and in the joints, each for all arms."""
+    """History-dependent effects of cables and joints, each for all arms."""
     return _acting(variants, lambda effect, place, values: effect.transmission(place, values))
 
 
 def sensings(variants: Variants) -> list[Sensing]:
-    """What lies between tensions and readings, each for all arms."""
+    """Effects between tensions and readings, each for all arms."""
     return _acting(variants, lambda effect, place, values: effect.sensing(place, values))
 
 
@@ -148,5 +149,5 @@ def _acting(
 
 
 def _order(entry: EffectEntry) -> tuple[int, str, str, list[tuple[str, float]]]:
-    """The order belongs to the effects: that of a file or of a search makes no difference."""
+    """The order of a file or of a search makes no difference."""
     return entry.effect.order, entry.effect.name, entry.place, sorted(entry.values.items())

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from cablesense_sim.effects.effect import cables, chosen
 from cablesense_sim.effects.registry import EffectEntry, side_by_side
-from cablesense_sim.effects.sensor_drift import INTERVAL_S
+from cablesense_sim.effects.sensor import INTERVAL_S
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 
 THIRD = np.arange(12) == 2

@@ -27,7 +27,7 @@ from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import EffectEntry, actuations, amended, sensings
-from cablesense_sim.effects.sensor_drift import SensorDrift
+from cablesense_sim.effects.sensor import SensorDrift
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import difference_variance_n2

@@ -23,7 +23,7 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of
 from cablesense_sim.effects.effect import chosen
 from cablesense_sim.effects.registry import known_effects
-from cablesense_sim.effects.sensor_lag import SensorLag, lag_shares
+from cablesense_sim.effects.sensor import SensorLag, lag_shares
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.temporal_estimator import TemporalState, TickClock

@@ -1,4 +1,4 @@
-"""Loads that are not what was written down."""
+"""Effects between the load that is recorded and the load that acts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TURN = "of the load that acts against the recorded one, about the base's {} axi
 class LoadCell(Effect):
     """A load cell of another scale, or turned against the base.
 
-    It belongs to the recording: the arm itself, and what its sensors read, are as they should be.
+    It belongs to the recording: the arm itself and its sensors are as they should be.
     """
 
     name = "load_cell"

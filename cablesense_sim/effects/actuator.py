@@ -1,4 +1,4 @@
-"""Lost motion on reversal."""
+"""Effects between the commanded and the held cable length."""
 
 from __future__ import annotations
 

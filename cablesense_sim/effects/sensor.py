@@ -1,0 +1,211 @@
+"""Effects between the cable tension and its reading."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_sim.effects.effect import (
+    WHOLE_ARM,
+    Effect,
+    Instant,
+    Parameter,
+    Sensing,
+    Values,
+    chosen,
+    shape,
+    shifted,
+)
+
+
+class SensorOffset(Effect):
+    """A sensor whose zero is wrong by more than the manufacturing tolerance."""
+
+    name = "sensor_offset"
+    acts_on = "sensor"
+    about = "a constant zero error of tension sensors"
+    source = "JCGM 200:2012 (VIM) 4.28, zero error of a measuring instrument"
+    sites = ("cable",)
+    advice = "Set the zero of these sensors with slack cables. A tare hides it from the estimator."
+    parameters = (Parameter("offset_n", "N", -50.0, 50.0, 2.0, "what is read without a tension"),)
+
+    def sensing(self, place: str, values: Values) -> Sensing:
+        return shifted(place, values["offset_n"])
+
+
+class SensorGain(Effect):
+    """A sensor that reads all its tensions by the same share too high or too low."""
+
+    name = "sensor_gain"
+    acts_on = "sensor"
+    about = "a wrong scale of tension sensors"
+    source = "JCGM 200:2012 (VIM) 4.12, sensitivity of a measuring system"
+    sites = ("cable",)
+    advice = "Hang known weights on these sensors and set their scale anew."
+    order = -1
+    parameters = (Parameter("gain", "1", -0.5, 0.5, 0.05, "share by which readings are too high"),)
+
+    def sensing(self, place: str, values: Values) -> Sensing:
+        def scaled(_: float | Array, tensions_n: Array) -> Array:
+            here = chosen(place, tensions_n.shape[-1])
+            return tensions_n * (1.0 + values["gain"][:, None] * here)
+
+        return Instant(scaled)
+
+
+class SensorCrosstalk(Effect):
+    """Readings of one channel that carry a share of another's tension.
+
+    At the place `arm`, every channel leaks into its two neighbours.
+    """
+
+    name = "sensor_crosstalk"
+    acts_on = "sensor"
+    about = "crosstalk between tension sensors"
+    source = "Doebelin, Measurement Systems, 5th ed. 2003, chapter 2: interfering inputs"
+    advice = "Look at shared wiring, ground and amplifier of these channels."
+    order = -3
+    parameters = (
+        Parameter("share", "1", -0.3, 0.3, 0.03, "share of the other channel's tension"),
+    )
+
+    def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
+        every = range(1, cable_count + 1)
+        pairs = (f"cable_{a}_into_cable_{b}" for a in every for b in every if a != b)
+        return (WHOLE_ARM, *pairs)
+
+    def sensing(self, place: str, values: Values) -> Sensing:
+        def leaking(_: float | Array, tensions_n: Array) -> Array:
+            readings, share = tensions_n.copy(), values["share"]
+            if place == WHOLE_ARM:
+                readings[..., 1:] += share[:, None] * tensions_n[..., :-1]
+                readings[..., :-1] += share[:, None] * tensions_n[..., 1:]
+            else:
+                source, target = (int(p.rsplit("_", 1)[1]) - 1 for p in place.split("_into_"))
+                readings[..., target] += share * tensions_n[..., source]
+            return readings
+
+        return Instant(leaking)
+
+
+INTERVAL_S = 30.0
+"""The zero moves at an even pace within such an interval."""
+
+_INTERVALS = 10
+
+
+class SensorDrift(Effect):
+    """A sensor whose zero moves, by another amount in each half minute; then it stands still.
+
+    Equal independent rises make a random walk, the usual model of a zero (IEEE Std 1293-2018).
+    """
+
+    name = "sensor_drift"
+    acts_on = "sensor"
+    about = "a zero of tension sensors that wanders"
+    source = "IEEE Std 1293-2018, annex on bias instability and random walk"
+    sites = ("cable",)
+    advice = "Let the sensors warm up; look at their supply and cabling; tare often."
+    needs_time = True
+    parameters = (
+        Parameter("start_n", "N", -20.0, 20.0, 0.7, "zero error at the beginning", past=True),
+        *(
+            Parameter(
+                f"rise_{k + 1}_n", "N", -20.0, 20.0, 0.7,
+                f"movement of the zero from {k * INTERVAL_S:g} to {(k + 1) * INTERVAL_S:g} s",
+            )
+            for k in range(_INTERVALS)
+        ),
+    )  # fmt: skip
+
+    def sensing(self, place: str, values: Values) -> Sensing:
+        rises_n = np.stack([values[p.name] for p in self.parameters[1:]], axis=-1)
+
+        def wandering(time_s: float | Array, tensions_n: Array) -> Array:
+            passed = np.asarray(time_s)[..., None] / INTERVAL_S
+            done = np.clip(passed - np.arange(_INTERVALS), 0.0, 1.0)
+            drift = (values["start_n"] + done @ rises_n.T)[..., None]
+            return tensions_n + drift * chosen(place, tensions_n.shape[-1])
+
+        return Instant(wandering)
+
+
+class SensorLag(Effect):
+    """Two lags in a row, the second as slow as the first or faster; between samples tension holds.
+
+    With a second share of zero it is one first-order lag. With a share of one it is critically
+    damped of second order, roughly as filters of amplifiers are. It starts settled.
+    """
+
+    name = "sensor_lag"
+    acts_on = "sensor"
+    about = "tension sensors that follow late"
+    source = "Doebelin, Measurement Systems, 5th ed. 2003, section 3.3: first and second order"
+    sites = ("arm", "cable")
+    advice = "Look at the filter settings of these channels; all should be alike."
+    order = -2
+    needs_time = True
+    parameters = (
+        Parameter("time_constant_s", "s", 0.0, 20.0, 0.3, "until 63 % of a step is through"),
+        shape("second_share", "1", 0.0, 1.0, 0.5,
+              "time constant of a second lag behind the first, of the first one's",
+              starts=(0.0, 1.0)),
+    )  # fmt: skip
+
+    def sensing(self, place: str, values: Values) -> Sensing:
+        return _Lagging(place, values["time_constant_s"], values["second_share"])
+
+
+def lag_shares(
+    passed_s: Array | float, time_constant_s: Array, second_share: Array
+) -> tuple[Array, Array, Array]:
+    """Shares `first`, `second` and `across` of two lags' errors that remain after a time.
+
+    The first lag's output keeps `first` of its error. The reading keeps `second` of its own error,
+    and `across` of that of the first lag.
+    """
+    first_s = np.maximum(time_constant_s, 1e-6)
+    # equal lags are the limit of lags that differ by little
+    share = np.clip(second_share, 1e-6, 1.0 - 1e-4)
+    first, second = np.exp(-passed_s / first_s), np.exp(-passed_s / (share * first_s))
+    return first, second, (first - second) / (1.0 - share)
+
+
+class _Lagging(Sensing):
+    def __init__(self, place: str, time_constant_s: Array, second_share: Array) -> None:
+        self._place = place
+        self._lags = time_constant_s, second_share
+        self._filtered_n: Array | None = None
+        self._time_s = 0.0
+
+    def step(self, time_s: float, tensions_n: Array) -> Array:
+        return self.along(np.array([time_s]), tensions_n[:, None])[:, 0]
+
+    def along(self, time_s: Array, tensions_n: Array) -> Array:
+        if self._filtered_n is None:
+            self._filtered_n = self._reading_n = tensions_n[:, 0]
+        passed = np.maximum(np.diff(time_s, prepend=self._time_s), 0.0)
+        lags = (lag[:, None] for lag in self._lags)
+        first, second, across = (share[..., None] for share in lag_shares(passed, *lags))
+        filtered = _low_passed(first, (1.0 - first) * tensions_n, self._filtered_n)
+        before = np.concatenate([self._filtered_n[:, None], filtered[:, :-1]], axis=1)
+        added = (1.0 - second) * tensions_n + across * (before - tensions_n)
+        reading = _low_passed(second, added, self._reading_n)
+        self._filtered_n, self._reading_n = filtered[:, -1], reading[:, -1]
+        self._time_s = float(time_s[-1])
+        return np.where(chosen(self._place, tensions_n.shape[-1]), reading, tensions_n)
+
+
+def _low_passed(kept: Array, added: Array, start: Array) -> Array:
+    """y_r = kept_r y_(r-1) + added_r along the second axis of (P, R, M), from `start` (P, M) on.
+
+    Rows of twice as many steps at a time: Hillis and Steele, Data parallel algorithms, CACM 1986.
+    """
+    kept, found = np.broadcast_to(kept, added.shape).copy(), added.copy()
+    found[:, 0] += kept[:, 0] * start
+    step = 1
+    while step < found.shape[1]:
+        found[:, step:] += kept[:, step:] * found[:, :-step]
+        kept[:, step:] *= kept[:, :-step].copy()
+        step *= 2
+    return found

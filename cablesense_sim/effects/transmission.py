@@ -1,0 +1,300 @@
+"""Effects along the cables and in the joints that depend on the history."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_sim.effects.effect import (
+    Effect,
+    Parameter,
+    Pull,
+    Rest,
+    Transmission,
+    Values,
+    cables,
+    chosen,
+    own_cables,
+    shape,
+)
+from cablesense_sim.mechanism import Mechanism
+
+_start_share = partial(shape, unit="1", low=-1.0, high=1.0, typical=0.5, fades=True, past=True)
+"""A share of its limit that friction carries before the first sample."""
+
+_LOCKED = 3.0
+"""No cable reaches a ratio of tensions of exp(3) at one guide before it breaks."""
+
+
+class CapstanFriction(Effect):
+    """Cables that stick and slip at their guides, with tensions apart by at most exp(μ θ).
+
+    The wrap angle θ is the turn of a cable at the guides around each joint, plus its turn there
+    in a straight arm and, before the first joint, at the actuator's pulley.
+    """
+
+    name = "capstan_friction"
+    acts_on = "transmission"
+    about = "friction of the cables over guides and pulleys"
+    source = "equation (2) of the paper: T_out = T_in exp(-μ θ); see cablesense_sim.cable_chain"
+    advice = (
+        "Look for worn, dry or misaligned guides. Readings do not show loads within the loop that "
+        "friction opens: let the arm breathe (docs/breathing.md) before a force is trusted."
+    )
+    version = 2  # before, the whole cable stretched as one
+    parameters = (
+        Parameter("coefficient", "1", 0.0, 1.5, 0.1, "of friction between cable and guide"),
+        shape("pulley_wrap_rad", "rad", 0.0, 20.0, 1.0, "wrap angle at the actuator's pulley",
+              starts=(0.5,), trials=(0.0, 1.0)),
+        shape("guide_wrap_rad", "rad", 0.0, 20.0, 1.0,
+              "wrap angle at the guides between two joints with the arm straight",
+              trials=(0.0, 1.0)),
+        shape("run_compliance", "1", 0.01, 100.0, 1.0,
+              "compliance of the run before the pulley, over that by its length", 1.0,
+              starts=(1.0,)),
+        shape("give_m", "m", 0.0, 2e-3, 2e-5,
+              "of cable that passes a guide from rest to slip; zero sticks rigidly",
+              trials=(0.0, 3e-5)),
+        shape("rounding", "1", 0.0, 0.95, 0.5,
+              "of the way from rest to slip: Dahl's exponent; at zero it slips at once",
+              trials=(0.5,)),
+    )  # fmt: skip
+
+    def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
+        share = "share of what its guides hold that the past left on"
+        return tuple(
+            _start_share(f"start_{cable}", about=f"{share} {cable}")
+            for cable in cables(cable_count)
+        )
+
+    def transmission(self, place: str, values: Values) -> Transmission:
+        return _Guides(values)
+
+
+class _Guides(Transmission):
+    """A node before each joint, with the guide behind the joint before it; the first's pulley."""
+
+    def __init__(self, values: Values) -> None:
+        self._values = values
+
+    def begin(self, mechanism: Mechanism, rest: Rest) -> None:
+        none = np.zeros_like(self._values["coefficient"])
+        self._coefficient = (self._values["coefficient"][:, None] * mechanism.relative_friction)[
+            ..., None
+        ]
+        names = (f"start_{cable}" for cable in cables(mechanism.cable_count))
+        start = np.stack([self._values.get(name, none) for name in names], axis=-1)
+        limit = self._limit(rest.bends_rad)
+        compliance_m_n = self._pieces_m_n(mechanism)
+        self._longer = compliance_m_n / compliance_m_n.sum(-1, keepdims=True)
+        from cablesense_sim.cable_chain import CableChains  # compiled: none without friction waits
+
+        self._chains = CableChains(
+            compliance_m_n,
+            self._lengths_m(rest.spans_m),
+            limit,
+            np.broadcast_to(start[..., None], limit.shape),
+            self._values["give_m"][:, None, None],
+            self._values["rounding"][:, None, None],
+        )
+
+    def hold(self, rest_m: Array, longer_m: Array) -> None:
+        self._rest_m, self._longer_m = rest_m, longer_m
+
+    def pull(self, spans_m: Array, bends_rad: Array) -> Pull:
+        return self._chains.pull(self._lengths_m(spans_m), self._limit(bends_rad))
+
+    def balancing_turn_rad(
+        self,
+        spans_m: Array,
+        bends_rad: Array,
+        by_turn_m: Array,
+        torque_n_m: Array,
+        slope_n_m: Array,
+    ) -> Array | None:
+        lengths, limit = self._lengths_m(spans_m), self._limit(bends_rad)
+        return self._chains.balancing_turn_rad(lengths, limit, by_turn_m, torque_n_m, slope_n_m)
+
+    def settle(self, rest: Rest) -> None:
+        self._chains.settle(self._lengths_m(rest.spans_m), self._limit(rest.bends_rad))
+
+    def _pieces_m_n(self, mechanism: Mechanism) -> Array:
+        """(P, M, 1 + N) compliances, which add up to that of the cable and its actuator."""
+        whole = 1.0 / mechanism.stiffness_n_m
+        actuator = np.minimum(1.0 / mechanism.actuator_stiffness_n_m, whole)
+        length = mechanism.piece_length_m
+        pieces = (whole - actuator)[..., None] * length / length.sum(-1, keepdims=True)
+        pieces[..., 0] = (pieces[..., 0] + actuator) * self._values["run_compliance"][:, None]
+        return np.asarray(pieces * (whole / pieces.sum(-1))[..., None])
+
+    def _lengths_m(self, spans_m: Array) -> Array:
+        """(P, M, 1 + N), from where the whole cable is just slack; what creeps does so evenly."""
+        lengths = np.concatenate([-self._rest_m[..., None], spans_m], axis=-1)
+        return np.asarray(lengths - self._longer * self._longer_m[..., None])
+
+    def _limit(self, bends_rad: Array) -> Array:
+        """(P, M, N) μ θ of the nodes."""
+        wraps = bends_rad[..., 0].copy()
+        wraps[..., 1:] += bends_rad[..., :-1, 1] + self._values["guide_wrap_rad"][:, None, None]
+        wraps[..., 0] += self._values["pulley_wrap_rad"][:, None]
+        limit = self._coefficient * wraps
+        return np.minimum(limit, _LOCKED)
+
+
+class _DryContact:
+    """Contacts that carry a share between -1 and 1 of their limit, and keep it at rest.
+
+    A share moves with the contact until it slips. One part of the contact is sharp: it yields
+    evenly over `give` and then slips at once (Prandtl 1928). The other part is rounded: it
+    approaches its limit as exp(-moved / give) (Dahl, A solid friction model, Aerospace Corp.
+    TOR-0158, 1968).
+    """
+
+    def __init__(self, give: Array, rounded: Array, start: Array) -> None:
+        """Contacts that carry the share `start` at their first equilibrium.
+
+        Args:
+            give: (P, 1), in the unit of the positions (P, K) that `share` and `settle` take.
+            rounded: (P, 1), of the contact, from 0 to 1.
+            start: (P, K), from -1 to 1.
+        """
+        self._give, self._rounded = give, rounded
+        self._sharp = self._round = start
+        self._at: Array | None = None
+
+    def share(self, at: Array) -> tuple[Array, Array]:
+        """The share (P, K) at new positions, and its derivative by them."""
+        if self._at is None:  # it yields nothing until the first rest is found
+            return self._sharp, np.zeros_like(at)
+        sharp, round_, free, full = self._moved(at - self._at)
+        sharp_slope = np.abs(free) < 1.0
+        round_slope = np.where(at == self._at, 1.0, np.abs(full - round_))
+        return (
+            (1.0 - self._rounded) * sharp + self._rounded * round_,
+            ((1.0 - self._rounded) * sharp_slope + self._rounded * round_slope) / self._give,
+        )
+
+    def settle(self, at: Array) -> None:
+        """Stay at these positions."""
+        if self._at is not None:
+            self._sharp, self._round, *_ = self._moved(at - self._at)
+        self._at = at
+
+    def _moved(self, by: Array) -> tuple[Array, Array, Array, Array]:
+        moved = by / self._give
+        free = self._sharp + moved
+        full = np.sign(moved)
+        round_ = full - (full - self._round) * np.exp(-np.abs(moved))
+        return np.clip(free, -1.0, 1.0), np.where(moved == 0.0, self._round, round_), free, full
+
+
+class JointFriction(Effect):
+    """Coulomb friction in both axes of a joint, which gives a little before it breaks away.
+
+    The torque grows with the turn since the last reversal up to its limit, and then stays; it
+    lasts at rest.
+    """
+
+    name = "joint_friction"
+    acts_on = "transmission"
+    about = "dry friction in joints"
+    source = "Dahl, A solid friction model, Aerospace Corp. TOR-0158, 1968, with a sharp limit"
+    sites = ("joint",)
+    advice = "Move the joint by hand with slack cables; look for dry or jammed bearings."
+    parameters = (
+        Parameter("torque_n_m", "N·m", 0.0, 20.0, 0.1, "at which an axis breaks away"),
+        shape("give_rad", "rad", 1e-5, 0.05, 1e-3, "turn from rest to breaking away", 3e-4,
+              starts=(3e-4,), trials=(1e-4, 1e-3)),
+        shape("rounded", "1", 0.0, 1.0, 0.5, "share of the contact that slips little by little",
+              trials=(0.0, 1.0)),
+        _start_share("start_pitch", about="share of the torque at first, about y"),
+        _start_share("start_yaw", about="share of the torque at first, about z"),
+    )  # fmt: skip
+
+    def transmission(self, place: str, values: Values) -> Transmission:
+        return _DryJoints(place, values)
+
+
+class _DryJoints(Transmission):
+    def __init__(self, place: str, values: Values) -> None:
+        self._place, self._values = place, values
+
+    def begin(self, mechanism: Mechanism, rest: Rest) -> None:
+        here = np.repeat(chosen(self._place, mechanism.segment_count), 2)
+        self._limit_n_m = self._values["torque_n_m"][:, None] * here
+        start = np.stack([self._values["start_pitch"], self._values["start_yaw"]], axis=-1)
+        self._contact = _DryContact(
+            self._values["give_rad"][:, None],
+            self._values["rounded"][:, None],
+            np.tile(start, mechanism.segment_count),
+        )
+
+    def joint_torque_n_m(self, angles_rad: Array) -> tuple[Array, Array]:
+        share, slope = self._contact.share(angles_rad)
+        return self._limit_n_m * share, self._limit_n_m * slope
+
+    def settle(self, rest: Rest) -> None:
+        self._contact.settle(rest.angles_rad)
+
+
+class CableCreep(Effect):
+    """A cable with three Kelvin-Voigt elements behind its spring, evenly spread in log time.
+
+    Their retardation times are the middle one, and `spread` times shorter and longer; at a spread
+    of one they are a single element. Together they give way by `share` of the elastic stretch.
+    """
+
+    name = "cable_creep"
+    acts_on = "transmission"
+    about = "cables that creep under load"
+    source = "Findley, Lai and Onaran, Creep and Relaxation of Nonlinear Materials, 1976, ch. 5"
+    sites = ("arm", "segment")
+    advice = "Pre-stretch the cables, or tare again after every long hold."
+    needs_time = True
+    parameters = (
+        Parameter("share", "1", 0.0, 5.0, 0.1, "of the elastic stretch that creep adds"),
+        shape("time_s", "s", 0.5, 3000.0, 20.0, "retardation time", 20.0,
+              starts=(5.0, 20.0, 80.0)),
+        shape("spread", "1", 1.0, 30.0, 3.0, "between neighbouring times", 1.0, starts=(1.0,)),
+        shape("settled", "1", -1.0, 1.0, 0.5,
+              "share of the creep under pretension that was over before the cables were tensioned",
+              starts=(0.5,)),
+        shape("begun", "1", 0.0, 1.0, 0.5,
+              "share of the creep to come that was over before the first sample", starts=(0.5,),
+              past=True),
+    )  # fmt: skip
+
+    def transmission(self, place: str, values: Values) -> Transmission:
+        return _Creep(place, values)
+
+
+class _Creep(Transmission):
+    def __init__(self, place: str, values: Values) -> None:
+        self._place = place
+        self._share = values["share"][:, None]
+        spread = values["spread"][:, None] ** np.array([-1.0, 0.0, 1.0])
+        self._times_s = (values["time_s"][:, None] * spread)[:, None, :]
+        self._settled, self._begun = values["settled"][:, None], values["begun"][:, None]
+
+    def begin(self, mechanism: Mechanism, rest: Rest) -> None:
+        here = own_cables(self._place, mechanism)
+        self._give_m_n = self._share * here / mechanism.stiffness_n_m
+        self._reference_n = self._settled * mechanism.pretension_n
+        target = self._give_m_n * (rest.tensions_n - self._reference_n)
+        self._parts_m = np.repeat((self._begun * target)[..., None] / 3.0, 3, axis=-1)
+        self._rest = rest
+
+    def lengthening_m(self, time_s: float) -> Array:
+        return np.asarray(self._parts_at(time_s).sum(-1))
+
+    def settle(self, rest: Rest) -> None:
+        self._parts_m = self._parts_at(rest.time_s)
+        self._rest = rest
+
+    def _parts_at(self, time_s: float) -> Array:
+        """Each element follows the load of the last rest towards its share."""
+        target = self._give_m_n * (self._rest.tensions_n - self._reference_n)
+        done = -np.expm1(-max(time_s - self._rest.time_s, 0.0) / self._times_s)
+        return np.asarray(self._parts_m + done * (target[..., None] / 3.0 - self._parts_m))
