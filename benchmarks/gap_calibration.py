@@ -67,13 +67,13 @@ def _searched(path: Path) -> dict[str, object]:
         recording = read_recording(path, arm)
         simulator = ArmSimulator(arm, recording)
         problem = problem_of(recording, simulator, simulator.predict([{}])[0])
-        hypotheses = search(problem)
+        explanations = search(problem)
         content = {
             "floor": problem.floor,
-            "effects": [h.effects for h in hypotheses],
-            "left": [h.held_out_rmse for h in hypotheses],
-            "sizes": [h.sizes for h in hypotheses],
-            "strains": [h.tolerance_chi2 for h in hypotheses],
+            "effects": [h.effects for h in explanations],
+            "left": [h.held_out_rmse for h in explanations],
+            "sizes": [h.sizes for h in explanations],
+            "strains": [h.tolerance_chi2 for h in explanations],
             "tolerances": int(problem.acting_tolerances.sum()),
         }
         kept.write_text(json.dumps(content))

@@ -14,7 +14,7 @@ from real_jaw_mechanism import CANDIDATES, JawSimulator
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.probability import Ranked, bundled_calibration, posterior
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem
+from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.simulator import Term, parameters_of
 from cablesense_gap.verdict import removed_fraction
@@ -25,12 +25,12 @@ def diagnose(problem: Problem) -> list[Ranked]:
     return posterior(search(problem), problem.floor, bundled_calibration())
 
 
-def best_of(ranked: Sequence[Ranked]) -> Hypothesis:
+def best_of(ranked: Sequence[Ranked]) -> Explanation:
     """The most probable explanation that can be simulated."""
-    return next(r.hypothesis for r in ranked if r.hypothesis is not None)
+    return next(r.explanation for r in ranked if r.explanation is not None)
 
 
-def amended(fitted: Hypothesis) -> dict[Term, float]:
+def amended(fitted: Explanation) -> dict[Term, float]:
     """Effects and tolerances of an explanation."""
     return {**fitted.values, **fitted.tolerances}
 
@@ -56,18 +56,18 @@ def described(ranked: Sequence[Ranked], fitted_to: Problem, unseen: Problem) -> 
             {
                 "effects": each.effects,
                 "probability": round(each.probability, 3),
-                "levels held out": round(1e3 * each.hypothesis.held_out_rmse, 2),
-                "unseen": _left_mnm(unseen, amended(each.hypothesis)),
+                "levels held out": round(1e3 * each.explanation.held_out_rmse, 2),
+                "unseen": _left_mnm(unseen, amended(each.explanation)),
             }
             for each in ranked
-            if each.hypothesis is not None
+            if each.explanation is not None
         ],
         "trials": len(fitted_to.fold),
         "unseen trials": len(unseen.fold),
     }
 
 
-def loops_nm(problem: Problem, fitted: Hypothesis) -> tuple[Array, Array, Array, Array]:
+def loops_nm(problem: Problem, fitted: Explanation) -> tuple[Array, Array, Array, Array]:
     """Drive angles, and torques measured, nominal and amended, each (N, T)."""
     simulator = problem.simulator
     assert isinstance(simulator, JawSimulator)

@@ -20,7 +20,7 @@ from real_jaw_recordings import SAMPLE_S, JawRecording, reference
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.gauss_newton import final_refinement, refit
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem
+from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.simulator import Term
 
 STRIDE = 5
@@ -151,7 +151,7 @@ class PhysicsEstimator:
         return float((np.concatenate(errors) ** 2).mean())
 
     def _take(
-        self, problem: Problem, fitted: Hypothesis, recordings: Sequence[JawRecording]
+        self, problem: Problem, fitted: Explanation, recordings: Sequence[JawRecording]
     ) -> None:
         assert isinstance(problem.simulator, JawSimulator)
         self.signs: Signs = problem.simulator.signs

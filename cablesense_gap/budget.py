@@ -10,7 +10,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.probability import NEAR_BEST, Ranked
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem, from_scaled, to_scaled
+from cablesense_gap.diagnosis.problem import Explanation, Problem, from_scaled, to_scaled
 from cablesense_gap.simulator import Term, parameters_of
 from cablesense_gap.verdict import Share, Traded
 from cablesense_sim.effects.effect import WHOLE_ARM
@@ -56,7 +56,7 @@ def shares(
     `values` are those in places that matter. The interval is that of the effect's numbers, linear
     about them.
     """
-    best = ranked[0].hypothesis
+    best = ranked[0].explanation
     if best is None:
         return {}
     changes = {effect: _change(problem, best, {effect}) for effect in best.effects}
@@ -81,18 +81,18 @@ def shares(
     return found
 
 
-def rest_of(problem: Problem, hypothesis: Hypothesis) -> Rest:
+def rest_of(problem: Problem, explanation: Explanation) -> Rest:
     """What remains beside the effects of an explanation."""
     used, floor = problem.used, problem.floor
     gap = _rms((problem.readings - problem.nominal)[used])
     unexplained, whole = (
-        float(np.sqrt(max(size**2 - floor**2, 0.0))) for size in (hypothesis.held_out_rmse, gap)
+        float(np.sqrt(max(size**2 - floor**2, 0.0))) for size in (explanation.held_out_rmse, gap)
     )
-    tolerances = _rms((hypothesis.prediction - hypothesis.without_tolerances)[used])
+    tolerances = _rms((explanation.prediction - explanation.without_tolerances)[used])
     return Rest(tolerances, unexplained, min(1.0, unexplained / whole) if whole > 0.0 else 0.0)
 
 
-def trades(problem: Problem, best: Hypothesis) -> list[Trade]:
+def trades(problem: Problem, best: Explanation) -> list[Trade]:
     """Pairs of effects whose shares trade against each other, the largest pair first.
 
     By the sensitivities at the fit: numbers of both may move together so that predictions hardly
@@ -125,7 +125,7 @@ def trades(problem: Problem, best: Hypothesis) -> list[Trade]:
     return sorted(found, key=lambda trade: -trade.traded.share_n)
 
 
-def _elsewhere(problem: Problem, best: Hypothesis, scaled: Array) -> dict[Term, float]:
+def _elsewhere(problem: Problem, best: Explanation, scaled: Array) -> dict[Term, float]:
     known = parameters_of(problem.simulator.candidates)
     return {
         term: from_scaled(known[term], to_scaled(known[term], value) + float(step))
@@ -133,14 +133,14 @@ def _elsewhere(problem: Problem, best: Hypothesis, scaled: Array) -> dict[Term, 
     }
 
 
-def _change(problem: Problem, best: Hypothesis, effects: set[str]) -> Array:
+def _change(problem: Problem, best: Explanation, effects: set[str]) -> Array:
     """(R, C) by which predictions change without some effects, all else as fitted."""
     others = {t: v for t, v in best.values.items() if t.effect not in effects}
     return np.asarray(best.without_tolerances - problem.simulator.predict([others])[0])
 
 
 def _share(
-    problem: Problem, change: Array, best: Hypothesis, effects: set[str]
+    problem: Problem, change: Array, best: Explanation, effects: set[str]
 ) -> tuple[float, float]:
     """Root mean square of a change, and its standard deviation."""
     slope = _slope(problem, change, best, effects)
@@ -148,7 +148,7 @@ def _share(
     return _rms(change[problem.used]), max(variance, 0.0) ** 0.5
 
 
-def _slope(problem: Problem, change: Array, best: Hypothesis, effects: set[str]) -> Array:
+def _slope(problem: Problem, change: Array, best: Explanation, effects: set[str]) -> Array:
     """(K,) of a change's root mean square, by the scaled numbers of the effects that make it."""
     size = _rms(change[problem.used])
     own = np.array([term.effect in effects for term in best.values])

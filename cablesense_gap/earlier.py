@@ -13,7 +13,7 @@ from typing import NamedTuple
 from cablesense_gap.arm_simulator import amended_arm
 from cablesense_gap.diagnosis.gauss_newton import refit
 from cablesense_gap.diagnosis.joint_selection import borne_out
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem
+from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.simulator import Term, parameters_of
 from cablesense_gap.verdict import Earlier, Estimate
 from cablesense_sim.arm import Arm
@@ -73,7 +73,7 @@ def going_on(problem: Problem, arm: Arm) -> GoingOn:
     return GoingOn(amended_arm(without_effects(arm), kept, {}), tuple(earlier))
 
 
-def _is_needed(problem: Problem, fitted: Hypothesis, rest: Hypothesis) -> bool:
+def _is_needed(problem: Problem, fitted: Explanation, rest: Explanation) -> bool:
     worse = problem.cost_of(rest) > _WORSE * problem.cost_of(fitted)
     return worse and borne_out(fitted, rest)
 
@@ -82,7 +82,7 @@ def _judged(
     problem: Problem,
     effect: str,
     listed: Mapping[Term, float],
-    fitted: Hypothesis,
+    fitted: Explanation,
     *,
     needed: bool,
 ) -> Earlier:

@@ -28,7 +28,7 @@ from cablesense_gap.diagnosis.probability import (
     rivals_of,
 )
 from cablesense_gap.diagnosis.problem import (
-    Hypothesis,
+    Explanation,
     Problem,
     prepare,
     sketched,
@@ -174,8 +174,8 @@ def diagnose(
     found = posterior(search(problem, progress, workers), problem.floor, calibration)
     ranked = named(problem, found, calibration)
     progress("describing the verdict", 0.98)
-    best = ranked[0].hypothesis
-    fitted = [r.hypothesis for r in ranked if r.hypothesis is not None]
+    best = ranked[0].explanation
+    fitted = [r.explanation for r in ranked if r.explanation is not None]
     none = next(h for h in fitted if not h.effects)
     explained = best or none
     values = foremost(explained, simulator.candidates)
@@ -184,7 +184,7 @@ def diagnose(
     rest = rest_of(problem, explained)
     traded = trades(problem, best) if best else []
     if best:
-        rivals = [r.hypothesis.values for r in rivals_of(ranked) if r.hypothesis is not None]
+        rivals = [r.explanation.values for r in rivals_of(ranked) if r.explanation is not None]
         if traded and not rivals:
             one, other = (e.replace("_", " ") for e in traded[0].traded.effects)
             question = f"how much is {one} and how much {other}"
@@ -255,7 +255,7 @@ def _going_on(arm: Arm, recording: Recording, unseen: Collection[int]) -> GoingO
 
 def candidate_results(ranked: Sequence[Ranked]) -> tuple[CandidateResult, ...]:
     """Every explanation with what it leaves; an unlisted effect leaves what none does."""
-    none = next(r.hypothesis for r in ranked if r.hypothesis and not r.hypothesis.effects)
+    none = next(r.explanation for r in ranked if r.explanation and not r.explanation.effects)
     return tuple(
         CandidateResult(
             effects=each.effects,
@@ -264,7 +264,7 @@ def candidate_results(ranked: Sequence[Ranked]) -> tuple[CandidateResult, ...]:
             held_out_ci95_n=rmse_interval_n(h.squares, h.count),
         )
         for each in ranked
-        for h in (each.hypothesis or none,)
+        for h in (each.explanation or none,)
     )
 
 
@@ -352,21 +352,21 @@ def _bootstrapped_rms(squares: Array, count: Array) -> Array:
     return np.asarray(np.sqrt(squares[drawn].sum(-1) / count[drawn].sum(-1)))
 
 
-def foremost(hypothesis: Hypothesis, candidates: Sequence[Candidate]) -> dict[Term, float]:
+def foremost(explanation: Explanation, candidates: Sequence[Candidate]) -> dict[Term, float]:
     """The values in those places that matter, effect by effect."""
     parameters = parameters_of(candidates)
     changes: dict[tuple[str, str], float] = {}
-    for column, (term, value) in zip(hypothesis.columns, hypothesis.values.items(), strict=True):
+    for column, (term, value) in zip(explanation.columns, explanation.values.items(), strict=True):
         if parameters[term].role == "size":
             size = float(np.sqrt((column**2).mean())) * abs(to_scaled(parameters[term], value))
             changes[term[:2]] = float(np.hypot(changes.get(term[:2], 0.0), size))
     largest = {
         effect: max(size for (name, _), size in changes.items() if name == effect)
-        for effect in hypothesis.effects
+        for effect in explanation.effects
     }
     return {
         term: value
-        for term, value in hypothesis.values.items()
+        for term, value in explanation.values.items()
         if changes[term[:2]] >= NEGLIGIBLE * largest[term.effect]
     }
 

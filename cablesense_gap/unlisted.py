@@ -13,7 +13,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.discrepancy import Features, discrepancy
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem
+from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.recordings.protocol import DIRECTIONS
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residual_patterns import residual_patterns
@@ -154,13 +154,13 @@ def _done_and_again(rows: Recording) -> tuple[str, str]:
 
 
 def describe_unlisted(
-    problem: Problem, recording: Recording, fitted: Sequence[Hypothesis], arm: Arm
+    problem: Problem, recording: Recording, fitted: Sequence[Explanation], arm: Arm
 ) -> tuple[tuple[str, ...], str, Array]:
     """What tolerances leave, as a flexible model that knows no physics sees it.
 
     Why no listed effect is named, and the pattern of the gap; what to record to learn more; and
     (R, M) what the flexible model predicts, each trial without its fold. `fitted` are all
-    hypotheses, among them that of tolerances alone.
+    explanations, among them that of tolerances alone.
     """
     none = next(h for h in fitted if not h.effects)
     residual = problem.readings - none.held_out

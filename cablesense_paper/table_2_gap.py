@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict
 
 from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
-from cablesense_gap.diagnosis.problem import Hypothesis, prepare
+from cablesense_gap.diagnosis.problem import Explanation, prepare
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.pipeline import gap_size, rmse_interval_n
 from cablesense_gap.simulator import Assignment, Term, parameters_of
@@ -73,14 +73,14 @@ _SMALLEST_N, _LARGEST_N = 0.5, 3.0
 
 @dataclass(frozen=True)
 class Judged:
-    """A table under every explanation: each number alone, and the search's hypotheses.
+    """A table under every explanation: each number alone, and the search's explanations.
 
     `least_left` is the least that any of them leaves of the whole table that it was fitted to, as
     a share of the gap.
     """
 
     singles: tuple[Explained, ...]
-    hypotheses: tuple[Hypothesis, ...]
+    explanations: tuple[Explanation, ...]
     least_left: float
 
 
@@ -223,13 +223,13 @@ def judge(simulator: ChangeSimulator, scans: Sequence[Scan], changes_n: Array) -
     rows = np.arange(len(changes_n))
     singles = tuple(explain(found, changes_n, rows) for found in scans)
     problem = prepare(simulator, changes_n, rows, rows, np.ones(len(rows), dtype=bool))
-    hypotheses = tuple(search(problem))
+    explanations = tuple(search(problem))
     gap = np.sqrt(((changes_n - problem.nominal) ** 2).mean())
     left = [
         *(single.rmse for single in singles),
-        *(np.sqrt(((changes_n - h.prediction) ** 2).mean()) for h in hypotheses),
+        *(np.sqrt(((changes_n - h.prediction) ** 2).mean()) for h in explanations),
     ]
-    return Judged(singles, hypotheses, float(min(left) / gap))
+    return Judged(singles, explanations, float(min(left) / gap))
 
 
 def best_of_each(
@@ -278,7 +278,7 @@ def _verdict(
 
 def _candidates(judged: Judged, probability: float, left_n: Array) -> tuple[CandidateResult, ...]:
     """Listed explanations share what the unlisted leaves, the more the less they leave."""
-    squares = {h.effects or ("none",): h.squares for h in judged.hypotheses}
+    squares = {h.effects or ("none",): h.squares for h in judged.explanations}
     for single in judged.singles:
         effects = (single.number.effect,)
         if effects not in squares or single.squares.sum() < squares[effects].sum():

@@ -7,7 +7,7 @@ from itertools import product
 
 from cablesense_gap.diagnosis.gauss_newton import refine, refit, refit_part
 from cablesense_gap.diagnosis.places import WORTH
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem, to_scaled
+from cablesense_gap.diagnosis.problem import Explanation, Problem, to_scaled
 from cablesense_gap.diagnosis.screening import Offered, Screened, screen_singles
 from cablesense_gap.simulator import Candidate, Term, parameters_of
 from cablesense_sim.effects.effect import Parameter
@@ -19,7 +19,7 @@ _SCALES_ELSEWHERE = (0.3, 1.0, 3.0, 10.0)
 _ROUNDS = 2
 
 
-def fit(problem: Problem, screened: Screened) -> Hypothesis | None:
+def fit(problem: Problem, screened: Screened) -> Explanation | None:
     """The effects as the simulator has them; None where that leads nowhere.
 
     A history-dependent effect is begun with smaller and larger sizes too, and with every
@@ -105,61 +105,61 @@ def _shapes(with_history: Sequence[Candidate]) -> list[dict[tuple[str, str], flo
     return combinations or [{}]
 
 
-def reselect_places(problem: Problem, hypothesis: Hypothesis, offered: Offered) -> Hypothesis:
-    """The hypothesis with the places of each of two effects chosen again beside the other.
+def reselect_places(problem: Problem, explanation: Explanation, offered: Offered) -> Explanation:
+    """The explanation with the places of each of two effects chosen again beside the other.
 
     They were chosen linear about the nominal mechanism, and beside effects that were not there
-    yet. Of equal hypotheses the one with fewer places is given.
+    yet. Of equal explanations the one with fewer places is given.
     """
     for _ in range(_ROUNDS):
-        better = hypothesis
-        for screened in _again(problem, hypothesis, offered):
+        better = explanation
+        for screened in _again(problem, explanation, offered):
             fitted = fit(problem, screened)
             if fitted is not None and problem.cost_of(fitted) < problem.cost_of(better):
                 better = fitted
-        if better is hypothesis:
+        if better is explanation:
             break
-        hypothesis = better
-    return _fewest_places(problem, hypothesis)
+        explanation = better
+    return _fewest_places(problem, explanation)
 
 
-def _again(problem: Problem, hypothesis: Hypothesis, offered: Offered) -> Iterator[Screened]:
-    if len(hypothesis.effects) < 2:
+def _again(problem: Problem, explanation: Explanation, offered: Offered) -> Iterator[Screened]:
+    if len(explanation.effects) < 2:
         return
-    for effect in hypothesis.effects:
-        others = {t: v for t, v in hypothesis.values.items() if t.effect != effect}
+    for effect in explanation.effects:
+        others = {t: v for t, v in explanation.values.items() if t.effect != effect}
         beside = refit(problem, others, 0)
         if beside is None or effect not in offered:
             continue
         for screened in screen_singles(problem, {effect: offered[effect]}, beside):
             placed = {linear.place for linear in screened.placed.chosen}
-            if placed != {t.place for t in hypothesis.values if t.effect == effect}:
+            if placed != {t.place for t in explanation.values if t.effect == effect}:
                 yield screened
 
 
-def _fewest_places(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+def _fewest_places(problem: Problem, explanation: Explanation) -> Explanation:
     """Places are left out as long as what is left hardly grows."""
-    sites = list(dict.fromkeys((term.effect, term.place) for term in hypothesis.values))
-    cost = problem.cost_of(hypothesis)
+    sites = list(dict.fromkeys((term.effect, term.place) for term in explanation.values))
+    cost = problem.cost_of(explanation)
     for effect, place in reversed(sites):
         if sum(e == effect for e, _ in sites) == 1:
             continue
-        rest = {t: v for t, v in hypothesis.values.items() if t[:2] != (effect, place)}
-        fitted = refit_part(problem, hypothesis, rest, _STEPS_AGAIN)
+        rest = {t: v for t, v in explanation.values.items() if t[:2] != (effect, place)}
+        fitted = refit_part(problem, explanation, rest, _STEPS_AGAIN)
         if fitted is not None and problem.cost_of(fitted) <= WORTH * cost:
-            hypothesis = fitted
+            explanation = fitted
             sites.remove((effect, place))
-    return hypothesis
+    return explanation
 
 
-def each_alone(problem: Problem, hypothesis: Hypothesis) -> Iterator[Hypothesis]:
+def each_alone(problem: Problem, explanation: Explanation) -> Iterator[Explanation]:
     """Each of two effects alone, begun with its numbers beside the other.
 
     A search for one effect may end early where a second one then makes up for it.
     """
-    if len(hypothesis.effects) < 2:
+    if len(explanation.effects) < 2:
         return
-    for effect in hypothesis.effects:
-        own = {t: v for t, v in hypothesis.values.items() if t.effect == effect}
-        if (fitted := refit_part(problem, hypothesis, own, _STEPS_AGAIN)) is not None:
+    for effect in explanation.effects:
+        own = {t: v for t, v in explanation.values.items() if t.effect == effect}
+        if (fitted := refit_part(problem, explanation, own, _STEPS_AGAIN)) is not None:
             yield fitted

@@ -17,7 +17,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_gap.diagnosis.evidence import Products, fold_solutions, products, solve, weight
 from cablesense_gap.diagnosis.problem import (
-    Hypothesis,
+    Explanation,
     Problem,
     from_scaled,
     prior_precision,
@@ -44,7 +44,7 @@ def refine(
     most_steps: int = 8,
     most_left: float = np.inf,
     begun: tuple[Array, Array] | None = None,
-) -> Hypothesis | None:
+) -> Explanation | None:
     """The most probable numbers from the best of some scaled starts on.
 
     None where nothing there can be simulated, or where several starts all leave a mean square of
@@ -58,7 +58,7 @@ def refit(
     values: Mapping[Term, float],
     most_steps: int,
     begun: tuple[Array, Array] | None = None,
-) -> Hypothesis | None:
+) -> Explanation | None:
     """The most probable numbers from `values` on; None where these cannot be simulated.
 
     With no step allowed they stay, and only the tolerances are fitted.
@@ -70,33 +70,33 @@ def refit(
 
 
 def refit_part(
-    problem: Problem, hypothesis: Hypothesis, values: Mapping[Term, float], most_steps: int
-) -> Hypothesis | None:
-    """As `refit`, of some of a hypothesis' values, begun with its sensitivities."""
-    own = [k for k, term in enumerate(hypothesis.values) if term in values]
+    problem: Problem, explanation: Explanation, values: Mapping[Term, float], most_steps: int
+) -> Explanation | None:
+    """As `refit`, of some of an explanation' values, begun with its sensitivities."""
+    own = [k for k, term in enumerate(explanation.values) if term in values]
     predicted = problem.simulator.predict([values])[0]
-    return refit(problem, values, most_steps, (predicted, hypothesis.columns[own]))
+    return refit(problem, values, most_steps, (predicted, explanation.columns[own]))
 
 
-def final_refinement(problem: Problem, hypothesis: Hypothesis) -> tuple[Hypothesis, Problem]:
+def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explanation, Problem]:
     """The same effects, fitted beside tolerances that are linear about these very effects.
 
     The search takes them linear about the nominal mechanism, which is near enough to choose by.
     The problem with these tolerances is given too.
     """
-    if not hypothesis.values or not problem.tolerance_terms:
-        return hypothesis, problem
-    base = {**hypothesis.values, **dict.fromkeys(problem.tolerance_terms, 0.0)}
+    if not explanation.values or not problem.tolerance_terms:
+        return explanation, problem
+    base = {**explanation.values, **dict.fromkeys(problem.tolerance_terms, 0.0)}
     terms = zip(problem.tolerance_terms, problem.tolerance_std, strict=True)
     predicted = problem.simulator.predict([{**base, t: float(std)} for t, std in terms])
-    columns = predicted - hypothesis.without_tolerances
+    columns = predicted - explanation.without_tolerances
     if not np.isfinite(columns).all():
         columns = problem.tolerance_columns
     about = replace(problem, tolerance_columns=columns)
-    begun = hypothesis.without_tolerances, hypothesis.columns
-    fitted = refit(about, hypothesis.values, _FINAL_STEPS, begun)
-    if fitted is None or problem.cost_of(fitted) > problem.cost_of(hypothesis):
-        return hypothesis, problem
+    begun = explanation.without_tolerances, explanation.columns
+    fitted = refit(about, explanation.values, _FINAL_STEPS, begun)
+    if fitted is None or problem.cost_of(fitted) > problem.cost_of(explanation):
+        return explanation, problem
     return fitted, about
 
 
@@ -124,7 +124,7 @@ class _Fit:
         most_steps: int,
         most_left: float,
         begun: tuple[Array, Array] | None,
-    ) -> Hypothesis | None:
+    ) -> Explanation | None:
         point, left = self._best(np.clip(starts, self._low, self._high))
         if left > most_left:
             return None
@@ -157,7 +157,7 @@ class _Fit:
                 linear_at = tried
             if (before[0] - after[0]) / before[0] < _WORTH:
                 break
-        return self._hypothesis(point, predicted, columns, mean_square)
+        return self._explanation(point, predicted, columns, mean_square)
 
     def _best(self, starts: Array) -> tuple[Array, float]:
         """The start that leaves least, with the tolerances at their best, and that mean square."""
@@ -256,9 +256,9 @@ class _Fit:
         prior = found @ found + self._prior @ (point - self._expected) ** 2
         return float(weight_ * left + prior), float(left / data.count.sum())
 
-    def _hypothesis(
+    def _explanation(
         self, point: Array, predicted: Array, columns: Array, mean_square: float
-    ) -> Hypothesis:
+    ) -> Explanation:
         problem, none = self._problem, self._tolerances
         every = np.concatenate([problem.tolerance_columns, columns])
         data, weight_ = self._products(predicted, every), weight(mean_square, problem.floor)
@@ -289,7 +289,7 @@ class _Fit:
         ]
         tolerances = found[:none] * problem.tolerance_std
         expected = [to_scaled(p, p.default) * (p.role == "shape") for p in self._parameters]
-        return Hypothesis(
+        return Explanation(
             effects=tuple(sorted({term.effect for term in self._terms})),
             values=values,
             deviations=dict(zip(self._terms, 1.96 * spread[none:] * units, strict=True)),

@@ -20,7 +20,7 @@ import numpy as np
 from cablesense_gap.diagnosis.gauss_newton import refit_part
 from cablesense_gap.diagnosis.places import LinearEffect, Placing, linear_effects, place
 from cablesense_gap.diagnosis.problem import (
-    Hypothesis,
+    Explanation,
     Problem,
     prior_precision,
     to_scaled,
@@ -30,7 +30,7 @@ from cablesense_gap.simulator import Candidate, Term, parameters_of
 from cablesense_sim.effects.effect import WHOLE_ARM
 
 Spread = Callable[[Callable[..., Any], Iterable[Any]], Iterable[Any]]
-Fit = Callable[[Problem, Screened], Hypothesis | None]
+Fit = Callable[[Problem, Screened], Explanation | None]
 
 _MOST_EFFECTS, _MOST_ADDED = 7, 14
 """In one explanation, and effects and places that are added to it at once."""
@@ -73,10 +73,10 @@ class JointSelection:
 
     def run(
         self,
-        start: Hypothesis,
-        enough: Callable[[Hypothesis], bool],
-        nearly: Callable[[Hypothesis], bool],
-    ) -> Iterator[Hypothesis]:
+        start: Explanation,
+        enough: Callable[[Explanation], bool],
+        nearly: Callable[[Explanation], bool],
+    ) -> Iterator[Explanation]:
         """Every explanation on the way from `start`, the last one the best.
 
         What is nearly enough is only added to, and two effects at once are tried beside few.
@@ -100,7 +100,7 @@ class JointSelection:
             best = better
             yield best
 
-    def _offered(self, about: Hypothesis) -> Offered:
+    def _offered(self, about: Explanation) -> Offered:
         linear = self._spread(partial(_linear_about, about), self._candidates)
         own = zip((c.effect for c in self._candidates), linear, strict=True)
         taken = {term[:2] for term in about.values}
@@ -115,7 +115,7 @@ class JointSelection:
             if (effect, WHOLE_ARM) not in taken
         }
 
-    def _grown(self, beside: Hypothesis, offered: Offered) -> list[Screened]:
+    def _grown(self, beside: Explanation, offered: Offered) -> list[Screened]:
         """Effects and places added one by one, as long as each helps."""
         sites = [
             (effect, linear)
@@ -160,7 +160,7 @@ class JointSelection:
             chosen, left = further, placing.left(further)
         return [Screened(placing.placed(chosen), beside)] if chosen else []
 
-    def _added(self, beside: Hypothesis, offered: Offered, *, two: bool = True) -> list[Screened]:
+    def _added(self, beside: Explanation, offered: Offered, *, two: bool = True) -> list[Screened]:
         """One effect or two in their best places, or in further ones, beside what is there."""
         problem = self._problem
         residual = problem.readings - beside.without_tolerances
@@ -175,7 +175,7 @@ class JointSelection:
         few = [s for s in found if len(s.effects) <= _MOST_EFFECTS]
         return sorted(few, key=self._forecast)
 
-    def replaced(self, best: Hypothesis) -> Iterator[Hypothesis]:
+    def replaced(self, best: Explanation) -> Iterator[Explanation]:
         """Explanations with one or two effects taken out, and another one put in or none.
 
         They go on from what is better, or as good with fewer numbers. What is put in is linear
@@ -198,7 +198,7 @@ class JointSelection:
                 break
             best = better
 
-    def _with_another(self, rest: Hypothesis, others: Sequence[LinearEffect]) -> list[Screened]:
+    def _with_another(self, rest: Explanation, others: Sequence[LinearEffect]) -> list[Screened]:
         """Each other effect in its best places, everywhere at once and not."""
         residual = self._problem.readings - rest.without_tolerances
         placing = Placing(self._problem, residual, rest.columns, others)
@@ -207,14 +207,14 @@ class JointSelection:
             sites.setdefault((linear.terms[0].effect, linear.place == WHOLE_ARM), []).append(k)
         return [Screened(placing.placed(placing.grow(own)[0]), rest) for own in sites.values()]
 
-    def _exchanged(self, hypothesis: Hypothesis, offered: Offered) -> list[Screened]:
+    def _exchanged(self, explanation: Explanation, offered: Offered) -> list[Screened]:
         """Each effect that others may stand in for taken out, and another one put in."""
         found = []
-        for rest in left_out(self._spread, hypothesis, self._idle(hypothesis, _EXCHANGED)):
+        for rest in left_out(self._spread, explanation, self._idle(explanation, _EXCHANGED)):
             found += self._added(rest, offered, two=False)[:_TRIED]
         return sorted(found, key=self._forecast)
 
-    def _best_of(self, screened: Sequence[Screened], than: Hypothesis) -> Hypothesis | None:
+    def _best_of(self, screened: Sequence[Screened], than: Explanation) -> Explanation | None:
         """The best of the most promising, fitted; None where none is worth it."""
         before = self._judged(than)
         least = min(map(self._forecast, screened[:1]), default=np.inf)
@@ -237,9 +237,9 @@ class JointSelection:
             self._problem.cost(placed.mean_square, placed.tolerance_chi2), sites, count
         )
 
-    def _judged(self, hypothesis: Hypothesis) -> float:
-        sites = [term[:2] for term in hypothesis.values]
-        return self._penalised(self._problem.cost_of(hypothesis), sites, len(hypothesis.values))
+    def _judged(self, explanation: Explanation) -> float:
+        sites = [term[:2] for term in explanation.values]
+        return self._penalised(self._problem.cost_of(explanation), sites, len(explanation.values))
 
     def _penalised(self, cost: float, sites: Sequence[tuple[str, str]], count: int) -> float:
         """What is left, with a penalty for each effect, each place among many, and each number."""
@@ -249,7 +249,7 @@ class JointSelection:
             cost *= _EFFECT_WORTH * max(_PLACE_WORTH, float(choices) ** _ELSEWHERE)
         return cost * _FURTHER_WORTH ** taken.total() * _SIZE_WORTH**count
 
-    def _pruned(self, fitted: Hypothesis) -> dict[Term, float]:
+    def _pruned(self, fitted: Explanation) -> dict[Term, float]:
         """The values in those places without which more would be left, linear about the fit."""
         sites = list(dict.fromkeys(term[:2] for term in fitted.values))
         counts = [sum(term[:2] == site for term in fitted.values) for site in sites]
@@ -273,63 +273,67 @@ class JointSelection:
         stay = {sites[k] for k in kept}
         return {term: value for term, value in fitted.values.items() if term[:2] in stay}
 
-    def _without_idle(self, hypothesis: Hypothesis) -> Hypothesis:
+    def _without_idle(self, explanation: Explanation) -> Explanation:
         """Effects are left out as long as held-out trials hardly notice."""
-        while len(hypothesis.effects) > 1:
+        while len(explanation.effects) > 1:
             rests = [
                 rest
-                for rest in left_out(self._spread, hypothesis, self._idle(hypothesis, _PROMISING))
-                if self._judged(rest) <= self._judged(hypothesis)
-                or not borne_out(hypothesis, rest)
+                for rest in left_out(
+                    self._spread, explanation, self._idle(explanation, _PROMISING)
+                )
+                if self._judged(rest) <= self._judged(explanation)
+                or not borne_out(explanation, rest)
             ]
             if not rests:
                 break
-            hypothesis = min(rests, key=self._judged)
-        return hypothesis
+            explanation = min(rests, key=self._judged)
+        return explanation
 
-    def _idle(self, hypothesis: Hypothesis, factor: float) -> list[tuple[str]]:
+    def _idle(self, explanation: Explanation, factor: float) -> list[tuple[str]]:
         """Effects without which no more than a factor of what is left would be left, linearly."""
-        sites = list(dict.fromkeys(term[:2] for term in hypothesis.values))
-        placing = _own_places(self._problem, hypothesis, sites)
-        most = factor * self._problem.cost_of(hypothesis)
+        sites = list(dict.fromkeys(term[:2] for term in explanation.values))
+        placing = _own_places(self._problem, explanation, sites)
+        most = factor * self._problem.cost_of(explanation)
 
         def without(effect: str) -> float:
             return placing.left([k for k, site in enumerate(sites) if site[0] != effect])
 
-        return [(effect,) for effect in hypothesis.effects if without(effect) < most]
+        return [(effect,) for effect in explanation.effects if without(effect) < most]
 
 
 def left_out(
-    spread: Spread, hypothesis: Hypothesis, effects: Sequence[tuple[str, ...]] | None = None
-) -> list[Hypothesis]:
-    """The hypothesis without each of its effects, or some of them, all other numbers refitted."""
-    gone = [(effect,) for effect in hypothesis.effects] if effects is None else effects
+    spread: Spread, explanation: Explanation, effects: Sequence[tuple[str, ...]] | None = None
+) -> list[Explanation]:
+    """The explanation without each of its effects, or some of them, all other numbers refitted."""
+    gone = [(effect,) for effect in explanation.effects] if effects is None else effects
     rests = [
-        (hypothesis, {t: v for t, v in hypothesis.values.items() if t.effect not in each})
+        (explanation, {t: v for t, v in explanation.values.items() if t.effect not in each})
         for each in gone
     ]
     return [h for h in spread(_refitted, rests) if h is not None]
 
 
 def _refitted(
-    problem: Problem, some: tuple[Hypothesis, Mapping[Term, float]]
-) -> Hypothesis | None:
+    problem: Problem, some: tuple[Explanation, Mapping[Term, float]]
+) -> Explanation | None:
     return refit_part(problem, *some, _STEPS_AGAIN)
 
 
 def _linear_about(
-    about: Hypothesis, problem: Problem, candidate: Candidate
+    about: Explanation, problem: Problem, candidate: Candidate
 ) -> list[tuple[LinearEffect, ...]]:
     return linear_effects(problem, candidate, about)
 
 
-def borne_out(better: Hypothesis, worse: Hypothesis) -> bool:
+def borne_out(better: Explanation, worse: Explanation) -> bool:
     """Whether one leaves less on held-out trials than the other by more than chance over them."""
     gain = worse.squares - better.squares
     return bool(gain.sum() > _CHANCE * np.sqrt(len(gain)) * gain.std())
 
 
-def _own_places(problem: Problem, fitted: Hypothesis, sites: Sequence[tuple[str, str]]) -> Placing:
+def _own_places(
+    problem: Problem, fitted: Explanation, sites: Sequence[tuple[str, str]]
+) -> Placing:
     """The sites of a fit to choose among, linear about it; sizes that it held at zero stay so."""
     ranges = parameters_of(problem.simulator.candidates)
     free = [value != 0.0 or ranges[term].low < 0.0 for term, value in fitted.values.items()]

@@ -21,7 +21,7 @@ from cablesense_gap.diagnosis.evidence import (
     weight,
 )
 from cablesense_gap.diagnosis.problem import (
-    Hypothesis,
+    Explanation,
     Problem,
     excess,
     from_scaled,
@@ -65,11 +65,11 @@ class LinearEffect:
 
 
 def linear_effects(
-    problem: Problem, candidate: Candidate, about: Hypothesis | None = None
+    problem: Problem, candidate: Candidate, about: Explanation | None = None
 ) -> list[tuple[LinearEffect, ...]]:
     """For each combination of starting shapes, the candidate in every place.
 
-    Linear about the nominal mechanism, or about a hypothesis without what depends on history in
+    Linear about the nominal mechanism, or about an explanation without what depends on history in
     it; places that this has already, and those that the mechanism cannot be simulated with, are
     left out. A history-dependent effect is simulated in all places and shapes side by side, which
     is worth while only for such a one.

@@ -1,7 +1,7 @@
-"""How probable each hypothesis is, and which of them a recording cannot distinguish.
+"""How probable each explanation is, and which of them a recording cannot distinguish.
 
 The weights fall with a power of what is left beyond the sensors' floor on held-out trials, and by
-a factor for every effect that a hypothesis names:
+a factor for every effect that an explanation names:
 
     log w = -κ log(excess) - τ log(s / m) - π_1 - (k - 1) (π_2 - π_1) - ν n,
 
@@ -14,7 +14,7 @@ for tolerances alone, which are out where the gap is plain, with a power κ₀ o
 
     log w = -κ log(least) - κ₀ log(excess / least) - τ log(s / m),    least = what can be resolved,
 
-and an effect that nobody listed is the hypothesis that a listed one stands in for it, which leaves
+and an effect that nobody listed is the explanation that a listed one stands in for it, which leaves
 a share φ of the gap, and γ floors where the gap is small:
 
     log w = -κ log √((φ · excess of none)² + (γ σ₀)²) - π_unknown
@@ -37,7 +37,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.evidence import weight
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem, excess
+from cablesense_gap.diagnosis.problem import Explanation, Problem, excess
 
 UNKNOWN = ("unknown",)
 LEAST, NEAR_BEST = 0.1, 0.2
@@ -68,7 +68,7 @@ class ProbabilityCalibration:
         unknown: π_unknown.
         share: φ.
         stand_in: γ.
-        floor_share: excess that no hypothesis can do without, as a share of the floor.
+        floor_share: excess that no explanation can do without, as a share of the floor.
     """
 
     power: float
@@ -91,26 +91,26 @@ def bundled_calibration() -> ProbabilityCalibration:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A hypothesis, or that of an unlisted effect, with its probability."""
+    """An explanation, or that of an unlisted effect, with its probability."""
 
     effects: tuple[str, ...]
     probability: float
-    hypothesis: Hypothesis | None
+    explanation: Explanation | None
 
 
 def posterior(
-    hypotheses: Sequence[Hypothesis], floor: float, calibration: ProbabilityCalibration
+    explanations: Sequence[Explanation], floor: float, calibration: ProbabilityCalibration
 ) -> list[Ranked]:
-    """Probabilities of all hypotheses and of an unlisted effect, the most probable first.
+    """Probabilities of all explanations and of an unlisted effect, the most probable first.
 
-    `hypotheses` holds that of tolerances alone, which stands for `none`.
+    `explanations` holds that of tolerances alone, which stands for `none`.
     """
     weights = log_weights(
-        np.array([h.held_out_rmse for h in hypotheses]),
-        np.array([len(h.effects) for h in hypotheses]),
-        np.array([h.sizes for h in hypotheses]),
-        np.array([h.tolerance_chi2 for h in hypotheses]),
-        max(len(hypotheses[0].tolerances), 1),
+        np.array([h.held_out_rmse for h in explanations]),
+        np.array([len(h.effects) for h in explanations]),
+        np.array([h.sizes for h in explanations]),
+        np.array([h.tolerance_chi2 for h in explanations]),
+        max(len(explanations[0].tolerances), 1),
         floor,
         calibration,
     )
@@ -118,7 +118,7 @@ def posterior(
     shares /= shares.sum()
     found = [
         Ranked(h.effects or ("none",), float(share), h)
-        for h, share in zip(hypotheses, shares, strict=False)
+        for h, share in zip(explanations, shares, strict=False)
     ]
     found.append(Ranked(UNKNOWN, float(shares[-1]), None))
     return sorted(found, key=lambda ranked: -ranked.probability)
@@ -136,10 +136,10 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
     if first.effects != UNKNOWN:
         return list(ranked)
     borne_out = [
-        (problem.cost_of(each.hypothesis), k, ratios)
+        (problem.cost_of(each.explanation), k, ratios)
         for k, each in enumerate(ranked)
-        if each.hypothesis
-        and (ratios := _left_out_ratios(problem, ranked, each.hypothesis))
+        if each.explanation
+        and (ratios := _left_out_ratios(problem, ranked, each.explanation))
         and _outweighs(problem, ranked, ratios, each)
     ]
     if not borne_out:
@@ -155,8 +155,8 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
 def _outweighs(
     problem: Problem, ranked: Sequence[Ranked], ratios: dict[str, float], one: Ranked
 ) -> bool:
-    """Whether a hypothesis explains more than it leaves, and needs each of its effects."""
-    left = {r.effects: r.hypothesis for r in ranked if r.hypothesis}
+    """Whether an explanation explains more than it leaves, and needs each of its effects."""
+    left = {r.effects: r.explanation for r in ranked if r.explanation}
     gap, rest = (
         excess(left[effects].held_out_rmse ** 2, problem.floor)
         for effects in (("none",), one.effects)
@@ -172,10 +172,10 @@ def _outweighs(
 
 
 def _left_out_ratios(
-    problem: Problem, ranked: Sequence[Ranked], whole: Hypothesis
+    problem: Problem, ranked: Sequence[Ranked], whole: Explanation
 ) -> dict[str, float]:
     """By which factor what is left grows without each of the effects."""
-    costs = [(set(h.effects), problem.cost_of(h)) for r in ranked if (h := r.hypothesis)]
+    costs = [(set(h.effects), problem.cost_of(h)) for r in ranked if (h := r.explanation)]
     own = set(whole.effects)
     return {
         effect: min(cost for effects, cost in costs if effects <= own - {effect})
@@ -193,7 +193,7 @@ def log_weights(
     floor: float,
     calibration: ProbabilityCalibration,
 ) -> Array:
-    """Of each hypothesis, and last of an unlisted effect; `counts` 0 marks tolerances alone."""
+    """Of each explanation, and last of an unlisted effect; `counts` 0 marks tolerances alone."""
     c = calibration
     floor_share = c.floor_share * floor
     left = np.array([np.hypot(excess(e**2, floor), floor_share) for e in held_out_rmse])
@@ -234,10 +234,10 @@ def rivals_of(ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
 
 
 def _names_an_effect(ranked: Ranked) -> bool:
-    return ranked.hypothesis is not None and bool(ranked.hypothesis.effects)
+    return ranked.explanation is not None and bool(ranked.explanation.effects)
 
 
-def imitated_share(problem: Problem, one: Hypothesis, other: Hypothesis) -> float:
+def imitated_share(problem: Problem, one: Explanation, other: Explanation) -> float:
     """Share of what one explanation changes that the other can imitate, 0 to 1.
 
     Of the root mean square of the change, tolerances taken out; the other's numbers are free.
@@ -256,10 +256,10 @@ def imitated_share(problem: Problem, one: Hypothesis, other: Hypothesis) -> floa
 
 
 def _reason(problem: Problem, best: Ranked, rival: Ranked, unit: str) -> str:
-    one, other = best.hypothesis, rival.hypothesis
+    one, other = best.explanation, rival.explanation
     assert one is not None
     assert other is not None
-    small, large = sorted((one, other), key=lambda hypothesis: len(hypothesis.effects))
+    small, large = sorted((one, other), key=lambda explanation: len(explanation.effects))
     if set(small.effects) < set(large.effects):
         more = "+".join(name for name in large.effects if name not in small.effects)
         return (
@@ -285,17 +285,17 @@ def _reason(problem: Problem, best: Ranked, rival: Ranked, unit: str) -> str:
     )
 
 
-def _change(problem: Problem, hypothesis: Hypothesis) -> Array:
+def _change(problem: Problem, explanation: Explanation) -> Array:
     """(R, C) what the effects change, at their fitted numbers."""
     scaled = [
-        hypothesis.tolerances.get(term, 0.0) / std
+        explanation.tolerances.get(term, 0.0) / std
         for term, std in zip(problem.tolerance_terms, problem.tolerance_std, strict=True)
     ]
     of_tolerances = np.tensordot(np.array(scaled), problem.tolerance_columns, axes=1)
-    return np.asarray(hypothesis.prediction - of_tolerances - problem.nominal)
+    return np.asarray(explanation.prediction - of_tolerances - problem.nominal)
 
 
-def _beyond_tolerances(problem: Problem, change: Array, fitted: Hypothesis) -> Array:
+def _beyond_tolerances(problem: Problem, change: Array, fitted: Explanation) -> Array:
     """Over the used rows, flat: what tolerances leave of a change, at the cost of their priors.
 
     The priors' cost is part of the vector, so that the products of two of them are those of the

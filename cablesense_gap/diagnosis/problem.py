@@ -1,4 +1,4 @@
-"""The diagnosis problem: readings beside a simulator, and a hypothesis that explains them.
+"""The diagnosis problem: readings beside a simulator, and an explanation that explains them.
 
 Numbers are sought in scaled form, in units of what is typical, so that one step suits them all.
 """
@@ -26,7 +26,7 @@ _CHI2_POWER = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class Explanation:
     """Effects, fitted, beside the manufacturing tolerances.
 
     Attributes:
@@ -121,9 +121,9 @@ class Problem:
             excess(mean_square, self.floor) * max(tolerance_chi2 / usual, 1.0) ** _CHI2_POWER
         )
 
-    def cost_of(self, hypothesis: Hypothesis) -> float:
-        """That of what a hypothesis leaves on held-out trials."""
-        return self.cost(hypothesis.held_out_rmse**2, hypothesis.tolerance_chi2)
+    def cost_of(self, explanation: Explanation) -> float:
+        """That of what an explanation leaves on held-out trials."""
+        return self.cost(explanation.held_out_rmse**2, explanation.tolerance_chi2)
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ class Sketch:
     rows: NDArray[np.int64]
     problem: Problem
 
-    def hypothesis(self, whole: Hypothesis) -> Hypothesis:
+    def explanation(self, whole: Explanation) -> Explanation:
         """One of the other problem as it does on these rows."""
         held_out, problem = whole.held_out[self.rows], self.problem
         squares, count = problem.squares_by_trial(held_out)

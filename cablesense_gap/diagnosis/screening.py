@@ -22,7 +22,7 @@ from cablesense_gap.diagnosis.places import (
     Placing,
     place,
 )
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem, excess
+from cablesense_gap.diagnosis.problem import Explanation, Problem, excess
 from cablesense_gap.simulator import parameters_of
 from cablesense_sim.effects.effect import WHOLE_ARM
 
@@ -44,7 +44,7 @@ class Screened:
     """
 
     placed: Placed
-    beside: Hypothesis | None = None
+    beside: Explanation | None = None
     most_left: float = np.inf
 
     @property
@@ -55,7 +55,7 @@ class Screened:
 
 
 def screen_singles(
-    problem: Problem, offered: Offered, beside: Hypothesis | None = None
+    problem: Problem, offered: Offered, beside: Explanation | None = None
 ) -> list[Screened]:
     """For each effect its best places with the best of its starting shapes, perhaps two of them.
 
@@ -76,7 +76,7 @@ def screen_singles(
 
 
 def screen_pairs(
-    problem: Problem, offered: Offered, mean_square: float, beside: Hypothesis | None = None
+    problem: Problem, offered: Offered, mean_square: float, beside: Explanation | None = None
 ) -> list[Screened]:
     """For every two effects their best places, the most promising first.
 

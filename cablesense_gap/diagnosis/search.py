@@ -18,7 +18,7 @@ from cablesense_gap.diagnosis.fitting import each_alone, fit, reselect_places
 from cablesense_gap.diagnosis.gauss_newton import final_refinement, refine, refit
 from cablesense_gap.diagnosis.joint_selection import JointSelection, left_out
 from cablesense_gap.diagnosis.places import WORTH, linear_effects
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem, excess
+from cablesense_gap.diagnosis.problem import Explanation, Problem, excess
 from cablesense_gap.diagnosis.screening import (
     Offered,
     Screened,
@@ -58,8 +58,8 @@ _BORNE_OUT = 1.6
 
 def search(
     problem: Problem, progress: Progress = lambda *_: None, workers: int = 1
-) -> list[Hypothesis]:
-    """Every hypothesis that was fitted, that of tolerances alone first.
+) -> list[Explanation]:
+    """Every explanation that was fitted, that of tolerances alone first.
 
     History-dependent effects are expensive to simulate: they are left alone where one of the
     others, or two of them, leave next to nothing, and pairs with them where one of them leaves
@@ -74,15 +74,15 @@ def search(
 
 class _Search:
     def __init__(
-        self, problem: Problem, pool: WorkerPool, progress: Progress, none: Hypothesis
+        self, problem: Problem, pool: WorkerPool, progress: Progress, none: Explanation
     ) -> None:
         self._whole, self._pool, self._progress = problem, pool, progress
-        self._found: dict[tuple[str, ...], Hypothesis] = {}
-        self._refined: list[Hypothesis] = []
+        self._found: dict[tuple[str, ...], Explanation] = {}
+        self._refined: list[Explanation] = []
         self._about: dict[int, Problem] = {}
         self._go_on_with(problem, none)
 
-    def _go_on_with(self, problem: Problem, none: Hypothesis) -> None:
+    def _go_on_with(self, problem: Problem, none: Explanation) -> None:
         """All rows, or those of the sketch."""
         self._problem, self._none = problem, none
         spread = _Spread(problem.simulator, self._map, self._pool.workers)
@@ -93,8 +93,8 @@ class _Search:
         on_sketch = self._problem is not self._whole
         return self._pool.map(partial(_on_sketch if on_sketch else _on_whole, function), values)
 
-    def run(self) -> list[Hypothesis]:
-        """The best hypothesis for every effect and every two that were fitted."""
+    def run(self) -> list[Explanation]:
+        """The best explanation for every effect and every two that were fitted."""
         self._explore()
         self._replace()
         self._refine_best(2)
@@ -124,7 +124,7 @@ class _Search:
         if not self._is_resolved():
             self._explore_history_dependent(cheap, best)
 
-    def _best(self) -> Hypothesis:
+    def _best(self) -> Explanation:
         return min([self._none, *self._found.values()], key=self._problem.cost_of)
 
     def _explore_history_dependent(self, cheap: Offered, best: float) -> None:
@@ -133,9 +133,9 @@ class _Search:
         if sketch is None:
             self._fit_history_dependent(cheap, best)
             return
-        reduced = {effects: sketch.hypothesis(h) for effects, h in known.items()}
+        reduced = {effects: sketch.explanation(h) for effects, h in known.items()}
         self._found = dict(reduced)
-        self._go_on_with(sketch.problem, sketch.hypothesis(none))
+        self._go_on_with(sketch.problem, sketch.explanation(none))
         few = {
             name: [
                 tuple(replace(e, columns=e.columns[:, sketch.rows]) for e in every)
@@ -204,7 +204,7 @@ class _Search:
             if not self._is_resolved():
                 self._select_jointly(expensive, start)
 
-    def _unseen(self, screened: Sequence[Screened], without: Hypothesis) -> list[Screened]:
+    def _unseen(self, screened: Sequence[Screened], without: Explanation) -> list[Screened]:
         """At a usual size those that were not fitted, where that alone improves on `without`.
 
         What sticks is far from linear, so that the simulator has the last word on it.
@@ -213,7 +213,7 @@ class _Search:
         most_left = (_SLIGHTLY * without.held_out_rmse) ** 2
         return [at_usual_size(self._problem, one, most_left) for one in unseen.values()]
 
-    def _starts_with(self, offered: Offered) -> list[Hypothesis]:
+    def _starts_with(self, offered: Offered) -> list[Explanation]:
         """The best explanation, if these may help it, and else the best that has one of them."""
         best, cost_of = self._best(), self._problem.cost_of
         with_one = sorted(
@@ -235,7 +235,7 @@ class _Search:
         left = [problem.cost(s.placed.mean_square, s.placed.tolerance_chi2) for s in beside]
         return min(left, default=np.inf) < _WORTH_PAIRING * problem.cost_of(best)
 
-    def _starts(self, pairs: Collection[tuple[str, ...]]) -> list[Hypothesis]:
+    def _starts(self, pairs: Collection[tuple[str, ...]]) -> list[Explanation]:
         """Of the pairs those that others may outdo only because nothing stands beside them yet."""
         cost_of = self._problem.cost_of
         fitted = sorted((h for e, h in self._found.items() if e in pairs), key=cost_of)
@@ -245,7 +245,7 @@ class _Search:
         )
         return [h for h in fitted if cost_of(h) <= most][:_MOST_STARTS]
 
-    def _select_jointly(self, known: Offered, start: Hypothesis) -> None:
+    def _select_jointly(self, known: Offered, start: Explanation) -> None:
         """From one explanation on; of `known` effects the columns are those offered."""
         candidates = [c for c in self._problem.simulator.candidates if not c.history_dependent]
         selection = JointSelection(self._problem, self._map, candidates, fit, known)
@@ -264,9 +264,9 @@ class _Search:
                 self._keep(found)
             self._refine(sorted(self._found.values(), key=self._problem.cost_of)[:_MOST_REPLACED])
 
-    def _is_explained(self, hypothesis: Hypothesis) -> bool:
+    def _is_explained(self, explanation: Explanation) -> bool:
         """Whether it leaves what the sensors leave."""
-        return self._problem.cost_of(hypothesis) <= 1.5 * excess(0.0, self._problem.floor)
+        return self._problem.cost_of(explanation) <= 1.5 * excess(0.0, self._problem.floor)
 
     def _offer(self, candidates: Sequence[Candidate], done: float) -> Offered:
         offered = {}
@@ -299,14 +299,14 @@ class _Search:
             if fitted is not None:
                 self._keep(fitted)
 
-    def _fitted(self, screened: Sequence[Screened]) -> Iterator[Hypothesis | None]:
+    def _fitted(self, screened: Sequence[Screened]) -> Iterator[Explanation | None]:
         """One by one in as many processes; a few expensive ones each in all processes."""
         expensive = self._history_dependent()
         if all(len(s.effects) == 1 and expensive.issuperset(s.effects) for s in screened):
             return (fit(self._spread, one) for one in screened)
         return self._map(fit, screened)
 
-    def _keep(self, fitted: Hypothesis) -> None:
+    def _keep(self, fitted: Explanation) -> None:
         known = self._found.get(fitted.effects)
         if known is not None:
             ratio = self._problem.cost_of(fitted) / self._problem.cost_of(known)
@@ -326,13 +326,13 @@ class _Search:
 
     def _refine_best(self, most: int) -> None:
         """The best explanations with so many effects and fewer, as they compete in the end."""
-        best: dict[int, Hypothesis] = {}
-        for hypothesis in sorted(self._found.values(), key=self._problem.cost_of):
-            best.setdefault(len(hypothesis.effects), hypothesis)
+        best: dict[int, Explanation] = {}
+        for explanation in sorted(self._found.values(), key=self._problem.cost_of):
+            best.setdefault(len(explanation.effects), explanation)
         self._refine([h for count, h in best.items() if count <= most])
 
-    def _refine(self, rough: Iterable[Hypothesis]) -> None:
-        done = {id(hypothesis) for hypothesis in self._refined}
+    def _refine(self, rough: Iterable[Explanation]) -> None:
+        done = {id(explanation) for explanation in self._refined}
         for one in rough:
             if id(one) not in done:
                 fitted, about = final_refinement(self._spread, one)
@@ -361,39 +361,39 @@ class _Search:
                 break
             best = least
 
-    def _is_idle(self, hypothesis: Hypothesis) -> bool:
+    def _is_idle(self, explanation: Explanation) -> bool:
         """Whether fewer of its effects do about as well: the others have nothing to do."""
-        fewer = [h for h in self._found.values() if set(h.effects) < set(hypothesis.effects)]
-        cost = self._problem.cost_of(hypothesis)
+        fewer = [h for h in self._found.values() if set(h.effects) < set(explanation.effects)]
+        cost = self._problem.cost_of(explanation)
         return any(
-            self._problem.cost_of(h) < WORTH * cost or not self._shows(hypothesis, h)
+            self._problem.cost_of(h) < WORTH * cost or not self._shows(explanation, h)
             for h in fewer
         )
 
-    def _shows(self, hypothesis: Hypothesis, rest: Hypothesis) -> bool:
-        """Whether what a hypothesis has beside the rest of it is more than readings can show.
+    def _shows(self, explanation: Explanation, rest: Explanation) -> bool:
+        """Whether what an explanation has beside the rest of it is more than readings can show.
 
         Near the floor ratios of what is left grow large over nothing. It shows too where the
         rest makes up for it by a tolerance that is far off.
         """
-        more = rest.held_out_rmse**2 - hypothesis.held_out_rmse**2
-        strained = self._worst_tolerance(rest) > max(_FAR_OFF, self._worst_tolerance(hypothesis))
+        more = rest.held_out_rmse**2 - explanation.held_out_rmse**2
+        strained = self._worst_tolerance(rest) > max(_FAR_OFF, self._worst_tolerance(explanation))
         return strained or more > (_LEAST_SHOWN * self._problem.floor) ** 2
 
-    def _worst_tolerance(self, hypothesis: Hypothesis) -> float:
+    def _worst_tolerance(self, explanation: Explanation) -> float:
         """In standard deviations."""
         std = dict(zip(self._problem.tolerance_terms, self._problem.tolerance_std, strict=True))
-        off = (abs(value) / std[term] for term, value in hypothesis.tolerances.items())
+        off = (abs(value) / std[term] for term, value in explanation.tolerances.items())
         return max(off, default=0.0)
 
     def _is_resolved(self) -> bool:
         """Whether something leaves so little that nothing more has anything to do."""
         return any(map(self._nearly, self._found.values()))
 
-    def _nearly(self, hypothesis: Hypothesis) -> bool:
+    def _nearly(self, explanation: Explanation) -> bool:
         gap = excess(self._none.held_out_rmse**2, self._problem.floor)
-        little = self._problem.cost_of(hypothesis) <= _RESOLVED * gap
-        return little or self._is_explained(hypothesis)
+        little = self._problem.cost_of(explanation) <= _RESOLVED * gap
+        return little or self._is_explained(explanation)
 
     def _is_quick(self) -> bool:
         """Whether nothing that is slow to simulate is offered."""
@@ -439,12 +439,12 @@ def _predicted(problem: Problem, variants: Sequence[Assignment]) -> Array:
     return problem.simulator.predict(variants)
 
 
-def _on_all_rows(problem: Problem, found: tuple[Hypothesis, Array]) -> Hypothesis | None:
-    """A hypothesis of the sketch, with the columns of tolerances that it was fitted beside."""
-    hypothesis, tolerances = found
+def _on_all_rows(problem: Problem, found: tuple[Explanation, Array]) -> Explanation | None:
+    """An explanation of the sketch, with the columns of tolerances that it was fitted beside."""
+    explanation, tolerances = found
     sketch = problem.sketch
     assert sketch is not None
     about = replace(problem, tolerance_columns=sketch.over_all_rows(tolerances))
-    predicted = problem.simulator.predict([hypothesis.values])[0]
-    begun = predicted, sketch.over_all_rows(hypothesis.columns)
-    return refit(about, hypothesis.values, 0, begun)
+    predicted = problem.simulator.predict([explanation.values])[0]
+    begun = predicted, sketch.over_all_rows(explanation.columns)
+    return refit(about, explanation.values, 0, begun)

@@ -19,7 +19,7 @@ from cablesense_gap.diagnosis.probability import (
     posterior,
     rivals_of,
 )
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem, prepare
+from cablesense_gap.diagnosis.problem import Explanation, Problem, prepare
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.pipeline import candidate_results, estimates, foremost, gap_size
 from cablesense_gap.robot.model import Robot
@@ -90,21 +90,21 @@ def diagnose(
     comparison = simulator.comparison
     problem = problem_of(simulator)
     calibration = bundled_calibration()
-    hypotheses = [_with_outliers(problem, each) for each in search(problem, progress, workers)]
-    hypotheses = with_other_names(problem, robot, hypotheses)
-    found = posterior(hypotheses, problem.floor, calibration)
+    explanations = [_with_outliers(problem, each) for each in search(problem, progress, workers)]
+    explanations = with_other_names(problem, robot, explanations)
+    found = posterior(explanations, problem.floor, calibration)
     ranked = named(problem, found, calibration)
     progress("describing the verdict", 0.98)
-    best = ranked[0].hypothesis
+    best = ranked[0].explanation
     none = next(
-        r.hypothesis for r in ranked if r.hypothesis is not None and not r.hypothesis.effects
+        r.explanation for r in ranked if r.explanation is not None and not r.explanation.effects
     )
     explained = best or none
     values = foremost(explained, simulator.candidates)
     group, reasons = ambiguity(problem, ranked, UNIT)
     if best is None:
-        reasons = _unlisted(problem, [r.hypothesis for r in ranked if r.hypothesis], simulator)
-    weighed = [values, *(r.hypothesis.values for r in rivals_of(ranked) if r.hypothesis)]
+        reasons = _unlisted(problem, [r.explanation for r in ranked if r.explanation], simulator)
+    weighed = [values, *(r.explanation.values for r in rivals_of(ranked) if r.explanation)]
     rest = rest_of(problem, explained)
     before, after = problem.readings - problem.nominal, problem.readings - explained.held_out
     alone = problem.readings - best.held_out_effects if best and best.effects else None
@@ -160,8 +160,8 @@ def problem_of(simulator: RobotSimulator) -> Problem:
 
 
 def with_other_names(
-    problem: Problem, robot: Robot, hypotheses: Sequence[Hypothesis]
-) -> list[Hypothesis]:
+    problem: Problem, robot: Robot, explanations: Sequence[Explanation]
+) -> list[Explanation]:
     """Beside all, the most probable ones with other names for what is off about links in them.
 
     A wrong mass, a shifted centre and a payload change the same ten numbers of a link, each as
@@ -170,12 +170,12 @@ def with_other_names(
     """
     calibration = bundled_calibration()
 
-    def judged(one: Hypothesis) -> float:
+    def judged(one: Explanation) -> float:
         numbers = calibration.size / calibration.power * one.sizes
         return float(np.log(problem.cost_of(one)) + numbers)
 
-    known = {h.effects: h for h in hypotheses}
-    ranked = [r.hypothesis for r in posterior(hypotheses, problem.floor, calibration)]
+    known = {h.effects: h for h in explanations}
+    ranked = [r.explanation for r in posterior(explanations, problem.floor, calibration)]
     best = [h for h in ranked if h is not None and h.effects][:_RENAMED]
     of_links = {c.effect: c for c in problem.simulator.candidates if c.places == robot.bodies}
     for begun in best:
@@ -189,7 +189,7 @@ def with_other_names(
     return list(known.values())
 
 
-def _renamed(begun: Hypothesis, one: str, other: Candidate) -> dict[Term, float]:
+def _renamed(begun: Explanation, one: str, other: Candidate) -> dict[Term, float]:
     """Values to begin with, of another effect in the places of one."""
     places = dict.fromkeys(term.place for term in begun.values if term.effect == one)
     kept = {term: value for term, value in begun.values.items() if term.effect != one}
@@ -197,16 +197,16 @@ def _renamed(begun: Hypothesis, one: str, other: Candidate) -> dict[Term, float]
     return kept | new
 
 
-def _with_outliers(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+def _with_outliers(problem: Problem, explanation: Explanation) -> Explanation:
     """One tolerance far off counts as all of them off would.
 
     A robot has so many that one alone, as a delay of many samples, would not show in their sum.
     """
     std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
-    tolerances = hypothesis.tolerances
+    tolerances = explanation.tolerances
     largest = max((abs(value) / std[term] for term, value in tolerances.items()), default=0.0)
     least = len(tolerances) * (largest / _FAR_OFF) ** 4
-    return replace(hypothesis, tolerance_chi2=max(hypothesis.tolerance_chi2, least))
+    return replace(explanation, tolerance_chi2=max(explanation.tolerance_chi2, least))
 
 
 def doubtful(simulator: RobotSimulator, predicted: Array) -> list[str]:
@@ -270,7 +270,7 @@ def _channels(comparison: Comparison, before: Array, after: Array) -> dict[str, 
 
 
 def _unlisted(
-    problem: Problem, fitted: Sequence[Hypothesis], simulator: RobotSimulator
+    problem: Problem, fitted: Sequence[Explanation], simulator: RobotSimulator
 ) -> tuple[str, ...]:
     none = next(h for h in fitted if not h.effects)
     best = min(fitted, key=lambda h: h.held_out_rmse)

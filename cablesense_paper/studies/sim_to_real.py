@@ -106,7 +106,7 @@ def numbers_of(found: TableDiagnosis) -> Numbers:
         "best_number": best,
         "best_number_left": newtons(ranked[0].held_out_rmse),
         "no_worse": listed(no_worse),
-        "hypotheses": tuple(_best_hypotheses(found)),
+        "explanations": tuple(_best_explanations(found)),
         "least_left": percent(found.judged.least_left),
         "count": found.rehearsal.count,
         "unexplained": [found.rehearsal.unexplained[kind] for kind in KINDS],
@@ -208,9 +208,9 @@ def best_listed_n(found: TableDiagnosis) -> float:
     return min(c.held_out_rmse_n for c in candidates if c.effects[0] not in (NONE, UNKNOWN))
 
 
-def _best_hypotheses(found: TableDiagnosis) -> Iterator[str]:
+def _best_explanations(found: TableDiagnosis) -> Iterator[str]:
     """The best single effect and the best pair, as sentences."""
-    ranked = sorted(found.judged.hypotheses, key=lambda h: h.held_out_rmse)
+    ranked = sorted(found.judged.explanations, key=lambda h: h.held_out_rmse)
     for count, what in ((1, "one effect"), (2, "two effects at once")):
         best = next((h for h in ranked if len(h.effects) == count), None)
         if best is not None:

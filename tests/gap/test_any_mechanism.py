@@ -74,12 +74,12 @@ def test_what_was_planted_is_found_with_right_numbers(truth: dict[Term, float]) 
     best = judged(simulator, readings)[0]
     assert best.effects == tuple(sorted({term.effect for term in truth}))
     assert best.probability > 0.5
-    assert best.hypothesis is not None
+    assert best.explanation is not None
     for term, value in truth.items():
-        assert best.hypothesis.values[term] == pytest.approx(value, abs=WITHIN[term]), term
-    for term in best.hypothesis.values.keys() - truth.keys():
-        assert best.hypothesis.values[term] == pytest.approx(0.0, abs=WITHIN[term]), term
-    assert best.hypothesis.held_out_rmse < 1.2 * simulator.floor
+        assert best.explanation.values[term] == pytest.approx(value, abs=WITHIN[term]), term
+    for term in best.explanation.values.keys() - truth.keys():
+        assert best.explanation.values[term] == pytest.approx(0.0, abs=WITHIN[term]), term
+    assert best.explanation.held_out_rmse < 1.2 * simulator.floor
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -94,13 +94,13 @@ def test_what_nobody_listed_is_unknown() -> None:
 
 
 def test_no_listed_effect_removes_what_nobody_listed() -> None:
-    left = {b.effects: b.hypothesis.held_out_rmse for b in cogging() if b.hypothesis}
+    left = {b.effects: b.explanation.held_out_rmse for b in cogging() if b.explanation}
     assert min(left.values()) > 0.8 * left["none",]
 
 
 def test_the_amended_simulator_predicts_work_that_it_has_not_seen() -> None:
     truth = {FRICTION: 0.08, MASS_KG: 0.25}
-    best = judged(*recorded(truth))[0].hypothesis
+    best = judged(*recorded(truth))[0].explanation
     assert best is not None
     new = Pulley(work(seed=77))
     after, before, real = (new.predict([v])[0] for v in (best.values, {}, truth))

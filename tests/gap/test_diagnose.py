@@ -272,7 +272,7 @@ def amount(place: str, effect: str = "leak") -> Term:
 
 
 def changing(by_term: dict[Term, float]):
-    """A hypothesis whose terms each change the readings by so much (root mean square)."""
+    """An explanation whose terms each change the readings by so much (root mean square)."""
     values = dict.fromkeys(by_term, 1.0)
     return replace(
         explanation(*sorted({term.effect for term in by_term})),

@@ -125,7 +125,7 @@ EACH = st.sampled_from([-1.5, -0.5, 0.5, 2.0])
 
 
 def rethought(truth, terms, offered=("gain", "zero")):
-    """Second thoughts on a hypothesis that was fitted with these terms."""
+    """Second thoughts on an explanation that was fitted with these terms."""
     problem = problem_of(Sums(TWO_EFFECTS), truth)
     before = refine(problem, {term: size("amount") for term in terms}, [[0.5] * len(terms)])
     by_name = {c.effect: linear_effects(problem, c) for c in problem.simulator.candidates}

@@ -216,7 +216,7 @@ def test_a_start_outside_the_range_begins_at_its_end():
     assert fitted(problem, {GAIN: 50.0}).values[GAIN] == pytest.approx(1.0, abs=0.05)
 
 
-def test_where_nothing_can_be_simulated_there_is_no_hypothesis():
+def test_where_nothing_can_be_simulated_there_is_no_explanation():
     candidate = Candidate("broken", ("x",), (size("amount"),))
     simulator = Sums({candidate: lambda *_: np.nan * SIGNALS[0]})
     assert fitted(problem_of(simulator, 0.0 * SIGNALS[0]), {amount("broken", "x"): 1.0}) is None

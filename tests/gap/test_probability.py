@@ -24,7 +24,7 @@ from cablesense_gap.diagnosis.probability import (
     named,
     posterior,
 )
-from cablesense_gap.diagnosis.problem import Hypothesis, Problem
+from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.simulator import Candidate
 
@@ -35,33 +35,33 @@ BUNDLED = bundled_calibration()
 left = st.floats(0.05, 20.0)
 
 
-def leaving(rmse: float, *effects: str) -> Hypothesis:
+def leaving(rmse: float, *effects: str) -> Explanation:
     """An explanation that leaves so much on held-out trials."""
     nothing = explanation_of(effects)
     return replace(nothing, squares=rmse**2 * nothing.count)
 
 
 @cache
-def explanation_of(effects: tuple[str, ...]) -> Hypothesis:
+def explanation_of(effects: tuple[str, ...]) -> Explanation:
     return explanation(*effects)
 
 
 def judged(none: float, **others: float) -> dict[tuple[str, ...], float]:
-    hypotheses = [leaving(none)]
-    hypotheses += [leaving(rmse, *name.split("_")) for name, rmse in others.items()]
-    return {b.effects: b.probability for b in posterior(hypotheses, FLOOR, BUNDLED)}
+    explanations = [leaving(none)]
+    explanations += [leaving(rmse, *name.split("_")) for name, rmse in others.items()]
+    return {b.effects: b.probability for b in posterior(explanations, FLOOR, BUNDLED)}
 
 
 @given(left, st.lists(left, max_size=4))
 @settings(deadline=None)
 def test_probabilities_add_up_to_one_and_stand_in_their_order(none, others):
-    hypotheses = [leaving(none), *(leaving(r, n) for r, n in zip(others, NAMES, strict=False))]
-    found = posterior(hypotheses, FLOOR, BUNDLED)
+    explanations = [leaving(none), *(leaving(r, n) for r, n in zip(others, NAMES, strict=False))]
+    found = posterior(explanations, FLOOR, BUNDLED)
     probabilities = [ranked.probability for ranked in found]
     assert sum(probabilities) == pytest.approx(1.0)
     assert probabilities == sorted(probabilities, reverse=True)
     assert min(probabilities) >= 0.0
-    assert len(found) == len(hypotheses) + 1
+    assert len(found) == len(explanations) + 1
 
 
 @given(left, left, left, left)
@@ -113,10 +113,10 @@ def test_two_effects_are_believed_where_one_leaves_much():
 
 
 def test_every_belief_has_its_hypothesis_but_for_an_unknown_effect():
-    hypotheses = [leaving(1.0), leaving(0.5, "a")]
-    found = {b.effects: b for b in posterior(hypotheses, FLOOR, BUNDLED)}
-    assert found["none",].hypothesis is hypotheses[0]
-    assert found["a",].hypothesis is hypotheses[1]
+    explanations = [leaving(1.0), leaving(0.5, "a")]
+    found = {b.effects: b for b in posterior(explanations, FLOOR, BUNDLED)}
+    assert found["none",].explanation is explanations[0]
+    assert found["a",].explanation is explanations[1]
     assert found[UNKNOWN] == Ranked(UNKNOWN, found[UNKNOWN].probability, None)
 
 
@@ -128,7 +128,9 @@ def test_the_bundled_numbers_are_all_there():
 ONE, OTHER = SIGNALS[:2]
 
 
-def explained(problem: Problem, effects: str, change: np.ndarray, left: float = 0.1) -> Hypothesis:
+def explained(
+    problem: Problem, effects: str, change: np.ndarray, left: float = 0.1
+) -> Explanation:
     """Effects, joined by `+`, that make one change, with one number each."""
     names = tuple(effects.split("+"))
     nothing = refine(problem, {}, [[]])
@@ -275,18 +277,18 @@ def test_effects_with_one_signal_come_out_of_the_search_as_a_group():
 def test_what_one_effect_makes_of_past_and_direction_is_no_imitation(differs, leaves, told):
     candidate = Candidate("a", ("arm",), (), **({differs: True} if differs else {}))
     problem = problem_of(Sums({candidate: lambda _: 0.0 * ONE}), {})
-    hypotheses = [leaving(3.0), leaving(leaves, "a")]
-    found = named(problem, posterior(hypotheses, FLOOR, BUNDLED), BUNDLED)
+    explanations = [leaving(3.0), leaving(leaves, "a")]
+    found = named(problem, posterior(explanations, FLOOR, BUNDLED), BUNDLED)
     assert found[0].effects == told
     assert sum(each.probability for each in found) == pytest.approx(1.0)
 
 
 def verdict_on(whole: float, without: float) -> list[Ranked]:
     """Three effects that leave so much of 3 N, and so much without any one of them."""
-    hypotheses = [leaving(3.0), leaving(whole, "a", "b", "c")]
-    hypotheses += [leaving(without, *pair) for pair in (("a", "b"), ("a", "c"), ("b", "c"))]
+    explanations = [leaving(3.0), leaving(whole, "a", "b", "c")]
+    explanations += [leaving(without, *pair) for pair in (("a", "b"), ("a", "c"), ("b", "c"))]
     problem = problem_of(Sums({}), {})
-    return named(problem, posterior(hypotheses, FLOOR, BUNDLED), BUNDLED)
+    return named(problem, posterior(explanations, FLOOR, BUNDLED), BUNDLED)
 
 
 def test_several_effects_are_named_beside_what_stays_unexplained():
@@ -305,8 +307,8 @@ def test_of_what_is_borne_out_the_explanation_that_leaves_least_is_named():
     past = Candidate("past", ("arm",), (), history_dependent=True)
     whole = replace(leaving(0.9, "a", "b", "c"), sizes=30)
     pairs = [leaving(2.0, *pair) for pair in (("a", "b"), ("a", "c"), ("b", "c"))]
-    hypotheses = [leaving(3.0), leaving(1.9, "past"), whole, *pairs]
-    found = posterior(hypotheses, FLOOR, BUNDLED)
+    explanations = [leaving(3.0), leaving(1.9, "past"), whole, *pairs]
+    found = posterior(explanations, FLOOR, BUNDLED)
     assert [each.effects for each in found[:2]] == [UNKNOWN, ("past",)]
     problem = problem_of(Sums({past: lambda _: 0.0 * ONE}), {})
     assert named(problem, found, BUNDLED)[0].effects == ("a", "b", "c")

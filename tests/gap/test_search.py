@@ -27,8 +27,8 @@ PLAIN = linear("gain", "abc")
 AMOUNT, RATE = amount("fading", "x"), Term("fading", "x", "rate")
 
 
-def places_of(hypothesis):
-    return tuple(dict.fromkeys(term.place for term in hypothesis.values))
+def places_of(explanation):
+    return tuple(dict.fromkeys(term.place for term in explanation.values))
 
 
 LIBRARY = {

@@ -149,9 +149,9 @@ def test_the_best_number_comes_first(found):
 
 @pytest.mark.slow
 def test_without_a_pair_the_report_states_that_none_helps(found):
-    alone = tuple(h for h in found.judged.hypotheses if len(h.effects) < 2)
-    changed = replace(found, judged=replace(found.judged, hypotheses=alone))
-    assert any("No two effects" in text for text in numbers_of(changed)["hypotheses"])
+    alone = tuple(h for h in found.judged.explanations if len(h.effects) < 2)
+    changed = replace(found, judged=replace(found.judged, explanations=alone))
+    assert any("No two effects" in text for text in numbers_of(changed)["explanations"])
 
 
 @pytest.mark.slow
