@@ -6,9 +6,8 @@ Four processes as a user starts them: `sim` at 1,000 samples a second, `cablesen
 estimator after it, and here an operator that pushes, commands, tares, undoes tares and changes a
 parameter, at random times. In mid-run a second recorder joins, and is killed with SIGKILL.
 
-Both recordings are replayed in process, and the whole one once more through a fresh estimator
-node. An estimate is the same if every byte of its wrench is: frame, force, torque (through a node
-after the stamps' common shift is taken back).
+Both recordings are replayed in process. An estimate is the same if every byte of its wrench is:
+frame, force, torque and stamp.
 """
 
 from __future__ import annotations
@@ -151,13 +150,10 @@ def measure(seconds: float) -> dict[str, Any]:
             "in process": _replay(whole),
             killed: _replay(late_file),
         }
-        fresh = run.start("fresh", estimator_command)
-        result["through a live node"] = _replay(whole, "--publish")
-        fresh.check()
     bars = {
         f"all estimates bit-identical: {name}": result[name]["exit code"] == 0
         and 0 < result[name]["compared"] == result[name]["identical"]
-        for name in ("in process", killed, "through a live node")
+        for name in ("in process", killed)
     }
     bars["no contact without its sample in the recording"] = (
         result["in process"]["lone_contacts"] == 0
@@ -181,9 +177,9 @@ def _recording(path: Path) -> dict[str, Any]:
     }
 
 
-def _replay(path: Path, *arguments: str) -> dict[str, Any]:
+def _replay(path: Path) -> dict[str, Any]:
     done = subprocess.run(
-        [*harness.CABLESENSE, "replay", str(path), "--json", *arguments],
+        [*harness.CABLESENSE, "replay", str(path), "--json"],
         capture_output=True,
         text=True,
         check=False,

@@ -1,8 +1,7 @@
 """A recorded run answered again by the same `Estimation`, and compared with the recorded answers.
 
 `replay_in_process` rebuilds the estimator of each recorded state from its model and settings, and
-goes as fast as it can. `cablesense_ros.replay_through_node` has a node answer instead; both go
-through `replayed_steps` and count in one `Comparison`.
+runs as fast as it can.
 """
 
 from __future__ import annotations

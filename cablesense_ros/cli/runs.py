@@ -151,14 +151,6 @@ def replay(
         Path | None, typer.Option(help="Write the estimates to this .csv file.")
     ] = None,
     force: ForceOption = False,
-    publish: Annotated[
-        bool,
-        typer.Option("--publish", help="Publish the inputs over ROS, for an estimator that runs."),
-    ] = False,
-    rate: Annotated[
-        float, typer.Option(min=0.01, max=100.0, help="With --publish: how many times as fast.")
-    ] = 1.0,
-    namespace: Annotated[str, typer.Option(help="With --publish: of the estimator.")] = "",
     json: JsonOption = False,
 ) -> None:
     """Give a recording's estimates again, and compare them with the recorded ones bit by bit.
@@ -169,31 +161,17 @@ def replay(
     Example: cablesense replay run.mcap
     """
     from dataclasses import asdict
-    from functools import partial
     from json import dumps
 
-    from cablesense_gap.recordings.recording import RecordingError
     from cablesense_online.recorded_run import RecordedRun
     from cablesense_online.replay import comparison_lines, replay_in_process
 
-    if publish and (arm or model or estimates):
-        raise RecordingError(
-            "--publish: the estimator that runs has its own arm and model, and publishes its "
-            "estimates; leave out --arm, --model and --estimates"
-        )
-    if not publish:
-        refuse_given(context, ("rate", "namespace"), "without --publish")
     if estimates is None:
         refuse_given(context, ["force"], "without --estimates")
     else:
         output_file(estimates, force=force, inputs=(recording, arm, model))
     run = RecordedRun(recording)
-    if publish:
-        from cablesense_ros.replay_through_node import replay_through_node
-
-        comparison = replay_through_node(run, rate, namespace, partial(typer.echo, err=True))
-    else:
-        comparison = replay_in_process(run, arm, model, estimates)
+    comparison = replay_in_process(run, arm, model, estimates)
     if json:
         typer.echo(dumps(asdict(comparison) | {"cut": run.cut}))
     else:

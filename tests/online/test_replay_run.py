@@ -219,10 +219,6 @@ def test_recordings_that_cannot_be_replayed_are_one_line(made, tmp_path):
         RecordedRun(made.write(tmp_path / "d.mcap", broken))
     with pytest.raises(RecordingError, match="is a folder"):
         RecordedRun(tmp_path)
-    with pytest.raises(RecordingError, match="leave out --arm"):
-        CliRunner().invoke(
-            app, ["replay", "b.mcap", "--publish", "--arm", "cdsm"], catch_exceptions=False
-        )
 
 
 def test_a_diagnosis_reads_the_recording_of_a_run_too(made, whole):

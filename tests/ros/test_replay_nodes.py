@@ -1,8 +1,7 @@
-"""A run of real nodes, recorded by the command, replayed in process and through a live node."""
+"""A run of real nodes, recorded by the command and replayed bit for bit."""
 
 from __future__ import annotations
 
-import math
 import shutil
 import signal
 import subprocess
@@ -11,19 +10,15 @@ import time
 from pathlib import Path
 
 import pytest
-from recorded_runs import SETTINGS, MadeRun
 from ros_graph import Graph, NodeProcess
 from sensor_msgs.msg import JointState
 
 from cablesense_gap.recordings.mcap_messages import McapMessages
-from cablesense_gap.recordings.recording import RecordingError
-from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import CONTRACT
 from cablesense_online.recorded_run import RecordedRun
 from cablesense_online.replay import replay_in_process
 from cablesense_online.state import EventKind
 from cablesense_ros.recorder import Recorder
-from cablesense_ros.replay_through_node import replay_through_node
 from cablesense_sim.arm import open_arm
 
 pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
@@ -40,11 +35,6 @@ ROOT = Path(__file__).parents[2]
 COMMAND = "from cablesense_ros.cli.app import main; main()"
 RECORD = [sys.executable, "-c", COMMAND, "record", "--out"]
 SIM, ESTIMATOR = "cablesense_ros.sim_node", "cablesense_ros.estimator_node"
-
-
-@pytest.fixture(scope="module")
-def made():
-    return MadeRun()
 
 
 class RecordingGraph(Graph):
@@ -114,10 +104,8 @@ def recorded(folder):
     return whole, killed
 
 
-def test_recorded_whole_killed_late_and_through_a_node(tmp_path):
+def test_recorded_whole_and_killed_late(tmp_path):
     whole, killed = recorded(tmp_path)
-    # starts while the replays below run
-    fresh = NodeProcess(ESTIMATOR, tare_samples=20, tare_force=True)
     run = RecordedRun(whole)
     assert run.cut == ""
     got = replay_in_process(run)
@@ -158,39 +146,3 @@ def test_recorded_whole_killed_late_and_through_a_node(tmp_path):
         "/joint_states",
         "/robot_description",
     }
-    try:
-        again = replay_through_node(run, 1.0, "", print)
-    finally:
-        assert fresh.stop() == 0, fresh.log
-    assert again.compared == again.identical == got.compared
-    assert "tare of" in fresh.log  # its undo
-
-
-def test_answers_before_the_recorder_had_found_the_estimator_change_nothing(made, tmp_path):
-    missed = 6
-    first = [record for record in made.records if record[0] == topics.WRENCH][:missed]
-    path = made.write(tmp_path / "made.mcap", [r for r in made.records if r not in first])
-    fresh = NodeProcess(
-        ESTIMATOR,
-        tare_samples=SETTINGS.tare_samples,
-        joint_speed_deg_s=math.degrees(SETTINGS.joint_speed_rad_s),
-        settle_s=SETTINGS.settle_s,
-        still_deg=math.degrees(SETTINGS.still_rad),
-        follow_deg_s=math.degrees(SETTINGS.follow_rad_s),
-        tare_force=True,
-    )
-    try:
-        got = replay_through_node(RecordedRun(path), 1.0, "", print)
-    finally:
-        assert fresh.stop() == 0, fresh.log
-    assert got.unanswered == missed
-    assert got.identical == got.compared == 300 - missed
-    assert got.contacts > 100
-
-
-def test_without_an_estimator_publishing_is_refused(made, tmp_path, monkeypatch):
-    monkeypatch.setattr("cablesense_ros.replay_through_node.PATIENCE_S", 0.3)
-    run = RecordedRun(made.write(tmp_path / "made.mcap"))
-    with pytest.raises(RecordingError, match="no estimator takes /cable_tensions") as refused:
-        replay_through_node(run, 1.0, "", print)
-    assert "\n" not in str(refused.value)
