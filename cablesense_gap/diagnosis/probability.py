@@ -14,7 +14,7 @@ for tolerances alone, which are out where the gap is plain, with a power κ₀ o
 
     log w = -κ log(least) - κ₀ log(excess / least) - τ log(s / m),    least = what can be resolved,
 
-and an effect that nobody listed is the explanation that a listed one stands in for it, which leaves
+and an unlisted effect is weighed as if the best listed one imitated it, which leaves
 a share φ of the gap, and γ floors where the gap is small:
 
     log w = -κ log √((φ · excess of none)² + (γ σ₀)²) - π_unknown
