@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -11,23 +9,19 @@ from itertools import groupby
 from types import MappingProxyType
 
 from cablesense_gap.robot import effects
-from cablesense_gap.robot.effects.effect import PRESLIDING, Effect, Scale
+from cablesense_gap.robot.effects.effect import PRESLIDING, RobotEffect, Scale
 from cablesense_gap.robot.model import Change, Robot
 from cablesense_gap.simulator import Assignment, Candidate, Term
+from cablesense_sim.effects.registry import effects_in
 
 
 @cache
-def known_effects() -> Mapping[str, Effect]:
+def known_effects() -> Mapping[str, RobotEffect]:
     """Effects by name, tolerances included: those of the folder `effects`."""
-    found = {}
-    for module in pkgutil.iter_modules(effects.__path__, f"{effects.__name__}."):
-        for value in vars(importlib.import_module(module.name)).values():
-            if isinstance(value, type) and issubclass(value, Effect) and value is not Effect:
-                found[value.name] = value()
-    return MappingProxyType(dict(sorted(found.items())))
+    return MappingProxyType(dict(sorted(effects_in(effects, RobotEffect).items())))
 
 
-def candidate(effect: Effect, robot: Robot, scale: Scale) -> Candidate:
+def candidate(effect: RobotEffect, robot: Robot, scale: Scale) -> Candidate:
     """An effect as the search knows it."""
     return Candidate(
         effect.name,

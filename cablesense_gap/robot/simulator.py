@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.robot.catalogue import candidate, changed, known_effects
-from cablesense_gap.robot.effects.effect import Effect
+from cablesense_gap.robot.effects.effect import RobotEffect
 from cablesense_gap.robot.forward import ForwardComparison
 from cablesense_gap.robot.inverse import InverseComparison
 from cablesense_gap.robot.model import Change, Robot, RobotError
@@ -79,10 +79,10 @@ class RobotSimulator:
         if motion.zeroed:
             self._zeros = self._of_zeros()
 
-    def _candidate(self, effect: Effect, motion: Motion) -> Candidate:
+    def _candidate(self, effect: RobotEffect, motion: Motion) -> Candidate:
         """As it is offered; forward in time most friction is MuJoCo's, which gives no way."""
         found = candidate(effect, self.robot, motion.scale)
-        if effect.gives_forward or not motion.forward:
+        if effect.presliding_forward or not motion.forward:
             return found
         return replace(found, parameters=tuple(p for p in found.parameters if p.role == "size"))
 

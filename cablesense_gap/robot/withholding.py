@@ -18,7 +18,7 @@ from cablesense_base import Array
 from cablesense_base.files import written_whole
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot.catalogue import changed, known_effects
-from cablesense_gap.robot.effects.effect import WHOLE_ARM, Effect, Scale
+from cablesense_gap.robot.effects.effect import WHOLE_ARM, RobotEffect, Scale
 from cablesense_gap.robot.model import Change, Robot, RobotError, inverse_dynamics
 from cablesense_gap.robot.protocol import RATE_HZ, standard_protocol
 from cablesense_gap.robot.smoothing import derivatives
@@ -141,7 +141,7 @@ def _case(path: Path, motion: _ProtocolMotion, asked: str, rng: np.random.Genera
 
 
 def _sized(
-    effect: Effect, robot: Robot, scale: Scale, rng: np.random.Generator
+    effect: RobotEffect, robot: Robot, scale: Scale, rng: np.random.Generator
 ) -> dict[Term, float]:
     """One effect in one place, some typical sizes large."""
     place = str(rng.choice(effect.places(robot)))

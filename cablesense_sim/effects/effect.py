@@ -67,35 +67,45 @@ shape = partial(Parameter, role="shape")
 """A parameter of the role `shape`."""
 
 
-class Effect:
-    """Base of all effects; the defaults do nothing.
+class EffectDescription:
+    """Fields that effects of this arm and effects of any robot have in common.
 
     Attributes:
         name: as arm files and verdicts call it.
-        acts_on: where in the chain from load to reading it acts.
         about: what it is, as the end of `the gap comes from …`.
-        source: where the model comes from.
-        sites: the kinds of places where it can be: `arm`, `segment`, `joint`, `cable`.
-        parameters: sizes first.
-        advice: what someone at the arm can check or do about it, in sentences; may be empty.
-        order: among effects that act on the same, lower ones act first, equal ones by name. Those
-            that scale or filter a signal come before those that add to it, which have the default.
-        needs_time: whether it depends on the time that passes, and not only on the samples' order.
-        tolerance: whether it is manufacturing tolerance: fitted together with every candidate,
-            and never named as a cause.
-        version: of its law; a model that was trained on another version is refused.
+        source: where its law comes from.
+        advice: what someone at the machine can check or do about it, in sentences; may be empty.
+        tolerance: whether it is a manufacturing tolerance, fitted together with all others and
+            never named as a cause.
+        against_motion: whether it reverses with the motion, whatever the speed.
     """
 
     name: ClassVar[str]
-    acts_on: ClassVar[Literal["load", "arm", "transmission", "actuator", "sensor"]]
     about: ClassVar[str]
     source: ClassVar[str]
+    advice: ClassVar[str] = ""
+    tolerance: ClassVar[bool] = False
+    against_motion: ClassVar[bool] = False
+
+
+class Effect(EffectDescription):
+    """Base of all effects of the arm; the defaults do nothing.
+
+    Attributes: see `EffectDescription`, and
+        acts_on: where in the chain from load to reading it acts.
+        sites: the kinds of places where it can be: `arm`, `segment`, `joint`, `cable`.
+        parameters: sizes first.
+        order: among effects that act on the same, lower ones act first, equal ones by name. Those
+            that scale or filter a signal come before those that add to it, which have the default.
+        needs_time: whether it depends on the time that passes, and not only on the samples' order.
+        version: of its law; a model that was trained on another version is refused.
+    """
+
+    acts_on: ClassVar[Literal["load", "arm", "transmission", "actuator", "sensor"]]
     parameters: ClassVar[tuple[Parameter, ...]]
     sites: ClassVar[tuple[str, ...]] = (WHOLE_ARM,)
-    advice: ClassVar[str] = ""
     order: ClassVar[int] = 0
     needs_time: ClassVar[bool] = False
-    tolerance: ClassVar[bool] = False
     version: ClassVar[int] = 1
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:

@@ -12,14 +12,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import entry_points
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 from typing import TypeVar
 
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_sim import effects
-from cablesense_sim.effects.effect import Actuation, Effect, Sensing, Transmission, Values
+from cablesense_sim.effects.effect import (
+    Actuation,
+    Effect,
+    EffectDescription,
+    Sensing,
+    Transmission,
+    Values,
+)
 from cablesense_sim.mechanism import Mechanism
 
 ENTRY_POINTS = "cablesense.effects"
@@ -30,6 +37,20 @@ class EffectError(CableSenseError):
     """An effect that is unknown, at a wrong place, or has a number out of range."""
 
 
+Kind = TypeVar("Kind", bound=EffectDescription)
+
+
+def effects_in(package: ModuleType, base: type[Kind]) -> dict[str, Kind]:
+    """An instance of each effect that the modules of a package define, by name."""
+    found = {}
+    for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+        for value in vars(importlib.import_module(module.name)).values():
+            defined = isinstance(value, type) and value.__module__ == module.name
+            if defined and issubclass(value, base) and value is not base:
+                found[value.name] = value()
+    return found
+
+
 @cache
 def known_effects() -> Mapping[str, Effect]:
     """Effects by name, tolerances included.
@@ -37,11 +58,7 @@ def known_effects() -> Mapping[str, Effect]:
     Raises:
         EffectError: an offered effect cannot be loaded, or its name is taken.
     """
-    found: dict[str, Effect] = {}
-    for module in pkgutil.iter_modules(effects.__path__, f"{effects.__name__}."):
-        for value in vars(importlib.import_module(module.name)).values():
-            if _is_effect(value) and value.__module__ == module.name:
-                found[value.name] = value()
+    found = effects_in(effects, Effect)
     for offered in entry_points(group=ENTRY_POINTS):
         try:
             value = offered.load()

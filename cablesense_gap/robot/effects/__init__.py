@@ -1,1 +1,1 @@
-"""One effect, one file; `catalogue.known_effects` finds them."""
+"""Effects of a robot, in modules by what they act on; `catalogue.known_effects` finds them."""

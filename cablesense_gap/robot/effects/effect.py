@@ -1,8 +1,7 @@
-"""What an effect of a robot is."""
+"""The base of all effects of a robot."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -12,21 +11,22 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_gap.robot.model import Change, Robot
 from cablesense_sim.effects.effect import WHOLE_ARM as WHOLE_ARM
+from cablesense_sim.effects.effect import EffectDescription
 from cablesense_sim.effects.effect import Parameter as Parameter
 
 Values = Mapping[str, float]
 PRESLIDING, SIDE = "presliding_rad", "side"
-"""No MJCF has a word for these."""
+"""Parameters of friction that MJCF cannot express."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """How large things are in one recording, so that sizes have typical values.
+    """How large torques and motion are in one recording; typical sizes follow from it.
 
     Attributes:
         torque: (J,) root mean square of the torque at each joint.
-        speed: (J,) that of its speed while it moves.
-        acceleration: (J,) that of its acceleration while it moves.
+        speed: (J,) root mean square of its speed while it moves.
+        acceleration: (J,) root mean square of its acceleration while it moves.
         position: (J,) half its span.
     """
 
@@ -35,13 +35,13 @@ class Scale:
     acceleration: Array
     position: Array
 
-    def per(self, what: Array) -> float:
-        """A torque's typical ratio to something else that each joint has."""
-        return float(rms(self.torque / np.maximum(what, 1e-2 * rms(what) + 1e-9)))
+    def per(self, other: Array) -> float:
+        """The typical ratio of a joint's torque to another quantity (J,) of that joint."""
+        return rms(self.torque / np.maximum(other, 1e-2 * rms(other) + 1e-9))
 
     @property
     def typical_torque(self) -> float:
-        """Over all joints."""
+        """Root mean square over all joints."""
         return rms(self.torque)
 
 
@@ -50,58 +50,37 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def presliding(robot: Robot, scale: Scale) -> Parameter:
-    """How far a joint that turns round gives before its friction slips the other way."""
-    typical = rms(1e-3 * scale.position)
-    unit = joint_unit(robot, "{position}")
-    about = "given before it slips the other way"
-    return Parameter(
-        PRESLIDING, unit, 0.02 * typical, 50.0 * typical, typical, about, typical, role="shape"
-    )
-
-
-class Effect(ABC):
+class RobotEffect(EffectDescription):
     """Base of all effects of a robot.
 
     Attributes:
-        name: as verdicts call it.
-        about: what it is, as the end of `the gap comes from …`.
-        source: where its law comes from.
-        advice: what someone at the robot can check or do about it.
-        tolerance: whether it is manufacturing tolerance, fitted beside all others and no cause.
-        in_model: whether an MJCF has a place for it.
-        against_motion: whether it turns round with the motion, whatever the speed.
+        in_model: whether MJCF has a place for it.
         withheld: whether `gap withhold` hides it.
-        gives_forward: whether it gives way before it slips when compared forward too.
-        of_zeros: whether encoders that are zeroed where each trial begins leave none to find.
+        presliding_forward: whether the forward comparison uses its presliding displacement too.
+        of_zeros: whether it cannot be identified if each trial has its own encoder zeros.
     """
 
-    name: ClassVar[str]
-    about: ClassVar[str]
     source: ClassVar[str] = "Siciliano et al., Robotics: Modelling, Planning and Control, 2009"
-    advice: ClassVar[str] = ""
-    tolerance: ClassVar[bool] = False
     in_model: ClassVar[bool] = True
-    against_motion: ClassVar[bool] = False
     withheld: ClassVar[bool] = True
-    gives_forward: ClassVar[bool] = False
+    presliding_forward: ClassVar[bool] = False
     of_zeros: ClassVar[bool] = False
 
     def places(self, robot: Robot) -> tuple[str, ...]:
-        """Where it can sit: joints, bodies, or `arm` for the whole robot."""
+        """Joints, bodies or tendons where it can be, or `arm` for the whole robot."""
         return robot.joints
 
-    @abstractmethod
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
         """Its numbers, with ranges and typical sizes on this robot and recording."""
+        raise NotImplementedError
 
-    @abstractmethod
     def act(self, change: Change, at: int, values: Values) -> None:
-        """Change the robot; `at` is the number of the place among `places`."""
+        """Change the robot; `at` is the index of the place in `places`."""
+        raise NotImplementedError
 
 
 def joint_unit(robot: Robot, form: str) -> str:
-    """A unit of the joints from those of their `{torque}`, `{position}` and `{inertia}`.
+    """A unit built from the joints' `{torque}`, `{position}` and `{inertia}`.
 
     A robot with hinges and slides has one of each, joined by `or`.
     """

@@ -1,4 +1,4 @@
-"""Manufacturing tolerances: fitted beside all effects, and never the cause of a gap."""
+"""Manufacturing tolerances: fitted together with all effects, and never the cause of a gap."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from cablesense_gap.robot.effects.effect import (
     WHOLE_ARM,
-    Effect,
     Parameter,
+    RobotEffect,
     Scale,
     Values,
     joint_unit,
@@ -16,7 +16,7 @@ from cablesense_gap.robot.effects.effect import (
 from cablesense_gap.robot.model import Change, Robot
 
 
-class LinkTolerance(Effect):
+class LinkTolerance(RobotEffect):
     """Masses to 1 %, centres to a millimetre."""
 
     name = "link_tolerance"
@@ -38,7 +38,7 @@ class LinkTolerance(Effect):
         change.centre_m[at] += [values[f"{axis}_m"] for axis in "xyz"]
 
 
-class DriveTolerance(Effect):
+class DriveTolerance(RobotEffect):
     """Zeros to 0.1°, torque constants to 1 %, torque zeros to 0.2 %, dampers and rotors to 3 %."""
 
     name = "drive_tolerance"
@@ -66,7 +66,7 @@ class DriveTolerance(Effect):
         change.armature[at] *= 1.0 + values["rotor_share"]
 
 
-class TimingTolerance(Effect):
+class TimingTolerance(RobotEffect):
     """Torques later than positions, or earlier, by 2 ms, at most 5: filters and buses."""
 
     name = "timing_tolerance"
