@@ -1,16 +1,17 @@
-"""The diagnosis on recordings whose effects are withheld, made by the independent plant.
+"""The diagnosis of arms whose effects are hidden by the independent plant.
 
-    python benchmarks/gap_blind.py [--count 60] [--friction 16] [--seed 9101] [--write]
-    python benchmarks/gap_blind.py --effects 3-5 --count 40 --seed 9304 [--minutes 8] [--write]
+    python benchmarks/gap_blind.py [--count 60] [--seed 9104] [--write]
+    python benchmarks/gap_blind.py --count 8 --friction 12 --seed 9403 [--write]
+    python benchmarks/gap_blind.py --effects 3-5 --count 40 --seed 9304 [--write]
+    python benchmarks/gap_blind.py --recordings FOLDER [--write]
 
-Draws the recordings, diagnoses each without its answer, and scores the verdicts: those of all
-kinds in turn, and apart from them those with friction of cables, of which more can be drawn; or
-arms with several effects at once, whose budgets are scored too. Every arm is recorded twice: the
-amended arm of the first recording predicts the second. Seeds below 9100 were used while the
-diagnosis was made; these were not. There are as many processes as workers, each with one case;
-the time of a single diagnosis is in `gap_speed.py`. With `--folder` it goes on where it was
-stopped, and begins with friction; after `--minutes` it begins no further case, and scores those
-that are done.
+Draws the recordings, diagnoses each without its answer, and scores the verdicts. The cases are of
+all kinds in turn, followed by `--friction` cases with friction of cables, or they have several
+effects at once (`--effects`). Every arm is recorded twice: the amended arm of the first recording
+predicts the second. Seeds below 9100 and 9302, 9303, 9311 were used during development. `--folder`
+keeps recordings and verdicts and continues there; `--minutes` starts no further case after that
+time and scores the finished ones; `--first` stops after so many cases of a set. `--recordings`
+diagnoses recordings of another plant, whose answers are unknown.
 """
 
 from __future__ import annotations
@@ -55,15 +56,21 @@ _FRICTION = ["capstan_friction"] * 3 + ["cable_creep+capstan_friction"]
 
 def main() -> None:
     """Draws, diagnoses, scores and prints; keeps answers, verdicts and scores with `--write`."""
-    parser = harness.parser(__doc__, "gap_blind/, gap_blind_friction/ or gap_blind_several/")
+    parser = harness.parser(__doc__, "gap_blind.json, …_friction, …_several or withheld.json")
     parser.add_argument("--count", type=int, default=60, help="cases")
     parser.add_argument("--friction", type=int, default=0, help="cases more with friction")
-    parser.add_argument("--seed", type=int, default=9101, help="of the plant")
+    parser.add_argument("--seed", type=int, default=9104, help="of the plant")
+    parser.add_argument("--first", type=int, help="diagnose only the first cases of the set")
+    parser.add_argument("--recordings", type=Path, help="of another plant, without answers")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--effects", help="how many in each case, from-to, instead of all kinds")
     parser.add_argument("--minutes", type=float, default=np.inf, help="then no further case")
     parser.add_argument("--folder", type=Path, help="of recordings and verdicts, goes on there")
     options = parser.parse_args()
+    if options.recordings:
+        result = {**harness.origin(), "each_case": _without_answers(options)}
+        harness.publish("withheld.json", result, options)
+        return
     folder = options.folder or Path(tempfile.mkdtemp(prefix="gap_blind_"))
     answers, began = folder / "answers" / "answers.csv", time.time()
     if not answers.exists():
@@ -76,7 +83,8 @@ def main() -> None:
         kinds += [_FRICTION[i % len(_FRICTION)] for i in range(options.friction)]
         drawn(folder, len(kinds), options.seed, kinds, options.workers, second=True)
     everything = read_answers(answers)
-    recordings = [folder / f"{answer.recording}.csv" for answer in reversed(everything)]
+    chosen = everything[: options.first]
+    recordings = [folder / f"{answer.recording}.csv" for answer in reversed(chosen)]
     work = partial(_diagnosed, until=began + 60.0 * options.minutes)
     found = in_pool(work, recordings, options.workers)
     done = {path.stem: each for path, each in zip(recordings, found, strict=True) if each}
@@ -99,13 +107,11 @@ def main() -> None:
         "second_recording": _second({a.recording: done[a.recording][1] for a in truth}, truth),
         **({"friction": as_json(score(verdicts, rough))} if rough else {}),
     }
-    print(json.dumps(result, indent=1))
-    if options.write:
-        lines = [v.model_dump_json(exclude_none=True) for _, v in sorted(verdicts.items())]
-        kind = "_several" if options.effects else "_friction" if options.friction else ""
-        harness.write_result(f"../gap_blind{kind}/score.json", result)
-        harness.write_result(f"../gap_blind{kind}/answers.csv", answers.read_text())
-        harness.write_result(f"../gap_blind{kind}/verdicts.jsonl", "\n".join(lines) + "\n")
+    result["each_case"] = [
+        harness.case(a.recording, "+".join(a.effects), *done[a.recording]) for a in truth
+    ]
+    kind = "_several" if options.effects else "_friction" if options.friction else ""
+    harness.publish(f"gap_blind{kind}.json", result, options)
 
 
 def drawn(
@@ -154,8 +160,19 @@ def _diagnosed(path: Path, until: float) -> tuple[Verdict, float] | None:
 def _second(removed: dict[str, float], truth: Sequence[Case]) -> dict[str, object]:
     """Share of the gap removed on second recordings of arms with effects of the library."""
     listed = [removed[a.recording] for a in truth if a.effects[0] not in (NONE, UNKNOWN)]
-    median = float(np.median(listed)) if listed else None
-    return {"median_removed_fraction": median, "removed_fractions": removed}
+    return {"median_removed_fraction": float(np.median(listed)) if listed else None}
+
+
+def _without_answers(options: Any) -> list[dict[str, Any]]:
+    paths = sorted(options.recordings.rglob("*.csv"))
+    paths = [path for path in paths if path.name != "answers.csv"][: options.first]
+    found = in_pool(_verdict, paths, options.workers)
+    return [harness.case(p.stem, "", verdict) for p, verdict in zip(paths, found, strict=True)]
+
+
+def _verdict(path: Path) -> Verdict:
+    arm = open_arm(ARM)
+    return diagnose(read_recording(path, arm), arm).verdict
 
 
 if __name__ == "__main__":

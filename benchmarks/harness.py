@@ -10,6 +10,7 @@ import argparse
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 import time
@@ -24,7 +25,10 @@ import numpy as np
 
 from cablesense_base import CableSenseError
 from cablesense_base.files import write_atomically
+from cablesense_gap.verdict import Verdict
 
+_CASE = re.compile(r'\{\s+"case".*?\}', re.DOTALL)
+"""A case of a blind set is one line of a result."""
 RESULTS = Path(__file__).parent / "results"
 CABLESENSE = [
     *(sys.executable, "-c"),
@@ -65,6 +69,23 @@ def publish(name: str, result: dict[str, Any], options: argparse.Namespace) -> N
         write_result(name, result)
 
 
+def case(
+    name: str, hidden: str, verdict: Verdict, second_removed: float | None = None
+) -> dict[str, Any]:
+    """One case of a blind set: the hidden and the named effects, and how far the gap shrinks."""
+    return {
+        "case": name,
+        "hidden": hidden,
+        "named": "+".join(verdict.effects),
+        "probability": round(verdict.probability, 3),
+        "places": " ".join(verdict.where.places),
+        "before": round(verdict.gap.before_n, 3),
+        "after": round(verdict.gap.after_n, 3),
+        "second_removed": None if second_removed is None else round(second_removed, 4),
+        "seconds": round(verdict.seconds or 0.0, 1),
+    }
+
+
 def print_bars(bars: dict[str, bool]) -> None:
     """Print a line for each bar, kept or missed."""
     for bar, kept in bars.items():
@@ -74,6 +95,7 @@ def print_bars(bars: dict[str, bool]) -> None:
 def write_result(name: str, result: dict[str, Any] | str, indent: int = 1) -> Path:
     """Write a result as JSON, or a text as it is, to `results/`; gives the path."""
     text = result if isinstance(result, str) else json.dumps(result, indent=indent) + "\n"
+    text = _CASE.sub(lambda match: " ".join(match[0].split()), text)
     path = RESULTS / name
     path.parent.mkdir(exist_ok=True)
     write_atomically(path, text, CableSenseError)

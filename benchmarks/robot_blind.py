@@ -56,9 +56,10 @@ _TOGETHER = 10
 
 def main() -> None:
     """Draws, records, diagnoses, scores and prints; keeps all of it with `--write`."""
-    parser = harness.parser(__doc__, "robot_blind/")
+    parser = harness.parser(__doc__, "robot_blind.json, …_forward, …_play or …_tendons")
     parser.add_argument("--count", type=int, default=60, help="cases")
     parser.add_argument("--seed", type=int, default=8104, help="of the plant")
+    parser.add_argument("--first", type=int, help="run only the first cases of the set")
     parser.add_argument("--minutes", type=float, default=np.inf, help="then no further case")
     parser.add_argument("--folder", type=Path, help="of recordings and verdicts, goes on there")
     parser.add_argument("--commands", action="store_true", help="record them, and no torques")
@@ -68,7 +69,7 @@ def main() -> None:
     folder = options.folder or Path(tempfile.mkdtemp(prefix="robot_blind_"))
     usual = partial(drawn, commands=options.commands)
     drawing = with_play if options.play else with_tendons if options.tendons else usual
-    cases = drawing(options.count, options.seed)
+    cases = drawing(options.count, options.seed)[: options.first]
     write_answers(cases, folder / "answers" / "answers.csv")
     until, done = time.monotonic() + 60.0 * options.minutes, {}
     _record(cases, folder, until)
@@ -95,16 +96,11 @@ def main() -> None:
         ),
         **scored(hidden, verdicts, {name: removed for name, (_, removed) in done.items()}),
     }
-    print(json.dumps(result, indent=1))
-    if options.write:
-        lines = [v.model_dump_json(exclude_none=True) for _, v in sorted(verdicts.items())]
-        place = "../robot_blind/" + "forward/" * options.commands + "play/" * options.play
-        place += "tendons/" * options.tendons
-        harness.write_result(f"{place}score.json", result)
-        answers = (folder / "answers" / "answers.csv").read_text().splitlines()
-        kept = [row for row in answers if row.partition(",")[0] in {"recording", *done}]
-        harness.write_result(f"{place}answers.csv", "\n".join(kept) + "\n")
-        harness.write_result(f"{place}verdicts.jsonl", "\n".join(lines) + "\n")
+    result["each_case"] = [
+        harness.case(h.recording, h.effects, *done[h.recording]) for h in hidden
+    ]
+    kind = "_forward" * options.commands + "_play" * options.play + "_tendons" * options.tendons
+    harness.publish(f"robot_blind{kind}.json", result, options)
 
 
 def scored(
@@ -152,7 +148,6 @@ def scored(
         "median gap removed, one effect, second recording": removed(single, second),
         "by model": {name: exact([h for h in hidden if h.robot == name]) for name in models},
         "score": whole,
-        "second recording": dict(second),
     }
 
 
