@@ -17,7 +17,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 # Of every file of a release, so that each platform's wheel passes.
 HASHES := build/uv/bin/uv pip compile --quiet --no-deps --generate-hashes --no-annotate --custom-compile-command 'make lock'
 # An editable installation is made again when a requirement, an entry point or a package has changed.
-REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
+REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py examples/paper/__init__.py)
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-fast lint setup models limits lock verify clean
@@ -28,7 +28,7 @@ help:  ## this list
 demo: $(VENV)/.demo  ## a live picture of an arm being pushed; ARGS='--headless' prints a table instead
 	@$(BIN)/cablesense demo $(ARGS)
 
-test: setup build/mypy/cablesense_training  ## style, types, dependencies between packages, and all tests on all cores; ARGS go to pytest
+test: setup build/mypy  ## style, types, dependencies between packages, and all tests on all cores; ARGS go to pytest
 	@failed=0; \
 	$(MAKE) --no-print-directory lint || failed=1; \
 	$(BIN)/python -m pytest $(PARALLEL) $(ALL) $(ARGS) || failed=1; \
@@ -37,7 +37,7 @@ test: setup build/mypy/cablesense_training  ## style, types, dependencies betwee
 test-fast: setup  ## the tests that take milliseconds: no nodes, no browser, nothing slow
 	@$(BIN)/python -m pytest $(PARALLEL) $(FAST) $(ARGS)
 
-lint: setup build/mypy/cablesense_training  ## style, types and dependencies between packages
+lint: setup build/mypy  ## style, types and dependencies between packages
 	@failed=0; \
 	$(BIN)/ruff check || failed=1; \
 	$(BIN)/ruff format --check || failed=1; \
@@ -98,6 +98,7 @@ $(BIN)/python:
 	@$(PYTHON) -m venv $(VENV)
 
 # mypy wants a folder of the name that a package is imported by
-build/mypy/cablesense_training:
-	@mkdir -p $(@D)
-	@ln -sfn ../../training $@
+build/mypy:
+	@mkdir -p $@
+	@ln -sfn ../../training $@/cablesense_training
+	@ln -sfn ../../examples/paper $@/cablesense_paper

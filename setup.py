@@ -82,11 +82,16 @@ EXTRAS = {
 }
 
 
+FOLDERS = {"cablesense_training": "training", "cablesense_paper": "examples/paper"}
+"""Packages whose folder has another name."""
+
+
 def packages() -> list[str]:
-    """List the Python packages; the folder `training` is imported as `cablesense_training`."""
+    """List the Python packages, those whose folder has another name included."""
     found = find_packages(include=["cablesense_*"])
-    training = find_packages("training")
-    return [*found, "cablesense_training", *(f"cablesense_training.{name}" for name in training)]
+    for package, folder in FOLDERS.items():
+        found += [package, *(f"{package}.{name}" for name in find_packages(folder))]
+    return found
 
 
 def data_files() -> list[tuple[str, list[str]]]:
@@ -113,7 +118,7 @@ setup(
     maintainer_email="cablesense@example.org",
     python_requires=">=3.11,<3.13",
     packages=packages(),
-    package_dir={"cablesense_training": "training"},
+    package_dir=FOLDERS,
     package_data={"": ["*.pyi", "*.html", "*.css", "*.js", "*.json", "*.yaml"]},
     data_files=data_files(),
     install_requires=REQUIRES,

@@ -11,7 +11,7 @@ PACKAGES = (
     "cablesense_sim",
     "training",
     "cablesense_gap",
-    "cablesense_paper",
+    "examples",
     "cablesense_plants",
     "cablesense_ros",
 )

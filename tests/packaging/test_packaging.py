@@ -98,8 +98,11 @@ def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
     files = ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE", "NOTICE")
     for name in (*files, "resource", "config"):
         (source / name).symlink_to(CHECKOUT / name)
-    for package in (*CHECKOUT.glob("cablesense_*/"), CHECKOUT / "training"):
-        if (package / "__init__.py").is_file():
+    for package in (
+        *CHECKOUT.glob("cablesense_*/"),
+        *map(CHECKOUT.joinpath, ("training", "examples")),
+    ):
+        if (package / "__init__.py").is_file() or package.name == "examples":
             (source / package.name).symlink_to(package)
     pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
     subprocess.run(

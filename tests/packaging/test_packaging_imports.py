@@ -13,7 +13,7 @@ from packaging.utils import canonicalize_name
 CHECKOUT = Path(__file__).resolve().parents[2]
 PACKAGES = [
     "cablesense_base", "cablesense_msgs_py", "cablesense_sim", "training", "cablesense_gap",
-    "cablesense_paper", "cablesense_online", "cablesense_plants", "cablesense_ros",
+    "examples", "cablesense_online", "cablesense_plants", "cablesense_ros",
 ]  # fmt: skip
 _BROUGHT_BY = packages_distributions()
 
@@ -62,7 +62,7 @@ def ros_modules() -> set[str]:
         (["training"], ["", "train"]),
         (["cablesense_gap"], ["", "gap"]),
         (["cablesense_plants"], ["", "gap"]),
-        (["cablesense_paper"], ["", "gap", "train"]),
+        (["examples"], ["", "gap", "train"]),
         (["cablesense_online"], ["", "page", "can", "gap"]),
         (["cablesense_ros"], ["", "page", "ros", "can", "gap", "train"]),
         (["tests", "benchmarks"], ["", "page", "ros", "can", "train", "gap", "dev"]),
