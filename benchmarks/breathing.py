@@ -161,7 +161,7 @@ class Breathing:
                 tips.append(course.tips_m)
         away_m = np.linalg.norm(np.array(tips) - np.mean(tips, axis=0), axis=-1)
         self.tip_mm += (1e3 * away_m.max(axis=0)).tolist()
-        while not all(reading.state().offset_n for reading in readings):
+        while not all(reading.state.offset_n.size for reading in readings):
             now_ns += round(tick_s * 1e9)
             answers = [
                 reading.without_friction(tensions.tolist(), now_ns)

@@ -28,7 +28,8 @@ from scipy.optimize import least_squares
 from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
 from cablesense_msgs_py.messages import Contact, Level
-from cablesense_online.models import decide, load_model
+from cablesense_online.answer import decide
+from cablesense_online.models import load_model
 from cablesense_online.plausibility import PlausibilityCheck
 from cablesense_online.samples import SampleError
 from cablesense_online.tare import UnloadedTensions

@@ -19,7 +19,6 @@ import numpy as np
 import plausibility
 
 from cablesense_base import Array
-from cablesense_online.contact_statics import ContactStatics
 from cablesense_online.models import MultiContactModel, load_model
 from cablesense_online.plausibility import PlausibilityCheck
 from cablesense_online.samples import SampleError
@@ -45,15 +44,15 @@ class Bench:
         unloaded_n = self.statics.predict_n(self.command)
         self.tare = self.read(np.tile(unloaded_n, (plausibility.TARE_SAMPLES, 1))).mean(axis=0)
         still = SimpleNamespace(pose_rad=self.command, unloaded_n=self.tare)
-        self.model = MultiContactModel(
-            loaded.estimator, cast(Any, still), cast(Any, still), ContactStatics(self.mechanism)
-        )
         self.check = PlausibilityCheck(
             self.statics,
             self.arm,
             plausibility.TARE_SAMPLES,
             loaded.largest_misfit(-1.0),
             loaded.estimator.metadata,
+        )
+        self.model = MultiContactModel(
+            loaded.estimator, cast(Any, still), cast(Any, still), self.check.fits
         )
         self.stamp_ns = 0
 

@@ -1,32 +1,35 @@
-"""The answer to one sample: contact, what is known of its force, why where nothing is."""
+"""From an estimate to an answer: whether it is a contact, its bounds, and what is published."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from math import isfinite
 
 from cablesense_msgs_py.messages import NO_CONTACT, UNKNOWN_WRENCH, Contact, ForceState
-from cablesense_online.models import force_bounds
-from cablesense_online.samples import SampleError
-from cablesense_online.state import EstimatorState
-from cablesense_online.tare import Tare
-from cablesense_training.inference.estimator import Estimate
+from cablesense_online.samples import ProblemKind, SampleError
+from cablesense_online.state import EstimatorState, Tare
+from cablesense_training.inference.estimator import NORMAL_95, Estimate
+
+_HALF_TURN_DEG = 179.9
+"""Half the widest interval of a direction: the ends of a whole turn could not be distinguished."""
 
 
-class Answer(NamedTuple):
+@dataclass(slots=True)
+class Answer:
     """The answer to one sample; by default that of none.
 
     Attributes:
-        contact: `NO_CONTACT` also when the force is not known; of several the strongest.
-        force: what is known of it.
-        estimate: that it rests on; none where there is none, or where it is of several contacts.
+        contact: the strongest contact; `NO_CONTACT` also when the force is not known.
+        force: what is known of the force.
+        estimate: the estimate behind it; None without one, or with several contacts.
         contact_m: (N,) where on its axis each segment is touched; empty without an estimate.
         probabilities: (N+1,) of no contact, segment 1, …; empty when nothing was estimated.
-        stamp_ns: time of the sample; 0 when it has none, or cannot be trusted.
+        stamp_ns: time of the sample; 0 when it has none, or it cannot be trusted.
         problem: why the sample could not be used.
         new_tare: the tare that was taken by `auto_tare`; it counts from the next sample on.
-        state: the state that answers rest on from this sample on, where that has changed.
-        contacts: all that were estimated, the strongest first.
+        state: the state that answers rest on from this sample on, if it has changed.
+        contacts: all estimated contacts, the strongest first.
     """
 
     contact: Contact = NO_CONTACT
@@ -42,23 +45,69 @@ class Answer(NamedTuple):
 
     @property
     def bounds(self) -> tuple[Contact, Contact] | None:
-        """Ends of the 95 % intervals of force and direction; none without an estimate."""
+        """Ends of the 95 % intervals of force and direction; None without an estimate."""
         if self.estimate is None:
             return None
         return force_bounds(self.estimate, self.contact, self.contact_m)
 
     def on_segment(self, number: int, unknown_force: str) -> Sequence[float] | None:
-        """As `wrench`, of segment `number` alone, from 1 on."""
+        """The `wrench` on segment `number` alone, from 1 on."""
         for contact in self.contacts:
             if contact.segment == number:
                 return contact.wrench
         return NO_CONTACT.wrench if self.contacts else self.wrench(unknown_force)
 
     def wrench(self, unknown_force: str) -> Sequence[float] | None:
-        """Force, N, and torque, N·m, to be published (6,); none where none is.
+        """Force, N, and torque, N·m, to be published (6,); None where none is.
 
-        A contact is, also an unconfirmed one; `unknown_force` as in `EstimationSettings`.
+        A contact is published even if unconfirmed; `unknown_force` as in `EstimationSettings`.
         """
         if self.contact.segment or self.force.known or unknown_force == "zero":
             return self.contact.wrench
         return UNKNOWN_WRENCH if unknown_force == "nan" else None
+
+
+def force_bounds(
+    estimate: Estimate, contact: Contact, contact_m: Sequence[float]
+) -> tuple[Contact, Contact]:
+    """The ends of the 95 % intervals of force and direction, as contacts.
+
+    Without a decided contact the lower end is none, and the upper is on the likeliest segment:
+    this much may act unseen.
+    """
+    low_n, high_n = estimate.low_n, estimate.high_n
+    half_deg = min(NORMAL_95 * estimate.angle_std_deg, _HALF_TURN_DEG)
+    segment = contact.segment
+    if not segment:
+        low_n, (_, *touched) = 0.0, estimate.probabilities.tolist()
+        segment = 1 + touched.index(max(touched))
+    at_m = contact_m[segment - 1]
+    upper = Contact(segment, estimate.angle_deg + half_deg, high_n, at_m)
+    if low_n <= 0.0:
+        return NO_CONTACT, upper
+    return Contact(segment, estimate.angle_deg - half_deg, low_n, at_m), upper
+
+
+def decide(
+    probabilities: Sequence[float],
+    angle_deg: float,
+    magnitude_n: float,
+    threshold: float,
+    contact_m: Sequence[float],
+) -> Contact:
+    """The likeliest segment, if a contact anywhere reaches the `threshold`; else `NO_CONTACT`.
+
+    `probabilities` (N+1,) are of no contact, segment 1, …; a force that does not push is no
+    contact; `contact_m` (N,) is where on its axis each segment is touched, from its joint on.
+
+    Raises:
+        SampleError: a number is not finite.
+    """
+    if not (isfinite(sum(probabilities)) and isfinite(angle_deg) and isfinite(magnitude_n)):
+        raise SampleError(
+            ProblemKind.ESTIMATE, "the model gave a number that is not finite for this sample"
+        )
+    if 1.0 - probabilities[0] < threshold or magnitude_n <= 0.0:
+        return NO_CONTACT
+    segment = max(range(1, len(probabilities)), key=probabilities.__getitem__)
+    return Contact(segment, angle_deg, magnitude_n, contact_m[segment - 1])

@@ -2,8 +2,8 @@
 
 A sensor's zero wanders with temperature, a cable creeps: by little a minute, and by more than a
 contact in an hour. Readings of an untouched arm less its unloaded tensions are averaged in
-windows; what several windows in a row have in common is drift, whatever its pattern. A swing, or
-a touch too light to be a contact, does not last so long.
+windows. Several windows in a row have the drift in common, whatever its pattern. A swing, or a
+touch too light to be a contact, does not last that long.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Level, Status
-from cablesense_online.tare import utc_text
+from cablesense_online.state import utc_text
 
 WINDOW_S: Final = 0.5
 FEWEST_READINGS: Final = 25
 WINDOWS: Final = 3
-"""So many in a row; their smallest deviation counts, where all have its sign."""
+"""Windows in a row; their smallest deviation is the drift, if all have its sign."""
 MOST_TOUCHED: Final = 10
-"""So many contacts in a row begin the windows anew; fewer are noise and left out of them."""
+"""This many contacts in a row begin the windows anew; fewer are noise and excluded."""
 _LEAST_STDS = 5.0
-"""No limit is less than this many standard deviations of a window and its tare."""
+"""No limit is below this many standard deviations of a window and its tare."""
 
 
 class DriftWatch:
     """Warns of unloaded tensions that have moved since the tare, and proposes a fresh one.
 
     Attributes:
-        drift_n: (M,) of the last windows, N; zero before there were enough.
-        limit_n: drift from here on is warned of; infinite where nothing is watched.
+        drift_n: (M,) drift over the last windows, N; zero before there were enough.
+        limit_n: a warning is due from here on; infinite where nothing is watched.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class DriftWatch:
         cable_names: Sequence[str],
         unwatched: str = "",
     ) -> None:
-        """`limit_n` of 0 watches nothing; neither does `unwatched`, which states why not."""
+        """`limit_n` 0 watches nothing; nor does a reason `unwatched`."""
         noise_n = reading_std_n * math.sqrt(1.0 / FEWEST_READINGS + 1.0 / tare_samples)
         self._unwatched = unwatched or ("" if limit_n else "switched off (tare_drift_n is 0)")
         self.limit_n = max(limit_n, _LEAST_STDS * noise_n) if not self._unwatched else math.inf
@@ -55,18 +55,18 @@ class DriftWatch:
         self.tared()
 
     def tared(self) -> None:
-        """Another tare counts, or none."""
+        """Begin anew with another tare, or none."""
         self.interrupt()
         self.drift_n = np.zeros(len(self._cable_names))
         self._since_ns: int | None = None
 
     def interrupt(self) -> None:
-        """The arm is touched, or moves: the last result stands until there is another."""
+        """Begin new windows, as the arm is touched or moves; the last result is kept."""
         self._count = self._touched = 0
         self._means_n.clear()
 
     def add(self, difference_n: Array, stamp_ns: int, *, touched: bool) -> None:
-        """A reading less the unloaded one (M,), with the arm at rest; `touched` as estimated."""
+        """Add a reading less the unloaded one (M,), at rest; `touched` as estimated."""
         if touched:
             self._touched += 1
             if self._touched == MOST_TOUCHED:
@@ -84,7 +84,7 @@ class DriftWatch:
             self._close()
 
     def status(self) -> Status:
-        """What has drifted since when."""
+        """Which tensions have drifted, and since when."""
         if self._unwatched:
             return Status("drift", Level.OK, f"not watched: {self._unwatched}")
         sizes = zip(self._cable_names, self.drift_n.tolist(), strict=True)

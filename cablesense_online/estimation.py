@@ -1,7 +1,8 @@
 """From a serialized tension sample to a contact: all that the estimator node does, without ROS.
 
-A sample's way is `Estimation.sample`: read, stamp and values checked, difference from the unloaded
-state, estimate of the model, decision whether it is a contact.
+A sample's way is `Estimation.sample`: the message is read and its stamp and values are checked;
+the unloaded state is subtracted; the model estimates; a contact is decided on and checked against
+the readings; an `Answer` says what is known.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ from cablesense_msgs_py.serialized import EffortReader
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.answer import Answer
 from cablesense_online.breath_readings import BreathReadings
-from cablesense_online.contact_statics import ContactStatics
 from cablesense_online.drift import DriftWatch
+from cablesense_online.force_fit import ContactStatics
 from cablesense_online.models import (
     AnyEstimator,
     ContactModel,
@@ -52,8 +53,9 @@ from cablesense_online.state import (
     Event,
     EventKind,
     EventLog,
+    Tare,
 )
-from cablesense_online.tare import Tare, Tares, UnloadedTensions
+from cablesense_online.tare import Tares, UnloadedTensions
 from cablesense_sim.arm import Arm
 from cablesense_sim.replay import reading_variance_n2
 from cablesense_training.inference.estimator import MultiEstimator, SequenceEstimator
@@ -69,23 +71,23 @@ _TARE_EVENTS = frozenset({EventKind.TARE, EventKind.AUTO_TARE, EventKind.TARE_UN
 class Estimation:
     """Takes samples and commands as they come; gives no force from what cannot be trusted.
 
-    An answer follows from the samples in order and from what changed between them, never from when
-    they arrived: that decides only whether a sample is accepted at all, and whether its clock was
-    set, which is a change. Changes count from the next accepted sample, whose answer carries the
-    new state; `restore` makes another object give the same answers from there on.
+    An answer follows from the samples in order and from the changes between them, not from their
+    time of arrival. That decides only whether a sample is accepted at all, and whether its clock
+    was set, which is a change. Changes count from the next accepted sample, whose answer carries
+    the new state; `restore` makes another object give the same answers from there on.
 
     Attributes:
-        largest_force_n: of the contacts since the reporter last set it to zero, N.
-        publisher, clock, check, health: of the input.
+        largest_force_n: largest force since the reporter last set it to zero, N.
+        publisher, clock, check, health: checks of the input.
         gate: the command in force, and whether the arm moves.
         breathing: what readings would be without friction.
         tares: the unloaded state.
-        drift: of it, over the time without contact.
+        drift: its drift over the time without contact.
         plausibility: whether readings fit the estimates.
         command_received: whether any joint command has come; until then the arm is assumed to be
             straight.
         reproducible: whether the answers after `restore` are those of the object that made the
-            states; a history-dependent model's are, from a start on.
+            states; those of a history-dependent model are, once a start has been repeated.
     """
 
     def __init__(
@@ -96,21 +98,25 @@ class Estimation:
         now_s: float,
         origin: Mapping[str, str] | None = None,
     ) -> None:
-        """`origin` goes into each state beside the settings."""
+        """`origin` is stored in each state, next to the settings."""
         self._arm, self._settings = arm, settings
         self._origin = {**(origin or {}), "joints": " ".join(arm.joint_names)}
         self._reader = EffortReader()
         self._cable_order = NamedOrder(arm.cable_names, "cables")
         self._joint_order = NamedOrder(arm.joint_names, "joints")
-        straight, speed_rad_s = np.zeros(arm.joint_count), settings.joint_speed_rad_s
-        unloaded = UnloadedTensions(arm)
+        straight, unloaded = np.zeros(arm.joint_count), UnloadedTensions(arm)
         self._contact_m = unloaded.mechanism.contact_m.tolist()
+        self._statics = ContactStatics(unloaded.mechanism)
         self.clock = SampleClock(settings.stale_after_s)
         self.publisher = FollowedPublisher(settings.stale_after_s)
         self.check = SampleCheck(arm.sensors.range_n, settings.slack_below_n)
         self.health = InputHealth(self.clock, now_s)
         self.gate = MotionGate(
-            straight, speed_rad_s, settings.settle_s, settings.still_rad, settings.follow_rad_s
+            straight,
+            settings.joint_speed_rad_s,
+            settings.settle_s,
+            settings.still_rad,
+            settings.follow_rad_s,
         )
         self.tares = Tares(
             unloaded.predict_n,
@@ -121,8 +127,6 @@ class Estimation:
             complete=not unloaded.incomplete,
             automatic=settings.auto_tare,
         )
-        self._statics = ContactStatics(unloaded.mechanism)
-        self._model = self._model_of(estimator, unloaded, straight)
         self.drift = DriftWatch(
             settings.tare_drift_n,
             reading_variance_n2(arm.sensors) ** 0.5,
@@ -131,6 +135,7 @@ class Estimation:
             unloaded.incomplete,
         )
         largest_misfit = settings.largest_misfit
+        in_motion = isinstance(estimator, SequenceEstimator)
         self.plausibility = PlausibilityCheck(
             unloaded,
             arm,
@@ -138,9 +143,10 @@ class Estimation:
             largest_misfit,
             # without a limit the estimator may be any object that answers
             estimator.metadata if largest_misfit else None,
-            self._model.unchecked,
+            HistoryDependentModel.unchecked if in_motion else "",
         )
-        self.reproducible = not self._model.in_motion
+        self._model = self._model_of(estimator, unloaded, straight)
+        self.reproducible = not in_motion
         self.breathing = BreathReadings(settings.settle_s)
         self._breath_rad: Array | None = None
         self._angles_rad = self.gate.angles_rad
@@ -149,8 +155,20 @@ class Estimation:
         self._events = EventLog()
         self._events.note(EventKind.START, self.gate.command_rad)
 
+    def _model_of(
+        self, estimator: AnyEstimator, unloaded: UnloadedTensions, straight_rad: Array
+    ) -> ContactModel:
+        if isinstance(estimator, SequenceEstimator):
+            speed_rad_s = self._settings.joint_speed_rad_s
+            return HistoryDependentModel(
+                estimator, self.tares, unloaded.predict_n, straight_rad, speed_rad_s
+            )
+        if isinstance(estimator, MultiEstimator):
+            return MultiContactModel(estimator, self.tares, self.gate, self.plausibility.fits)
+        return ContactModel(estimator, self.tares, self.gate)
+
     def follow(self, number: int, now_s: float) -> bool:
-        """Whether another publisher is followed from the sample with this number of its own on.
+        """Whether another publisher is followed from the sample with this publication number on.
 
         To be called before `sample`, where several may publish, at monotonic time `now_s`.
 
@@ -180,75 +198,108 @@ class Estimation:
             message = self._reader.read(raw)
             self.clock.accept(message.stamp_ns, now_ns)
             stamp_ns = message.stamp_ns or now_ns
-            moving = self.gate.moving(stamp_ns, now_ns, now_s)
-            if self.gate.step:
-                self.breathing.moved()
-                self._events.note(_STEPS[self.gate.step])
-            if not moving and self.gate.angles_rad is not self._angles_rad:
-                self._follow()
+            moving = self._moving(stamp_ns, now_ns, now_s)
             if self._events:
                 state = self._changed_state(stamp_ns)
             stage = ProblemKind.NAMES
-            picked = self._cable_order.pick(message.names, message.values, "effort")
-            self.check.check(picked)
-            if moving:
-                self.drift.interrupt()
+            readings_n = self._cable_order.pick(message.names, message.values, "effort")
+            self.check.check(readings_n)
             if moving and not self._model.in_motion:
                 self.gate.estimated(known=False)
-                return Answer(force=ForceState.MOVING, stamp_ns=stamp_ns, state=state)
-            freed = self.breathing.without_friction(picked, stamp_ns)
-            if self.breathing.learnt:
-                self._events.note(EventKind.BREATH)
-            if freed is None:
-                return Answer(force=ForceState.MOVING, stamp_ns=stamp_ns, state=state)
-            tensions = np.array(freed)
-            stage = ProblemKind.ESTIMATE
-            if not moving and (self.breathing.known or not self._settings.await_breath):
-                self.tares.add(freed)
-            estimate = self._model.estimate(tensions, stamp_ns)
-            if self.tares.automatic and not moving and self.tares.ready:
-                tare = self.take_tare(stamp_ns, EventKind.AUTO_TARE)
-                untared = ForceState.UNTARED
-                return Answer(force=untared, stamp_ns=stamp_ns, new_tare=tare, state=state)
-            if estimate is None:
-                return Answer(force=ForceState.UNTARED, stamp_ns=stamp_ns, state=state)
-            contacts = self._model.decide(
-                estimate, self._settings.contact_threshold, self._contact_m
-            )
-            contact = contacts[0] if contacts else NO_CONTACT
-            doubt = "" if moving else self._judge(tensions, contacts, stamp_ns)
-            if contact.segment:
-                self.tares.touched(contact)
+                answer = Answer(force=ForceState.MOVING)
+            else:
+                stage = ProblemKind.ESTIMATE
+                answer = self._answered(readings_n, stamp_ns, moving)
         except CableSenseError as error:
-            problem = error if isinstance(error, SampleError) else SampleError(stage, str(error))
-            if problem.kind is ProblemKind.MISFIT and self.gate.turning:
-                self.gate.estimated(known=False)
-                return Answer(force=ForceState.MOVING, stamp_ns=stamp_ns, state=state)
-            self.health.refused(problem)
-            force = _REFUSED.get(problem.kind, ForceState.REFUSED)
-            return Answer(force=force, stamp_ns=stamp_ns, problem=problem, state=state)
+            answer = self._refused(
+                error if isinstance(error, SampleError) else SampleError(stage, str(error))
+            )
+        answer.stamp_ns, answer.state = stamp_ns, state
+        return answer
+
+    def _moving(self, stamp_ns: int, now_ns: int, now_s: float) -> bool:
+        """Whether the arm may be moving; where it is at rest, its set-points are followed."""
+        gate = self.gate
+        moving = gate.moving(stamp_ns, now_ns, now_s)
+        if gate.step:
+            self.breathing.moved()
+            self._events.note(_STEPS[gate.step])
+        if moving:
+            self.drift.interrupt()
+        elif gate.angles_rad is not self._angles_rad:
+            self._angles_rad = gate.angles_rad
+            if gate.angles_rad is not gate.command_rad or self.tares.linear:
+                self.tares.follow(gate.angles_rad)
+            if gate.turning:
+                self.breathing.moved()
+                self.drift.interrupt()
+        return moving
+
+    def _answered(self, readings_n: Sequence[float], stamp_ns: int, moving: bool) -> Answer:
+        """Estimate and decide on checked readings (M,), without stamp and state.
+
+        Raises:
+            CableSenseError: the model cannot take them, or they fit no contact.
+        """
+        freed_n = self.breathing.without_friction(readings_n, stamp_ns)
+        if self.breathing.learnt:
+            self._events.note(EventKind.BREATH)
+        if freed_n is None:
+            return Answer(force=ForceState.MOVING)
+        tensions_n = np.array(freed_n)
+        if not moving and (self.breathing.known or not self._settings.await_breath):
+            self.tares.add(freed_n)
+        estimate = self._model.estimate(tensions_n, stamp_ns)
+        if self.tares.automatic and not moving and self.tares.ready:
+            tare = self.take_tare(stamp_ns, EventKind.AUTO_TARE)
+            return Answer(force=ForceState.UNTARED, new_tare=tare)
+        if estimate is None:
+            return Answer(force=ForceState.UNTARED)
+        contact_m = self._contact_m
+        contacts = self._model.decide(estimate, self._settings.contact_threshold, contact_m)
+        doubt = "" if moving else self._doubt(tensions_n, contacts, stamp_ns)
         self.gate.estimated(known=True)
-        if contact.magnitude_n > self.largest_force_n:
-            self.largest_force_n = contact.magnitude_n
-        force = ForceState.UNCONFIRMED if doubt else ForceState.CONTACT
         stated = None if self._model.several else estimate
-        if not contacts:
+        if contacts:
+            contact = contacts[0]
+            self.tares.touched(contact)
+            self.largest_force_n = max(self.largest_force_n, contact.magnitude_n)
+            force = ForceState.UNCONFIRMED if doubt else ForceState.CONTACT
+        else:
+            contact = NO_CONTACT
             hidden = stated is not None and stated.high_n > self._settings.hidden_above_n
             force = ForceState.HIDDEN if hidden else ForceState.FREE
-        probabilities, contact_m = estimate.probabilities.tolist(), self._contact_m
-        return Answer(
-            contact,
-            force,
-            stated,
-            contact_m,
-            probabilities,
-            stamp_ns,
-            state=state,
-            contacts=contacts,
-        )
+        probabilities = estimate.probabilities.tolist()
+        return Answer(contact, force, stated, contact_m, probabilities, contacts=contacts)
+
+    def _doubt(self, tensions_n: Array, contacts: Sequence[Contact], stamp_ns: int) -> str:
+        """Watch an arm at rest for drift, and require that its readings fit the contacts.
+
+        Gives the reason why they are doubted nevertheless; empty where they are not.
+        """
+        check, unloaded_n = self.plausibility, self.tares.unloaded_n
+        assert unloaded_n is not None  # or there would be no estimate
+        difference_n = tensions_n - unloaded_n
+        self.drift.add(difference_n, stamp_ns, touched=bool(contacts))
+        if check.unchecked or self.breathing.known:
+            return ""
+        before_ns = check.state.withheld_until_ns
+        try:
+            check.check(difference_n, self.gate.pose_rad, contacts, stamp_ns)
+        finally:
+            if check.state.withheld_until_ns != before_ns:
+                self._events.note(EventKind.MISFIT)
+        return check.doubt
+
+    def _refused(self, problem: SampleError) -> Answer:
+        if problem.kind is ProblemKind.MISFIT and self.gate.turning:
+            self.gate.estimated(known=False)
+            return Answer(force=ForceState.MOVING)
+        self.health.refused(problem)
+        return Answer(force=_REFUSED.get(problem.kind, ForceState.REFUSED), problem=problem)
 
     def stale(self, now_s: float) -> bool:
-        """Whether the last message is too long ago for its answer to stand."""
+        """Whether the last message is too old for its answer to be valid."""
         return self.health.silence_s(now_s) > self.clock.stale_after_s
 
     def command(self, message: Any) -> bool:
@@ -256,7 +307,7 @@ class Estimation:
 
         Raises:
             CableSenseError: the message breaks the contract, or the arm has no static equilibrium
-                at this command; the command before it stays.
+                at this command; the previous command stays in force.
         """
         command = joint_command_rad(message, self._joint_order, self.gate.command_rad)
         turn = None if self._model.in_motion else breath_turn(message)
@@ -281,7 +332,7 @@ class Estimation:
             self._mark(0 if offsets_m.any() else BREATH_END, message, lasting=True)
 
     def miss_breather(self, now_s: float) -> bool:
-        """Whether the breather has gone in mid-breath; the last command of it counts then.
+        """Whether the breather has gone in mid-breath; its last command counts then.
 
         To be called again and again, at monotonic times `now_s`.
         """
@@ -309,7 +360,7 @@ class Estimation:
         return tare
 
     def undo_tare(self) -> Tare | None:
-        """Go back to the tare before the last and give it; none when the last was the first.
+        """Return to the previous tare and give it; None when the last was the first.
 
         Raises:
             TareError: there is nothing to undo.
@@ -328,7 +379,7 @@ class Estimation:
         self._events.note(EventKind.SETTINGS)
 
     def start(self, now_s: float) -> None:
-        """Samples begin, or begin again, now; those from before count no more."""
+        """Samples begin, or begin again, now; earlier ones do not count any more."""
         self.health = InputHealth(self.clock, now_s)
         self.publisher = FollowedPublisher(self.clock.stale_after_s)
         self.tares.forget_readings()
@@ -345,31 +396,20 @@ class Estimation:
                 this arm cannot take.
         """
         state.require_fitting(self._arm)
-        command = np.array(state.command_rad)
         same_arm = state.arm == self._arm.identity
-        self.tares.restore(
-            command,
-            np.array(state.unloaded_n) if same_arm else None,
-            np.array(state.tared_n),
-            np.array(state.tare_command_rad),
-            by_itself=state.pose_assumed,
-            linear_at_rad=np.array(state.linear_at_rad) if state.linear_at_rad else None,
-        )
-        self.drift.tared()
-        lowest, highest = np.array(state.lowest_rad), np.array(state.highest_rad)
-        self.gate.restore(
-            command, lowest, highest, state.rest_from_ns, state.course, state.before_ns
-        )
+        self.tares.restore(state.tare, state.gate.pose_rad, same_arm=same_arm)
+        self.gate.restore(state.gate)
+        self.plausibility.state = state.misfit.model_copy()
+        self.breathing.state = state.breath.model_copy()
+        self.command_received = state.command_received
         self._angles_rad = self.gate.angles_rad
-        self.plausibility.withheld_until_ns = state.withheld_until_ns
-        self.plausibility.misfit_since_ns = state.misfit_since_ns
-        self.breathing.restore(state.breath)
-        self._repeat(state.events, command)
+        self.drift.tared()
+        self._repeat(state.events, state.gate.command_rad)
         self._events = EventLog()
 
     @property
     def at_pose(self) -> ContactStatics:
-        """What contacts are in base axes and at the joints, at the pose of the last estimate."""
+        """Contacts in base axes and at the joints, at the pose of the last estimate."""
         return self._statics.at(self.gate.pose_rad)
 
     @property
@@ -386,32 +426,20 @@ class Estimation:
         """As `command`, with angles (2N,)."""
         dropped = False
         if np.array_equal(command_rad, self.gate.command_rad):
-            if self._pose_assumed:
+            tare = self.tares.present
+            if tare is not None and tare.by_itself and not self.command_received:
                 self._events.note(EventKind.POSE_CONFIRMED, command_rad)
-        elif self.gate.follows(command_rad):
-            self.gate.command(command_rad)
-            self._model.command(command_rad)
-            self._events.note(EventKind.COMMAND, command_rad)
         else:
-            dropped = self.tares.command(command_rad, first=not self.command_received)
-            if dropped:
-                self.drift.tared()
+            if not self.gate.follows(command_rad):
+                dropped = self.tares.command(command_rad, first=not self.command_received)
+                if dropped:
+                    self.drift.tared()
+                self.breathing.moved()
             self.gate.command(command_rad)
-            self.breathing.moved()
             self._model.command(command_rad)
             self._events.note(EventKind.COMMAND, command_rad)
         self.command_received = True
         return dropped
-
-    def _follow(self) -> None:
-        """Go with the arm to the set-point of a motion that is followed, or to its end."""
-        gate = self.gate
-        self._angles_rad = gate.angles_rad
-        if gate.angles_rad is not gate.command_rad or self.tares.linear_at_rad is not None:
-            self.tares.follow(gate.angles_rad)
-        if gate.turning:
-            self.breathing.moved()
-            self.drift.interrupt()
 
     def _mark(self, turn: int, message: Any, *, lasting: bool = False) -> None:
         stamp = message.header.stamp
@@ -421,46 +449,10 @@ class Estimation:
         if self.breathing.mark(turn, max(stamp_ns, 1), lasting=lasting):
             self._events.note(EventKind.BREATH)
 
-    def _model_of(
-        self, estimator: AnyEstimator, unloaded: UnloadedTensions, straight_rad: Array
-    ) -> ContactModel:
-        speed_rad_s = self._settings.joint_speed_rad_s
-        if isinstance(estimator, SequenceEstimator):
-            predict_n = unloaded.predict_n
-            return HistoryDependentModel(
-                estimator, self.tares, predict_n, straight_rad, speed_rad_s
-            )
-        if isinstance(estimator, MultiEstimator):
-            return MultiContactModel(estimator, self.tares, self.gate, self._statics)
-        return ContactModel(estimator, self.tares, self.gate)
-
-    def _judge(self, tensions: Array, contacts: Sequence[Contact], stamp_ns: int) -> str:
-        """Watch an arm at rest for drift, and require that its readings fit the contacts.
-
-        Gives why they are doubted nevertheless; empty where they are not.
-        """
-        check, unloaded = self.plausibility, self.tares.unloaded_n
-        assert unloaded is not None  # or there would be no estimate
-        difference_n = tensions - unloaded
-        self.drift.add(difference_n, stamp_ns, touched=bool(contacts))
-        if check.unchecked or self.breathing.known:
-            return ""
-        before_ns = check.withheld_until_ns
-        try:
-            check.check(difference_n, self.gate.pose_rad, contacts, stamp_ns)
-        finally:
-            if check.withheld_until_ns != before_ns:
-                self._events.note(EventKind.MISFIT)
-        return check.doubt
-
     def _tared(self, how: EventKind) -> None:
         self._model.tared()
         self.drift.tared()
         self._events.note(how)
-
-    @property
-    def _pose_assumed(self) -> bool:
-        return self.tares.taken_by_itself and not self.command_received
 
     def _repeat(self, events: Sequence[Event], command_rad: Array) -> None:
         """Bring the model to where the events brought it when the state was made."""
@@ -477,25 +469,15 @@ class Estimation:
             self.reproducible |= event.kind is EventKind.START
 
     def _changed_state(self, stamp_ns: int) -> EstimatorState:
-        gate, tare, unloaded = self.gate, self.tares.present, self.tares.unloaded_n
-        linear_at = self.tares.linear_at_rad
         return EstimatorState(
             before_ns=stamp_ns,
             events=self._events.taken(),
             arm=self._arm.identity,
             settings=self._settings,
             origin=self._origin,
-            command_rad=gate.command_rad.tolist(),
-            lowest_rad=gate.lowest_rad.tolist(),
-            highest_rad=gate.highest_rad.tolist(),
-            rest_from_ns=gate.rest_from_ns,
-            course=gate.course,
-            linear_at_rad=() if linear_at is None else linear_at.tolist(),
-            unloaded_n=() if unloaded is None else unloaded.tolist(),
-            tared_n=() if tare is None else tare.measured_n.tolist(),
-            tare_command_rad=() if tare is None else tare.command_rad.tolist(),
-            pose_assumed=self._pose_assumed,
-            withheld_until_ns=self.plausibility.withheld_until_ns,
-            misfit_since_ns=self.plausibility.misfit_since_ns,
-            breath=self.breathing.state(),
+            command_received=self.command_received,
+            gate=self.gate.snapshot(),
+            tare=self.tares.state.model_copy(),
+            misfit=self.plausibility.state.model_copy(),
+            breath=self.breathing.state.model_copy(),
         )

@@ -1,12 +1,15 @@
-"""How well readings fit forces on some segments, and which forces fit them best.
+"""The force that explains readings, by statics, and how well it does: one law for all who ask.
 
-The tensions of an arm at rest follow from the forces by the static equilibrium. It is solved on a
-grid of forces, once for a command, and taken as linear around a point of the grid with each set of
-taut cables. So a sample costs one small product.
+The tensions of an arm at rest follow from the forces on it by the static equilibrium. This is
+solved on a grid of forces, once for each command, and linearised around a grid point for each set
+of taut cables. A sample then costs one small product.
 
-A fit has the set of taut cables that its own forces make: where a cable reads slack that would be
-taut under it, the readings do not fit. Where many cables are slack a compliant arm has two
-positions of rest under one force; the one of the taut readings counts too.
+A fit has the set of taut cables that its own forces make: if a cable reads slack that would be
+taut under them, the readings do not fit. Where many cables are slack, a compliant arm has two
+positions of rest under one force; the one of the taut readings is valid too.
+
+The exported closed form (`cablesense_training.networks.closed_form`) is the second statement of
+this law, as a graph; a test holds the two together.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_msgs_py.messages import Contact
 from cablesense_online.tare import UnloadedTensions
 from cablesense_sim import kinematics
 from cablesense_sim.equilibrium import (
@@ -27,21 +31,74 @@ from cablesense_sim.equilibrium import (
     potential_gradient_n_m,
     stiffness_matrix_n_m,
 )
+from cablesense_sim.mechanism import Mechanism
+
+LARGEST_MISFIT: Final = 2.3
+"""Unless a model file states another: by noise alone one sample of twelve cables in ten million
+exceeds it."""
 
 ALONG_SHARE: Final = 0.5
 """Standard deviation of the force along a segment over the estimated force: friction at a contact,
 or a hung weight on a bent arm."""
 
 _GRIDS_N = (20.0, 1.0)
-"""Apart are the forces for which the equilibrium is solved: the tensions of the arm `cdsm_lab` are
+"""Spacings of the forces at which the equilibrium is solved. Tensions of the arm `cdsm_lab` are
 linear within 0.02 N over the first; where many cables are slack and it bends, over the second."""
 
 _MOST_POSES = 1024
 _MOST_SETS, _MOST_REFINED = 8, 8
 _REFINED_UP_TO = 20.0
-"""Misfits of up to so many times the largest that passes may come from taking as linear."""
+"""Misfits up to this multiple of the largest that passes may be due to the linearisation."""
 _TAUT_SPREADS, _BARELY_SPREADS = 4.0, 3.5
-"""A reading of so many times its spread is that of a taut cable; one of so many less may be."""
+"""Standard deviations of a reading above which a cable is read as taut, and by which this bound is
+lowered for cables that may be taut."""
+
+
+def _torques_by_force_m(mechanism: Mechanism, angles_rad: Array, axes: Array) -> Array:
+    """(N, 2N, A) joint torques of unit forces along axes (N, 3, A) at the contact points."""
+    moves = kinematics.contact_jacobians_m(mechanism, angles_rad)
+    return np.asarray(np.swapaxes(moves, -1, -2) @ axes)
+
+
+class ContactStatics:
+    """Contacts at one pose of the arm, in base axes and at the joints.
+
+    A force in the plane normal to segment n at its contact point makes the joint torques
+
+        tau = J_n(q)^T [y_n z_n] (f_y, f_z)
+
+    with J_n the derivative of the contact point and y_n, z_n the segment's axes in the base frame.
+    """
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self._mechanism = mechanism
+        self._pose_rad: Array | None = None
+
+    def at(self, pose_rad: Array) -> ContactStatics:
+        """This object at a pose (2N,)."""
+        if pose_rad is not self._pose_rad:
+            self._pose_rad, mechanism = pose_rad, self._mechanism
+            self._axes = np.asarray(kinematics.segment_rotations(mechanism, pose_rad)[..., 1:])
+            self._points_m = kinematics.contact_points_m(mechanism, pose_rad)
+            self._torques_m = _torques_by_force_m(mechanism, pose_rad, self._axes)
+        return self
+
+    def base_wrench(self, contacts: Sequence[Contact]) -> list[float]:
+        """(6,) force, N, and moment about the base frame's origin, N·m, of all contacts."""
+        wrench = np.zeros(6)
+        for contact in contacts:
+            force_n = contact.magnitude_n * self._axes[contact.segment - 1] @ contact.direction
+            wrench[:3] += force_n
+            wrench[3:] += np.cross(self._points_m[contact.segment - 1], force_n)
+        return wrench.tolist()
+
+    def joint_torques_n_m(self, contacts: Sequence[Contact]) -> list[float]:
+        """(2N,) torques of all contacts at the joints."""
+        torques = np.zeros(self._mechanism.joint_count)
+        for contact in contacts:
+            torque_m = self._torques_m[contact.segment - 1] @ contact.direction
+            torques += contact.magnitude_n * torque_m
+        return torques.tolist()
 
 
 class _Response(NamedTuple):
@@ -53,12 +110,12 @@ class _Response(NamedTuple):
         gain: (M, 2 K) their derivative by the forces.
         taut: (M,) which cables are.
         slack: positions of the others.
-        unseen_n: (M,) how far a force is off by an error of one reading that leaves over 1.
-        to_rest_rad: (2 N,) how the joints turn from the pose to rest at those forces; none where
-            they are at rest with this set.
-        to_fit: (2 M + 2 N + 3 K, M) takes readings less `change_n` to what is left over of them,
-            in its expected spread; to the forces to be added, y and z of each, then x of each, N;
-            to what that adds to `elastic_n`; and to how far it turns the joints.
+        unseen_n: (M,) error of a force due to an error of one reading whose residual is 1.
+        to_rest_rad: (2 N,) rotation of the joints from the pose to rest at those forces; None
+            where they are at rest with this set.
+        to_fit: (2 M + 2 N + 3 K, M) maps readings less `change_n` to their residuals, in expected
+            standard deviations; to the forces to add, y and z of each, then x of each, N; to the
+            resulting change of `elastic_n`; and to the resulting rotation of the joints.
     """
 
     change_n: Array
@@ -71,14 +128,14 @@ class _Response(NamedTuple):
     to_fit: Array
 
 
-class Fit:
-    """Readings beside the tensions under the forces that fit them best.
+class ForceFit:
+    """The forces that explain readings best, and how well they do.
 
     Attributes:
-        misfit: root mean square of what is left over, in its expected spread.
-        fitted: (2 M + 2 N + 3 K,) what `to_fit` of the response makes of the readings.
+        misfit: RMS of the residuals, in expected standard deviations.
+        fitted: (2 M + 2 N + 3 K,) the response's `to_fit` applied to the readings.
         response: the tensions near those forces.
-        pose: the arm that the response is of.
+        pose: the arm at which the response is linearised.
         force_n: (2 K,) the forces that fit best, y and z of each in its segment's frame.
         holds: whether the misfit is at most the largest that passes, under forces that make this
             set of cables slack.
@@ -86,12 +143,14 @@ class Fit:
 
     __slots__ = ("fitted", "force_n", "holds", "misfit", "pose", "response")
 
-    def __init__(self, fitted: Array, response: _Response, pose: _Pose, largest: float) -> None:
+    def __init__(
+        self, fitted: Array, response: _Response, pose: _LoadedPose, largest: float
+    ) -> None:
         """`largest` is the misfit that passes."""
         self.fitted, self.response, self.pose = fitted, response, pose
         count, item = len(response.elastic_n), fitted.item
-        over = fitted[:count]
-        self.misfit = math.sqrt(float(over.dot(over)) / pose.free)
+        residual = fitted[:count]
+        self.misfit = math.sqrt(float(residual.dot(residual)) / pose.free)
         self.force_n = tuple([at_n + item(k) for k, at_n in enumerate(pose.force_n, count)])
         self.holds = self.misfit <= largest and self.consistent and self.near
 
@@ -103,7 +162,7 @@ class Fit:
 
     @property
     def consistent(self) -> bool:
-        """Whether no cable that was taken as slack would be taut."""
+        """Whether no cable that was assumed slack would be taut."""
         response, begin = self.response, self.pose.elastic_from
         for cable in response.slack:
             if response.elastic_n.item(cable) + self.fitted.item(begin + cable) > 0.0:
@@ -117,7 +176,7 @@ class Fit:
 
     @property
     def turn_rad(self) -> Array:
-        """(2N,) how the joints turn from its pose, where that is not at rest with this set."""
+        """(2N,) rotation of the joints from its pose, if that is not at rest with this set."""
         assert self.response.to_rest_rad is not None
         to_rest = self.response.to_rest_rad
         return np.asarray(to_rest + self.fitted[-len(to_rest) :])
@@ -125,14 +184,14 @@ class Fit:
     def without(self, cables: Sequence[int]) -> float:
         """The misfit without the readings of some cables."""
         count = len(self.response.elastic_n)
-        over, of = self.fitted[:count], self.response.to_fit[:count, cables]
-        left = over - of @ np.linalg.lstsq(of, over, rcond=1e-9)[0]
-        return math.sqrt(float(left @ left) / max(self.pose.free - len(cables), 1))
+        residual, of = self.fitted[:count], self.response.to_fit[:count, cables]
+        residual = residual - of @ np.linalg.lstsq(of, residual, rcond=1e-9)[0]
+        return math.sqrt(float(residual @ residual) / max(self.pose.free - len(cables), 1))
 
     def hidden_n(self, difference_n: Array, largest: float) -> Array:
-        """(M,) how far a force may be wrong by one reading, and a misfit of `largest` pass.
+        """(M,) largest error of a force due to one wrong reading, at a misfit of `largest`.
 
-        Where a cable reads slack, it may be taut and its reading zero.
+        A cable that reads slack may be taut, and its reading of zero wrong.
         """
         count, begin = len(difference_n), self.pose.elastic_from
         passes = largest * math.sqrt(self.pose.free)
@@ -140,12 +199,12 @@ class Fit:
         for cable in self.response.slack:
             taut = self.response.taut.copy()
             taut[cable] = True
-            other = self.pose.beside(difference_n, taut, largest)
+            other = self.pose.with_taut(difference_n, taut, largest)
             if other is None:
                 continue
-            of, over = other.response.to_fit[:, cable], other.fitted[:count]
+            of, residual = other.response.to_fit[:, cable], other.fitted[:count]
             size = max(float(of[:count] @ of[:count]), 1e-18)
-            fitted = other.fitted - of * (float(of[:count] @ over) / size)
+            fitted = other.fitted - of * (float(of[:count] @ residual) / size)
             tension_n = other.response.elastic_n[cable] + fitted[begin + cable]
             if np.linalg.norm(fitted[:count]) <= passes and tension_n > 0.0:
                 off_n = (fitted - self.fitted)[count : count + len(self.pose.force_n)]
@@ -153,13 +212,13 @@ class Fit:
         return np.asarray(hidden_n)
 
 
-class _Pose:
+class _LoadedPose:
     """The arm at one command in one pose under some forces, and its response to others nearby.
 
     Attributes:
         segments, force_n, angles_rad: of the arguments.
-        free: how many combinations of readings are left over.
-        elastic_from: where in `Fit.fitted` tensions begin.
+        free: degrees of freedom of the residuals.
+        elastic_from: where in `ForceFit.fitted` tensions begin.
     """
 
     def __init__(
@@ -194,24 +253,25 @@ class _Pose:
         self._hessian = stiffness_matrix_n_m(mechanism, angles_rad, tensions, forces)
         self._gradient = potential_gradient_n_m(mechanism, angles_rad, tensions, forces)
         touched = np.array(segments) - 1
-        axes = kinematics.segment_rotations(mechanism, command)[touched]
-        pushes = kinematics.contact_jacobians_m(mechanism, angles_rad)[touched]
-        by_axis = np.swapaxes(pushes, 1, 2) @ axes
+        axes = kinematics.segment_rotations(mechanism, command)
+        by_axis = _torques_by_force_m(mechanism, angles_rad, axes)[touched]
         self._torques_m = np.hstack([*by_axis[..., 1:], *by_axis[..., :1]])  # by y and z, then x
         sizes_n = np.linalg.norm(np.array(force_n).reshape(-1, 2), axis=1)
         self._along_n = ALONG_SHARE * np.maximum(sizes_n, 0.5 * _GRIDS_N[0])
         self._responses: dict[bytes, _Response | None] = {}
 
-    def fit(self, difference_n: Array, force_n: Sequence[float], largest: float) -> Fit | None:
-        """What readings less unloaded tensions (M,) leave over; none where nothing holds the arm.
+    def fit(
+        self, difference_n: Array, force_n: Sequence[float], largest: float
+    ) -> ForceFit | None:
+        """Fit readings less unloaded tensions (M,); None where nothing holds the arm.
 
-        Which cables are taut is read first, beyond noise, then whatever reads more than nothing;
-        else it follows from this pose, then by Newton's method from the estimated forces, and
-        where that leads nowhere from those that fit. It ends where the misfit is `largest` at most
-        and the set is that of its forces, or where no set is new.
+        The set of taut cables is first read beyond noise, then from whatever reads more than zero.
+        Next are the sets of this pose, of the estimated forces and of the forces that fit. The
+        search ends when the misfit is at most `largest` and the set is that of its forces, or when
+        no set is new.
         """
         read = difference_n > self._fits.taut_from_n
-        best = self.beside(difference_n, read, largest)
+        best = self.with_taut(difference_n, read, largest)
         if best is not None and best.holds:
             return best
         barely = difference_n > self._fits.taut_from_n - _BARELY_SPREADS * self._fits.spread_n
@@ -221,7 +281,7 @@ class _Pose:
         while candidates and len(tried) < _MOST_SETS:
             taut = candidates.pop(0)
             new = taut.tobytes() not in tried
-            fit = self.beside(difference_n, taut, largest) if new else None
+            fit = self.with_taut(difference_n, taut, largest) if new else None
             tried.add(taut.tobytes())
             if fit is None:
                 continue
@@ -232,23 +292,25 @@ class _Pose:
             candidates += self._estimated(fit, force_n)
         return best
 
-    def _estimated(self, fit: Fit, force_n: Sequence[float]) -> tuple[NDArray[np.bool_], ...]:
-        """(M,) which cables are taut under estimated forces, and under those that fit."""
+    def _estimated(self, fit: ForceFit, force_n: Sequence[float]) -> tuple[NDArray[np.bool_], ...]:
+        """Sets of taut cables (M,) under the estimated forces, and under those that fit."""
         away_n = np.subtract(force_n, self.force_n)
         estimated_n = fit.response.elastic_n + fit.response.gain @ away_n
         return estimated_n > 0.0, fit.elastic_n > 0.0
 
-    def beside(self, difference_n: Array, taut: NDArray[np.bool_], largest: float) -> Fit | None:
-        """What readings (M,) leave over with a set of taut cables; none where it holds no arm."""
+    def with_taut(
+        self, difference_n: Array, taut: NDArray[np.bool_], largest: float
+    ) -> ForceFit | None:
+        """Fit readings (M,) with a set of taut cables; None where that holds no arm."""
         response = self._response(taut)
         if response is None:
             return None
-        # `dot` takes a third of the time of `@` for arrays so small
+        # `dot` takes a third of the time of `@` for such small arrays
         fitted = response.to_fit.dot(difference_n - response.change_n)
-        return Fit(fitted, response, self, largest)
+        return ForceFit(fitted, response, self, largest)
 
     def linear_over(self, turn_rad: Array) -> bool:
-        """Whether the tensions of taut cables are, within their spread, over a turn (2N,)."""
+        """Whether taut cables' tensions are linear, within their spread, over a turn (2N,)."""
         size = float(turn_rad.dot(turn_rad))
         if size * self._most_curved <= 1.0:
             return True
@@ -285,11 +347,11 @@ class _Pose:
         whiten /= spread_n
         by_force = whiten @ (taut[:, None] * gain)
         to_force = np.linalg.pinv(by_force) @ whiten
-        left = np.eye(len(taut)) - taut[:, None] * gain @ to_force
-        to_along = (turn.T * (sizes / (1.0 + sizes * sizes))) @ (sides.T @ left)
+        to_residual = np.eye(len(taut)) - taut[:, None] * gain @ to_force
+        to_along = (turn.T * (sizes / (1.0 + sizes * sizes))) @ (sides.T @ to_residual)
         to_force = np.vstack([to_force, self._along_n[:, None] / spread_n * to_along])
         to_elastic = np.stack(by, 1) @ to_force
-        over = whiten @ left
+        to_residual = whiten @ to_residual
         off_n = np.linalg.norm(to_force[:count].reshape(-1, 2, len(taut)), axis=1).max(axis=0)
         return _Response(
             taut * elastic - self._fits.unloaded_n,
@@ -297,10 +359,12 @@ class _Pose:
             gain,
             taut,
             np.flatnonzero(~taut).tolist(),
-            off_n / np.maximum(np.linalg.norm(over, axis=0), 1e-9),
+            off_n / np.maximum(np.linalg.norm(to_residual, axis=0), 1e-9),
             None if self._at_rest and not other.any() else turned[:, -1],
-            # by columns, as products with a vector so small are faster
-            np.asfortranarray(np.vstack([over, to_force, to_elastic, turned[:, :-1] @ to_force])),
+            # stored by columns: products with so small a vector are faster
+            np.asfortranarray(
+                np.vstack([to_residual, to_force, to_elastic, turned[:, :-1] @ to_force])
+            ),
         )
 
 
@@ -309,19 +373,21 @@ class ForceFits:
 
     Attributes:
         statics: the arm.
-        spread_n: standard deviation of a reading less the unloaded one, N.
+        spread_n: expected standard deviation of a reading less the unloaded one, N.
         command_rad: (2N,) the command in force.
         unloaded_n: (M,) its unloaded tensions.
-        taut_from_n: (M,) changes of readings from which on a cable is read as taut.
+        taut_from_n: (M,) differences above which a cable is read as taut.
     """
 
     def __init__(self, statics: UnloadedTensions, spread_n: float) -> None:
         self.statics, self.spread_n = statics, spread_n
         self.command_rad = self.unloaded_n = self.taut_from_n = np.zeros(0)
-        self._poses: dict[tuple[tuple[int, ...], tuple[float, ...]], _Pose | None] = {}
+        self._poses: dict[tuple[tuple[int, ...], tuple[float, ...]], _LoadedPose | None] = {}
 
     def command(self, command_rad: Array) -> None:
-        """The arm rests at another command (2N,)."""
+        """The arm rests at a command (2N,); another array is another command."""
+        if command_rad is self.command_rad:
+            return
         self.command_rad = command_rad
         self.unloaded_n = self.statics.predict_n(command_rad)
         self.taut_from_n = _TAUT_SPREADS * self.spread_n - self.unloaded_n
@@ -341,11 +407,11 @@ class ForceFits:
         segments: tuple[int, ...],
         force_n: Sequence[float],
         largest: float,
-    ) -> Fit | None:
-        """Readings less unloaded tensions (M,) beside forces (2 K,), y and z, on K segments.
+    ) -> ForceFit | None:
+        """Fit readings less unloaded tensions (M,) near forces (2 K,), y and z, on K segments.
 
-        The first fit that `holds` with a misfit of `largest`, else that of the least misfit; none
-        where the arm has no rest there.
+        Gives the first fit that `holds` with a misfit of `largest`, or else the one of least
+        misfit; None where the arm has no rest there.
         """
         best = None
         for grid_n in _GRIDS_N:
@@ -358,21 +424,31 @@ class ForceFits:
                 best = fit
         return None if best is None else self._refined(difference_n, best, largest)
 
-    def _refined(self, difference_n: Array, best: Fit, largest: float) -> Fit:
-        """The fit about its own pose, by Gauss and Newton's method."""
+    def angles_deg(self, difference_n: Array, segments: tuple[int, ...]) -> list[float]:
+        """Contact angles of the forces on segments, from 1 on, that fit differences (M,) best."""
+        near = self.best(difference_n, segments, (0.0,) * (2 * len(segments)), LARGEST_MISFIT)
+        assert near is not None  # an arm that rests without forces is linearised there
+        fit = self.best(difference_n, segments, near.force_n, LARGEST_MISFIT) or near
+        y, z = np.reshape(fit.force_n, (-1, 2)).T
+        return (np.rad2deg(np.arctan2(y, z)) % 360.0).tolist()
+
+    def _refined(self, difference_n: Array, best: ForceFit, largest: float) -> ForceFit:
+        """The fit linearised about its own pose, by Gauss-Newton steps."""
         for _ in range(_MOST_REFINED):
             if best.near or best.misfit > _REFINED_UP_TO * largest:
                 break
             angles = best.pose.angles_rad + best.turn_rad
-            pose = _Pose(self, best.pose.segments, best.force_n, angles, at_rest=False)
+            pose = _LoadedPose(self, best.pose.segments, best.force_n, angles, at_rest=False)
             fit = pose.fit(difference_n, best.force_n, largest)
             if fit is None:
                 break
             best = fit
         return best
 
-    def _at_rest(self, segments: tuple[int, ...], force_n: tuple[float, ...]) -> _Pose | None:
-        """The arm at rest under forces; none where it has none there."""
+    def _at_rest(
+        self, segments: tuple[int, ...], force_n: tuple[float, ...]
+    ) -> _LoadedPose | None:
+        """The arm at rest under forces; None where it cannot rest."""
         key = (segments, force_n)
         if key not in self._poses:
             if len(self._poses) >= _MOST_POSES:
@@ -380,7 +456,7 @@ class ForceFits:
             forces = self.forces_n(segments, force_n)
             try:
                 angles = self.statics.at_rest(self.command_rad, forces).joint_angles_rad
-                self._poses[key] = _Pose(self, segments, force_n, angles, at_rest=True)
+                self._poses[key] = _LoadedPose(self, segments, force_n, angles, at_rest=True)
             except EquilibriumError:
                 self._poses[key] = None
         return self._poses[key]

@@ -24,7 +24,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from cablesense_base import Array, CableSenseError
-from cablesense_online.models import LoadedModel, decide
+from cablesense_online.answer import decide
+from cablesense_online.models import LoadedModel
 from cablesense_online.plausibility import PlausibilityCheck
 from cablesense_online.samples import SampleError
 from cablesense_online.tare import UnloadedTensions

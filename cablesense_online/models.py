@@ -2,29 +2,27 @@
 
 A model file holds a memoryless estimator, which takes samples of an arm at rest, of one contact or
 of several, or a history-dependent one, which takes every sample along the trajectory of the
-joints. `ContactModel` is what they have in common.
+joints. `ContactModel` is their common interface.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import isfinite
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_msgs_py.messages import NO_CONTACT, Contact, Level, Status
-from cablesense_online.contact_statics import ContactStatics
+from cablesense_msgs_py.messages import Contact, Level, Status
+from cablesense_online.answer import decide
+from cablesense_online.force_fit import LARGEST_MISFIT, ForceFits
 from cablesense_online.motion_gate import MotionGate
-from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.tare import Tares
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_training.inference.estimator import (
-    NORMAL_95,
     Estimate,
     Estimator,
     MultiEstimator,
@@ -34,17 +32,11 @@ from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.session import model_sha256, read_model
 from cablesense_training.inference.temporal_estimator import open_estimator
 
-LARGEST_MISFIT = 2.3
-"""With model files that state none: by noise alone one sample of twelve cables in ten million."""
-
 PREDICTED_EVERY_RAD = 2e-3
 """How far a joint turns before the unloaded tensions on the way are predicted anew.
 
 On the arm `cdsm` they change by less than 0.1 N over this.
 """
-
-_HALF_TURN_DEG = 179.9
-"""Half the widest interval of a direction: the ends of a whole turn could not be distinguished."""
 
 
 AnyEstimator = Estimator | MultiEstimator | SequenceEstimator
@@ -60,7 +52,7 @@ class LoadedModel:
 
     @classmethod
     def open(cls, path: Path, arm: Arm | None = None) -> LoadedModel:
-        """A model file, for a certain arm where one is given.
+        """Open a model file, for a certain arm where one is given.
 
         Raises:
             ModelFileError: it is no model, or one for another arm.
@@ -75,7 +67,7 @@ class LoadedModel:
         return {"model": self.model, "model SHA-256": model_sha256(self.model)}
 
     def largest_misfit(self, wanted: float) -> float:
-        """The limit `wanted`; where that is negative the file's, else `LARGEST_MISFIT`."""
+        """The limit `wanted`; if that is negative the file's, or else `LARGEST_MISFIT`."""
         stated = self.estimator.metadata.misfit_limit
         if wanted >= 0.0:
             return wanted
@@ -109,7 +101,7 @@ def load_model(arm: str, model: str) -> LoadedModel:
 
 
 class ContactModel:
-    """A memoryless estimator, asked at the gate's pose; the caller sees to it that it rests.
+    """A memoryless estimator, asked at the gate's pose; the caller ensures that the arm rests.
 
     Attributes:
         in_motion: whether it estimates while the arm moves.
@@ -125,7 +117,7 @@ class ContactModel:
         self._pose_aware = estimator.pose_aware
 
     def estimate(self, tensions_n: Array, stamp_ns: int) -> Any:
-        """The contact behind tensions (M,), as `decide` takes it; none without a tare.
+        """The contact behind tensions (M,), as `decide` takes it; None without a tare.
 
         Raises:
             CableSenseError: the model cannot take this sample.
@@ -139,9 +131,9 @@ class ContactModel:
     def decide(
         self, estimate: Any, threshold: float, contact_m: Sequence[float]
     ) -> tuple[Contact, ...]:
-        """The contacts in an estimate of its own, the strongest first.
+        """The contacts in an estimate of this model, the strongest first.
 
-        See `decide` for the other arguments and for errors.
+        See the function `decide` for the other arguments and for errors.
         """
         contact = decide(
             estimate.probabilities.tolist(),
@@ -165,8 +157,8 @@ class ContactModel:
 class HistoryDependentModel(ContactModel):
     """A history-dependent estimator, asked at the set-points between the commands.
 
-    Joints are taken to go to a command as the sim node lets them: on minimum-jerk curves with the
-    peak speed that both have for a parameter. A command counts from the sample before it.
+    Joints are assumed to approach a command as the sim node lets them: on minimum-jerk curves with
+    the same peak speed. A command counts from the sample before it.
     """
 
     in_motion = True
@@ -187,7 +179,7 @@ class HistoryDependentModel(ContactModel):
         self.restart(command_rad)
 
     def estimate(self, tensions_n: Array, stamp_ns: int) -> Estimate | None:
-        """See `ContactModel`; also without a tare the trajectory is followed."""
+        """See `ContactModel`; the trajectory is followed without a tare too."""
         passed_s = 0.0 if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
         self._last_ns = stamp_ns
         self._motion.advance(max(0.0, passed_s))
@@ -238,7 +230,7 @@ class Several(NamedTuple):
 
     Attributes:
         probabilities: (N + 1,) that nothing touches, and of each segment that it is touched.
-        magnitude_n: (N,) the force on each where it is.
+        magnitude_n: (N,) force on each segment, if it is touched.
         difference_n: (M,) tensions less the unloaded ones.
     """
 
@@ -248,17 +240,17 @@ class Several(NamedTuple):
 
 
 class MultiContactModel(ContactModel):
-    """A memoryless estimator of several contacts; their directions follow from statics.
+    """A memoryless estimator of several contacts; a force fit gives their directions.
 
-    No bounds are given: the model states the spread of each force, not of its direction.
+    No bounds are given: the model states the uncertainty of each force, not of its direction.
     """
 
     several = True
 
     def __init__(
-        self, estimator: MultiEstimator, tares: Tares, gate: MotionGate, statics: ContactStatics
+        self, estimator: MultiEstimator, tares: Tares, gate: MotionGate, fits: ForceFits
     ) -> None:
-        self._several, self._tares, self._gate, self._statics = estimator, tares, gate, statics
+        self._several, self._tares, self._gate, self._fits = estimator, tares, gate, fits
 
     def estimate(self, tensions_n: Array, stamp_ns: int) -> Several | None:
         """See `ContactModel`."""
@@ -278,58 +270,13 @@ class MultiContactModel(ContactModel):
         probability = estimate.probabilities.tolist()
         force_n = [0.0, *estimate.magnitude_n.tolist()]
         numbers = range(1, len(force_n))
-        touched = [n for n in numbers if probability[n] >= threshold and force_n[n] > 0.0]
+        touched = tuple(n for n in numbers if probability[n] >= threshold and force_n[n] > 0.0)
         if not touched:
             return ()
-        angles = self._statics.at(self._gate.pose_rad).angles_deg(estimate.difference_n, touched)
+        self._fits.command(self._gate.pose_rad)
+        angles = self._fits.angles_deg(estimate.difference_n, touched)
         contacts = [
             Contact(n, angle_deg, force_n[n], contact_m[n - 1])
             for n, angle_deg in zip(touched, angles, strict=True)
         ]
         return tuple(sorted(contacts, key=lambda contact: -contact.magnitude_n))
-
-
-def force_bounds(
-    estimate: Estimate, contact: Contact, contact_m: Sequence[float]
-) -> tuple[Contact, Contact]:
-    """The ends of the 95 % intervals of force and direction, as contacts.
-
-    Where no contact was decided on, the lower is none, and the upper is on the segment that would
-    be touched most likely: so much may act unseen.
-    """
-    low_n, high_n = estimate.low_n, estimate.high_n
-    half_deg = min(NORMAL_95 * estimate.angle_std_deg, _HALF_TURN_DEG)
-    segment = contact.segment
-    if not segment:
-        low_n, (_, *touched) = 0.0, estimate.probabilities.tolist()
-        segment = 1 + touched.index(max(touched))
-    at_m = contact_m[segment - 1]
-    upper = Contact(segment, estimate.angle_deg + half_deg, high_n, at_m)
-    if low_n <= 0.0:
-        return NO_CONTACT, upper
-    return Contact(segment, estimate.angle_deg - half_deg, low_n, at_m), upper
-
-
-def decide(
-    probabilities: Sequence[float],
-    angle_deg: float,
-    magnitude_n: float,
-    threshold: float,
-    contact_m: Sequence[float],
-) -> Contact:
-    """The likeliest segment, once a contact anywhere has the `threshold`; else `NO_CONTACT`.
-
-    `probabilities` (N+1,) are of no contact, segment 1, …; a force that does not push is no
-    contact; `contact_m` (N,) is where on its axis each segment is touched, from its joint on.
-
-    Raises:
-        SampleError: a number is not finite.
-    """
-    if not (isfinite(sum(probabilities)) and isfinite(angle_deg) and isfinite(magnitude_n)):
-        raise SampleError(
-            ProblemKind.ESTIMATE, "the model gave a number that is not finite for this sample"
-        )
-    if 1.0 - probabilities[0] < threshold or magnitude_n <= 0.0:
-        return NO_CONTACT
-    segment = max(range(1, len(probabilities)), key=probabilities.__getitem__)
-    return Contact(segment, angle_deg, magnitude_n, contact_m[segment - 1])

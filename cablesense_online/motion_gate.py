@@ -1,53 +1,49 @@
-"""The commanded pose, whether the arm may still be moving towards it, and where it is by then.
+"""The commanded pose, whether the arm may still be moving towards it, and its pose on the way.
 
 Controllers stream commands that differ in the last digit, or turn slowly. Such a motion is
 followed: the arm passes from rest to rest along the set-points between the commands
-(`joint_motion`), and only what is faster shuts the gate.
+(`joint_motion`). Only faster motions shut the gate.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Level, Status
+from cablesense_online.state import GateState
 from cablesense_sim.joint_motion import SHORTEST_MOVE_S, JointMotion, move_duration_s
 
 _POSE_STEPS_RAD = (1e-4, 2e-3)
-"""How far a set-point at rest, or on its way, is from the pose before the pose goes with it: a new
-pose costs milliseconds."""
+"""The pose follows a set-point at rest, or in motion, only beyond this distance: a new pose costs
+milliseconds."""
 _BLIND_S = 3.0
-"""Without an estimate for so long, and with commands that go on, a warning is due."""
+"""A warning is due after this time without an estimate while commands continue."""
 _SOME_COMMANDS = 3
 _LONG_AGO_NS = -(2**62)
 _CLOCK_JITTER_S = 0.02
-"""Between the clock of the stamps and the monotonic one; by more the first has been set."""
+"""Between the stamps' clock and the monotonic one; a larger difference means a clock was set."""
 
 
 class MotionGate:
     """Shut from a changed command until the arm must have arrived and come to rest.
 
-    How far the joints have got is not known, only what they were commanded: while moving, any
-    angle between the commands since the last rest counts as possible, and the longest way from
-    there is waited for.
+    Only the commanded angles are known, not the joints' progress. While the arm moves, any angle
+    between the commands since the last rest is possible, and the gate waits for the longest way
+    from there.
 
     Time is that of the samples' stamps, so that a recording has the same answers: a command counts
-    from the first sample after it. Where stamps step back, what is left to wait is kept. Where
-    they step forward, it is waited for by the monotonic clock of their arrival.
+    from the first sample after it. If stamps step back, the remaining wait is kept. If they step
+    forward, it is timed by the monotonic clock of their arrival.
 
     A command shuts the gate unless it is within `still_rad` of the pose, or the arm is to follow
     at `follow_rad_s` at most: the joints turn no faster, and the command is no farther ahead of
-    them than such a motion is in the time of the shortest move.
+    them than such a motion gets in the time of the shortest move.
 
     Attributes:
-        command_rad: (2N,) the command in force.
-        pose_rad: (2N,) which estimates at rest are of: the command, or a set-point on the way of
-            a motion that is followed; another array whenever it has changed.
-        angles_rad: (2N,) the set-point at the last sample, within a few mrad of the pose.
-        lowest_rad, highest_rad: (2N,) angles that count as possible until the arm rests.
-        rest_from_ns: stamp from which on the arm rests, as known at the last sample.
+        state: command, pose and range of possible angles.
+        angles_rad: (2N,) the set-point at the last sample, within a few mrad of the pose; another
+            array whenever it has changed, as the pose is.
         step: 1 where the stamps had stepped forward at the last sample, -1 where back, else 0.
         shortened_s: by how much the wait of a restored state was cut down to one of a move.
     """
@@ -63,29 +59,42 @@ class MotionGate:
         """At rest at `command_rad` (2N,); `settle_s` is waited after each arrival."""
         self._speed_rad_s, self._settle_s = joint_speed_rad_s, settle_s
         self._still_rad, self._follow_rad_s = still_rad, follow_rad_s
-        self._course = JointMotion(command_rad, joint_speed_rad_s)
-        self._heading, self._course_from_ns = False, 0
         self._blind_since_ns: int | None = None
         self._commands_since = 0
-        self.command_rad = self.lowest_rad = self.highest_rad = command_rad.copy()
-        self.pose_rad = self.angles_rad = self.command_rad
-        self.rest_from_ns = self._last_ns = _LONG_AGO_NS
         self._turned_ns = 2 * _LONG_AGO_NS
         self._rest_from_s = 0.0
-        self._starting = self._resting = False
-        self.step = 0
-        self.shortened_s = 0.0
+        self._last_ns = _LONG_AGO_NS
+        here = command_rad.copy()
+        self.restore(
+            GateState(
+                command_rad=here,
+                pose_rad=here,
+                lowest_rad=here,
+                highest_rad=here,
+                rest_from_ns=_LONG_AGO_NS,
+            )
+        )
+
+    @property
+    def command_rad(self) -> Array:
+        """(2N,) the command in force."""
+        return self.state.command_rad
+
+    @property
+    def pose_rad(self) -> Array:
+        """(2N,) pose of the estimates: the command, or a set-point of a followed motion."""
+        return self.state.pose_rad
 
     def command(self, command_rad: Array) -> bool:
-        """Take over a command (2N,); gives whether it differs from the one before."""
+        """Take over a command (2N,); gives whether it differs from the previous one."""
         if np.array_equal(command_rad, self.command_rad):
             return False
         followed = self.follows(command_rad)
-        if not self.shut:
-            self.lowest_rad = self.highest_rad = self.command_rad
-        self.command_rad = command_rad.copy()
-        self.lowest_rad = np.minimum(self.lowest_rad, command_rad)
-        self.highest_rad = np.maximum(self.highest_rad, command_rad)
+        self._note_rest()
+        state = self.state
+        state.command_rad = command_rad.copy()
+        state.lowest_rad = np.minimum(state.lowest_rad, command_rad)
+        state.highest_rad = np.maximum(state.highest_rad, command_rad)
         self._heading, self._resting = True, False
         self._commands_since += 1
         if not followed:
@@ -106,10 +115,13 @@ class MotionGate:
         )
 
     def wait_anew(self) -> None:
-        """From the next sample on wait as after a command to where the arm is commanded now."""
-        if not self.shut:
-            self.lowest_rad = self.highest_rad = self.command_rad
+        """From the next sample on wait as after a command to the present one."""
+        self._note_rest()
         self._starting, self._resting = True, False
+
+    def _note_rest(self) -> None:
+        if not self.shut:
+            self.state.lowest_rad = self.state.highest_rad = self.command_rad
 
     def moving(self, stamp_ns: int, now_ns: int, now_s: float) -> bool:
         """Whether the arm may still move, or swing, at the next sample's stamp.
@@ -122,10 +134,10 @@ class MotionGate:
         shut = self._may_move(stamp_ns, now_ns, now_s)
         course = self._course
         if course.moving:
-            course.at(max(0, stamp_ns - self._course_from_ns) * 1e-9)
+            course.at(max(0, stamp_ns - self.state.course_from_ns) * 1e-9)
         if self._heading:
             course.go_to(self.command_rad)
-            self._heading, self._course_from_ns = False, stamp_ns
+            self._heading, self.state.course_from_ns = False, stamp_ns
         self._resting &= not course.moving
         if not shut:
             self._pose_at(course.state[0] if course.moving else self.command_rad)
@@ -138,7 +150,7 @@ class MotionGate:
             if off_rad > self._still_rad and self._course.moving:  # after a wait it has settled
                 self._turned_ns = self._last_ns
             if off_rad > _POSE_STEPS_RAD[self._course.moving]:
-                self.pose_rad = angles_rad
+                self.state.pose_rad = angles_rad
 
     @property
     def turning(self) -> bool:
@@ -146,7 +158,7 @@ class MotionGate:
         return self._last_ns - self._turned_ns <= self._settle_s * 1e9
 
     def estimated(self, known: bool) -> None:
-        """Whether there was an estimate of the last sample; none for long is reported."""
+        """Note whether the last sample had an estimate; a long time without one is reported."""
         if known:
             self._blind_since_ns, self._commands_since = None, 0
         elif self._blind_since_ns is None:
@@ -154,90 +166,82 @@ class MotionGate:
 
     def _may_move(self, stamp_ns: int, now_ns: int, now_s: float) -> bool:
         self.step, self._resting = 0, False
-        first, last_ns = self._last_ns == _LONG_AGO_NS, self._last_ns
+        state, first, last_ns = self.state, self._last_ns == _LONG_AGO_NS, self._last_ns
         if stamp_ns < last_ns:
-            self.rest_from_ns -= last_ns - stamp_ns
-            self._course_from_ns -= last_ns - stamp_ns
+            state.rest_from_ns -= last_ns - stamp_ns
+            state.course_from_ns -= last_ns - stamp_ns
             self.step = -1
         self._last_ns = stamp_ns
         if first or self._starting:
             latest_ns = stamp_ns + self._longest_wait_ns(restored=not self._starting)
-            if first and self.rest_from_ns > latest_ns:
-                self.shortened_s = (self.rest_from_ns - latest_ns) * 1e-9
+            if first and state.rest_from_ns > latest_ns:
+                self.shortened_s = (state.rest_from_ns - latest_ns) * 1e-9
             if self._starting or self.shortened_s:
-                self.rest_from_ns = latest_ns
+                state.rest_from_ns = latest_ns
             self._starting = False
             sampled_s = now_s - max(0, now_ns - stamp_ns) * 1e-9
-            self._rest_from_s = sampled_s + (self.rest_from_ns - stamp_ns) * 1e-9
-        if stamp_ns < self.rest_from_ns:
+            self._rest_from_s = sampled_s + (state.rest_from_ns - stamp_ns) * 1e-9
+        if stamp_ns < state.rest_from_ns:
             return True
         left_s = self._rest_from_s - now_s
         if left_s <= _CLOCK_JITTER_S:
             self._resting = not self.step
             return False
-        self.rest_from_ns = stamp_ns + round(left_s * 1e9)
+        state.rest_from_ns = stamp_ns + round(left_s * 1e9)
         self.step = 1
         return True
 
     @property
     def shut(self) -> bool:
         """Whether the arm may have moved at the last sample, or was commanded since."""
-        return self._starting or self._last_ns < self.rest_from_ns
+        return self._starting or self._last_ns < self.state.rest_from_ns
 
-    @property
-    def course(self) -> tuple[float, ...]:
-        """The set-points to come, for `restore`; empty where the pose is the command."""
-        still = self.pose_rad is self.command_rad and not self._course.moving
-        return () if still else (*self.pose_rad.tolist(), *self._course.course)
+    def snapshot(self) -> GateState:
+        """The state at the last sample, for `restore`."""
+        course = self._course.course if self._course.moving else ()
+        return self.state.model_copy(update={"course": np.array(course)})
 
-    def restore(
-        self,
-        command_rad: Array,
-        lowest_rad: Array,
-        highest_rad: Array,
-        rest_from_ns: int,
-        course: Sequence[float] = (),
-        at_ns: int = 0,
-    ) -> None:
-        """Continue from the attributes of another gate, as they were at a sample stamped `at_ns`.
+    def restore(self, state: GateState) -> None:
+        """Continue from the snapshot of another gate.
 
-        No longer is waited than for a move between these angles.
+        The wait is no longer than that of a move between its possible angles.
         """
-        self.command_rad = self.pose_rad = self.angles_rad = command_rad
-        self._course, self._heading = JointMotion(command_rad, self._speed_rad_s), False
-        if course:
-            joints = len(command_rad)
-            self.pose_rad = np.array(course[:joints])
-            self.angles_rad = command_rad.copy()  # the next sample's are others
-            self._course.resume(course[joints:])
-            self._course_from_ns = at_ns - round(course[joints] * 1e9)
-        self.lowest_rad = np.minimum(lowest_rad, command_rad)
-        self.highest_rad = np.maximum(highest_rad, command_rad)
-        self.rest_from_ns, self._last_ns = rest_from_ns, _LONG_AGO_NS
-        self._starting, self._resting, self.shortened_s = False, False, 0.0
+        self.state = state = state.model_copy()
+        command_rad = state.command_rad
+        state.lowest_rad = np.minimum(state.lowest_rad, command_rad)
+        state.highest_rad = np.maximum(state.highest_rad, command_rad)
+        self.angles_rad = state.pose_rad
+        self._course = JointMotion(command_rad, self._speed_rad_s)
+        if state.course.size:
+            self._course.resume(state.course.tolist())
+        self._last_ns = _LONG_AGO_NS
+        self._heading = self._starting = self._resting = False
+        self.step, self.shortened_s = 0, 0.0
 
     @property
     def _blind_s(self) -> float:
-        """For how long there has been no estimate, where more than one command came since."""
+        """Time without an estimate, where more than one command came since."""
         if self._blind_since_ns is None or self._commands_since < _SOME_COMMANDS:
             return 0.0
         return (self._last_ns - self._blind_since_ns) * 1e-9
 
     def _longest_wait_ns(self, *, restored: bool) -> int:
-        """Of a move to the command; of a `restored` gate's to any that was since the last rest."""
-        ends = (self.highest_rad, self.lowest_rad) if restored else (self.command_rad,) * 2
-        turn = max(
-            float((self.highest_rad - ends[1]).max()), float((ends[0] - self.lowest_rad).max())
-        )
+        """Wait for a move to the command, or between any possible angles of a `restored` gate."""
+        lowest, highest = self.state.lowest_rad, self.state.highest_rad
+        ends = (highest, lowest) if restored else (self.command_rad,) * 2
+        turn = max(float((highest - ends[1]).max()), float((ends[0] - lowest).max()))
         return round((move_duration_s(turn, self._speed_rad_s) + self._settle_s) * 1e9)
 
     def status(
         self, pose_range_deg: float, refused: int, *, received: bool, in_motion: bool
     ) -> Status:
-        """What is known of the arm's pose, for a model that was trained within ± `pose_range_deg`.
+        """What is known of the arm's pose.
 
-        `refused` commands since the last report; `received`: whether any has come; `in_motion`:
-        whether the model estimates while the arm moves.
+        Args:
+            pose_range_deg: the model was trained within ± this.
+            refused: number of commands refused since the last report.
+            received: whether any command has come.
+            in_motion: whether the model estimates while the arm moves.
         """
         command_deg = np.rad2deg(self.command_rad).tolist()
         values = {

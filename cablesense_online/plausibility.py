@@ -1,21 +1,21 @@
 """Whether readings can come from the contacts that were estimated from them.
 
-M readings answer to the two components of each of K forces, mostly of one, so M - 2 K combinations
-of them are left over. They must vanish within noise, slack cables included:
+M readings determine the two components of each of K forces, mostly of one, and M - 2 K further
+combinations of them must vanish within noise, slack cables included:
 
     r = (reading - unloaded) - (T(c, f) - T(c, 0))
 
 with T the static equilibrium at the command c under the forces f on the touched segments, and f
-fitted too. The misfit is the root mean square of r over its expected spread, so 1 for a healthy
-arm. Its spread has the sensors' noise and step, those of the tare, and forces along the segments,
-which friction at a contact may add and no estimate has.
+fitted too (`force_fit`). The misfit is the RMS of r in its expected standard deviations, so 1 for
+a healthy arm. These include the noise and step of the sensors and of the tare, and forces along
+the segments, which friction at a contact may add and no estimate has.
 
-A verdict depends on nothing before its sample, apart from the time that forces are withheld after
-a misfit.
+A verdict depends on nothing before its sample, except the time that forces are withheld after a
+misfit.
 
-What fits is not proven right: a fault whose pattern is that of a force looks like that force. So
-a contact is `unconfirmed` where one wrong reading would pass, and where readings of a steady
-contact do not fit it on their average, which has less noise.
+A fit proves nothing: a fault with the pattern of a force looks like that force. So a contact is
+`unconfirmed` if one wrong reading would pass, or if the average of a steady contact's readings,
+which has less noise, does not fit it.
 """
 
 from __future__ import annotations
@@ -29,51 +29,52 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact, Level, Status
-from cablesense_online.force_fit import Fit, ForceFits
-from cablesense_online.models import LARGEST_MISFIT
+from cablesense_online.force_fit import LARGEST_MISFIT, ForceFit, ForceFits
 from cablesense_online.samples import ProblemKind, SampleError
+from cablesense_online.state import MisfitState
 from cablesense_online.tare import UnloadedTensions
 from cablesense_sim.arm import Arm
 from cablesense_sim.replay import difference_variance_n2, mean_variance_n2
 from cablesense_training.inference.metadata import MisfitLimit, ModelMetadata
 
 FORCE_OFF_N: Final = 5.0
-"""An estimate may lie so far from the force that fits best, and a wrong reading move it so far."""
+"""Largest distance of an estimate from the force that fits best, and largest effect of one wrong
+reading on it."""
 
 BEYOND_TRAINING: Final = 1.25
 """Estimates beyond this multiple of the model's training range give no force."""
 
 LEAST_WITHHELD_S, WITHHELD_S = 0.05, 0.2
-"""After misfits no force is given for as long as they lasted, between these; a swing ends soon on
-a stiff arm. The time is renewed when half of it is left."""
+"""After misfits no force is given for as long as they lasted, within these limits: a swing ends
+soon on a stiff arm. The time is renewed when half of it has passed."""
 
 AVERAGED_S: Final = 1.0
 """Readings of a contact are averaged over up to this time."""
 
 _JUDGED_EVERY_NS, _SOONEST_NS = 100_000_000, 20_000_000
-"""How often a contact is doubted, and how soon again where its tensions respond differently."""
+"""How often a contact is judged, and how soon again if its tensions respond differently."""
 _FEWEST_AVERAGED = 5
 _STEADY_N = 1.0
-"""A force that has changed by more has no average reading."""
+"""The average begins anew when a force has changed by more."""
 _LONGEST_GAP_NS = 500_000_000
 
 _FALSE_ALARM_RATE = 1e-7
-"""The share of healthy samples, by noise alone, that the limits of model files let be withheld."""
+"""Share of healthy samples that exceed the limits of model files by noise alone."""
 _REFITTED_UP_TO = 10.0
-"""A misfit of so many times the largest that passes may come from taking as linear."""
+"""A misfit up to this multiple of the largest that passes may be due to the linearisation."""
 _LEAST_SPREAD_N = 0.01
-"""Of a sensor without noise and step."""
+"""Assumed of a sensor without noise and step."""
 
 
 class PlausibilityCheck:
     """Gives no force whose readings do not fit it, nor one soon after such a sample.
 
     Attributes:
+        state: until when forces are withheld.
+        fits: the fits of forces to readings.
         unchecked: why nothing is checked; empty where all is.
         doubt: why the contact of the last sample that fits is unconfirmed; empty where it is not.
-        withheld_until_ns: samples with earlier stamps give no force.
-        misfit_since_ns: stamp from which on readings did not fit, where that has not passed.
-        misfit: of the last sample; infinite where no equilibrium was compared with.
+        misfit: misfit of the last sample; infinite if it was compared with no equilibrium.
     """
 
     def __init__(
@@ -85,14 +86,14 @@ class PlausibilityCheck:
         model: ModelMetadata | None,
         unchecked: str = "",
     ) -> None:
-        """`largest_misfit` 0 checks nothing, and is all that does without the metadata of a model.
+        """`largest_misfit` 0 checks nothing; only then may `model`, its metadata, be None.
 
-        `unchecked`: why a model's answers cannot be checked.
+        `unchecked` states why a model's answers cannot be checked.
         """
         sensors, range_n = arm.sensors, model.force_range_n if model else 0.0
         self._limit_from = _limit_origin(largest_misfit, model.misfit_limit if model else None)
         spread_n = max(difference_variance_n2(sensors, tare_samples) ** 0.5, _LEAST_SPREAD_N)
-        self._fits = ForceFits(statics, spread_n)
+        self.fits = ForceFits(statics, spread_n)
         self._sensors, self._tare_samples = sensors, tare_samples
         self.unchecked = unchecked or statics.incomplete
         if not largest_misfit:
@@ -102,12 +103,13 @@ class PlausibilityCheck:
         most = arm.segment_count if several else 1
         self._limits = _limits(largest_misfit, arm.cable_count, most)
         self._cable_names = arm.cable_names
-        self.withheld_until_ns = self.misfit_since_ns = 0
+        self.state = MisfitState()
         self.misfit = self._worst = 0.0
         self._withheld, self._last_problem, self._suspects = 0, "", ""
-        self._fit: Fit | None = None
+        self._fit: ForceFit | None = None
         self.doubt = self._last_doubt = ""
         self._steady: _SteadyContact | None = None
+        self._command_rad: Array | None = None
 
     def check(
         self, difference_n: Array, command_rad: Array, contacts: Sequence[Contact], stamp_ns: int
@@ -119,26 +121,28 @@ class PlausibilityCheck:
         Raises:
             SampleError: they do not fit the contacts estimated, or did not a moment ago.
         """
-        if command_rad is not self._fits.command_rad:
-            self._fits.command(command_rad)
+        if command_rad is not self._command_rad:
+            self._command_rad = command_rad
+            self.fits.command(command_rad)
             self._steady = None
         misfit = self._misfit_text(difference_n, contacts)
         self._worst = max(self._worst, self.misfit)
-        until_ns = min(self.withheld_until_ns, stamp_ns + round(WITHHELD_S * 1e9))
+        state = self.state
+        until_ns = min(state.withheld_until_ns, stamp_ns + round(WITHHELD_S * 1e9))
         if not misfit and stamp_ns >= until_ns:
             self.doubt = self._doubted(difference_n, stamp_ns)
             self._last_doubt = self.doubt or self._last_doubt
             return
         self._steady = None
-        if not self.misfit_since_ns <= stamp_ns < until_ns:  # or the stamps stepped back
-            self.misfit_since_ns = stamp_ns
-        lasted_s = (stamp_ns - self.misfit_since_ns) * 1e-9
+        if not state.misfit_since_ns <= stamp_ns < until_ns:  # or the stamps stepped back
+            state.misfit_since_ns = stamp_ns
+        lasted_s = (stamp_ns - state.misfit_since_ns) * 1e-9
         if misfit:
             hold_ns = round(min(max(lasted_s, LEAST_WITHHELD_S), WITHHELD_S) * 1e9)
             if until_ns - stamp_ns < hold_ns // 2:
                 until_ns, self._suspects = stamp_ns + hold_ns, self._suspected(difference_n)
             misfit += self._suspects
-        self.withheld_until_ns = until_ns
+        state.withheld_until_ns = until_ns
         self._withheld += 1
         misfit = misfit or "the readings fit again, and not yet for long enough"
         self._last_problem = f"{misfit} (no force for {lasted_s:.1f} s)"
@@ -157,17 +161,17 @@ class PlausibilityCheck:
         level, message = Level.OK, "readings fit the estimates"
         if self._withheld:
             level, message = Level.ERROR, self._last_problem
-            values["no force since stamp (s)"] = f"{self.misfit_since_ns * 1e-9:.3f}"
+            values["no force since stamp (s)"] = f"{self.state.misfit_since_ns * 1e-9:.3f}"
         elif self._last_doubt:
             level, message = Level.WARN, f"readings fit, but {self._last_doubt}"
         self._worst, self._withheld, self._last_doubt = 0.0, 0, ""
         return Status("plausibility", level, message, values)
 
     def _misfit_text(self, difference_n: Array, contacts: Sequence[Contact]) -> str:
-        """What does not fit, as text; empty where all does."""
+        """Why the readings do not fit, as text; empty where they do."""
         self._fit = None
         if not contacts:
-            free = difference_n / self._fits.spread_n
+            free = difference_n / self.fits.spread_n
             self.misfit = math.sqrt(float(free.dot(free)) / len(free))
             return "" if self.misfit <= self._largest else self._described("no contact")
         self.misfit = math.inf
@@ -182,7 +186,7 @@ class PlausibilityCheck:
         segments = tuple([contact.segment for contact in contacts])
         largest = self._limits[len(segments)]
         estimated_n = [c.magnitude_n * part for c in contacts for part in c.direction]
-        self._fit = fit = self._fits.best(difference_n, segments, estimated_n, largest)
+        self._fit = fit = self.fits.best(difference_n, segments, estimated_n, largest)
         if fit is None:
             return f"the arm cannot rest under {_on(segments)} of up to {force:.0f} N"
         self.misfit = fit.misfit * self._largest / largest
@@ -192,8 +196,8 @@ class PlausibilityCheck:
             return f"the estimate lies {off_n:.1f} N from {_on(segments)} that would fit"
         return "" if fit.holds else self._slack_text(fit, _on(segments))
 
-    def _slack_text(self, fit: Fit, where: str) -> str:
-        """Which cable reads slack that would not be under the forces that fit all others."""
+    def _slack_text(self, fit: ForceFit, where: str) -> str:
+        """The cable that reads slack but would be taut under the forces that fit all others."""
         if fit.consistent or not fit.near:
             return f"the arm cannot rest under {where} with the cables slack that read so"
         tension_n = fit.elastic_n
@@ -210,10 +214,10 @@ class PlausibilityCheck:
         )
 
     def _suspected(self, difference_n: Array) -> str:
-        """The cable, or a segment's cables, without whose readings all others fit."""
+        """The cable, or the cables of a segment, without which all other readings fit."""
         if self.misfit <= self._largest:
             return ""
-        ends_on = self._fits.statics.mechanism.cable_segment
+        ends_on = self.fits.statics.mechanism.cable_segment
         for cables in (
             [[cable] for cable in range(len(ends_on))],
             [np.flatnonzero(ends_on == segment).tolist() for segment in np.unique(ends_on)],
@@ -228,8 +232,8 @@ class PlausibilityCheck:
         return "; the cables of no one segment explain it"
 
     def _fit_without(self, difference_n: Array, cables: Sequence[int]) -> bool:
-        """Whether all other readings fit no contact, or the one estimated."""
-        free = np.delete(difference_n, cables) / self._fits.spread_n
+        """Whether all other readings fit no contact, or the estimated one."""
+        free = np.delete(difference_n, cables) / self.fits.spread_n
         misfits = [math.sqrt(float(free @ free) / max(len(free), 1))]
         if self._fit is not None:
             misfits.append(self._fit.without(cables))
@@ -241,7 +245,7 @@ class PlausibilityCheck:
         if fit is None:
             self._steady = None
             return ""
-        if steady is None or not steady.goes_on(fit.pose.segments, stamp_ns):
+        if steady is None or not steady.continues(fit.pose.segments, stamp_ns):
             self._steady = steady = _SteadyContact(fit.pose.segments, len(difference_n))
         steady.add(difference_n, fit.force_n, stamp_ns)
         if steady.to_be_judged(fit.response, stamp_ns):
@@ -252,8 +256,8 @@ class PlausibilityCheck:
             self._judge_average(steady, stamp_ns)
         return steady.hidden or steady.off_average
 
-    def _hidden(self, fit: Fit, difference_n: Array) -> str:
-        """Which cables' readings no others confirm in a contact, as text; else empty."""
+    def _hidden(self, fit: ForceFit, difference_n: Array) -> str:
+        """The cables whose readings no others confirm in a contact, as text; else empty."""
         hidden_n = fit.hidden_n(difference_n, self._limits[len(fit.pose.segments)])
         of = np.flatnonzero(hidden_n > FORCE_OFF_N).tolist()
         if not of:
@@ -264,10 +268,10 @@ class PlausibilityCheck:
             f"up to {min(float(hidden_n.max()), self._largest_force_n):.0f} N"
         )
 
-    def _exchanged(self, fit: Fit, difference_n: Array) -> str:
-        """Which two cables' readings, exchanged, would fit other forces on several segments.
+    def _exchanged(self, fit: ForceFit, difference_n: Array) -> str:
+        """Two cables whose exchanged readings would fit other forces on several segments.
 
-        Of one contact so little is left to its forces that this hardly ever is so.
+        With one contact this hardly ever happens, as its forces leave so little free.
         """
         segments = fit.pose.segments
         if len(segments) == 1:
@@ -275,12 +279,12 @@ class PlausibilityCheck:
         largest = self._limits[len(segments)]
         for two in combinations(range(len(difference_n)), 2):
             here, there = list(two), list(two[::-1])
-            other_n, taut = difference_n + self._fits.unloaded_n, fit.response.taut.copy()
+            other_n, taut = difference_n + self.fits.unloaded_n, fit.response.taut.copy()
             other_n[here], taut[here] = other_n[there], taut[there]
-            other_n -= self._fits.unloaded_n
-            near: Fit | None = fit.pose.beside(other_n, taut, largest)
+            other_n -= self.fits.unloaded_n
+            near: ForceFit | None = fit.pose.with_taut(other_n, taut, largest)
             if near is not None and largest < near.misfit < _REFITTED_UP_TO * largest:
-                near = self._fits.best(other_n, segments, near.force_n, largest)
+                near = self.fits.best(other_n, segments, near.force_n, largest)
             if near is None or near.misfit > largest or not near.consistent:
                 continue
             if (off_n := math.dist(near.force_n, fit.force_n)) > FORCE_OFF_N:
@@ -292,16 +296,16 @@ class PlausibilityCheck:
         return ""
 
     def _judge_average(self, steady: _SteadyContact, stamp_ns: int) -> None:
-        """Set whether the readings of a contact fit on their average.
+        """Judge whether the average of a contact's readings fits.
 
-        The limit is that of one reading, less what an average has less of noise.
+        The limit is that of one reading, reduced as the noise of an average is.
         """
         count, full = steady.count, stamp_ns - steady.began_ns >= AVERAGED_S * 1e9
         variances_n2 = (mean_variance_n2(self._sensors, n) for n in (count, self._tare_samples))
         spread_n = max(sum(variances_n2) ** 0.5, _LEAST_SPREAD_N)
-        largest = self._limits[len(steady.segments)] * spread_n / self._fits.spread_n
+        largest = self._limits[len(steady.segments)] * spread_n / self.fits.spread_n
         mean_n = steady.sum_n / count
-        fit = self._fits.best(mean_n, steady.segments, steady.force_n, largest)
+        fit = self.fits.best(mean_n, steady.segments, steady.force_n, largest)
         if fit is not None and fit.misfit > largest:
             steady.off_average = (
                 f"on their average of {count} they lie {fit.misfit:.2f} times as far from "
@@ -314,15 +318,15 @@ class PlausibilityCheck:
 
 
 class _SteadyContact:
-    """The readings of a contact, or of several, averaged while they hold still.
+    """The readings of one or several contacts, averaged while their forces are steady.
 
     Attributes:
-        segments: that are touched.
-        count, sum_n: readings averaged, and their sum (M,) less unloaded tensions, N.
+        segments: the touched segments.
+        count, sum_n: number of readings, and their sum (M,) less unloaded tensions, N.
         began_ns: stamp of the first of them.
-        force_n: y and z of each force behind the first of them.
+        force_n: y and z of each force at the first of them.
         averaged_ns: stamp at which the average was last judged.
-        hidden, off_average: what was found, as text; empty where nothing was.
+        hidden, off_average: findings, as text; empty where there are none.
     """
 
     def __init__(self, segments: tuple[int, ...], cables: int) -> None:
@@ -334,12 +338,12 @@ class _SteadyContact:
         self._judged: dict[int, tuple[object, int, str]] = {}
         self.hidden = self.off_average = ""
 
-    def goes_on(self, segments: tuple[int, ...], stamp_ns: int) -> bool:
+    def continues(self, segments: tuple[int, ...], stamp_ns: int) -> bool:
         """Whether a sample is of the same contact."""
         return segments == self.segments and 0 < stamp_ns - self._last_ns <= _LONGEST_GAP_NS
 
     def add(self, difference_n: Array, force_n: tuple[float, ...], stamp_ns: int) -> None:
-        """Readings less unloaded tensions (M,), and the forces that fit them, y and z of each."""
+        """Add readings less unloaded tensions (M,), and the forces that fit them, y and z each."""
         if math.dist(force_n, self.force_n) > _STEADY_N:
             self.off_average, self.force_n = "", force_n
             self.begin(stamp_ns)
@@ -348,14 +352,14 @@ class _SteadyContact:
         self.count += 1
 
     def to_be_judged(self, response: object, stamp_ns: int) -> bool:
-        """Whether it is time to judge what readings with this response of the tensions hide."""
+        """Whether readings with this response of the tensions are due to be judged."""
         before = self._judged.get(id(response))
         if before is not None and stamp_ns - before[1] < _JUDGED_EVERY_NS:
             return False
         return stamp_ns - self._judged_ns >= _SOONEST_NS
 
     def judge(self, response: object, stamp_ns: int, hidden: str) -> None:
-        """Take over what was found of it; readings at the edge of slack have two in turn."""
+        """Keep a finding for each response: at the edge of slack two alternate."""
         last_ns = stamp_ns - 2 * _JUDGED_EVERY_NS
         self._judged = {key: one for key, one in self._judged.items() if one[1] > last_ns}
         self._judged[id(response)] = response, stamp_ns, hidden
@@ -363,7 +367,7 @@ class _SteadyContact:
         self.hidden = next((text for _, _, text in self._judged.values() if text), "")
 
     def begin(self, stamp_ns: int) -> None:
-        """Average anew."""
+        """Begin a new average."""
         self.sum_n[:] = 0.0
         self.count, self.began_ns = 0, stamp_ns
 
@@ -376,10 +380,11 @@ def _on(segments: Sequence[int]) -> str:
 
 
 def _limits(of_one: float, cables: int, most: int) -> list[float]:
-    """The largest misfit that passes with so many contacts, up to `most`.
+    """The largest misfit that passes, by number of contacts up to `most`.
 
-    It is stated for one, and holds without any. What is left over of fewer readings varies more:
-    of noise alone (M - 2 K) misfit² is above its chi-square's quantile equally rarely.
+    The stated limit `of_one` also holds without contact. With more contacts the residuals have
+    fewer degrees of freedom and their mean square varies more: each limit is exceeded equally
+    rarely by noise alone, where (M - 2 K) misfit² has a chi-square distribution.
     """
     if most == 1:
         return [of_one] * 2

@@ -1,21 +1,32 @@
-"""The estimator's state: all that its answers rest on beside the samples, in its one form.
+"""The estimator's state as data, with the settings and events in it, and its journal messages.
 
-With a state and the samples from there on every answer is determined, whatever came before.
-`EstimatorState` is validated wherever it comes from, and has two serialisations: the file of
-`state_file.py`, and here a message of `~/journal`, published whenever the state changes. That is a
-`diagnostic_msgs/DiagnosticArray` with one status for each event since the state before and one for
-each part of the state, numbers as text with all their digits.
+Every answer follows from a state and the samples after it, whatever came before. So the state is
+one `EstimatorState`, whose parts the estimation's components change in place. Its JSON is the only
+serialized form, in the state file and in the messages of `~/journal`. To restore a state is to
+assign its parts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import json
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from enum import Enum
 from math import tau
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetPydanticSchema,
+    PlainSerializer,
+    ValidationError,
+)
 
 from cablesense_base import Array
 from cablesense_base.plain_yaml import Count, Number, describe_problem
@@ -25,20 +36,27 @@ from cablesense_sim.arm import Arm
 
 MAX_NUMBERS: Final = 4096
 MAX_ABSOLUTE: Final = 1e9
-"""No angle in rad and no tension in N is so large."""
+"""No angle in rad and no tension in N is this large."""
+
+
+def _as_list(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 _Bounded = Annotated[Number, Field(gt=-MAX_ABSOLUTE, lt=MAX_ABSOLUTE, allow_inf_nan=False)]
 Numbers = Annotated[tuple[_Bounded, ...], Field(max_length=MAX_NUMBERS)]
+_NumbersAsArray = Annotated[
+    Numbers, BeforeValidator(_as_list), AfterValidator(np.array), PlainSerializer(_as_list)
+]
+Vector = Annotated[Array, GetPydanticSchema(lambda _, handler: handler(_NumbersAsArray))]
+"""An array of one axis in memory, a bounded list of numbers in JSON; never changed in place."""
 WholeNumber = Annotated[Count, Field(ge=-(2**63), lt=2**63)]
 _NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+_EMPTY = Field(default_factory=lambda: np.zeros(0))
 
 
 class EstimationSettings(BaseModel):
-    """The estimator's settings, as the node's parameters of these names, angles in rad.
-
-    Recordings from before there was a `largest_misfit` were answered without a check.
-    """
+    """The estimator's settings: the node's parameters of these names, with angles in rad."""
 
     model_config = ConfigDict(frozen=True)
 
@@ -61,11 +79,7 @@ class EstimationSettings(BaseModel):
 
 
 LIVE_SETTINGS: Final = ("contact_threshold", "stale_after_s", "slack_below_n")
-"""Those that may change while an estimator runs."""
-
-
-MOST_EVENTS: Final = 256
-"""Between two samples; of more, the oldest that has a later one of its kind is left out."""
+"""The settings that may change while an estimator runs."""
 
 
 class EventKind(Enum):
@@ -93,6 +107,10 @@ class Event:
     command_rad: Numbers = ()
 
 
+MOST_EVENTS: Final = 256
+"""Kept between two samples. Beyond that the oldest with a later one of its kind is dropped."""
+
+
 class EventLog:
     """What has changed since the last state."""
 
@@ -103,7 +121,7 @@ class EventLog:
         return bool(self._events)
 
     def note(self, kind: EventKind, command_rad: Array | None = None) -> None:
-        """For the next state; a start once, however often it is started before a sample."""
+        """Add an event for the next state; repeated starts before a sample count once."""
         event = Event(kind, () if command_rad is None else tuple(command_rad.tolist()))
         if kind is EventKind.START and event in self._events:
             return
@@ -113,45 +131,143 @@ class EventLog:
             del self._events[next(i for i, x in enumerate(self._events) if later[x.kind] > i)]
 
     def taken(self) -> tuple[Event, ...]:
-        """Those so far, in order; none of them is given again."""
+        """The events so far, in order; the log is empty afterwards."""
         events, self._events = tuple(self._events), []
         return events
 
 
-class BreathState(BaseModel):
-    """How far a breath has got, and what it has shown (`breath_readings`).
+class GateState(BaseModel):
+    """The command in force, and where the arm may be on its way to it.
 
     Attributes:
-        turn: in which the last reading was taken, see `messages.breath_turn`.
-        from_ns, last_ns: stamps of the turn's beginning, 0 where it does not count, and of the
-            last reading.
-        count, gap_ns: of the turn's readings, and the longest time between two.
-        sum_log_n_s: (M,) of their logarithms, each by its time.
-        lowest_n, highest_n: (M,) of them.
-        mark_turn, mark_ns: turn and stamp of the mark that the next reading passes; 0 for none.
-        reading_n: (M,) mean of the last whole turn; empty where none counts.
-        ended_ns: stamp of the breath's end; 0 where none is waited for.
-        rest_n, rest_count: (M,) readings at rest since, summed up.
-        offset_n: (M,) what friction has left on the cables, as it is added to readings.
+        command_rad: (2N,) the command in force.
+        pose_rad: (2N,) pose of the estimates: the command, or a set-point of a followed motion.
+        lowest_rad, highest_rad: (2N,) range of joint angles that is possible until the arm rests.
+        rest_from_ns: stamp from which on the arm rests.
+        course, course_from_ns: set-points of a followed motion (`JointMotion.course`) and the
+            stamp at which it began; empty where the arm is at the command.
+    """
+
+    command_rad: Vector
+    pose_rad: Vector
+    lowest_rad: Vector
+    highest_rad: Vector
+    rest_from_ns: WholeNumber
+    course: Vector = _EMPTY
+    course_from_ns: WholeNumber = 0
+
+
+def utc_text(time_ns: int) -> str:
+    """A time since the epoch to the second, as diagnostics show it."""
+    return f"{datetime.fromtimestamp(time_ns // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S UTC}"
+
+
+class Tare(BaseModel):
+    """Tensions of the unloaded arm at one command.
+
+    Attributes:
+        measured_n: (M,) mean of the readings.
+        predicted_n: (M,) unloaded tensions by the arm file at the same command.
+        command_rad: (2N,) that command.
+        sample_count: number of readings averaged.
+        taken_ns: time since the epoch, ns.
+        by_itself: whether the estimator took it by itself (`auto_tare`).
     """
 
     model_config = ConfigDict(frozen=True)
+
+    measured_n: Vector
+    predicted_n: Vector
+    command_rad: Vector
+    sample_count: WholeNumber
+    taken_ns: Annotated[Count, Field(ge=0, lt=2**63)]
+    by_itself: bool = False
+
+    @property
+    def offset_n(self) -> float:
+        """Largest deviation of a cable from the arm file, N."""
+        return float(np.abs(self.measured_n - self.predicted_n).max())
+
+    @property
+    def since(self) -> str:
+        """When it was taken, as text."""
+        return utc_text(self.taken_ns)
+
+    def unloaded_n(self, predicted_n: Array) -> Array:
+        """(M,) unloaded tensions where the arm file predicts `predicted_n`."""
+        return self.measured_n + (predicted_n - self.predicted_n)
+
+    def described(self, cable_names: Sequence[str]) -> str:
+        """Time and values, as text for a log; `cable_names` (M,)."""
+        off_n = self.measured_n - self.predicted_n
+        rows = zip(cable_names, self.measured_n, off_n, strict=True)
+        cables = ", ".join(f"{name} {tension:.2f} ({off:+.2f})" for name, tension, off in rows)
+        return (
+            f"at {self.since}: average of {self.sample_count} readings, at most "
+            f"{self.offset_n:.2f} N from the arm file's unloaded tensions; in N, with the "
+            f"deviation: {cables}"
+        )
+
+
+class TareState(BaseModel):
+    """The tare in use, and what the arm file predicts at the present angles.
+
+    Attributes:
+        tare: the tare in use.
+        predicted_n: (M,) unloaded tensions by the arm file at the present angles.
+        linear_at_rad: (2N,) angles about which predicted tensions are linearised; empty where they
+            are predicted directly.
+    """
+
+    tare: Tare | None = None
+    predicted_n: Vector
+    linear_at_rad: Vector = _EMPTY
+
+
+class MisfitState(BaseModel):
+    """Until when no force is given after readings that did not fit.
+
+    Attributes:
+        withheld_until_ns: samples with earlier stamps give no force.
+        misfit_since_ns: stamp from which on readings did not fit.
+    """
+
+    withheld_until_ns: WholeNumber = 0
+    misfit_since_ns: WholeNumber = 0
+
+
+class BreathState(BaseModel):
+    """Progress of a breath and what it has shown (`breathing.BreathReadings`).
+
+    Attributes:
+        turn: turn of the last reading, as `messages.breath_turn` numbers them.
+        from_ns, last_ns: stamps of the turn's beginning, 0 where the turn does not count, and of
+            the last reading.
+        count, gap_ns: number of readings in the turn, and the longest time between two.
+        sum_log_n: (M,) sum of their logarithms, weighted by time in s.
+        lowest_n, highest_n: (M,) range of the readings.
+        mark_turn, mark_ns: turn and stamp of the mark that the next reading passes; 0 for none.
+        reading_n: (M,) mean of the last whole turn; empty where none counts.
+        ended_ns: stamp of the breath's end; 0 where no rest is awaited.
+        rest_n, rest_count: (M,) sum of the readings at rest since, and their number.
+        offset_n: (M,) correction of the readings for friction; empty where it is not known.
+    """
 
     turn: WholeNumber = BREATH_END
     from_ns: WholeNumber = 0
     last_ns: WholeNumber = 0
     count: WholeNumber = 0
     gap_ns: WholeNumber = 0
-    sum_log_n_s: Numbers = ()
-    lowest_n: Numbers = ()
-    highest_n: Numbers = ()
+    sum_log_n: Vector = _EMPTY
+    lowest_n: Vector = _EMPTY
+    highest_n: Vector = _EMPTY
     mark_turn: WholeNumber = BREATH_END
     mark_ns: WholeNumber = 0
-    reading_n: Numbers = ()
+    reading_n: Vector = _EMPTY
     ended_ns: WholeNumber = 0
-    rest_n: Numbers = ()
+    rest_n: Vector = _EMPTY
     rest_count: WholeNumber = 0
-    offset_n: Numbers = ()
+    offset_n: Vector = _EMPTY
 
 
 class EstimatorState(BaseModel):
@@ -159,23 +275,13 @@ class EstimatorState(BaseModel):
 
     Attributes:
         before_ns: stamp of the first sample that it holds for.
-        events: what has happened since the sample before, in order.
+        events: changes since the previous sample, in order.
         arm: identity of the arm.
-        settings: of the estimator.
+        settings: settings of the estimator.
         origin: model file, its SHA-256, frame prefix and joint names, as text.
-        command_rad: (2N,) the command in force.
-        lowest_rad, highest_rad: (2N,) between which the joints may be until the arm rests.
-        rest_from_ns: samples stamped earlier are from an arm in motion.
-        course: pose (2N,) and set-points of a motion that is followed; empty where the arm is at
-            the command.
-        linear_at_rad: (2N,) angles about which unloaded tensions are taken as linear; or empty.
-        unloaded_n: (M,) unloaded tensions at this command; empty without a tare.
-        tared_n: (M,) as they were measured at the tare.
-        tare_command_rad: (2N,) the command at which it was taken.
-        pose_assumed: whether it was taken by itself, and no command has come yet.
-        withheld_until_ns: samples stamped earlier give no force, as readings did not fit.
-        misfit_since_ns: stamp from which on they did not.
-        breath: how far a breath has got, and what it has shown.
+        command_received: whether any joint command has come; until then the arm is assumed to be
+            straight.
+        gate, tare, misfit, breath: states of the components.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -185,110 +291,59 @@ class EstimatorState(BaseModel):
     arm: str
     settings: EstimationSettings
     origin: dict[str, str] = Field(default_factory=dict)
-    command_rad: Numbers
-    lowest_rad: Numbers
-    highest_rad: Numbers
-    rest_from_ns: WholeNumber
-    course: Numbers = ()
-    linear_at_rad: Numbers = ()
-    unloaded_n: Numbers = ()
-    tared_n: Numbers = ()
-    tare_command_rad: Numbers = ()
-    pose_assumed: bool = False
-    withheld_until_ns: WholeNumber = 0
-    misfit_since_ns: WholeNumber = 0
-    breath: BreathState = BreathState()
+    command_received: bool = False
+    gate: GateState
+    tare: TareState
+    misfit: MisfitState = Field(default_factory=MisfitState)
+    breath: BreathState = Field(default_factory=BreathState)
 
     def require_fitting(self, arm: Arm) -> None:
         """Refuse to continue from this state with an arm of other joints or cables.
 
         Raises:
-            ContractError: a number of angles or tensions is not that of the arm, or an angle is
+            ContractError: a vector has not the arm's number of angles or tensions, or an angle is
                 more than a turn.
         """
-        joints, cables = arm.joint_count, arm.cable_count
-        lengths = (
-            ("joint angles", self.command_rad, joints),
-            ("lowest joint angles", self.lowest_rad, joints),
-            ("highest joint angles", self.highest_rad, joints),
-            ("joint angles at the tare", self.tare_command_rad, joints),
-            ("tared tensions", self.tared_n, cables),
-            ("unloaded tensions", self.unloaded_n, cables),
-        )
-        given = [
-            (f"of {name} of the breath", numbers, cables)
-            for name, numbers in self.breath
-            if isinstance(numbers, tuple) and numbers
-        ]
-        if self.course:
-            given.append(("numbers of the course", self.course, 8 * joints + 2))
-        if self.linear_at_rad:
-            given.append(("angles of the linear tensions", self.linear_at_rad, joints))
-        for what, numbers, wanted in (*(lengths if self.tared_n else lengths[:3]), *given):
-            if len(numbers) != wanted:
+        lengths = {"rad": arm.joint_count, "n": arm.cable_count, "course": 7 * arm.joint_count + 2}
+        for name, vector, required in _vectors(self):
+            wanted = lengths[name.rpartition(".")[2].rpartition("_")[2]]
+            if len(vector) != wanted and (required or len(vector)):
                 raise ContractError(
-                    f"journal: {len(numbers)} {what}; the arm {arm.identity} has {wanted}"
+                    f"state: {name} has {len(vector)} numbers; the arm {arm.identity} has {wanted}"
                 )
-        poses = (self.lowest_rad, self.highest_rad, self.course[:joints], self.linear_at_rad)
-        widest_rad = max(abs(angle) for pose in poses for angle in pose)
-        if widest_rad > tau:
-            raise ContractError(
-                f"journal: a joint at {widest_rad:g} rad; none turns by more than {tau:.3f}"
-            )
+            if name.endswith("_rad") and np.abs(vector).max(initial=0.0) > tau:
+                raise ContractError(
+                    f"state: {name} has a joint at {np.abs(vector).max():g} rad; no joint turns "
+                    f"by more than {tau:.3f}"
+                )
+        for event in self.events:
+            if len(event.command_rad) not in (0, arm.joint_count):
+                raise ContractError(
+                    f"state: an event has {len(event.command_rad)} joint angles; the arm "
+                    f"{arm.identity} has {arm.joint_count}"
+                )
 
-    def settings_text(self) -> dict[str, str]:
-        """Origin and settings as one mapping, as both serialisations have them."""
-        return {**self.origin, **{name: _text(value) for name, value in self.settings}}
+
+def _vectors(part: BaseModel, where: str = "") -> Iterator[tuple[str, Array, bool]]:
+    """Name, value and whether it must be there of each vector in a state, its parts included."""
+    for name, field in type(part).model_fields.items():
+        value = getattr(part, name)
+        if isinstance(value, np.ndarray):
+            yield where + name, value, field.is_required()
+        elif isinstance(value, BaseModel):
+            yield from _vectors(value, f"{where}{name}.")
 
 
-def validated_state(values: Mapping[str, Any]) -> EstimatorState:
-    """A state from the values of a serialisation, whose settings and origin are one mapping.
+def validated_state(values: Any) -> EstimatorState:
+    """A state from the values of its JSON.
 
     Raises:
         ContractError: one line on the first value that is missing or cannot be.
     """
-    texts = values.get("settings")
-    names = EstimationSettings.model_fields
-    origin = {k: v for k, v in texts.items() if k not in names} if isinstance(texts, dict) else {}
     try:
-        return EstimatorState.model_validate({**values, "origin": origin})
+        return EstimatorState.model_validate(values)
     except ValidationError as error:
         raise ContractError(describe_problem(error, EstimatorState)) from error
-
-
-_EVENT, _SETTINGS, _COMMAND, _MISFIT = "event: ", "settings", "command (rad)", "misfit"
-_BREATH = "breath"
-_PARTS: Final = {
-    "motion": {
-        _COMMAND: "command_rad",
-        "lowest (rad)": "lowest_rad",
-        "highest (rad)": "highest_rad",
-        "at rest from stamp (ns)": "rest_from_ns",
-        "course": "course",
-        "tensions linear about (rad)": "linear_at_rad",
-    },
-    "tare": {
-        "unloaded (N)": "unloaded_n",
-        "measured at the tare (N)": "tared_n",
-        "command at the tare (rad)": "tare_command_rad",
-        "pose assumed": "pose_assumed",
-    },
-    _MISFIT: {
-        "no force before stamp (ns)": "withheld_until_ns",
-        "not fitting since stamp (ns)": "misfit_since_ns",
-    },
-}
-"""Statuses of a journal message, with the state's field for each of their keys."""
-_LATER: Final = (
-    "pose_assumed",
-    "withheld_until_ns",
-    "misfit_since_ns",
-    "course",
-    "linear_at_rad",
-)
-"""Fields that journals of earlier versions lack."""
-_SEVERAL: Final = ("_rad", "_n", "course")
-"""Names of fields with several numbers end so."""
 
 
 def put_state(
@@ -297,24 +352,21 @@ def put_state(
     make_status: Callable[..., Any],
     make_value: Callable[..., Any],
 ) -> None:
-    """Put a state into a `DiagnosticArray`, made of its `DiagnosticStatus` and `KeyValue`."""
-    parts = [
-        (_EVENT + event.kind.value, {_COMMAND: _text(event.command_rad)}) for event in state.events
-    ]
-    parts.append((_SETTINGS, state.settings_text()))
-    for name, keys in _PARTS.items():
-        parts.append((name, {key: _text(getattr(state, field)) for key, field in keys.items()}))
-    parts.append((_BREATH, {field: _text(value) for field, value in state.breath}))
+    """Put a state into a `DiagnosticArray`, made of its `DiagnosticStatus` and `KeyValue`.
+
+    One status names the events in its message and holds the state's fields as JSON.
+    """
     stamp = message.header.stamp
     stamp.sec, stamp.nanosec = divmod(state.before_ns, 1_000_000_000)
+    fields = state.model_dump(mode="json").items()
     message.status = [
         make_status(
             level=b"\0",
-            name=name,
+            name="state",
+            message=", ".join(event.kind.value for event in state.events),
             hardware_id=state.arm,
-            values=[make_value(key=key, value=value) for key, value in values.items()],
+            values=[make_value(key=key, value=json.dumps(value)) for key, value in fields],
         )
-        for name, values in parts
     ]
 
 
@@ -322,49 +374,13 @@ def state_of(message: Any) -> EstimatorState:
     """The state in a `DiagnosticArray`.
 
     Raises:
-        ContractError: a part is missing, or a value is none that a state can have.
+        ContractError: it holds no state, or a value that no state can have.
     """
-    statuses = {status.name: status for status in message.status}
-    wanted = [_SETTINGS, *_PARTS]
-    wanted.remove(_MISFIT)
-    missing = [name for name in wanted if name not in statuses]
-    if missing:
-        raise ContractError(
-            f"status: no {' and no '.join(missing)}; a journal message of the estimator has "
-            f"{', '.join(wanted)}"
-        )
-    stamp, settings = message.header.stamp, statuses[_SETTINGS]
-    values: dict[str, Any] = {
-        "before_ns": stamp.sec * 1_000_000_000 + stamp.nanosec,
-        "events": [
-            {
-                "kind": status.name.removeprefix(_EVENT),
-                "command_rad": _values(status).get(_COMMAND, "").split(),
-            }
-            for status in message.status
-            if status.name.startswith(_EVENT)
-        ],
-        "arm": str(settings.hardware_id),
-        "settings": _values(settings),
-    }
-    for name, keys in _PARTS.items():
-        given = _values(statuses[name]) if name in statuses else {}
-        for key, field in keys.items():
-            if key in given or field not in _LATER:
-                text = given.get(key, "")
-                values[field] = text.split() if field.endswith(_SEVERAL) else text
-    breath = _values(statuses[_BREATH]) if _BREATH in statuses else {}
-    values["breath"] = {
-        field: breath[field].split() if isinstance(of.default, tuple) else breath[field]
-        for field, of in BreathState.model_fields.items()
-        if field in breath
-    }
+    values = {}
+    for status in message.status:
+        for item in status.values if status.name == "state" else ():
+            try:
+                values[str(item.key)] = json.loads(str(item.value))
+            except (ValueError, RecursionError) as error:
+                raise ContractError(f"{str(item.key)[:40]}: is no JSON ({error})") from error
     return validated_state(values)
-
-
-def _values(status: Any) -> dict[str, str]:
-    return {str(value.key): str(value.value) for value in status.values}
-
-
-def _text(value: float | str | tuple[float, ...]) -> str:
-    return " ".join(map(repr, value)) if isinstance(value, tuple) else str(value)

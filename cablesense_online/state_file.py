@@ -1,7 +1,7 @@
 """A JSON file that keeps the estimator's latest state.
 
-An estimator that was killed continues with its tare. Without it, one that starts beside a loaded
-arm would have no tare until the load goes.
+An estimator that was killed continues with its tare. Without the file, one that restarts next to a
+loaded arm would have no tare until the load is taken away.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.state import EstimatorState, validated_state
 
-FORMAT: Final = "cablesense estimator state 1"
+FORMAT: Final = "cablesense estimator state 2"
 MAX_BYTES: Final = 200_000
 ALIVE_PERIOD_S: Final = 1.0
-"""So often the file's time is renewed: it shows when its estimator was last alive."""
+"""The file's time is renewed this often; it shows when its estimator was last alive."""
 
 
 class StateFileError(CableSenseError):
-    """A state file that cannot be continued from, or not be written."""
+    """A state file that cannot be continued from, or cannot be written."""
 
 
 class StateFile:
@@ -40,7 +40,7 @@ class StateFile:
     def __init__(
         self, path: str | Path, within_s: float, now_s: Callable[[], float] = time.time
     ) -> None:
-        """`path` empty keeps nothing; a state older than `within_s` is not continued from."""
+        """An empty `path` keeps nothing; a state older than `within_s` is refused."""
         self._path = Path(path) if str(path) else None
         self._within_s, self._now_s = within_s, now_s
         self._state: EstimatorState | None = None
@@ -75,14 +75,14 @@ class StateFile:
         if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
             raise StateFileError(f"{self._path}: is no state of an estimator ({FORMAT})")
         try:
-            state = validated_state(values | {"events": ()})
+            state = validated_state(values)
         except ContractError as error:
             raise StateFileError(f"{self._path}: is no state of an estimator: {error}") from error
         if state.arm != arm_identity:
             raise StateFileError(
                 f"{self._path}: is of arm {state.arm[:80]!r}; this is {arm_identity}"
             )
-        if not state.tared_n:
+        if state.tare.tare is None:
             raise StateFileError(f"{self._path}: its estimator had no tare")
         self._state, self._written, self._ours = state, True, True
         return state
@@ -94,8 +94,8 @@ class StateFile:
     def flush(self) -> None:
         """Write the state that was kept, or renew the file's time.
 
-        Where that fails the file is removed, as it holds an earlier state, or one whose estimator
-        seems to be dead; it is tried again every `ALIVE_PERIOD_S`.
+        If that fails the file is removed, as its state is outdated or its estimator would seem
+        dead. The write is tried again every `ALIVE_PERIOD_S`.
 
         Raises:
             StateFileError: it cannot be written.
@@ -110,8 +110,7 @@ class StateFile:
             if self._written:
                 os.utime(self._path)
             else:
-                values = self._state.model_dump(exclude={"events", "origin"})
-                values["settings"] = self._state.settings_text()
+                values = self._state.model_dump(mode="json", exclude={"events"})
                 text = json.dumps({"format": FORMAT, **values}, indent=1)
                 write_atomically(self._path, text, StateFileError)
         except (OSError, StateFileError) as error:
@@ -122,7 +121,7 @@ class StateFile:
         self._written, self._ours, self._problem = True, True, ""
 
     def status(self) -> Status | None:
-        """Whether the present state is in the file; none where no file is wanted."""
+        """Whether the present state is in the file; None where no file is wanted."""
         if self._path is None:
             return None
         if self._problem:
@@ -130,7 +129,7 @@ class StateFile:
         return Status("state file", Level.OK, f"the state is kept in {self._path}")
 
     def _invalidated(self, path: Path) -> str:
-        """Leave no earlier state in the file; gives what a restart comes to, as text."""
+        """Leave no outdated state in the file; gives the consequence for a restart, as text."""
         started = "until it is, an estimator that is started again begins without tare"
         if not self._ours:
             return started

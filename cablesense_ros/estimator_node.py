@@ -22,9 +22,9 @@ from cablesense_msgs_py.topics import Frames
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
-from cablesense_online.state import LIVE_SETTINGS, EstimationSettings
+from cablesense_online.state import LIVE_SETTINGS, EstimationSettings, Tare
 from cablesense_online.state_file import StateFile
-from cablesense_online.tare import Tare, TareError, tare_undone_line
+from cablesense_online.tare import TareError, tare_undone_line
 from cablesense_ros.endpoints import WARN_EVERY_S, RefusalLog, subscribe_to_one
 from cablesense_ros.estimator_outputs import EstimatorOutputs
 from cablesense_ros.node_process import ConfiguredNode, run_node, steady_timer

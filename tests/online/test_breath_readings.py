@@ -186,8 +186,8 @@ def test_the_state_alone_goes_on_as_well(begin_ms):
             other.read(until)
             if until == begin_ms:
                 other.readings = BreathReadings(settle_s=0.1)
-                other.readings.restore(cables.readings.state())
+                other.readings.state = cables.readings.state.model_copy()
         if turn is not None:
             cables.mark(turn)
             other.mark(turn)
-        assert cables.readings.state() == other.readings.state()
+        assert cables.readings.state.model_dump_json() == other.readings.state.model_dump_json()

@@ -241,7 +241,7 @@ def test_the_automatic_tare_of_an_assumed_pose_is_dropped_and_taken_anew():
     feed = judged().tared()
     there = solve_equilibrium(MECHANISM, BENT).tensions_n
     feed.command(BENT)
-    assert feed.sample(there).state.tared_n == ()
+    assert feed.sample(there).state.tare.tare is None
     fed(feed, there, 300)
     tare = feed.estimation.tares.present
     np.testing.assert_array_equal(tare.command_rad, BENT)

@@ -124,7 +124,7 @@ def test_a_state_comes_with_the_first_sample_after_a_change():
     ]
     assert state.settings.contact_threshold == 0.7
     assert state.origin["joints"].split() == list(ARM.joint_names)
-    assert feed.estimation.gate.rest_from_ns > feed.now_ns
+    assert feed.estimation.gate.state.rest_from_ns > feed.now_ns
 
 
 @pytest.mark.slow
@@ -137,7 +137,7 @@ def test_changes_without_samples_stay_bounded_and_the_last_of_each_kind_is_kept(
             feed.estimation.adjust(0.7, 0.2, 1.0)
     state = feed.sample().state
     assert len(state.events) == MOST_EVENTS
-    assert state.events[-1] == Event(EventKind.COMMAND, state.command_rad)
+    assert state.events[-1] == Event(EventKind.COMMAND, tuple(state.gate.command_rad))
     assert Event(EventKind.SETTINGS) in state.events
 
 
@@ -170,12 +170,11 @@ def test_the_command_that_confirms_a_pose_is_told_from_one_right_behind_it():
 def test_a_state_has_the_tare_once_there_is_one():
     feed = Feed()
     first = feed.sample().state
-    assert (first.unloaded_n, first.tared_n, first.tare_command_rad) == ((), (), ())
+    assert first.tare.tare is None
     for _ in range(SETTINGS.tare_samples):
         state = feed.sample().state
-    np.testing.assert_allclose(state.tared_n, UNLOADED)
-    assert state.tared_n == state.unloaded_n
-    assert state.tare_command_rad == (0.0,) * 8
+    np.testing.assert_allclose(state.tare.tare.measured_n, UNLOADED)
+    np.testing.assert_array_equal(state.tare.tare.command_rad, np.zeros(8))
 
 
 def test_a_sample_refused_for_its_content_is_answered_with_its_stamp():
@@ -192,12 +191,14 @@ def test_another_arm_carries_the_tare_over_by_its_own_model():
     feed = every_bit()
     for _ in range(5):
         state = feed.sample(np.full(12, 100.0)).state
-    moved = state.model_copy(update={"command_rad": (0.01,) * 8})
+    there = {"command_rad": np.full(8, 0.01), "pose_rad": np.full(8, 0.01)}
+    moved = state.model_copy(update={"gate": state.gate.model_copy(update=there)})
     same, other = every_bit().estimation, every_bit().estimation
     same.restore(moved)
     other.restore(moved.model_copy(update={"arm": "another"}))
-    np.testing.assert_array_equal(same.tares.unloaded_n, state.unloaded_n)
-    gone = other.tares.unloaded_n - np.array(state.tared_n)
+    measured_n = state.tare.tare.measured_n
+    np.testing.assert_array_equal(same.tares.unloaded_n, measured_n)
+    gone = other.tares.unloaded_n - measured_n
     predict_n = UnloadedTensions(ARM).predict_n
     np.testing.assert_allclose(
         gone, predict_n(np.full(8, 0.01)) - predict_n(np.zeros(8)), atol=1e-9
@@ -207,5 +208,6 @@ def test_another_arm_carries_the_tare_over_by_its_own_model():
 def test_a_state_of_an_arm_with_other_joints_is_refused():
     feed = Feed()
     state = feed.sample().state
-    with pytest.raises(ContractError, match="7 joint angles"):
-        feed.estimation.restore(state.model_copy(update={"command_rad": (0.0,) * 7}))
+    wrong = state.gate.model_copy(update={"command_rad": np.zeros(7)})
+    with pytest.raises(ContractError, match=r"gate.command_rad has 7 numbers"):
+        feed.estimation.restore(state.model_copy(update={"gate": wrong}))

@@ -9,8 +9,9 @@ from estimation_settings import estimation_settings
 from joint_commands import joint_command
 
 from cablesense_msgs_py.messages import NO_CONTACT, Contact
+from cablesense_online.answer import decide
 from cablesense_online.estimation import Estimation
-from cablesense_online.models import ContactModel, HistoryDependentModel, decide, load_model
+from cablesense_online.models import ContactModel, HistoryDependentModel, load_model
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.tare import Tares

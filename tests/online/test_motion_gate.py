@@ -45,7 +45,7 @@ def test_shut_for_the_move_and_the_settling_from_the_next_sample_on():
     assert watched.shut
     assert watched.moving(10 * S)
     end = 10 * S + round((move_duration_s(0.3, SPEED) + SETTLE) * S)
-    assert watched.rest_from_ns == end
+    assert watched.state.rest_from_ns == end
     assert watched.moving(end - 1)
     assert not watched.moving(end)
     assert not watched.shut
@@ -75,7 +75,7 @@ def test_stamps_that_step_back_keep_what_is_left_to_wait():
     watched = gate()
     watched.command(np.array([0.0, 0.3]))
     watched.moving(3600 * S, now_s=0.0)
-    left = watched.rest_from_ns - 3600 * S
+    left = watched.state.rest_from_ns - 3600 * S
     assert watched.moving(5 * S, now_s=0.0)
     assert watched.step == -1
     assert watched.moving(5 * S + left - MS, now_s=left * 1e-9 - 1e-3)
@@ -86,10 +86,10 @@ def test_stamps_that_step_forward_do_not_end_the_wait():
     watched = gate()
     watched.command(np.array([0.0, 0.3]))
     watched.moving(0, now_s=100.0)
-    wait_s = watched.rest_from_ns * 1e-9
+    wait_s = watched.state.rest_from_ns * 1e-9
     assert watched.moving(3600 * S, now_s=100.5)
     assert watched.step == 1
-    assert watched.rest_from_ns == pytest.approx(3600 * S + (wait_s - 0.5) * S, abs=MS)
+    assert watched.state.rest_from_ns == pytest.approx(3600 * S + (wait_s - 0.5) * S, abs=MS)
     assert watched.moving(round((3600.0 + wait_s - 0.5) * S) - MS, now_s=99.999 + wait_s)
     assert watched.step == 0
     assert not watched.moving(round((3600.0 + wait_s - 0.5) * S), now_s=100.0 + wait_s)
@@ -101,16 +101,25 @@ def test_samples_that_come_late_or_of_another_clock_are_no_step(ages_ms):
     watched.command(np.array([0.0, 0.3]))
     first, last = (age * MS for age in ages_ms)
     watched.moving(10 * S, now_ns=10 * S + first)
-    end = watched.rest_from_ns
+    end = watched.state.rest_from_ns
     assert not watched.moving(end, now_ns=end + last)
 
 
 def test_the_rest_of_a_restored_gate_is_no_further_ahead_than_a_move_takes():
     watched, there = gate(), np.array([0.0, 0.3])
-    watched.restore(there, np.zeros(2), there, 3600 * S)
+    watched.restore(
+        watched.snapshot().model_copy(
+            update={
+                "command_rad": there,
+                "pose_rad": there,
+                "highest_rad": there,
+                "rest_from_ns": 3600 * S,
+            }
+        )
+    )
     assert watched.moving(5 * S)
     wait_ns = round((move_duration_s(0.3, SPEED) + SETTLE) * S)
-    assert watched.rest_from_ns == 5 * S + wait_ns
+    assert watched.state.rest_from_ns == 5 * S + wait_ns
     status = watched.status_now()
     assert status.level is Level.WARN
     assert "lay 359" in status.message
@@ -124,14 +133,14 @@ def test_a_wait_anew_is_one_of_the_move_that_may_be_under_way():
     watched.moving(0)
     watched.wait_anew()
     assert watched.moving(S)
-    assert watched.rest_from_ns == S + round((move_duration_s(0.0, SPEED) + SETTLE) * S)
+    assert watched.state.rest_from_ns == S + round((move_duration_s(0.0, SPEED) + SETTLE) * S)
     watched.moving(100 * S)
     watched.command(there)
     watched.moving(200 * S)
     watched.wait_anew()
     assert watched.moving(200 * S + 100 * MS)
     wait_ns = round((move_duration_s(0.3, SPEED) + SETTLE) * S)
-    assert watched.rest_from_ns == 200 * S + 100 * MS + wait_ns
+    assert watched.state.rest_from_ns == 200 * S + 100 * MS + wait_ns
 
 
 STILL, FOLLOW = 1e-4, 0.05
@@ -197,12 +206,11 @@ def test_a_gate_restored_anywhere_answers_the_same(seed, restored_at, follows):
         moving = watched.moving(10 * MS * step)
         if other is not None:
             assert other.moving(10 * MS * step) == moving
-            assert other.rest_from_ns == watched.rest_from_ns
+            assert other.state.rest_from_ns == watched.state.rest_from_ns
             np.testing.assert_array_equal(other.pose_rad, watched.pose_rad)
         if step == restored_at:
             other = gate()
-            state = (watched.command_rad, watched.lowest_rad, watched.highest_rad)
-            other.restore(*state, watched.rest_from_ns, watched.course, 10 * MS * step)
+            other.restore(watched.snapshot())
             other.moving(10 * MS * step)
 
 
@@ -211,8 +219,7 @@ def test_a_gate_that_is_restored_late_is_where_the_joints_are_by_then():
     for step in range(20):
         watched.command(np.array([0.0, 0.4 * FOLLOW * 0.01 * step]))
         watched.moving(10 * MS * step)
-    state = (watched.command_rad, watched.lowest_rad, watched.highest_rad, watched.rest_from_ns)
-    other.restore(*state, watched.course, 190 * MS)
+    other.restore(watched.snapshot())
     for step in range(20, 24):
         watched.moving(10 * MS * step)
     other.moving(230 * MS)

@@ -181,7 +181,9 @@ def test_estimates_are_written_and_another_model_gives_others(whole, tmp_path):
 
 
 def test_another_arm_must_have_the_same_joints(whole):
-    with pytest.raises(CableSenseError, match=r"8 joint angles; the arm cdsm_table2-\w+ has 6"):
+    with pytest.raises(
+        CableSenseError, match=r"gate.command_rad has 8 numbers; the arm cdsm_table2-\w+ has 6"
+    ):
         replay_in_process(RecordedRun(whole), arm="cdsm_table2")
     assert replay_in_process(RecordedRun(whole), arm="cdsm_lab").compared == 300
 
