@@ -70,7 +70,6 @@ CASES = (
         1,
         {
             "temporal (shipped)": "cdsm_moving",
-            "the same without memory": "peers/cdsm_momentary",
             "statics (shipped)": "cdsm",
         },
     ),

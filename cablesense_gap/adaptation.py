@@ -21,7 +21,6 @@ from cablesense_gap.recorded_contacts import (
     RecordedErrors,
     contact_errors,
     recorded_errors,
-    tares_from_before,
     tares_n,
     with_acting_loads,
     without_history_n,
@@ -39,7 +38,6 @@ from cablesense_training.inference.estimator import NORMAL_95, Estimator, Sequen
 from cablesense_training.inference.history_simulation import (
     HistorySimulation,
     depends_on_history,
-    remembered,
     without_history,
 )
 from cablesense_training.inference.metadata import HISTORY_SIMULATED
@@ -48,7 +46,6 @@ from cablesense_training.model_training import contact_answer, draw_training_dat
 from cablesense_training.networks import Network
 from cablesense_training.networks.corrected import CorrectedClosedForm
 from cablesense_training.networks.temporal import TemporalNetwork
-from cablesense_training.networks.unlagged import UnlaggedClosedForm, lags
 from cablesense_training.recipes import adjusted, recipe_for
 
 NETWORK = "closed-form-corrected"
@@ -187,16 +184,13 @@ def train_for(
 ) -> None:
     """Train a network for an arm over the poses and forces of a first model, into a file.
 
-    What depends on history it knows by a simulation beside the network, lag of sensors alone by
-    its inverse. Poses go as far as the recording's where that
-    is farther, forces as far as the arm bears. Its intervals are widened until they hold the
-    forces of the recording, which has what no simulation has.
+    History-dependent effects are known to it by a simulation that runs with the network. Poses go
+    as far as the recording's if that is farther, and forces as far as the arm bears. Its intervals
+    are widened until they hold the forces of the recording.
     """
     network, metadata = NETWORK, first.metadata
     if depends_on_history(arm):
         network = HISTORY_SIMULATED
-    elif lags(arm):
-        network, arm = "unlagged", remembered(arm)
     else:
         arm = without_history(arm)
     pose_deg = float(np.rad2deg(np.abs(recording.command_rad).max()))
@@ -217,11 +211,7 @@ def train_for(
         def answering(taken: Recording, tare_n: Array, rows: NDArray[np.bool_]) -> ContactAnswer:
             nonlocal unseen_n
             difference_n, hidden_n = taken.tensions_n - tare_n, np.zeros((len(taken), 2))
-            if isinstance(trained, UnlaggedClosedForm):
-                tare_n = tares_from_before(taken, tare_n)
-                difference_n = taken.tensions_n - tare_n
-                difference_n = trained.undone_n(difference_n, tare_n, taken.time_s)
-            elif network == HISTORY_SIMULATED:
+            if network == HISTORY_SIMULATED:
                 simulation = HistorySimulation(arm, metadata.tare_samples)
                 difference_n, hidden_n = without_history_n(taken, tare_n, simulation)
             unseen_n = hidden_n[rows]

@@ -24,7 +24,6 @@ from cablesense_training.inference.temporal_estimator import TEMPORAL_OUTPUTS
 from cablesense_training.networks import MultiContactNetwork, Network
 from cablesense_training.networks.corrected import CorrectedClosedForm
 from cablesense_training.networks.temporal import TemporalNetwork, Ticks
-from cablesense_training.networks.unlagged import UnlaggedClosedForm
 
 OPSET = 20
 
@@ -66,8 +65,6 @@ class _Answers(nn.Module):
             self.outputs = (*TEMPORAL_OUTPUTS, INTERVAL)
         elif isinstance(network, MultiContactNetwork):
             self.outputs = MULTI_OUTPUTS
-        elif isinstance(network, UnlaggedClosedForm):
-            self.outputs = TEMPORAL_OUTPUTS
         elif isinstance(network, CorrectedClosedForm):
             self.outputs = (*OUTPUTS, TAUT)
 
@@ -80,8 +77,6 @@ class _Answers(nn.Module):
         beside: list[Tensor] = []
         if isinstance(network, TemporalNetwork):
             output, *beside = network(Ticks(*inputs[:-1]), inputs[-1])
-        elif isinstance(network, UnlaggedClosedForm):
-            output, *beside = network.tick(Ticks(*inputs[:-1]), inputs[-1])
         elif isinstance(network, CorrectedClosedForm):
             output, *beside = network.answer_and_taut(*inputs)
         else:

@@ -51,11 +51,7 @@ from cablesense_training.inference.temporal_estimator import TemporalEstimator
 from cablesense_training.networks import MultiContactNetwork, Network, SingleContactNetwork
 from cablesense_training.networks.corrected import CorrectedClosedForm
 from cablesense_training.networks.temporal import TemporalNetwork
-from cablesense_training.networks.unlagged import (
-    UnlaggedClosedForm,
-    added_noise_n,
-)
-from cablesense_training.recipes import build_network, network_name, recipe_for
+from cablesense_training.recipes import build_network, recipe_for
 
 TEST_SAMPLES = 20_000
 TEST_SHARE_OF_SEQUENCES = 0.125
@@ -158,20 +154,7 @@ def draw_training_data(
         for part in generate(recipe.drawn_on(arm), protocol, seed, workers=workers):
             parts.append(part)
             advance(len(part))
-    return _as_undone(Dataset.concatenate(parts), arm, network)
-
-
-def _as_undone(settled: Dataset, arm: Arm, network: str) -> Dataset:
-    """Samples that a recipe's `drawn_on` gives as they are behind what undoes the rest of an arm.
-
-    Undoing lags adds noise.
-    """
-    if network_name(network) != "unlagged":
-        return replace(settled, arm=arm)
-    std_n = added_noise_n(arm, settled.protocol.tare_samples)
-    noise_n = np.random.default_rng(settled.seed).normal(0.0, 1.0, (len(settled), len(std_n)))
-    difference_n = settled.tension_difference_n + std_n * noise_n
-    return replace(settled, arm=arm, tension_difference_n=difference_n)
+    return replace(Dataset.concatenate(parts), arm=arm)
 
 
 def train_model(
@@ -202,21 +185,20 @@ def train_model(
         TrainingError: unknown network, data or settings that do not fit it, a place that cannot
             be written to, or a loss that is not finite.
     """
-    path, name = Path(path), network_name(network)
-    recipe = recipe_for(name)
+    path, recipe = Path(path), recipe_for(network)
     follows = "motion" if isinstance(data, Sequences) else data.protocol.kind
     if follows != recipe.learns_from:
         remedy = f" (cablesense dataset --protocol {recipe.learns_from})"
         raise TrainingError(
-            f"network {name} is for protocol {recipe.learns_from}; the data follow {follows}"
+            f"network {network} is for protocol {recipe.learns_from}; the data follow {follows}"
             + (remedy if recipe.learns_from != "motion" else "")
         )
     if not isinstance(settings, type(recipe.settings)):
         wanted, given = type(recipe.settings).__name__, type(settings).__name__
-        raise TrainingError(f"network {name} is trained with {wanted}, not {given}")
+        raise TrainingError(f"network {network} is trained with {wanted}, not {given}")
     output_file(path, TrainingError, force=True)
-    built = build_network(name, data.arm, settings.seed, data.protocol.tare_samples)
-    metadata = _metadata(name, built, data, settings.seed, command)
+    built = build_network(network, data.arm, settings.seed, data.protocol.tare_samples)
+    metadata = _metadata(network, built, data, settings.seed, command)
     parameters = sum(p.numel() for p in built.parameters() if p.requires_grad)
     test_seed = data.seed + TEST_SEED_OFFSET
     errors: dict[str, Any]
@@ -240,9 +222,9 @@ def train_model(
         on_trained(built)
         protocol = replace(data.protocol, samples=test_samples or TEST_SAMPLES)
         tested = draw_dataset(recipe.drawn_on(data.arm), protocol, test_seed)
-        errors = _sample_errors(built, _as_undone(tested, data.arm, name))
+        errors = _sample_errors(built, replace(tested, arm=data.arm))
         export_model(built, path, metadata)
-    return TrainingReport(path, name, parameters, history, **errors)
+    return TrainingReport(path, network, parameters, history, **errors)
 
 
 def widened_by_history(arm: Arm, seed: int) -> Callable[[Network | TemporalNetwork], None]:
@@ -299,13 +281,6 @@ def _metadata(
             "hidden": network.hidden,
             "tick_s": protocol.tick_s,
             "joint_speed_deg_s": protocol.joint_speed_deg_s,
-        }
-    elif isinstance(network, UnlaggedClosedForm):
-        of_sequences = {
-            "memory": network.memory,
-            "hidden": network.own_state,
-            "tick_s": network.tick_s,
-            "joint_speed_deg_s": MotionProtocol.joint_speed_deg_s,
         }
     straight = not isinstance(protocol, MotionProtocol) and protocol.pose == "straight"
     return ModelMetadata(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Literal, TypeVar
 
 import torch
@@ -32,7 +31,6 @@ from cablesense_training.networks.single_contact import (
     TwoStageNetwork,
 )
 from cablesense_training.networks.temporal import TemporalNetwork
-from cablesense_training.networks.unlagged import UnlaggedClosedForm, settled_sensors
 
 Settings = TypeVar("Settings", bound=LoopSettings)
 
@@ -67,13 +65,6 @@ RECIPES: dict[str, Recipe] = {
         40_000,
         FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4),
     ),
-    "unlagged": Recipe(
-        "single",
-        UnlaggedClosedForm.for_arm,
-        40_000,
-        FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4),
-        settled_sensors,
-    ),
     HISTORY_SIMULATED: Recipe(
         "single",
         WithoutHistory.for_arm,
@@ -98,36 +89,24 @@ RECIPES: dict[str, Recipe] = {
         FitSettings(epochs=20, batch_size=1024, learning_rate=1e-2),
     ),
     "temporal": Recipe("motion", TemporalNetwork.for_arm, 256, _IN_MOTION),
-    "memoryless": Recipe(
-        "motion", partial(TemporalNetwork.for_arm, recurrent=False), 256, _IN_MOTION
-    ),
 }
 
-_OLD_NAMES = {"momentary": "memoryless"}
-"""Names in older commands and model files."""
 
-
-def network_name(name: str) -> str:
-    """The network that a name stands for, today's or an older one.
+def recipe_for(name: str) -> Recipe:
+    """The recipe of a network.
 
     Raises:
         TrainingError: there is no network of that name; the message lists those there are.
     """
-    name = _OLD_NAMES.get(name, name)
     if name not in RECIPES:
         raise TrainingError(f"no network {name!r}; there are: {', '.join(RECIPES)}")
-    return name
-
-
-def recipe_for(name: str) -> Recipe:
-    """The recipe of a network; for an unknown name as `network_name`."""
-    return RECIPES[network_name(name)]
+    return RECIPES[name]
 
 
 def build_network(
     name: str, arm: Arm, seed: int = 0, tare_samples: int = 50
 ) -> Network | TemporalNetwork:
-    """A network for an arm with the initial weights that the seed gives; see `network_name`."""
+    """A network for an arm with the initial weights that the seed gives; see `recipe_for`."""
     recipe = recipe_for(name)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)

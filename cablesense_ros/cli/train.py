@@ -41,9 +41,8 @@ def train(
             "accurate; closed-form: statics alone. From tensions alone: scale-aware, or the "
             "paper's decoupled, shared-backbone and two-stage. Several contacts at once: "
             "multi-contact-closed-form, or the paper's multi-contact. In motion and under "
-            "friction: temporal, which is history-dependent, and its baseline memoryless. For an "
-            "arm file with lagging sensors: unlagged; with friction, creep or backlash whose "
-            "numbers are known: history-simulated."
+            "friction: temporal, which is history-dependent. For an arm file with friction, "
+            "creep, backlash or lagging sensors whose numbers are known: history-simulated."
         ),
     ] = "closed-form-corrected",
     data: Annotated[

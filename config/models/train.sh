@@ -27,4 +27,3 @@ train --arm cdsm --network multi-contact --pose straight --out $here/peers/cdsm_
 train --arm cdsm --network temporal --samples 96 --epochs 40 --out $here/cdsm_moving.onnx
 train --arm cdsm_friction --network temporal --samples 640 --epochs 30 --out $here/cdsm_friction.onnx
 train --arm cdsm_friction --network history-simulated --out $here/cdsm_friction_simulated.onnx
-train --arm cdsm --network momentary --samples 48 --epochs 20 --out $here/peers/cdsm_momentary.onnx

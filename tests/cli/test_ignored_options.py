@@ -37,7 +37,7 @@ from cablesense_ros.cli.options import OptionError, refuse_given
         ("train --pose straight --pose-range-deg 5", "--pose-range-deg"),
         ("train --network temporal --pose straight", "--pose"),
         ("train --network temporal --randomise payload", "--randomise"),
-        ("train --network momentary --data data.parquet", "--data"),
+        ("train --network temporal --data data.parquet", "--data"),
         ("dataset --out d.parquet --pose straight --pose-range-deg 5", "--pose-range-deg"),
         ("dataset --out d.parquet --dask-scheduler tcp://a:1 --workers 3", "--workers"),
         ("sensors check run.csv --seconds 20", "--seconds"),

@@ -105,11 +105,11 @@ def test_a_network_for_sequences_draws_them_itself(tmp_path, monkeypatch):
     module = "cablesense_training.model_training"
     monkeypatch.setattr(f"{module}.draw_training_data", lambda arm, name, given, *_, **__: given)
     monkeypatch.setattr(f"{module}.train_model", train_nothing)
-    words = ["--network", "momentary", "--samples", "4", "--epochs", "1", "--force-high-n", "50"]
+    words = ["--network", "temporal", "--samples", "4", "--epochs", "1", "--force-high-n", "50"]
     result = _run(*words, "--out", str(tmp_path / "model.onnx"))
     assert str(result.exception) == "enough"
     assert (asked["samples"], asked["force_high_n"], asked["epochs"]) == (4, 50.0, 1)
-    assert "--network momentary --samples 4" in asked["command"]
+    assert "--network temporal --samples 4" in asked["command"]
 
 
 def test_help_lists_every_network():

@@ -17,11 +17,10 @@ from cablesense_training.networks.single_contact import TwoStageNetwork
 from cablesense_training.recipes import RECIPES, build_network
 
 ARM = load_arm(config_path("arms/cdsm.yaml"))
-OTHERS = ("unlagged", "history-simulated")  # which are for arms that list what they undo
 SAMPLE_NETWORKS = [
     name
     for name, recipe in RECIPES.items()
-    if recipe.learns_from != "motion" and name not in OTHERS
+    if recipe.learns_from != "motion" and name != "history-simulated"
 ]
 
 

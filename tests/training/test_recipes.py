@@ -11,10 +11,6 @@ def test_an_unknown_network_lists_the_known_ones():
         recipe_for("three-stage")
 
 
-def test_a_name_of_older_commands_is_accepted():
-    assert recipe_for("momentary") is recipe_for("memoryless")
-
-
 def test_what_is_not_chosen_stays_the_recipe():
     settings = recipe_for("two-stage").settings
     chosen = adjusted(settings, seed=4, threads=1, epochs=7)

@@ -93,15 +93,6 @@ def test_the_two_orders_of_joints_are_inverse(network):
     torch.testing.assert_close(network.in_joint_order(network.pitches_first(joints)), joints)
 
 
-def test_the_memoryless_baseline_answers_the_same_in_any_state():
-    baseline = TemporalNetwork.for_arm(CDSM, recurrent=False).double().eval()
-    ticks = _ticks(draw_dataset(CDSM, SingleContact(samples=20, pose="random")))
-    with torch.no_grad():
-        here, *_ = baseline(ticks, torch.zeros(20, baseline.memory).double())
-        there, *_ = baseline(ticks, torch.ones(20, baseline.memory).double())
-    torch.testing.assert_close(here.magnitude_n, there.magnitude_n)
-
-
 def _stated(network, none_logit):
     """Answers to pushes, as stated with about this logit of no contact, and their intervals."""
     network.interval.heads[-1].bias.data = torch.tensor([none_logit, 0.5, 0.5, 0.0]).double()

@@ -117,9 +117,9 @@ def test_a_model_for_sequences_opens_and_names_what_it_was_made_for(tmp_path):
     sequences = draw_sequences(ARM, MotionProtocol(sequences=4, duration_s=0.5), seed=3)
     settings = SequenceFitSettings(epochs=1, batch_size=4, threads=1)
     path = tmp_path / "model.onnx"
-    report = train_model(path, "momentary", sequences, settings, command="made so", test_samples=1)
+    report = train_model(path, "temporal", sequences, settings, command="made so", test_samples=1)
     metadata = TemporalEstimator.load(path, ARM).metadata
-    assert (metadata.network, metadata.command) == ("memoryless", "made so")
+    assert (metadata.network, metadata.command) == ("temporal", "made so")
     assert (metadata.tick_s, metadata.joint_speed_deg_s) == (0.02, 20.0)
     assert metadata.memory > 0
     assert metadata.units["next_state"] == "1"

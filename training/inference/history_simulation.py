@@ -94,8 +94,8 @@ def without_history(arm: Arm) -> Arm:
 
 
 def depends_on_history(arm: Arm) -> bool:
-    """Whether an arm lists effects along its cables, in its joints or of its actuators."""
-    return any(e.effect.acts_on in ("transmission", "actuator") for e in entries_of(arm))
+    """Whether an arm lists friction, creep, backlash or a lag of its sensors."""
+    return any(_by_history(entry) for entry in entries_of(remembered(arm)))
 
 
 def _by_history(entry: EffectEntry) -> bool:

@@ -253,8 +253,8 @@ class WithoutHistory(CorrectedClosedForm):
         """
         if not depends_on_history(arm):
             raise TrainingError(
-                f"network {HISTORY_SIMULATED} is for an arm file that lists friction, creep or "
-                f"backlash; {arm.identity} does not"
+                f"network {HISTORY_SIMULATED} is for an arm file that lists friction, creep, "
+                f"backlash or lagging sensors; {arm.identity} does not"
             )
         settled = without_history(arm)
         return cls(settled, statics(settled, tare_samples))

@@ -210,8 +210,6 @@ class TemporalNetwork(nn.Module):
         arm: the arm.
         closed_form: its statics.
         hidden: size of the recurrent unit's state.
-        recurrent: where false, every tick is answered as the first: the baseline that shows what
-            the history is worth.
 
     Attributes:
         pose_aware: it needs the set-point.
@@ -221,15 +219,12 @@ class TemporalNetwork(nn.Module):
 
     pose_aware: ClassVar[bool] = True
 
-    def __init__(
-        self, arm: Arm, closed_form: ClosedForm, hidden: int = 96, recurrent: bool = True
-    ) -> None:
+    def __init__(self, arm: Arm, closed_form: ClosedForm, hidden: int = 96) -> None:
         super().__init__()
         joints, segments, cables = arm.joint_count, arm.segment_count, arm.cable_count
         self.cable_count, self.segment_count = cables, segments
         self.drawn = DrawnCables(cables, joints, hidden)
         self.hidden, self.memory = hidden, self.drawn.layout.size
-        self.recurrent = recurrent
         self.closed_form = closed_form
         self.torque = Standardiser(joints)
         self.tension = Standardiser(cables)
@@ -251,10 +246,9 @@ class TemporalNetwork(nn.Module):
         self.interval = StatedInterval(segments)
 
     @classmethod
-    def for_arm(cls, arm: Arm, tare_samples: int = 50, recurrent: bool = True) -> TemporalNetwork:
+    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> TemporalNetwork:
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
-        statics = exact_statics(arm, tare_samples, unexplained_n2=0.0)
-        return cls(arm, statics, recurrent=recurrent)
+        return cls(arm, exact_statics(arm, tare_samples, unexplained_n2=0.0))
 
     def adapt(self, torque_n_m: Tensor, ticks: Ticks, error_n_m: Tensor) -> None:
         """Set all scales from training rows: torques, inputs, and what the torques are off by."""
@@ -271,10 +265,9 @@ class TemporalNetwork(nn.Module):
 
     def encode(self, torque_n_m: Tensor, past: Tensor, ticks: Ticks) -> Tensor:
         """(…, hidden) of torques (…, 2N), the commands' past (…, `drawn.size`) and ticks alike."""
-        shown = self.drawn.seen(past)
         seen = [
             self.torque(torque_n_m),
-            shown if self.recurrent else torch.zeros_like(shown),
+            self.drawn.seen(past),
             self.tension(ticks.tension_difference_n),
             self.course(torch.cat(ticks[1:], dim=-1)),
         ]
@@ -283,8 +276,6 @@ class TemporalNetwork(nn.Module):
 
     def remember(self, encoded: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """States (S, T, hidden) along T ticks from a state (S, hidden), and the last of them."""
-        if not self.recurrent:
-            return torch.zeros_like(encoded), state
         states, last = self.cell(encoded, state[None])
         return states, last[0]
 
@@ -368,7 +359,7 @@ class TemporalNetwork(nn.Module):
         inputs = Ticks(*(part.to(kind) for part in ticks))
         past = self.drawn.follow(past, balance.commanded_m.to(kind), inputs.joint_command_rad)
         encoded = self.encode(self.joint_torque_n_m(balance).to(kind), past, inputs)
-        following = self.next_state(encoded, before) if self.recurrent else 0.0 * before
+        following = self.next_state(encoded, before)
         answer = self.answer(balance, encoded, following, ticks.joint_speed_rad_s)
         stated, interval_n = self.interval.stated(answer.seen, answer.output)
         return stated, torch.cat([following, past], dim=-1), interval_n
