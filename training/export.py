@@ -19,7 +19,12 @@ from cablesense_base.files import write_atomically
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import MULTI_OUTPUTS, OUTPUTS
 from cablesense_training.inference.metadata import ModelMetadata
-from cablesense_training.inference.session import INTERVAL, TAUT, input_widths
+from cablesense_training.inference.session import (
+    INTERVAL,
+    TAUT,
+    input_widths,
+    store_as_single,
+)
 from cablesense_training.inference.temporal_estimator import TEMPORAL_OUTPUTS
 from cablesense_training.networks import MultiContactNetwork, Network
 from cablesense_training.networks.corrected import CorrectedClosedForm
@@ -48,6 +53,7 @@ def export_model(network: Network | TemporalNetwork, path: Path, metadata: Model
     inputs = dict(zip(input_widths(metadata), _trial_inputs(metadata), strict=True))
     model = _to_onnx(answers, inputs)
     onnx.helper.set_model_props(model, metadata.to_properties())
+    store_as_single(model.graph)
     onnx.checker.check_model(model, full_check=False)
     content = model.SerializeToString()
     _require_agreement(answers, content, inputs)

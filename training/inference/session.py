@@ -25,6 +25,9 @@ from cablesense_training.inference.model_safety import require_bounded, require_
 MAX_FILE_BYTES = 64 * 1024 * 1024
 """Models are a fraction of a megabyte; a file beyond this is not one."""
 
+_FEW = 64
+"""Shorter constants are not worth a cast."""
+
 _ROWS_AT_ONCE = 2048
 """A pose-aware graph holds some tens of kilobytes per sample while it runs."""
 
@@ -74,6 +77,7 @@ class ModelSession:
         """
         source = str(path)
         model, metadata = read_model(path)
+        widen_constants(model.graph)
         if arm is not None and not _fits(metadata.arm, arm):
             raise ModelFileError(
                 f"{source}: made for arm {metadata.arm_identity}, not for {arm.identity}; "
@@ -173,6 +177,37 @@ def read_model(path: str | Path) -> tuple[onnx.ModelProto, ModelMetadata]:
         ) from error
     properties = {entry.key: entry.value for entry in model.metadata_props}
     return model, ModelMetadata.from_properties(properties, str(path))
+
+
+def store_as_single(graph: onnx.GraphProto) -> None:
+    """Store constants in float32 where that loses nothing, each followed by a cast to float64.
+
+    A network is trained in float32 and answers in float64, so this halves its file.
+    """
+    casts, kept = [], []
+    for constant in graph.initializer:
+        values = onnx.numpy_helper.to_array(constant)
+        single = values.astype(np.float32)
+        if values.dtype != np.float64 or values.size < _FEW or not (single == values).all():
+            kept.append(constant)
+            continue
+        kept.append(onnx.numpy_helper.from_array(single, f"{constant.name}_single"))
+        names = [kept[-1].name], [constant.name]
+        casts.append(onnx.helper.make_node("Cast", *names, to=onnx.TensorProto.DOUBLE))
+    nodes = [*casts, *graph.node]
+    del graph.initializer[:], graph.node[:]
+    graph.initializer.extend(kept)
+    graph.node.extend(nodes)
+
+
+def widen_constants(graph: onnx.GraphProto) -> None:
+    """Undo `store_as_single`: a constant behind a cast would be a result in a split graph."""
+    single = {constant.name: constant for constant in graph.initializer}
+    for node in list(graph.node):
+        if node.op_type == "Cast" and node.input[0] in single:
+            values = onnx.numpy_helper.to_array(single[node.input[0]]).astype(np.float64)
+            single[node.input[0]].CopyFrom(onnx.numpy_helper.from_array(values, node.output[0]))
+            graph.node.remove(node)
 
 
 def replace_misfit_limit(path: Path, limit: MisfitLimit | None) -> None:
