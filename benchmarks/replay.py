@@ -165,7 +165,7 @@ def measure(seconds: float) -> dict[str, Any]:
 def _recording(path: Path) -> dict[str, Any]:
     """Its content, and the samples without an answer between the first and the last."""
     counts = Counter(message.topic for message in McapMessages(path))
-    answered = [step.answered for step in RecordedRun(path).steps()]
+    answered = [step.answered for step in RecordedRun(path).samples()]
     first, last = answered.index(True), len(answered) - answered[::-1].index(True)
     unanswered = answered[first:last].count(False)
     stamps = [stamp_ns(m.data) for m in McapMessages(path) if m.topic == "/cable_tensions"]

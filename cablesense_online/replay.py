@@ -1,7 +1,6 @@
-"""A recorded run answered again by the same `Estimation`, and compared with the recorded answers.
+"""A recorded run, answered again by the same `Estimation` and compared with its own answers.
 
-`replay_in_process` rebuilds the estimator of each recorded state from its model and settings, and
-runs as fast as it can.
+`replay_in_process` rebuilds the estimator of each recorded state and runs as fast as it can.
 """
 
 from __future__ import annotations
@@ -21,7 +20,12 @@ from cablesense_msgs_py.topics import Frames
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import LoadedModel, load_model
-from cablesense_online.recorded_run import RecordedRun, Step, shows_contact
+from cablesense_online.recorded_run import (
+    WRENCH_NUMBERS,
+    RecordedRun,
+    RecordedSample,
+    shows_contact,
+)
 from cablesense_online.state import LIVE_SETTINGS, EstimatorState
 from cablesense_training.inference.metadata import find_model
 
@@ -54,13 +58,8 @@ class Comparison:
     lone_zeros: int = 0
     first_difference: str = ""
 
-    def compare(
-        self, number: int, recorded: Mapping[int, bytes], replayed: Mapping[int, bytes]
-    ) -> None:
-        """Compare the answers to the sample `number`, from 1, as `Step.answers` has them.
-
-        All that was recorded must have been replayed.
-        """
+    def compare(self, recorded: Mapping[int, bytes], replayed: Mapping[int, bytes]) -> None:
+        """Compare the answers to the last sample; all that was recorded must be replayed."""
         self.compared += 1
         self.contacts += shows_contact(recorded[0])
         other = [of for of, raw in recorded.items() if replayed.get(of) != raw]
@@ -70,7 +69,7 @@ class Comparison:
             raw, again = recorded[other[0]], replayed.get(other[0])
             there = "nothing" if again is None else _wrench_text(again)
             self.first_difference = (
-                f"sample {number}, stamp {stamp_ns(raw)}: {_wrench_text(raw)} recorded, "
+                f"sample {self.samples}, stamp {stamp_ns(raw)}: {_wrench_text(raw)} recorded, "
                 f"{there} replayed"
             )
 
@@ -85,44 +84,26 @@ def _wrench_text(raw: bytes) -> str:
     try:
         (length,) = struct.unpack_from("<I", raw, 12)
         frame = raw[16 : 16 + length].rstrip(b"\0").decode()
-        numbers = " ".join(map(repr, struct.unpack("<6d", raw[-48:])))
+        numbers = " ".join(map(repr, WRENCH_NUMBERS.unpack(raw[-WRENCH_NUMBERS.size :])))
     except (struct.error, UnicodeDecodeError):
         return raw.hex()
     return f"{frame} {numbers}"
 
 
-def replayed_steps(
-    run: RecordedRun, comparison: Comparison
-) -> Iterator[tuple[list[EstimatorState], Step]]:
-    """The samples that the recorded estimator took, each with the states since the one before.
-
-    All samples are counted in `comparison`. A recording without answers gives every sample.
-    """
-    states: list[EstimatorState] = []
-    for step in run.steps():
-        comparison.samples += 1
-        comparison.unanswered += not step.answered
-        states += step.states
-        if step.taken or not run.has_answers:
-            yield states, step
-            states = []
-    comparison.unstamped = run.unstamped
-    comparison.lone_contacts = run.lone_contacts
-    comparison.lone_zeros = run.lone_zeros
-
-
 class RebuiltEstimation:
-    """Goes from state to state, and answers samples as serialized wrenches.
+    """An estimation that goes from state to state and answers samples as serialized wrenches.
 
     Attributes:
-        answer: to the last sample.
-        loaded: arm and model; none before the first state.
+        answer: the answer to the last sample.
+        loaded: arm and model; None before the first state.
+        reproducible: whether the answers must be those of the recording.
     """
 
     def __init__(self, arm: str, model: str) -> None:
-        """With the recorded model, or with another `arm` or `model` where one is given."""
+        """With the recorded model, or with another `arm` or `model` if one is given."""
         self._arm, self._model = arm, model
         self.loaded: LoadedModel | None = None
+        self.reproducible = False
         self._loaded_for: dict[str, str] = {}
         self._built_for: object = None
         self._estimation: Estimation | None = None
@@ -130,16 +111,11 @@ class RebuiltEstimation:
         self._unknown_force = "zero"
         self.answer = Answer()
 
-    @property
-    def reproducible(self) -> bool:
-        """Whether the answers must be those of the recording."""
-        return self._estimation is not None and self._estimation.reproducible
-
     def restore(self, state: EstimatorState) -> None:
         """Continue from a state.
 
         Raises:
-            CableSenseError: the model is not to be found, or has changed since; a state of
+            CableSenseError: the model is missing or has changed since, or the state is one of
                 another arm.
         """
         fixed = state.settings.model_dump(exclude=set(LIVE_SETTINGS))
@@ -155,19 +131,20 @@ class RebuiltEstimation:
             self._built_for = wanted
         self._estimation.adjust(**{name: getattr(state.settings, name) for name in LIVE_SETTINGS})
         self._estimation.restore(state)
+        self.reproducible = self._estimation.reproducible
 
-    def wrenches(self, step: Step) -> dict[int, bytes]:
-        """The wrenches that answer a sample, as `Step.answers` has those that were recorded."""
+    def wrenches(self, sample: RecordedSample) -> dict[int, bytes]:
+        """The wrenches that answer a sample, numbered as in `RecordedSample.answers`."""
         assert self._estimation is not None
-        stamp_ns = step.stamp_ns
-        self.answer = answer = self._estimation.sample(step.sample, stamp_ns, stamp_ns * 1e-9)
+        stamp = sample.stamp_ns
+        self.answer = answer = self._estimation.sample(sample.sample, stamp, stamp * 1e-9)
         wrench, answers = answer.wrench(self._unknown_force), {}
         if wrench is not None:
-            answers[0] = self._writers[answer.contact.segment].write(stamp_ns, wrench)
-        for number in step.answers:
+            answers[0] = self._writers[answer.contact.segment].write(stamp, wrench)
+        for number in sample.answers:
             wrench = answer.on_segment(number, self._unknown_force) if number else None
             if wrench is not None:
-                answers[number] = self._writers[number].write(stamp_ns, wrench)
+                answers[number] = self._writers[number].write(stamp, wrench)
         return answers
 
     def _load(self, origin: dict[str, str]) -> LoadedModel:
@@ -194,18 +171,20 @@ def replay_in_process(
 ) -> Comparison:
     """Answer every recorded sample that the live estimator answered, and compare.
 
-    The answers rest on the journal and the samples alone, so a bag that was played faster, read on
-    another machine or begun in mid-move gives the same ones, as far as the processor's arithmetic
-    and the versions of the libraries are the same.
+    The answers rest on the journal and the samples alone. A recording that was played faster, read
+    on another machine or started in mid-move gives the same answers, as far as the processor's
+    arithmetic and the versions of the libraries are the same.
 
-    `arm` and `model` are others than the recorded, or empty. `estimates` is a CSV file for the
-    answers, numbers with all their digits: `segment` is 0 without a contact; probabilities are
-    empty where nothing was estimated: in a move, before the first tare, and at a sample that was
-    refused, whose `problem` is given.
+    Args:
+        run: the recording.
+        arm: an arm other than the recorded one, or empty.
+        model: a model other than the recorded one, or empty.
+        estimates: a CSV file for the answers, numbers with all their digits. `segment` is 0
+            without a contact. Probabilities are empty if nothing was estimated: in a move, before
+            the first tare, and at a sample that was refused, whose `problem` is given.
 
     Raises:
-        RecordingError: the recording has not all that a replay needs, or `estimates` cannot be
-            written.
+        RecordingError: the recording lacks what a replay needs, or `estimates` cannot be written.
         CableSenseError: the model is not to be found, or does not fit.
     """
     if not run.states:
@@ -219,8 +198,8 @@ def replay_in_process(
         deque(compared, maxlen=0)
         return comparison
     with (
-        written_whole(estimates, RecordingError) as beside,
-        beside.open("w", encoding="utf-8", newline="") as file,
+        written_whole(estimates, RecordingError) as partial,
+        partial.open("w", encoding="utf-8", newline="") as file,
     ):
         table = csv.writer(file, lineterminator="\n")
         for number, (stamp, answer, segment_count) in enumerate(compared):
@@ -240,20 +219,26 @@ def _compared(
     run: RecordedRun, rebuilt: RebuiltEstimation, comparison: Comparison
 ) -> Iterator[tuple[int, Answer, int]]:
     """Stamp, answer and number of segments of each sample that was compared."""
-    for states, step in replayed_steps(run, comparison):
-        for state in states:
+    for sample in run.samples():
+        comparison.samples += 1
+        comparison.unanswered += not sample.answered
+        for state in sample.states:
             rebuilt.restore(state)
-        if rebuilt.loaded is None:
-            comparison.before_journal += step.answered
+        if not sample.taken and run.has_answers:
             continue
-        wrenches = rebuilt.wrenches(step)
-        if not step.answered:
+        if rebuilt.loaded is None:
+            comparison.before_journal += sample.answered
+            continue
+        wrenches = rebuilt.wrenches(sample)
+        if not sample.answered:
             continue  # a history-dependent model has received it
         if not rebuilt.reproducible:
             comparison.before_journal += 1
             continue
-        comparison.compare(comparison.samples, step.answers, wrenches)
-        yield step.stamp_ns, rebuilt.answer, rebuilt.loaded.arm.segment_count
+        comparison.compare(sample.answers, wrenches)
+        yield sample.stamp_ns, rebuilt.answer, rebuilt.loaded.arm.segment_count
+    comparison.unstamped = run.unstamped
+    comparison.lone_contacts, comparison.lone_zeros = run.lone_contacts, run.lone_zeros
 
 
 def comparison_lines(comparison: Comparison, cut: str) -> list[str]:
@@ -261,13 +246,11 @@ def comparison_lines(comparison: Comparison, cut: str) -> list[str]:
 
     `cut` is where the file breaks off, as text; empty if it is whole.
     """
-    counts = {name: getattr(comparison, name) for name in COUNTED}
     lines = [f"the file {cut}"] if cut else []
-    lines += [
-        f"{count:>10,}  {COUNTED[name]}"
-        for name, count in counts.items()
-        if count or name in _ALWAYS_SHOWN
-    ]
+    for name, meaning in COUNTED.items():
+        count = getattr(comparison, name)
+        if count or name in _ALWAYS_SHOWN:
+            lines.append(f"{count:>10,}  {meaning}")
     if comparison.first_difference:
         lines.append(f"first difference: {comparison.first_difference}")
     return lines

@@ -14,8 +14,7 @@ from cablesense_base import CableSenseError
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.serialized import restamped
-from cablesense_online.recorded_run import RecordedRun
-from cablesense_online.replay import RebuiltEstimation, replay_in_process
+from cablesense_online.replay import RebuiltEstimation, RecordedRun, replay_in_process
 from cablesense_ros.cli.app import app
 
 pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)

@@ -15,8 +15,7 @@ from sensor_msgs.msg import JointState
 
 from cablesense_gap.recordings.mcap_messages import McapMessages
 from cablesense_msgs_py.qos import CONTRACT
-from cablesense_online.recorded_run import RecordedRun
-from cablesense_online.replay import replay_in_process
+from cablesense_online.replay import RecordedRun, replay_in_process
 from cablesense_online.state import EventKind
 from cablesense_ros.recorder import Recorder
 from cablesense_sim.arm import open_arm

@@ -18,8 +18,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from cablesense_msgs_py.messages import ForceState
 from cablesense_msgs_py.qos import CONTRACT
-from cablesense_online.recorded_run import RecordedRun
-from cablesense_online.replay import replay_in_process
+from cablesense_online.replay import RecordedRun, replay_in_process
 from cablesense_ros.recorder import Recorder
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
@@ -172,7 +171,7 @@ def test_several_contacts_at_once_have_a_wrench_each_and_are_replayed(tared, tmp
     listener.destroy_node()
     run = RecordedRun(tmp_path / "several.mcap")
     assert run.segments == (1, 2, 3, 4)
-    whole = [len(step.answers) == 5 for step in run.steps()]
+    whole = [len(step.answers) == 5 for step in run.samples()]
     assert 50 < sum(whole) < len(whole)  # the recorder had to find the segments
     got = replay_in_process(run)
     assert got.same, got.first_difference
