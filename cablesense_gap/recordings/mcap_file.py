@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import NamedOrder, cable_offsets_m, joint_command_rad, read_load
 from cablesense_msgs_py.qos import INPUTS, JOINT_STATE_TYPE, NUMBER_TYPE, WRENCH_TYPE, resolved
 from cablesense_msgs_py.serialized import require_bounded
-from cablesense_msgs_py.topics import Frames
+from cablesense_msgs_py.topics import ContractError, Frames
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import contact_points_m
@@ -57,13 +57,11 @@ class BagRows:
         self._taken: Counter[str] = Counter()
         self._command: Array | None = None
         self._loads: dict[int, Array] = {}
-        self._trial: int | None = None
+        self._trial = np.nan
         self._offset = False
         self._most_rows = MAX_NUMBERS // numbers_a_row(arm.joint_count, arm.cable_count)
-        # in plain arrays, as objects would take four times the memory
-        self._times_ns, self._tensions_n = array("q"), array("d")
-        self._states: list[tuple[int | None, Array, int, Array]] = []
-        self._state_of_row = array("q")
+        # plain arrays, as objects would take four times the memory
+        self._times_ns, self._numbers = array("q"), array("d")
 
     def taken(self, topic: str) -> int:
         """How many messages of a topic have come, the last one included."""
@@ -78,14 +76,13 @@ class BagRows:
         """
         self._taken[topic] += 1
         if topic == topics.JOINT_COMMANDS:
-            command = joint_command_rad(message, self._joints, self._command)
-            self._command = _same(self._command, command)
+            self._command = joint_command_rad(message, self._joints, self._command)
         elif topic == topics.CABLE_OFFSETS:
             self._offset = bool(cable_offsets_m(message, self._cables).any())
         elif topic == topics.APPLIED_WRENCH:
             self._take_load(message)
         elif topic == topics.TRIAL:
-            self._trial = int(message.data)
+            self._trial = float(message.data)
         elif self._command is not None:
             self._take_tensions(log_ns, message, self._command)
 
@@ -109,17 +106,15 @@ class BagRows:
         # a clock that stamps only some messages is none
         clock_ns = stamps_ns if stamps_ns.all() else logs_ns
         time_s: Array = (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9
-        at = np.array(self._state_of_row)
-        trials, commands, segments, forces = zip(*self._states, strict=True)
-        command, load_n = np.array(commands)[at], np.array(forces)[at]
-        segment = np.array(segments, dtype=np.int64)[at]
-        first = next((trial for trial in trials if trial is not None), None)
-        if first is None:
-            trial = derive_trials(time_s, command, segment, load_n)
+        numbers = np.array(self._numbers).reshape(len(time_s), -1)
+        ends = np.cumsum([1, 1, 3, self._arm.joint_count])
+        trial, segment, load_n, command, tensions_n = np.split(numbers, ends, axis=1)
+        segments, named = segment[:, 0].astype(np.int64), np.isfinite(trial[:, 0])
+        if named.any():
+            trials = np.where(named, trial[:, 0], trial[named][0, 0]).astype(np.int64)
         else:
-            trial = np.array([first if n is None else n for n in trials], dtype=np.int64)[at]
-        tensions_n = np.array(self._tensions_n).reshape(len(at), -1)
-        return Recording(path.stem, time_s, trial, command, segment, load_n, tensions_n)
+            trials = derive_trials(time_s, command, segments, load_n)
+        return Recording(path.stem, time_s, trials, command, segments, load_n, tensions_n)
 
     def _take_load(self, message: Any) -> None:
         name = message.header.frame_id
@@ -127,9 +122,9 @@ class BagRows:
         if prefix == name:
             prefix = name.rpartition("segment_")[0]
         load = read_load(message, Frames(self._arm.segment_count, prefix), self._contacts_m)
-        before = self._loads.pop(load.segment, None)
+        self._loads.pop(load.segment, None)
         if load.force_base_n.any():
-            self._loads[load.segment] = _same(before, load.force_base_n)
+            self._loads[load.segment] = load.force_base_n
 
     def _contacts_m(self) -> Array:
         """(N, 3) at the present command."""
@@ -146,24 +141,14 @@ class BagRows:
         tensions = self._cables.pick(message.name, message.effort, "effort")
         if not self._keep or self._offset:
             return
-        if len(self._state_of_row) >= self._most_rows:
+        if len(self._times_ns) >= 2 * self._most_rows:
             raise RecordingError(
                 f"more than {self._most_rows} samples; an hour at 1 kHz has fewer: split it"
             )
-        state = self._trial, command, segment, force
-        if not self._states or any(
-            one is not other for one, other in zip(state, self._states[-1], strict=True)
-        ):
-            self._states.append(state)
-        self._state_of_row.append(len(self._states) - 1)
         stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         self._times_ns.extend((min(log_ns, _LATEST_NS), stamp_ns))
-        self._tensions_n.extend(tensions)
-
-
-def _same(before: Array | None, now: Array) -> Array:
-    """The array that is kept already, where the values are those."""
-    return before if before is not None and np.array_equal(before, now) else now
+        for numbers in ((self._trial, segment), force, command, tensions):
+            self._numbers.extend(numbers)
 
 
 def read_mcap(path: str | Path, arm: Arm) -> Recording:
@@ -222,37 +207,28 @@ def is_bag(path: Path) -> bool:
 
 
 def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
-    """Topic, time in ns and content of the messages to read, in the order they came."""
-    types = BagTypes()
+    """Topic, time in ns and content of an arm's messages, in the order they came."""
     found: dict[str, str] = {}
     others: set[str] = set()
-    try:
-        for raw in raw_messages(path):
-            topic = raw.topic.rpartition("/")[2]
-            if topic not in INPUTS:
-                others.add(raw.topic)
-                continue
-            first = found.setdefault(topic, raw.topic)
-            if raw.topic != first:  # `/arm/cable_tensions` is `cable_tensions` while there is one
-                named = " and ".join(sorted((raw.topic, first)))
-                raise RecordingError(f"{path}: {named} are both {topic}; record one arm alone")
-            if raw.kind != INPUTS[topic].kind:
-                raise RecordingError(
-                    f"{path}: {raw.topic} is of type {raw.kind[:80]!r}; it must be "
-                    f"{INPUTS[topic].kind}"
-                )
-            try:
-                require_bounded(raw.data)
-            except CableSenseError as error:
-                raise RecordingError(f"{path}: {raw.topic}: {error}") from error
-            yield topic, raw.log_ns, types.message(raw.kind, raw.data)
-    except CableSenseError:
-        raise
-    except Exception as error:  # a broken file raises anything in a parser: struct, zstd, keys …
-        line = " ".join(str(error).split())[:200] or type(error).__name__
-        raise RecordingError(
-            f"{path}: cannot be read as rosbag2 MCAP ({line}); `ros2 bag info` should know it"
-        ) from error
+
+    def wanted(raw: RawMessage) -> bool:
+        topic = raw.topic.rpartition("/")[2]
+        if topic not in INPUTS:
+            others.add(raw.topic)
+            return False
+        first = found.setdefault(topic, raw.topic)
+        if raw.topic != first:  # `/arm/cable_tensions` is `cable_tensions` while there is one
+            named = " and ".join(sorted((raw.topic, first)))
+            raise RecordingError(f"{path}: {named} are both {topic}; record one arm alone")
+        if raw.kind != INPUTS[topic].kind:
+            raise RecordingError(
+                f"{path}: {raw.topic} is of type {raw.kind[:80]!r}; it must be "
+                f"{INPUTS[topic].kind}"
+            )
+        return True
+
+    for raw, message in decoded(path, wanted):
+        yield raw.topic.rpartition("/")[2], raw.log_ns, message
     missing = [topic for topic in _REQUIRED if topic not in found]
     if missing:
         there = ", ".join(sorted({*others, *found.values()})[:8]) or "nothing"
@@ -260,6 +236,31 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
             f"{path}: misses {' and '.join(missing)}, and has {there}; record with: cablesense "
             "gap record"
         )
+
+
+def decoded(path: Path, wanted: Callable[[RawMessage], bool]) -> Iterator[tuple[RawMessage, Any]]:
+    """The wanted messages of a .mcap file or rosbag2 folder with their content, in file order.
+
+    Raises:
+        RecordingError: as `raw_messages`; a message over the contract's size, or not of its type.
+    """
+    types = BagTypes()
+    try:
+        for raw in raw_messages(path):
+            if not wanted(raw):
+                continue
+            try:
+                require_bounded(raw.data)
+            except ContractError as error:
+                raise RecordingError(f"{path}: {raw.topic}: {error}") from error
+            yield raw, types.message(raw.kind, raw.data)
+    except CableSenseError:
+        raise
+    except Exception as error:  # a broken file raises anything in a parser: struct, zstd, keys …
+        line = " ".join(str(error).split())[:200] or type(error).__name__
+        raise RecordingError(
+            f"{path}: cannot be read as rosbag2 MCAP ({line}); `ros2 bag info` should know it"
+        ) from error
 
 
 def raw_messages(path: Path) -> Iterator[RawMessage]:

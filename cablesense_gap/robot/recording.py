@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
-import re
-import warnings
+from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
-from cablesense_gap.recordings.mcap_file import is_bag
+from cablesense_gap.recordings.csv_file import CSV_ENDINGS, csv_stem, read_table
+from cablesense_gap.recordings.mcap_file import decoded, is_bag
+from cablesense_gap.recordings.mcap_messages import RawMessage
 from cablesense_gap.recordings.recording import MAX_NUMBERS, RecordingError
-from cablesense_gap.robot.bag import bag_table
 from cablesense_gap.robot.model import Robot
+from cablesense_msgs_py.qos import JOINT_STATE_TYPE, NUMBER_TYPE
 
-MAX_FILE_BYTES = 500_000_000
 FEWEST_TRIALS = 5
 """Fewer are cut into stretches, so that there is something to hold out."""
 
-_COLUMN = re.compile(r"(position|velocity|torque|command|sensor)\.(.+)")
-_ENDINGS = (".csv", ".csv.gz")
+_NUMBERS_TYPE = "std_msgs/msg/Float64MultiArray"
+_KINDS = ("position", "velocity", "torque", "command")
+_PREFIXES = ("time", "trial", *(f"{kind}." for kind in _KINDS))
 _STILL_S = 0.5
 _STILL_SHARE = 0.01
 """Of a joint's largest speed: slower is standing still."""
@@ -74,10 +76,10 @@ def read_recording(path: str | Path, robot: Robot) -> RobotRecording:
         files, tables = [path], [bag_table(path, robot)]
     else:
         files = _files(path)
-        tables = [_table(file) for file in files]
+        tables = [read_table(file, _PREFIXES) for file in files]
     parts = [_part(file, table, robot) for file, table in zip(files, tables, strict=True)]
     trials, notes = _trials(parts, tables)
-    name = path.name if path.is_dir() else path.name.removesuffix(".gz").removesuffix(".csv")
+    name = path.name if path.is_dir() else csv_stem(path)
     every = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     _check(path, robot, every, trials)
     for file, table, part in zip(files, tables, parts, strict=True):
@@ -92,40 +94,110 @@ def _files(path: Path) -> list[Path]:
         raise RecordingError(
             f"{path}: no such file; give a .csv, .csv.gz or .mcap file, or a folder"
         )
-    files = sorted(f for f in path.iterdir() if f.name.endswith(_ENDINGS) and f.is_file())
+    files = sorted(f for f in path.iterdir() if f.name.endswith(CSV_ENDINGS) and f.is_file())
     if not files:
         raise RecordingError(f"{path}: holds no .csv and no .csv.gz file, and is no rosbag2")
     return files
 
 
-def _table(path: Path) -> dict[str, Array]:
-    import pandas as pd
+def bag_table(path: Path, robot: Robot) -> dict[str, Array]:
+    """Columns of a recording as a CSV has them: one row per state of all the robot's joints.
 
-    if path.stat().st_size > MAX_FILE_BYTES:
-        raise RecordingError(f"{path}: larger than {MAX_FILE_BYTES / 1e6:.0f} MB; split it")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", pd.errors.ParserWarning)
-            columns = len(pd.read_csv(path, index_col=False, nrows=0).columns)
-            most_rows = MAX_NUMBERS // max(1, columns)  # a packed file may hold any number
-            table = pd.read_csv(
-                path, skipinitialspace=True, index_col=False, low_memory=False, nrows=most_rows + 1
+    Positions, velocities and efforts come from the joint states. Commands come from a topic whose
+    joint states name the actuators, or whose numbers are as many as the actuators and whose name
+    contains `command`: the latest before each row. Trials come from a topic `trial`; rows before
+    the first number are a trial of their own. Without efforts, rows begin with the first command.
+
+    Raises:
+        RecordingError: no bag, one too large, or no joint states with the robot's joints.
+    """
+
+    def wanted(raw: RawMessage) -> bool:
+        return raw.kind in (JOINT_STATE_TYPE, NUMBER_TYPE, _NUMBERS_TYPE)
+
+    rows = _BagColumns(robot)
+    for raw, message in decoded(path, wanted):
+        rows.take(raw.topic, raw.log_ns, message)
+        if rows.numbers > MAX_NUMBERS:
+            raise RecordingError(f"{path}: more than {MAX_NUMBERS} numbers; split it")
+    return rows.table(path)
+
+
+class _BagColumns:
+    """The rows that messages of a robot make."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot, self._names = robot, set[str]()
+        self._topic = ""
+        self._values = array("d")
+        self._command = np.full(len(robot.actuators), np.nan)
+        self._trial = np.nan
+
+    @property
+    def numbers(self) -> int:
+        """How many are kept."""
+        return len(self._values)
+
+    def take(self, topic: str, log_ns: int, message: Any) -> None:
+        """One message; those that are not of this robot are passed over."""
+        if hasattr(message, "data"):
+            self._take_numbers(topic, message.data)
+            return
+        at = {name: k for k, name in enumerate(message.name)}
+        self._names |= set(at)
+        if "command" in topic and self._robot.actuators and set(self._robot.actuators) <= set(at):
+            wanted = [at[name] for name in self._robot.actuators]
+            given = next((f for f in (message.effort, message.position) if len(f)), ())
+            if len(given) == len(at):
+                self._command = np.asarray(given, dtype=float)[wanted]
+            return
+        if not set(self._robot.joints) <= set(at) or len(message.position) != len(at):
+            return
+        self._topic = self._topic or topic
+        if topic != self._topic:
+            return
+        wanted = [at[name] for name in self._robot.joints]
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        self._values.extend((stamp or 1e-9 * log_ns, self._trial))
+        for values in (message.position, message.effort):
+            known = len(values) == len(at)
+            own = (
+                np.asarray(values, dtype=float)[wanted] if known else np.full(len(wanted), np.nan)
             )
-    except (OSError, ValueError, EOFError, pd.errors.ParserWarning) as error:
-        line = " ".join(str(error).split())[:200]
-        raise RecordingError(f"{path}: cannot be read as CSV text ({line})") from error
-    if len(table) > most_rows:
-        raise RecordingError(f"{path}: more than {MAX_NUMBERS} numbers; split it")
-    found = {}
-    for column in table:
-        numbers = pd.to_numeric(table[column], errors="coerce").to_numpy(float)
-        bad = np.flatnonzero(np.isnan(numbers) & table[column].notna().to_numpy())
-        name = str(column).strip()
-        if bad.size and (name in ("time_s", "trial") or _COLUMN.fullmatch(name)):
-            cell = str(table[column].iloc[bad[0]])[:40]
-            raise RecordingError(f"{path}: row {bad[0] + 1}, column {name}: {cell!r} is no number")
-        found[name] = numbers
-    return found
+            self._values.extend(own)
+        self._values.extend(self._command)
+
+    def _take_numbers(self, topic: str, data: Any) -> None:
+        if topic.rpartition("/")[2] == "trial" and np.ndim(data) == 0:
+            self._trial = float(data)
+        elif "command" in topic and np.shape(data) == self._command.shape:
+            self._command = np.asarray(data, dtype=float)
+
+    def table(self, path: Path) -> dict[str, Array]:
+        """All rows, time from the first."""
+        robot = self._robot
+        labels = ["time_s", "trial"]
+        labels += [f"{kind}.{joint}" for kind in ("position", "torque") for joint in robot.joints]
+        labels += [f"command.{name}" for name in robot.actuators]
+        values = np.array(self._values).reshape(-1, len(labels))
+        if not len(values):
+            there = some_of(sorted(self._names)) or "none"
+            raise RecordingError(
+                f"{path}: holds no {JOINT_STATE_TYPE} with the joints {some_of(robot.joints)}; it "
+                f"names {there}"
+            )
+        count = len(robot.joints)
+        _, torque, command = np.split(values[:, 2:], [count, 2 * count], axis=1)
+        if not np.isfinite(torque).any():  # commands drive the model, and are not known before
+            values = values[np.isfinite(command).all(axis=1).argmax() :]
+        table = dict(zip(labels, values.T, strict=True))
+        table["time_s"] = table["time_s"] - table["time_s"][0]
+        numbered = np.isfinite(table["trial"])
+        if numbered.any():
+            table["trial"] = np.where(numbered, table["trial"], np.nanmin(table["trial"]) - 1.0)
+        else:
+            del table["trial"]
+        return table
 
 
 def _part(path: Path, table: dict[str, Array], robot: Robot) -> dict[str, Array]:
@@ -170,7 +242,8 @@ def _check_speeds(path: Path, robot: Robot, table: dict[str, Array], position: A
 
 def _refuse_other_names(path: Path, table: dict[str, Array], robot: Robot) -> None:
     """Joints and actuators of another robot; joints without a position."""
-    named = [(m[1], m[2]) for name in table if (m := _COLUMN.fullmatch(name))]
+    split = (name.partition(".") for name in table)
+    named = [(kind, name) for kind, _, name in split if kind in _KINDS]
     joints = {name for kind, name in named if kind in ("position", "velocity", "torque")}
     missing = [j for j in robot.joints if ("position", j) not in named]
     surplus = sorted(joints - set(robot.joints))

@@ -8,18 +8,16 @@ import pandas as pd
 import pytest
 from two_link import recorded, write_model
 
-from cablesense_gap.recordings import mcap_file
+from cablesense_gap.recordings import csv_file, mcap_file
 from cablesense_gap.recordings.mcap_file import BagWriter
 from cablesense_gap.recordings.recording import RecordingError
-from cablesense_gap.robot import bag as bag_module
 from cablesense_gap.robot import recording
 from cablesense_gap.robot.amending import load_amended, write_amended
-from cablesense_gap.robot.bag import bag_table
 from cablesense_gap.robot.inverse import InverseDynamics
 from cablesense_gap.robot.model import RobotError, load_robot
 from cablesense_gap.robot.motion import Trajectory
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.recording import bag_table, read_recording
 from cablesense_gap.robot.smoothing import smoothed
 from cablesense_gap.simulator import Term
 from cablesense_msgs_py.topics import CABLE_TENSIONS, JOINT_COMMANDS
@@ -137,7 +135,7 @@ def test_a_recording_that_is_too_large_or_not_there_is_refused_in_one_line(
         read_recording(path, robot)
     with BagWriter(path) as bag:
         bag.joint_state(CABLE_TENSIONS, 1, 1, robot.joints, position=[0.0, 0.0])
-    for module in (bag_module, recording):
+    for module in (csv_file, recording):
         monkeypatch.setattr(module, "MAX_NUMBERS", 5)
     with pytest.raises(RecordingError, match=r"^\S*run\.mcap: more than 5 numbers; split it$"):
         read_recording(path, robot)
