@@ -11,7 +11,6 @@ from setuptools import find_packages, setup
 NAME = "cablesense_ros"
 
 REQUIRES = [
-    "array-api-compat",  # one kinematics for numpy and torch
     "lazy-loader",  # public names of a package, imported when first used
     "mujoco>=4.0",  # the arm's physics; 4.0 brought the integrator that carries stiff cables
     "numba",  # arms with friction go from rest to rest, row by row, in compiled code

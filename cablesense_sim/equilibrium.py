@@ -7,8 +7,8 @@ max(0, k_i s_i) with s_i = l_i(q) - l_i(c) + T0_i / k_i, and the arm rests where
 
 is least (A_n: weight and loads on segment n's unit axis x_n, `kinematics.load_arms`). The loads
 keep their direction in the base frame, so V exists, and slack cables only make it piecewise:
-continuously differentiable, twice so between kinks. `rest_search` finds the least; slack needs no
-case of its own.
+continuously differentiable, twice so between kinks. `rest_search` finds the minimum; slack cables
+need no special case. It is compiled, and imported when the first equilibrium is asked for.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 from cablesense_base import Array, CableSenseError
 from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.rest_search import hessian_n_m, rounding_m, rounding_n_m, search_rest
 
 RESIDUAL_LIMIT_N_M = 1e-7
 """Largest joint torque left unbalanced in a pose that counts as an equilibrium.
@@ -31,11 +30,6 @@ On arms too large and stiff for double precision, what rounding leaves counts in
 
 MAX_FORCE_N = 1e6
 """Largest force component that is accepted; a larger one has a wrong unit."""
-
-_CHUNK = 512
-"""Cases that are searched together: enough for NumPy, and few enough for a processor's cache."""
-_MANY = 256
-"""So many are worth compiled code."""
 
 
 class EquilibriumError(CableSenseError):
@@ -87,11 +81,13 @@ def solve_equilibrium(
         EquilibriumError: a shape does not fit, a number is not finite, or no pose balances a case
             to within `RESIDUAL_LIMIT_N_M`.
     """
+    from cablesense_sim.rest_search import search_rest
+
     command, forces = _checked(mechanism, command_rad, forces_n)
     leading = command.shape[:-1]
     command = command.reshape(-1, mechanism.joint_count)
     forces = forces.reshape(-1, mechanism.segment_count, 3)
-    enough = max(0.01 * RESIDUAL_LIMIT_N_M, rounding_n_m(mechanism))
+    enough = max(0.01 * RESIDUAL_LIMIT_N_M, _rounding_n_m(mechanism))
     if held_m is None:
         rest = kinematics.spans(mechanism, command).length_m.sum(-1)
     else:
@@ -100,8 +96,10 @@ def solve_equilibrium(
         rest = straight + held.reshape(-1, mechanism.cable_count)
     rest = rest - mechanism.pretension_n / mechanism.stiffness_n_m
     start = command if start_rad is None else np.asarray(start_rad, float).reshape(command.shape)
-    cases = (rest, forces, start)
-    angles, tensions, residual, iterations = _searched(mechanism, enough, *cases)
+    arms = kinematics.load_arms(mechanism, forces)
+    angles, tensions, residual, iterations = search_rest(
+        mechanism, enough, _rounding_m(mechanism), rest, arms, start
+    )
     _require_rest(mechanism, command, forces, angles, residual)
     return Equilibrium(
         joint_angles_rad=angles.reshape(*leading, mechanism.joint_count),
@@ -144,11 +142,21 @@ def stiffness_matrix_n_m(
     mechanism: Mechanism, joint_angles_rad: Array, tensions_n: Array, forces_n: Array
 ) -> Array:
     """Second derivative (..., 2N, 2N) of the potential: J' k J where taut, and geometry."""
-    span = kinematics.spans(mechanism, joint_angles_rad)
-    pose = kinematics.chain(mechanism, joint_angles_rad)
-    return hessian_n_m(
-        mechanism, span, pose, tensions_n, kinematics.load_arms(mechanism, forces_n)
+    from cablesense_sim.rest_search import hessians_n_m
+
+    arms = kinematics.load_arms(mechanism, forces_n)
+    count, segments = mechanism.joint_count, mechanism.segment_count
+    leading = np.broadcast_shapes(
+        joint_angles_rad.shape[:-1], tensions_n.shape[:-1], arms.shape[:-2]
     )
+    flat = (
+        np.broadcast_to(joint_angles_rad, (*leading, count)).reshape(-1, count),
+        np.broadcast_to(tensions_n, (*leading, mechanism.cable_count)).reshape(
+            -1, mechanism.cable_count
+        ),
+        np.broadcast_to(arms, (*leading, segments, 3)).reshape(-1, segments, 3),
+    )
+    return hessians_n_m(mechanism, *flat).reshape(*leading, count, count)
 
 
 def potential_gradient_n_m(
@@ -180,22 +188,20 @@ def tension_sensitivity(
     return gain.reshape(*gain.shape[:-1], mechanism.segment_count, 3)
 
 
-def _searched(
-    mechanism: Mechanism, enough_n_m: float, rest: Array, forces: Array, start: Array
-) -> tuple[Array, Array, Array, NDArray[np.int64]]:
-    """As `search_rest`, of any number of cases."""
-    if len(start) < _MANY:
-        return search_rest(mechanism, enough_n_m, rest, forces, start)
-    from cablesense_sim.rest_batch import whole_steps_to_rest  # compiled: few need not wait
+def _rounding_m(mechanism: Mechanism) -> float:
+    """What double precision leaves open of a cable's stretch, with some room.
 
-    arms, rounding = kinematics.load_arms(mechanism, forces), rounding_m(mechanism)
-    found = whole_steps_to_rest(mechanism, enough_n_m, rounding, rest, arms, start)
-    left = np.flatnonzero(np.isinf(found[2]))
-    for rows in np.split(left, range(_CHUNK, len(left), _CHUNK)):
-        searched = search_rest(mechanism, enough_n_m, rest[rows], forces[rows], start[rows])
-        for values, own in zip(found, searched, strict=True):
-            values[rows] = own
-    return found
+    Where plates are wide and close together, a span is a small difference of large squares.
+    """
+    apart = 2.0 * mechanism.plate_offset_m
+    wide = float(np.hypot(mechanism.hole_y_m, mechanism.hole_z_m).max())
+    return 4.0 * float(np.finfo(float).eps) * mechanism.segment_count * max(apart, wide**2 / apart)
+
+
+def _rounding_n_m(mechanism: Mechanism) -> float:
+    """What that leaves open of a joint torque."""
+    radius = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)
+    return _rounding_m(mechanism) * float((mechanism.stiffness_n_m * radius).max())
 
 
 def _checked(
@@ -242,7 +248,7 @@ def _require_rest(
 ) -> None:
     """Every case at rest, and none bent so far that guide plates would have met before."""
     bend, limit = kinematics.bend_rad(angles), mechanism.bend_limit_rad
-    unbalanced = ~(residual <= max(RESIDUAL_LIMIT_N_M, rounding_n_m(mechanism)))
+    unbalanced = ~(residual <= max(RESIDUAL_LIMIT_N_M, _rounding_n_m(mechanism)))
     failed = np.flatnonzero(unbalanced | ~(bend < limit).all(-1))
     if not failed.size:
         return

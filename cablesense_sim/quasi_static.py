@@ -24,7 +24,7 @@ from cablesense_sim.effects.effect import Pull, Rest
 from cablesense_sim.effects.registry import Variants, transmissions
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism, stack
-from cablesense_sim.rest_search import descent_step
+from cablesense_sim.rest_search import escape_step
 
 _ENOUGH_N_M = 1e-6
 _TOLERATED_N_M = 1e-4
@@ -345,12 +345,9 @@ def _chosen(which: NDArray[np.bool_], one: Any, other: Any) -> Any:
 def _step_rad(torque_n_m: Array, slope_n_m: Array) -> Array:
     """Newton's step; where that leads uphill, with too many cables slack, a step that descends."""
     step = -np.linalg.solve(slope_n_m, torque_n_m[..., None])[..., 0]
-    uphill = (torque_n_m * step).sum(-1) > 0.0
-    if uphill.any():
-        slope = slope_n_m[uphill]
-        symmetric = 0.5 * (slope + np.swapaxes(slope, -1, -2))
-        none = np.zeros(len(symmetric), dtype=bool)
-        step[uphill] = descent_step(symmetric, torque_n_m[uphill], stable=none)
+    for arm in np.flatnonzero((torque_n_m * step).sum(-1) > 0.0):
+        symmetric = 0.5 * (slope_n_m[arm] + slope_n_m[arm].T)
+        step[arm] = escape_step(symmetric, torque_n_m[arm])
     return _shortened(np.asarray(step))
 
 

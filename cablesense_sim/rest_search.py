@@ -1,223 +1,318 @@
-"""The search for a resting pose: Newton's method on the potential, for many cases at once.
+"""The search for equilibria, compiled: Newton's method on the potential, case by case.
 
 The potential (see `equilibrium`) is continuously differentiable, and twice so between kinks, where
 a cable goes slack. Newton's method with exact second derivatives and a line search suits that
-(Nocedal and Wright, Numerical Optimization, 2006, sections 3.4 and 6.2), with two additions: steps
-that cross a kink are cut from their far end, and a saddle of the potential is left.
+(Nocedal and Wright, Numerical Optimization, 2006, sections 3.4 and 6.2), with two additions. Steps
+that cross a kink are cut from their far end, and a saddle of the potential is left. The formulas
+are those of `kinematics`, for one case at a time.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_sim import kinematics
+from cablesense_sim.compiled import compiled
 from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.rest_pose import (
+    Plates,
+    plates_of,
+    span_m,
+    take_load_slope,
+    take_load_torque,
+    turn_axes,
+)
 
-MAX_ITERATIONS = 100
-ARMIJO = 1e-4
+_MAX_ITERATIONS = 100
+_ARMIJO = 1e-4
 _SHORTEST_STEP = 1e-9
-_CUT = (0.01, 0.9)
-LONGEST_TURN_RAD = 0.1
-ROUNDING = 1e-13
-"""Of the potential, beside what cables' stretches leave open."""
+_LEAST_CUT, _LARGEST_CUT = 0.01, 0.9
+_LONGEST_TURN_RAD = 0.1
 _LEAST_ESCAPE_RAD = 1e-3
+_ROUNDING = 1e-13
+"""Relative rounding of the potential, in addition to that of the cables' stretches."""
 
 
-def rounding_m(mechanism: Mechanism) -> float:
-    """What double precision leaves open of a cable's stretch, with some room.
+class _Springs(NamedTuple):
+    """Plates of one arm, stiffness of its M cables, and that of its 2N joint axes."""
 
-    Where plates are wide and close together, a span is a small difference of large squares.
+    plates: Plates
+    cable_n_m: Array
+    joint_n_m_rad: Array
+
+
+class _Case(NamedTuple):
+    """What is known of one pose, overwritten from step to step.
+
+    Attributes:
+        tension_n: (M,).
+        gradient_n_m, hessian_n_m: (2N,) and (2N, 2N) of the potential, of the latter the lower
+            half.
+        axis, joint_axis: (N, 3) and (2N, 3) as in `rest_pose.Pose`.
+        jacobian_m: (M, 2N) of the cable lengths.
+        second_m: (N, 3) second derivatives of one cable's spans.
     """
-    apart = 2.0 * mechanism.plate_offset_m
-    wide = float(np.hypot(mechanism.hole_y_m, mechanism.hole_z_m).max())
-    return 4.0 * float(np.finfo(float).eps) * mechanism.segment_count * max(apart, wide**2 / apart)
 
-
-def rounding_n_m(mechanism: Mechanism) -> float:
-    """What that leaves open of a joint torque."""
-    radius = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)
-    return rounding_m(mechanism) * float((mechanism.stiffness_n_m * radius).max())
-
-
-class _Point(NamedTuple):
-    """A batch of poses under commands and loads, with what the method asks of each of them."""
-
-    angles_rad: Array
-    span: kinematics.Spans
-    pose: kinematics.Chain
     tension_n: Array
-    potential_j: Array
     gradient_n_m: Array
-
-    @classmethod
-    def at(cls, mechanism: Mechanism, angles: Array, rest: Array, arms: Array) -> _Point:
-        """Angles (B, 2N), cables' spans at rest (B, M), load arms (B, N, 3)."""
-        span, pose = kinematics.spans(mechanism, angles), kinematics.chain(mechanism, angles)
-        stretch = np.maximum(span.length_m.sum(-1) - rest, 0.0)
-        tension = mechanism.stiffness_n_m * stretch
-        cables = (tension[..., None, :] @ kinematics.interleave(span))[..., 0, :]
-        spring = np.repeat(mechanism.joint_stiffness_n_m_rad, 2, axis=-1) * angles
-        return cls(
-            angles_rad=angles,
-            span=span,
-            pose=pose,
-            tension_n=tension,
-            potential_j=0.5 * (tension * stretch).sum(-1)
-            + 0.5 * (spring * angles).sum(-1)
-            - (arms * pose.rotation[..., 0]).sum((-2, -1)),
-            gradient_n_m=cables + spring - kinematics.axis_torques_n_m(pose, arms),
-        )
-
-
-def _rows(batch: Any, rows: NDArray[Any]) -> Any:
-    """Some rows of every array of a (nested) tuple of arrays."""
-    return type(batch)(
-        *(_rows(part, rows) if isinstance(part, tuple) else part[rows] for part in batch)
-    )
-
-
-def _replace_rows(batch: Any, rows: NDArray[Any], others: Any) -> None:
-    """Write `others` over those rows, in place."""
-    for part, other in zip(batch, others, strict=True):
-        if isinstance(part, tuple):
-            _replace_rows(part, rows, other)
-        else:
-            part[rows] = other
+    hessian_n_m: Array
+    axis: Array
+    joint_axis: Array
+    jacobian_m: Array
+    second_m: Array
 
 
 def search_rest(
-    mechanism: Mechanism, enough_n_m: float, rest: Array, forces: Array, start: Array
+    mechanism: Mechanism,
+    enough_n_m: float,
+    rounding_m: float,
+    rest_m: Array,
+    arms_n_m: Array,
+    start_rad: Array,
 ) -> tuple[Array, Array, Array, NDArray[np.int64]]:
     """Angles (B, 2N), tensions (B, M), residuals (B,) and steps (B,) for a batch.
 
-    `rest` (B, M) are the spans' lengths at which the cables are just slack, `start` (B, 2N) the
-    angles to begin at. A case leaves when its residual is at most `enough_n_m` and its pose
-    stable; the residual of one that finds no stable pose is infinite.
+    A case ends when its residual is at most `enough_n_m` and its pose stable. The residual of one
+    without a stable pose is infinite.
+
+    Args:
+        mechanism: the arm.
+        enough_n_m: largest joint torque that may stay unbalanced.
+        rounding_m: what double precision leaves open of a stretch.
+        rest_m: (B, M) sums of the spans at which cables are just slack.
+        arms_n_m: (B, N, 3) loads on the segments' axes, `kinematics.load_arms`.
+        start_rad: (B, 2N) angles to begin at.
     """
-    arms = kinematics.load_arms(mechanism, forces)
-    angles, tensions = np.empty_like(start), np.empty_like(rest)
-    residual = np.empty(len(start))
-    stable = np.zeros(len(start), dtype=bool)
-    iterations = np.zeros(len(start), dtype=np.int64)
-    live = np.arange(len(start))
-    point = _Point.at(mechanism, start, rest, arms)
-    for iteration in range(MAX_ITERATIONS + 1):
-        angles[live], tensions[live] = point.angles_rad, point.tension_n
-        residual[live] = np.abs(point.gradient_n_m).max(axis=-1)
-        iterations[live] = iteration
-        hessian = hessian_n_m(mechanism, point.span, point.pose, point.tension_n, arms[live])
-        stable[live] = _is_positive_definite(hessian)
-        going = ~(stable[live] & (residual[live] <= enough_n_m))
-        if iteration == MAX_ITERATIONS or not going.any():
-            break
-        live, point, hessian = live[going], _rows(point, going), hessian[going]
-        step = descent_step(hessian, point.gradient_n_m, stable[live])
-        point, moved = _line_search(mechanism, point, step, rest[live], arms[live])
-        live, point = live[moved], _rows(point, moved)
-    residual[~stable] = np.inf  # balanced on a saddle of the potential is not at rest
+    return _searched(
+        _springs(mechanism),
+        enough_n_m,
+        rounding_m,
+        np.array(rest_m),
+        np.array(arms_n_m),
+        np.array(start_rad),
+    )
+
+
+def hessians_n_m(
+    mechanism: Mechanism, angles_rad: Array, tensions_n: Array, arms_n_m: Array
+) -> Array:
+    """Second derivatives (B, 2N, 2N) of the potential, at poses (B, 2N) with tensions (B, M)."""
+    given = (angles_rad, tensions_n, arms_n_m)
+    found = _hessians(_springs(mechanism), *(np.array(values, float) for values in given))
+    return np.tril(found) + np.swapaxes(np.tril(found, -1), -1, -2)
+
+
+def _springs(mechanism: Mechanism) -> _Springs:
+    return _Springs(
+        plates_of(mechanism, 1),
+        np.array(mechanism.stiffness_n_m, float),
+        np.repeat(mechanism.joint_stiffness_n_m_rad, 2).astype(float),
+    )
+
+
+@compiled
+def _empty_case(cables: int, joints: int) -> _Case:
+    return _Case(
+        np.zeros(cables),
+        np.zeros(2 * joints),
+        np.zeros((2 * joints, 2 * joints)),
+        np.zeros((joints, 3)),
+        np.zeros((2 * joints, 3)),
+        np.zeros((cables, 2 * joints)),
+        np.zeros((joints, 3)),
+    )
+
+
+@compiled
+def _searched(
+    springs: _Springs, enough: float, rounding_m: float, rest: Array, arms: Array, angles: Array
+) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+    count, cables = rest.shape
+    tensions, residual = np.zeros((count, cables)), np.full(count, np.inf)
+    iterations = np.zeros(count, np.int64)
+    case = _empty_case(cables, arms.shape[1])
+    for b in range(count):
+        potential = _look(springs, rest[b], arms[b], angles[b], case)
+        for iteration in range(_MAX_ITERATIONS + 1):
+            turn, largest = -case.gradient_n_m, np.abs(case.gradient_n_m).max()
+            stable = _solved(case.hessian_n_m.copy(), turn)
+            tensions[b], iterations[b] = case.tension_n, iteration
+            # balanced on a saddle of the potential is not at rest
+            residual[b] = largest if stable else np.inf
+            if stable and largest <= enough:
+                break
+            if not stable:
+                turn = escape_step(case.hessian_n_m, case.gradient_n_m)
+            turn *= min(1.0, _LONGEST_TURN_RAD / max(np.abs(turn).max(), 1e-300))
+            room = _ROUNDING * (abs(potential) + 1.0) + rounding_m * case.tension_n.sum()
+            start = potential
+            potential = _line_search(springs, rest[b], arms[b], angles[b], turn, start, room, case)
+            if not np.isfinite(potential):
+                break
     return angles, tensions, residual, iterations
 
 
-def hessian_n_m(
-    mechanism: Mechanism,
-    span: kinematics.Spans,
-    pose: kinematics.Chain,
-    tension: Array,
-    arms: Array,
-) -> Array:
-    """Second derivative (..., 2N, 2N) of the potential."""
-    jacobian = kinematics.interleave(span)
-    taut = mechanism.stiffness_n_m * (tension > 0.0)
-    hessian = np.swapaxes(jacobian, -1, -2) @ (taut[..., None] * jacobian)
-    joints = np.arange(mechanism.segment_count)
-    for row, column, second in span.second_derivatives:
-        block = (tension[..., None, :] @ second)[..., 0, :]
-        if row == column:
-            block = block + mechanism.joint_stiffness_n_m_rad
-        hessian[..., 2 * joints + row, 2 * joints + column] += block
-    return hessian - load_hessian(pose, arms)
-
-
-def load_hessian(pose: kinematics.Chain, arms: Array) -> Array:
-    """Second derivative (..., 2N, 2N) of `sum_n A_n · x_n` by the joint angles, N·m.
-
-    For axis k before axis l it is w_k x (w_l x x_n).
-    """
-    x = pose.rotation[..., 0]
-    outer = x[..., :, None] * arms[..., None, :]
-    along = (x * arms).sum(-1)
-    outer = np.repeat(np.cumsum(outer[..., ::-1, :, :], axis=-3)[..., ::-1, :, :], 2, axis=-3)
-    along = np.repeat(np.cumsum(along[..., ::-1], axis=-1)[..., ::-1], 2, axis=-1)
-    w = pose.joint_axis
-    turned = (outer @ w[..., :, None])[..., 0]
-    full = w @ np.swapaxes(turned, -1, -2) - (w @ np.swapaxes(w, -1, -2)) * along[..., None, :]
-    upper = np.triu(full)
-    return upper + np.swapaxes(np.triu(full, 1), -1, -2)
-
-
-def _is_positive_definite(matrices: Array) -> NDArray[np.bool_]:
-    """Whether symmetric matrices (B, K, K) are, (B,): all pivots of elimination are positive."""
-    left = matrices.copy()
-    positive = np.ones(len(left), dtype=bool)
-    for k in range(left.shape[-1]):
-        pivot = left[:, k, k]
-        positive &= pivot > 0.0
-        row = left[:, k, k + 1 :] / np.sqrt(np.where(pivot > 0.0, pivot, np.inf))[:, None]
-        left[:, k + 1 :, k + 1 :] -= row[:, :, None] * row[:, None, :]
-    return positive
-
-
-def descent_step(hessian: Array, gradient: Array, stable: NDArray[np.bool_]) -> Array:
-    """Newton's step where the potential curves up all ways, else along the absolute curvatures.
-
-    Where it curves down the arm would not stay, balanced or not: there the step has a least
-    length.
-    """
-    step = np.empty_like(gradient)
-    if stable.any():
-        step[stable] = -np.linalg.solve(hessian[stable], gradient[stable, :, None])[..., 0]
-    if not stable.all():
-        values, vectors = np.linalg.eigh(hessian[~stable])
-        curvature = np.maximum(np.abs(values), 1e-6 * np.abs(values).max(-1, keepdims=True))
-        along = (np.swapaxes(vectors, -1, -2) @ gradient[~stable][..., None])[..., 0]
-        away = np.where(along < 0.0, _LEAST_ESCAPE_RAD, -_LEAST_ESCAPE_RAD)
-        newton = -along / curvature
-        escaping = (values < 0.0) & (np.abs(newton) < _LEAST_ESCAPE_RAD)
-        step[~stable] = (vectors @ np.where(escaping, away, newton)[..., None])[..., 0]
-    longest = np.abs(step).max(-1, keepdims=True)
-    return step * np.minimum(1.0, LONGEST_TURN_RAD / np.maximum(longest, 1e-300))
-
-
+@compiled
 def _line_search(
-    mechanism: Mechanism, start: _Point, step: Array, rest: Array, arms: Array
-) -> tuple[_Point, NDArray[np.bool_]]:
-    """Armijo backtracking on the potential, and which samples found a pose to move to.
+    springs: _Springs,
+    rest: Array,
+    arms: Array,
+    angles: Array,
+    turn: Array,
+    start: float,
+    room: float,
+    case: _Case,
+) -> float:
+    """Armijo backtracking: turns the angles, in place, and gives the potential there.
 
     A step is too long where it pulls cables taut that the second derivatives took for slack. It is
-    cut by Newton's method along the line, from its far end with the cables taut there: cutting
-    from the near end instead would stop short of the kink, and so forever. Near the equilibrium,
-    where the potential is flat to rounding, full steps pass.
+    cut by Newton's method along the line, from its far end with the cables taut there. A cut from
+    the near end would stop short of the kink, again and again. Near the equilibrium, where the
+    potential is flat to rounding, full steps pass. The potential is infinite, and the angles are
+    unchanged, if no step lowers it.
     """
-    slope = (step * start.gradient_n_m).sum(-1)
-    rounding = ROUNDING * (np.abs(start.potential_j) + 1.0)
-    rounding += rounding_m(mechanism) * start.tension_n.sum(-1)
-    fraction = np.ones(len(step))
-    end = _Point.at(mechanism, start.angles_rad + step, rest, arms)
+    before, slope = angles.copy(), (turn * case.gradient_n_m).sum()
+    fraction = 1.0
     while True:
-        rise = end.potential_j - start.potential_j
-        found = rise <= ARMIJO * fraction * slope + rounding
-        again = np.flatnonzero(~found & (fraction > _SHORTEST_STEP))
-        if not again.size:
-            return end, found
-        far, along = _rows(end, again), step[again]
-        pulled = (kinematics.interleave(far.span) @ along[..., None])[..., 0]
-        curvature = (mechanism.stiffness_n_m * (far.tension_n > 0.0) * pulled**2).sum(-1)
-        excess = (far.gradient_n_m * along).sum(-1)
-        cut = 1.0 - excess / np.maximum(fraction[again] * curvature, 1e-300)
-        fraction[again] *= np.clip(cut, *_CUT)
-        angles = start.angles_rad[again] + fraction[again, None] * along
-        _replace_rows(end, again, _Point.at(mechanism, angles, rest[again], arms[again]))
+        angles[:] = before + fraction * turn
+        potential = _look(springs, rest, arms, angles, case)
+        if potential - start <= _ARMIJO * fraction * slope + room:
+            return potential
+        if not fraction > _SHORTEST_STEP:
+            angles[:] = before
+            return np.inf
+        curvature = 0.0
+        for m in range(len(rest)):
+            if case.tension_n[m] > 0.0:
+                curvature += springs.cable_n_m[m] * (case.jacobian_m[m] * turn).sum() ** 2
+        excess = (case.gradient_n_m * turn).sum()
+        cut = 1.0 - excess / max(fraction * curvature, 1e-300)
+        fraction *= min(max(cut, _LEAST_CUT), _LARGEST_CUT)
+
+
+@compiled
+def _look(springs: _Springs, rest: Array, arms: Array, angles: Array, case: _Case) -> float:
+    """The potential at a pose, and everything of the case."""
+    plates, joints = springs.plates, len(arms)
+    gradient, hessian = case.gradient_n_m, case.hessian_n_m
+    cos, sin = np.cos(angles), np.sin(angles)
+    potential = 0.0
+    hessian[:] = 0.0
+    for k in range(2 * joints):
+        gradient[k] = springs.joint_n_m_rad[k] * angles[k]
+        hessian[k, k] = springs.joint_n_m_rad[k]
+        potential += 0.5 * gradient[k] * angles[k]
+    for m in range(len(rest)):
+        stretch, passed, lever = -rest[m], 0, case.jacobian_m[m]
+        while passed < joints and plates.passes[m, passed]:
+            n, both = passed, slice(2 * passed, 2 * passed + 2)
+            holes = plates.holes_m[0, m, n]
+            stretch += span_m(
+                plates.offset_m, holes, cos[both], sin[both], lever[both], case.second_m[n]
+            )[0]
+            passed += 1
+        tension = springs.cable_n_m[m] * max(stretch, 0.0)
+        case.tension_n[m] = tension
+        if tension == 0.0:
+            continue
+        potential += 0.5 * tension * stretch
+        for k in range(2 * passed):
+            gradient[k] += tension * lever[k]
+        _take_cable_slope(springs.cable_n_m[m], tension, passed, lever, case.second_m, hessian)
+    turn_axes(cos, sin, case.axis, case.joint_axis)
+    take_load_torque(case.axis, case.joint_axis, arms, gradient)
+    take_load_slope(case.axis, case.joint_axis, arms, hessian)
+    for n in range(joints):
+        for i in range(3):
+            potential -= arms[n, i] * case.axis[n, i]
+    return potential
+
+
+@compiled
+def _take_cable_slope(
+    stiffness: float, tension: float, passed: int, lever: Array, second: Array, hessian: Array
+) -> None:
+    """Adds a taut cable over the first `passed` joints to the lower half of a Hessian."""
+    for k in range(2 * passed):
+        for j in range(k + 1):
+            hessian[k, j] += stiffness * lever[k] * lever[j]
+    for n in range(passed):
+        hessian[2 * n, 2 * n] += tension * second[n, 0]
+        hessian[2 * n + 1, 2 * n] += tension * second[n, 1]
+        hessian[2 * n + 1, 2 * n + 1] += tension * second[n, 2]
+
+
+@compiled
+def _hessians(springs: _Springs, angles: Array, tensions: Array, arms: Array) -> Array:
+    """Second derivatives (B, 2N, 2N), of which the lower halves count."""
+    plates, joints = springs.plates, arms.shape[1]
+    found = np.zeros((len(angles), 2 * joints, 2 * joints))
+    case = _empty_case(tensions.shape[1], joints)
+    for b in range(len(angles)):
+        cos, sin = np.cos(angles[b]), np.sin(angles[b])
+        for k in range(2 * joints):
+            found[b, k, k] = springs.joint_n_m_rad[k]
+        for m in range(tensions.shape[1]):
+            passed, lever = 0, case.jacobian_m[m]
+            while passed < joints and plates.passes[m, passed]:
+                n, both = passed, slice(2 * passed, 2 * passed + 2)
+                holes = plates.holes_m[0, m, n]
+                span_m(plates.offset_m, holes, cos[both], sin[both], lever[both], case.second_m[n])
+                passed += 1
+            if tensions[b, m] > 0.0:
+                stiffness = springs.cable_n_m[m]
+                _take_cable_slope(
+                    stiffness, tensions[b, m], passed, lever, case.second_m, found[b]
+                )
+        turn_axes(cos, sin, case.axis, case.joint_axis)
+        take_load_slope(case.axis, case.joint_axis, arms[b], found[b])
+    return found
+
+
+@compiled
+def escape_step(hessian: Array, gradient: Array) -> Array:
+    """A step (K,) down a function that curves down in some direction, by the absolute curvatures.
+
+    There the arm would not stay, balanced or not, so the step along such a direction has a least
+    length. Of the Hessian (K, K) the lower half counts.
+    """
+    whole = hessian.copy()
+    for i in range(len(whole)):
+        for j in range(i):
+            whole[j, i] = whole[i, j]
+    values, vectors = np.linalg.eigh(whole)
+    least = 1e-6 * np.abs(values).max()
+    step = np.zeros(len(gradient))
+    for k in range(len(values)):
+        along = (vectors[:, k] * gradient).sum()
+        length = -along / max(abs(values[k]), least)
+        if values[k] < 0.0 and abs(length) < _LEAST_ESCAPE_RAD:
+            length = _LEAST_ESCAPE_RAD if along < 0.0 else -_LEAST_ESCAPE_RAD
+        step += length * vectors[:, k]
+    return step
+
+
+@compiled
+def _solved(hessian: Array, values: Array) -> bool:
+    """Solves in place by Cholesky of the lower half; whether that is positive definite."""
+    count = len(values)
+    for k in range(count):
+        for i in range(k, count):
+            for j in range(k):
+                hessian[i, k] -= hessian[i, j] * hessian[k, j]
+        if not hessian[k, k] > 0.0:
+            return False
+        root = np.sqrt(hessian[k, k])
+        for i in range(k, count):
+            hessian[i, k] /= root
+        for j in range(k):
+            values[k] -= hessian[k, j] * values[j]
+        values[k] /= root
+    for k in range(count - 1, -1, -1):
+        for i in range(k + 1, count):
+            values[k] -= hessian[i, k] * values[i]
+        values[k] /= hessian[k, k]
+    return True

@@ -1,4 +1,4 @@
-"""Closed-form kinematics against MuJoCo's, finite differences, and NumPy against torch."""
+"""Closed-form kinematics against MuJoCo's, finite differences, and the compiled form."""
 
 from functools import partial
 from typing import Any
@@ -6,7 +6,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-import torch
 from arm_variants import variant
 from joint_torques import gravity_torques_n_m, load_torques_n_m
 
@@ -15,7 +14,6 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.mechanism import Mechanism, stack
 from cablesense_sim.model import build_spec
-from cablesense_sim.rest_search import load_hessian
 
 TAPERED = {
     "segments.count": 3,
@@ -168,43 +166,6 @@ def test_touching_plates_leave_finite_numbers() -> None:
     assert all(np.isfinite(part).all() for part in span)
 
 
-FUNCTIONS = (
-    kinematics.cable_lengths_m,
-    kinematics.cable_jacobian_m,
-    kinematics.segment_rotations,
-    kinematics.joint_positions_m,
-    kinematics.contact_points_m,
-    kinematics.contact_jacobians_m,
-    gravity_torques_n_m,
-)
-
-
-@pytest.mark.parametrize("function", FUNCTIONS)
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_torch_and_numpy_agree_in_their_own_precision(function: Any, precision: str) -> None:
-    mechanism = mechanism_of(ARMS["tapered"])
-    q = poses(mechanism, 12).reshape(3, 4, -1).astype(precision)
-    of_numpy, of_torch = function(mechanism, q), function(mechanism, torch.from_numpy(q))
-    assert of_numpy.dtype == precision
-    assert of_torch.dtype == getattr(torch, precision)
-    assert of_numpy.shape == tuple(of_torch.shape)
-    assert of_numpy.shape[:2] == (3, 4)
-    tolerance = 1e-13 if precision == "float64" else 1e-5
-    np.testing.assert_allclose(of_torch.numpy(), of_numpy, atol=tolerance)
-    np.testing.assert_allclose(function(mechanism, q[1, 2]), of_numpy[1, 2], atol=tolerance)
-
-
-def test_torch_can_differentiate_through_it() -> None:
-    mechanism = mechanism_of(ARMS["cdsm"])
-    q = torch.from_numpy(poses(mechanism, 1)[0])
-    by_torch = torch.autograd.functional.jacobian(
-        lambda x: kinematics.cable_lengths_m(mechanism, x), q
-    )
-    np.testing.assert_allclose(
-        by_torch.numpy(), kinematics.cable_jacobian_m(mechanism, q.numpy()), atol=1e-12
-    )
-
-
 def test_the_compiled_pose_is_the_same(arm: Arm) -> None:
     mechanism = mechanism_of(arm)
     rng = np.random.default_rng(3)
@@ -226,4 +187,8 @@ def test_the_compiled_pose_is_the_same(arm: Arm) -> None:
     still = np.zeros_like(angles)
     by_span = np.zeros((*none.shape, none.shape[-1]))
     balance = rest_pose.balanced(pose, none, by_span, loads, still, still)
-    same(balance.held_slope_n_m, -load_hessian(chain, loads))
+
+    def torque_n_m(q: np.ndarray) -> np.ndarray:
+        return -kinematics.axis_torques_n_m(kinematics.chain(stacked, q), loads)
+
+    np.testing.assert_allclose(balance.held_slope_n_m, difference(torque_n_m, angles), atol=1e-8)
