@@ -22,8 +22,8 @@ import numpy as np
 
 from cablesense_base import CableSenseError
 from cablesense_base.files import write_atomically
-from cablesense_gap.report.style import image_bytes, listed, newtons, percent, style
-from cablesense_gap.verdict import write_verdict
+from cablesense_gap.report.style import image_bytes, newtons, percent, style
+from cablesense_gap.verdict import listed, write_verdict
 from cablesense_paper.drawing import SERIES, one_panel
 from cablesense_paper.report import paper_page
 from cablesense_paper.studies.sim_to_real import (

@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,7 +111,7 @@ def read_table(path: str | Path, prefixes: Collection[str]) -> dict[str, Array]:
     return found
 
 
-def write_table(path: str | Path, columns: Mapping[str, Array], float_format: str) -> None:
+def write_table(path: str | Path, columns: Mapping[str, Any], float_format: str) -> None:
     """Write columns (R,) as CSV; the file appears whole or not at all.
 
     Raises:

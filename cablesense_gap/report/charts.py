@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-from cablesense_gap.report.style import newtons
+from cablesense_gap.report.style import size_text
 from cablesense_gap.report.text import candidate_name
 from cablesense_gap.verdict import UNKNOWN, Verdict, listed
 
@@ -37,7 +37,7 @@ def gap_bars(verdict: Verdict) -> list[Bar]:
     else:
         sizes.append(("with tolerances as fitted", gap.after_n, "other"))
     sizes.append(("sensors alone", gap.floor_n, "floor"))
-    return [Bar(name, 0.0, n, kind, _size(n, verdict.unit)) for name, n, kind in sizes]
+    return [Bar(name, 0.0, n, kind, size_text(n, verdict.unit)) for name, n, kind in sizes]
 
 
 def steps(verdict: Verdict) -> list[Bar]:
@@ -45,7 +45,7 @@ def steps(verdict: Verdict) -> list[Bar]:
     if len(verdict.shares) < 2:
         return []
     gap, unit, level = verdict.gap, verdict.unit, verdict.gap.before_n
-    bars = [Bar("nominal", 0.0, level, "before", _size(level, unit))]
+    bars = [Bar("nominal", 0.0, level, "before", size_text(level, unit))]
     ends: list[tuple[str, float, Kind]] = [
         (candidate_name((name,)), share.left_n, "after") for name, share in verdict.shares.items()
     ]
@@ -57,13 +57,9 @@ def steps(verdict: Verdict) -> list[Bar]:
         low, high = sorted((level, left))
         bars.append(Bar(name, low, high, kind, _signed(left - level, unit)))
         level = left
-    return [*bars, Bar("sensors alone", 0.0, gap.floor_n, "floor", _size(gap.floor_n, unit))]
-
-
-def _size(value: float, unit: str) -> str:
-    return newtons(value) if unit == "N" else f"{value:.3g} {unit}"
+    return [*bars, Bar("sensors alone", 0.0, gap.floor_n, "floor", size_text(gap.floor_n, unit))]
 
 
 def _signed(change: float, unit: str) -> str:
-    size = _size(abs(change), unit)
-    return size if change >= 0.0 or size == _size(0.0, unit) else f"\N{MINUS SIGN}{size}"
+    size = size_text(abs(change), unit)
+    return size if change >= 0.0 or size == size_text(0.0, unit) else f"\N{MINUS SIGN}{size}"

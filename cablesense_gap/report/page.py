@@ -32,14 +32,14 @@ from cablesense_gap.report.text import (
     FRICTION_HIDES,
     SURE,
     candidate_name,
-    cause,
+    causes_and_advice,
     earlier_sentence,
-    effect_advice,
     effect_places,
     error_rows,
     headline,
     numbers,
     place_text,
+    rival_names,
 )
 from cablesense_gap.residuals import ALL, EVERYWHERE, LOOP, REGIMES, SET, TRIAL, decompose
 from cablesense_gap.verdict import (
@@ -47,7 +47,6 @@ from cablesense_gap.verdict import (
     UNKNOWN,
     Verdict,
     VerdictError,
-    joined,
     listed,
     write_verdict,
 )
@@ -68,14 +67,23 @@ def write_diagnosis(
         ArmFileError: the arm file cannot be written.
         ReportError: the report cannot be written.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise VerdictError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    make_folder(folder)
     verdict, arm, report = (folder / name for name in DIAGNOSIS_FILES)
     write_verdict(verdict, found.verdict)
     write_arm(arm, found.amended, headline(found.verdict))
     write_atomically(report, report_page(found, models), ReportError)
+
+
+def make_folder(folder: Path) -> None:
+    """Make the folder of a diagnosis where there is none.
+
+    Raises:
+        VerdictError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise VerdictError(f"{folder}: cannot be made ({error.strerror or error})") from error
 
 
 def report_page(
@@ -100,13 +108,12 @@ def report_page(
             "regime": dumbbell_picture(before, after, found.after_label, (*REGIMES, LOOP)),
             "estimator": as_uri(drawn_errors(models), "png") if models else "",
         }
-    rivals = [name for name in verdict.ambiguity_group if name != joined(verdict.effects)]
     content = {
         "kind": "effect" if verdict.effects[0] not in (NONE, UNKNOWN) else verdict.effects[0],
         "headline": headline(verdict),
         "sure": verdict.probability >= SURE,
-        "rivals": [candidate_name(name.split("+")) for name in rivals],
-        "causes": [(cause(verdict, name), effect_advice(name)) for name in verdict.effects],
+        "rivals": rival_names(verdict),
+        "causes": causes_and_advice(verdict),
         "verdict": verdict,
         "recording": recording,
         "uncounted": int((~found.counted).sum()),

@@ -16,7 +16,6 @@ from typing import Any
 
 from cablesense_base import CableSenseError
 from cablesense_gap.verdict import Estimate
-from cablesense_gap.verdict import listed as listed
 
 BEFORE, AFTER, FLOOR = "#E69F00", "#0072B2", "#555555"
 OTHER, INK, GRID, LOADED = "#9AA3AD", "#1C2126", "#DDE1E6", "#EEF1F4"
@@ -125,6 +124,13 @@ def _text(package: str, name: str) -> str:
 def newtons(value: float) -> str:
     """`3.20 N`: hundredths below 10 N, tenths above, no more than a sensor resolves."""
     return f"{value:.2f} N" if abs(value) < 10.0 else f"{value:.1f} N"
+
+
+def size_text(value: float, unit: str) -> str:
+    """A size of a verdict in its unit: newtons, or floors of a robot's channels."""
+    if unit == "N":
+        return newtons(value)
+    return f"{value:.3g} {unit.removesuffix('s') if value == 1.0 else unit}"
 
 
 def percent(share: float) -> str:

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from cablesense_gap.report.style import newtons, percent, with_interval
-from cablesense_gap.verdict import NONE, UNKNOWN, Earlier, Estimate, Estimator, Verdict, listed
+from cablesense_gap.report.style import newtons, percent, size_text, with_interval
+from cablesense_gap.verdict import (
+    NONE,
+    UNKNOWN,
+    Earlier,
+    Estimate,
+    Estimator,
+    Verdict,
+    joined,
+    listed,
+)
 from cablesense_sim.arm import Arm
-from cablesense_sim.effects.effect import Parameter
+from cablesense_sim.effects.effect import EffectDescription, Parameter
 from cablesense_sim.effects.registry import known_effects
 
 SURE = 0.9
@@ -19,20 +28,24 @@ _PREPOSITIONS = {"cable": "at", "segment": "on", "joint": "in"}
 _PLACE = re.compile(r"(cable|segment|joint)_(\d+)")
 
 
-def headline(verdict: Verdict) -> str:
-    """The first line: what, where, how sure."""
-    sure, gap = percent(verdict.probability), verdict.gap
+Known = Mapping[str, EffectDescription]
+"""Effects by name; those that are not installed here keep their names in a report."""
+
+
+def headline(verdict: Verdict, known: Known | None = None) -> str:
+    """The first line: what, where, how sure; `known` are the effects of an arm by default."""
+    sure, gap = percent(verdict.probability), size_text(verdict.gap.before_n, verdict.unit)
     if verdict.effects == (NONE,):
         return (
-            f"Nothing to add: the gap of {newtons(gap.before_n)} is what noise and "
-            f"manufacturing tolerances leave ({sure} sure)."
+            f"Nothing to add: the gap of {gap} is what noise and manufacturing tolerances leave "
+            f"({sure} sure)."
         )
     if verdict.effects == (UNKNOWN,):
+        where = "" if verdict.channels else _at(verdict.where.places)
         return (
-            f"Something that no known effect explains makes a gap of {newtons(gap.before_n)}"
-            f"{_at(verdict.where.places)} ({sure} sure)."
+            f"Something that no known effect explains makes a gap of {gap}{where} ({sure} sure)."
         )
-    causes = ", and from ".join(cause(verdict, name) for name in verdict.effects)
+    causes = ", and from ".join(cause(verdict, name, known) for name in verdict.effects)
     probably = "" if verdict.probability >= SURE else " probably"
     return f"The gap{probably} comes from {causes} ({sure} sure)."
 
@@ -83,21 +96,36 @@ def error_rows(estimator: Estimator) -> list[tuple[str, str, str]]:
     return found
 
 
-def cause(verdict: Verdict, name: str) -> str:
-    """An effect in plain text with its places; one that is not installed here keeps its name."""
-    effect = known_effects().get(name)
+def cause(verdict: Verdict, name: str, known: Known | None = None) -> str:
+    """An effect in plain text with its places."""
+    effect = (known_effects() if known is None else known).get(name)
     about = effect.about if effect else name.replace("_", " ")
-    return about + _at(effect_places(verdict, name))
+    places = effect_places(verdict, name)
+    if not verdict.channels:
+        return about + _at(places)
+    named = listed([place.replace("_into_", " into ") for place in places])
+    return f"{about} at {named}" if places else about
 
 
-def effect_advice(name: str) -> str:
-    """What someone at the arm can do about it; may be empty."""
-    effect = known_effects().get(name)
-    return effect.advice if effect else ""
+def causes_and_advice(verdict: Verdict, known: Known | None = None) -> list[tuple[str, str]]:
+    """Each effect in plain text, and what someone at the machine can do about it, if anything."""
+    every = known_effects() if known is None else known
+    return [
+        (cause(verdict, name, known), every[name].advice if name in every else "")
+        for name in verdict.effects
+    ]
+
+
+def rival_names(verdict: Verdict) -> list[str]:
+    """Explanations that the recording cannot distinguish from the verdict's."""
+    others = [name for name in verdict.ambiguity_group if name != joined(verdict.effects)]
+    return [candidate_name(name.split("+")) for name in others]
 
 
 def effect_places(verdict: Verdict, effect: str) -> tuple[str, ...]:
-    """Where an effect of the verdict sits; empty for the whole arm."""
+    """Where an effect of the verdict sits; empty for the whole arm or robot."""
+    if verdict.channels:
+        return verdict.shares[effect].places if effect in verdict.shares else ()
     names = [name.split(".") for name in verdict.parameters]
     middles = [middle for name, *middle, _ in names if name == effect]
     found = [m.group() for middle in middles for m in _PLACE.finditer(" ".join(middle))]

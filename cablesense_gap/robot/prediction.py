@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_base.files import written_whole
-from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.recordings.csv_file import write_table
 from cablesense_gap.robot.model import Robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording
@@ -60,12 +59,9 @@ def write_prediction(path: Path, found: Prediction) -> None:
     Raises:
         RecordingError: the place cannot be written to.
     """
-    import pandas as pd
-
     compared = found.comparison
     columns = {"time_s": compared.time_s, "trial": compared.trial}
     for c, (name, column) in enumerate(zip(compared.names, compared.columns, strict=True)):
         columns[column] = compared.readings[:, c]
         columns[f"predicted.{name}"] = found.predicted[:, c]
-    with written_whole(path, RecordingError) as beside:
-        pd.DataFrame(columns).to_csv(beside, index=False, float_format="%.6g")
+    write_table(path, columns, "%.6g")

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_base.files import written_whole
-from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.recordings.csv_file import write_table
 from cablesense_gap.robot.catalogue import changed
 from cablesense_gap.robot.inverse import InverseDynamics
 from cablesense_gap.robot.model import Robot
@@ -83,13 +82,10 @@ def write_protocol(path: Path, robot: Robot, blocks: Sequence[Block]) -> int:
     Raises:
         RecordingError: the place cannot be written to.
     """
-    import pandas as pd
-
     position, trial = _joined(blocks)
     columns = {"time_s": np.arange(len(position)) / RATE_HZ, "trial": trial + 1}
     columns |= {f"position.{name}": position[:, j] for j, name in enumerate(robot.joints)}
-    with written_whole(path, RecordingError) as beside:
-        pd.DataFrame(columns).to_csv(beside, index=False, float_format="%.6f")
+    write_table(path, columns, "%.6f")
     return len(position)
 
 

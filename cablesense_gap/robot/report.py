@@ -10,6 +10,7 @@ import numpy as np
 
 from cablesense_base.files import write_atomically
 from cablesense_gap.report.charts import gap_bars, steps
+from cablesense_gap.report.page import make_folder
 from cablesense_gap.report.style import (
     AFTER,
     BEFORE,
@@ -19,23 +20,16 @@ from cablesense_gap.report.style import (
     as_uri,
     percent,
     rendered,
+    size_text,
     style,
     with_interval,
 )
-from cablesense_gap.report.text import SURE, candidate_name
+from cablesense_gap.report.text import causes_and_advice, headline, rival_names
 from cablesense_gap.robot.amending import AMENDED_MODEL, BESIDE_MODEL, write_amended
 from cablesense_gap.robot.catalogue import known_effects
-from cablesense_gap.robot.pipeline import RobotDiagnosis
+from cablesense_gap.robot.pipeline import UNIT, RobotDiagnosis
 from cablesense_gap.simulator import Term
-from cablesense_gap.verdict import (
-    NONE,
-    UNKNOWN,
-    Verdict,
-    VerdictError,
-    joined,
-    listed,
-    write_verdict,
-)
+from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, listed, write_verdict
 
 ROBOT_FILES = ("verdict.json", AMENDED_MODEL, BESIDE_MODEL, "report.html")
 
@@ -50,10 +44,7 @@ def write_robot_diagnosis(
         RobotError: the amended model cannot be written.
         ReportError: the report cannot be written.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise VerdictError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    make_folder(folder)
     write_verdict(folder / "verdict.json", found.verdict)
     write_amended(folder, found.robot, found.amended, beside)
     write_atomically(folder / "report.html", report_page(found, folder.name), ReportError)
@@ -61,28 +52,12 @@ def write_robot_diagnosis(
 
 def robot_headline(verdict: Verdict) -> str:
     """The first line: what, where, how sure."""
-    sure, gap = percent(verdict.probability), floors(verdict.gap.before_n)
-    if verdict.effects == (NONE,):
-        return (
-            f"Nothing to add: the gap of {gap} is what noise and manufacturing tolerances leave "
-            f"({sure} sure)."
-        )
-    if verdict.effects == (UNKNOWN,):
-        return f"Something that no known effect explains makes a gap of {gap} ({sure} sure)."
-    causes = ", and from ".join(_cause(verdict, name) for name in verdict.effects)
-    probably = "" if verdict.probability >= SURE else " probably"
-    return f"The gap{probably} comes from {causes} ({sure} sure)."
+    return headline(verdict, known_effects())
 
 
 def floors(value: float) -> str:
     """`8.4 floors`."""
-    return f"{value:.3g} floor{'' if value == 1.0 else 's'}"
-
-
-def _cause(verdict: Verdict, name: str) -> str:
-    places = verdict.shares[name].places if name in verdict.shares else ()
-    where = f" at {listed([place.replace('_into_', ' into ') for place in places])}"
-    return known_effects()[name].about + (where if places else "")
+    return size_text(value, UNIT)
 
 
 def report_page(found: RobotDiagnosis, folder: str) -> str:
@@ -91,14 +66,11 @@ def report_page(found: RobotDiagnosis, folder: str) -> str:
     with style():
         overlay = _overlay(found)
     named = verdict.effects[0] not in (NONE, UNKNOWN)
-    rivals = [name for name in verdict.ambiguity_group if name != joined(verdict.effects)]
     content = {
         "kind": "effect" if named else verdict.effects[0],
         "headline": robot_headline(verdict),
-        "rivals": [candidate_name(name.split("+")) for name in rivals],
-        "causes": [(_cause(verdict, n), known_effects()[n].advice) for n in verdict.effects]
-        if named
-        else [],
+        "rivals": rival_names(verdict),
+        "causes": causes_and_advice(verdict, known_effects()) if named else [],
         "verdict": verdict,
         "trials": int(found.comparison.trial.max()) + 1,
         "folder": folder,

@@ -16,6 +16,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_base.files import written_whole
+from cablesense_gap.recordings.csv_file import write_table
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot.catalogue import changed, known_effects
 from cablesense_gap.robot.effects.effect import WHOLE_ARM, RobotEffect, Scale
@@ -107,8 +108,6 @@ class _ProtocolMotion:
 
 
 def _case(path: Path, motion: _ProtocolMotion, asked: str, rng: np.random.Generator) -> Hidden:
-    import pandas as pd
-
     robot, scale = motion.robot, motion.scale
     names = [] if asked in (NONE, UNKNOWN) else asked.split("+")
     for _ in range(_ATTEMPTS):
@@ -132,10 +131,8 @@ def _case(path: Path, motion: _ProtocolMotion, asked: str, rng: np.random.Genera
         raise RobotError(f"{robot.path}: cannot be held on the protocol's motion with {asked}")
     columns = ["time_s", "trial"]
     columns += [f"{kind}.{joint}" for kind in ("position", "torque") for joint in robot.joints]
-    with written_whole(path, RecordingError) as beside:
-        pd.DataFrame(np.concatenate(tables), columns=columns).to_csv(
-            beside, index=False, float_format="%.7g"
-        )
+    rows = np.concatenate(tables)
+    write_table(path, dict(zip(columns, rows.T, strict=True)), "%.7g")
     places = dict.fromkeys(t.place for each in values for t in each if t.place != WHOLE_ARM)
     return Hidden(path.stem, asked, " ".join(places))
 

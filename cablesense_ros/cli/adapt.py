@@ -1,4 +1,4 @@
-"""`cablesense gap adapt`: from a recording to an estimator that is put right by its diagnosis."""
+"""`cablesense gap adapt`: from a recording to an estimator that is corrected by its diagnosis."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from cablesense_ros.cli.options import (
     OptionError,
     RecordingArgument,
     WorkersOption,
+    diagnosis_progress,
     print_json,
-    task_bars,
 )
 
 if TYPE_CHECKING:
@@ -81,16 +81,10 @@ def adapt(
     recorded = read_recording(recording, nominal)
     command = ["cablesense", "gap", "adapt", recording.name, "--arm", arm, "--out", out.name]
     console = Console(stderr=json_output)
-    with tempfile.TemporaryDirectory() as folder, task_bars(console) as progress:
-        task = progress.add_task("reading", total=1.0)
+    with tempfile.TemporaryDirectory() as folder, diagnosis_progress(console) as progress:
         second = Path(folder) / ADAPTED_MODEL
 
-        def show(doing: str, done: float) -> None:
-            progress.update(task, description=doing.replace("_", " "), completed=done)
-
-        def warn(finding: str) -> None:
-            progress.console.print(f"warning: {finding}", soft_wrap=True, markup=False)
-
+        show, warn = progress
         found = make(recorded, nominal, first, second, shlex.join(command), show, workers, warn)
         if found.better:
             put_simulated_limit(second)
@@ -127,7 +121,7 @@ def _outcome(found: Adaptation, first: Path) -> str:
         f"diagnosis nor training had: {after}; before: {before}"
     )
     if found.better:
-        return f"The estimator is put right, {errors}."
+        return f"The estimator is corrected, {errors}."
     return f"The second estimator is no better, {errors}. Keep {first}."
 
 

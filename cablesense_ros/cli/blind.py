@@ -193,7 +193,7 @@ def withhold(
     answers_file = answers or out / "answers" / "answers.csv"
     if model is not None:
         refuse_given(context, ["arm", "second", "workers"], "with --model")
-        withhold_robots(model, out, answers_file, count, seed, only or [], force=force)
+        withhold_robots(model, out, answers_file, count, seed, only or [], force)
         return
     from rich.progress import track
 

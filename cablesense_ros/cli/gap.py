@@ -14,6 +14,7 @@ from cablesense_ros.cli.adapt import adapt
 from cablesense_ros.cli.blind import score, withhold
 from cablesense_ros.cli.gap_robot import (
     BandwidthOption,
+    ComparisonOptions,
     ForwardOption,
     ModelOption,
     ZeroedOption,
@@ -29,9 +30,9 @@ from cablesense_ros.cli.options import (
     RecordingArgument,
     RecordingFile,
     WorkersOption,
+    diagnosis_progress,
     print_json,
     refuse_given,
-    task_bars,
     titled_table,
 )
 
@@ -63,17 +64,8 @@ def diagnose(
     """
     if model is not None:
         refuse_given(context, ["arm"], "with --model")
-        diagnose_robot(
-            recording,
-            model,
-            out,
-            bandwidth,
-            forward,
-            workers,
-            zeroed=zeroed,
-            force=force,
-            json_output=json_output,
-        )
+        comparison = ComparisonOptions(bandwidth, forward, zeroed)
+        diagnose_robot(recording, model, out, comparison, workers, force, json_output)
         return
     refuse_given(context, ["bandwidth", "forward", "zeroed"], "without --model")
     from cablesense_gap.pipeline import diagnose as make
@@ -87,16 +79,8 @@ def diagnose(
     nominal = load_arm(arm_file)
     recorded = read_recording(recording, nominal)
     console = Console(stderr=json_output)
-    with task_bars(console) as progress:
-        task = progress.add_task("reading", total=1.0)
-
-        def show(doing: str, done: float) -> None:
-            progress.update(task, description=doing.replace("_", " "), completed=done)
-
-        def warn(finding: str) -> None:
-            progress.console.print(f"warning: {finding}", soft_wrap=True, markup=False)
-
-        found = make(recorded, nominal, show, workers, warn)
+    with diagnosis_progress(console) as progress:
+        found = make(recorded, nominal, progress.show, workers, progress.warn)
     write_diagnosis(out, found)
     if json_output:
         print_json(found.verdict.model_dump(mode="json", exclude_none=True))
@@ -143,16 +127,8 @@ def predict(
     """
     if model is not None:
         refuse_given(context, ["arm", "settle"], "with --model")
-        predict_robot(
-            recording,
-            model,
-            out,
-            bandwidth,
-            forward,
-            zeroed=zeroed,
-            force=force,
-            json_output=json_output,
-        )
+        comparison = ComparisonOptions(bandwidth, forward, zeroed)
+        predict_robot(recording, model, out, comparison, force, json_output)
         return
     refuse_given(context, ["bandwidth", "forward", "zeroed"], "without --model")
     from cablesense_base import CableSenseError
@@ -218,7 +194,7 @@ def protocol(
         refuse_given(context, ["arm"], "with --model")
         if out is None:
             refuse_given(context, ["force"], "without --out")
-        print_robot_protocol(model, out, force=force)
+        print_robot_protocol(model, out, force)
         return
     from cablesense_gap.recordings.protocol import rows_of, standard_protocol
     from cablesense_sim.arm import find_arm, load_arm

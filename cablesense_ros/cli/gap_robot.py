@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from glob import escape
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 from rich.console import Console
 
 from cablesense_base.files import output_file, output_folder
-from cablesense_ros.cli.options import print_json, task_bars, titled_table
+from cablesense_ros.cli.options import diagnosis_progress, print_json, titled_table
 
 ModelOption = Annotated[
     Path | None,
@@ -44,15 +44,20 @@ ZeroedOption = Annotated[
 ]
 
 
+class ComparisonOptions(NamedTuple):
+    """How a robot's recording is compared with its model, as the options say."""
+
+    bandwidth_hz: float | None
+    forward: bool | None
+    zeroed: bool
+
+
 def diagnose_robot(
     recording: Path,
     model: Path,
     out: Path,
-    bandwidth_hz: float | None,
-    forward: bool | None,
+    comparison: ComparisonOptions,
     workers: int,
-    *,
-    zeroed: bool,
     force: bool,
     json_output: bool,
 ) -> None:
@@ -66,14 +71,10 @@ def diagnose_robot(
     output_folder(out, ROBOT_FILES, force=force, inputs=(recording, robot.path))
     recorded = read_recording(recording, robot)
     console = Console(stderr=json_output)
-    with task_bars(console) as progress:
-        task = progress.add_task("reading", total=1.0)
-
-        def show(doing: str, done: float) -> None:
-            progress.update(task, description=doing.replace("_", " "), completed=done)
-
+    bandwidth_hz, forward, zeroed = comparison
+    with diagnosis_progress(console) as progress:
         found = diagnose(
-            recorded, robot, beside, bandwidth_hz, show, workers, forward, zeroed=zeroed
+            recorded, robot, beside, bandwidth_hz, progress.show, workers, forward, zeroed=zeroed
         )
     write_robot_diagnosis(out, found, beside)
     if json_output:
@@ -89,10 +90,7 @@ def predict_robot(
     recording: Path,
     model: Path,
     out: Path,
-    bandwidth_hz: float | None,
-    forward: bool | None,
-    *,
-    zeroed: bool,
+    comparison: ComparisonOptions,
     force: bool,
     json_output: bool,
 ) -> None:
@@ -104,6 +102,7 @@ def predict_robot(
     robot, beside = load_amended(model)
     output_file(out, force=force, inputs=(recording, robot.path))
     recorded = read_recording(recording, robot)
+    bandwidth_hz, forward, zeroed = comparison
     found = predicted(recorded, robot, beside, bandwidth_hz, forward, zeroed=zeroed)
     write_prediction(out, found)
     if json_output:
@@ -119,7 +118,7 @@ def predict_robot(
     )
 
 
-def print_robot_protocol(model: Path, out: Path | None, *, force: bool) -> None:
+def print_robot_protocol(model: Path, out: Path | None, force: bool) -> None:
     """`gap protocol --model`."""
     from cablesense_gap.robot.amending import load_amended
     from cablesense_gap.robot.protocol import standard_protocol, write_protocol
@@ -145,7 +144,7 @@ def print_robot_protocol(model: Path, out: Path | None, *, force: bool) -> None:
 
 
 def withhold_robots(
-    model: Path, out: Path, answers: Path, count: int, seed: int, only: list[str], *, force: bool
+    model: Path, out: Path, answers: Path, count: int, seed: int, only: list[str], force: bool
 ) -> None:
     """`gap withhold --model`."""
     from rich.progress import track

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 from rich.console import Console
@@ -99,6 +100,28 @@ def task_bars(console: Console) -> Progress:
     """Bars of tasks with their descriptions and the time that they have taken."""
     columns = (TextColumn("{task.description:36}"), BarColumn(), TimeElapsedColumn())
     return Progress(*columns, console=console)
+
+
+class DiagnosisProgress(NamedTuple):
+    """What a diagnosis calls: with what it does and the share done, and with each finding."""
+
+    show: Callable[[str, float], None]
+    warn: Callable[[str], None]
+
+
+@contextmanager
+def diagnosis_progress(console: Console) -> Iterator[DiagnosisProgress]:
+    """A bar for a diagnosis; findings are printed above it."""
+    with task_bars(console) as progress:
+        task = progress.add_task("reading", total=1.0)
+
+        def show(doing: str, done: float) -> None:
+            progress.update(task, description=doing.replace("_", " "), completed=done)
+
+        def warn(finding: str) -> None:
+            progress.console.print(f"warning: {finding}", soft_wrap=True, markup=False)
+
+        yield DiagnosisProgress(show, warn)
 
 
 def command_line(verb: str, options: Mapping[str, Any]) -> str:

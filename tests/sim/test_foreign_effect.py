@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from verdict_cases import verdict_of
 
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.report.text import effect_advice, headline
+from cablesense_gap.report.text import causes_and_advice, headline
 from cablesense_gap.simulator import Term
 from cablesense_ros.cli.app import app
 from cablesense_sim.effects.registry import EffectError, known_effects
@@ -105,10 +105,11 @@ def test_the_diagnosis_simulates_it_and_the_report_words_it() -> None:
     )
     expected = plain * (1.0 + 0.5 * (np.arange(12) == 1))
     np.testing.assert_allclose(read, expected, rtol=1e-9)
-    assert headline(verdict_of("sensor_doubled", 0.95, cables=("cable_2",))) == (
+    verdict = verdict_of("sensor_doubled", 0.95, cables=("cable_2",))
+    assert headline(verdict) == (
         "The gap comes from sensors that count everything several times, at cable 2 (95 % sure)."
     )
-    assert effect_advice("sensor_doubled") == "Read the manual."
+    assert causes_and_advice(verdict)[0][1] == "Read the manual."
 
 
 def test_a_name_that_is_taken_is_refused(package: Path) -> None:
