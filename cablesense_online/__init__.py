@@ -1,6 +1,6 @@
-"""All that runs beside a live arm and needs no ROS: estimation, CAN, sensors, control, replay.
+"""Everything for a live arm that needs no ROS: estimation, CAN, sensors, control, replay.
 
-What a program that estimates contacts needs stands here by short names::
+Programs that estimate contacts import these short names::
 
     from cablesense_online import Estimation, EstimationSettings, load_model
 

@@ -1,4 +1,4 @@
-"""From an estimate to an answer: whether it is a contact, its bounds, and what is published."""
+"""The answer to a sample: decision on a contact, its bounds, and the published wrench."""
 
 from __future__ import annotations
 

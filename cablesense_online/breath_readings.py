@@ -1,4 +1,4 @@
-"""What an arm that breathes would read without friction."""
+"""The readings of an arm that breathes, freed from friction."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NONE: Final = np.zeros(0)
 
 
 class BreathReadings:
-    """Takes readings and the marks of a breath as they come; gives what to answer from.
+    """Takes readings and the marks of a breath as they come; gives the tensions to answer from.
 
     Over each whole turn of a breath the readings' logarithms are averaged. Their mean is answered
     from, from the end of the turn to the end of the next. When the breath is over and the arm at
@@ -33,7 +33,7 @@ class BreathReadings:
     by this difference until the arm is commanded elsewhere.
 
     Attributes:
-        state: progress of the breath, and what it has shown.
+        state: progress and results of the breath.
         learnt: whether the last reading ended a turn, or the wait for rest after a breath.
     """
 
@@ -99,7 +99,7 @@ class BreathReadings:
     def without_friction(
         self, tensions_n: Sequence[float], stamp_ns: int
     ) -> Sequence[float] | None:
-        """What to answer from at a reading (M,) in N; None while a breath has shown nothing."""
+        """The tensions to answer from at a reading (M,), N; None before a breath has a result."""
         self.learnt = False
         state = self.state
         if state.mark_ns:
@@ -120,7 +120,7 @@ class BreathReadings:
         return state.reading_n.tolist() if state.reading_n.size else None
 
     def status(self) -> Status | None:
-        """What breathing has shown; None where there has been none."""
+        """The results of breathing; None where there has been none."""
         state = self.state
         if self._problem:
             return Status(

@@ -1,16 +1,16 @@
-"""Breathing: the arm moves a little on purpose, so that friction shows what it hides.
+"""Breathing: the arm moves a little on purpose, so that readings follow the load despite friction.
 
-Where cables stick at their guides, readings do not follow the load. A breath turns every joint in
-a small circle, pitch a quarter turn ahead of yaw, so that each cable slides at each of its guides,
-half of the turn inwards and half outwards. What friction adds to the logarithm of a tension then
-changes its sign after half a turn, and its mean over a whole turn is that of the arm without
-friction, by symmetry: for rigid sticking as for bristles, whatever the coefficients. Motion with
-the circle's frequency, swinging included, drops out of the same mean.
+If cables stick at their guides, readings do not follow the load. A breath turns every joint in a
+small circle, pitch a quarter turn ahead of yaw. Each cable then slides at each of its guides, half
+of the turn inwards and half outwards. The effect of friction on the logarithm of a tension changes
+its sign after half a turn, so the mean over a whole turn is that of the arm without friction. This
+holds by symmetry for rigid sticking and for bristles, whatever the coefficients. Motion with the
+circle's frequency, swinging included, drops out of the same mean.
 
-The joints turn by different amounts, so that the circle's centre line bends like a wave: every
-cable moves at every guide, and the tip nearly stays. The least circle that turns every guide is
-that in which a cable moves farther than its tension's way from one end of the friction's loop to
-the other stretches it: T sinh(μ θ) / k, and by what it gives before it slips.
+The joints turn by different amounts, and the arm's centre line bends like a wave: every cable
+moves at every guide, and the tip nearly stays. The least circle turns every guide: there a cable
+moves farther than its stretch over the friction loop, T sinh(μ θ) / k, and its give before it
+slips.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from cablesense_sim.mechanism import Mechanism
 
 SET_POINTS_A_TURN: Final = 20
 _RISE, _LEAD, _FALL = 10, 10, 10
-"""Set-points: to the full circle, until the arm has followed, and back."""
+"""Set-points up to the full circle, until the arm has followed, and back."""
 _LOADED = 2.0
-"""A cable still turns at a tension of so many times its unloaded one."""
+"""The circle still turns a cable at this multiple of its unloaded tension."""
 _LOADED_BEND_RAD = 0.1
-"""By which a load bends the joints beyond their command, all together."""
+"""Total bend of the joints by a load, beyond their command."""
 _LEAST_RAD: Final = np.radians(0.03)
 MOST_RAD: Final = np.radians(2.0)
 _ROUNDED = 2.0
-"""Rounded bristles carry 95 % of what they can after three times the `give_m` of sharp ones."""
+"""Rounded bristles carry 95 % of their limit after three times the `give_m` of sharp ones."""
 _SLACK_N = 1.0
 _PHASES = 8
 
 
 class BreathError(CableSenseError):
-    """An arm for which there is no breath: what is in the way, and what would be right."""
+    """An arm for which there is no breath; the message states why, and what would be right."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class Circle:
     """The full circle of a breath about a command.
 
     Attributes:
-        axes_rad: (2, 2N) joint angles less the command's, at the start and a quarter turn later.
-        tip_m: farthest that the arm's end is commanded from where it was.
+        axes_rad: (2, 2N) deviation from the command, at the start and a quarter turn later.
+        tip_m: largest commanded displacement of the arm's tip.
         least_rad: largest angle of the least circle that turns every guide; 0 where that is
             unknown, as the arm file has no friction.
     """
@@ -70,7 +70,7 @@ class Circle:
         return float(np.hypot(*self.axes_rad).max())
 
     def at(self, turns: float) -> Array:
-        """(2N,) joint angles less the command's, after so many turns."""
+        """(2N,) deviation from the command after a number of turns."""
         phase = 2.0 * np.pi * turns
         return np.asarray(np.array([np.cos(phase), np.sin(phase)]) @ self.axes_rad)
 
@@ -79,7 +79,7 @@ class Breath:
     """Set-points of one breath: up to the full circle, whole turns, and back to the command."""
 
     def __init__(self, circle: Circle, turns: int) -> None:
-        """With so many whole turns; 0 goes on until `end`."""
+        """With this number of whole turns; 0 continues until `end`."""
         self._circle = circle
         self._first = _RISE + _LEAD
         self._last = self._first + turns * SET_POINTS_A_TURN if turns else None
@@ -91,12 +91,12 @@ class Breath:
         return self._last is not None and self._number > self._last + _FALL
 
     def end(self) -> None:
-        """Go back to the command from where the circle is now."""
+        """Return to the command from the present point of the circle."""
         if self._last is None or self._number < self._last:
             self._last = self._number
 
     def next(self) -> tuple[Array, int]:
-        """The next set-point (2N,), less the command, and its turn (`messages.breath_turn`)."""
+        """The next deviation from the command (2N,), and its turn (`messages.breath_turn`)."""
         number = self._number
         self._number += 1
         size, turn = min(1.0, number / _RISE), 0
@@ -116,9 +116,10 @@ def breath_circle(
 
     Args:
         arm: with `capstan_friction` among its effects, unless the amplitude is given.
-        command_rad: that the circle is about.
-        amplitude_rad: of the joint that turns most; 0 takes the least that turns every guide.
-        largest_tip_m: by which the tip may move; 0 for any.
+        command_rad: (2N,) centre of the circle.
+        amplitude_rad: amplitude of the joint that turns most; 0 takes the least that turns every
+            guide.
+        largest_tip_m: largest displacement of the tip; 0 for any.
 
     Raises:
         BreathError: no friction in the arm file and no amplitude, or one that is too large or
@@ -161,24 +162,24 @@ def breath_circle(
 
 
 def offsets_m(arm: Arm, command_rad: Array, deviation_rad: Array) -> Array:
-    """(M,) by how much cables are longer at a deviation (2N,) from a command."""
+    """(M,) change of the cable lengths by a deviation (2N,) from a command."""
     mechanism = mechanism_of(arm)
     there, here = command_rad + deviation_rad, command_rad
     return held_lengths_m(mechanism, there) - held_lengths_m(mechanism, here)
 
 
 def tip_m(mechanism: Mechanism, angles_rad: Array) -> Array:
-    """(..., 3) where the end of the last segment is at joint angles (..., 2N)."""
+    """(..., 3) position of the last segment's end at joint angles (..., 2N)."""
     last = kinematics.joint_positions_m(mechanism, angles_rad)[..., -1, :]
     along = kinematics.segment_rotations(mechanism, angles_rad)[..., -1, :, 0]
     return np.asarray(last + mechanism.segment_length_m[-1] * along)
 
 
 def _wave(mechanism: Mechanism) -> Array:
-    """(N,) how far each joint turns.
+    """(N,) relative amplitude of each joint.
 
-    By how much each segment has turned then, all joints before it added up, differs from segment
-    to segment and is nowhere zero, so that every cable moves at every guide; weighted with the
+    The rotation of each segment, the sum over the joints before it, differs from segment to
+    segment and is nowhere zero, so that every cable moves at every guide. Weighted with the
     lengths it adds up to zero, so that the tip of the straight arm stays.
     """
     count = mechanism.segment_count
@@ -192,7 +193,7 @@ def _wave(mechanism: Mechanism) -> Array:
 
 
 def _grip(arm: Arm, mechanism: Mechanism, command_rad: Array) -> tuple[Array, float]:
-    """(M,) the μ θ of each cable's guides together, and what it gives before it slips, m."""
+    """(M,) μ θ of each cable, summed over its guides, and the give before it slips, m."""
     passed = mechanism.cable_segment[:, None] > np.arange(mechanism.segment_count)
     bends_rad = passed @ kinematics.bend_rad(command_rad) + _LOADED_BEND_RAD
     grip, give_m = np.zeros(mechanism.cable_count), 0.0

@@ -66,7 +66,7 @@ class DriftWatch:
         self._means_n.clear()
 
     def add(self, difference_n: Array, stamp_ns: int, *, touched: bool) -> None:
-        """Add a reading less the unloaded one (M,), at rest; `touched` as estimated."""
+        """Add a reading minus the unloaded one (M,), at rest; `touched` as estimated."""
         if touched:
             self._touched += 1
             if self._touched == MOST_TOUCHED:

@@ -1,8 +1,8 @@
-"""From a serialized tension sample to a contact: all that the estimator node does, without ROS.
+"""Estimation of contacts from serialized tension samples: the estimator node without ROS.
 
 A sample's way is `Estimation.sample`: the message is read and its stamp and values are checked;
 the unloaded state is subtracted; the model estimates; a contact is decided on and checked against
-the readings; an `Answer` says what is known.
+the readings; an `Answer` is given.
 """
 
 from __future__ import annotations
@@ -72,9 +72,9 @@ class Estimation:
     """Takes samples and commands as they come; gives no force from what cannot be trusted.
 
     An answer follows from the samples in order and from the changes between them, not from their
-    time of arrival. That decides only whether a sample is accepted at all, and whether its clock
-    was set, which is a change. Changes count from the next accepted sample, whose answer carries
-    the new state; `restore` makes another object give the same answers from there on.
+    time of arrival. The latter decides only whether a sample is accepted at all, and whether its
+    clock was set, which is a change. Changes count from the next accepted sample, whose answer
+    carries the new state; `restore` makes another object give the same answers from there on.
 
     Attributes:
         largest_force_n: largest force since the reporter last set it to zero, N.

@@ -5,8 +5,8 @@ solved on a grid of forces, once for each command, and linearised around a grid 
 of taut cables. A sample then costs one small product.
 
 A fit has the set of taut cables that its own forces make: if a cable reads slack that would be
-taut under them, the readings do not fit. Where many cables are slack, a compliant arm has two
-positions of rest under one force; the one of the taut readings is valid too.
+taut under them, the readings do not fit. A compliant arm with many slack cables has
+two positions of rest under one force; the one of the taut readings is valid too.
 
 The exported closed form (`cablesense_training.networks.closed_form`) is the second statement of
 this law, as a graph; a test holds the two together.
@@ -105,7 +105,7 @@ class _Response(NamedTuple):
     """Tensions near forces on K segments, with one set of taut cables.
 
     Attributes:
-        change_n: (M,) tensions at those forces less the unloaded ones.
+        change_n: (M,) tensions at those forces minus the unloaded ones.
         elastic_n: (M,) tensions, negative where a slack cable lacks length.
         gain: (M, 2 K) their derivative by the forces.
         taut: (M,) which cables are.
@@ -373,7 +373,7 @@ class ForceFits:
 
     Attributes:
         statics: the arm.
-        spread_n: expected standard deviation of a reading less the unloaded one, N.
+        spread_n: expected standard deviation of a reading minus the unloaded one, N.
         command_rad: (2N,) the command in force.
         unloaded_n: (M,) its unloaded tensions.
         taut_from_n: (M,) differences above which a cable is read as taut.

@@ -2,13 +2,13 @@
 
     python -m cablesense_online.misfit_limit MODEL.onnx ...
 
-puts it into model files and leaves all else of them as it is; `cablesense train` does so too.
+writes it into model files and changes nothing else in them; `cablesense train` does so too.
 
 By noise alone (M - 2) misfit² has a chi-square distribution of M - 2 degrees of freedom. Slack
-cables, the sensors' step, the arm's linearisation and the estimator's own errors make it another
-one. So the limit is the chi-square's for `FALSE_ALARM_RATE`, times the ratio of the simulated
-misfits' quantile at `JUDGED_AT` to its own where that is above 1. Misfits beyond that quantile are
-not noise: of an estimate that is wrong by itself, or an arm with two positions of rest.
+cables, the sensors' step, the arm's linearisation and the estimator's own errors widen it. The
+limit is that of the chi-square for `FALSE_ALARM_RATE`, times the ratio of the simulated misfits'
+quantile at `JUDGED_AT` to that of the chi-square, if above 1. Misfits beyond that quantile are not
+noise: the estimate is wrong by itself, or the arm has two positions of rest.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ FALSE_ALARM_RATE: Final = 1e-7
 JUDGED_AT: Final = 0.9
 POSES, LOADS, READINGS = 10, 20, 50
 _UNLIMITED = 1e-6
-"""A limit that nothing fits, so that every misfit is that of the best fit."""
+"""A limit that no reading fits, so that every misfit is that of the best fit."""
 
 
 def simulated_misfits(loaded: LoadedModel, seed: int = 0) -> Iterator[float]:
-    """Misfits of healthy arms at random commands and contacts within the model's training."""
+    """Misfits of a healthy arm at random commands and contacts within the model's training."""
     arm, estimator = loaded.arm, loaded.estimator
     assert isinstance(estimator, Estimator)
     metadata, rng = estimator.metadata, np.random.default_rng(seed)
@@ -84,10 +84,10 @@ def simulated_misfits(loaded: LoadedModel, seed: int = 0) -> Iterator[float]:
 
 
 def put_simulated_limit(path: Path) -> MisfitLimit | None:
-    """Put the limit into a model file of single contacts and give it.
+    """Write the limit into a model file of single contacts and give it.
 
-    There is none where readings are not checked: of a history-dependent model, or an arm file that
-    lists effects of actuators, friction or sensors.
+    There is none if readings are not checked: for a history-dependent model, or an arm file with
+    effects of actuators, friction or sensors.
 
     Raises:
         ModelFileError: no such model file, or it cannot be written.
@@ -112,7 +112,7 @@ def _limit(misfits: Array, free: int) -> MisfitLimit:
 
 
 def main() -> int:
-    """Put the limit into the model files that the command line names."""
+    """Write the limit into the model files that the command line names."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("models", nargs="+", type=Path, help="model files (.onnx)")
     try:

@@ -1,7 +1,7 @@
 """A model as the online estimator uses it: loaded, asked for a contact, its estimate decided on.
 
-A model file holds a memoryless estimator, which takes samples of an arm at rest, of one contact or
-of several, or a history-dependent one, which takes every sample along the trajectory of the
+A model file holds one of two kinds of estimator. A memoryless one takes samples of an arm at rest,
+with one contact or several. A history-dependent one takes every sample along the trajectory of the
 joints. `ContactModel` is their common interface.
 """
 
@@ -231,7 +231,7 @@ class Several(NamedTuple):
     Attributes:
         probabilities: (N + 1,) that nothing touches, and of each segment that it is touched.
         magnitude_n: (N,) force on each segment, if it is touched.
-        difference_n: (M,) tensions less the unloaded ones.
+        difference_n: (M,) tensions minus the unloaded ones.
     """
 
     probabilities: Array

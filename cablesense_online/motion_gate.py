@@ -115,7 +115,7 @@ class MotionGate:
         )
 
     def wait_anew(self) -> None:
-        """From the next sample on wait as after a command to the present one."""
+        """Wait, from the next sample on, as after a command to the present pose."""
         self._note_rest()
         self._starting, self._resting = True, False
 
@@ -235,7 +235,7 @@ class MotionGate:
     def status(
         self, pose_range_deg: float, refused: int, *, received: bool, in_motion: bool
     ) -> Status:
-        """What is known of the arm's pose.
+        """Command, motion and pose, for diagnostics.
 
         Args:
             pose_range_deg: the model was trained within ± this.
@@ -262,7 +262,7 @@ class MotionGate:
         elif (blind_s := self._blind_s) > _BLIND_S and not in_motion:
             level = Level.WARN
             message = (
-                f"moving: no estimate for {blind_s:.0f} s, as commands go on that are faster than "
+                f"moving: no estimate for {blind_s:.0f} s, as commands continue that exceed "
                 f"{np.rad2deg(self._follow_rad_s):g} deg/s (follow_deg_s), or the arm lags behind "
                 "them; a model with memory estimates in motion (cablesense train --network "
                 "temporal)"

@@ -13,9 +13,9 @@ the segments, which friction at a contact may add and no estimate has.
 A verdict depends on nothing before its sample, except the time that forces are withheld after a
 misfit.
 
-A fit proves nothing: a fault with the pattern of a force looks like that force. So a contact is
-`unconfirmed` if one wrong reading would pass, or if the average of a steady contact's readings,
-which has less noise, does not fit it.
+A fit proves nothing: a fault with the pattern of a force looks like that force. Therefore a
+contact is `unconfirmed` if one wrong reading would pass, or if the average of a steady contact's
+readings, which has less noise, does not fit it.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _JUDGED_EVERY_NS, _SOONEST_NS = 100_000_000, 20_000_000
 """How often a contact is judged, and how soon again if its tensions respond differently."""
 _FEWEST_AVERAGED = 5
 _STEADY_N = 1.0
-"""The average begins anew when a force has changed by more."""
+"""The average restarts when a force has changed by more."""
 _LONGEST_GAP_NS = 500_000_000
 
 _FALSE_ALARM_RATE = 1e-7
@@ -396,7 +396,7 @@ def _limits(of_one: float, cables: int, most: int) -> list[float]:
 
 
 def _limit_origin(largest_misfit: float, stated: MisfitLimit | None) -> str:
-    """Where a limit comes from, as text."""
+    """The origin of a limit, as text."""
     if stated is not None and largest_misfit == stated.largest_misfit:
         return (
             f"of the model file: above it are {stated.above} of {stated.samples} simulated "

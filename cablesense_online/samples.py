@@ -18,7 +18,7 @@ from cablesense_msgs_py.messages import Level, Status
 
 
 class ProblemKind(Enum):
-    """What is wrong with a sample; the value is its name in diagnostics."""
+    """The kind of fault of a sample; the value is its name in diagnostics."""
 
     PUBLISHER = "of another publisher"
     MALFORMED = "malformed"
@@ -32,7 +32,7 @@ class ProblemKind(Enum):
 
 
 class SampleError(CableSenseError):
-    """A sample that cannot be used: its kind, and what it holds and what would be right."""
+    """A sample that cannot be used: the kind of fault, its content and what would be right."""
 
     def __init__(self, kind: ProblemKind, message: str) -> None:
         super().__init__(message)
@@ -40,7 +40,7 @@ class SampleError(CableSenseError):
 
 
 PLAUSIBLE_N: Final = (-20.0, 20_000.0)
-"""A cable pulls: readings below are a fault, not an offset; no such arm bears those above."""
+"""A cable pulls: lower readings are a fault, not an offset. No such arm bears higher ones."""
 
 
 class SampleCheck:
@@ -76,7 +76,7 @@ class SampleCheck:
             self.slack = tuple(number for number, t in numbered if t < self.slack_below_n)
 
     def status(self) -> Status:
-        """Which cables are slack. The estimate goes on: statics holds with slack cables too."""
+        """Which cables are slack. Estimates continue: statics holds with slack cables too."""
         names = ", ".join(f"cable_{number}" for number in self.slack)
         values = {"slack": names or "none", "slack below (N)": f"{self.slack_below_n:g}"}
         if names:
@@ -103,14 +103,14 @@ _PERIODS_KEPT, _FEWEST_PERIODS = 9, 3
 
 
 class SampleClock:
-    """Refuses samples that are too old, from the future, or not newer than the one before.
+    """Refuses samples that are too old, from the future, or not newer than the previous one.
 
     Samples without a stamp (zero) are accepted, as sampled on arrival, until one with a stamp has
-    come. Stamps may step back only where this machine's clock has.
+    come. Stamps may step back only if this machine's clock has.
 
     Attributes:
         stale_after_s: largest age that is accepted.
-        largest_age_s: of the accepted samples since the last report set it to zero.
+        largest_age_s: largest age since the last report set it to zero.
     """
 
     def __init__(self, stale_after_s: float) -> None:
@@ -158,12 +158,12 @@ class SampleClock:
             self.largest_age_s = age_s
 
     def missing_since_last_report(self) -> int:
-        """How many samples are missing, by the usual period and the stamps of those that came.
+        """The number of missing samples, by the usual period and the stamps that came.
 
-        A stamp may be late, by its publisher's jitter, but never early: the count goes from the
-        earliest sample of one report, relative to the period, to that of the next, so that a late
-        sample is not counted as lost. The first three reports, also after a silence, learn the
-        period.
+        A stamp may be late, by its publisher's jitter, but never early. The count is therefore
+        made from the earliest sample of one report, relative to the period, to that of the next,
+        so that a late sample is not counted as lost. The first three reports, also after a
+        silence, learn the period.
         """
         stamps = np.array(self._stamps_ns, dtype=np.int64)
         self._stamps_ns.clear()
@@ -193,19 +193,19 @@ _OTHERS_KEPT = 16
 
 
 class FollowedPublisher:
-    """Whose samples are used: those of one publisher, never of two in turn.
+    """Follows one publisher, so that samples of two are never mixed.
 
-    rclpy gives no GID with a sample, but the number that its publisher gave it, which ascends by
-    1. The first publisher is followed. While it is alone its numbers ascend, samples may be lost;
-    while others are there, its next sample is exactly the next number, and where another's next
-    would have that number too, nobody can tell and none is used. One that begins at just the next
-    number is mistaken for it until the followed one's own next comes.
+    rclpy gives no GID with a sample, only its publisher's number, which ascends by 1. The first
+    publisher is followed. While it is alone its numbers ascend, and samples may be lost. While
+    others are present, its next sample has exactly the next number; if another publisher's next
+    sample would have that number too, none is used. A publisher that begins at exactly the next
+    number is mistaken for the followed one until that one's next sample comes.
 
-    Another is followed once that one has left, or only others have published for `stale_after_s`.
+    Another is followed once the first has left, or only others have published for `stale_after_s`.
 
     Attributes:
         stale_after_s: may be changed.
-        refused_s: when a sample of another came last, monotonic.
+        refused_s: monotonic time of the last sample of another.
     """
 
     def __init__(self, stale_after_s: float = 0.2) -> None:
@@ -218,7 +218,7 @@ class FollowedPublisher:
         self._one_was_followed = self._in_doubt = False
 
     def matched(self, publishers: int) -> None:
-        """So many publishers are there now."""
+        """Set the number of publishers that are present now."""
         self._publishers = publishers
         if not publishers:
             self._last = None
@@ -257,7 +257,7 @@ class FollowedPublisher:
             if number - 1 in self._others:
                 self._others.remove(number - 1)
             elif abs(number - last) < _MOST_LOST:
-                self._in_doubt = True  # which of the two was followed before
+                self._in_doubt = True  # either of the two may have been followed before
             self._others.append(number)
         self.refused_s = now_s
         raise SampleError(
@@ -276,10 +276,10 @@ class FollowedPublisher:
 
 
 class InputHealth:
-    """Counts samples between reports; totals go on."""
+    """Counts samples between reports, and in total."""
 
     def __init__(self, clock: SampleClock, now_s: float) -> None:
-        """From monotonic time `now_s` on; ages and missing samples are those of `clock`."""
+        """Counts from monotonic time `now_s` on; ages and missing samples are those of `clock`."""
         self._clock = clock
         clock.largest_age_s = 0.0
         self._report_s = self._last_arrival_s = now_s
@@ -289,13 +289,13 @@ class InputHealth:
         self._last_problem = ""
 
     def arrived(self, now_s: float) -> None:
-        """A message came, whatever is in it."""
+        """Count a message, whatever its content."""
         self._arrived += 1
         self._received = True
         self._last_arrival_s = now_s
 
     def refused(self, problem: SampleError) -> None:
-        """A sample could not be used."""
+        """Count a sample that could not be used."""
         self._refused[problem.kind] += 1
         self._last_problem = str(problem)
         self._total_refused += 1
@@ -305,7 +305,7 @@ class InputHealth:
         return now_s - self._last_arrival_s
 
     def status(self, now_s: float, lost: int, publisher_count: int) -> Status:
-        """The report of the time since the last one.
+        """The report since the last one.
 
         `lost` samples were reported by the middleware since then; `publisher_count` publishers are
         on the topic.

@@ -16,10 +16,10 @@ from cablesense_sim.replay import read_tensions_n
 
 
 class RealTimePacer:
-    """How many time steps are due; never more than `longest_lag_s` of them at once.
+    """Counts the time steps that are due; never more than `longest_lag_s` of them at once.
 
-    What lies further behind is skipped and counted in `skipped_s`: catching up on it would make
-    the simulation fall behind further. Times are of one monotonic clock, s.
+    A longer delay is skipped and counted in `skipped_s`: catching up would delay the simulation
+    further. Times are of one monotonic clock, s.
     """
 
     def __init__(self, timestep_s: float, longest_lag_s: float, now_s: float) -> None:
@@ -49,9 +49,9 @@ class RealTimePacer:
 
 
 _OFFSET_SPEED_M_S = 0.02
-"""At which cables approach an offset: more than a breath needs."""
+"""Speed at which cables approach an offset: more than a breath needs."""
 LONGEST_LAG_S = 0.1
-"""A process that was held up longer than this goes on from there instead of catching up."""
+"""A process that was delayed longer than this continues from there instead of catching up."""
 
 
 class SimulatedArm:
@@ -59,7 +59,7 @@ class SimulatedArm:
 
     Attributes:
         pacer: real time factor and skipped time.
-        resets: how often the dynamics were started afresh because they diverged.
+        resets: how often the dynamics were restarted because they diverged.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class SimulatedArm:
         sensings: Sequence[Sensing] = (),
         longest_lag_s: float = LONGEST_LAG_S,
     ) -> None:
-        """`load_timeout_s` of 0 lets loads hold until they are changed.
+        """With `load_timeout_s` 0 loads act until they are changed.
 
         `sensings` are the effects of the sensors, in their order; `longest_lag_s` must be longer
         than the time from one `advance_to` to the next.
@@ -104,11 +104,11 @@ class SimulatedArm:
         self._motion.go_to(self._dynamics.checked_command(joint_angles_rad))
 
     def offset(self, lengths_m: Array) -> None:
-        """Begin to make the cables longer by lengths (M,) than the command's."""
+        """Begin to add lengths (M,) to the commanded ones of the cables."""
         self._offset_motion.go_to(lengths_m)
 
     def push(self, load: Load, now_s: float) -> None:
-        """Put a load on its segment in place of the one before; a zero force takes it away."""
+        """Replace the load on a segment; a zero force removes it."""
         self._dynamics.load(load.segment, load.force_base_n)
         self._loads[load.segment] = (load.force_base_n, now_s)
         if not load.force_base_n.any():

@@ -1,7 +1,7 @@
 """The estimator's state as data, with the settings and events in it, and its journal messages.
 
-Every answer follows from a state and the samples after it, whatever came before. So the state is
-one `EstimatorState`, whose parts the estimation's components change in place. Its JSON is the only
+Every answer follows from a state and the samples after it, whatever came before. The state is one
+`EstimatorState`, whose parts the estimation's components change in place. Its JSON is the only
 serialized form, in the state file and in the messages of `~/journal`. To restore a state is to
 assign its parts.
 """
@@ -108,11 +108,11 @@ class Event:
 
 
 MOST_EVENTS: Final = 256
-"""Kept between two samples. Beyond that the oldest with a later one of its kind is dropped."""
+"""Kept between two samples. The oldest with a later one of its kind is then dropped."""
 
 
 class EventLog:
-    """What has changed since the last state."""
+    """The changes since the last state."""
 
     def __init__(self) -> None:
         self._events: list[Event] = []
@@ -131,7 +131,7 @@ class EventLog:
             del self._events[next(i for i, x in enumerate(self._events) if later[x.kind] > i)]
 
     def taken(self) -> tuple[Event, ...]:
-        """The events so far, in order; the log is empty afterwards."""
+        """The events in order; the log is empty afterwards."""
         events, self._events = tuple(self._events), []
         return events
 
@@ -237,7 +237,7 @@ class MisfitState(BaseModel):
 
 
 class BreathState(BaseModel):
-    """Progress of a breath and what it has shown (`breathing.BreathReadings`).
+    """Progress and results of a breath (`breathing.BreathReadings`).
 
     Attributes:
         turn: turn of the last reading, as `messages.breath_turn` numbers them.

@@ -8,9 +8,9 @@ with the prediction of the arm file's static equilibrium: the sensors' offsets f
 and the changes due to gravity and geometry are added.
 
 A tare of a loaded arm, or of one that is not where it was commanded, would falsify all later
-estimates. So no tare is taken from readings far from the model at the command, nor soon after a
-reported contact, unless it is forced. A tare that was taken by itself before any command rests on
-an assumed pose; a first command to another pose drops it.
+estimates. Therefore no tare is taken from readings far from the model at the command, nor soon
+after a reported contact, unless it is forced. A tare that was taken by itself before any command
+rests on an assumed pose; a first command to another pose drops it.
 """
 
 from __future__ import annotations
@@ -187,7 +187,7 @@ class Tares:
         return self._near is not None
 
     def forget_readings(self) -> None:
-        """Exclude all readings so far from the next tare."""
+        """Exclude all earlier readings from the next tare."""
         self._readings.clear()
 
     def add(self, reading_n: Sequence[float]) -> None:

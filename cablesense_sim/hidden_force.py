@@ -1,9 +1,9 @@
-"""What friction hides: the smallest change of a force that the readings show.
+"""The force that friction hides: the smallest change that the readings show.
 
 While a cable sticks at its first guide its run keeps its tension, and the sensor at the actuator
-reads no change. How much more or less an arm may be pushed before the readings show it depends on
-pose and history, and is found here by the law itself: the arm rests under the one force, then
-under another, each time from the same state (`cablesense_sim.quasi_static`).
+reads no change. The change of force that readings show depends on pose and history. It is found by
+simulation: the arm rests under one force, then under another, each time from the same friction
+state (`cablesense_sim.quasi_static`).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from cablesense_sim.loads import LoadError, normal_force_n
 from cablesense_sim.replay import reading_variance_n2
 
 SHOWS_AT_STD = 5.0
-"""A change shows when all readings together, as a vector, have changed by so many deviations of
-one reading, noise and step. Readings without friction show five deviations of the force then."""
+"""A change shows when the vector of all readings has changed by this many standard deviations of
+one reading, noise and step. Without friction this is five standard deviations of the force."""
 
 DIRECTIONS = 12
 
@@ -35,14 +35,14 @@ _HALVINGS = 12
 class HiddenForce(NamedTuple):
     """Smallest changes of a contact force that show, N, each (N, `DIRECTIONS`).
 
-    Rows are the segments; the directions divide the circle evenly from +z. A change that does not
-    show before it is as large as the load is infinite. At the load, forces from `load_n -
-    falling_n` to `load_n + rising_n` read the same.
+    Rows are the segments; the directions divide the circle evenly from +z. A change is infinite if
+    it does not show up to the size of the load. At the load, forces from `load_n - falling_n` to
+    `load_n + rising_n` read the same.
 
     Attributes:
         touching_n: a first push, on the arm as its commands left it.
-        rising_n, falling_n: more, or less, at the load, which has risen from nothing.
-        released_n: a second push, after the load has come and gone.
+        rising_n, falling_n: more, or less, at the load, which has risen from zero.
+        released_n: a second push, after the load was applied and removed.
     """
 
     touching_n: Array
@@ -52,10 +52,10 @@ class HiddenForce(NamedTuple):
 
 
 def hidden_force(arm: Arm, commands_rad: ArrayLike, load_n: float) -> HiddenForce:
-    """What an arm's friction hides after commands (R, 2N), at the last, with loads up to `load_n`.
+    """The forces that an arm's friction hides at the last of commands (R, 2N).
 
-    The arm begins straight and passes on to each command in some rests. Loads act at the contact
-    points, normal to their segment.
+    The arm starts straight and moves to each command in several rests. Loads up to `load_n` act at
+    the contact points, normal to their segment.
 
     Raises:
         LoadError: `load_n` is no positive number.
@@ -91,7 +91,7 @@ def hidden_force(arm: Arm, commands_rad: ArrayLike, load_n: float) -> HiddenForc
     shows_n = SHOWS_AT_STD * np.sqrt(reading_variance_n2(arm.sensors))
 
     def smallest_n(at_n: float, way: float) -> Array:
-        """The smallest change that shows, from the state of now, under `at_n`."""
+        """The smallest change that shows, from the present friction state, under `at_n`."""
         before = rested_n(deepcopy(arms), at_n)
 
         def shown(change_n: Array) -> Array:

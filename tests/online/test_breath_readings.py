@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from cablesense_msgs_py.messages import BREATH_END, Level
 from cablesense_online.breath_readings import SILENT_AFTER_S, BreathReadings
 
-TRUE_N = np.linspace(20.0, 120.0, 12)
+TRUE_N = np.array([0.0, *np.linspace(20.0, 120.0, 11)])  # one cable is slack
 GRIP = 0.16
 MS = 1_000_000
 
@@ -49,11 +49,15 @@ class StickingCables:
 @pytest.mark.parametrize("left", [1.0, -1.0, 0.3])
 def test_after_a_breath_readings_are_those_without_friction(left):
     cables = StickingCables()
-    np.testing.assert_allclose(cables.breathe(left), TRUE_N, rtol=0.01)
+    np.testing.assert_allclose(cables.breathe(left), TRUE_N, rtol=0.01, atol=1e-9)
     # a change of load that gets through shows in full
     cables.true_n = TRUE_N + 5.0
     change = cables.read(1300, inwards=left) - TRUE_N
     np.testing.assert_allclose(change, 5.0 * np.exp(GRIP * left), atol=0.05 * TRUE_N.max() * GRIP)
+    cables.readings.moved()
+    stuck_n = (TRUE_N + 5.0) * np.exp(GRIP * left)
+    assert cables.read(1400, inwards=left) == pytest.approx(stuck_n)
+    assert cables.readings.status().level is Level.WARN
 
 
 @settings(max_examples=20)
@@ -81,17 +85,6 @@ def test_there_is_no_answer_before_a_whole_turn_and_each_turn_renews_it():
     np.testing.assert_allclose(cables.read(1410), 1.5 * TRUE_N, rtol=0.01)
 
 
-def test_a_turn_whose_beginning_was_not_seen_does_not_count():
-    cables = StickingCables()
-    cables.read(100)
-    cables.mark(4)
-    cables.read(400)
-    cables.mark(5)
-    assert cables.read(800) is None
-    cables.mark(6)
-    np.testing.assert_allclose(cables.read(900), TRUE_N, rtol=0.01)
-
-
 def test_too_few_readings_or_a_gap_make_no_turn():
     assert StickingCables(period_ms=100).breathe(1.0) == pytest.approx(TRUE_N * np.exp(GRIP))
     cables = StickingCables()
@@ -103,20 +96,6 @@ def test_too_few_readings_or_a_gap_make_no_turn():
     cables.read(600)
     cables.mark(0)
     assert cables.read(700) is None
-
-
-def test_a_reading_of_before_does_not_stand_for_a_turn_that_was_lost():
-    cables = StickingCables()
-    cables.mark(0)
-    cables.read(200)
-    cables.mark(1)
-    cables.read(600)
-    cables.mark(2)
-    assert cables.read(700) is not None
-    cables.now_ns += 200 * MS
-    cables.read(1000)
-    cables.mark(3)
-    assert cables.read(1100) is None
 
 
 def test_a_load_that_comes_during_the_breath_is_not_taken_for_friction():
@@ -136,21 +115,6 @@ def test_a_load_that_comes_during_the_breath_is_not_taken_for_friction():
     assert "the load changed by" in status.message
 
 
-def test_a_slack_cable_does_no_harm():
-    true_n = TRUE_N.copy()
-    true_n[3] = 0.0
-    cables = StickingCables(true_n=true_n)
-    assert cables.breathe(0.5)[3] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_command_elsewhere_ends_what_a_breath_has_shown():
-    cables = StickingCables()
-    cables.breathe(1.0)
-    cables.readings.moved()
-    assert cables.read(1300, inwards=1.0) == pytest.approx(TRUE_N * np.exp(GRIP))
-    assert cables.readings.status().level is Level.WARN
-
-
 def test_a_breather_that_is_gone_is_missed_and_readings_count_as_they_are():
     cables = StickingCables()
     cables.mark(0)
@@ -165,14 +129,6 @@ def test_a_breather_that_is_gone_is_missed_and_readings_count_as_they_are():
     assert cables.read(400, inwards=1.0) == pytest.approx(TRUE_N * np.exp(GRIP))
     assert readings.status().level is Level.ERROR
     assert not readings.silent(9.0)
-
-
-def test_offsets_that_last_need_not_be_repeated_and_give_no_answer():
-    cables = StickingCables()
-    cables.readings.mark(0, cables.now_ns, lasting=True)
-    assert not cables.readings.silent(0.0)
-    assert not cables.readings.silent(100.0)
-    assert cables.read(3000) is None
 
 
 @settings(max_examples=30)

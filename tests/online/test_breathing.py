@@ -13,7 +13,6 @@ from cablesense_online.breathing import (
     Breath,
     BreathError,
     breath_circle,
-    offsets_m,
     tip_m,
 )
 from cablesense_sim import kinematics
@@ -34,7 +33,7 @@ def circle_of(arm_of, points):
 
 
 @pytest.mark.parametrize("command", [STRAIGHT, BENT], ids=["straight", "bent"])
-@pytest.mark.parametrize("count", [2, 3, 4, 5, 6])
+@pytest.mark.parametrize("count", [2, 3, 4, 6])
 def test_every_cable_moves_in_and_out_at_every_guide_it_passes(command, count):
     angles = {"first": 0, "per_segment": 120 / count, "per_cable": -120}
     some = arm(**{"segments.count": count, "cables.angle_deg": angles})
@@ -59,13 +58,6 @@ def test_the_tip_moves_by_less_than_a_millimetre(bend, seed):
     ends = tip_m(mechanism, command + circle_of(circle, 24)) - tip_m(mechanism, command)
     assert np.linalg.norm(ends, axis=1).max() < 1e-3
     assert circle.tip_m == pytest.approx(np.linalg.norm(ends, axis=1).max(), rel=0.1)
-
-
-def test_the_amplitude_grows_with_friction_and_falls_with_stiffness():
-    sizes = [breath_circle(arm(c), STRAIGHT).largest_rad for c in (0.05, 0.10, 0.15)]
-    assert np.all(np.diff(sizes) > 0.0)
-    stiff = breath_circle(arm(0.1, "cdsm"), STRAIGHT).largest_rad
-    assert stiff < 0.1 * sizes[1]
 
 
 @pytest.mark.parametrize("turns", [1, 3])
@@ -100,14 +92,6 @@ def test_a_breath_that_is_ended_comes_back_without_a_jump(after):
     assert steps <= 1.1 * 2.0 * np.pi / SET_POINTS_A_TURN * circle.largest_rad
     np.testing.assert_array_equal(points[-1], STRAIGHT)
     assert len(points) <= after + 12
-
-
-def test_offsets_are_those_of_the_cables_at_the_deviation():
-    lab = arm()
-    deviation = breath_circle(lab, BENT).at(0.1)
-    mechanism = mechanism_of(lab)
-    lengths = [kinematics.cable_lengths_m(mechanism, q) for q in (BENT + deviation, BENT)]
-    np.testing.assert_allclose(offsets_m(lab, BENT, deviation), lengths[0] - lengths[1])
 
 
 def test_where_there_is_no_breath_the_reason_is_given():

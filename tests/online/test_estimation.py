@@ -32,21 +32,25 @@ sensor_msgs = pytest.importorskip("sensor_msgs.msg")
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
 
 
-def test_a_push_after_the_tare_is_a_contact():
+def test_a_push_after_the_tare_is_a_contact_whatever_the_order_of_the_cables():
     feed = Feed().tared()
     assert feed.sample().contact == NO_CONTACT
-    contact = feed.sample(PUSHED).contact
-    assert (contact.segment, contact.angle_deg, contact.magnitude_n) == (3, 70.0, 40.0)
-    assert contact.contact_m == MECHANISM.contact_m[2]
-    difference, command = feed.estimator.asked[-1]
-    np.testing.assert_allclose(difference, PUSHED - UNLOADED, atol=1e-9)
-    np.testing.assert_array_equal(command, np.zeros(8))
+    for order in (1, -1):
+        contact = feed.sample(PUSHED[::order], ARM.cable_names[::order]).contact
+        assert (contact.segment, contact.angle_deg, contact.magnitude_n) == (3, 70.0, 40.0)
+        assert contact.contact_m == MECHANISM.contact_m[2]
+        difference, command = feed.estimator.asked[-1]
+        np.testing.assert_allclose(difference, PUSHED - UNLOADED, atol=1e-9)
+        np.testing.assert_array_equal(command, np.zeros(8))
 
 
-def test_cables_are_identified_by_name_not_by_place():
-    feed = Feed().tared()
-    feed.sample(PUSHED[::-1], ARM.cable_names[::-1])
-    np.testing.assert_allclose(feed.estimator.asked[-1][0], PUSHED - UNLOADED, atol=1e-9)
+def test_threshold_and_slack_cables_may_be_set_while_running():
+    feed = Feed(AnyDifference(probability=0.6)).tared()
+    assert feed.sample(spoiled(0.0)).contact.segment == 3
+    assert feed.estimation.check.slack == (5,)
+    feed.estimation.adjust(contact_threshold=0.7, stale_after_s=0.2, slack_below_n=-1.0)
+    assert feed.sample(spoiled(0.0)).contact == NO_CONTACT
+    assert feed.estimation.check.slack == ()
 
 
 def test_no_force_before_a_tare():
@@ -54,13 +58,6 @@ def test_no_force_before_a_tare():
     for _ in range(20):
         assert feed.sample(PUSHED).contact == NO_CONTACT
     assert not feed.estimator.asked
-
-
-def test_the_threshold_decides():
-    feed = Feed(AnyDifference(probability=0.6)).tared()
-    assert feed.sample(PUSHED).contact.segment == 3
-    feed.estimation.adjust(contact_threshold=0.7, stale_after_s=0.2, slack_below_n=1.0)
-    assert feed.sample(PUSHED).contact == NO_CONTACT
 
 
 def spoiled(value):
@@ -73,7 +70,6 @@ def spoiled(value):
         ({"tensions": spoiled(math.nan)}, ProblemKind.NOT_FINITE),
         ({"tensions": spoiled(math.inf)}, ProblemKind.NOT_FINITE),
         ({"tensions": spoiled(1e6)}, ProblemKind.IMPLAUSIBLE),
-        ({"tensions": PUSHED[:-1]}, ProblemKind.NAMES),
         ({"tensions": []}, ProblemKind.NAMES),
         ({"tensions": PUSHED[:9], "names": ARM.cable_names[:9]}, ProblemKind.NAMES),
         ({"tensions": PUSHED, "names": ["cable_1"] * 12}, ProblemKind.NAMES),
@@ -86,40 +82,22 @@ def spoiled(value):
 )
 def test_a_bad_sample_gives_no_force_and_the_next_good_one_does(sample, kind):
     feed = Feed().tared()
+    for angles in (np.full(8, math.nan), np.full(8, 1.04), np.zeros(7)):
+        with pytest.raises(CableSenseError):  # a refused command leaves the one before
+            feed.command(angles)
     answer = feed.sample(**sample)
-    assert answer.contact == NO_CONTACT
+    state = ForceState.STALE if kind is ProblemKind.CLOCK else ForceState.REFUSED
+    assert (answer.contact, answer.force) == (NO_CONTACT, state)
+    assert answer.stamp_ns in (0, feed.now_ns)
     assert answer.problem is not None
     assert answer.problem.kind is kind
     assert feed.sample(PUSHED).contact.segment == 3
-
-
-def test_saturated_sensors_give_no_force():
-    sensors = ARM.sensors.model_copy(update={"range_n": (0.0, 200.0)})
-    feed = Feed()
-    arm = ARM.model_copy(update={"sensors": sensors})
-    feed.estimation = Estimation(arm, feed.estimator, SETTINGS, 0.0)
-    feed.tared()
-    answer = feed.sample(spoiled(200.0))
-    assert answer.problem is not None
-    assert answer.problem.kind is ProblemKind.SATURATED
-
-
-def test_slack_cables_are_noted_and_estimated_with():
-    feed = Feed().tared()
-    assert feed.sample(spoiled(0.0)).contact.segment == 3
-    assert feed.estimation.check.slack == (5,)
 
 
 @pytest.mark.slow
 @given(st.binary(max_size=300))
 def test_no_bytes_bring_it_down(raw):
     assert Feed().sample(raw=raw).contact == NO_CONTACT
-
-
-@pytest.mark.parametrize("magnitude", [math.nan, math.inf])
-def test_an_estimate_that_is_not_finite_is_none(magnitude):
-    answer = Feed(AnyDifference(magnitude_n=magnitude)).tared().sample(PUSHED)
-    assert answer.contact == NO_CONTACT
 
 
 def test_no_force_while_the_arm_moves_then_the_unloaded_state_of_the_new_pose():
@@ -175,20 +153,6 @@ def followed(feed, number):
     with suppress(SampleError):
         return feed.estimation.follow(number, feed.now_s)
     return False
-
-
-def test_a_refused_command_leaves_the_one_before():
-    feed = Feed().tared()
-    for angles in (np.full(8, math.nan), np.full(8, 1.04), np.zeros(7)):
-        with pytest.raises(CableSenseError):
-            feed.command(angles)
-    assert feed.sample(PUSHED).contact.segment == 3
-
-
-def test_silence_becomes_stale():
-    feed = Feed().tared()
-    assert not feed.estimation.stale(feed.now_s + 0.19)
-    assert feed.estimation.stale(feed.now_s + 0.21)
 
 
 BENT = np.deg2rad([0.0, 0.0, 8.0, 0.0, 6.0, 0.0, 0.0, 0.0])
@@ -311,13 +275,6 @@ def test_a_push_is_estimated_while_commands_stream_that_hardly_or_slowly_move(
             touched.append(answer.contact)
     assert {contact.segment for contact in touched} == {3}
     assert max(abs(contact.magnitude_n - 30.0) for contact in touched) < off_n
-
-
-@pytest.mark.slow
-def test_a_free_arm_in_motion_has_no_contact():
-    strength = np.array([contact.magnitude_n for contact in contacts_in_motion()])
-    assert np.mean(strength == 0.0) > 0.9
-    assert np.mean(strength) < 0.1
 
 
 @pytest.mark.slow

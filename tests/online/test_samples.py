@@ -1,4 +1,4 @@
-"""Stamps and readings that cannot be true are refused; missing ones are counted and reported."""
+"""Impossible stamps and readings are refused; missing samples are counted and reported."""
 
 import math
 from contextlib import suppress
@@ -22,50 +22,30 @@ MS = 1_000_000
 NOW = 1_700_000_000_000 * MS
 
 
-def test_the_age_of_a_sample():
-    clock = SampleClock(0.2)
-    clock.accept(NOW - 5 * MS, NOW)
-    assert clock.largest_age_s == pytest.approx(0.005)
-
-
-def test_a_sample_without_stamp_counts_as_new():
-    clock = SampleClock(0.2)
-    clock.accept(0, NOW)
-    clock.accept(0, NOW)
-    assert clock.largest_age_s == 0.0
-
-
 @pytest.mark.parametrize(
-    ("stamp", "complaint"),
+    ("before", "stamp", "complaint"),
     [
-        (NOW - 201 * MS, "0.201 s old"),
-        (NOW + 201 * MS, "ahead of this machine's clock"),
-        (1, "old"),
+        (None, NOW - 201 * MS, "0.201 s old"),
+        (None, NOW + 201 * MS, "ahead of this machine's clock"),
+        (NOW, NOW, "must ascend"),
+        (NOW, NOW - 150 * MS, "must ascend"),
+        (NOW, 0, r"header.stamp is 0"),
     ],
 )
-def test_too_far_from_now(stamp, complaint):
-    with pytest.raises(SampleError, match=complaint):
-        SampleClock(0.2).accept(stamp, NOW)
-
-
-@pytest.mark.parametrize("back_ms", [0, 1, 150])
-def test_stamps_must_ascend(back_ms):
+def test_a_stamp_that_is_not_of_a_present_sample_is_refused(before, stamp, complaint):
     clock = SampleClock(0.2)
-    clock.accept(NOW, NOW)
-    with pytest.raises(SampleError, match="must ascend"):
-        clock.accept(NOW - back_ms * MS, NOW)
-
-
-def test_a_sample_without_stamp_is_refused_once_one_had_a_stamp():
-    clock = SampleClock(0.2)
-    clock.accept(0, NOW)
-    clock.accept(NOW, NOW)
-    with pytest.raises(SampleError, match=r"header.stamp is 0"):
-        clock.accept(0, NOW + MS)
+    clock.accept(0, NOW)  # without a stamp: counts as new, until one has come
+    assert clock.largest_age_s == 0.0
+    if before:
+        clock.accept(before, NOW + 5 * MS)
+        assert clock.largest_age_s == pytest.approx(0.005)
+    with pytest.raises(SampleError, match=complaint) as caught:
+        clock.accept(stamp, NOW)
+    assert caught.value.kind is ProblemKind.CLOCK
 
 
 def test_interleaved_stamps_do_not_pass():
-    """Of two clocks so far apart that the second's stamps might be those of a clock set back."""
+    """Two clocks so far apart that the second's stamps might be those of a clock set back."""
     clock, accepted = SampleClock(0.2), []
     for number in range(100):
         now = NOW + 10 * MS * number
@@ -96,19 +76,16 @@ def reports(period_ms, late_ms, lost=(), seconds=12):
 
 
 def test_missing_samples_are_counted_once():
+    assert not any(reports(1, lambda _: 0.0))
     counts = reports(10, lambda number: number % 3, lost={350, 351, 370, 777})
     assert sum(counts) == 4
     assert sum(counts[3:5]) == 3
     assert sum(counts[7:9]) == 1
 
 
-def test_none_are_missing_where_all_came():
-    assert not any(reports(1, lambda _: 0.0))
-
-
-@pytest.mark.parametrize("pause_ms", [3, 20, 150])
+@pytest.mark.parametrize("pause_ms", [3, 150])
 def test_samples_that_come_in_bursts_are_not_missing(pause_ms):
-    # held up, and then all at once, a microsecond after the other
+    # delayed, and then all at once, a microsecond after the other
     rng = np.random.default_rng(pause_ms)
     ends = np.cumsum(rng.integers(1, pause_ms, 12_000))
 
@@ -120,11 +97,9 @@ def test_samples_that_come_in_bursts_are_not_missing(pause_ms):
 
 
 def test_losses_are_counted_among_bursts():
-    def late_ms(number):
-        return (30 - number % 30) * 0.999
-
     lost = set(range(5010, 5110))
-    assert sum(reports(1, late_ms, lost)) == pytest.approx(100, abs=2)
+    counts = reports(1, lambda number: (30 - number % 30) * 0.999, lost)
+    assert sum(counts) == pytest.approx(100, abs=2)
 
 
 def test_a_silence_is_not_counted_as_missing_samples():
@@ -144,32 +119,26 @@ def changed(cable, tension):
     return [*GOOD[: cable - 1], tension, *GOOD[cable:]]
 
 
-@pytest.mark.parametrize("tension", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("cable", [1, 7, 12])
-def test_not_finite(cable, tension):
+@pytest.mark.parametrize(
+    ("range_n", "tension", "kind"),
+    [
+        *((None, value, ProblemKind.NOT_FINITE) for value in (math.nan, math.inf, -math.inf)),
+        *((None, value, ProblemKind.IMPLAUSIBLE) for value in (-21.0, 1e5, 1e308)),
+        *(((0.0, 500.0), value, ProblemKind.SATURATED) for value in (0.0, 500.0, 501.0, -1.0)),
+    ],
+)
+@pytest.mark.parametrize("cable", [1, 12])
+def test_readings_that_no_cable_carries_are_refused_by_cable(cable, range_n, tension, kind):
     with pytest.raises(SampleError, match=f"cable_{cable} ") as caught:
-        SampleCheck(None, 1.0).check(changed(cable, tension))
-    assert caught.value.kind is ProblemKind.NOT_FINITE
-
-
-@pytest.mark.parametrize("tension", [-21.0, 1e5, 1e308])
-def test_implausible_without_a_range(tension):
-    with pytest.raises(SampleError) as caught:
-        SampleCheck(None, 1.0).check(changed(4, tension))
-    assert caught.value.kind is ProblemKind.IMPLAUSIBLE
-
-
-@pytest.mark.parametrize("tension", [0.0, 500.0, 501.0, -1.0])
-def test_saturated_at_the_ends_of_the_range(tension):
-    with pytest.raises(SampleError, match=r"0 … 500 N; unload the arm") as caught:
-        SampleCheck((0.0, 500.0), 1.0).check(changed(4, tension))
-    assert caught.value.kind is ProblemKind.SATURATED
+        SampleCheck(range_n, 1.0).check(changed(cable, tension))
+    assert caught.value.kind is kind
 
 
 def test_slack_cables_are_noted_and_forgotten():
     check = SampleCheck(None, 1.0)
     check.check(changed(3, 0.2))
     assert check.slack == (3,)
+    assert check.status().level is Level.WARN
     check.check(np.array(GOOD))
     assert check.slack == ()
 
@@ -185,7 +154,7 @@ def fed(clock=None):
     return health
 
 
-def test_rate_and_age():
+def test_rate_age_losses_and_silence_are_reported():
     clock = SampleClock(0.2)
     health = fed(clock)
     clock.accept(10**18, 10**18 + 4_000_000)
@@ -193,13 +162,10 @@ def test_rate_and_age():
     assert report.level is Level.OK
     assert report.values["rate (Hz)"] == "100.0"
     assert report.values["largest age (s)"] == "0.0040"
-
-
-def test_silence_is_stale_before_and_after_the_first_sample():
+    assert status(fed(), 1.0, missing=3).message == "3 samples dropped"
     assert status(InputHealth(SampleClock(0.2), 0.0), 1.0).message == "no sample received yet"
     report = status(fed(), 3.0)
-    assert report.level is Level.STALE
-    assert report.message == "no sample for 2.0 s"
+    assert (report.level, report.message) == (Level.STALE, "no sample for 2.0 s")
 
 
 def test_refused_samples_are_an_error_until_the_next_report():
@@ -215,19 +181,15 @@ def test_refused_samples_are_an_error_until_the_next_report():
     assert again.values["refused in all"] == "1"
 
 
-def test_losses_and_a_silent_second_publisher_are_a_warning_and_one_that_publishes_an_error():
-    assert status(fed(), 1.0, missing=3).message == "3 samples dropped"
+def test_a_silent_second_publisher_is_a_warning_and_one_that_publishes_an_error():
     health = fed()
-    silent = status(health, 1.0, publishers=2)
-    assert silent.level is Level.WARN
+    assert status(health, 1.0, publishers=2).level is Level.WARN
     health.refused(SampleError(ProblemKind.PUBLISHER, "its publisher's number 3"))
-    second = status(health, 1.1, publishers=2)
-    assert second.level is Level.ERROR
-    assert {one.message.split(";")[0] for one in (silent, second)} == {"2 publishers"}
+    assert status(health, 1.1, publishers=2).level is Level.ERROR
 
 
 def heard(samples, publishers=2, period_s=0.01):
-    """What was accepted of (publisher, number), and with which one another was followed."""
+    """Accepted samples (publisher, number), and those with which another was followed."""
     watched = FollowedPublisher(0.2)
     watched.matched(publishers)
     accepted, changes = [], []
@@ -247,7 +209,7 @@ def in_turn(*sources):
     return [sample for samples in zip(*sources, strict=True) for sample in samples]
 
 
-@pytest.mark.parametrize("lead", [-5000, -3, -1, 2, 3, 5000])
+@pytest.mark.parametrize("lead", [-5000, -3, -1, 2, 5000])
 def test_two_publishers_in_turn_are_not_mixed(lead):
     samples = in_turn(numbered(9000, 200), numbered(9000 + lead, 200, "b"))
     accepted, _ = heard(samples)
@@ -255,8 +217,8 @@ def test_two_publishers_in_turn_are_not_mixed(lead):
 
 
 @pytest.mark.parametrize("lead", [0, 1])
-def test_two_publishers_that_number_alike_are_not_used(lead):
-    """But for the first, with which the arm's wait begins anew."""
+def test_two_publishers_with_the_same_numbers_are_not_used(lead):
+    """Except the first sample of each, with which the arm's wait begins anew."""
     samples = in_turn(numbered(9000, 200), numbered(9000 + lead, 200, "b"))
     accepted, changes = heard(samples)
     assert accepted[0] == changes[0]
@@ -266,7 +228,7 @@ def test_two_publishers_that_number_alike_are_not_used(lead):
 
 
 @given(st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 3)), min_size=5, max_size=300))
-def test_what_is_accepted_between_two_changes_is_of_one_publisher(turns):
+def test_samples_accepted_between_two_changes_are_of_one_publisher(turns):
     """Whatever the turns and the losses of both."""
     numbers, samples = {"a": 5000, "b": 1}, []
     for name, lost in turns:
@@ -279,26 +241,15 @@ def test_what_is_accepted_between_two_changes_is_of_one_publisher(turns):
         assert sample[0] == of
 
 
-def test_one_that_begins_at_just_the_next_number_is_noticed_with_the_followed_ones_next():
+def test_one_that_begins_at_exactly_the_next_number_is_noticed_with_the_followed_ones_next():
     accepted, _ = heard([*numbered(1, 50), ("b", 51), *numbered(51, 1), ("b", 60)])
     assert accepted == [*numbered(1, 50), ("b", 51)]
-    watched = FollowedPublisher(0.2)
-    watched.matched(2)
-    for number in (50, 51, 51):
-        with suppress(SampleError):
-            watched.accept(number, 0.0)
-    with pytest.raises(SampleError):
-        watched.accept(52, 0.01)
-    assert watched.accept(53, 0.3)  # with the arm's wait begun anew
 
 
-def test_another_is_followed_once_only_it_has_published_for_a_time():
+def test_another_is_followed_once_only_it_has_published_for_a_time_or_comes_alone():
     accepted, changes = heard(numbered(9000, 50) + numbered(1, 50, "b"))
     assert changes[1:] == [("b", 21)]
     assert accepted == numbered(9000, 50) + numbered(21, 30, "b")
-
-
-def test_another_that_comes_alone_is_followed_at_once():
     watched = FollowedPublisher(0.2)
     watched.matched(1)
     assert not watched.accept(100, 0.0)
@@ -313,7 +264,7 @@ def test_lost_samples_of_one_publisher_are_no_other():
     assert heard(samples, publishers=1) == (samples, [])
 
 
-def test_middleware_that_does_not_number_serves_one_publisher_alone():
+def test_middleware_without_numbers_serves_one_publisher_alone():
     samples = [("a", 2**64 - 1)] * 200
     assert heard(samples, publishers=1) == (samples, [])
     accepted, changes = heard(samples)

@@ -1,16 +1,19 @@
-"""An estimator that knows what friction, creep and backlash do, from a simulation beside the arm.
+"""An estimator with friction, creep and backlash, from a simulation that runs with the arm.
 
-An arm whose readings depend on what came before is simulated along with the real one, from sample
-to sample, under the load that explains the readings. What its history adds to the simulated
-readings is taken from the real ones, and the model file's network, which is of the same arm
-without a history, answers what is left.
+An arm whose readings depend on history is simulated along with the real one, from sample to
+sample, under the load that explains the readings. The contribution of history to the simulated
+readings is subtracted from the real ones. The model file's network, made for the same arm without
+history, answers the difference.
 
-A cable that sticks keeps what it carried, and a load that has changed may leave its reading as it
-was. So the load is not sought in each sample anew: it stays as it was while that explains the
-readings, and none is assumed where none explains them.
+A cable that sticks keeps its tension, and its reading may not follow a changed load. The load is
+therefore not sought anew in each sample. It is kept while it explains the readings, and none is
+assumed if none explains them.
 
-How an arm that has not moved yet began is not known: its past is taken as none. Motion wipes it
-out, so the arm should have moved before it is tared.
+The friction state of an arm that has not moved yet is unknown and assumed to be none. Motion
+erases it, so the arm should have moved before it is tared.
+
+The search for a load cannot use the force fit of `cablesense_online.force_fit`: that is a law of
+equilibrium without friction, and here readings depend on the friction state.
 """
 
 from __future__ import annotations
@@ -44,35 +47,34 @@ if TYPE_CHECKING:
     from cablesense_training.data.sequences import Sequences
 
 _TICK_S = 0.05
-"""Samples that come sooner after a simulated one are answered with its history."""
+"""Samples that come sooner than this after a simulated one are answered with its history."""
 _OFF = 3.5
-"""Standard deviations of the squared misfit by which it has to exceed that of noise, or that of a
-load which explained readings best before, until another load is sought: once in 500 samples by
-noise alone, with twelve cables."""
+"""Another load is sought if the squared misfit exceeds that of noise, or that of the best earlier
+load, by this many standard deviations: once in 500 samples by noise alone, with twelve cables."""
 _RELEASED = 12.0
-"""By how much a load has to lower the squared misfit, times what no load explains of it, to last:
-chance alone lowers it by so much once in 400 samples, with two components of a force."""
+"""A load is kept if it lowers the squared misfit by this much, times the unexplained part. Chance
+alone does so once in 400 samples, with two components of a force."""
 _HIDDEN = 4.0
-"""By how much a change of the load raises the squared misfit, times what no load explains of it,
-where it shows with 95 %."""
+"""A change of the load shows with 95 % if it raises the squared misfit by this much, times the
+unexplained part."""
 _WIDENED, _LEAST_HIDDEN_N, _MOST_HIDDEN_N = 2, 0.01, 100.0
 _PROBE_N = 0.3
-"""Of the numeric derivative by the force."""
+"""Step of the numeric derivative by the force."""
 _LIKELY_STEP_N = 20.0
-"""Standard deviation of a force's change from sample to sample, where readings do not tell."""
+"""Prior standard deviation of a force's change from sample to sample."""
 _LONGEST_STEP_N, _ENOUGH_N, _MOST_STEPS = 60.0, 0.02, 8
 _ABSORBED = 0.1
-"""Of what a load leaves over in a sample: so much is expected of the next ones too."""
+"""Share of a sample's residual that is expected in the next samples too."""
 _SOFTENED = 0.01
-"""Of a cable's stretch under pretension: what sticks gives by that at least, as no step towards a
-load can be computed from readings that do not change at all before something slips."""
+"""Least give of sticking parts, as a share of a cable's stretch under pretension. No step towards
+a load can be computed from readings that do not change at all before a part slips."""
 
 
 def remembered(arm: Arm) -> Arm:
-    """The arm with those effects that a simulation beside it can follow, without their past.
+    """The arm with those effects that a parallel simulation can follow, without initial states.
 
-    What acts on loads is nothing that an arm does, sensors that drift know no time to begin at,
-    and in which state another run of the arm began does not count for this one.
+    Excluded are effects on loads, which are not the arm's, and drifting sensors, whose drift has
+    no known beginning. The initial friction state of another run does not apply to this one.
     """
     kept = []
     for listed, entry in zip(arm.effects, entries_of(arm), strict=True):
@@ -87,7 +89,7 @@ def remembered(arm: Arm) -> Arm:
 
 
 def without_history(arm: Arm) -> Arm:
-    """The arm with those effects that its rest and its readings have at every moment alike."""
+    """The arm with those effects on its rest and readings that do not depend on history."""
     listed = zip(arm.effects, entries_of(arm), strict=True)
     kept = [each for each, entry in listed if not _by_history(entry)]
     return arm.model_copy(update={"effects": kept})
@@ -106,7 +108,7 @@ def _by_history(entry: EffectEntry) -> bool:
 
 
 class _Copies:
-    """Arms alike that go from sample to sample, each under a load of its own."""
+    """Copies of an arm that are simulated from sample to sample, each under its own load."""
 
     def __init__(self, arm: Arm, count: int) -> None:
         from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
@@ -130,7 +132,7 @@ class _Copies:
         return tensions
 
     def branched(self) -> _Copies:
-        """Others that go on from the same state."""
+        """Copies that continue from the same state."""
         other = copy.copy(self)
         other._rest = self._rest.branched()
         other._actuations, other._sensings = copy.deepcopy((self._actuations, self._sensings))
@@ -149,10 +151,10 @@ _NOTHING = _Load(0, np.zeros(2))
 
 
 class HistorySimulation:
-    """An arm that is simulated beside the real one, and what its history adds to readings.
+    """An arm that is simulated along with the real one, and the effect of history on readings.
 
     Args:
-        arm: with the effects that are to be known.
+        arm: the arm with its known effects.
         tare_samples: readings averaged into a tare.
     """
 
@@ -164,7 +166,7 @@ class HistorySimulation:
         self.forget()
 
     def forget(self) -> None:
-        """Begin with the first sample, which is one of the unloaded arm."""
+        """Begin with the next sample, which is one of the unloaded arm."""
         self._arms, self._plain = _Copies(self._arm, 4), _Copies(without_history(self._arm), 1)
         self._load, self._usual = _NOTHING, 0.0
         self._history_n = self._none_n = np.zeros(self._arm.cable_count)
@@ -173,7 +175,7 @@ class HistorySimulation:
         self._bias_n: Array | None = None
 
     def unloaded(self, time_s: float, command_rad: Array) -> None:
-        """The arm is not touched at a command (2N,); differences count from its readings on.
+        """The arm is untouched at a command (2N,); differences are relative to its readings.
 
         Raises:
             EquilibriumError: the arm has no rest there.
@@ -190,9 +192,9 @@ class HistorySimulation:
         self._history_n = np.zeros_like(bias)
 
     def without_n(self, difference_n: Array, time_s: float, command_rad: Array) -> Array:
-        """What a difference (M,) of readings would be without history, at a command (2N,).
+        """The difference (M,) of readings without the effect of history, at a command (2N,).
 
-        Differences count from the tare, and follow commands as unloaded tensions at rest do.
+        Differences are relative to the tare, and follow commands as unloaded tensions do.
 
         Raises:
             EquilibriumError: the arm has no rest there.
@@ -216,9 +218,9 @@ class HistorySimulation:
         return difference_n - self._history_n
 
     def along_n(self, sequences: Sequences) -> tuple[Array, Array]:
-        """What differences (S, T, M) would be without history, and what is hidden (S, T), N."""
-        left_n = np.empty_like(sequences.tension_difference_n)
-        hidden_n = np.empty(left_n.shape[:2])
+        """Differences (S, T, M) without the effect of history, and hidden forces (S, T), N."""
+        freed_n = np.empty_like(sequences.tension_difference_n)
+        hidden_n = np.empty(freed_n.shape[:2])
         tick_s, every = (
             sequences.protocol.tick_s,
             max(1, round(_TICK_S / sequences.protocol.tick_s)),
@@ -233,13 +235,13 @@ class HistorySimulation:
             for tick, command_rad in enumerate(commands):
                 if tick % every == 0:
                     self.without_n(differences_n[tick], tick * tick_s, command_rad)
-                left_n[number, tick] = differences_n[tick] - self._history_n
+                freed_n[number, tick] = differences_n[tick] - self._history_n
                 hidden_n[number, tick] = self.hidden_n[0]
-        return left_n, hidden_n
+        return freed_n, hidden_n
 
     @property
     def history_n(self) -> Array:
-        """(M,) what history has added since the tare, as of the last sample."""
+        """(M,) effect of history since the tare, as of the last sample."""
         return self._history_n
 
     @property
@@ -249,9 +251,9 @@ class HistorySimulation:
 
     @property
     def hidden_n(self) -> tuple[float, float]:
-        """By how much the load may be off along it and across it, with 95 %, unseen in readings.
+        """Possible error of the load along it and across it, with 95 %, unseen in readings.
 
-        Where there is none: what may act unseen on the segment that shows least, and zero.
+        Without a load: the force that may act unseen on the least sensitive segment, and zero.
         """
         if not self._load.segment:
             return float(self._hidden_n.max()), 0.0
@@ -259,7 +261,7 @@ class HistorySimulation:
         return float(along), float(across)
 
     def _predicted_n(self, command_rad: Array) -> Array:
-        """(M,) unloaded tensions at rest at a command, by which differences follow the commands.
+        """(M,) unloaded tensions at rest at a command, which differences are relative to.
 
         Raises:
             EquilibriumError: the arm has no rest there.
@@ -271,7 +273,7 @@ class HistorySimulation:
         return self._latest_n
 
     def _explanation(self) -> _Load:
-        """No load where that explains the readings, then the one before, then the likeliest."""
+        """No load if that explains the readings, else the previous one, else the likeliest."""
         before = self._load
         tried = self._tried(before)
         none = _NOTHING._replace(misfit=self._misfit(tried[3]))
@@ -298,7 +300,7 @@ class HistorySimulation:
         return found
 
     def _fitted(self, start: _Load) -> _Load:
-        """The likeliest force on a segment, by damped Gauss-Newton steps from a first one."""
+        """The likeliest force on a segment, by damped Gauss-Newton steps from a start."""
         best, force, damping = start._replace(misfit=np.inf), start.force_n, 0.0
         normal, slope = np.zeros((2, 2)), np.zeros(2)
         for _ in range(_MOST_STEPS):
@@ -327,16 +329,16 @@ class HistorySimulation:
         return best
 
     def _tried(self, load: _Load) -> Array:
-        """Readings (4, M): of a load, a little more along y, along z, and of none."""
+        """Readings (4, M) of a load, of a little more along y and along z, and of no load."""
         time_s, command_rad, _ = self._now
         return self._arms.branched().readings_n(
             time_s, command_rad, self._forces_n(load, _PROBE_N)
         )
 
     def _look_for_hidden(self, load: _Load) -> None:
-        """Widen or narrow the changes of a load up to which readings are explained as well.
+        """Adapt the largest changes of a load at which readings are still explained.
 
-        Of no load, those of one segment after another, sample by sample.
+        Without a load, one segment after another is examined, sample by sample.
         """
         time_s, command_rad, _ = self._now
         limit = load.misfit + _HIDDEN * max(1.0, load.misfit / self._arm.cable_count)
@@ -375,9 +377,9 @@ class HistorySimulation:
 
 
 class HistoryEstimator(SequenceEstimator):
-    """A memoryless single-contact model behind a simulation of its arm's history.
+    """A memoryless single-contact model that follows a simulation of its arm's history.
 
-    Its state follows from the samples given since `forget`, their times and their set-points.
+    Its state is determined by the samples since `forget`, their times and their set-points.
     """
 
     outputs = OUTPUTS
@@ -404,12 +406,12 @@ class HistoryEstimator(SequenceEstimator):
         joint_acceleration_rad_s2: ArrayLike,
         time_s: float,
     ) -> Estimate:
-        """See the base class; speeds and accelerations do not count, as the arm goes by rests.
+        """See the base class; speeds and accelerations are ignored, as the arm goes by rests.
 
-        A contact is answered where the readings call for a load, however uncertain its size: its
-        interval may begin at nothing. Elsewhere the interval ends at what may act unseen.
+        A contact is answered if the readings require a load, however uncertain its size: its
+        interval may begin at zero. Otherwise the interval ends at the force that may act unseen.
 
-        Where the time runs back by over a tick, the past ends and the arm counts as unloaded.
+        If the time runs back by over a tick, the history ends and the arm counts as unloaded.
 
         Raises:
             EstimateError: a wrong shape, or numbers that are not finite.
@@ -424,11 +426,11 @@ class HistoryEstimator(SequenceEstimator):
             self._simulation.unloaded(time_s, command_rad)
             self._tared, self._last_s = True, -np.inf
         if time_s - self._last_s >= _TICK_S:
-            left_n = self._simulation.without_n(difference_n, time_s, command_rad)
+            freed_n = self._simulation.without_n(difference_n, time_s, command_rad)
             self._last_s = time_s
         else:
-            left_n = difference_n - self._simulation.history_n
-        answers = [each[0] for each in self._answers(left_n, command_rad)]
+            freed_n = difference_n - self._simulation.history_n
+        answers = [each[0] for each in self._answers(freed_n, command_rad)]
         left = Estimate.of_outputs(answers)
         touched, (along_n, across_n) = self._simulation.touched, self._simulation.hidden_n
         half_n = float(np.hypot(NORMAL_95 * left.magnitude_std_n, along_n))

@@ -1,4 +1,4 @@
-"""What each wrench stands for, and between which bounds the force lies."""
+"""The decision on a contact, the meaning of each wrench, and the bounds of the force."""
 
 import math
 
@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from sample_feed import PUSHED, UNLOADED, AnyDifference, Feed
 
-from cablesense_msgs_py.messages import NO_CONTACT, ForceState, read_force_state
+from cablesense_msgs_py.messages import NO_CONTACT, Contact, ForceState, read_force_state
 from cablesense_msgs_py.topics import ContractError
+from cablesense_online.answer import decide
 from cablesense_online.models import load_model
+from cablesense_online.samples import ProblemKind, SampleError
 
 diagnostic_msgs = pytest.importorskip("diagnostic_msgs.msg")
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
@@ -19,21 +21,6 @@ def test_an_arm_is_untared_then_free_then_touched():
     feed = Feed().tared()
     assert feed.sample().force is ForceState.FREE
     assert feed.sample(PUSHED).force is ForceState.CONTACT
-
-
-def test_an_arm_that_moves_has_no_estimate():
-    feed = Feed().tared()
-    feed.command(np.full(8, 0.02))
-    answer = feed.sample(PUSHED)
-    assert answer.force is ForceState.MOVING
-    assert answer.bounds is None
-
-
-def test_what_cannot_be_used_is_stale_or_refused():
-    feed = Feed().tared()
-    assert feed.sample(PUSHED, age_ns=300_000_000).force is ForceState.STALE
-    assert feed.sample([math.nan, *PUSHED[1:]]).force is ForceState.REFUSED
-    assert feed.sample(raw=b"no message").force is ForceState.REFUSED
 
 
 def test_readings_that_fit_no_contact_are_implausible():
@@ -79,3 +66,32 @@ def test_a_status_that_is_no_state_is_refused(texts):
     statuses = [diagnostic_msgs.DiagnosticStatus(message=text) for text in texts]
     with pytest.raises(ContractError, match="must be one of free, contact"):
         read_force_state(diagnostic_msgs.DiagnosticArray(status=statuses))
+
+
+CONTACT_M = (0.05, 0.06, 0.07, 0.08)
+
+
+def decided(probabilities, angle_deg=0.0, magnitude_n=5.0, threshold=0.5):
+    return decide(probabilities, angle_deg, magnitude_n, threshold, CONTACT_M)
+
+
+def test_the_likeliest_segment_is_touched_where_any_contact_reaches_the_threshold():
+    assert decided([0.1, 0.2, 0.1, 0.55, 0.05], 70.0, 40.0) == Contact(3, 70.0, 40.0, 0.07)
+    assert decided([0.4, 0.15, 0.15, 0.1, 0.2]).segment == 4
+    assert decided([0.25, 0.75, 0.0, 0.0, 0.0], threshold=0.75).segment == 1
+    assert decided([0.25, 0.75, 0.0, 0.0, 0.0], threshold=0.8) == NO_CONTACT
+
+
+@pytest.mark.parametrize("magnitude_n", [0.0, -3.0])
+def test_a_force_that_does_not_push_is_no_contact(magnitude_n):
+    assert decided([0.0, 1.0, 0.0, 0.0, 0.0], 10.0, magnitude_n) == NO_CONTACT
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("place", range(3))
+def test_a_number_that_is_not_finite_is_refused_also_where_nothing_touches(value, place):
+    estimate = [[1.0, 0.0, 0.0, 0.0, 0.0], 10.0, 0.0]
+    estimate[place] = [1.0, value, 0.0, 0.0, 0.0] if place == 0 else value
+    with pytest.raises(SampleError) as caught:
+        decided(*estimate)
+    assert caught.value.kind is ProblemKind.ESTIMATE
