@@ -1,16 +1,21 @@
-"""Contacts in base axes and at the joints agree with virtual work; statics tells several apart."""
+"""One law of forces and readings: virtual work, several contacts, and the exported graph."""
 
 import numpy as np
 import pytest
+import torch
 from sample_feed import ARM, MECHANISM, UNLOADED, Feed
 
 from cablesense_msgs_py.messages import Contact, ForceState
-from cablesense_online.force_fit import ContactStatics, ForceFits
+from cablesense_online.force_fit import LARGEST_MISFIT, ContactStatics, ForceFits
 from cablesense_online.models import load_model
 from cablesense_online.tare import UnloadedTensions
 from cablesense_sim import kinematics
+from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
+from cablesense_sim.replay import difference_variance_n2
+from cablesense_training.networks.closed_form import ClosedForm, pose_corrections_for
 
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
 
@@ -65,3 +70,28 @@ def test_a_model_of_several_contacts_tells_each_the_strongest_first():
     assert not free.contacts
     assert "readings fit" in feed.estimation.plausibility.status().message
     assert ARM.segment_count + 1 == len(free.probabilities)
+
+
+@pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
+def test_the_fit_and_the_exported_closed_form_are_one_law(name):
+    """In noise too, with cables slack or not; the fit's prior of forces along costs a little."""
+    arm = open_arm(name)
+    mechanism, rng = mechanism_of(arm), np.random.default_rng(2)
+    spread_n = difference_variance_n2(arm.sensors, 50) ** 0.5
+    graph = ClosedForm(mechanism, spread_n**2, pose_corrections_for(mechanism))
+    fits = ForceFits(UnloadedTensions(arm), spread_n)
+    for segment in (1, 2, 3, 4):
+        command = rng.uniform(-0.1, 0.1, 8)
+        angle_deg, size_n = rng.uniform(0.0, 360.0), rng.uniform(10.0, 60.0)
+        forces = normal_force_n(mechanism, command, segment, angle_deg, size_n)
+        rests = [solve_equilibrium(mechanism, command, each).tensions_n for each in (None, forces)]
+        difference_n = rests[1] - rests[0] + rng.normal(0.0, spread_n, 12) * (rests[1] > 1.0)
+        fits.command(command)
+        fit = fits.best(difference_n, (segment,), (0.0, 0.0), LARGEST_MISFIT)
+        fit = fits.best(difference_n, (segment,), fit.force_n, LARGEST_MISFIT)
+        inputs = (torch.as_tensor(each[None]) for each in (difference_n, command))
+        found_n, *_ = graph.least_squares(graph.balance(*inputs))
+        np.testing.assert_allclose(found_n[0, segment - 1], fit.force_n, atol=0.5 * spread_n)
+        true_n = size_n * np.array([np.sin(np.deg2rad(angle_deg)), np.cos(np.deg2rad(angle_deg))])
+        np.testing.assert_allclose(fit.force_n, true_n, atol=5.0 * spread_n)
+        assert fit.misfit < LARGEST_MISFIT
