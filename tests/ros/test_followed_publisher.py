@@ -186,9 +186,14 @@ def test_one_is_used_until_it_ends_then_the_other_after_a_wait(graph, tmp_path):
     graph.node.create_subscription(kind, topic, lambda m: states.append(state_of(m)), 10)
     bent_rad = (0.0, 0.05, *[0.0] * 6)
     graph.command.publish(JointState(name=list(ARM.joint_names), position=bent_rad))
-    until(graph, [second], lambda: states and states[-1].command_rad == bent_rad, "the command")
+    until(
+        graph,
+        [second],
+        lambda: states and tuple(states[-1].gate.command_rad) == bent_rad,
+        "the command",
+    )
     estimator.signal(signal.SIGHUP)
     assert estimator.wait() == 0, estimator.log
     assert "Traceback" not in estimator.log
     kept = json.loads((folder / "state.json").read_text(encoding="utf-8"))
-    assert kept["command_rad"] == list(bent_rad)
+    assert kept["gate"]["command_rad"] == list(bent_rad)

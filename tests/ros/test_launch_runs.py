@@ -115,7 +115,7 @@ def test_a_killed_node_comes_back_by_itself_with_respawn(launch, tmp_path):
     run = launch("estimator.launch.py", "respawn:=true", f"state_file:={state}")
 
     def kept():
-        return state.exists() and json.loads(state.read_text())["unloaded_n"]
+        return state.exists() and json.loads(state.read_text())["tare"]["tare"]
 
     wait_until(kept, PATIENCE_S, "a tare", run.check)
     (start,) = (line for line in run.log.splitlines() if "[estimator-2]: process started" in line)
