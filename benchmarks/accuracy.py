@@ -18,8 +18,8 @@ from typing import Any
 
 import harness
 
+from cablesense_paper.boosting import BoostingBaseline, BoostingSettings
 from cablesense_sim.arm import Arm, open_arm
-from cablesense_training.baselines import BoostingBaseline, BoostingSettings
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import Protocol

@@ -15,8 +15,8 @@ from typing import Any
 import harness
 import numpy as np
 
+from cablesense_paper.boosting import BoostingBaseline, MultiBoostingBaseline
 from cablesense_sim.arm import open_arm
-from cablesense_training.baselines import BoostingBaseline, MultiBoostingBaseline
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.evaluation.comparison import (

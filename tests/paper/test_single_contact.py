@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from paper_studies import compared, result_of
 
+from cablesense_paper.boosting import BoostingSettings
 from cablesense_paper.studies.single_contact import (
     ALL_SETTINGS,
     FORCE_EDGES_N,
@@ -15,7 +16,6 @@ from cablesense_paper.studies.single_contact import (
     single_contact,
 )
 from cablesense_paper.study import PAPER, Agreement
-from cablesense_training.baselines import BoostingSettings
 from cablesense_training.evaluation.comparison import SHIPPED
 from cablesense_training.inference.metadata import bundled_models, find_model
 from cablesense_training.inference.session import read_model

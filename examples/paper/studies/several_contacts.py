@@ -8,6 +8,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.report.style import plain_log_ticks
+from cablesense_paper.boosting import BoostingSettings, MultiBoostingBaseline
 from cablesense_paper.drawing import (
     BLACK,
     DOTTED,
@@ -27,7 +28,6 @@ from cablesense_paper.studies.single_contact import (
 )
 from cablesense_paper.study import Figures, Numbers, Progress
 from cablesense_sim.arm import open_arm
-from cablesense_training.baselines import BoostingSettings, MultiBoostingBaseline
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.evaluation.comparison import (

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import binned_statistic
 
 from cablesense_base import Array
+from cablesense_paper.boosting import BoostingBaseline, BoostingSettings
 from cablesense_paper.drawing import (
     BLACK,
     BLUE,
@@ -25,7 +26,6 @@ from cablesense_paper.drawing import (
     plain_ticks,
 )
 from cablesense_paper.study import Figures, Numbers, Progress
-from cablesense_training.baselines import BoostingBaseline, BoostingSettings
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.evaluation.comparison import (

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from cablesense_base.installation import config_path
+from cablesense_paper.boosting import BoostingBaseline, BoostingSettings, MultiBoostingBaseline
 from cablesense_sim.arm import load_arm
-from cablesense_training.baselines import BoostingBaseline, BoostingSettings, MultiBoostingBaseline
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact, SingleContact
 from cablesense_training.errors import TrainingError
