@@ -44,12 +44,6 @@ def test_over_one_guide_the_tensions_are_apart_by_the_capstan_equation(sign: flo
     assert near / RUN_N_M + far / SPAN_N_M == pytest.approx(stretch, rel=1e-12)
 
 
-def test_over_two_guides_the_bounds_multiply() -> None:
-    cable, lengths, phi = chains(pieces=(RUN_N_M, SPAN_N_M, SPAN_N_M), limit=[PHI, 0.1])
-    tensions = walked(cable, lengths, phi, [np.array([[1e-3, 0.0, 0.0]])])[0]
-    assert tensions[0] / tensions[2] == pytest.approx(np.exp(PHI + 0.1), rel=1e-12)
-
-
 def test_a_run_that_sticks_keeps_its_tension_to_the_last_digit() -> None:
     """The load that drew the cable out is taken off: the run does not notice."""
     cable, lengths, phi = chains(pieces=(RUN_N_M, SPAN_N_M), limit=[PHI])
@@ -181,19 +175,6 @@ def test_bristles_near_their_limit_as_dahl_has_it(rounding: float, start: float)
     for _ in range(round(passed / step)):
         u = max(u - step * u**rounding / give, 0.0)
     assert np.log(near / far) == pytest.approx(PHI * (1.0 - u), abs=1e-3 * PHI)
-
-
-def test_cables_side_by_side_are_as_alone() -> None:
-    rng = np.random.default_rng(4)
-    compliance = 10.0 ** rng.uniform(-7.0, -5.0, (6, 4))
-    lengths = 30.0 * compliance
-    limit, share = rng.uniform(0.0, 0.4, (6, 3)), np.zeros((6, 3))
-    step = rng.normal(0.0, 20.0, compliance.shape) * compliance
-    together = CableChains(compliance, lengths, limit, share).pull(lengths + step, limit)
-    for i in range(6):
-        alone = CableChains(compliance[i], lengths[i], limit[i], share[i])
-        found = alone.pull(lengths[i] + step[i], limit[i])
-        np.testing.assert_allclose(found.tensions_n, together.tensions_n[i], rtol=1e-9)
 
 
 @pytest.mark.parametrize("give", [0.0, 1e-4])

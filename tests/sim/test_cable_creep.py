@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from effect_arms import MECHANISM, STRAIGHT, course, entry, push, readings, small, up_and_down
+from effect_arms import MECHANISM, entry, small
 
 from cablesense_sim.effects.effect import Rest
 from cablesense_sim.effects.registry import EffectEntry, side_by_side
@@ -35,13 +35,6 @@ def test_under_a_constant_load_it_grows_exponentially_to_its_share_of_the_stretc
     for time in (0.0, 5.0, 10.0, 40.0, 400.0):
         expected = 0.2 * 50.0 / MECHANISM.stiffness_n_m * (1.0 - np.exp(-time / 10.0))
         np.testing.assert_allclose(creep.lengthening_m(time)[0], expected, atol=1e-15)
-
-
-def test_looking_in_between_changes_nothing() -> None:
-    once, often = creeping(CREEP, spread=3.0), creeping(CREEP, spread=3.0)
-    for time in np.linspace(0.5, 20.0, 37):
-        often.settle(rest(time, np.full(12, 50.0)))
-    np.testing.assert_allclose(often.lengthening_m(30.0), once.lengthening_m(30.0), rtol=1e-12)
 
 
 def test_after_the_load_it_recovers_as_slowly() -> None:
@@ -76,12 +69,6 @@ def test_what_was_over_before(
     np.testing.assert_allclose(creep.lengthening_m(1e4)[0], at_last * whole, atol=1e-15)
 
 
-def test_it_creeps_where_it_sits() -> None:
-    creep = creeping(small(entry("cable_creep", "segment_2"), share=0.2, time_s=10.0))
-    grown = creep.lengthening_m(5.0)[0] > 0.0
-    np.testing.assert_array_equal(grown, MECHANISM.cable_segment == 2)
-
-
 @pytest.mark.slow
 def test_a_held_cable_relaxes_to_one_part_in_one_and_its_share() -> None:
     """Weightless and straight nothing turns: T = T0 (1 + s exp(-(1 + s) t / tau)) / (1 + s)."""
@@ -94,21 +81,3 @@ def test_a_held_cable_relaxes_to_one_part_in_one_and_its_share() -> None:
     # tensions are taken as held between rests, which is off by up to half a period's change
     np.testing.assert_allclose(found, np.repeat(expected[:, None], 12, axis=1), atol=0.03)
     np.testing.assert_allclose(found[0], 50.0, atol=1e-4)
-
-
-@pytest.mark.slow
-def test_a_long_hold_forgets_how_it_was_loaded() -> None:
-    loads = up_and_down(rows=6)
-    for hold in (loads[-1], push(3, [0.0, 10.0, 0.0])):
-        ends = []
-        for before in (loads, loads[::-2], loads[:3]):
-            rows = np.concatenate([before, np.repeat(hold[None], 60, axis=0)])
-            ends.append(readings(course(STRAIGHT, rows, period_s=2.0), CREEP)[-1])
-        np.testing.assert_allclose(ends[1], ends[0], atol=1e-4)
-        np.testing.assert_allclose(ends[2], ends[0], atol=1e-4)
-
-
-def test_no_share_changes_nothing() -> None:
-    replay = course(STRAIGHT, up_and_down())
-    none = small(CREEP, share=0.0)
-    np.testing.assert_allclose(readings(replay, none), readings(replay), atol=1e-3)

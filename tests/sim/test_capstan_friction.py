@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from effect_arms import MECHANISM, bent, course, entry, readings, small, up_and_down
+from effect_arms import MECHANISM, bent, course, entry, readings, up_and_down
 from joint_torques import load_torques_n_m
 
 from cablesense_sim import kinematics
-from cablesense_sim.effects.registry import side_by_side
 from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.quasi_static import QuasiStaticArm
-from cablesense_sim.replay import replay_arm
 
 BENT = bent(3, most_deg=6.0)
 FRICTION = entry("capstan_friction", coefficient=0.15)
@@ -23,12 +21,6 @@ def test_a_load_that_goes_leaves_the_reading_of_runs_that_stick() -> None:
     found = readings(course(BENT, up_and_down(rows=40)), wound)
     assert np.ptp(found[36:40], axis=0).max() > 0.5
     np.testing.assert_allclose(found[41:44], np.repeat(found[40:41], 3, axis=0), rtol=1e-12)
-
-
-def test_no_friction_changes_nothing() -> None:
-    replay = course(BENT, up_and_down())
-    none = small(FRICTION, coefficient=0.0)
-    np.testing.assert_allclose(readings(replay, none), readings(replay), atol=1e-3)
 
 
 def test_a_load_cycle_leaves_a_loop_and_the_loop_lasts_at_rest() -> None:
@@ -76,14 +68,3 @@ def test_what_joints_feel_lies_within_what_guides_can_hold() -> None:
         allowed = (np.abs(jacobian) * tensions[:, None] * np.repeat(most, 2)).sum(0)
         assert (missing <= allowed + 1e-6).all()
         assert row == 0 or missing.max() > 0.01  # it began without friction's share
-
-
-def test_a_file_with_friction_replays() -> None:
-    from arm_variants import variant
-
-    listed = {"effect": "capstan_friction", "parameters": {"coefficient": 0.15}}
-    arm = variant({"effects": [listed]}, "cdsm_lab")
-    replay = course(BENT, up_and_down())
-    found = replay_arm(arm, replay.time_s, replay.command_rad, replay.forces_n)
-    np.testing.assert_array_equal(found, readings(replay, FRICTION))
-    assert side_by_side([FRICTION])["coefficient"] == [0.15]

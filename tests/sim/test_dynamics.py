@@ -11,7 +11,7 @@ from effect_arms import bent, up_and_down
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
-from cablesense_sim.dynamics import LEAST_PERIOD_S, ArmDynamics, RestToRestArm, moving_arm
+from cablesense_sim.dynamics import LEAST_PERIOD_S, ArmDynamics, RestToRestArm
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.loads import LoadError
 from cablesense_sim.replay import replay_arm
@@ -72,17 +72,6 @@ def test_reset_rests_unloaded_at_a_command(dynamics: ArmDynamics) -> None:
     np.testing.assert_allclose(dynamics.tensions_n, expected.tensions_n, atol=1e-4)
     dynamics.reset()
     assert not dynamics.command_rad.any()
-
-
-def test_stepped_together_or_apart_it_is_the_same(dynamics: ArmDynamics) -> None:
-    dynamics.load(4, [0.0, 20.0, 0.0])
-    dynamics.advance(0.05)
-    together = dynamics.tensions_n
-    dynamics.reset()
-    dynamics.load(4, [0.0, 20.0, 0.0])
-    for _ in range(50):
-        dynamics.advance(1e-3)
-    np.testing.assert_allclose(dynamics.tensions_n, together, atol=1e-9)
 
 
 def test_swinging_dies_down() -> None:
@@ -147,17 +136,6 @@ def test_impossible_commands_are_refused_and_change_nothing(
     np.testing.assert_array_equal(dynamics.command_rad, BENT)
 
 
-@pytest.mark.parametrize("command", [np.zeros(7), np.full(8, np.nan), np.full(8, 0.9)])
-def test_a_refused_reset_changes_nothing(dynamics: ArmDynamics, command: np.ndarray) -> None:
-    dynamics.load(2, [0.0, 5.0, 0.0])
-    dynamics.advance(0.01)
-    before = dynamics.time_s, dynamics.tensions_n.tolist(), dynamics.forces_n.tolist()
-    with pytest.raises(EquilibriumError):
-        dynamics.reset(command)
-    after = dynamics.time_s, dynamics.tensions_n.tolist(), dynamics.forces_n.tolist()
-    assert after == before
-
-
 @pytest.mark.parametrize(
     ("segment", "force", "words"),
     [
@@ -181,16 +159,6 @@ def test_what_never_settles_says_so() -> None:
     dynamics.load(4, [0.0, 30.0, 0.0])
     with pytest.raises(EquilibriumError, match=r"still moves after 0\.01 s"):
         dynamics.settle(longest_s=0.01)
-
-
-def test_what_it_gives_is_not_its_own() -> None:
-    dynamics = ArmDynamics(open_arm("cdsm"))
-    dynamics.forces_n[:] = 1.0
-    dynamics.command_rad[:] = 1.0
-    dynamics.joint_angles_rad[:] = 1.0
-    assert not dynamics.forces_n.any()
-    assert not dynamics.command_rad.any()
-    assert np.abs(dynamics.joint_angles_rad).max() < 0.01
 
 
 def test_tensions_and_joint_angles_are_of_the_same_moment() -> None:
@@ -283,26 +251,3 @@ def test_without_a_rest_it_reads_nothing() -> None:
     moving.load(4, [0.0, 5e4, 0.0])
     moving.advance(0.2)
     assert np.isnan(moving.tensions_n).all()
-
-
-def test_what_cannot_be_is_refused_and_changes_nothing() -> None:
-    moving = RestToRestArm(with_effects("joint_friction"))
-    first = moving.tensions_n
-    for command in (np.zeros(7), np.full(8, np.nan), np.full(8, 0.9)):
-        with pytest.raises(EquilibriumError):
-            moving.command(command)
-        with pytest.raises(EquilibriumError):
-            moving.reset(command)
-    for segment, force in ((0, [0.0, 0.0, 1.0]), (1, [0.0, 1.0]), (1, [0.0, 1.0, np.nan])):
-        with pytest.raises(LoadError):
-            moving.load(segment, force)
-    moving.advance(0.2)
-    np.testing.assert_allclose(moving.tensions_n, first, atol=1e-4)
-
-
-def test_one_place_decides_who_moves_in_time() -> None:
-    assert isinstance(moving_arm(with_effects("cable_creep"), 1e-3), RestToRestArm)
-    gain = {"effect": "sensor_gain", "at": "cable_1", "parameters": {"gain": 0.1}}
-    assert isinstance(moving_arm(variant({"effects": [gain]}, "cdsm_lab"), 1e-3), ArmDynamics)
-    with pytest.raises(EquilibriumError, match="history-dependent effects"):
-        ArmDynamics(with_effects("cable_creep"))

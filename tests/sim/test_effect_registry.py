@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from arm_variants import variant
-from hypothesis import given
-from hypothesis import strategies as st
 
 from cablesense_sim.arm import ArmFileError, open_arm, parse_arm
 from cablesense_sim.build import entries_of
 from cablesense_sim.effects.effect import Effect
-from cablesense_sim.effects.registry import EffectError, checked_entry, known_effects, side_by_side
+from cablesense_sim.effects.registry import known_effects
 
 
 def effects() -> list[Effect]:
@@ -81,10 +79,6 @@ def test_what_is_not_given_has_its_default_and_order_is_kept() -> None:
     }
 
 
-def test_an_arm_file_without_effects_has_none() -> None:
-    assert entries_of(open_arm("cdsm_lab")) == []
-
-
 def test_effects_are_part_of_who_the_arm_is_and_survive_a_file() -> None:
     import yaml
 
@@ -120,25 +114,3 @@ def test_an_entry_that_cannot_be_is_refused_in_one_line(listed: Any, words: str)
     with pytest.raises(ArmFileError, match=words) as caught:
         with_effects(listed)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("name", list(known_effects()))
-@given(data=st.data())
-def test_every_number_in_range_is_taken_and_every_other_refused(
-    name: str, data: st.DataObject
-) -> None:
-    effect = known_effects()[name]
-    place = data.draw(st.sampled_from(effect.places(4, 12)))
-    parameter = data.draw(st.sampled_from(effect.parameters))
-    value = data.draw(st.floats(parameter.low - 1.0, parameter.high + 1.0) | st.just(math.nan))
-    if parameter.low <= value <= parameter.high:
-        entry = checked_entry(name, place, {parameter.name: value}, 4, 12)
-        assert entry.values[parameter.name] == value
-    else:
-        with pytest.raises(EffectError, match=parameter.name):
-            checked_entry(name, place, {parameter.name: value}, 4, 12)
-
-
-def test_side_by_side_puts_each_parameter_in_one_array() -> None:
-    entries = [checked_entry("sensor_gain", "cable_3", {"gain": g}, 4, 12) for g in (0.1, 0.2)]
-    np.testing.assert_array_equal(side_by_side(entries)["gain"], [0.1, 0.2])

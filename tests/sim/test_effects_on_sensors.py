@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from effect_arms import MECHANISM, STRAIGHT, bent, course, entry, push, readings, up_and_down
+from effect_arms import MECHANISM, STRAIGHT, bent, course, entry, push, readings
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_sim.effects.effect import cables, chosen
 from cablesense_sim.effects.registry import EffectEntry, side_by_side
 from cablesense_sim.effects.sensor import INTERVAL_S
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
@@ -97,35 +96,6 @@ def test_a_lag_follows_a_step_as_one_lag_or_two_in_a_row(share: float) -> None:
         np.testing.assert_array_equal(read[p][:, ~THIRD], STEP_N[:, ~THIRD])
 
 
-def test_a_lag_of_the_whole_arm_is_in_every_sensor() -> None:
-    values = {"time_constant_s": 0.5, "second_share": 0.6}
-    one = sensed([entry("sensor_lag", "cable_3", **values)], STEP_N, SPAN_S)[0]
-    every = sensed([entry("sensor_lag", **values)], STEP_N, SPAN_S)[0]
-    np.testing.assert_allclose(every, np.repeat(one[:, 2:3], 12, axis=1))
-
-
-def test_of_a_lag_no_second_share_means_first_order() -> None:
-    late, explicit = (
-        sensed([entry("sensor_lag", time_constant_s=0.5, **more)], STEP_N, SPAN_S)
-        for more in ({}, {"second_share": 0.0})
-    )
-    np.testing.assert_array_equal(late, explicit)
-
-
-@given(st.floats(0.05, 5.0), st.floats(0.0, 1.0), st.floats(0.0, 1.0))
-@settings(max_examples=30, deadline=None)
-def test_the_larger_the_second_share_the_later(tau: float, one: float, other: float) -> None:
-    """And never beyond the step: two lags in a row do not swing."""
-    late = [
-        entry("sensor_lag", time_constant_s=tau, second_share=share)
-        for share in sorted((one, other))
-    ]
-    less, more = sensed(late, STEP_N, SPAN_S)
-    assert (more <= less + 1e-9).all()
-    assert (more >= 0.0).all()
-    assert (less <= STEP_N + 1e-9).all()
-
-
 @given(st.floats(0.01, 20.0), st.floats(0.0, 1.0), st.integers(2, 30), st.integers(0, 1000))
 @settings(max_examples=30, deadline=None)
 def test_a_lag_does_not_care_how_often_it_is_asked(
@@ -157,12 +127,6 @@ def test_a_lag_does_not_care_how_often_it_is_asked(
 def test_size_zero_reads_the_truth(nothing: EffectEntry) -> None:
     tensions, times = some_tensions()
     np.testing.assert_allclose(sensed([nothing], tensions, times)[0], tensions, atol=1e-12)
-
-
-def test_a_places_number_is_counted_from_one() -> None:
-    for i, place in enumerate(cables(12)):
-        np.testing.assert_array_equal(np.flatnonzero(chosen(place, 12)), [i])
-    assert chosen("arm", 12).all()
 
 
 def held(entries: list[EffectEntry], commanded_m: np.ndarray) -> np.ndarray:
@@ -217,8 +181,3 @@ def test_in_a_replay_a_play_changes_what_its_cable_is_held_at() -> None:
     lengths[:, 2] += [0.0, -sign * 1e-4, sign * 1e-4]  # half the play behind, either way
     rest = solve_equilibrium(MECHANISM, replay.command_rad, replay.forces_n, held_m=lengths)
     np.testing.assert_allclose(found, rest.tensions_n, atol=1e-6)
-
-
-def test_without_a_reversal_of_its_own_a_play_does_not_care_for_loads() -> None:
-    replay = course(STRAIGHT, up_and_down())
-    np.testing.assert_allclose(readings(replay, play()), readings(replay), atol=1e-9)

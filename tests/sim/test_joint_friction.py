@@ -68,15 +68,6 @@ def test_never_more_than_the_limit_and_never_a_gift_of_energy(
     assert work >= -stored - 1e-9
 
 
-@pytest.mark.parametrize("rounded", [0.0, 0.7])
-def test_the_slope_is_the_derivative(rounded: float) -> None:
-    friction = dry(start=0.3, rounded=rounded)
-    angles = np.linspace(-1e-4, 1e-4, 8)[None]
-    torque, slope = friction.joint_torque_n_m(angles)
-    more, _ = friction.joint_torque_n_m(angles + 1e-8)
-    np.testing.assert_allclose((more - torque) / 1e-8, slope, rtol=1e-3)
-
-
 @pytest.mark.parametrize("numbers", [[2], [1, 2, 3, 4]])
 def test_a_slipping_joint_carries_its_limit_of_the_load(numbers: list[int]) -> None:
     """Between J'T and the load's torque lies the limit, against the motion, and nothing else."""
@@ -111,17 +102,6 @@ def test_the_loop_is_twice_the_limit_wide_and_lasts() -> None:
     # along y the last three cables turn the last joint about z: torque = -sum y T
     assert abs(-y @ loop) == pytest.approx(0.2, rel=0.02)
     np.testing.assert_array_equal(found[20:], np.repeat(found[19:20], 30, axis=0))
-
-
-def test_no_torque_changes_nothing() -> None:
-    replay = course(STRAIGHT, up_and_down())
-    none = small(FRICTION, torque_n_m=0.0)
-    np.testing.assert_allclose(readings(replay, none), readings(replay), atol=1e-3)
-
-
-def test_how_fast_it_goes_does_not_matter() -> None:
-    slow, fast = (course(STRAIGHT, up_and_down(), period_s) for period_s in (30.0, 0.01))
-    np.testing.assert_array_equal(readings(slow, FRICTION), readings(fast, FRICTION))
 
 
 @pytest.mark.parametrize("give_rad", [1e-5, 3e-4, 0.05])

@@ -66,15 +66,6 @@ def test_batches_are_their_rows() -> None:
     np.testing.assert_allclose(back, angle[touched], atol=1e-9)
 
 
-def test_one_pose_serves_many_contacts() -> None:
-    forces = normal_force_n(MECHANISM, STRAIGHT, [1, 2, 3], [0.0, 90.0, 180.0], [1.0, 2.0, 3.0])
-    np.testing.assert_allclose(np.linalg.norm(forces, axis=-1), np.eye(3, 4) * [1, 2, 3, 0])
-
-
-def test_segment_zero_is_no_contact() -> None:
-    assert not normal_force_n(MECHANISM, STRAIGHT, 0, 45.0, 100.0).any()
-
-
 @pytest.mark.parametrize(
     ("segment", "angle_deg", "magnitude_n", "words"),
     [
@@ -93,9 +84,3 @@ def test_impossible_contacts_are_refused(
 ) -> None:
     with pytest.raises(LoadError, match=words):
         normal_force_n(MECHANISM, STRAIGHT, segment, angle_deg, magnitude_n)
-
-
-@pytest.mark.parametrize("segment", [0, 5])
-def test_only_a_segment_has_a_contact_angle(segment: int) -> None:
-    with pytest.raises(LoadError, match="from 1 to 4"):
-        contact_angle_deg(MECHANISM, STRAIGHT, segment, [0.0, 0.0, 1.0])

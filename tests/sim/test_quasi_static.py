@@ -8,9 +8,8 @@ from effect_arms import MECHANISM, bent, entry, push, small, up_and_down
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_sim.effects.registry import EffectEntry, amended, transmissions
+from cablesense_sim.effects.registry import EffectEntry, amended
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
-from cablesense_sim.mechanism import stack
 from cablesense_sim.quasi_static import QuasiStaticArm
 
 KINDS = [
@@ -77,33 +76,6 @@ def test_all_at_once_go_together() -> None:
     each = [tensions([MECHANISM], [[kind]], commands, loads)[0] for kind in KINDS]
     for one in each:
         assert np.abs(everything - one).max() > 0.05
-
-
-def test_a_transmission_is_made_for_all_arms_at_once() -> None:
-    variants = [[KINDS[0], entry("sensor_gain", "cable_1")] for _ in range(3)]
-    assert len(transmissions(variants)) == 1
-    assert transmissions([[entry("payload", "segment_1")]]) == []
-
-
-def test_stacked_mechanisms_keep_their_own_numbers() -> None:
-    odd = amended(MECHANISM, [entry("routing_geometry", "segment_2", plates_angle_rad=0.03)])
-    both = stack([MECHANISM, odd])
-    np.testing.assert_array_equal(both.hole_y_m, [MECHANISM.hole_y_m, odd.hole_y_m])
-    (y, _), (v, _) = both.plate_holes_m
-    assert y.shape == v.shape == (2, 12, 4)
-    np.testing.assert_array_equal(v[0], np.repeat(MECHANISM.hole_y_m[:, None], 4, axis=1))
-    np.testing.assert_array_equal(v[1], odd.segment_hole_y_m)
-
-
-def test_angles_are_those_of_the_last_rest() -> None:
-    arm = QuasiStaticArm([MECHANISM], [[]])
-    np.testing.assert_array_equal(arm.joint_angles_rad, np.zeros((1, 8)))
-    load = push(2, [0.0, 10.0, 0.0])
-    arm.step(0.0, np.zeros((1, 12)), load)
-    expected = solve_equilibrium(MECHANISM, np.zeros(8), load).joint_angles_rad
-    np.testing.assert_allclose(arm.joint_angles_rad[0], expected, atol=1e-7)
-    arm.joint_angles_rad[:] = 1.0
-    assert np.abs(arm.joint_angles_rad).max() < 0.1
 
 
 def test_a_load_beyond_the_arm_is_refused() -> None:

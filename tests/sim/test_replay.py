@@ -86,24 +86,10 @@ def test_an_amended_file_replays_as_its_entries_do() -> None:
     np.testing.assert_array_equal(found, readings(replay, *entries_of(arm)))
 
 
-def test_a_second_question_is_answered_as_the_first() -> None:
-    """Where the first answer lay is only where the next search begins."""
-    replay = course(COMMANDS, LOADS)
-    payload = entry("payload", "segment_2", mass_kg=0.3)
-    first = readings(replay, payload)
-    readings(replay, entry("payload", "segment_4", mass_kg=0.3))
-    np.testing.assert_allclose(readings(replay, payload), first, atol=1e-6)
-
-
 def test_equal_rows_read_equally_and_are_solved_once() -> None:
     replay = course(STRAIGHT, np.repeat(push(3, [0.0, 10.0, 0.0])[None], 200, axis=0))
     found = readings(replay, entry("base_tilt", roll_rad=0.1))
     np.testing.assert_array_equal(found, np.repeat(found[:1], 200, axis=0))
-
-
-def test_amending_is_one_after_the_other() -> None:
-    entries = [entry("payload", f"segment_{n}", mass_kg=0.1) for n in (1, 2, 2)]
-    np.testing.assert_allclose(amended(MECHANISM, entries).mass_kg, [0.6, 0.7, 0.5, 0.5])
 
 
 def test_an_arm_that_finds_no_rest_says_so() -> None:
@@ -193,31 +179,12 @@ def test_a_tared_difference_has_the_variance_of_both() -> None:
     assert spread == pytest.approx(expected, rel=5 * np.sqrt(2 / 4000))
 
 
-def test_a_perfect_sensor_reads_the_tension() -> None:
-    truth = np.random.default_rng(3).uniform(0, 200, (3, 4))
-    perfect = with_(noise_std_n=0.0, step_n=0.0)
-    np.testing.assert_array_equal(read_tensions_n(truth, perfect, np.random.default_rng(0)), truth)
-
-
 def test_readings_saturate_at_the_ends_of_the_range() -> None:
     sensors = with_(range_n=(0.0, 100.0))
     readings = read_tensions_n([-50.0, 50.0, 500.0], sensors, np.random.default_rng(0))
     assert readings[0] == 0.0
     assert readings[1] == pytest.approx(50.0, abs=0.5)
     assert readings[2] == 100.0
-
-
-def test_the_same_seed_reads_the_same() -> None:
-    first, second = (
-        read_tensions_n(np.full(12, 50.0), SENSORS, np.random.default_rng(9)) for _ in range(2)
-    )
-    np.testing.assert_array_equal(first, second)
-
-
-def test_reading_leaves_the_truth_alone() -> None:
-    truth = np.full(12, 50.0)
-    read_tensions_n(truth, SENSORS, np.random.default_rng(0))
-    np.testing.assert_array_equal(truth, 50.0)
 
 
 @pytest.mark.parametrize("beside", [(), (entry("joint_friction", "joint_2"),)], ids=["", "rough"])

@@ -1,7 +1,6 @@
 """Compact kinematics say, pitches first, what `cablesense_sim.kinematics` says."""
 
 import numpy as np
-import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -97,27 +96,3 @@ def test_frames_levers_and_weight_agree_for_any_arm_at_any_pose(mechanism, seed)
     np.testing.assert_allclose(lever.numpy(), torques, atol=1e-12)
     gravity = _pitch_first(gravity_torques_n_m(mechanism, loaded))
     np.testing.assert_allclose(weight.numpy()[..., 0], gravity, atol=1e-11)
-
-
-def test_the_jacobian_is_the_derivative_of_the_spans():
-    mechanism = mechanism_of(open_arm("cdsm"))
-    compact = CompactKinematics(mechanism)
-    column = _column(_poses(mechanism, 0, rows=1))
-
-    def lengths(angles):
-        return compact(angles).span_m.sum((1, 2))
-
-    derivative = torch.autograd.functional.jacobian(lengths, column)[0, :, 0, :, 0]
-    torch.testing.assert_close(compact(column).jacobian_t_m[0].T, derivative, atol=1e-12, rtol=0.0)
-
-
-@pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab", "cdsm_table2"])
-def test_rows_are_independent_and_any_number_of_them_will_do(arm):
-    mechanism = mechanism_of(open_arm(arm))
-    compact = CompactKinematics(mechanism)
-    column = _column(_poses(mechanism, 3, rows=5))
-    whole = compact(column)
-    for row in range(5):
-        for all_rows, one in zip(whole, compact(column[row : row + 1]), strict=True):
-            torch.testing.assert_close(all_rows[row : row + 1], one, atol=1e-14, rtol=0.0)
-    assert compact(column[:0]).jacobian_t_m.shape[0] == 0

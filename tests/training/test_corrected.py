@@ -11,7 +11,6 @@ from cablesense_sim.loads import normal_force_n
 from cablesense_training.data.history import sensed_along_n
 from cablesense_training.networks.closed_form import ClosedForm
 from cablesense_training.networks.corrected import LARGEST_CORRECTION, CorrectedClosedForm
-from cablesense_training.networks.second_order import SecondOrderClosedForm
 
 CDSM = open_arm("cdsm")
 
@@ -58,22 +57,6 @@ def _statics(network, tension, command):
 
 def _force(output):
     return output.magnitude_n[:, None] * output.direction
-
-
-@pytest.mark.slow
-def test_untrained_it_answers_as_the_closed_form(untrained):
-    tension, command, segment = _readings(CDSM, 200)
-    with torch.no_grad():
-        output = untrained(tension, command)
-    found = _statics(untrained, tension, command)
-    answered = output.contact_logits.argmax(dim=1).numpy()
-    assert (answered == segment).mean() > 0.98
-    chosen = torch.as_tensor(answered - 1)
-    rows = torch.arange(len(chosen))
-    torch.testing.assert_close(_force(output), found.force_n[rows, chosen], atol=1e-6, rtol=1e-6)
-    covariance = found.covariance_n2[rows, chosen]
-    along = output.direction[:, None] @ covariance @ output.direction[..., None]
-    torch.testing.assert_close(output.magnitude_std_n, along[:, 0, 0].sqrt(), atol=1e-6, rtol=1e-4)
 
 
 @pytest.mark.parametrize("size_n", [0.0, 1.0, 50.0, 1e3, 1e6, 1e9])
@@ -142,13 +125,6 @@ def test_every_weight_learns():
         assert weight.grad is not None, name
         assert bool(torch.isfinite(weight.grad).all()), name
         assert bool((weight.grad != 0.0).any()), name
-
-
-def test_a_stiff_arm_is_expanded_and_a_soft_one_is_solved_anew(untrained):
-    assert isinstance(untrained.closed_form, SecondOrderClosedForm)
-    lab = CorrectedClosedForm.for_arm(open_arm("cdsm_lab"))
-    assert isinstance(lab.closed_form, ClosedForm)
-    assert lab.closed_form.pose_corrections > 1
 
 
 def test_the_taut_cables_are_those_of_the_exact_form(untrained):

@@ -11,7 +11,7 @@ from cablesense_sim.arm import load_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import cable_jacobian_m, contact_jacobians_m
 from cablesense_sim.loads import contact_angle_deg
-from cablesense_training.data.dataset import Dataset, summarise
+from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact, SingleContact
 from cablesense_training.errors import DatasetError
@@ -75,15 +75,6 @@ def test_labels_and_forces_say_the_same(arm):
     assert not dataset.forces_n[~touched].any()
 
 
-def test_straight_arm_angle_runs_from_up_to_left(arm):
-    dataset = ideal(arm, force_low_n=10.0)
-    touched = dataset.segment > 0
-    force = dataset.forces_n[touched].sum(axis=1) / dataset.magnitude_n[touched, None]
-    theta = np.deg2rad(dataset.angle_deg[touched])
-    expected = np.stack([np.zeros_like(theta), np.sin(theta), np.cos(theta)], axis=1)
-    assert force == pytest.approx(expected, abs=1e-12)
-
-
 def test_noise_is_that_of_the_sensor(arm):
     options = {"samples": 4096, "no_contact_fraction": 1.0}
     noisy = draw_dataset(arm, SingleContact(**options), seed=3)
@@ -122,16 +113,6 @@ def test_a_protocol_beyond_the_arm_is_refused_with_a_case():
         draw_dataset(lab, protocol)
 
 
-def test_parts_put_together_are_the_whole(arm):
-    dataset = ideal(arm)
-    parts = list(dataset.parts(200))
-    assert [len(part) for part in parts] == [200, 200, 100]
-    whole = Dataset.concatenate(parts)
-    assert (whole.tension_difference_n == dataset.tension_difference_n).all()
-    assert summarise(parts) == summarise([dataset])
-    assert (dataset.select(dataset.segment == 2).segment == 2).all()
-
-
 def test_parts_of_different_runs_stay_apart(arm):
     dataset = ideal(arm)
     with pytest.raises(DatasetError, match="parts of different runs"):
@@ -149,12 +130,3 @@ def test_arrays_must_fit_the_arm(arm):
 def test_single_contact_labels_are_refused_for_several(arm):
     with pytest.raises(DatasetError, match="use contacts, angles_deg and magnitudes_n"):
         _ = ideal(arm, MultiContact).segment
-
-
-def test_summary_counts(arm):
-    summary = summarise([ideal(arm, force_low_n=20.0)])
-    assert summary.rows == 500
-    assert summary.contact_free + sum(summary.contacts_per_segment) == 500
-    assert 20.0 <= summary.weakest_n < 22.0
-    assert 198.0 < summary.strongest_n <= 200.0
-    assert 0 < summary.slack_rows < 500

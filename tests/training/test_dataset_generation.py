@@ -46,13 +46,6 @@ def test_worker_processes_write_the_same_bytes(arm, one_worker, tmp_path):
     assert digest(path) == one_worker
 
 
-@pytest.mark.slow
-def test_another_seed_writes_other_bytes(arm, one_worker, tmp_path):
-    path = tmp_path / "other.parquet"
-    produce_dataset(path, arm, PROTOCOL, 8, command="")
-    assert digest(path) != one_worker
-
-
 def test_a_longer_run_begins_like_a_shorter_one(arm):
     short, long = (
         draw_dataset(arm, MultiContact(samples=samples), seed=1)

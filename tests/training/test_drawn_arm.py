@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cablesense_sim.effects.registry import known_effects
-from cablesense_training.data.protocols import SingleContact, drawn_entries, effect_names
+from cablesense_training.data.protocols import drawn_entries, effect_names
 from cablesense_training.errors import DatasetError
 
 
@@ -21,12 +21,6 @@ def test_names_are_known_each_once_and_all_means_all() -> None:
 def test_what_is_no_effect_is_refused_with_those_there_are(randomise: str) -> None:
     with pytest.raises(DatasetError, match=r"is no effect; give all, or names from .*payload"):
         effect_names(randomise)
-
-
-@pytest.mark.parametrize("randomise", [3, True, ["payload"]])
-def test_what_is_no_text_is_refused(randomise: object) -> None:
-    with pytest.raises(DatasetError, match="must be text"):
-        SingleContact(randomise=randomise)  # type: ignore[arg-type]
 
 
 def many(name: str, draws: int = 400) -> list:

@@ -104,12 +104,3 @@ def test_a_failed_check_leaves_nothing_behind(tmp_path, monkeypatch, quick_expor
         export_model(_small_network(), kept, _metadata())
     assert [path.name for path in tmp_path.iterdir()] == ["model.onnx"]
     assert kept.read_text() == "what was there"
-
-
-@pytest.mark.slow
-def test_a_place_that_cannot_be_written_is_named_and_stays_clean(tmp_path, quick_export):
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(TrainingError, match="cannot be written"):
-        export_model(_small_network(), tmp_path / "folder", _metadata())
-    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
-    assert not list((tmp_path / "folder").iterdir())

@@ -2,7 +2,7 @@
 
 import torch
 
-from cablesense_training.fit_interval import Answered, fit_interval
+from cablesense_training.fit_sequences import Answered, fit_interval
 from cablesense_training.losses import SingleContactTarget
 from cablesense_training.networks.layers import SingleContactOutput
 from cablesense_training.networks.temporal import StatedInterval

@@ -30,13 +30,6 @@ def small_test_set(monkeypatch):
     monkeypatch.setattr("cablesense_online.misfit_limit.POSES", 1)
 
 
-def test_it_is_described(arm_file):
-    description = json.loads(run("info", arm_file, "--json"))
-    assert [cable["ends_on_segment"] for cable in description["cables"]] == [
-        segment for segment in range(1, 6) for _ in range(4)
-    ]
-
-
 @pytest.mark.slow
 def test_a_network_is_trained_on_its_dataset_and_evaluated(arm_file, tmp_path):
     data, model = tmp_path / "data.parquet", tmp_path / "model.onnx"

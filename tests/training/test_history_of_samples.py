@@ -50,14 +50,6 @@ def test_an_amended_arms_samples_are_its_rests_with_its_own_tare() -> None:
     np.testing.assert_array_equal(data.slack_cables, (loaded <= 0.0).sum(axis=1))
 
 
-def test_an_offset_vanishes_in_the_tare_and_slack_is_still_seen() -> None:
-    plain = drawn(open_arm("cdsm_lab"), force_high_n=200.0)
-    offset = drawn(listing(("sensor_offset", "cable_5", {"offset_n": 9.0})), force_high_n=200.0)
-    np.testing.assert_allclose(offset.tension_difference_n, plain.tension_difference_n, atol=1e-6)
-    np.testing.assert_array_equal(offset.slack_cables, plain.slack_cables)
-    assert plain.slack_cables.any()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "place", "values"),
@@ -104,11 +96,6 @@ def test_blocks_are_drawn_on_arms_of_their_own(randomise: str) -> None:
     assert again.tension_difference_n.tobytes() == marked.tension_difference_n.tobytes()
 
 
-def test_all_effects_at_once_can_be_drawn_on() -> None:
-    data = drawn(open_arm("cdsm_lab"), randomise="all", samples=64, noise=True)
-    assert np.isfinite(data.tension_difference_n).all()
-
-
 def test_a_file_says_what_was_randomised_and_one_without_says_nothing(tmp_path: Path) -> None:
     arm = open_arm("cdsm_lab")
     for randomise in (None, "payload,sensor_gain"):
@@ -122,11 +109,3 @@ def test_a_file_says_what_was_randomised_and_one_without_says_nothing(tmp_path: 
 def test_an_unknown_effect_is_refused_before_anything_is_drawn() -> None:
     with pytest.raises(DatasetError, match="'rust' is no effect"):
         SingleContact(randomise="rust")
-
-
-@pytest.mark.slow
-def test_worker_processes_draw_the_same_arms() -> None:
-    """Takes seconds: workers are new processes."""
-    arm, protocol = open_arm("cdsm_lab"), SingleContact(samples=2100, randomise="payload")
-    one, two = (draw_dataset(arm, protocol, 1, workers=n) for n in (1, 2))
-    assert one.tension_difference_n.tobytes() == two.tension_difference_n.tobytes()

@@ -24,24 +24,6 @@ def test_every_bundled_model_opens_for_the_bundled_arm_it_was_made_for(name):
     assert load(find_model(name), open_arm(metadata.arm.name)).metadata == metadata
 
 
-def test_models_in_a_folder_have_its_name(tmp_path, monkeypatch):
-    (tmp_path / "peers").mkdir()
-    for name in ("arm.onnx", "peers/arm.onnx", "peers/notes.txt"):
-        (tmp_path / name).touch()
-    monkeypatch.setattr(
-        "cablesense_base.installation.config_path",
-        lambda name: tmp_path / name.removeprefix("models").lstrip("/"),
-    )
-    assert bundled_models() == ["arm", "peers/arm"]
-    assert find_model("peers/arm") == tmp_path / "peers" / "arm.onnx"
-
-
-def test_a_path_is_taken_as_it_is(tmp_path):
-    path = tmp_path / "mine.onnx"
-    path.touch()
-    assert find_model(path) == find_model(str(path)) == path
-
-
 @pytest.mark.parametrize(
     "name",
     [
@@ -62,10 +44,3 @@ def test_what_is_neither_lists_the_names_there_are(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ModelFileError, match="cdsm"):
         find_model(name)
-
-
-def test_a_folder_is_no_model(tmp_path):
-    folder = tmp_path / "folder.onnx"
-    folder.mkdir()
-    with pytest.raises(ModelFileError, match="no model file"):
-        find_model(folder)

@@ -29,15 +29,6 @@ def test_stage_two_sees_which_segments_stage_one_found():
     assert seen[0][:, 12:].tolist() == (output.contact_logits > 0).float().tolist()
 
 
-def test_segments_are_judged_independently():
-    network = TwoStageMultiContactNetwork(12, 4, contact_widths=(16,), widths=(16,))
-    with torch.no_grad():
-        network.contact_head.weight.zero_()
-        network.contact_head.bias.copy_(torch.tensor([5.0, -5.0, 5.0, 5.0]))
-        found = network(torch.randn(3, 12)).contact_logits > 0
-    assert found.tolist() == [[True, False, True, True]] * 3
-
-
 ARMS = ("cdsm", "cdsm_lab", "cdsm_table2")
 BARELY_TAUT_N = 0.6
 """Tensions below this may pass for none."""
@@ -119,20 +110,6 @@ def test_stated_deviations_are_those_of_the_errors(noisy):
     off = np.abs(said.magnitude_n - dataset.magnitudes_n)[found] / said.magnitude_std_n[found]
     assert 0.9 < (off < 1.96).mean() < 0.99
     assert (said.magnitude_std_n > 0.0).all()
-
-
-def test_the_command_is_needed():
-    network = _network("cdsm")
-    assert network.pose_aware
-    with pytest.raises(AssertionError):
-        network(torch.zeros(1, 12))
-    mechanism = mechanism_of(open_arm("cdsm"))
-    rng = np.random.default_rng(2)
-    command = rng.uniform(-0.17, 0.17, (200, 8))
-    touched = rng.random((200, 4)) < 0.5
-    difference, _, told = _pushed(mechanism, command, touched, rng, 40.0)
-    elsewhere = _answers(network, difference, np.zeros((200, 8)))
-    assert ((elsewhere.contact_logits > 0.0) == touched)[told].all(axis=1).mean() < 0.8
 
 
 @pytest.mark.parametrize("size_n", [0.0, -1e3, 1e6, -1e6])

@@ -5,13 +5,10 @@ import torch
 
 from cablesense_base.installation import config_path
 from cablesense_sim.arm import load_arm
-from cablesense_training.errors import TrainingError
 from cablesense_training.networks import MultiContactNetwork
 from cablesense_training.networks.layers import (
-    GatedLayer,
     Standardiser,
     one_hot_of_argmax,
-    tension_norm_n,
 )
 from cablesense_training.networks.single_contact import TwoStageNetwork
 from cablesense_training.recipes import RECIPES, build_network
@@ -83,28 +80,6 @@ def test_a_committed_model_stays_below_two_megabytes(name):
     assert 8 * values < 2_000_000
 
 
-def test_an_unknown_name_lists_the_known_ones():
-    with pytest.raises(TrainingError, match="two-stage"):
-        build_network("three-stage", ARM)
-
-
-def test_a_gated_layer_can_multiply_its_inputs():
-    layer = GatedLayer(2, 1)
-    with torch.no_grad():
-        # silu(x) is close to x for large x, so a gate on the first input times the second
-        layer.gate.weight.copy_(torch.tensor([[1.0, 0.0]]))
-        layer.value.weight.copy_(torch.tensor([[0.0, 1.0]]))
-        layer.gate.bias.zero_()
-        layer.value.bias.zero_()
-        found = layer(torch.tensor([[30.0, 7.0], [40.0, -2.0]]))
-    assert found[:, 0].tolist() == pytest.approx([210.0, -80.0])
-
-
-def test_the_length_of_nothing_is_a_millinewton():
-    lengths = tension_norm_n(torch.tensor([[3.0, 4.0], [0.0, 0.0]]))
-    assert lengths[:, 0].tolist() == pytest.approx([5.0, 1e-3])
-
-
 def test_adapted_rows_have_mean_zero_and_deviation_one():
     generator = torch.Generator().manual_seed(3)
     values = torch.randn(500, 3, generator=generator) * torch.tensor([0.1, 5.0, 200.0]) + 40.0
@@ -122,26 +97,10 @@ def test_a_constant_column_stays_finite():
     torch.testing.assert_close(scaling(torch.tensor([[8.0]])), torch.tensor([[1.0]]))
 
 
-def test_scaling_is_saved_with_the_weights():
-    scaling = Standardiser(2)
-    scaling.adapt(torch.tensor([[1.0, 2.0], [3.0, 6.0]]))
-    other = Standardiser(2)
-    other.load_state_dict(scaling.state_dict())
-    torch.testing.assert_close(other.mean, torch.tensor([2.0, 4.0]))
-    torch.testing.assert_close(other.std, torch.tensor([1.0, 2.0]))
-
-
 @pytest.fixture
 def network():
     torch.manual_seed(0)
     return TwoStageNetwork(12, 4, contact_widths=(16,), widths=(16, 8)).eval()
-
-
-def test_one_hot_marks_the_likeliest_class_and_stops_gradients():
-    logits = torch.tensor([[0.1, 3.0, -1.0], [5.0, 4.9, 4.8]], requires_grad=True)
-    code = one_hot_of_argmax(logits)
-    assert code.tolist() == [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]
-    assert not code.requires_grad
 
 
 def test_stage_two_sees_the_input_and_the_verdict_of_stage_one(network):

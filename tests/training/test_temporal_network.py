@@ -87,12 +87,6 @@ def test_whatever_the_state_each_cable_is_corrected_by_a_bounded_amount(network)
     assert (moved_n_m <= most_n_m + 1e-6).all()
 
 
-def test_the_two_orders_of_joints_are_inverse(network):
-    joints = torch.arange(8.0)
-    assert network.pitches_first(joints).tolist() == [0, 2, 4, 6, 1, 3, 5, 7]
-    torch.testing.assert_close(network.in_joint_order(network.pitches_first(joints)), joints)
-
-
 def _stated(network, none_logit):
     """Answers to pushes, as stated with about this logit of no contact, and their intervals."""
     network.interval.heads[-1].bias.data = torch.tensor([none_logit, 0.5, 0.5, 0.0]).double()

@@ -1,23 +1,53 @@
 """Generation of a dataset: in this process, on worker processes, or on a Dask cluster.
 
-All three run the same chunks and hand them on in order, so the result does not depend on where it
-was computed (on machines whose arithmetic agrees to the last bit; a mix of processor types may
+All three compute the same chunks and hand them on in order, so the result does not depend on where
+it was computed (on machines whose arithmetic agrees to the last bit; a mix of processor types may
 differ there).
+
+A chunk follows from arm, protocol, seed and its number. A case beyond the arm is drawn again, and
+a protocol that would need that often is refused. An arm with effects is sampled along a
+`LoadHistory`; randomised arms in blocks of samples on one arm each.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array
 from cablesense_base.installation import package_version
 from cablesense_base.workers import WorkerPool
 from cablesense_sim.arm import Arm
-from cablesense_training.data.chunk import generate_chunk
-from cablesense_training.data.dataset import Dataset
-from cablesense_training.data.protocols import Protocol, chunk_sizes
+from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.effects.registry import EffectEntry
+from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.replay import read_tensions_n
+from cablesense_training.data.dataset import Dataset, contact_forces_n
+from cablesense_training.data.history import (
+    TARED,
+    LoadHistory,
+    sensed_along_n,
+    solved_rows,
+    tensions_along_n,
+)
+from cablesense_training.data.protocols import (
+    ARM,
+    CHUNK_SAMPLES,
+    NOISE,
+    REDRAW,
+    Protocol,
+    chunk_sizes,
+    drawn_entries,
+    effect_names,
+    random_stream,
+    unit_points,
+)
 from cablesense_training.errors import DatasetError
 
 _MAX_WORKERS = 256
@@ -137,3 +167,157 @@ def _check_cluster(client: Any, address: str) -> int:
 
 def _line(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
+
+
+_BLOCK_SAMPLES = 64
+"""How many samples of a chunk share one arm where the protocol draws arms."""
+
+_MAX_FAILING_SHARE = 0.03
+"""Largest share of a block that may find no rest on the arm that is drawn for it."""
+
+_MAX_ARMS_DRAWN = 20
+
+_MAX_REDRAWN_SHARE = 0.02
+"""Largest share of a chunk that may lie beyond the arm."""
+
+
+def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Dataset:
+    """The samples of one chunk; the last chunk of a run may hold fewer than `CHUNK_SAMPLES`.
+
+    A sample's reading is one sensor reading of the loaded arm at rest. Its tare is the mean of
+    `tare_samples` readings of the unloaded arm at rest under the same command. With effects, both
+    come at the end of a `LoadHistory` of their own.
+
+    Raises:
+        DatasetError: the protocol does not fit the arm.
+    """
+    rows = chunk_sizes(protocol.samples)[chunk]
+    count = arm.segment_count
+    resting = _Resting(arm, protocol, seed, chunk)
+    stream = random_stream(REDRAW, seed, chunk)
+    points = unit_points(protocol.dimensions(count), seed, chunk)[:rows]
+    loaded, unloaded, borne = found = np.empty((3, rows, arm.cable_count))
+    redrawn = np.zeros(rows, dtype=np.int64)
+    share = _MAX_REDRAWN_SHARE if protocol.randomise is None else 2.0 * _MAX_FAILING_SHARE
+    allowed = math.ceil(share * rows)
+    open_rows = np.arange(rows)
+    while open_rows.size:
+        try:
+            found[:, open_rows] = resting.tensions_n(points[open_rows], open_rows, allowed)
+        except EquilibriumError as error:
+            raise DatasetError(
+                f"samples {chunk * CHUNK_SAMPLES} and following: more than "
+                f"{share:.0%} lie beyond arm {arm.identity}, for example: {error}"
+            ) from error
+        open_rows = np.flatnonzero(np.isnan(loaded).any(axis=1) | np.isnan(unloaded).any(axis=1))
+        redrawn[open_rows] += 1
+        allowed -= len(open_rows)
+        # anew, but for the first coordinate: which segment, or how many, is touched
+        points[open_rows, 1:] = stream.random((len(open_rows), points.shape[1] - 1))
+
+    reading, tare = loaded, unloaded
+    if protocol.noise:
+        noise = random_stream(NOISE, seed, chunk)
+        reading = read_tensions_n(loaded, arm.sensors, noise)
+        tare = np.zeros_like(unloaded)
+        for _ in range(protocol.tare_samples):
+            tare += read_tensions_n(unloaded, arm.sensors, noise)
+        tare /= protocol.tare_samples
+    return Dataset(
+        arm=arm,
+        protocol=protocol,
+        seed=seed,
+        sample_id=chunk * CHUNK_SAMPLES + np.arange(rows),
+        tension_difference_n=reading - tare,
+        unloaded_n=tare,
+        slack_cables=(borne <= 0.0).sum(axis=1),
+        redrawn=redrawn,
+        **protocol.cases(count, points)._asdict(),
+    )
+
+
+class _Resting:
+    """Samples of one chunk at rest, without noise; keeps the arms drawn for its blocks."""
+
+    def __init__(self, arm: Arm, protocol: Protocol, seed: int, chunk: int) -> None:
+        self._protocol = protocol
+        self._mechanism = mechanism_of(arm)
+        self._listed = entries_of(arm)
+        self._seed = seed, chunk
+        self._arms: dict[int, tuple[list[EffectEntry], LoadHistory]] = {}
+
+    def tensions_n(self, points: Array, rows: NDArray[np.int64], allowed: int) -> Array:
+        """(3, B, M): loaded and unloaded readings, true loaded tensions; NaN without equilibrium.
+
+        `points` (B, dimensions) lie in the unit cube, `rows` (B,) are theirs in the chunk.
+
+        Raises:
+            EquilibriumError: more cases than `allowed` have none.
+        """
+        cases = self._protocol.cases(self._mechanism.segment_count, points)
+        command = cases.command_rad
+        forces = contact_forces_n(self._mechanism, command, cases.angles_deg, cases.magnitudes_n)
+        if not self._listed and self._protocol.randomise is None:
+            touched = np.flatnonzero(cases.contacts.any(axis=1))
+            return self._without_effects(command, forces, touched, allowed)
+        found = np.empty((3, len(points), self._mechanism.cable_count))
+        blocks = rows // _BLOCK_SAMPLES
+        for block in np.unique(blocks):
+            own = np.flatnonzero(blocks == block)
+            places = rows[own] % _BLOCK_SAMPLES
+            found[:, own] = self._block(int(block), places, command[own], forces[own], allowed)
+            allowed -= int(np.isnan(found[0, own, 0]).sum())
+        return found
+
+    def _without_effects(
+        self, command: Array, forces: Array, touched: NDArray[np.int64], allowed: int
+    ) -> Array:
+        def at_rest(command: Array, forces: Array) -> Array:
+            return solved_rows(
+                (len(command), self._mechanism.cable_count),
+                allowed,
+                lambda rows: (
+                    solve_equilibrium(self._mechanism, command[rows], forces[rows]).tensions_n
+                ),
+            )
+
+        # the straight arm has one unloaded state
+        poses = command if self._protocol.pose == "random" else command[:1]
+        unloaded = np.empty((len(command), self._mechanism.cable_count))
+        unloaded[:] = at_rest(poses, np.zeros((len(poses), *forces.shape[1:])))
+        loaded = unloaded.copy()
+        loaded[touched] = at_rest(command[touched], forces[touched])
+        return np.stack([loaded, unloaded, loaded])
+
+    def _block(
+        self, block: int, places: NDArray[np.int64], command: Array, forces: Array, allowed: int
+    ) -> Array:
+        """Some samples of a block, on the arm that was drawn for it or is now."""
+        mechanism, randomise = self._mechanism, self._protocol.randomise
+
+        def readings(rows: NDArray[np.int64]) -> Array:
+            entries, whole = self._arms[block]
+            history = whole.select(places[rows])
+            commands, loads = history.commands_rad(command[rows]), history.loads_n(forces[rows])
+            needed = (TARED, len(history.time_s) - 1)
+            true = tensions_along_n(mechanism, entries, history.time_s, commands, loads, needed)
+            sensed = sensed_along_n(entries, history.time_s, true)
+            return np.stack([sensed[-1], sensed[TARED], true[-1]])
+
+        shape = (3, len(command), mechanism.cable_count)
+        if block in self._arms:
+            return solved_rows(shape, allowed, readings)
+        most = allowed if randomise is None else math.ceil(_MAX_FAILING_SHARE * len(places))
+        rng = random_stream(ARM, *self._seed, block)
+        for left in reversed(range(1 if randomise is None else _MAX_ARMS_DRAWN)):
+            history, entries = LoadHistory.drawn(_BLOCK_SAMPLES, rng), list(self._listed)
+            if randomise is not None:
+                size = mechanism.segment_count, mechanism.cable_count
+                entries += drawn_entries(effect_names(randomise), *size, rng)
+            self._arms[block] = entries, history
+            try:
+                return solved_rows(shape, most, readings)
+            except EquilibriumError:
+                if not left:
+                    raise
+        raise AssertionError("a loop that returns or raises")
