@@ -117,7 +117,7 @@ class Sensors(FilePart):
 
 
 class ListedEffect(FilePart):
-    """What the arm does beyond the ideal: an effect's name, its place, and its parameters."""
+    """Effects of the arm beyond the ideal: an effect's name, its place, and its parameters."""
 
     effect: str
     at: str = "arm"
@@ -190,7 +190,7 @@ class Arm(FilePart):
             )
 
     def _check_holes_are_apart(self) -> None:
-        """All cables pass the plates at joint 1, each in a hole of its own."""
+        """All cables pass the plates at joint 1, each in a separate hole."""
         radius, angle = self.holes
         places = np.stack([radius * np.sin(angle), radius * np.cos(angle)], axis=-1)
         apart = np.linalg.norm(places[:, None] - places, axis=-1)
@@ -285,7 +285,7 @@ bundled_arms = _BUNDLED.names
 """Names of the bundled arms, for example `cdsm`."""
 
 find_arm = _BUNDLED.find
-"""The arm file that a name (`cdsm`) or a path (`my/arm.yaml`) stands for; else `ArmFileError`."""
+"""The arm file that a name (`cdsm`) or a path (`my/arm.yaml`) means; else `ArmFileError`."""
 
 
 def open_arm(name_or_path: str | Path) -> Arm:

@@ -1,4 +1,4 @@
-"""From an arm's description to the arrays that are simulated and the effects that act on them."""
+"""Builds an arm's simulated arrays, and the effects that act on them, from its description."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A cable with friction: elastic pieces in a row that stick and slip at the guides between them.
 
 Piece 0 is the run at the actuator, and node k lies between pieces k and k + 1. The tensions on the
-two sides of a node are never further apart than
+two sides of a node are always within the bounds
 
     exp(-φ) <= T_k / T_(k+1) <= exp(φ),    φ = μ θ,
 
@@ -82,14 +82,14 @@ class CableChains:
         """The turn (P, 2N) of P arms' joints after which the torques on them are balanced.
 
         All is linear in it but which nodes slip and which cables are slack, and these are sought
-        along with the turn, so that no search goes on within another. None where no node sticks
+        along with the turn, so that no search runs within another. None where no node sticks
         rigidly: there is nothing to seek then.
 
         Args:
             lengths_m: (P, M, 1 + N) of the cables' pieces now.
             limit: (P, M, N) of the nodes.
             by_turn_m: (P, M, N, 2) derivative of the pieces but the first, each by the two angles
-                of its own joint.
+                of its joint.
             torque_n_m: (P, 2N) of all but the cables.
             slope_n_m: (P, 2N, 2N) its derivative, with what cables add that keep their tensions.
         """
@@ -99,13 +99,13 @@ class CableChains:
         return cable_law.balancing_turn(self._cables, *map(_contiguous, given))
 
     def _flat(self, values: Array) -> Array:
-        """Values (..., K) of cables as (C, K) in one stretch of memory of their own."""
+        """Values (..., K) of cables as (C, K) in one contiguous copy."""
         wide = np.broadcast_to(values, (*self._shape[:-1], values.shape[-1]))
         return np.array(wide, dtype=float, order="C").reshape(-1, values.shape[-1])
 
 
 def kept(share: Array, limit: Array) -> Array:
-    """What the tension behind each node (..., K - 1) is of that at the actuator.
+    """Ratio (..., K - 1) of the tension behind each node to that at the actuator.
 
     Nodes carry a share, from -1 to 1, of their limit φ.
     """
@@ -116,9 +116,9 @@ def kept(share: Array, limit: Array) -> Array:
 def pulled_over_guides_n(near_n: Array, pulled_n: Array, ratio: Array, begins: Array) -> Array:
     """Tensions (R, G), N, beyond G guides in a row, while a motor holds that before the first.
 
-    Row after row what lies beyond a guide is pulled by its own stretch, and slips as soon as the
-    tensions beside the guide are apart by more than its ratio. Each run is taken to be as stiff as
-    all that lies beyond its guide.
+    In each row the run beyond a guide is pulled by its own stretch. It slips as soon as the ratio
+    of the tensions at the guide exceeds the bound. Each run is taken to be as stiff as all that
+    lies beyond its guide.
 
     Args:
         near_n: (R,) at the motor, above zero.

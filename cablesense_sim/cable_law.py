@@ -1,6 +1,6 @@
 """One cable after another with friction, compiled; `cablesense_sim.cable_chain` says the law.
 
-Where it is known which nodes slip, the lengths that pass them follow from linear equations:
+If it is known which nodes slip, the lengths that pass them follow from linear equations:
 
     T_k = s_k (stretch_k + passed_(k-1) - passed_k),    at a node that slips    T_k = r T_(k+1).
 """
@@ -48,8 +48,8 @@ class Cables(NamedTuple):
 class _Rows(NamedTuple):
     """Equations (K - 1,) of the passed lengths.
 
-    Where a node moves T_k = ratio T_(k+1), else nothing passes. Bristles make an equation steeper,
-    N/m, by what they stiffen with the cable passed, about an offset, N. The diagonal is what
+    At a node that moves, T_k = ratio T_(k+1); at others nothing passes. Bristles stiffen with the
+    cable passed, which makes an equation steeper, N/m, about an offset, N. The diagonal is what
     elimination makes of it, N/m.
     """
 
@@ -116,7 +116,7 @@ def balancing_turn(
     """The turn (P, 2N) after which P arms' joints are balanced, as `CableChains` says.
 
     Takes lengths (P, M, 1 + N), limits (P, M, N), the derivative (P, M, N, 2) of each piece by the
-    two angles of its own joint, torques (P, 2N) and slopes (P, 2N, 2N).
+    two angles of its joint, torques (P, 2N) and slopes (P, 2N, 2N).
     """
     turn = np.zeros(torque_n_m.shape)
     each = lengths_m.shape[1]
@@ -229,7 +229,7 @@ def _empty_rows(nodes: int) -> _Rows:
 
 @compiled
 def _gained(passed: Array, k: int) -> float:
-    """What the stretch of piece k gains by what passes the nodes beside it."""
+    """Stretch that piece k gains from the cable that passes its two nodes."""
     before = passed[k - 1] if k > 0 else 0.0
     return before - passed[k] if k < len(passed) else before
 
@@ -244,7 +244,7 @@ def _tensions(cable: Cables, held: Array, passed: Array, tensions: Array) -> Non
 def _bent(cable: Cables, k: int, passed: float) -> tuple[float, float]:
     """Share that bristles would carry if they could carry any, and by how much it grows, 1/m.
 
-    What is left to the limit, u, falls as du/dx = -u^rounding / give (Dahl, A solid friction
+    The remainder to the limit, u, falls as du/dx = -u^rounding / give (Dahl, A solid friction
     model, Aerospace Corp. TOR-0158, 1968); a bristle at rest is taken to be as stiff as it is on
     its way back.
     """
@@ -270,10 +270,10 @@ def _slip_m(cable: Cables, k: int, way: float) -> float:
 def _pass(cable: Cables, held: Array, limit: Array, rows: _Rows) -> None:
     """Finds what passes each node of a taut cable, and the rows that hold, in place.
 
-    Newton's method on the rows: where a node slips the tensions are apart by the bound, where
-    bristles hold by the share that they carry, and else nothing passes. A node sticks before it
-    slips the other way. One cable in some thousands goes in circles; it is relaxed before it goes
-    on.
+    Newton's method on the rows: at a node that slips the ratio of tensions is the bound; at
+    bristles that hold it is the share that they carry; elsewhere nothing passes. A node sticks
+    before it slips the other way. One cable in some thousands goes in circles; it is relaxed
+    before it goes on.
     """
     passed, room = cable.passed_m, 0.0
     tensions, last = np.empty(len(held)), np.empty(len(passed))
@@ -333,7 +333,7 @@ def _slip(cable: Cables, passed: Array, tensions: Array, limit: Array, room: flo
 
 @compiled
 def _slip_as_passed(cable: Cables, passed: Array) -> None:
-    """Which way each node slips where so much has passed it."""
+    """Set which way each node slips, by the length that has passed it."""
     for k in range(len(passed)):
         if cable.give_m[k] > 0.0:
             bent = _bent(cable, k, passed[k])[0]
@@ -404,7 +404,7 @@ def _eliminate(cable: Cables, rows: _Rows, right: Array) -> None:
 def _relax(cable: Cables, held: Array, limit: Array, passed: Array) -> None:
     """Passed lengths nearer to the solution, node by node while the others stand, in place.
 
-    That converges from anywhere, as the matrix is an M-matrix, but slowly.
+    This converges from any start, as the matrix is an M-matrix, but slowly.
     """
     stiffness = cable.stiffness_n_m
     for _ in range(_SWEEPS):

@@ -1,8 +1,8 @@
 """Functions of numbers and arrays that Numba compiles to machine code on their first call.
 
-For loops over few numbers that go on from one another, where NumPy's calls cost more than the
-arithmetic. The compiled code is kept beside the source (or, where that cannot be written, in the
-user's cache), so that a machine compiles once. Import it late: Numba takes a quarter of a second.
+They serve sequential loops over few numbers, where NumPy's calls cost more than the arithmetic.
+The compiled code is stored next to the source (or, if that is read-only, in the user's cache), so
+that a machine compiles once. Import it late: Numba takes a quarter of a second.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""An arm that is commanded and loaded as time goes on: stepped by MuJoCo, or from rest to rest.
+"""An arm that is commanded and loaded in time: stepped by MuJoCo, or from rest to rest.
 
 `ArmDynamics` steps MuJoCo, with the effects on the arm itself and on its actuators. A cable or a
 joint that sticks must hold at rest and not creep. As a force in time that is a stiffness of

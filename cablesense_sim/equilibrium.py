@@ -175,8 +175,8 @@ def tension_sensitivity(
 ) -> Array:
     """Derivative (..., M, N, 3) of the tensions by the contact forces, at an equilibrium; no unit.
 
-    From the implicit function theorem: dT/df = k J K^-1 B' for taut cables, zero for slack ones,
-    with K the stiffness matrix and B the contact Jacobian.
+    It follows from the implicit function theorem: dT/df = k J K^-1 B' for taut cables, zero for
+    slack ones, with K the stiffness matrix and B the contact Jacobian.
     """
     jacobian = kinematics.cable_jacobian_m(mechanism, joint_angles_rad)
     hessian = stiffness_matrix_n_m(mechanism, joint_angles_rad, tensions_n, forces_n)
@@ -189,9 +189,9 @@ def tension_sensitivity(
 
 
 def _rounding_m(mechanism: Mechanism) -> float:
-    """What double precision leaves open of a cable's stretch, with some room.
+    """Uncertainty of a cable's stretch in double precision, with some room.
 
-    Where plates are wide and close together, a span is a small difference of large squares.
+    If plates are wide and close together, a span is a small difference of large squares.
     """
     apart = 2.0 * mechanism.plate_offset_m
     wide = float(np.hypot(mechanism.hole_y_m, mechanism.hole_z_m).max())
@@ -199,7 +199,7 @@ def _rounding_m(mechanism: Mechanism) -> float:
 
 
 def _rounding_n_m(mechanism: Mechanism) -> float:
-    """What that leaves open of a joint torque."""
+    """The resulting uncertainty of a joint torque."""
     radius = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)
     return _rounding_m(mechanism) * float((mechanism.stiffness_n_m * radius).max())
 
@@ -246,7 +246,7 @@ def _checked(
 def _require_rest(
     mechanism: Mechanism, command: Array, forces: Array, angles: Array, residual: Array
 ) -> None:
-    """Every case at rest, and none bent so far that guide plates would have met before."""
+    """Require that every case is at rest, at bends at which no guide plates touch."""
     bend, limit = kinematics.bend_rad(angles), mechanism.bend_limit_rad
     unbalanced = ~(residual <= max(RESIDUAL_LIMIT_N_M, _rounding_n_m(mechanism)))
     failed = np.flatnonzero(unbalanced | ~(bend < limit).all(-1))

@@ -1,8 +1,8 @@
 """Closed-form kinematics of the chain and its cables.
 
 Inside a segment a cable runs parallel to the axis, so only the spans between the two guide plates
-around each joint change. A span depends on the two angles of its own joint alone: with holes
-(y, z) before and (v, w) after the joint, plates at distance o, pitch a and yaw b,
+around each joint change. A span depends only on the two angles of its joint: with holes (y, z)
+before and (v, w) after the joint, plates at distance o, pitch a and yaw b,
 
     d(a, b)^2 = 2 o^2 + y^2 + z^2 + v^2 + w^2 + 2 g(a, b),    g = x1 P + w Q - y y1,
     x1 = o cos b - v sin b,   y1 = o sin b + v cos b,
@@ -21,7 +21,7 @@ from cablesense_base import Array
 from cablesense_sim.mechanism import Mechanism
 
 _TOUCHING_M = 1e-9
-"""Where the two plates of a joint touch at a hole the span is zero and has no direction."""
+"""If the two plates of a joint touch at a hole, the span is zero and has no direction."""
 
 
 class Spans(NamedTuple):

@@ -1,6 +1,6 @@
 """What an arm bears: how far it sags under its own weight, the greatest contact on each segment.
 
-A load is borne where the straight arm finds a rest under it from whichever side it comes, with no
+The arm supports a load if the straight arm has an equilibrium under it from every side, with no
 guide plates touching and no sensor at the end of its range.
 """
 
@@ -24,7 +24,7 @@ USUAL_CONTACT_N = 200.0
 """The strongest contact that networks learn unless the arm bears less: a person's firm push."""
 
 SEARCHED_UP_TO_N = 2000.0
-"""An arm that bears so much is not searched for more."""
+"""The search ends at this force."""
 
 _WORKING_SHARE = 2.0 / 3.0
 """Of what the straight arm bears: a bent one bears less."""
@@ -35,7 +35,8 @@ _SIDES = 4
 
 _LEAST_N = 1e-3
 _HALVINGS = 6
-"""Of the ratio of 2 between a force that is borne and one that is not: a hundredth is left."""
+"""Fraction of the ratio of 2 between a supported force and one that is not: a hundredth is
+left."""
 
 
 class WeakArmError(CableSenseError):
@@ -49,7 +50,7 @@ class LoadCapacity(NamedTuple):
         sag_deg: the largest turn of a joint under the arm's own weight.
         sag_m: how far the last segment's contact point moves by it.
         greatest_n: (N,) greatest force that each segment bears at its contact point from every
-            side, N; `SEARCHED_UP_TO_N` stands for that or more.
+            side, N; `SEARCHED_UP_TO_N` means that or more.
     """
 
     sag_deg: float

@@ -32,7 +32,8 @@ class Mechanism:
         run_m: straight run from actuator to base plate.
         joint_damping_n_m_s: of each joint axis, for dynamics.
         joint_stiffness_n_m_rad: (N,) of a spring in each joint axis that is at rest straight.
-        relative_friction: (M,) of a cable at its guides, over what is stated for all; one each.
+        relative_friction: (M,) of a cable at its guides, relative to the value stated for all; one
+            each.
         segment_hole_y_m, segment_hole_z_m: (M, N) holes in the plates that segment n carries, or
             None where every plate has them in the same place.
     """

@@ -49,7 +49,7 @@ def build_spec(mechanism: Mechanism, name: str = "arm") -> mujoco.MjSpec:
 
 
 def unstretched_length_m(mechanism: Mechanism) -> np.ndarray:
-    """(M,) straight length less the pretension's stretch: where a cable is just slack."""
+    """(M,) straight length minus the stretch by pretension: where a cable is just slack."""
     straight = kinematics.cable_lengths_m(mechanism, np.zeros(mechanism.joint_count))
     return np.asarray(straight - mechanism.pretension_n / mechanism.stiffness_n_m)
 
@@ -93,7 +93,7 @@ def _add_plate(body: mujoco.MjsBody, x_m: float, radius_m: float) -> None:
 def _add_shape(
     body: mujoco.MjsBody, kind: int, from_m: float, to_m: float, radius_m: float, rgba: _Rgba
 ) -> None:
-    """What is seen along the axis: without mass and without contacts."""
+    """Seen along the axis: without mass and without contacts."""
     body.add_geom(
         type=kind, fromto=[from_m, 0.0, 0.0, to_m, 0.0, 0.0], size=[radius_m, 0.0, 0.0],
         rgba=rgba, contype=0, conaffinity=0, mass=0.0,

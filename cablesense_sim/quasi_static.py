@@ -1,8 +1,8 @@
 """An arm that goes from rest to rest: the static solver with history-dependent effects.
 
 Between two samples the arm comes to rest again, and where it does depends on where it was: a cable
-that sticks on its guide keeps what it carried, a cable that creeps is longer than before. Several
-arms of the same kind, with other numbers, go side by side, which is what a fit needs.
+that sticks on its guide keeps its tension, a cable that creeps is longer than before. Several arms
+of the same kind, with different numbers, are simulated side by side, as a fit needs.
 
 Each rest is found by Newton's method on the balance of joint torques, which with friction is no
 longer the slope of a potential. Without friction a cable has one tension k max(0, s), with the
@@ -54,8 +54,8 @@ class QuasiStaticArm:
     ) -> None:
         """Arms of the amended `mechanisms`, with what of each variant depends on the past.
 
-        Where some may fail, one without a rest has tensions NaN from then on, and the others go
-        on without it.
+        If some may fail, an arm without equilibrium has tensions NaN from then on, and the others
+        continue.
         """
         self._each = list(mechanisms)
         self._mechanism = stack(mechanisms)
@@ -71,7 +71,7 @@ class QuasiStaticArm:
         self._last: tuple[Array, Array, _Pose] | None = None
 
     def branched(self) -> QuasiStaticArm:
-        """Others that go on from the same state."""
+        """A copy that continues from the same state."""
         other = copy.copy(self)
         other._lost = self._lost.copy()
         other._transmissions = copy.deepcopy(self._transmissions)
@@ -139,7 +139,7 @@ class QuasiStaticArm:
             transmission.hold(rest_m - self._longer_m, self._longer_m)
 
     def _next(self, rest_m: Array, arms: Array) -> _Pose:
-        """The next rest, which is the last one where nothing has changed."""
+        """The next equilibrium, which is the last one if nothing has changed."""
         if self._last is not None:
             last_rest_m, last_arms, pose = self._last
             if np.array_equal(rest_m, last_rest_m) and np.array_equal(arms, last_arms):
@@ -155,7 +155,7 @@ class QuasiStaticArm:
     def _followed(self, rest_m: Array) -> Array:
         """Where to begin: moved so that every cable, slack or not, keeps the stretch that it had.
 
-        Where cables are slack, Newton's method does not know how far the others were drawn.
+        With slack cables, Newton's method does not know how far the others were drawn.
         """
         angles = self._angles_rad
         if self._last is None:
@@ -175,7 +175,7 @@ class QuasiStaticArm:
         return np.asarray(angles)
 
     def _ahead(self, start: Array, rest_m: Array, arms: Array) -> Array:
-        """A first Newton step, with the slopes of the last rest instead of a pose of its own."""
+        """A first Newton step, with the slopes of the last rest instead of those at a new pose."""
         if self._last is None or start is not self._angles_rad:
             return start
         last_m, last_arms, pose = self._last
@@ -285,7 +285,7 @@ class QuasiStaticArm:
         )
 
     def _require_room(self, angles_rad: Array) -> None:
-        """No joint bent so far that guide plates would have met before."""
+        """Require that no joint is bent beyond the angle at which guide plates touch."""
         bend, limit = kinematics.bend_rad(angles_rad), self._mechanism.bend_limit_rad
         bend = np.where(self._lost[:, None], 0.0, bend)
         if (bend < limit).all():

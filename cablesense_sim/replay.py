@@ -1,4 +1,4 @@
-"""What the sensors of an arm would have read under given commands and loads, and their noise.
+"""Readings of an arm under given commands and loads, and the noise of its sensors.
 
 A memoryless arm rests where its potential is least, sample by sample and in any order; equal
 samples are solved once. With history-dependent effects the samples are solved in time order.
@@ -58,8 +58,8 @@ class Replay:
     def readings_n(self, variants: Variants, unborne_n: Array | None = None) -> Array:
         """Readings (P, R, M) of P arms, which have the same effects with other numbers.
 
-        Where `unborne_n` (R, M) is given, it stands for the tensions of samples that a
-        memoryless arm cannot bear; one that is history-dependent reads NaN from there on.
+        Where `unborne_n` (R, M) is given, it gives the tensions of samples that a memoryless arm
+        cannot bear; one that is history-dependent reads NaN from there on.
 
         Raises:
             EquilibriumError: an arm finds no rest.
@@ -107,7 +107,7 @@ class Replay:
         )
 
     def _through(self, chain: Sequence[Actuation | Sensing], values: Array) -> Array:
-        """What actuators or sensors, one after another, make of values (P, R, M)."""
+        """Values (P, R, M) after actuators or sensors have acted on them in turn."""
         for each in chain:
             values = each.along(self.time_s, values)
         return values
@@ -184,5 +184,5 @@ def mean_variance_n2(sensors: Sensors, count: int) -> float:
 
 
 def difference_variance_n2(sensors: Sensors, tare_samples: int) -> float:
-    """Variance of a reading less the mean of `tare_samples` unloaded ones, N²."""
+    """Variance of a reading minus the mean of `tare_samples` unloaded ones, N²."""
     return reading_variance_n2(sensors) * (1.0 + 1.0 / tare_samples)

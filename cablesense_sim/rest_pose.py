@@ -119,7 +119,7 @@ def span_m(
 ) -> tuple[float, float, float]:
     """A cable's span across a joint at angles with `cos` and `sin` (2,), and parts of it.
 
-    Those are what it covers along the axes before and behind the joint. Writes its derivatives,
+    These are its components along the axes before and behind the joint. Writes its derivatives,
     (2,) and (3,) as of `Pose`.
     """
     o, (y, z, v, w) = offset_m, holes_m

@@ -45,7 +45,7 @@ class _Springs(NamedTuple):
 
 
 class _Case(NamedTuple):
-    """What is known of one pose, overwritten from step to step.
+    """The state of one pose, overwritten from step to step.
 
     Attributes:
         tension_n: (M,).
@@ -277,7 +277,7 @@ def escape_step(hessian: Array, gradient: Array) -> Array:
     """A step (K,) down a function that curves down in some direction, by the absolute curvatures.
 
     There the arm would not stay, balanced or not, so the step along such a direction has a least
-    length. Of the Hessian (K, K) the lower half counts.
+    length. Only the lower half of the Hessian (K, K) is read.
     """
     whole = hessian.copy()
     for i in range(len(whole)):

@@ -10,4 +10,4 @@ class TrainingError(CableSenseError):
 
 
 class DatasetError(CableSenseError):
-    """A dataset that does not fit: says what is wrong, where, and what would be right."""
+    """A dataset that does not fit: names the fault, its place and the remedy."""

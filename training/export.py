@@ -1,4 +1,4 @@
-"""From a trained network to one ONNX file: tension differences in, answers in their units out."""
+"""Writes a trained network as one ONNX file, from tension differences to answers in units."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _TRACED_ROWS = 61
 def export_model(network: Network | TemporalNetwork, path: Path, metadata: ModelMetadata) -> None:
     """Write a trained network as an ONNX file in float64 that answers as PyTorch does, checked.
 
-    The file is written beside and then renamed, so a failure leaves nothing behind.
+    The file is written under another name and then renamed, so a failure leaves nothing behind.
 
     Raises:
         TrainingError: PyTorch and ONNX Runtime differ by more than `AGREEMENT`, or the folder
@@ -115,8 +115,8 @@ def _to_onnx(answers: _Answers, inputs: dict[str, Tensor]) -> onnx.ModelProto:
     """The graph; the exporter's reports and warnings about itself are left out.
 
     It is traced for `_TRACED_ROWS` samples, and made to take any number: with that number as a
-    symbol tracing takes more than twice as long. A history-dependent network is traced so, as it
-    has constants that are one row for each sample beside its state.
+    symbol tracing takes more than twice as long. A history-dependent network is traced with a
+    symbol, as it has constants with one row for each sample, in addition to its state.
     """
     symbols = None
     if isinstance(answers.network, TemporalNetwork):
@@ -149,7 +149,7 @@ def _to_onnx(answers: _Answers, inputs: dict[str, Tensor]) -> onnx.ModelProto:
 def _take_any_number_of_rows(graph: onnx.GraphProto) -> None:
     """Take `_TRACED_ROWS` out of shapes, and out of constants, which are one row for all samples.
 
-    What has it elsewhere fails on the trial's rows.
+    A graph that contains it elsewhere fails on the trial's rows.
     """
     del graph.value_info[:]
     for entry in (*graph.input, *graph.output):

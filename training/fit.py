@@ -1,7 +1,7 @@
 """Training: one loop for all networks, with Adam, the best weights kept and calibrated spread.
 
-`run_epochs` is the loop. What is trained on, samples or sequences, is an `Objective`: it holds the
-data, split into a part to train on and a held-out part, and knows its losses. `fit` trains on the
+`run_epochs` is the loop. An `Objective` is the data, samples or sequences: it holds the data,
+split into a part to train on and a held-out part, and knows its losses. `fit` trains on the
 samples of a dataset; `fit_sequences` in its own module on sequences in motion.
 """
 
@@ -238,7 +238,7 @@ def _train_epoch(objective: Objective[Any], optimiser: torch.optim.Optimizer) ->
 
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
-    """PyTorch computes on so many threads in the block."""
+    """PyTorch computes on `count` threads in the block."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

@@ -51,11 +51,11 @@ from cablesense_training.networks.temporal import (
 )
 
 _JUDGED_EVERY = 10
-"""The loss takes one tick in so many, as neighbours are alike."""
+"""The loss takes every tenth tick, as neighbours are alike."""
 
 _RESET_SHARE = 0.05
-"""Of the parts that begin with an empty state, so that the network learns to answer without a
-past."""
+"""Share of the parts that begin with an empty state, so that the network learns to answer without
+a history."""
 
 
 class SequenceSamples(NamedTuple):
@@ -260,10 +260,10 @@ class _SequenceObjective(Objective[SequenceSamples]):
 
 
 _EITHER_SIDE = 0.025
-"""Of the forces that lie below a 95 % interval, and above it."""
+"""Share of the forces below a 95 % interval, and above it."""
 
 _FALSE_SHARE = 0.01
-"""Of the ticks that are answered with a certain contact: so many may be of an untouched arm."""
+"""Largest share of an untouched arm among the ticks that are answered with a certain contact."""
 
 _FITTED_SHARE = 2 / 3
 _STEPS, _BATCH_ROWS = 1000, 512
@@ -313,7 +313,7 @@ def _train_head(interval: StatedInterval, answered: Answered, generator: torch.G
 
 
 def _head_loss(stated: Statement, answered: Answered) -> Tensor:
-    """Of the quantiles and the probability; the high end bounds what may act unseen as well."""
+    """The loss of quantiles and probability; the high end also bounds a force unseen."""
     touched = answered.target.segment > 0
     true = torch.asinh(answered.target.magnitude_n)
     none = functional.binary_cross_entropy_with_logits(stated.none_logit, (~touched).double())

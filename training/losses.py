@@ -28,7 +28,7 @@ class MultiContactTarget(NamedTuple):
 
 
 class LossTerms(NamedTuple):
-    """The parts of a loss; `total` is equation (8), and `spread` is trained beside it, apart."""
+    """The parts of a loss; `total` is equation (8); `spread` is trained separately."""
 
     total: Tensor
     contact: Tensor

@@ -1,4 +1,4 @@
-"""From an arm to a model file with its errors on fresh data: draw, train, test, export."""
+"""Makes a model file for an arm, with its errors on fresh data: draw, train, test, export."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ TEST_SEED_OFFSET = 1_000_000
 """Test data follow the protocol of the training data, with its seed plus this."""
 
 _JUDGED_SEQUENCES = 12
-"""From which intervals behind a simulation of history are found."""
+"""Sequences from which the intervals of a model with a simulated history are found."""
 
 WEAKEST_JUDGED_N = 5.0
 """Multi-contact recognition is also reported for contacts of at least this force."""
@@ -67,7 +67,7 @@ WEAKEST_JUDGED_N = 5.0
 
 @dataclass(frozen=True)
 class TrainingReport:
-    """What came of a training run, with the model's errors on test data of its kind.
+    """The result of a training run, with the model's errors on test data of its kind.
 
     Attributes:
         path: the model file.
@@ -176,8 +176,8 @@ def train_model(
         data: what to train on; its arm is the model's arm.
         settings: how to train; the seed also fixes the initial weights.
         command: what makes the file again, kept in it.
-        test_samples: size of the test set, drawn afresh by the data's own protocol; None stands
-            for `TEST_SAMPLES`, or `TEST_SHARE_OF_SEQUENCES`.
+        test_samples: size of the test set, drawn afresh by the data's own protocol; None means
+            `TEST_SAMPLES`, or `TEST_SHARE_OF_SEQUENCES`.
         on_epoch: called after every epoch.
         on_trained: called with the trained network, which it may change, before that is tested.
 

@@ -9,7 +9,7 @@ from cablesense_sim.effects.effect import Actuation, Effect, Parameter, Values, 
 
 
 class ActuatorBacklash(Effect):
-    """Play between screw and nut: what is held follows the command half the play behind."""
+    """Play between screw and nut: the held length follows the command half the play behind."""
 
     name = "actuator_backlash"
     acts_on = "actuator"

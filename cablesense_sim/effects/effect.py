@@ -1,4 +1,4 @@
-"""What every effect declares, and the ways in which it can act on an arm."""
+"""The base of all effects, and the ways in which an effect can act on an arm."""
 
 from __future__ import annotations
 
@@ -127,15 +127,15 @@ class Effect(EffectDescription):
         return None
 
     def actuation(self, place: str, values: Values) -> Actuation | None:
-        """What it does between the commanded and the held cable length."""
+        """Its action between the commanded and the held cable length."""
         return None
 
     def transmission(self, place: str, values: Values) -> Transmission | None:
-        """What it does along the cables and in the joints, if that depends on the history."""
+        """Its action along the cables and in the joints, if that depends on the history."""
         return None
 
     def sensing(self, place: str, values: Values) -> Sensing | None:
-        """What it does between the tension at the actuator and the reading."""
+        """Its action between the tension at the actuator and the reading."""
         return None
 
 
@@ -279,7 +279,7 @@ class Transmission:
         Args:
             spans_m: (P, M, N) there.
             bends_rad: (P, M, N, 2).
-            by_turn_m: (P, M, N, 2) derivative of the spans, each by the angles of its own joint.
+            by_turn_m: (P, M, N, 2) derivative of the spans, each by the angles of its joint.
             torque_n_m: (P, 2N) of all but the cables.
             slope_n_m: (P, 2N, 2N) its derivative, with what cables add that keep their tensions.
         """

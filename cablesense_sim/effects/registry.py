@@ -88,7 +88,7 @@ class EffectEntry:
 def checked_entry(
     name: str, place: str, given: dict[str, float], segment_count: int, cable_count: int
 ) -> EffectEntry:
-    """The entry, with defaults for what is not given.
+    """The entry, with defaults for values that are not given.
 
     Raises:
         EffectError: an unknown effect, place or parameter, or a value outside its range.

@@ -161,8 +161,8 @@ def lag_shares(
 ) -> tuple[Array, Array, Array]:
     """Shares `first`, `second` and `across` of two lags' errors that remain after a time.
 
-    The first lag's output keeps `first` of its error. The reading keeps `second` of its own error,
-    and `across` of that of the first lag.
+    The first lag's output keeps `first` of its error. The reading keeps `second` of its error, and
+    `across` of that of the first lag.
     """
     first_s = np.maximum(time_constant_s, 1e-6)
     # equal lags are the limit of lags that differ by little

@@ -29,7 +29,7 @@ _LOCKED = 3.0
 
 
 class CapstanFriction(Effect):
-    """Cables that stick and slip at their guides, with tensions apart by at most exp(μ θ).
+    """Cables that stick and slip at their guides, where the ratio of tensions is at most exp(μ θ).
 
     The wrap angle θ is the turn of a cable at the guides around each joint, plus its turn there
     in a straight arm and, before the first joint, at the actuator's pulley.
@@ -243,7 +243,7 @@ class CableCreep(Effect):
     """A cable with three Kelvin-Voigt elements behind its spring, evenly spread in log time.
 
     Their retardation times are the middle one, and `spread` times shorter and longer; at a spread
-    of one they are a single element. Together they give way by `share` of the elastic stretch.
+    of one they are a single element. Together they yield by `share` of the elastic stretch.
     """
 
     name = "cable_creep"

@@ -186,7 +186,7 @@ class Summary:
 
 
 def summarise(parts: Iterable[Dataset]) -> Summary:
-    """What the parts of a run hold together; there must be at least one."""
+    """The summary of all parts of a run; there must be at least one."""
     counts, per_segment, ranges = [], [], []
     for part in parts:
         free = ~part.contacts.any(axis=1)

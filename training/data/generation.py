@@ -186,7 +186,7 @@ def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Datas
 
     A sample's reading is one sensor reading of the loaded arm at rest. Its tare is the mean of
     `tare_samples` readings of the unloaded arm at rest under the same command. With effects, both
-    come at the end of a `LoadHistory` of their own.
+    come at the end of a separate `LoadHistory`.
 
     Raises:
         DatasetError: the protocol does not fit the arm.

@@ -1,4 +1,4 @@
-"""What samples of a history-dependent arm go through, and their tensions along the way."""
+"""The load histories of a history-dependent arm's samples, and the tensions along them."""
 
 from __future__ import annotations
 
@@ -113,8 +113,8 @@ def tensions_along_n(
 ) -> Array:
     """True tensions (R, B, M) of an arm with effects, from rest to rest at times (R,).
 
-    Commands are (R, B, 2N), loads (R, B, N, 3). Where nothing depends on the history, tensions
-    are zero at rests that are not `needed`.
+    Commands are (R, B, 2N), loads (R, B, N, 3). If nothing depends on the history, tensions are
+    zero at rests that are not `needed`.
 
     Raises:
         EquilibriumError: an arm finds no rest.
@@ -136,7 +136,7 @@ def tensions_along_n(
 
 
 def sensed_along_n(entries: list[EffectEntry], time_s: Array, tensions_n: Array) -> Array:
-    """What the sensors' effects make of tensions (R, B, M) at times (R,)."""
+    """Readings of tensions (R, B, M) at times (R,), with the sensors' effects."""
     readings_n = tensions_n.swapaxes(0, 1)
     for sensing in sensings([entries] * tensions_n.shape[1]):
         readings_n = sensing.along(time_s, readings_n)

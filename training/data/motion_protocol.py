@@ -1,4 +1,4 @@
-"""What sequences of motion and contact are drawn from.
+"""The protocol of sequences of motion and contact.
 
 `drawn_motion` gives commands as people and controllers do: moves from pose to pose, and streams of
 steps. `drawn_contacts` gives contacts that come and go: segment, direction and force by tick.

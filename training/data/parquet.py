@@ -40,7 +40,7 @@ _MAX_COLUMNS = 2_000
 """Far more than the largest arm has."""
 
 _LARGEST_UNPACKED_B, _MAX_UNPACKING = 2**26, 100
-"""A dataset may hold so many bytes, and so many more for each byte of its file."""
+"""Largest unpacked size in bytes, and the largest number for each byte of the file."""
 
 
 class _Column(NamedTuple):
@@ -189,7 +189,7 @@ def _provenance(path: Path, found: dict[str, str]) -> tuple[Arm, Protocol, int]:
 
 
 def _arm_metadata(arm: Arm) -> dict[str, str]:
-    """What the metadata repeat of the arm: its name and hash, the order of the columns."""
+    """Metadata that repeat parts of the arm: its name and hash, the order of the columns."""
     return {
         "arm_identity": arm.identity,
         "cables": json.dumps(arm.cable_names),

@@ -58,7 +58,7 @@ def chunk_sizes(samples: int) -> list[int]:
 
 
 _ALL = "all"
-"""Stands for every effect that changes samples; those of recorded loads do not."""
+"""Means every effect that changes samples; effects of recorded loads do not."""
 
 
 def effect_names(randomise: str) -> list[str]:
@@ -83,7 +83,7 @@ def effect_names(randomise: str) -> list[str]:
 def drawn_entries(
     names: list[str], segment_count: int, cable_count: int, rng: np.random.Generator
 ) -> list[EffectEntry]:
-    """One arm's effects: each of `names` at a place of its own, tolerances at all of theirs."""
+    """One arm's effects: each of `names` at one random place, tolerances at all places."""
     entries = []
     for name in names:
         effect = known_effects()[name]
@@ -262,7 +262,7 @@ class SingleContact(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class MultiContact(Protocol):
-    """None to `max_contacts` contacts (None stands for N) on different segments.
+    """Zero to `max_contacts` contacts (None means N) on different segments.
 
     Coordinates are the number of contacts, then per segment a rank (the lowest ranks are
     touched), a direction and a magnitude, then the joints.
@@ -295,8 +295,8 @@ _PROTOCOLS = (SingleContact, MultiContact)
 def protocol_from_options(options: dict[str, Any], arm: Arm | None = None) -> Protocol:
     """The protocol with the options that `Protocol.options` gave.
 
-    Where they name no `force_high_n`, it is the protocol's own, or on an `arm` that bears less,
-    what follows from that (`cablesense_sim.load_capacity`).
+    Without a `force_high_n` it is the protocol's default, or less on an `arm` that supports less
+    (`cablesense_sim.load_capacity`).
 
     Raises:
         DatasetError: unknown protocol, unknown option, or a value out of range.

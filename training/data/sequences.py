@@ -43,7 +43,7 @@ class Sequences(RunRows):
         arm, protocol, seed: what determines them.
         before_rad: (S, W, 2N) set-points before the first tick, from rest to rest, as far as an
             estimator knows them: one that was started later knows of the last alone.
-        tension_difference_n: (S, T, M) readings less the unloaded tensions at the set-point: the
+        tension_difference_n: (S, T, M) readings minus the unloaded tensions at the set-point: the
             tare of the sequence's start, carried along by the arm's model.
         joint_command_rad, joint_speed_rad_s, joint_acceleration_rad_s2: (S, T, 2N) set-points.
         segment: (S, T) touched segment, 0 for none.
@@ -69,7 +69,7 @@ _SHARE_STARTED_LATE = 0.4
 """Sequences whose estimator was started just before the tare, when the arm had moved already."""
 
 _BLOCK_SEQUENCES = 32
-"""Sequences that one worker draws at a time; each block has a random stream of its own."""
+"""Sequences that one worker draws at a time; each block has its random stream."""
 
 
 def draw_sequences(

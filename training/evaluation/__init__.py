@@ -1,1 +1,1 @@
-"""Figures of merit, and what they are measured on."""
+"""Figures of merit, and the data that they are measured on."""

@@ -189,7 +189,7 @@ def evaluate_multi_models(dataset: Dataset) -> dict[str, MultiEvaluation]:
 
 
 def evaluate_setting(setting: Setting, dataset: Dataset) -> SettingEvaluation:
-    """A setting's models on its samples, beside the noise bound."""
+    """A setting's models and the noise bound on its samples."""
     evaluations = evaluate_models(setting.models, dataset)
     firm = dataset.magnitude_n > _FIRM_N
     known = dataset.select(firm)

@@ -1,11 +1,11 @@
 """The noise bound: how well any unbiased estimator could do on the very same samples (Cramér-Rao).
 
-With the segment known, the force's two components f are what is unknown, and the tension
-differences are Gaussian about dT(f) with variance v each. Their information is G' G / v, with G =
-d dT / d f from the equilibrium's own sensitivity, so no unbiased estimate of f has a covariance
-below C = v (G' G)^-1 (Kay, Fundamentals of Statistical Signal Processing, vol. I, 1993, section
-3.8). Angle and magnitude follow by drawing from N(f, C), which also holds for weak forces, where
-an angle's error is not Gaussian.
+With the segment known, the force's two components f are unknown, and the tension differences are
+Gaussian about dT(f) with variance v each. Their information is G' G / v, with G = d dT / d f from
+the equilibrium's own sensitivity, so no unbiased estimate of f has a covariance below C = v (G'
+G)^-1 (Kay, Fundamentals of Statistical Signal Processing, vol. I, 1993, section 3.8). Angle and
+magnitude follow by drawing from N(f, C), which also holds for weak forces, where an angle's error
+is not Gaussian.
 """
 
 from __future__ import annotations

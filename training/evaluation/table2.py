@@ -20,7 +20,7 @@ from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import ModelFileError
 
 STANDARD_GRAVITY_M_S2 = 9.81
-"""What the paper's newtons are worth: its 2 kg load counts as 19.62 N."""
+"""The paper's conversion: its 2 kg load counts as 19.62 N."""
 
 DOWN_DEG = 180.0
 """Contact angle of a hung load on the level arm: -z."""

@@ -59,9 +59,9 @@ class Estimate(NamedTuple):
 
     @classmethod
     def of_outputs(cls, outputs: Sequence[Array]) -> Estimate:
-        """From a model's `OUTPUTS`, and `INTERVAL` where it has that, for one sample.
+        """An estimate from a model's `OUTPUTS`, and its `INTERVAL` if it has one, for one sample.
 
-        What is not finite stays so.
+        Values that are not finite stay so.
         """
         probability, direction, *others = outputs
         probabilities = probability.tolist()
@@ -208,7 +208,7 @@ class Estimator(OpenedModel):
     ) -> Estimate:
         """The contact behind tension differences (M,) at commanded joint angles (2N,).
 
-        What depends on the command alone is computed when it changes.
+        The part of the graph that depends on the command alone runs when the command changes.
 
         Raises:
             EstimateError: see its docstring.

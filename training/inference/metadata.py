@@ -1,4 +1,4 @@
-"""What a model file states about itself, and the bundled model files found by name."""
+"""The metadata of a model file, and the bundled model files found by name."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SEQUENCE_UNITS = {
 """The same of a model with memory."""
 
 HISTORY_SIMULATED = "history-simulated"
-"""The network whose files are of an arm that is simulated beside the real one."""
+"""The network whose files are of an arm that is simulated together with the real one."""
 
 _KEY = "cablesense"
 MISFIT_KEY = "cablesense_misfit"
@@ -54,12 +54,12 @@ class ModelFileError(CableSenseError):
 class MisfitLimit(BaseModel):
     """How far readings may be from the model's estimate, found on simulated healthy arms.
 
-    It stands in a property of its own: putting it in, or another one, leaves all else of a file
-    as it is, and files without it are read as well.
+    It is a separate property: putting it in, or another one, leaves all else of a file as it is,
+    and files without it are read as well.
 
     Attributes:
-        largest_misfit: of readings that fit: root mean square of what statics leaves over of
-            them, as a multiple of what noise explains.
+        largest_misfit: of readings that fit: root mean square of their residual under statics, as
+            a multiple of that of noise.
         false_alarm_rate: share of healthy samples above it that was aimed at, by the tail of a
             chi-square distribution as wide as the simulated misfits.
         samples, above: how many were simulated, and how many of these were above it.
@@ -212,7 +212,7 @@ def bundled_models() -> list[str]:
 
 
 def find_model(name_or_path: str | Path) -> Path:
-    """The model file that a name (`cdsm`) or a path (`my.onnx`) stands for.
+    """The model file of a name (`cdsm`) or a path (`my.onnx`).
 
     Raises:
         ModelFileError: neither a bundled model nor a file; the message lists the bundled names.

@@ -1,4 +1,4 @@
-"""What an ONNX file from outside may hold, checked before any of it is run.
+"""Checks of an ONNX file from outside, before any of it is run.
 
 Plain operators on the numbers in the file and nothing beyond (`require_harmless`), in bounded
 memory and work for a sample (`require_bounded`).

@@ -39,10 +39,10 @@ STATE = "state"
 NEXT_STATE = "next_state"
 """An output of models with memory: their `STATE` at the next tick."""
 INTERVAL = "interval_n"
-"""An output that models with memory give beside what is asked: between which the force lies with
-95 %. Those of earlier versions state its standard deviation alone."""
+"""A further output of models with memory: between which the force lies with 95 %. Those of earlier
+versions state its standard deviation alone."""
 TAUT = "taut"
-"""An output that some models give beside what is asked: 1 for taut cables, 0 for slack ones."""
+"""A further output of some models: 1 for taut cables, 0 for slack ones."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class ModelSession:
 
     @property
     def beside(self) -> list[str]:
-        """Which of `TAUT` and `INTERVAL` the model gives beside its answers."""
+        """The further outputs of the model: `TAUT` or `INTERVAL`."""
         given = [entry.name for entry in self.model.graph.output]
         return [name for name in (TAUT, INTERVAL) if name in given]
 
@@ -147,7 +147,7 @@ class ModelSession:
 
 
 def input_widths(metadata: ModelMetadata) -> dict[str, int]:
-    """What a model with these metadata takes, and how many numbers of each for one sample."""
+    """The inputs of a model with these metadata, and the width of each."""
     joints = metadata.arm.joint_count
     widths = {TENSION: metadata.arm.cable_count}
     if metadata.pose_aware:

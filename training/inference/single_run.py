@@ -2,8 +2,8 @@
 
 Inputs and outputs are bound once to buffers that stay where they are, which spares ONNX Runtime's
 looking up of names, and the making of arrays, at every sample. The graph is split into three parts
-by how often what they compute changes. Commands change seldom, the set of slack cables now and
-then, tensions a thousand times a second. What depends on the command alone is *steady*; what
+by how often their results change. Commands change seldom, the set of slack cables now and then,
+tensions a thousand times a second. The part that depends on the command alone is *steady*; what
 depends on the command and on one named tensor is *held* while that tensor stays the same; the rest
 is *moving*, and computes that tensor too.
 """

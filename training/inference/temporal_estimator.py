@@ -1,7 +1,7 @@
 """The history-dependent estimator: samples along a motion in, one contact for each out.
 
 `TemporalState` is the layout of what such a model carries from tick to tick. `open_estimator`
-opens any single-contact model file as what it is.
+opens any single-contact model file with the class that fits it.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ LONGEST_GAP_S, _LONGEST_GAP_TICKS = 1.0, 2.0
 """After a pause of the samples that is longer than both the past is forgotten."""
 
 _EARLY = 0.25
-"""A tick may come so much early, in ticks: stamps jitter."""
+"""Share of a tick by which a sample may be early: stamps jitter."""
 
 
 class TickClock:
@@ -102,7 +102,7 @@ class TickClock:
         self._last_s: float | None = None
 
     def ticks(self, time_s: float) -> int | None:
-        """How many a sample at this time completes; none where the past ends or has not begun.
+        """How many ticks a sample at this time completes; none without a history to continue.
 
         It ends where time runs back by over half a tick, or leaps by more than `LONGEST_GAP_S` and
         two ticks.
@@ -116,7 +116,7 @@ class TickClock:
         return max(0, math.floor(passed_s / self._tick_s + _EARLY))
 
     def advance(self, time_s: float, ticks: int | None) -> None:
-        """Go on by what `ticks` has said of this time."""
+        """Advance to a time, with the number of ticks that `ticks` gave for it."""
         if self._last_s is None or ticks is None:
             self._last_s = time_s
         else:  # from where the tick is due, not from where it came: early ones would add up
@@ -161,8 +161,8 @@ class TemporalEstimator(SequenceEstimator):
     ) -> Estimate:
         """The contact behind tension differences (M,) at a set-point (2N,) in motion or at rest.
 
-        The state goes on by whole ticks of the model, at the model's rate however often samples
-        come; one that comes sooner is answered from the state of the last tick and leaves it
+        The state advances by whole ticks of the model, at the model's rate and not at that of the
+        samples; one that comes sooner is answered from the state of the last tick and leaves it
         alone. Where `TickClock` has the past end, a new one begins.
 
         Raises:
@@ -196,7 +196,7 @@ class TemporalEstimator(SequenceEstimator):
     ) -> Estimates:
         """Estimates (S, T) of S sequences of T ticks side by side, inputs (S, T, …).
 
-        Set-points (S, W, 2N) went before, ticks of their own; the tare is that of the first tick.
+        Set-points (S, W, 2N) precede the samples, one a tick; the tare is that of the first tick.
         The estimator's own state is left alone.
 
         Raises:
@@ -224,7 +224,7 @@ class TemporalEstimator(SequenceEstimator):
         return Estimates.of_outputs(answers)
 
     def _answers_of(self, inputs: dict[str, Array]) -> list[Array]:
-        """What is stated, and the next state last."""
+        """The stated outputs, and the next state last."""
         return finite_answers(self._session, inputs, [*self._stated, NEXT_STATE])
 
 

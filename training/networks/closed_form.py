@@ -47,7 +47,7 @@ def pose_corrections_for(mechanism: Mechanism, force_n: float = 200.0) -> int:
     """Gauss-Newton steps that this arm's give under a force at its tip calls for.
 
     Each step about squares the error that is left, so a give of g rad needs n steps with g^(2^n)
-    below the tolerance. An arm that does not bear the force gives way as far as it can.
+    below the tolerance. An arm without equilibrium under the force gets the largest number.
     """
     forces = np.zeros((2, mechanism.segment_count, 3))
     forces[0, -1, 1] = forces[1, -1, 2] = force_n
@@ -79,7 +79,7 @@ class Candidates(NamedTuple):
 
 
 Weighing = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-"""From information and covariance (B, N, 2, 2) to matrices W (B, N, 2, 2) and constants (B, N):
+"""Maps information and covariance (B, N, 2, 2) to matrices W (B, N, 2, 2) and constants (B, N):
 the evidence of a force f is f' W f plus the constant."""
 
 

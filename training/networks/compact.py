@@ -180,7 +180,7 @@ def _rotation_map(segment_count: int, rotation: Matrix) -> Matrix:
 def _lever_map(mechanism: Mechanism) -> Matrix:
     """(N, (N + 1) · 2N): segment axes to the vectors from each joint to each contact point.
 
-    Beyond the contact point they are zero. The last block gives the first moments of the mass that
+    They are zero beyond the contact point. The last block gives the first moments of the mass that
     each joint carries, kg·m.
     """
     n = mechanism.segment_count

@@ -1,14 +1,14 @@
 """The closed form, weighed and corrected by a small network: the estimator that CableSense ships.
 
-Statics gives one candidate per segment with its information. What is left to learn is little: how
-much its evidence counts against "no contact", where many slack cables bend the estimate,
-and how wide the error really is. Corrections are counted in standard deviations of the closed form
-and bounded, so that an arm unlike the training data still gets an answer by statics.
+Statics gives one candidate per segment with its information. Little remains to be learnt: how much
+its evidence counts against "no contact", where many slack cables bend the estimate, and how wide
+the error really is. Corrections are counted in standard deviations of the closed form and bounded,
+so that an arm unlike the training data still gets an answer by statics.
 
-What effects change of the arm itself is in the closed form: masses, stiffness, holes, springs,
-contact points, while the actuators hold the lengths of the arm without them; so is what sensors
-that do not err by the past make of tensions. What depends on the past, and what actuators do, no
-closed form knows; it counts as spread of the readings.
+The closed form contains the effects on the arm itself: masses, stiffness, holes, springs, contact
+points, while the actuators hold the lengths of the arm without them; so is what sensors that do
+not err by the past make of tensions. No closed form knows history-dependent effects and the
+actuators; they count as spread of the readings.
 """
 
 from __future__ import annotations
@@ -218,7 +218,7 @@ class CorrectedClosedForm(SingleContactNetwork):
     def _weighing(self, information: Tensor, covariance_n2: Tensor) -> tuple[Tensor, Tensor]:
         """Log evidence against no contact, as f' W f plus a constant.
 
-        Half the misfit explained, less the Occam factor of two free components: with a prior
+        Half the explained misfit, minus the Occam factor of two free components: with a prior
         density of 1 / (pi F_max²), the evidence integral over f is 2 sqrt(det C) / F_max² at the
         best fit (Laplace; MacKay, Information Theory, Inference, and Learning Algorithms, 2003,
         chapter 28).

@@ -1,7 +1,7 @@
-"""Building blocks that the networks share, and what they answer in physical units.
+"""Building blocks of the networks, and their answers in physical units.
 
-Inputs and labels are standardised inside the networks. The stated uncertainty is a small head
-beside the answers that cannot disturb them.
+Inputs and labels are standardised inside the networks. The stated uncertainty is a small separate
+head that cannot disturb the answers.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ def perceptron(inputs: int, widths: Sequence[int]) -> nn.Sequential:
 class GatedLayer(nn.Module):
     """SiLU(W x + a) times (V x + b), elementwise: a layer that can multiply its inputs.
 
-    What an unknown pose does to the tensions is a product of angles and forces, which a plain
-    layer has to piece together. Shazeer, GLU Variants Improve Transformer, 2020 (there: SwiGLU).
+    An unknown pose changes tensions by a product of angles and forces, which a plain layer can
+    only approximate. Shazeer, GLU Variants Improve Transformer, 2020 (there: SwiGLU).
     """
 
     def __init__(self, inputs: int, width: int) -> None:

@@ -1,7 +1,7 @@
 """The closed form for a stiff arm, to second order in its give: a thousand answers a second.
 
-On a stiff arm the joints give way by a few milliradians, so what `ClosedForm` computes afresh at
-the true pose is here expanded about the commanded one. With the set W of taut cables, under a
+On a stiff arm the joints deflect by a few milliradians. `ClosedForm` computes everything anew at
+the true pose; here it is expanded about the commanded one. With the set W of taut cables, under a
 contact f on segment s,
 
     dq(f) = dq_W + E_s f,    T(f) = W (T0 + k J dq),
@@ -37,7 +37,8 @@ from cablesense_training.networks.closed_form import (
 from cablesense_training.networks.compact import Pose
 
 _STEP_RAD = 1e-4
-"""Of the central differences that give derivatives by the pose; their error is a part in 1e8."""
+"""Step of the central differences that give derivatives by the pose; their error is a part in
+1e8."""
 
 
 class _Expansion(NamedTuple):

@@ -1,6 +1,6 @@
 """Single-contact networks: their common base, the paper's three designs and a scale-aware one.
 
-No contact is a class of its own in all of them.
+All of them have a class for no contact.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class SharedBackboneNetwork(LearntNetwork):
 
 
 class ScaleAwareNetwork(LearntNetwork):
-    """Reads the pattern of the tension differences apart from their size.
+    """Separates the pattern of the tension differences from their size.
 
     While no cable goes slack, twice the force makes twice the differences: the pattern
     u = ΔT / |ΔT| holds segment and direction, and the magnitude is |ΔT| times a function of it.

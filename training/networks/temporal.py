@@ -1,13 +1,13 @@
 """Statics on joint torques that a recurrent network has cleared of motion and friction.
 
-Statics turns tensions into torques of the environment on the joints. In motion these hold inertia
-too, and with friction each cable carries another tension along the arm than at its actuator, by a
-factor that its past left on guides and pulleys (equation (2) of the paper). `DrawnCables` follows
-what the commands of the past determine of it. A gated recurrent unit (Cho et al., Learning phrase
-representations using RNN encoder-decoder, 2014) sees that with every tick's torques, tensions and
-set-points, keeps the rest in its state, and estimates these factors, what tensions and torques are
-off beside, and their deviations. The contact is then sought by statics as in `networks.corrected`,
-on torques so corrected.
+Statics turns tensions into torques of the environment on the joints. In motion these include
+inertia. With friction each cable's tension along the arm differs from that at its actuator, by a
+factor that depends on the friction state (equation (2) of the paper). `DrawnCables` follows what
+the commands of the past determine of it. A gated recurrent unit (Cho et al., Learning phrase
+representations using RNN encoder-decoder, 2014) sees that together with every tick's torques,
+tensions and set-points. It keeps the rest of the history in its state, and estimates these
+factors, further offsets of tensions and torques, and their deviations. The contact is then sought
+by statics as in `networks.corrected`, on torques so corrected.
 
 A stop operator follows the cable that is drawn, in units of its give, and stops at -1 and 1
 (Visintin, Differential Models of Hysteresis, 1994, chapter III): the share of its largest friction
@@ -37,7 +37,7 @@ GIVES_M = (2e-5, 2e-4, 2e-3)
 """Lengths of cable drawn from the middle of a stop operator to its end."""
 
 LARGEST_CORRECTION = 6.0
-"""In standard deviations of what is to be corrected in training, joint by joint."""
+"""In standard deviations of the correction in training, joint by joint."""
 
 LARGEST_LOG_FACTOR = 0.5
 """Bound on the logarithm of a cable's factor: friction beyond it is beyond this correction."""
@@ -49,7 +49,7 @@ _LOG_STD_RANGE = (-7.0, 3.0)
 
 _STATED_WIDTH = 32
 _STILL_RAD_S = 1e-3
-"""So slow a set-point is at rest for the stated interval."""
+"""A set-point slower than this counts as at rest for the stated interval."""
 _LARGEST_SIZE = math.asinh(1e6)
 
 _PER_RAD = 10.0
@@ -97,7 +97,7 @@ class Ticks(NamedTuple):
     """Inputs of one or more ticks, leading axes alike.
 
     Attributes:
-        tension_difference_n: (…, M) tensions less the unloaded ones at the set-point.
+        tension_difference_n: (…, M) tensions minus the unloaded ones at the set-point.
         joint_command_rad, joint_speed_rad_s, joint_acceleration_rad_s2: (…, 2N) the set-point.
     """
 
@@ -141,11 +141,11 @@ class StatedInterval(nn.Module):
     """What can be stated of an answer: whether it is a contact, and where its force lies.
 
     Friction makes errors lopsided: a load that falls is read late, one that rises is not. And a
-    network is surer of the data that it has learnt from than of others. So this head is fitted to
-    the errors on data that were held out, when the network itself is trained: to the probability
-    of no contact, to the ends of the force's 95 % interval, as quantiles, and to the angle's. It
-    sees the answer alone: probabilities, the force that each segment would have, deviations, and
-    the speed of the set-point. What the network remembers as well makes it surer than it may be.
+    network is surer of the data that it has learnt from than of others. After the network is
+    trained, this head is fitted to the errors on held-out data: to the probability of no contact,
+    to the ends of the force's 95 % interval, as quantiles, and to the angle's. It sees the answer
+    alone: probabilities, the force that each segment would have, deviations, and the speed of the
+    set-point. With the network's memory as input it would be too certain.
 
     Forces are counted by their inverse hyperbolic sine: in newtons below one newton, by their
     ratios above it.
@@ -172,7 +172,7 @@ class StatedInterval(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, seen: Tensor, output: SingleContactOutput) -> Statement:
-        """What is stated of B answers, of which (B, features) is `seen`."""
+        """The statement about B answers, whose features (B, features) are `seen`."""
         none, low, high, wider = self.heads(self.seen(seen)).double().unbind(-1)
         size, sure = _asinh(output.magnitude_n), torch.log(output.angle_std_deg)
         ends = size - low - self.shift[0], size + high + self.shift[1]
@@ -184,7 +184,7 @@ class StatedInterval(nn.Module):
     def stated(
         self, seen: Tensor, output: SingleContactOutput
     ) -> tuple[SingleContactOutput, Tensor]:
-        """The answers with what is stated of them, and (B, 2) between which the forces lie.
+        """The answers with the statement about them, and the intervals (B, 2) of the forces.
 
         From 0 on where there may be none; up to what may act unseen.
         """
@@ -295,7 +295,7 @@ class TemporalNetwork(nn.Module):
     def answer(
         self, balance: Balance, encoded: Tensor, states: Tensor, speed_rad_s: Tensor
     ) -> CorrectedAnswer:
-        """Answers for B flat ticks, of what was encoded and remembered (B, hidden) of each.
+        """Answers for B flat ticks, from the encoded and remembered features (B, hidden) of each.
 
         `speed_rad_s` (B, 2N) is that of the set-point.
         """
@@ -351,7 +351,7 @@ class TemporalNetwork(nn.Module):
     def forward(self, ticks: Ticks, state: Tensor) -> tuple[SingleContactOutput, Tensor, Tensor]:
         """One tick: answers for inputs of B rows with states (B, memory).
 
-        Beside the answers the next states and the intervals of the forces (B, 2).
+        Gives the answers, the next states and the intervals of the forces (B, 2).
         """
         balance = self.balance(ticks)
         kind = self.log_trust.dtype
@@ -369,11 +369,11 @@ class TemporalNetwork(nn.Module):
         return self.in_joint_order(balance.torque_n_m[..., 0])
 
     def pitches_first(self, joints: Tensor) -> Tensor:
-        """From the order of the joints to that of `Balance`."""
+        """Reorder from the order of the joints to that of `Balance`."""
         return joints.unflatten(-1, (self.segment_count, 2)).transpose(-1, -2).flatten(-2)
 
     def in_joint_order(self, pitches_first: Tensor) -> Tensor:
-        """From the order of `Balance` to that of the joints."""
+        """Reorder from the order of `Balance` to that of the joints."""
         return pitches_first.unflatten(-1, (2, self.segment_count)).transpose(-1, -2).flatten(-2)
 
 
