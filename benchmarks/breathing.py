@@ -28,7 +28,7 @@ from cablesense_base import Array
 from cablesense_online.breath_readings import BreathReadings
 from cablesense_online.breathing import SET_POINTS_A_TURN, Breath, breath_circle, tip_m
 from cablesense_plants.arm.arm import SteppedArms, ideal_arm
-from cablesense_plants.arm.body import Friction, read_nominal
+from cablesense_plants.arm.body import PlantFriction, read_nominal
 from cablesense_sim.arm import Arm, find_arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import normal_force_n
@@ -54,7 +54,7 @@ class Course:
         self.arm = open_arm(name)
         drawn = ideal_arm(read_nominal(find_arm(name)))
         each = np.full(self.arm.cable_count, coefficient)
-        self._plant = replace(drawn, friction=Friction(each, pulley_rad=_PULLEY_RAD))
+        self._plant = replace(drawn, friction=PlantFriction(each, pulley_rad=_PULLEY_RAD))
         self.rng = np.random.default_rng(SEED)
         self.base_rad = np.radians(_BENT_DEG) * self.rng.uniform(-1.0, 1.0, (arms, 8))
         self.base_rad[: arms // 2] = 0.0

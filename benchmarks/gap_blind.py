@@ -32,7 +32,7 @@ from rich.progress import track
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.pipeline import diagnose
 from cablesense_gap.recordings.checks import read_recording
-from cablesense_gap.scoring import Answer as Case
+from cablesense_gap.scoring import Truth as Case
 from cablesense_gap.scoring import as_json, read_answers, score
 from cablesense_gap.settling import removed_on
 from cablesense_gap.verdict import (
@@ -43,7 +43,7 @@ from cablesense_gap.verdict import (
     write_verdict,
 )
 from cablesense_plants.arm.body import read_nominal
-from cablesense_plants.arm.withhold import Answer, draw_kinds, draw_several, withhold
+from cablesense_plants.arm.withhold import ArmAnswer, draw_kinds, draw_several, withhold
 from cablesense_sim.arm import find_arm, open_arm
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -122,7 +122,7 @@ def drawn(
     workers: int = 1,
     *,
     second: bool = False,
-) -> dict[str, Answer]:
+) -> dict[str, ArmAnswer]:
     """Recordings `case_….csv` by the independent plant, and what is hidden in each by its name.
 
     The answers stand in `answers/answers.csv` beside them.

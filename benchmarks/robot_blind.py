@@ -36,17 +36,17 @@ from cablesense_gap.robot.pipeline import diagnose
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_recording
 from cablesense_gap.robot.simulator import RobotSimulator
-from cablesense_gap.scoring import Answer, as_json, proportion, score
+from cablesense_gap.scoring import Truth, as_json, proportion, score
 from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, read_verdict, removed_fraction
 from cablesense_gap.verdict import write_verdict as write
-from cablesense_plants.robot.cases import Answer as Hidden
+from cablesense_plants.cases import write_answers
+from cablesense_plants.robot.cases import RobotAnswer as Hidden
 from cablesense_plants.robot.cases import (
-    Case,
+    RobotCase,
     drawn,
     record,
     with_play,
     with_tendons,
-    write_answers,
 )
 
 _LONG_ROWS = 20_000
@@ -70,7 +70,7 @@ def main() -> None:
     usual = partial(drawn, commands=options.commands)
     drawing = with_play if options.play else with_tendons if options.tendons else usual
     cases = drawing(options.count, options.seed)[: options.first]
-    write_answers(cases, folder / "answers" / "answers.csv")
+    write_answers(folder / "answers" / "answers.csv", [case.answer for case in cases])
     until, done = time.monotonic() + 60.0 * options.minutes, {}
     _record(cases, folder, until)
     for case in cases:
@@ -151,8 +151,8 @@ def scored(
     }
 
 
-def _answer(hidden: Hidden) -> Answer:
-    return Answer(
+def _answer(hidden: Hidden) -> Truth:
+    return Truth(
         recording=hidden.recording,
         effects=tuple(hidden.effects.split("+")),
         places=frozenset(place.split("_into_")[0] for place in hidden.where.split()),
@@ -168,7 +168,7 @@ def _kind(hidden: Hidden) -> str:
     return "several" if "+" in hidden.effects else "one"
 
 
-def _record(cases: Sequence[Case], folder: Path, until: float) -> None:
+def _record(cases: Sequence[RobotCase], folder: Path, until: float) -> None:
     for kind in dict.fromkeys(case.kind.name for case in cases):
         own = [c for c in cases if c.kind.name == kind and not _second(folder, c).exists()]
         for begin in range(0, len(own), _TOGETHER):
@@ -183,7 +183,7 @@ def _read(path: Path, robot: Robot, *, torques: bool) -> RobotRecording:
     return recording if torques else replace(recording, torque=unread)
 
 
-def _diagnose(case: Case, folder: Path, *, torques: bool) -> None:
+def _diagnose(case: RobotCase, folder: Path, *, torques: bool) -> None:
     """Leaves the verdict, and the share of the gap removed on the second recording."""
     robot = load_robot(case.kind.path)
     path = _place(folder, case, "csv.gz")
@@ -199,7 +199,9 @@ def _diagnose(case: Case, folder: Path, *, torques: bool) -> None:
     _place(folder, case, "second.json").write_text(json.dumps(share))
 
 
-def _long_s(cases: Sequence[Case], folder: Path, until: float, *, torques: bool) -> float | None:
+def _long_s(
+    cases: Sequence[RobotCase], folder: Path, until: float, *, torques: bool
+) -> float | None:
     """From the file to the verdict, of an arm's recording sampled as often as that takes."""
     case = next((c for c in cases if c.kind.name == "arm_6" and "+" in c.answer.effects), None)
     if case is None or time.monotonic() > until:
@@ -216,11 +218,11 @@ def _long_s(cases: Sequence[Case], folder: Path, until: float, *, torques: bool)
     return round(time.monotonic() - began, 1)
 
 
-def _place(folder: Path, case: Case, ending: str) -> Path:
+def _place(folder: Path, case: RobotCase, ending: str) -> Path:
     return folder / f"{case.answer.recording}.{ending}"
 
 
-def _second(folder: Path, case: Case) -> Path:
+def _second(folder: Path, case: RobotCase) -> Path:
     return folder / "second" / f"{case.answer.recording}.csv.gz"
 
 

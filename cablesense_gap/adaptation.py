@@ -26,7 +26,7 @@ from cablesense_gap.recorded_contacts import (
     without_history_n,
 )
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.verdict import Estimator as Errors
+from cablesense_gap.verdict import EstimatorErrors
 from cablesense_sim.arm import Arm
 from cablesense_sim.load_capacity import contact_range_n
 from cablesense_training.data.dataset import Dataset
@@ -140,7 +140,7 @@ def adapt_to(
         train_for(found.amended, estimator, seen, second, command, on_epoch)
         after = recorded_errors(recording, open_estimator(second, found.amended), unseen)
         better = _is_better(before, after)
-    errors = Errors(
+    errors = EstimatorErrors(
         before=_named(before),
         after=None if after is None else _named(after),
         use="after" if better else "before",

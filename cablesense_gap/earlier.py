@@ -15,7 +15,7 @@ from cablesense_gap.diagnosis.gauss_newton import refit
 from cablesense_gap.diagnosis.joint_selection import borne_out
 from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.simulator import Term, parameters_of
-from cablesense_gap.verdict import Earlier, Estimate
+from cablesense_gap.verdict import Earlier, FittedNumber
 from cablesense_sim.arm import Arm
 from cablesense_sim.effects.effect import WHOLE_ARM
 from cablesense_sim.effects.registry import known_effects
@@ -96,7 +96,7 @@ def _judged(
         found, half = fitted.values[term], fitted.deviations[term]
         interval = max(found - half, parameter.low), min(found + half, parameter.high)
         was[name] = value
-        now[name] = Estimate(value=found, unit=parameter.unit, ci95=interval)
+        now[name] = FittedNumber(value=found, unit=parameter.unit, ci95=interval)
         if parameter.role == "size":
             moved |= not interval[0] <= value <= interval[1]
     places = dict.fromkeys(t.place for t in listed if t.effect == effect)

@@ -48,7 +48,7 @@ from cablesense_gap.verdict import (
     UNKNOWN,
     CandidateResult,
     Earlier,
-    Estimate,
+    FittedNumber,
     Gap,
     Verdict,
     Where,
@@ -392,7 +392,7 @@ def estimates(
     values: Mapping[Term, float],
     deviations: Mapping[Term, float],
     candidates: Sequence[Candidate],
-) -> dict[str, Estimate]:
+) -> dict[str, FittedNumber]:
     """Numbers with units, and intervals within what is plausible.
 
     The place is in the name where there are several, of one effect or of two.
@@ -402,7 +402,7 @@ def estimates(
     found = {}
     for term, value in values.items():
         parameter, half = parameters[term], deviations[term]
-        found[f"{term.effect}.{term.parameter}" if single else str(term)] = Estimate(
+        found[f"{term.effect}.{term.parameter}" if single else str(term)] = FittedNumber(
             value=value,
             unit=parameter.unit,
             ci95=(max(value - half, parameter.low), min(value + half, parameter.high)),

@@ -36,7 +36,7 @@ _PLACE = re.compile(r"(?:cable|segment|joint)_[1-9]\d*")
 
 
 @dataclass(frozen=True)
-class Answer:
+class Truth:
     """The truth about one recording.
 
     Attributes:
@@ -58,7 +58,7 @@ class Answer:
     names: frozenset[str] = frozenset()
 
 
-def read_answers(path: str | Path) -> tuple[Answer, ...]:
+def read_answers(path: str | Path) -> tuple[Truth, ...]:
     """Read answers: CSV with `recording,effects,where`; effects are joined by `+`.
 
     In `where`, places are found whatever stands between them, so that
@@ -85,7 +85,7 @@ def read_answers(path: str | Path) -> tuple[Answer, ...]:
     return answers
 
 
-def _answer(at: str, row: dict[str, str | None]) -> Answer:
+def _answer(at: str, row: dict[str, str | None]) -> Truth:
     cells = {key: (value or "").strip() for key, value in row.items() if isinstance(key, str)}
     recording = Path(cells["recording"]).name.removesuffix(".gz").removesuffix(".csv")
     if not recording:
@@ -104,7 +104,7 @@ def _answer(at: str, row: dict[str, str | None]) -> Answer:
     # of what one place does to another the first counts, as in verdicts
     names = frozenset(re.sub(r"_into_\S+", "", cells["where"]).split())
     form = cells.get("form", "")
-    return Answer(recording, effects, places, gap[0] if gap else None, form, each_gap_n, names)
+    return Truth(recording, effects, places, gap[0] if gap else None, form, each_gap_n, names)
 
 
 def _numbers(at: str, cells: Mapping[str, str], column: str, count: int) -> tuple[float, ...]:
@@ -214,7 +214,7 @@ class BudgetScore:
     median_removed_fraction: float | None
 
 
-def budget_score(cases: Sequence[tuple[Verdict, Answer]]) -> BudgetScore:
+def budget_score(cases: Sequence[tuple[Verdict, Truth]]) -> BudgetScore:
     """Budgets against answers that give the gap of each effect."""
     named, false, shares, removed = [], [], [], []
     for verdict, answer in cases:
@@ -237,7 +237,7 @@ def budget_score(cases: Sequence[tuple[Verdict, Answer]]) -> BudgetScore:
 
 
 @dataclass(frozen=True)
-class Score:
+class ScoreSheet:
     """What the verdicts are worth.
 
     Of recordings with one effect of the library (`singles`), two (`doubles`), `none` or `unknown`.
@@ -285,7 +285,7 @@ class Score:
     wrong: tuple[str, ...]
 
 
-def score(verdicts: Mapping[str, Verdict], answers: Sequence[Answer]) -> Score:
+def score(verdicts: Mapping[str, Verdict], answers: Sequence[Truth]) -> ScoreSheet:
     """Score verdicts, by recording, against answers; verdicts without an answer do not count.
 
     Raises:
@@ -307,7 +307,7 @@ def score(verdicts: Mapping[str, Verdict], answers: Sequence[Answer]) -> Score:
     confusion: dict[str, dict[str, int]] = {}
     for (truth, named), count in cases.groupby(["truth", "named"]).size().items():
         confusion.setdefault(truth, {})[named] = int(count)
-    return Score(
+    return ScoreSheet(
         cases=len(cases),
         confusion=confusion,
         exact=proportion(cases.exact),
@@ -331,7 +331,7 @@ def score(verdicts: Mapping[str, Verdict], answers: Sequence[Answer]) -> Score:
     )
 
 
-def _judged(verdict: Verdict, answer: Answer) -> dict[str, Any]:
+def _judged(verdict: Verdict, answer: Truth) -> dict[str, Any]:
     """One verdict beside its answer, as a row of the table that is counted."""
     truth, named, gap = answer.effects, verdict.effects, verdict.gap
     weighed = {c.effects: c.probability for c in verdict.candidates}
@@ -366,7 +366,7 @@ def _judged(verdict: Verdict, answer: Answer) -> dict[str, Any]:
     }
 
 
-def as_json(score: Score) -> dict[str, Any]:
+def as_json(score: ScoreSheet) -> dict[str, Any]:
     """The score as plain values for a JSON file."""
     plain = asdict(score)
     plain["calibration"] = plain.pop("reliability")

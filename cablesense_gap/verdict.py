@@ -70,7 +70,7 @@ class Where(FilePart):
         return (*self.cables, *self.segments, *self.joints, *self.bodies, *self.tendons)
 
 
-class Estimate(FilePart):
+class FittedNumber(FilePart):
     """A fitted parameter, its unit, and the interval that holds it with 95 %."""
 
     value: float
@@ -143,7 +143,7 @@ class Gap(FilePart):
         return removed_fraction(self.before_n, self.effects_n, self.floor_n)
 
 
-class Channel(FilePart):
+class ChannelGap(FilePart):
     """The gap in one channel in its own unit, RMS, on trials that the fit has not seen."""
 
     unit: str
@@ -168,7 +168,7 @@ class CandidateResult(FilePart):
     held_out_ci95_n: Interval | None = None
 
 
-class Estimator(FilePart):
+class EstimatorErrors(FilePart):
     """Errors of the force estimator trained on the nominal and on the amended arm, by name.
 
     Attributes:
@@ -199,7 +199,7 @@ class Earlier(FilePart):
     places: tuple[str, ...] = ()
     outcome: Literal["stands", "changed", "not needed"]
     was: dict[str, float] = Field(default_factory=dict)
-    now: dict[str, Estimate] = Field(default_factory=dict)
+    now: dict[str, FittedNumber] = Field(default_factory=dict)
 
 
 class Verdict(FilePart):
@@ -238,7 +238,7 @@ class Verdict(FilePart):
     ambiguity_group: tuple[str, ...] = ()
     next_experiment: str = ""
     where: Where
-    parameters: dict[ParameterName, Estimate] = Field(default_factory=dict)
+    parameters: dict[ParameterName, FittedNumber] = Field(default_factory=dict)
     gap: Gap
     shares: dict[Name, Share] = Field(default_factory=dict)
     traded: tuple[Traded, ...] = ()
@@ -247,7 +247,7 @@ class Verdict(FilePart):
     unexplained_n: Newtons | None = None
     unexplained_share: Probability | None = None
     candidates: tuple[CandidateResult, ...] = ()
-    estimator: Estimator | None = None
+    estimator: EstimatorErrors | None = None
     why: tuple[str, ...] = ()
     seconds: Newtons | None = None
     recording: str = ""
@@ -256,7 +256,7 @@ class Verdict(FilePart):
     rows_counted: Rows | None = None
     arm: str = ""
     unit: str = "N"
-    channels: dict[ChannelName, Channel] = Field(default_factory=dict)
+    channels: dict[ChannelName, ChannelGap] = Field(default_factory=dict)
     compared: str = ""
 
     @model_validator(mode="after")

@@ -217,7 +217,7 @@ def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
         )
         return
     limit = mechanism_of(arm).bend_limit_rad
-    bent = (kinematics.bend_rad(command) >= limit).any(axis=1)
+    bent = np.asarray((kinematics.bend_rad(command) >= limit).any(axis=1))
     if bent.any():
         yield _refuse(
             "bend",

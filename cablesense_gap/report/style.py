@@ -15,7 +15,7 @@ from importlib import resources
 from typing import Any
 
 from cablesense_base import CableSenseError
-from cablesense_gap.verdict import Estimate
+from cablesense_gap.verdict import FittedNumber
 
 BEFORE, AFTER, FLOOR = "#E69F00", "#0072B2", "#555555"
 OTHER, INK, GRID, LOADED = "#9AA3AD", "#1C2126", "#DDE1E6", "#EEF1F4"
@@ -143,7 +143,7 @@ def percent(share: float) -> str:
     return f"{whole} %"
 
 
-def with_interval(estimate: Estimate) -> tuple[str, str]:
+def with_interval(estimate: FittedNumber) -> tuple[str, str]:
     """Value and 95 % interval, to the digits that the interval leaves."""
     low, high = estimate.ci95
     width = high - low

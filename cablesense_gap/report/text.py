@@ -11,8 +11,8 @@ from cablesense_gap.verdict import (
     NONE,
     UNKNOWN,
     Earlier,
-    Estimate,
-    Estimator,
+    EstimatorErrors,
+    FittedNumber,
     Verdict,
     joined,
     listed,
@@ -83,7 +83,7 @@ _ERRORS: dict[str, tuple[str, Callable[[float], str]]] = {
 }
 
 
-def error_rows(estimator: Estimator) -> list[tuple[str, str, str]]:
+def error_rows(estimator: EstimatorErrors) -> list[tuple[str, str, str]]:
     """Errors of the first and of the second estimator, by what they are; dashes where none."""
     found = []
     for name in dict(estimator.before, **(estimator.after or {})):
@@ -177,11 +177,11 @@ def numbers(verdict: Verdict, arm: Arm) -> list[ExplainedNumber]:
     return found
 
 
-def _with_unit(value: str, estimate: Estimate) -> str:
+def _with_unit(value: str, estimate: FittedNumber) -> str:
     return value if estimate.unit == "1" else f"{value} {estimate.unit}"
 
 
-def _known_within(estimate: Estimate, parameter: Parameter | None) -> tuple[str, str]:
+def _known_within(estimate: FittedNumber, parameter: Parameter | None) -> tuple[str, str]:
     """Value and interval; of a number at an end of its range only the other side is known."""
     value, interval = with_interval(estimate)
     if parameter is None or parameter.low < estimate.value < parameter.high:

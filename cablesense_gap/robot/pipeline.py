@@ -29,7 +29,7 @@ from cablesense_gap.robot.protocol import next_experiment
 from cablesense_gap.robot.recording import RobotRecording
 from cablesense_gap.robot.simulator import Comparison, RobotSimulator
 from cablesense_gap.simulator import Assignment, Candidate, Term
-from cablesense_gap.verdict import Channel, Verdict, Where
+from cablesense_gap.verdict import ChannelGap, Verdict, Where
 
 UNIT = "floors"
 FOLDS = 5
@@ -260,11 +260,11 @@ def _where(robot: Robot, values: Mapping[Term, float]) -> Where:
     )
 
 
-def _channels(comparison: Comparison, before: Array, after: Array) -> dict[str, Channel]:
+def _channels(comparison: Comparison, before: Array, after: Array) -> dict[str, ChannelGap]:
     sizes = [np.sqrt((each**2).mean(0)) * comparison.floor for each in (before, after)]
     columns = zip(comparison.names, comparison.units, *sizes, comparison.floor, strict=True)
     return {
-        name: Channel(unit=unit, before=float(b), after=float(a), floor=float(floor))
+        name: ChannelGap(unit=unit, before=float(b), after=float(a), floor=float(floor))
         for name, unit, b, a, floor in columns
     }
 

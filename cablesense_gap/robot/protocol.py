@@ -31,7 +31,7 @@ _EVERY = 10
 
 
 @dataclass(frozen=True)
-class Block:
+class RobotBlock:
     """One trial: what it is, what to do, and the positions (T, J) at `RATE_HZ`."""
 
     kind: str
@@ -44,7 +44,7 @@ class Block:
         return len(self.position) / RATE_HZ
 
 
-def standard_protocol(robot: Robot) -> list[Block]:
+def standard_protocol(robot: Robot) -> list[RobotBlock]:
     """Each joint alone slowly and faster, then all at once."""
     middle, reach = _ranges(robot)
     speed = np.where([unit == "rad" for unit in robot.position_units], _RAD_S, _M_S)
@@ -62,7 +62,7 @@ def standard_protocol(robot: Robot) -> list[Block]:
                 f"move {joint} alone between {low:.2g} and {high:.2g} {unit} as a sine, "
                 f"{own_s:.0f} s each time; the others stay at the middle of their ranges"
             )
-            blocks.append(Block(kind, does, position))
+            blocks.append(RobotBlock(kind, does, position))
     rng = np.random.default_rng(0)
     for _ in range(_TOGETHER):
         time_s = np.arange(0.0, _LONG, 1.0 / RATE_HZ)
@@ -72,11 +72,11 @@ def standard_protocol(robot: Robot) -> list[Block]:
             at = 2.0 * np.pi * times * time_s[:, None] / period_s + begin
             waves += np.sin(at) * reach / (3.0 * times)
         does = "move all joints at once, each as a sum of three sines"
-        blocks.append(Block("all joints", does, middle + waves))
+        blocks.append(RobotBlock("all joints", does, middle + waves))
     return blocks
 
 
-def write_protocol(path: Path, robot: Robot, blocks: Sequence[Block]) -> int:
+def write_protocol(path: Path, robot: Robot, blocks: Sequence[RobotBlock]) -> int:
     """Write positions as rows of a recording without torques; gives how many.
 
     Raises:
@@ -136,7 +136,7 @@ def _ranges(robot: Robot) -> tuple[Array, Array]:
     )
 
 
-def _joined(blocks: Sequence[Block], every: int = 1) -> tuple[Array, NDArray[np.int64]]:
+def _joined(blocks: Sequence[RobotBlock], every: int = 1) -> tuple[Array, NDArray[np.int64]]:
     """Positions and numbers of blocks, one after the other."""
     positions = [block.position[::every] for block in blocks]
     number = np.repeat(np.arange(len(blocks)), [len(each) for each in positions])

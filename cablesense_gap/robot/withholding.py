@@ -42,7 +42,7 @@ _ATTEMPTS = 8
 
 
 @dataclass(frozen=True)
-class Hidden:
+class WithheldEffects:
     """What one recording hides; `places` are joints and bodies."""
 
     recording: str
@@ -52,7 +52,7 @@ class Hidden:
 
 def withhold(
     folder: Path, answers: Path, robot: Robot, count: int, seed: int, only: Sequence[str] = ()
-) -> Iterator[Hidden]:
+) -> Iterator[WithheldEffects]:
     """Write `case_001.csv` and so on, and the answers at the end; gives each when it is written.
 
     Raises:
@@ -107,7 +107,9 @@ class _ProtocolMotion:
         )
 
 
-def _case(path: Path, motion: _ProtocolMotion, asked: str, rng: np.random.Generator) -> Hidden:
+def _case(
+    path: Path, motion: _ProtocolMotion, asked: str, rng: np.random.Generator
+) -> WithheldEffects:
     robot, scale = motion.robot, motion.scale
     names = [] if asked in (NONE, UNKNOWN) else asked.split("+")
     for _ in range(_ATTEMPTS):
@@ -134,7 +136,7 @@ def _case(path: Path, motion: _ProtocolMotion, asked: str, rng: np.random.Genera
     rows = np.concatenate(tables)
     write_table(path, dict(zip(columns, rows.T, strict=True)), "%.7g")
     places = dict.fromkeys(t.place for each in values for t in each if t.place != WHOLE_ARM)
-    return Hidden(path.stem, asked, " ".join(places))
+    return WithheldEffects(path.stem, asked, " ".join(places))
 
 
 def _sized(

@@ -7,19 +7,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_plants.arm.body import NONE, Body, Creep, Friction, Nominal, rigid_body
+from cablesense_plants.arm.body import NONE, Body, Creep, Nominal, PlantFriction, rigid_body
 from cablesense_plants.arm.geometry import cable_lengths_m
 from cablesense_plants.arm.protocol import Schedule
 from cablesense_plants.arm.quasi_static import QuasiStaticPath
 from cablesense_plants.arm.rest import follow_path
-from cablesense_plants.arm.sensing import Sensing
+from cablesense_plants.arm.sensing import SensorFaults
 
 _MASS_SHARE, _PRETENSION_N, _CONTACT_M, _HOLE_DEG, _ZERO_N = 0.005, 0.15, 0.0003, 0.05, 0.05
 """Standard deviations of manufacturing."""
 
 
 @dataclass(frozen=True)
-class Actuation:
+class ActuatorFaults:
     """Faults of M actuators; by default they pay out exactly what is commanded.
 
     Attributes:
@@ -66,10 +66,10 @@ class RealArm:
 
     nominal: Nominal
     body: Body
-    sensing: Sensing
+    sensing: SensorFaults
     load_turn: Array
-    actuation: Actuation = Actuation()
-    friction: Friction = field(default_factory=Friction)
+    actuation: ActuatorFaults = ActuatorFaults()
+    friction: PlantFriction = field(default_factory=PlantFriction)
     creep: Creep = field(default_factory=Creep)
 
     @property
@@ -154,7 +154,7 @@ class SteppedArms:
 
 def ideal_arm(nominal: Nominal) -> RealArm:
     """The arm exactly as drawn."""
-    return RealArm(nominal, rigid_body(nominal), Sensing(nominal.pretension_n), np.eye(3))
+    return RealArm(nominal, rigid_body(nominal), SensorFaults(nominal.pretension_n), np.eye(3))
 
 
 def with_tolerances(arm: RealArm, rng: np.random.Generator) -> RealArm:

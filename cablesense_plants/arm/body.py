@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base import Array, CableSenseError
+from cablesense_base import Array
 from cablesense_base.files import read_bounded_text
 from cablesense_base.plain_yaml import parse_plain_mapping
+from cablesense_plants.cases import PlantError
 
 Ints = NDArray[np.int64]
 
@@ -22,10 +23,6 @@ _MAX_FILE_BYTES = 200_000
 
 NONE: Any = np.float64(0.0)
 """No fault of any cable, joint, actuator or sensor."""
-
-
-class PlantError(CableSenseError):
-    """A plant that cannot be built or finds no rest: states what, where and what is right."""
 
 
 @dataclass(frozen=True)
@@ -252,7 +249,7 @@ def rigid_body(nominal: Nominal) -> Body:
 
 
 @dataclass(frozen=True)
-class Friction:
+class PlantFriction:
     """Friction of M cables and J joints, by default none.
 
     Attributes:

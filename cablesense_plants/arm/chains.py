@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_plants.arm.body import Body, Friction
-from cablesense_plants.arm.geometry import Spans
+from cablesense_plants.arm.body import Body, PlantFriction
+from cablesense_plants.arm.geometry import CableSpans
 
 _ENOUGH_N = 1e-7
 _BLOCK_SWEEPS, _MOST_SWEEPS = 15, 80
 
 
-class Guides(NamedTuple):
+class GuideState(NamedTuple):
     """State of the cables at their G = 2J + 1 guides.
 
     Attributes:
@@ -42,7 +42,7 @@ class Chains(NamedTuple):
         tension_n: (B, M, P) of the P = 2J + 2 pieces; a slack cable's is negative.
         by_angle_n_rad: (B, M, P, 2J) its derivative by the joint angles.
         misfit_n: (B, M) largest of what was left unsolved.
-        fed_m: as in `Guides`, like the next two.
+        fed_m: as in `GuideState`, like the next two.
     """
 
     tension_n: Array
@@ -53,9 +53,9 @@ class Chains(NamedTuple):
     sliding: Array
 
     @property
-    def guides(self) -> Guides:
+    def guides(self) -> GuideState:
         """What the state of the guides becomes."""
-        return Guides(self.fed_m, self.bristle, self.sliding)
+        return GuideState(self.fed_m, self.bristle, self.sliding)
 
 
 class _Each(NamedTuple):
@@ -81,10 +81,10 @@ class _Law(NamedTuple):
     bristle: Array
 
 
-class Cables:
+class PlantCables:
     """The cables of a body, with their friction."""
 
-    def __init__(self, body: Body, friction: Friction, run_m: float) -> None:
+    def __init__(self, body: Body, friction: PlantFriction, run_m: float) -> None:
         """`run_m` is the run before the base plate."""
         joints = body.joint_count
         self.body, self.friction = body, friction
@@ -105,7 +105,12 @@ class Cables:
         return np.asarray(np.swapaxes(self.distal[1:] @ length_m, -1, -2) - stretched)
 
     def at_rest(
-        self, before: Guides, across: Spans, longer_m: Array, crept_m: Array, guess: Chains | None
+        self,
+        before: GuideState,
+        across: CableSpans,
+        longer_m: Array,
+        crept_m: Array,
+        guess: Chains | None,
     ) -> Chains:
         """Cables at rest across joints, after a state of their guides.
 
@@ -149,7 +154,7 @@ class Cables:
         )
 
     def _side_by_side(
-        self, before: Guides, across: Spans, longer_m: Array, crept_m: Array
+        self, before: GuideState, across: CableSpans, longer_m: Array, crept_m: Array
     ) -> _Each:
         rows, cables = longer_m.shape
         count, body = rows * cables, self.body

@@ -16,40 +16,17 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_plants.arm.arm import RealArm
 from cablesense_plants.arm.body import Nominal
-
-UNKNOWN = "unknown"
+from cablesense_plants.cases import HiddenChange
 
 Apply = Callable[[RealArm, float], RealArm]
 """Gives the arm with a change of a size."""
 
 
-@dataclass(frozen=True)
-class Change:
-    """What is wrong, but for how much.
-
-    Attributes:
-        apply: gives the arm that has it, by size.
-        form: what it physically is; by default the name of the function that draws it.
-        where: places (`cable_3`, `segment_2`, `joint_1`); none for the whole arm.
-        details: what else was drawn, for the answers.
-        effect: its name in verdicts, `unknown` outside the list.
-        unit: of its size.
-        least: smallest size that is worth drawing.
-        most: largest size that an arm would still be used with.
-    """
-
-    apply: Apply
-    form: str = ""
-    where: tuple[str, ...] = ()
-    details: Mapping[str, float] = field(default_factory=dict)
-    effect: str = ""
-    unit: str = ""
-    least: float = 0.0
-    most: float = 0.0
+ArmChange = HiddenChange[RealArm]
 
 
 @dataclass(frozen=True)
-class Draw:
+class ArmDraw:
     """Random choices of what is wrong with an arm as drawn; its M cables count from 0."""
 
     rng: np.random.Generator
@@ -97,6 +74,9 @@ class Draw:
         return weights
 
 
+_Drawing = Callable[[ArmDraw], ArmChange]
+
+
 @dataclass(frozen=True)
 class Draws:
     """Functions that draw changes, by name; the order is part of what a seed makes.
@@ -106,18 +86,18 @@ class Draws:
     """
 
     effect: str = ""
-    by_name: dict[str, Callable[[np.random.Generator, Nominal], Change]] = field(
+    by_name: dict[str, Callable[[np.random.Generator, Nominal], ArmChange]] = field(
         default_factory=dict
     )
 
     def of_size(self, unit: str, least: float = 0.0, most: float = 0.0) -> Callable[..., Any]:
         """Register a function whose changes have sizes within bounds, if it gives no others."""
 
-        def register(draw_change: Callable[[Draw], Change]) -> Callable[[Draw], Change]:
+        def register(draw_change: _Drawing) -> _Drawing:
             name = draw_change.__name__
 
-            def complete(rng: np.random.Generator, nominal: Nominal) -> Change:
-                drawn = draw_change(Draw(rng, nominal))
+            def complete(rng: np.random.Generator, nominal: Nominal) -> ArmChange:
+                drawn = draw_change(ArmDraw(rng, nominal))
                 return replace(
                     drawn,
                     form=drawn.form or name,

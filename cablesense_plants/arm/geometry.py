@@ -19,7 +19,7 @@ _PITCH_ORDER = np.array([0, 1, 0, 2, 1, 0])
 _YAW_ORDER = np.array([0, 0, 1, 0, 1, 2])
 
 
-class Spans(NamedTuple):
+class CableSpans(NamedTuple):
     """The pieces of cable across the joints, B rows.
 
     Attributes:
@@ -37,7 +37,7 @@ class Spans(NamedTuple):
     bend_rad: Array
 
 
-class Frames(NamedTuple):
+class JointFrames(NamedTuple):
     """The joints in the base frame, B rows.
 
     Attributes:
@@ -51,7 +51,7 @@ class Frames(NamedTuple):
     axis: Array
 
 
-def spans(body: Body, angles_rad: Array, turning: Array, with_bends: bool = False) -> Spans:
+def spans(body: Body, angles_rad: Array, turning: Array, with_bends: bool = False) -> CableSpans:
     """Cable spans at joint angles (B, 2J), of which `turning` are the `turns`."""
     turned = turning @ np.swapaxes(body.after_m, -1, -2)
     v = turned[0] - np.swapaxes(body.before_m, -1, -2)
@@ -62,7 +62,7 @@ def spans(body: Body, angles_rad: Array, turning: Array, with_bends: bool = Fals
     curve = (pairs - slope[_LEFT] * slope[_RIGHT]) / length
     bends = _bends(body, turning[0], v / length[..., None, :]) if with_bends else np.zeros(0)
     slope, curve = (np.moveaxis(values * body.passes, 0, -2) for values in (slope, curve))
-    result = Spans(length * body.passes, slope, curve, bends)
+    result = CableSpans(length * body.passes, slope, curve, bends)
     for contact in body.cable_contacts:
         result = _pushed_aside(result, contact, angles_rad)
     return result
@@ -73,7 +73,7 @@ def cable_lengths_m(body: Body, angles_rad: Array) -> Array:
     return spans(body, angles_rad, turns(body, angles_rad)).length_m.sum(-2)
 
 
-def frames(body: Body, angles_rad: Array, turning: Array) -> Frames:
+def frames(body: Body, angles_rad: Array, turning: Array) -> JointFrames:
     """Frames of the joints in base axes at angles (B, 2J), of which `turning` are the `turns`."""
     rows, joints = angles_rad.shape[0], body.joint_count
     sine, cosine = np.sin(angles_rad[:, ::2]), np.cos(angles_rad[:, ::2])
@@ -91,10 +91,10 @@ def frames(body: Body, angles_rad: Array, turning: Array) -> Frames:
         axis[:, 2 * j + 1] = forward + cosine[:, j, None] * skewed[:, :, 2]
         before = before @ turning[0, :, j]
         rotation[:, j] = before
-    return Frames(rotation, centre, axis)
+    return JointFrames(rotation, centre, axis)
 
 
-def points_m(placed: Frames, joint: NDArray[np.int64], at_m: Array) -> Array:
+def points_m(placed: JointFrames, joint: NDArray[np.int64], at_m: Array) -> Array:
     """(B, P, 3) base-frame places of points (P, 3) of the frames that joints (P,) turn."""
     return placed.centre_m[:, joint] + (placed.rotation[:, joint] @ at_m[..., None])[..., 0]
 
@@ -135,7 +135,7 @@ def _bends(body: Body, turning: Array, direction: Array) -> Array:
     return 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0)) * guided
 
 
-def _pushed_aside(free: Spans, contact: CableContact, angles_rad: Array) -> Spans:
+def _pushed_aside(free: CableSpans, contact: CableContact, angles_rad: Array) -> CableSpans:
     j, cables = contact.joint, list(contact.cables)
     p, y = contact.toward
     beyond = p * angles_rad[:, 2 * j] + y * angles_rad[:, 2 * j + 1] - contact.from_rad
@@ -147,7 +147,7 @@ def _pushed_aside(free: Spans, contact: CableContact, angles_rad: Array) -> Span
         slope[:, j, i, cables] += touching * beyond * share
     for i, share in enumerate((p * p, p * y, y * y)):
         curve[:, j, i, cables] += touching * share
-    return Spans(length, slope, curve, free.bend_rad)
+    return CableSpans(length, slope, curve, free.bend_rad)
 
 
 def torques(body: Body, angles_rad: Array, turning: Array, loads_n: Array) -> tuple[Array, Array]:
@@ -175,7 +175,7 @@ def torques(body: Body, angles_rad: Array, turning: Array, loads_n: Array) -> tu
 
 
 def _constant_forces(
-    placed: Frames, joint: NDArray[np.int64], point_m: Array, force_n: Array
+    placed: JointFrames, joint: NDArray[np.int64], point_m: Array, force_n: Array
 ) -> tuple[Array, Array]:
     """By forces (B, P, 3) that keep their direction: J(q)^T F and its derivative.
 
@@ -199,7 +199,7 @@ def _constant_forces(
     return torque, nearer * upper + np.swapaxes(nearer * (upper - np.eye(len(upper))), -1, -2)
 
 
-def _tip_spring(body: Body, placed: Frames, spring: TipSpring) -> tuple[Array, Array]:
+def _tip_spring(body: Body, placed: JointFrames, spring: TipSpring) -> tuple[Array, Array]:
     last = np.array([body.joint_count - 1])
     tip = points_m(placed, last, body.tip_at_m[None])
     away = tip[:, 0] - np.array(spring.anchor_m)

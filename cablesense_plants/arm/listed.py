@@ -12,8 +12,8 @@ from cablesense_base import Array
 from cablesense_plants.arm.arm import RealArm, turned
 from cablesense_plants.arm.body import Creep
 from cablesense_plants.arm.change import (
-    Change,
-    Draw,
+    ArmChange,
+    ArmDraw,
     Draws,
     added,
     grown,
@@ -34,7 +34,7 @@ _DRAWS = Draws()
 
 
 @_DRAWS.of_size("m", 1e-6, 1e-3)
-def actuator_backlash(draw: Draw) -> Change:
+def actuator_backlash(draw: ArmDraw) -> ArmChange:
     """Play in one to four actuators, equal or uneven; where in it each begins is unknown."""
     chosen = draw.cables(1, 4)
     uneven = len(chosen) > 1 and draw.chance(0.5)
@@ -42,11 +42,11 @@ def actuator_backlash(draw: Draw) -> Change:
     share = share if uneven else np.sign(share)
     start = draw.rng.uniform(-1.0, 1.0, len(share))
     loose = sets("actuation", play_m=(scaled, share), play_start=start)
-    return Change(loose, "uneven play" if uneven else "equal play", places("cable", share))
+    return ArmChange(loose, "uneven play" if uneven else "equal play", places("cable", share))
 
 
 @_DRAWS.of_size("deg", 0.1, 30.0)
-def base_tilt(draw: Draw) -> Change:
+def base_tilt(draw: ArmDraw) -> ArmChange:
     """A base that is not level: rolled, pitched or both; loads stay in base axes."""
     form = draw.one_of(["roll", "pitch", "roll and pitch"])
     angle = draw.uniform(0.0, 2.0 * np.pi)
@@ -54,7 +54,7 @@ def base_tilt(draw: Draw) -> Change:
     sign = draw.sign()
     x, y = sign * float(axis[0]), sign * float(axis[1])
     tilted = sets("body", gravity_m_s2=(_tilted, (x, y, 0.0)))
-    return Change(tilted, form, details={"about_x": x, "about_y": y})
+    return ArmChange(tilted, form, details={"about_x": x, "about_y": y})
 
 
 def _tilted(gravity: Array, size: float, axis: tuple[float, float, float]) -> Array:
@@ -65,14 +65,14 @@ def _tilted(gravity: Array, size: float, axis: tuple[float, float, float]) -> Ar
 
 
 @_DRAWS.of_size("of the elastic stretch", 0.01, 1.5)
-def cable_creep(draw: Draw) -> Change:
+def cable_creep(draw: ArmDraw) -> ArmChange:
     """Kelvin-Voigt elements in series: one, three or many times, new cables or settled ones."""
     form = draw.one_of(_CREEP_TIMES)
     time_s = draw.log_uniform(8.0, 80.0)
     settled = float(draw.rng.choice([0.0, 1.0, draw.rng.uniform()]))
     cables, where = _all_or_segment(draw)
     times = np.clip(time_s * _CREEP_TIMES[form], 1.0, 2000.0)
-    return Change(
+    return ArmChange(
         partial(_creeping, cables=cables, time_s=times, settled=settled),
         f"{form}, {'new' if settled == 0.0 else 'settled' if settled == 1.0 else 'used'}",
         where,
@@ -87,16 +87,16 @@ def _creeping(arm: RealArm, size: float, cables: Array, time_s: Array, settled: 
 
 
 @_DRAWS.of_size("of the nominal", 0.01, 1.5)
-def cable_stiffness(draw: Draw) -> Change:
+def cable_stiffness(draw: ArmDraw) -> ArmChange:
     """Softer or harder cables, all or those that end on a segment."""
     cables, where = _all_or_segment(draw)
     if draw.chance(0.5):
-        return Change(sets("body", stiffness_n_m=(grown, -cables)), "softer", where, most=0.5)
-    return Change(sets("body", stiffness_n_m=(grown, cables)), "harder", where)
+        return ArmChange(sets("body", stiffness_n_m=(grown, -cables)), "softer", where, most=0.5)
+    return ArmChange(sets("body", stiffness_n_m=(grown, cables)), "harder", where)
 
 
 @_DRAWS.of_size("1", 0.003, 0.4)
-def capstan_friction(draw: Draw) -> Change:
+def capstan_friction(draw: ArmDraw) -> ArmChange:
     """Cables that stick and slide at every guide, with or without a pulley at the actuator.
 
     They stick rigidly, break away above the friction of sliding, or have bristles that give way
@@ -112,7 +112,7 @@ def capstan_friction(draw: Draw) -> Change:
         "reach_m": draw.log_uniform(1e-5, 1e-4) if "bristles" in onset else 0.0,
         "actuator_share": draw.uniform(0.1, 0.4),
     }
-    return Change(
+    return ArmChange(
         sets(
             "friction", coefficient=(scaled, share), rounded=onset == "rounded bristles", **numbers
         ),
@@ -122,12 +122,12 @@ def capstan_friction(draw: Draw) -> Change:
 
 
 @_DRAWS.of_size("m", 0.0005, 0.05)
-def contact_offset(draw: Draw) -> Change:
+def contact_offset(draw: ArmDraw) -> ArmChange:
     """Loads that act nearer to the base or to the tip, on one segment or on all."""
     one = draw.chance(0.6)
     segment = draw.segment()
     shift = marked(segment if one else slice(None), draw.nominal.segment_count, draw.sign())
-    return Change(
+    return ArmChange(
         sets("body", contact_at_m=(added, np.outer(shift, [1.0, 0.0, 0.0]))),
         "one segment" if one else "all segments",
         places("segment", shift),
@@ -136,12 +136,12 @@ def contact_offset(draw: Draw) -> Change:
 
 
 @_DRAWS.of_size("N m/rad", 0.05, 80.0)
-def joint_elasticity(draw: Draw) -> Change:
+def joint_elasticity(draw: ArmDraw) -> ArmChange:
     """Joints that spring back to straight, linearly or hardening a little."""
     chosen: Any = draw.segment() if draw.chance(0.6) else slice(None)
     hardening = float(draw.rng.choice([0.0, draw.rng.uniform(3.0, 15.0)]))
     share = _both_axes(chosen, draw)
-    return Change(
+    return ArmChange(
         sets("body", spring_nm_rad=(scaled, share), hardening_nm_rad3=(scaled, hardening * share)),
         "hardening" if hardening else "linear",
         places("joint", share[:, 0]),
@@ -150,7 +150,7 @@ def joint_elasticity(draw: Draw) -> Change:
 
 
 @_DRAWS.of_size("N m", 0.005, 2.0)
-def joint_friction(draw: Draw) -> Change:
+def joint_friction(draw: ArmDraw) -> ArmChange:
     """Dry friction in both axes of one, two or all joints: sharp, rounded or Stribeck's."""
     count = draw.nominal.segment_count
     share = _both_axes(slice(None) if draw.chance(0.3) else draw.some(count, 1, 2), draw)
@@ -162,20 +162,20 @@ def joint_friction(draw: Draw) -> Change:
         "friction", joint_nm=(scaled, share), joint_rounded=rounded, joint_reach_rad=reach_rad,
         joint_breakaway=breakaway,
     )  # fmt: skip
-    return Change(rough, form, places("joint", share[:, 0]))
+    return ArmChange(rough, form, places("joint", share[:, 0]))
 
 
 @_DRAWS.of_size("deg")
-def load_cell(draw: Draw) -> Change:
+def load_cell(draw: ArmDraw) -> ArmChange:
     """A load cell that is turned against the base, of the wrong scale, or both."""
     form = draw.one_of(["axes", "scale", "axes and scale"])
     axis = np.array([1.0, 0.0, 0.0]) * draw.sign() + draw.rng.uniform(-0.4, 0.4, 3)
     sign = draw.sign()
     if form == "scale":
-        return Change(partial(_load_scaled, sign=sign), form, unit="1", least=0.003, most=0.5)
+        return ArmChange(partial(_load_scaled, sign=sign), form, unit="1", least=0.003, most=0.5)
     per_deg = sign * draw.uniform(0.005, 0.02) if form == "axes and scale" else 0.0
     turned_ = partial(_load_turned, axis=axis / np.linalg.norm(axis), per_deg=per_deg)
-    return Change(turned_, form, details={"scale_per_deg": per_deg}, least=0.3, most=25.0)
+    return ArmChange(turned_, form, details={"scale_per_deg": per_deg}, least=0.3, most=25.0)
 
 
 def _load_turned(arm: RealArm, size: float, axis: Array, per_deg: float) -> RealArm:
@@ -190,12 +190,12 @@ def _load_scaled(arm: RealArm, size: float, sign: float) -> RealArm:
 
 
 @_DRAWS.of_size("kg", 0.005, 4.0)
-def payload(draw: Draw) -> Change:
+def payload(draw: ArmDraw) -> ArmChange:
     """A mass on a segment's axis, anywhere along it."""
     segment = draw.segment()
     at_m = draw.uniform(0.0, float(draw.nominal.length_m[segment]))
     loaded = partial(_loaded, segment=segment, at_m=at_m)
-    return Change(loaded, "point mass", (f"segment_{segment + 1}",), {"at_m": at_m})
+    return ArmChange(loaded, "point mass", (f"segment_{segment + 1}",), {"at_m": at_m})
 
 
 def _loaded(arm: RealArm, size: float, segment: int, at_m: float) -> RealArm:
@@ -207,7 +207,7 @@ def _loaded(arm: RealArm, size: float, segment: int, at_m: float) -> RealArm:
 
 
 @_DRAWS.of_size("N", 0.3, 30.0)
-def pretension_error(draw: Draw) -> Change:
+def pretension_error(draw: ArmDraw) -> ArmChange:
     """One to all cables tensioned to another value, all by the same or each by its own."""
     chosen = draw.cables(1, 4 if draw.chance(0.7) else draw.nominal.cable_count)
     alike = draw.chance(0.7)
@@ -217,7 +217,7 @@ def pretension_error(draw: Draw) -> Change:
     least = 0.1 * draw.nominal.pretension_n
     tensioned = sets("body", pretension_n=(_added_above, share, least))
     form = "all by the same" if alike else "each by its own"
-    return Change(tensioned, form, places("cable", share))
+    return ArmChange(tensioned, form, places("cable", share))
 
 
 def _added_above(old: Array, size: float, share: Array, least: float) -> Array:
@@ -225,7 +225,7 @@ def _added_above(old: Array, size: float, share: Array, least: float) -> Array:
 
 
 @_DRAWS.of_size("deg", 0.1, 15.0)
-def routing_geometry(draw: Draw) -> Change:
+def routing_geometry(draw: ArmDraw) -> ArmChange:
     """A segment's holes on another radius or at another angle, by either reading of "a segment's".
 
     Those of the cables that end on it, in every plate they pass; or those of all cables in the
@@ -245,9 +245,9 @@ def routing_geometry(draw: Draw) -> Change:
     where = (f"segment_{segment + 1}",)
     if radius:
         moved = sets("body", before_m=(_further_out, before), after_m=(_further_out, after))
-        return Change(moved, f"radius, {of}", where, unit="m", least=5e-5, most=0.012)
+        return ArmChange(moved, f"radius, {of}", where, unit="m", least=5e-5, most=0.012)
     moved = sets("body", before_m=(_turned_deg, before), after_m=(_turned_deg, after))
-    return Change(moved, f"angle, {of}", where)
+    return ArmChange(moved, f"angle, {of}", where)
 
 
 def _turned_deg(points_m: Array, size: float, share: Array) -> Array:
@@ -262,7 +262,7 @@ def _further_out(points_m: Array, size: float, share: Array) -> Array:
 
 
 @_DRAWS.of_size("1", 0.0005, 0.3)
-def sensor_crosstalk(draw: Draw) -> Change:
+def sensor_crosstalk(draw: ArmDraw) -> ArmChange:
     """A share of one channel in its neighbours, or of every channel in its neighbours.
 
     The place is the channel whose signal leaks.
@@ -274,11 +274,11 @@ def sensor_crosstalk(draw: Draw) -> Change:
     leak = (np.eye(count, k=1) + np.eye(count, k=-1)) * source
     leak = leak * float(draw.rng.choice([-1.0, 1.0], p=[0.2, 0.8]))
     form = "one channel into its neighbours" if one else "all channels into their neighbours"
-    return Change(sets("sensing", leak=(scaled, leak)), form, places("cable", source))
+    return ArmChange(sets("sensing", leak=(scaled, leak)), form, places("cable", source))
 
 
 @_DRAWS.of_size("N", 0.1, 40.0)
-def sensor_drift(draw: Draw) -> Change:
+def sensor_drift(draw: ArmDraw) -> ArmChange:
     """Zeros that drift: steadily, slowly to and fro, at random, or while warming up."""
     chosen = draw.cables(1, 4)
     shape: Any = draw.one_of(get_args(DriftShape))
@@ -287,35 +287,37 @@ def sensor_drift(draw: Draw) -> Change:
     phase_rad = draw.uniform(0.0, 2.0 * np.pi)
     drift = Drift(share, shape, time_s, phase_rad, int(draw.rng.integers(2**31)))
     drifting = sets("sensing", drift=(sized, drift, "size_n"))
-    return Change(drifting, shape, places("cable", share), {"time_s": time_s})
+    return ArmChange(drifting, shape, places("cable", share), {"time_s": time_s})
 
 
 @_DRAWS.of_size("1", 0.001, 0.4)
-def sensor_gain(draw: Draw) -> Change:
+def sensor_gain(draw: ArmDraw) -> ArmChange:
     """Wrong scale on one to four sensors."""
     share = draw.weights(draw.cables(1, 4), signed=True)
-    return Change(sets("sensing", gain=(grown, share)), "each by its own", places("cable", share))
+    return ArmChange(
+        sets("sensing", gain=(grown, share)), "each by its own", places("cable", share)
+    )
 
 
 @_DRAWS.of_size("s", 0.01, 8.0)
-def sensor_lag(draw: Draw) -> Change:
+def sensor_lag(draw: ArmDraw) -> ArmChange:
     """All or some sensors that follow late, through one of three filters."""
     chosen: Any = slice(None) if draw.chance(0.4) else draw.cables(1, 4)
     late = marked(chosen, draw.nominal.cable_count)
     kind = draw.one_of(get_args(Filter))
     lagging = sets("sensing", lag_s=(scaled, late), lag_filter=kind)
-    return Change(lagging, kind, places("cable", late))
+    return ArmChange(lagging, kind, places("cable", late))
 
 
 @_DRAWS.of_size("N", 0.1, 30.0)
-def sensor_offset(draw: Draw) -> Change:
+def sensor_offset(draw: ArmDraw) -> ArmChange:
     """Zero errors on one to four sensors."""
     share = draw.weights(draw.cables(1, 4), signed=True)
     shifted = sets("sensing", offset_n=(added, share))
-    return Change(shifted, "each by its own", places("cable", share))
+    return ArmChange(shifted, "each by its own", places("cable", share))
 
 
-def _all_or_segment(draw: Draw) -> tuple[Array, tuple[str, ...]]:
+def _all_or_segment(draw: ArmDraw) -> tuple[Array, tuple[str, ...]]:
     """(M,) of 0 and 1 for all cables or those of a segment, and their place."""
     count, per_segment = draw.nominal.cable_count, draw.nominal.per_segment
     if draw.chance(0.5):
@@ -325,7 +327,7 @@ def _all_or_segment(draw: Draw) -> tuple[Array, tuple[str, ...]]:
     return own.astype(float), (f"segment_{segment + 1}",)
 
 
-def _both_axes(chosen: Any, draw: Draw) -> Array:
+def _both_axes(chosen: Any, draw: ArmDraw) -> Array:
     """(N, 2) of 1 for both axes of the chosen joints."""
     return np.repeat(marked(chosen, draw.nominal.segment_count)[:, None], 2, axis=1)
 

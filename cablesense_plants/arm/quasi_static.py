@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_plants.arm.body import Body, Creep, Friction, Ints, PlantError
-from cablesense_plants.arm.chains import Cables, Chains, Guides, friction_state
+from cablesense_plants.arm.body import Body, Creep, Ints, PlantFriction
+from cablesense_plants.arm.chains import Chains, GuideState, PlantCables, friction_state
 from cablesense_plants.arm.geometry import cable_lengths_m, spans, torques, turns
 from cablesense_plants.arm.rest import (
     commanded_angles_rad,
@@ -22,6 +22,7 @@ from cablesense_plants.arm.rest import (
     require_room,
     with_cable_torques,
 )
+from cablesense_plants.cases import PlantError
 
 _ENOUGH_NM, _ENOUGH_N = 1e-7, 1e-6
 _MOST_STEPS, _MOST_HALVINGS = 40, 7
@@ -61,12 +62,12 @@ class State(NamedTuple):
     loads_n: Array
 
     @property
-    def guides(self) -> Guides:
+    def guides(self) -> GuideState:
         """State of the cables at their guides."""
-        return Guides(self.fed_m, self.bristle, self.sliding)
+        return GuideState(self.fed_m, self.bristle, self.sliding)
 
 
-class Balance(NamedTuple):
+class PathBalance(NamedTuple):
     """What is left on the joints at guesses of their angles, the cables being at rest.
 
     Attributes:
@@ -92,13 +93,13 @@ class Balance(NamedTuple):
 class QuasiStaticPath:
     """Takes arms from row to row."""
 
-    def __init__(self, body: Body, friction: Friction, creep: Creep, run_m: float) -> None:
+    def __init__(self, body: Body, friction: PlantFriction, creep: Creep, run_m: float) -> None:
         """From the arms' body, its friction and creep, and the run before the base plate."""
         if body.exponent != 1.0:
             raise PlantError("hardening cables have no friction or creep here; use exponent 1")
         joints = body.joint_count
         self.body, self.friction, self.creep = body, friction, creep
-        self.cables = Cables(body, friction, run_m)
+        self.cables = PlantCables(body, friction, run_m)
         self.straight_m = cable_lengths_m(body, np.zeros((1, 2 * joints)))[0]
         share = self.cables.compliance_m_n * body.stiffness_n_m[:, None]
         self.creep_m_n = creep.compliance_m_n[..., None] * share
@@ -156,7 +157,7 @@ class QuasiStaticPath:
 
     def _search(
         self, state: State, paid_out_m: Array, loads_n: Array
-    ) -> tuple[Balance, NDArray[np.bool_]]:
+    ) -> tuple[PathBalance, NDArray[np.bool_]]:
         """Rests where Newton's steps find them, and (B,) whether they did."""
         at = self.balance(state, paid_out_m, loads_n, state.angles_rad, None)
         damping = np.zeros(len(paid_out_m))
@@ -188,7 +189,7 @@ class QuasiStaticPath:
         loads_n: Array,
         angles_rad: Array,
         guess: Chains | None,
-    ) -> Balance:
+    ) -> PathBalance:
         """What is left at angles (B, 2J) after a state; `guess` is what cables did nearby."""
         body, friction = self.body, self.friction
         turning = turns(body, angles_rad)
@@ -216,7 +217,7 @@ class QuasiStaticPath:
         level = np.ravel(friction.joint_nm) * stribeck
         each = np.arange(angles_rad.shape[1])
         slope[:, each, each] -= level * joint_slope
-        return Balance(angles_rad, torque - level * joint_state, slope, joint_state, chains)
+        return PathBalance(angles_rad, torque - level * joint_state, slope, joint_state, chains)
 
 
 def _rows(whole: _Rows, rows: Ints) -> _Rows:

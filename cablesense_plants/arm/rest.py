@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_plants.arm.body import Body, Ints, PlantError
-from cablesense_plants.arm.geometry import Spans, cable_lengths_m, spans, torques, turns
+from cablesense_plants.arm.body import Body, Ints
+from cablesense_plants.arm.geometry import CableSpans, cable_lengths_m, spans, torques, turns
+from cablesense_plants.cases import PlantError
 
 _ENOUGH_NM = 1e-9
 _MOST_STEPS, _LOAD_STEPS = 150, 13
@@ -21,7 +22,7 @@ _LEAST_DAMPING = 0.02
 _SOFTEST_NM_RAD, _LEAST_NM_RAD = 10.0, 1e-3
 
 
-class Rest(NamedTuple):
+class BodyRest(NamedTuple):
     """Angles (B, 2J) and tensions (B, M) at rest."""
 
     angles_rad: Array
@@ -35,7 +36,7 @@ def commanded_angles_rad(body: Body, command_rad: Array) -> Array:
     return angles.reshape(len(command_rad), -1)
 
 
-def follow_path(body: Body, command_rad: Array, paid_out_m: Array, loads_n: Array) -> Rest:
+def follow_path(body: Body, command_rad: Array, paid_out_m: Array, loads_n: Array) -> BodyRest:
     """Rests of rows (R, 2N), (R, M), (R, N, 3) in their order.
 
     Raises:
@@ -59,10 +60,10 @@ def follow_path(body: Body, command_rad: Array, paid_out_m: Array, loads_n: Arra
         rows = rows + 1
         rows = rows[rows < len(loaded)]
         rows = rows[loaded[rows]]
-    return Rest(angles, tensions)
+    return BodyRest(angles, tensions)
 
 
-def find_rest(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array) -> Rest:
+def find_rest(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array) -> BodyRest:
     """Rest of rows near their starts (B, 2J).
 
     The actuators give cable lengths `paid_out_m` (B, M), less those of the straight arm; the
@@ -83,7 +84,7 @@ def find_rest(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array) -
                 )
         angles[lost], tensions[lost] = start, tension
     require_room(body, angles)
-    return Rest(angles, tensions)
+    return BodyRest(angles, tensions)
 
 
 def require_room(body: Body, angles_rad: Array) -> None:
@@ -158,7 +159,7 @@ def tension_law(body: Body, stretch_m: Array) -> tuple[Array, Array]:
 
 
 def with_cable_torques(
-    across: Spans, tension_n: Array, torque_nm: Array, slope_nm_rad: Array
+    across: CableSpans, tension_n: Array, torque_nm: Array, slope_nm_rad: Array
 ) -> tuple[Array, Array]:
     """Torques (B, 2J) and slopes (B, 2J, 2J) with those of constant span tensions (B, J, M)."""
     cables = -(across.slope_m_rad @ tension_n[..., None])[..., 0]

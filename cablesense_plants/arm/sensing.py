@@ -84,7 +84,7 @@ class Drift:
 
 
 @dataclass(frozen=True)
-class Sensing:
+class SensorFaults:
     """Faults of M sensors, in the order in which a signal meets them; by default none.
 
     Attributes:

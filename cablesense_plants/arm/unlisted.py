@@ -10,9 +10,8 @@ from cablesense_base import Array
 from cablesense_plants.arm.arm import RealArm
 from cablesense_plants.arm.body import Body, CableContact, TipSpring
 from cablesense_plants.arm.change import (
-    UNKNOWN,
-    Change,
-    Draw,
+    ArmChange,
+    ArmDraw,
     Draws,
     added,
     marked,
@@ -21,43 +20,44 @@ from cablesense_plants.arm.change import (
     sized,
 )
 from cablesense_plants.arm.sensing import Dropouts
+from cablesense_plants.cases import UNKNOWN
 
 _DRAWS = Draws(UNKNOWN)
 
 
 @_DRAWS.of_size("1", 5e-4, 0.3)
-def actuator_ratio(draw: Draw) -> Change:
+def actuator_ratio(draw: ArmDraw) -> ArmChange:
     """Actuators that pay out more or less than is commanded."""
     share = draw.weights(draw.cables(1, 3), signed=True)
-    return Change(sets("actuation", ratio=(added, share)))
+    return ArmChange(sets("actuation", ratio=(added, share)))
 
 
 @_DRAWS.of_size("m", 5e-6, 2e-3)
-def clamp_slip(draw: Draw) -> Change:
+def clamp_slip(draw: ArmDraw) -> ArmChange:
     """A clamp or two that let cable through at one moment of the recording."""
     share = draw.weights(draw.cables(1, 2))
     time_s = draw.uniform(60.0, 220.0)
-    return Change(sets("actuation", slip_m=(scaled, share), slip_time_s=time_s))
+    return ArmChange(sets("actuation", slip_m=(scaled, share), slip_time_s=time_s))
 
 
 @_DRAWS.of_size("of the exponent", 0.01, 3.0)
-def hardening_cables(draw: Draw) -> Change:
+def hardening_cables(draw: ArmDraw) -> ArmChange:
     """Cables stiffer the more they carry, as drawn at the pretension."""
-    return Change(sets("body", exponent=(added, 1.0)))
+    return ArmChange(sets("body", exponent=(added, 1.0)))
 
 
 @_DRAWS.of_size("m", 2e-6, 1e-3)
-def screw_error(draw: Draw) -> Change:
+def screw_error(draw: ArmDraw) -> ArmChange:
     """Screws with an error that repeats every turn."""
     share = draw.weights(draw.cables(2, 6))
     pitch_m = draw.uniform(0.002, 0.006)
     phase = draw.rng.uniform(0.0, 2.0 * np.pi, len(share))
     screw = {"screw_pitch_m": pitch_m, "screw_phase_rad": phase}
-    return Change(sets("actuation", screw_m=(scaled, share), **screw))
+    return ArmChange(sets("actuation", screw_m=(scaled, share), **screw))
 
 
 @_DRAWS.of_size("m/rad^2", 1e-3, 1.0)
-def snagging_cables(draw: Draw) -> Change:
+def snagging_cables(draw: ArmDraw) -> ArmChange:
     """Cables that touch and push each other aside where a joint bends one way."""
     joint = draw.segment()
     passing = np.arange(joint * draw.nominal.per_segment, draw.nominal.cable_count)
@@ -66,13 +66,13 @@ def snagging_cables(draw: Draw) -> Change:
     sign = draw.sign()
     toward = (sign, 0.0) if pitch else (0.0, sign)
     contact = CableContact(joint, toward, pair, 1.0, draw.uniform(0.0, 0.06))
-    return Change(sets("body", cable_contacts=(sized, contact, "depth_m_rad2")))
+    return ArmChange(sets("body", cable_contacts=(sized, contact, "depth_m_rad2")))
 
 
 @_DRAWS.of_size("rad/(N m)", 1e-4, 0.05)
-def limber_segments(draw: Draw) -> Change:
+def limber_segments(draw: ArmDraw) -> ArmChange:
     """Segments that bend in their middle under what they carry."""
-    return Change(_limber)
+    return ArmChange(_limber)
 
 
 def _limber(arm: RealArm, size: float) -> RealArm:
@@ -113,21 +113,21 @@ def _with_middles(body: Body, stiffness_nm_rad: float) -> Body:
 
 
 @_DRAWS.of_size("m", 5e-4, 0.045)
-def link_length(draw: Draw) -> Change:
+def link_length(draw: ArmDraw) -> ArmChange:
     """A segment that is longer or shorter than drawn, so that the next joint is elsewhere."""
     count = draw.nominal.segment_count
     share = marked(int(draw.rng.integers(1, count)), count, draw.sign())
-    return Change(sets("body", spacing_m=(added, share)))
+    return ArmChange(sets("body", spacing_m=(added, share)))
 
 
 @_DRAWS.of_size("deg", 1.0, 30.0)
-def skewed_axes(draw: Draw) -> Change:
+def skewed_axes(draw: ArmDraw) -> ArmChange:
     """Joints whose axes are turned against the plates."""
     axes = np.zeros((draw.nominal.segment_count, 3))
     chosen = draw.some(len(axes), 1, 2)
     directions = draw.rng.standard_normal((len(chosen), 3))
     axes[chosen] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    return Change(sets("body", skew=(_rotations, axes)))
+    return ArmChange(sets("body", skew=(_rotations, axes)))
 
 
 def _rotations(_old: Array, size_deg: float, axis: Array) -> Array:
@@ -138,76 +138,76 @@ def _rotations(_old: Array, size_deg: float, axis: Array) -> Array:
 
 
 @_DRAWS.of_size("N m", 0.005, 3.0)
-def cogging(draw: Draw) -> Change:
+def cogging(draw: ArmDraw) -> ArmChange:
     """Joints with notches: a torque periodic in their angle."""
     share = np.zeros((draw.nominal.segment_count, 2))
     share[draw.some(len(share), 1, 2)] = 1.0
     per_turn = draw.uniform(40.0, 90.0)
-    return Change(sets("body", cogging_nm=(scaled, share), cogging_per_turn=per_turn))
+    return ArmChange(sets("body", cogging_nm=(scaled, share), cogging_per_turn=per_turn))
 
 
 @_DRAWS.of_size("N/m", 0.3, 300.0)
-def tether(draw: Draw) -> Change:
+def tether(draw: ArmDraw) -> ArmChange:
     """A hose or a band from the arm's end to somewhere beside it."""
     angle, away_m = draw.uniform(0.0, 2.0 * np.pi), draw.uniform(0.1, 0.4)
     x = _reach_m(draw) + draw.uniform(-0.2, 0.1)
     spring = TipSpring((x, float(away_m * np.sin(angle)), float(away_m * np.cos(angle))), 1.0)
-    return Change(sets("body", tip_springs=(sized, spring, "stiffness_n_m")))
+    return ArmChange(sets("body", tip_springs=(sized, spring, "stiffness_n_m")))
 
 
 @_DRAWS.of_size("N/m", 5.0, 2e4)
-def wall(draw: Draw) -> Change:
+def wall(draw: ArmDraw) -> ArmChange:
     """An elastic wall that the arm's end touches on one side."""
     angle, away_m = draw.uniform(0.0, 2.0 * np.pi), draw.uniform(0.003, 0.03)
     normal = (0.0, float(np.sin(angle)), float(np.cos(angle)))
     spring = TipSpring((_reach_m(draw), away_m * normal[1], away_m * normal[2]), 1.0, normal)
-    return Change(sets("body", tip_springs=(sized, spring, "stiffness_n_m")))
+    return ArmChange(sets("body", tip_springs=(sized, spring, "stiffness_n_m")))
 
 
-def _reach_m(draw: Draw) -> float:
+def _reach_m(draw: ArmDraw) -> float:
     return draw.nominal.plate_offset_m + float(draw.nominal.length_m.sum())
 
 
 @_DRAWS.of_size("1/N", 2e-5, 0.01)
-def sensor_bow(draw: Draw) -> Change:
+def sensor_bow(draw: ArmDraw) -> ArmChange:
     """Sensors whose scale changes with the tension."""
     bow = _all_or_some(draw) * draw.sign()
-    return Change(sets("sensing", bow_per_n=(scaled, bow)))
+    return ArmChange(sets("sensing", bow_per_n=(scaled, bow)))
 
 
 @_DRAWS.of_size("N")
-def sensor_ceiling(draw: Draw) -> Change:
+def sensor_ceiling(draw: ArmDraw) -> ArmChange:
     """Sensors or amplifiers that saturate; the size is how far below five times the pretension."""
     full_n = 5.0 * draw.nominal.pretension_n
     ceiling = sets("sensing", ceiling_n=(_ceiling, _all_or_some(draw), full_n))
-    return Change(ceiling, least=0.12 * full_n, most=0.78 * full_n)
+    return ArmChange(ceiling, least=0.12 * full_n, most=0.78 * full_n)
 
 
 def _ceiling(old: Array, size: float, sensors: Array, full_n: float) -> Array:
     return np.where(sensors > 0.0, full_n - size, old)
 
 
-def _all_or_some(draw: Draw) -> Array:
+def _all_or_some(draw: ArmDraw) -> Array:
     """(M,) of 0 and 1 for all sensors or for two to six."""
     chosen = slice(None) if draw.chance(0.5) else draw.cables(2, 6)
     return marked(chosen, draw.nominal.cable_count)
 
 
 @_DRAWS.of_size("of the rows", 0.01, 0.6)
-def sensor_dropouts(draw: Draw) -> Change:
+def sensor_dropouts(draw: ArmDraw) -> ArmChange:
     """Channels that now and then repeat their last value for a while."""
     share = draw.weights(draw.cables(1, 6))
     dropouts = Dropouts(share, draw.uniform(8.0, 40.0), int(draw.rng.integers(2**31)))
-    return Change(sets("sensing", dropouts=(sized, dropouts, "share")))
+    return ArmChange(sets("sensing", dropouts=(sized, dropouts, "share")))
 
 
 @_DRAWS.of_size("N", 0.1, 15.0)
-def sensor_hum(draw: Draw) -> Change:
+def sensor_hum(draw: ArmDraw) -> ArmChange:
     """An interference of a few tenths of a hertz on several channels."""
     share = draw.weights(draw.cables(3, 8))
     hz = draw.uniform(0.15, 0.9)
     phase_rad = np.full(len(share), draw.uniform(0.0, 2.0 * np.pi))
-    return Change(sets("sensing", hum_n=(scaled, share), hum_hz=hz, hum_phase_rad=phase_rad))
+    return ArmChange(sets("sensing", hum_n=(scaled, share), hum_hz=hz, hum_phase_rad=phase_rad))
 
 
 UNLISTED = _DRAWS.by_name

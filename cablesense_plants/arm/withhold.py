@@ -5,11 +5,9 @@ A set of cases becomes files: recordings as CSV, what is hidden in them as a tab
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil
 from pathlib import Path
@@ -17,17 +15,23 @@ from pathlib import Path
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_base.files import written_whole
 from cablesense_base.workers import WorkerPool
 from cablesense_plants.arm.arm import RealArm, ideal_arm, with_tolerances
-from cablesense_plants.arm.body import Nominal, PlantError
-from cablesense_plants.arm.change import UNKNOWN, Change
+from cablesense_plants.arm.body import Nominal
+from cablesense_plants.arm.change import ArmChange
 from cablesense_plants.arm.listed import LISTED
 from cablesense_plants.arm.protocol import Schedule, draw_history, draw_schedule
 from cablesense_plants.arm.sensing import read_n
 from cablesense_plants.arm.unlisted import UNLISTED
-
-NONE = "none"
+from cablesense_plants.cases import (
+    NONE,
+    UNKNOWN,
+    PlantError,
+    different,
+    in_turn,
+    plant_file,
+    write_answers,
+)
 
 _FLOORS = {"faint": (1.0, 5.0), "plain": (5.0, 60.0), "gross": (60.0, 100.0)}
 _SHARES = (0.1, 0.78, 0.12)
@@ -56,7 +60,7 @@ def withhold(
     workers: int = 1,
     *,
     second: bool = False,
-) -> Iterator[Answer]:
+) -> Iterator[ArmAnswer]:
     """Write `case_001.csv` … into a folder and, at the end, the answers; yields them as they come.
 
     With `second`, the folder `second/` beside them gets another recording of each arm, with other
@@ -83,12 +87,7 @@ def withhold(
                 _write_recording(folder / "second" / name, hertz, *recorded.second)
             answers.append(recorded.answer)
             yield recorded.answer
-    with _written(answers_file) as beside, beside.open("w", encoding="utf-8", newline="") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(field.name for field in fields(Answer))
-        for answer in answers:
-            row = astuple(answer)
-            table.writerow(f"{x:.4f}" if isinstance(x, float) else x for x in row)
+    write_answers(answers_file, answers, decimals=4)
 
 
 def draw_several(rng: np.random.Generator, count: int, least: int, most: int) -> list[str]:
@@ -106,14 +105,14 @@ def draw_kinds(rng: np.random.Generator, count: int, only: Sequence[str] = ()) -
     """
     if only:
         return [only[i % len(only)] for i in range(count)]
-    listed, unlisted = _in_turn(rng, list(LISTED)), _in_turn(rng, list(UNLISTED))
+    listed, unlisted = in_turn(rng, list(LISTED)), in_turn(rng, list(UNLISTED))
     none, unknown = ceil(_NONE_SHARE * count), ceil(_UNKNOWN_SHARE * count)
     doubles = round(_DOUBLE_SHARE * count)
     singles = max(0, count - none - unknown - doubles)
     kinds = [NONE] * none
     kinds += [next(unlisted) for _ in range(unknown)]
     kinds += [next(listed) for _ in range(singles)]
-    kinds += [_pair(listed) for _ in range(doubles)]
+    kinds += ["+".join(sorted(different(listed, 2))) for _ in range(doubles)]
     return [kinds[i] for i in rng.permutation(len(kinds))][:count]
 
 
@@ -131,17 +130,6 @@ def make_case(
     raise AssertionError
 
 
-def _in_turn(rng: np.random.Generator, names: list[str]) -> Iterator[str]:
-    while True:
-        yield from (names[i] for i in rng.permutation(len(names)))
-
-
-def _pair(names: Iterator[str]) -> str:
-    first = next(names)
-    second = next(name for name in names if name != first)
-    return "+".join(sorted((first, second)))
-
-
 def _write_recording(path: Path, rate_hz: float, done: Schedule, tensions_n: Array) -> None:
     """One row a sample, columns named with their units."""
     angles, cables = done.command_rad.shape[1], tensions_n.shape[1]
@@ -153,20 +141,12 @@ def _write_recording(path: Path, rate_hz: float, done: Schedule, tensions_n: Arr
     for column, places in zip(table.T, decimals, strict=True):
         column[:] = np.round(column, places) + 0.0  # no -0.00
     formats = [f"%.{places}f" for places in decimals]
-    with _written(path) as beside:
+    with plant_file(path) as beside:
         np.savetxt(beside, table, formats, ",", header=",".join(header), comments="")
 
 
-def _written(path: Path) -> AbstractContextManager[Path]:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise PlantError(f"{path}: cannot be written ({error.strerror or error})") from error
-    return written_whole(path, PlantError)
-
-
 @dataclass(frozen=True)
-class Answer:
+class ArmAnswer:
     """What was hidden in a recording.
 
     Attributes:
@@ -203,7 +183,7 @@ class CaseRecording:
 
     schedule: Schedule
     tensions_n: Array
-    answer: Answer
+    answer: ArmAnswer
     second: tuple[Schedule, Array] | None = None
 
 
@@ -263,7 +243,7 @@ def record_case(
     ]
     found = {tuple(place.split("_")) for change, _ in changes for place in change.where}
     places = sorted((kind, int(number)) for kind, number in found)
-    answer = Answer(
+    answer = ArmAnswer(
         recording=f"case_{index:03d}",
         effects="+".join(sorted(change.effect for change, _ in changes)) or NONE,
         where=" ".join(f"{kind}_{number}" for kind, number in places),
@@ -283,7 +263,7 @@ def record_case(
 
 
 def size_for(
-    change: Change, arm: RealArm, wanted_n: float, schedule: Schedule, history: Schedule
+    change: ArmChange, arm: RealArm, wanted_n: float, schedule: Schedule, history: Schedule
 ) -> float:
     """Size within the change's bounds whose gap against the arm without it is nearest.
 
@@ -322,14 +302,14 @@ def gap_n(first_n: Array, second_n: Array) -> float:
 
 
 def _alone_n(
-    change: Change, size: float, arm: RealArm, schedule: Schedule, history: Schedule
+    change: ArmChange, size: float, arm: RealArm, schedule: Schedule, history: Schedule
 ) -> float:
     rows = _rows_to_try(change, arm, schedule)
     changed = change.apply(arm, size).signals_n(rows, history)
     return gap_n(changed, arm.signals_n(rows, history))
 
 
-def _rows_to_try(change: Change, arm: RealArm, schedule: Schedule) -> Schedule:
+def _rows_to_try(change: ArmChange, arm: RealArm, schedule: Schedule) -> Schedule:
     """The rows of a schedule that a gap is computed from: fewer where each waits for the last."""
     rows = len(schedule.time_s) / (schedule.time_s[-1] - schedule.time_s[0]) / _TRIED_HZ
     history_dependent = change.apply(arm, change.least).history_dependent

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import csv
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from cablesense_base import Array
+from cablesense_plants.cases import NONE, UNKNOWN, PlantError, different, in_turn, plant_file
 from cablesense_plants.robot.causes import (
-    UNKNOWN,
-    Cause,
-    Draw,
-    in_turn,
+    RobotChange,
+    RobotDraw,
     of_tendons,
     pools,
     with_tolerances,
 )
-from cablesense_plants.robot.hidden import Hidden, Kind, stacked
+from cablesense_plants.robot.hidden import RealRobot, RobotKind, stacked
 from cablesense_plants.robot.kinds import GUIDED, KINDS
 from cablesense_plants.robot.motion import (
     Reference,
@@ -32,8 +30,7 @@ from cablesense_plants.robot.motion import (
     written,
 )
 
-Drawing = Callable[[Draw], Cause]
-NONE = "none"
+Drawing = Callable[[RobotDraw], RobotChange]
 _OF_LINKS = ("link_centre", "link_mass", "payload")
 _NONE_SHARE, _UNKNOWN_SHARE, _SEVERAL_SHARE = 0.2, 0.2, 0.2
 _FLOORS = (6.0, 40.0)
@@ -46,7 +43,7 @@ _TRIES, _REDRAWS, _OF_ONE_NAME = 5, 60, 6
 
 
 @dataclass(frozen=True)
-class Answer:
+class RobotAnswer:
     """What is hidden in a recording; gaps are in noise of one sample of a torque, pooled.
 
     Attributes:
@@ -74,17 +71,17 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Case:
+class RobotCase:
     """A robot with something hidden, and what it is asked to do in two recordings."""
 
-    answer: Answer
-    kind: Kind
-    robot: Hidden
+    answer: RobotAnswer
+    kind: RobotKind
+    robot: RealRobot
     asked: tuple[Reference, Reference]
     seeds: tuple[int, int]
 
 
-def drawn(count: int, seed: int, *, commands: bool = False) -> list[Case]:
+def drawn(count: int, seed: int, *, commands: bool = False) -> list[RobotCase]:
     """Cases of a seed: robots in turn; shares of `none`, `unknown`, one and several effects.
 
     By `commands` causes are left out that show in torques alone.
@@ -95,7 +92,7 @@ def drawn(count: int, seed: int, *, commands: bool = False) -> list[Case]:
     none, unknown = round(_NONE_SHARE * count), round(_UNKNOWN_SHARE * count)
     several = round(_SEVERAL_SHARE * count)
     sets: list[list[str]] = [[]] * none + [[next(unlisted)] for _ in range(unknown)]
-    sets += [_different(listed, 2 + int(rng.random() < 0.4)) for _ in range(several)]
+    sets += [different(listed, 2 + int(rng.random() < 0.4)) for _ in range(several)]
     sets += [[next(listed)] for _ in range(count - len(sets))]
     kinds = in_turn(rng, list(KINDS))
     return [
@@ -104,13 +101,13 @@ def drawn(count: int, seed: int, *, commands: bool = False) -> list[Case]:
     ]
 
 
-def with_play(count: int, seed: int) -> list[Case]:
+def with_play(count: int, seed: int) -> list[RobotCase]:
     """Pendulums of two links, each with backlash in one joint."""
     known, kind = pools(commands=True), KINDS["two_links"]
     return [draw_case(kind, ["backlash"], seed, index + 1, known) for index in range(count)]
 
 
-def with_tendons(count: int, seed: int) -> list[Case]:
+def with_tendons(count: int, seed: int) -> list[RobotCase]:
     """Fingers with guides: of four two have tendons that rub, one other friction, one nothing."""
     known = of_tendons()
     others = in_turn(np.random.default_rng([seed]), list(known[1]))
@@ -120,17 +117,13 @@ def with_tendons(count: int, seed: int) -> list[Case]:
     return [draw_case(GUIDED, own, seed, k + 1, known) for k, own in enumerate(names)]
 
 
-def _different(names: Iterator[str], count: int) -> list[str]:
-    found: list[str] = []
-    while len(found) < count:
-        name = next(names)
-        found += [name] if name not in found else []
-    return found
-
-
 def draw_case(
-    kind: Kind, names: list[str], seed: int, index: int, known: Sequence[Mapping[str, Drawing]]
-) -> Case:
+    kind: RobotKind,
+    names: list[str],
+    seed: int,
+    index: int,
+    known: Sequence[Mapping[str, Drawing]],
+) -> RobotCase:
     """One case; a cause that this robot cannot show is drawn anew, of another name if need be."""
     rng = np.random.default_rng([seed, index])
     nominal, joints, links = kind.nominal()
@@ -138,8 +131,8 @@ def draw_case(
     plain = with_tolerances(nominal, kind, rng)
     without = _read(kind, plain, asked[0])
     scatter = _gap(kind, without, _read(kind, nominal, asked[0]))
-    draw = Draw(rng, kind, nominal, joints, links)
-    causes: list[tuple[Cause, float, float]] = []
+    draw = RobotDraw(rng, kind, nominal, joints, links)
+    causes: list[tuple[RobotChange, float, float]] = []
     for name in names:
         taken = [c for c, *_ in causes]
         pool = next(pool for pool in known if name in pool)
@@ -148,13 +141,13 @@ def draw_case(
     robot = plain
     for cause, size, _ in causes:
         robot = cause.apply(robot, size)
-    places = [place for cause, *_ in causes for place in cause.places if cause.effect != UNKNOWN]
+    places = [place for cause, *_ in causes for place in cause.where if cause.effect != UNKNOWN]
     sizes = [
-        {"effect": c.effect, "size": float(f"{size:.4g}"), "unit": c.unit, "places": c.places}
+        {"effect": c.effect, "size": float(f"{size:.4g}"), "unit": c.unit, "places": c.where}
         | {key: round(value, 4) for key, value in c.details.items()}
         for c, size, _ in causes
     ]
-    answer = Answer(
+    answer = RobotAnswer(
         recording=f"case_{index:03d}",
         robot=kind.name,
         effects="+".join(c.effect for c, *_ in causes) or NONE,
@@ -166,19 +159,19 @@ def draw_case(
         each_gap_n=" ".join(f"{gap:.2f}" for *_, gap in causes),
     )
     seeds = int(rng.integers(2**31)), int(rng.integers(2**31))
-    return Case(answer, kind, robot, asked, seeds)
+    return RobotCase(answer, kind, robot, asked, seeds)
 
 
 def _sized(
-    draw: Draw,
+    draw: RobotDraw,
     name: str,
     pool: Mapping[str, Drawing],
-    taken: list[Cause],
-    plain: Hidden,
+    taken: list[RobotChange],
+    plain: RealRobot,
     asked: Reference,
     without: Array,
     scatter: float,
-) -> tuple[Cause, float, float]:
+) -> tuple[RobotChange, float, float]:
     """A cause, a size that makes about the gap wanted, and that gap."""
     known = {cause.effect for cause in taken}
     others = [n for n in pool if n not in known and _can_show(draw, n)]
@@ -188,7 +181,7 @@ def _sized(
             name = str(draw.rng.choice(others))
         cause = pool[name](draw)
         if cause.effect in _OF_LINKS and any(
-            other.effect in _OF_LINKS and other.places == cause.places for other in taken
+            other.effect in _OF_LINKS and other.where == cause.where for other in taken
         ):
             continue  # three names for one thing
         least = max(_FLOORS[0], _TOLERANCES * scatter)
@@ -196,17 +189,22 @@ def _sized(
         size, gap = _size_for(draw.kind, cause, plain, asked, without, wanted)
         if gap >= _VISIBLE * least and size >= cause.least:
             return cause, size, gap
-    raise ValueError(f"{draw.kind.name}: no {name} shows")
+    raise PlantError(f"{draw.kind.name}: no {name} shows")
 
 
-def _can_show(draw: Draw, name: str) -> bool:
+def _can_show(draw: RobotDraw, name: str) -> bool:
     """In a plane a tilt is the first joint's zero, and a zero turns the last link's centre."""
     indistinct = ("base_tilt", "joint_zero") if not draw.robot.stiffness.any() else ("base_tilt",)
     return not (draw.planar and name in indistinct)
 
 
 def _size_for(
-    kind: Kind, cause: Cause, plain: Hidden, asked: Reference, without: Array, wanted: float
+    kind: RobotKind,
+    cause: RobotChange,
+    plain: RealRobot,
+    asked: Reference,
+    without: Array,
+    wanted: float,
 ) -> tuple[float, float]:
     """By the ratio of what is wanted to what a size makes, within the cause's bounds."""
     size, best, found = 0.1 * cause.most, 0.0, 0.0
@@ -220,15 +218,15 @@ def _size_for(
     return best, found
 
 
-def _read(kind: Kind, robot: Hidden, asked: Reference) -> Array:
+def _read(kind: RobotKind, robot: RealRobot, asked: Reference) -> Array:
     return prescribed_n_m(kind, robot, asked)
 
 
-def _gap(kind: Kind, first: Array, second: Array) -> float:
+def _gap(kind: RobotKind, first: Array, second: Array) -> float:
     return float(np.sqrt((((first - second) / kind.noise_n_m) ** 2).mean()))
 
 
-def record(cases: list[Case], folder: Path) -> None:
+def record(cases: list[RobotCase], folder: Path) -> None:
     """Recordings of cases of one kind: `case_001.csv.gz` …, and the other in `second/`."""
     kind = cases[0].kind
     robots = stacked([case.robot for case in cases for _ in case.asked])
@@ -243,20 +241,11 @@ def record(cases: list[Case], folder: Path) -> None:
         for part in ("", "second")
     ]
     for path, each in zip(names, columns, strict=True):
-        path.parent.mkdir(parents=True, exist_ok=True)
         table = {"time_s": each["time_s"], "trial": each["trial"].astype(int)}
         for what in ("position", "velocity", "torque"):
             table |= {f"{what}.{j}": c for j, c in zip(joints, each[what].T, strict=True)}
         table |= {f"command.{d}": c for d, c in zip(kind.drives, each["command"].T, strict=True)}
-        beside = path.with_name(f"part_{path.name}")
-        pd.DataFrame(table).to_csv(beside, index=False, float_format="%.6g")
-        beside.rename(path)
-
-
-def write_answers(cases: list[Case], path: Path) -> None:
-    """What is hidden, as a table."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", encoding="utf-8", newline="") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(f.name for f in fields(Answer))
-        table.writerows(astuple(case.answer) for case in cases)
+        with plant_file(path) as beside:
+            pd.DataFrame(table).to_csv(
+                beside, index=False, float_format="%.6g", compression="gzip"
+            )

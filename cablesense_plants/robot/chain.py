@@ -19,7 +19,7 @@ GRAVITY_M_S2 = (0.0, 0.0, -9.81)
 
 
 @dataclass(frozen=True)
-class Chain:
+class LinkChain:
     """N links, each on the last; arrays may lead with axes for several robots, here B.
 
     At zero the axes of all links are parallel to those of the base.
@@ -42,17 +42,17 @@ class Chain:
 
     def torques_n_m(self, angle: Array, speed: Array, acceleration: Array) -> Array:
         """Torques (..., B, N) about the hinges that a motion takes; rad, rad/s, rad/s²."""
-        return _Pose(self, angle).torques_n_m(speed, acceleration, self.gravity_m_s2)
+        return _ChainPose(self, angle).torques_n_m(speed, acceleration, self.gravity_m_s2)
 
     def mass_matrix(self, angle: Array) -> Array:
         """(B, N, N) at angles (B, N)."""
-        return _Pose(self, angle).mass_matrix()
+        return _ChainPose(self, angle).mass_matrix()
 
     def accelerations(
         self, angle: Array, speed: Array, torque_n_m: Array, extra_inertia: Array
     ) -> Array:
         """(B, N) under torques; `extra_inertia` (B, N, N) is that of rotors."""
-        pose = _Pose(self, angle)
+        pose = _ChainPose(self, angle)
         bias = pose.torques_n_m(speed, np.zeros_like(speed), self.gravity_m_s2)
         inertia = pose.mass_matrix() + extra_inertia
         return np.asarray(
@@ -61,12 +61,12 @@ class Chain:
 
     def energy_j(self, angle: Array, speed: Array) -> Array:
         """(B,) kinetic and potential."""
-        pose = _Pose(self, angle)
+        pose = _ChainPose(self, angle)
         kinetic = 0.5 * np.einsum("...i,...ij,...j->...", speed, pose.mass_matrix(), speed)
         fall = np.einsum("...ni,...i->...n", pose.centre_m, self.gravity_m_s2)
         return np.asarray(kinetic - (self.mass_kg * fall).sum(-1))
 
-    def with_mass(self, link: int, mass_kg: float, place_m: Array) -> Chain:
+    def with_mass(self, link: int, mass_kg: float, place_m: Array) -> LinkChain:
         """A point mass fixed to a link, at a place in its axes; of one robot."""
         mass, centre, inertia = (
             each.copy() for each in (self.mass_kg, self.centre_m, self.inertia_kg_m2)
@@ -79,10 +79,10 @@ class Chain:
         return replace(self, mass_kg=mass, centre_m=centre, inertia_kg_m2=inertia)
 
 
-class _Pose:
+class _ChainPose:
     """Chains at angles (..., N): all places and axes in the base's axes."""
 
-    def __init__(self, chain: Chain, angle: Array) -> None:
+    def __init__(self, chain: LinkChain, angle: Array) -> None:
         turned = _rotations(chain.axis, angle)
         frames, origins = [turned[..., 0, :, :]], [chain.origin_m[..., 0, :]]
         origins[0] = np.broadcast_to(origins[0], (*angle.shape[:-1], 3))
@@ -132,7 +132,7 @@ class _Pose:
         return np.asarray(upper + np.swapaxes(np.triu(upper, 1), -1, -2))
 
 
-def read_chain(path: str | Path) -> tuple[Chain, dict[str, Array], list[str], list[str]]:
+def read_chain(path: str | Path) -> tuple[LinkChain, dict[str, Array], list[str], list[str]]:
     """The chain of one of these MJCFs.
 
     Gives also `damping`, `armature` and `stiffness` by joint (N,), and the joints' and the
@@ -146,7 +146,7 @@ def read_chain(path: str | Path) -> tuple[Chain, dict[str, Array], list[str], li
         body = body.find("body")
     inertials = [_child(link, "inertial") for link in links]
     axis = np.array([_numbers(joint, "axis") for joint in joints])
-    chain = Chain(
+    chain = LinkChain(
         axis=axis / np.linalg.norm(axis, axis=1, keepdims=True),
         origin_m=np.array([_numbers(link, "pos", "0 0 0") for link in links]),
         mass_kg=np.array([_numbers(each, "mass")[0] for each in inertials]),

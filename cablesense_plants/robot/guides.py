@@ -22,7 +22,7 @@ _SWEEPS, _CLOSE_N = 40, 1e-3
 
 
 @dataclass(frozen=True)
-class Guides:
+class TendonGuides:
     """Of K tendons, P points each, of a robot whose N joints all turn about y.
 
     Attributes:
@@ -71,7 +71,7 @@ class Guides:
 class Rubbing:
     """The cable of B robots, and how it lies now."""
 
-    def __init__(self, guides: Guides, friction: Array, angle: Array) -> None:
+    def __init__(self, guides: TendonGuides, friction: Array, angle: Array) -> None:
         """`friction` (B, K) of each tendon with its guides; at angles (B, N) at first."""
         self._guides, self._friction = guides, friction
         points, _ = guides.pose(angle)
@@ -131,7 +131,7 @@ def pulls_n(moment_m: Array, torque_n_m: Array) -> Array:
     return pulls
 
 
-def read_guides(path: str | Path) -> Guides:
+def read_guides(path: str | Path) -> TendonGuides:
     """The tendons of one of these MJCFs; short ones have points more on their first piece."""
     root = ElementTree.parse(path).getroot()
     places: dict[str, tuple[int, Array]] = {}
@@ -151,7 +151,7 @@ def read_guides(path: str | Path) -> Guides:
         missing = most - len(own)
         between = (np.arange(missing) + 1.0) / (missing + 1.0)
         own[1:1] = [(link, first + share * (second - first)) for share in between]
-    return Guides(
+    return TendonGuides(
         names=tuple(t.attrib["name"] for t in tendons),
         link=np.array([[link for link, _ in own] for own in paths]),
         place_m=np.array([[place for _, place in own] for own in paths]),

@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_plants.robot.chain import Chain, read_chain
-from cablesense_plants.robot.guides import Guides
+from cablesense_plants.robot.chain import LinkChain, read_chain
+from cablesense_plants.robot.guides import TendonGuides
 
 _T = TypeVar("_T")
 _RIGID = 1e9
@@ -24,7 +24,7 @@ _SETTLE_SHARE = 0.3
 
 
 @dataclass(frozen=True)
-class Kind:
+class RobotKind:
     """A nominal robot, how it is run, and how well it is measured.
 
     Attributes:
@@ -51,19 +51,19 @@ class Kind:
     gain_1_s2: float
     drives: tuple[str, ...]
     tendon_m: Array | None = None
-    guides: Guides | None = None
+    guides: TendonGuides | None = None
 
     @property
     def name(self) -> str:
         """Of the file."""
         return self.path.stem
 
-    def nominal(self) -> tuple[Hidden, list[str], list[str]]:
+    def nominal(self) -> tuple[RealRobot, list[str], list[str]]:
         """The robot without anything hidden; names of its joints and links."""
         chain, sizes, joints, links = read_chain(self.path)
         count = len(joints)
         none = np.zeros(count)
-        robot = Hidden(
+        robot = RealRobot(
             chain=chain,
             **sizes,
             dry=none,
@@ -95,7 +95,7 @@ class Kind:
 
 
 @dataclass(frozen=True)
-class Hidden:
+class RealRobot:
     """One robot, or several with a leading axis (B,) to every array; by joint (N,) unless stated.
 
     Attributes:
@@ -116,7 +116,7 @@ class Hidden:
         base_axis, base_stiffness: (3,) and () of what the robot stands on.
     """
 
-    chain: Chain
+    chain: LinkChain
     damping: Array
     armature: Array
     stiffness: Array
@@ -170,11 +170,11 @@ class Hidden:
             * (pressed != 0.0)
         )
 
-    def on_base(self) -> Chain:
+    def on_base(self) -> LinkChain:
         """The chain with the base as a first link, which turns about `base_axis`."""
         chain = self.chain
         lead = chain.mass_kg[..., :1]
-        return Chain(
+        return LinkChain(
             axis=np.concatenate([self.base_axis[..., None, :], chain.axis], -2),
             origin_m=_led(chain.origin_m, -2),
             mass_kg=np.concatenate([np.zeros_like(lead), chain.mass_kg], -1),
@@ -218,7 +218,7 @@ def stacked(robots: Sequence[_T]) -> _T:
 
 def _columns(robots: Any) -> Any:
     """Numbers by robot (B,) as columns (B, 1), where they meet joints."""
-    if not isinstance(robots, Hidden):
+    if not isinstance(robots, RealRobot):
         return robots
     return replace(
         robots,

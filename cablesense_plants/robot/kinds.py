@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from cablesense_plants.robot.guides import read_guides
-from cablesense_plants.robot.hidden import Kind
+from cablesense_plants.robot.hidden import RobotKind
 
 MODELS = Path(__file__).parents[2] / "config" / "robots"
 
 KINDS = {
     kind.name: kind
     for kind in (
-        Kind(
+        RobotKind(
             path=MODELS / "arm_6.xml",
             home_rad=np.array([0.0, -0.7, 1.1, 0.0, 0.5, 0.0]),
             reach_rad=np.array([1.2, 0.6, 0.8, 1.2, 0.9, 1.5]),
@@ -27,7 +27,7 @@ KINDS = {
             gain_1_s2=600.0,
             drives=tuple(f"motor_{n + 1}" for n in range(6)),
         ),
-        Kind(
+        RobotKind(
             path=MODELS / "two_links.xml",
             home_rad=np.array([0.3, -0.2]),
             reach_rad=np.array([1.8, 2.2]),
@@ -39,7 +39,7 @@ KINDS = {
             gain_1_s2=500.0,
             drives=("motor_1", "motor_2"),
         ),
-        Kind(
+        RobotKind(
             path=MODELS / "finger.xml",
             home_rad=np.array([0.5, 0.5]),
             reach_rad=np.array([0.7, 0.8]),

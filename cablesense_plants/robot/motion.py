@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from cablesense_base import Array
 from cablesense_plants.robot.guides import Rubbing, pulls_n
-from cablesense_plants.robot.hidden import Hidden, Kind, stacked
+from cablesense_plants.robot.hidden import RealRobot, RobotKind, stacked
 
 STEP_S = 1e-3
 """Of the simulation and of the robots' controller."""
@@ -42,7 +42,7 @@ class Reference(NamedTuple):
         return _times_s(len(self.angle))
 
 
-def reference(kind: Kind, rng: np.random.Generator) -> Reference:
+def reference(kind: RobotKind, rng: np.random.Generator) -> Reference:
     """All trials of one recording, (T, N); each begins and ends at rest at home."""
     steps = round(kind.trial_s / STEP_S)
     time_s = _times_s(steps)
@@ -59,7 +59,7 @@ def reference(kind: Kind, rng: np.random.Generator) -> Reference:
     return Reference(angle, speed, np.gradient(speed, STEP_S, axis=0))
 
 
-def _sines(kind: Kind, rng: np.random.Generator, time_s: Array) -> Array:
+def _sines(kind: RobotKind, rng: np.random.Generator, time_s: Array) -> Array:
     """Four sines by joint, as identification of robots takes them."""
     count = len(kind.home_rad)
     frequency = kind.speed_hz * rng.uniform(0.15, 1.0, (4, count))
@@ -70,7 +70,7 @@ def _sines(kind: Kind, rng: np.random.Generator, time_s: Array) -> Array:
     return np.asarray(whole * _smooth(edge)[:, None])
 
 
-def _points(kind: Kind, rng: np.random.Generator, time_s: Array) -> Array:
+def _points(kind: RobotKind, rng: np.random.Generator, time_s: Array) -> Array:
     """From point to point with a rest at each, and home again."""
     count = max(2, int(time_s[-1] / (_MOVE_S + _HOLD_S)))
     slot_s = time_s[-1] / count
@@ -81,7 +81,7 @@ def _points(kind: Kind, rng: np.random.Generator, time_s: Array) -> Array:
     return np.asarray(goals[at] + share[:, None] * (goals[at + 1] - goals[at]))
 
 
-def _slow(kind: Kind, rng: np.random.Generator, time_s: Array) -> Array:
+def _slow(kind: RobotKind, rng: np.random.Generator, time_s: Array) -> Array:
     """Every joint to one side and the other, once or twice in the trial."""
     turns = rng.integers(1, 3, len(kind.home_rad)) * rng.choice([-1, 1], len(kind.home_rad))
     share = (time_s / time_s[-1])[:, None]
@@ -100,7 +100,7 @@ def stacked_references(references: list[Reference]) -> Reference:
     return Reference(*(np.stack(parts, 1) for parts in zip(*references, strict=True)))
 
 
-def prescribed_n_m(kind: Kind, robot: Hidden, asked: Reference) -> Array:
+def prescribed_n_m(kind: RobotKind, robot: RealRobot, asked: Reference) -> Array:
     """Torques (T', N) that sensors would read if one robot did just what it is asked for.
 
     Every eighth step. To size what is hidden: quick, without a controller, friction without its
@@ -108,7 +108,7 @@ def prescribed_n_m(kind: Kind, robot: Hidden, asked: Reference) -> Array:
     """
     asked = Reference(*(part[::_STRIDE, None, :] for part in asked))
     time_s = _times_s(len(asked.angle), _STRIDE)
-    robots: Hidden = stacked([robot])
+    robots: RealRobot = stacked([robot])
     gain = 1.0 + robots.encoder_scale
     motor = [(asked.angle - robots.zero) / gain, asked.speed / gain, asked.acceleration / gain]
     joint = [part @ robot.moved.T for part in motor]
@@ -140,7 +140,7 @@ def prescribed_n_m(kind: Kind, robot: Hidden, asked: Reference) -> Array:
     return robots.read_n_m(drive + way * robots.kinetic_n_m(motor[1], drive), time_s)[:, 0]
 
 
-def _push(robots: Hidden, time_s: Array, trial_s: float) -> Array:
+def _push(robots: RealRobot, time_s: Array, trial_s: float) -> Array:
     """(T, B, N) torque by someone, who comes and goes."""
     since = time_s / trial_s - np.floor(time_s / trial_s)
     strength = _smooth(np.minimum(since - 0.4, 0.95 - since) / 0.1)[:, None, None]
@@ -148,7 +148,7 @@ def _push(robots: Hidden, time_s: Array, trial_s: float) -> Array:
     return np.asarray(strength * now * robots.push)
 
 
-class Motion(NamedTuple):
+class DrivenMotion(NamedTuple):
     """What B robots did, (T, B, N) at every step.
 
     Attributes:
@@ -163,7 +163,7 @@ class Motion(NamedTuple):
     command_n_m: Array
 
 
-def simulate(kind: Kind, robots: Hidden, asked: Reference) -> Motion:
+def simulate(kind: RobotKind, robots: RealRobot, asked: Reference) -> DrivenMotion:
     """Robots under their controllers: midpoint steps, bristles integrated exactly beside.
 
     The controllers know the nominal robot: its torques of what is asked for, and by its inertia a
@@ -247,11 +247,11 @@ def simulate(kind: Kind, robots: Hidden, asked: Reference) -> Motion:
             rotor, rotor_speed = rotor + step_s * half, rotor_speed + step_s * turned
     if not np.isfinite(angle).all():
         raise FloatingPointError("a robot flew away")
-    return Motion(*kept)
+    return DrivenMotion(*kept)
 
 
 def written(
-    kind: Kind, robots: Hidden, motion: Motion, seeds: list[int]
+    kind: RobotKind, robots: RealRobot, motion: DrivenMotion, seeds: list[int]
 ) -> list[dict[str, Array]]:
     """The recording of each robot: columns (T, …) by what they are."""
     time_s = _times_s(len(motion.motor))

@@ -24,7 +24,7 @@ from cablesense_ros.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from cablesense_gap.scoring import Score
+    from cablesense_gap.scoring import ScoreSheet
     from cablesense_gap.verdict import Verdict
 
 
@@ -125,7 +125,7 @@ _SHARES = {
 }
 
 
-def _print_score(found: Score, console: Console) -> None:
+def _print_score(found: ScoreSheet, console: Console) -> None:
     headings = ("statistic", "value", "95 % interval", "cases")
     table = titled_table(f"{found.cases} verdicts", *headings)
     shares = {name: getattr(found, field) for name, field in _SHARES.items()}

@@ -14,7 +14,7 @@ from cablesense_gap.earlier import GoingOn, going_on, listed_values, without_eff
 from cablesense_gap.pipeline import problem_of
 from cablesense_gap.report.text import earlier_sentence
 from cablesense_gap.simulator import Term
-from cablesense_gap.verdict import Earlier, Estimate
+from cablesense_gap.verdict import Earlier, FittedNumber
 from cablesense_sim.replay import read_tensions_n
 
 PROTOCOL = small_recording(peak_n=25.0)
@@ -58,7 +58,7 @@ def test_each_effect_is_said_to_stand_to_have_changed_or_not_to_be_needed():
 
 
 def test_a_number_without_a_unit_is_said_without_one():
-    gain = Estimate(value=1.04, unit="1", ci95=(1.03, 1.05))
+    gain = FittedNumber(value=1.04, unit="1", ci95=(1.03, 1.05))
     changed = Earlier(
         effect="sensor_gain", places=("cable_3",), outcome="changed",
         was={"cable_3.gain": 1.02}, now={"cable_3.gain": gain},

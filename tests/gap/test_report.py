@@ -34,8 +34,8 @@ from cablesense_gap.report.text import (
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import (
     CandidateResult,
-    Estimate,
-    Estimator,
+    EstimatorErrors,
+    FittedNumber,
     Share,
     VerdictError,
     Where,
@@ -53,10 +53,12 @@ PAYLOAD = verdict_of(
     0.93,
     others={"base_tilt": 0.07},
     segments=("segment_2",),
-    parameters={"payload.segment_2.mass_kg": Estimate(value=0.4, unit="kg", ci95=(0.38, 0.42))},
+    parameters={
+        "payload.segment_2.mass_kg": FittedNumber(value=0.4, unit="kg", ci95=(0.38, 0.42))
+    },
     why=("Only a payload <pulls> like that.",),
     next_experiment="Load segment 2 downwards.",
-    estimator=Estimator(before={"force MAE, N": 4.0}, after={"force MAE, N": 0.5}),
+    estimator=EstimatorErrors(before={"force MAE, N": 4.0}, after={"force MAE, N": 0.5}),
 )
 
 
@@ -198,7 +200,7 @@ def test_a_long_recording_is_drawn_small_and_soon():
 
 
 def test_a_number_of_the_only_place_is_shown_with_that_place(text_of):
-    alone = {"payload.mass_kg": Estimate(value=0.4, unit="kg", ci95=(0.38, 0.42))}
+    alone = {"payload.mass_kg": FittedNumber(value=0.4, unit="kg", ci95=(0.38, 0.42))}
     text = text_of(PAYLOAD.model_copy(update={"parameters": alone}))
     assert "payload, segment 2: mass_kg" in text
     assert "of what the segment carries besides0.400 kg0.380 to 0.420" in text
@@ -250,7 +252,7 @@ def test_steps_of_several_effects_end_at_the_floor(text_of):
     ],
 )
 def test_a_number_at_an_end_of_its_range_is_known_to_one_side(text_of, value, ci95, words):
-    number = Estimate(value=value, unit="1", ci95=ci95)
+    number = FittedNumber(value=value, unit="1", ci95=ci95)
     text = text_of(verdict_of("payload", parameters={"payload.segment_2.beyond_middle": number}))
     assert words in text
     assert "beyond the segment's middle, as a share of the segment's length" in text
@@ -263,7 +265,7 @@ def test_the_arm_is_drawn_with_every_kind_of_place():
         assert arm_picture(LAB, {"base tilt": ()}) == ""
 
 
-ONE = Estimate(value=1.0, unit="1", ci95=(0.9, 1.1))
+ONE = FittedNumber(value=1.0, unit="1", ci95=(0.9, 1.1))
 
 
 def test_two_effects_are_named_each_with_its_places():
@@ -368,7 +370,7 @@ def test_a_percentage_never_claims_certainty_that_is_not_there(share):
     ],
 )
 def test_numbers_have_the_digits_that_their_interval_leaves(value, low, high, words):
-    assert with_interval(Estimate(value=value, unit="1", ci95=(low, high))) == words
+    assert with_interval(FittedNumber(value=value, unit="1", ci95=(low, high))) == words
 
 
 def test_newtons_have_the_digits_of_a_sensor():

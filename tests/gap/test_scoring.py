@@ -14,8 +14,8 @@ from verdict_cases import gap_of, verdict_of
 from cablesense_gap.arm_simulator import AMENDED_ARM, write_arm
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.scoring import (
-    Answer,
     ScoreError,
+    Truth,
     as_json,
     budget_score,
     proportion,
@@ -180,7 +180,7 @@ def test_no_case_has_no_share():
 
 
 def answer(name, effects, *places, **more):
-    return Answer(name, tuple(effects.split("+")), frozenset(places), **more)
+    return Truth(name, tuple(effects.split("+")), frozenset(places), **more)
 
 
 ANSWERS = (
@@ -311,9 +311,9 @@ def test_budgets_count_effects_names_and_shares():
     }
     cases = [
         (verdict_of("payload+sensor_gain", shares=shares),
-         Answer("a", ("base_tilt", "payload", "sensor_lag"), each_gap_n=(0.1, 2.5, 1.0))),
-        (verdict_of("unknown"), Answer("b", ("sensor_gain",), each_gap_n=(3.0,))),
-        (verdict_of("payload"), Answer("c", ("unknown",), each_gap_n=(3.0,))),
+         Truth("a", ("base_tilt", "payload", "sensor_lag"), each_gap_n=(0.1, 2.5, 1.0))),
+        (verdict_of("unknown"), Truth("b", ("sensor_gain",), each_gap_n=(3.0,))),
+        (verdict_of("payload"), Truth("c", ("unknown",), each_gap_n=(3.0,))),
     ]  # fmt: skip
     found = budget_score(cases)
     assert (found.named.hits, found.named.count) == (1, 3)  # the tilt is below five floors

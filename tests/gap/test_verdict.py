@@ -8,8 +8,8 @@ import pytest
 
 from cablesense_gap.verdict import (
     CandidateResult,
-    Estimate,
-    Estimator,
+    EstimatorErrors,
+    FittedNumber,
     Gap,
     Verdict,
     VerdictError,
@@ -26,7 +26,7 @@ VERDICT = Verdict(
     ambiguity_group=("payload",),
     next_experiment="Load segment 2 downwards.",
     where=Where(segments=("segment_2",), regimes=("bent poses",)),
-    parameters={"payload.mass_kg": Estimate(value=0.4, unit="kg", ci95=(0.38, 0.42))},
+    parameters={"payload.mass_kg": FittedNumber(value=0.4, unit="kg", ci95=(0.38, 0.42))},
     gap=Gap(
         before_n=3.0,
         after_n=0.2,
@@ -71,7 +71,7 @@ def written(**changes: Any) -> str:
 
 def test_a_verdict_is_read_as_it_was_written(tmp_path: Path) -> None:
     path = tmp_path / "verdict.json"
-    trained = Estimator(before={"force_mae_n": 4.0}, after={"force_mae_n": 1.0})
+    trained = EstimatorErrors(before={"force_mae_n": 4.0}, after={"force_mae_n": 1.0})
     for verdict in (VERDICT, VERDICT.model_copy(update={"estimator": trained})):
         write_verdict(path, verdict)
         assert read_verdict(path) == verdict

@@ -10,7 +10,7 @@ from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
 from cablesense_plants.arm.arm import SteppedArms, ideal_arm
-from cablesense_plants.arm.body import Friction
+from cablesense_plants.arm.body import PlantFriction
 from cablesense_plants.arm.protocol import draw_schedule
 from cablesense_sim.arm import open_arm
 
@@ -21,7 +21,7 @@ ROWS = np.append(np.arange(53), np.arange(820, 890))
 SCHEDULE = type(WHOLE)._make(column[ROWS] for column in WHOLE)
 
 
-def plant_n(friction: Friction) -> np.ndarray:
+def plant_n(friction: PlantFriction) -> np.ndarray:
     arm, loads = replace(ideal_arm(NOMINAL), friction=friction), SCHEDULE.forces_n
     held = arm.held_m(SCHEDULE.command_rad)
     stepped = SteppedArms(arm, SCHEDULE.command_rad[:1], held[:1], loads[:1])
@@ -45,9 +45,9 @@ def simulated_n(**parameters: float) -> np.ndarray:
 )
 def test_friction_changes_both_alike(plant: dict[str, float], simulator: dict[str, float]) -> None:
     """To within a twentieth: their pieces are not quite the same."""
-    without = plant_n(Friction())
+    without = plant_n(PlantFriction())
     np.testing.assert_allclose(simulated_n(coefficient=1e-9), without, atol=1e-3)
-    rough = plant_n(Friction(np.full(12, 0.2), **plant))
+    rough = plant_n(PlantFriction(np.full(12, 0.2), **plant))
     apart = simulated_n(coefficient=0.2, **simulator) - rough
     assert rms(apart) < 0.05 * rms(rough - without)
 

@@ -10,17 +10,17 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from plant_arm import NOMINAL
 
-from cablesense_plants.arm.arm import Actuation, ideal_arm, with_tolerances
+from cablesense_plants.arm.arm import ActuatorFaults, ideal_arm, with_tolerances
 from cablesense_plants.arm.sensing import (
     Drift,
     DriftShape,
     Dropouts,
     Filter,
-    Sensing,
+    SensorFaults,
     read_n,
 )
 
-IDEAL = Actuation()
+IDEAL = ActuatorFaults()
 TIME_S = 0.2 * np.arange(40)
 
 
@@ -78,8 +78,8 @@ TENSION = 50.0 + 20.0 * np.sin(0.05 * np.arange(600))[:, None] * np.array([1.0, 
 STEP = np.where(LONG_S < 20.0, 50.0, 80.0)[:, None] * np.ones(3)
 
 
-def sensors(**changes: object) -> Sensing:
-    return Sensing(50.0, **changes)
+def sensors(**changes: object) -> SensorFaults:
+    return SensorFaults(50.0, **changes)
 
 
 def test_ideal_sensors_read_the_tensions() -> None:

@@ -14,8 +14,8 @@ from plant_arm import BODY, NOMINAL
 from cablesense_plants.arm.body import (
     Body,
     Creep,
-    Friction,
     PlantError,
+    PlantFriction,
 )
 from cablesense_plants.arm.chains import friction_state, piece_compliance_m_n
 from cablesense_plants.arm.geometry import cable_lengths_m, spans, turns
@@ -42,7 +42,7 @@ def paid_out_m(command: np.ndarray) -> np.ndarray:
 
 
 def states_along(
-    friction: Friction, creep: Creep, shares: np.ndarray, command: np.ndarray = POSE
+    friction: PlantFriction, creep: Creep, shares: np.ndarray, command: np.ndarray = POSE
 ) -> list[State]:
     path = QuasiStaticPath(BODY, friction, creep, RUN_M)
     paid = paid_out_m(command)
@@ -52,9 +52,9 @@ def states_along(
     return states
 
 
-def friction(**changes: object) -> Friction:
+def friction(**changes: object) -> PlantFriction:
     cables = {"coefficient": np.full(12, 0.15)} if "joint_nm" not in changes else {}
-    return Friction(**cables, **changes)
+    return PlantFriction(**cables, **changes)
 
 
 def sensed_n(states: list[State]) -> np.ndarray:
@@ -97,12 +97,12 @@ def test_without_friction_it_is_the_path_of_rests() -> None:
     load = np.concatenate([load_n(share) for share in UP_DOWN])
     paid = np.repeat(paid_out_m(POSE), len(UP_DOWN), axis=0)
     expected = follow_path(BODY, command, paid, load).tensions_n
-    found = sensed_n(states_along(Friction(), Creep(), UP_DOWN))
+    found = sensed_n(states_along(PlantFriction(), Creep(), UP_DOWN))
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("law", FRICTIONS)
-def test_loading_and_unloading_differ_and_the_difference_stays(law: Friction) -> None:
+def test_loading_and_unloading_differ_and_the_difference_stays(law: PlantFriction) -> None:
     rest = np.full(20, UP_DOWN[-1])
     tension = sensed_n(states_along(law, Creep(), np.concatenate([UP_DOWN, rest])))
     loop = np.abs(tension[4] - tension[12]).max()
@@ -113,7 +113,7 @@ def test_loading_and_unloading_differ_and_the_difference_stays(law: Friction) ->
 
 
 @pytest.mark.parametrize("law", FRICTIONS[:4])
-def test_tension_falls_over_a_guide_by_no_more_than_capstan_friction(law: Friction) -> None:
+def test_tension_falls_over_a_guide_by_no_more_than_capstan_friction(law: PlantFriction) -> None:
     """Equation: exp(-mu theta) <= T2 / T1 <= exp(mu theta), met with equality while it slides."""
     worst = 0.0
     for state in states_along(law, Creep(), UP_DOWN):
@@ -196,7 +196,7 @@ def test_a_cable_that_was_slack_has_forgotten_its_friction() -> None:
 
 def test_joint_friction_holds_no_more_than_its_torque() -> None:
     law = friction(joint_nm=np.full((4, 2), 0.2))
-    path = QuasiStaticPath(BODY, Friction(), Creep(), RUN_M)
+    path = QuasiStaticPath(BODY, PlantFriction(), Creep(), RUN_M)
     left = []
     for state in states_along(law, Creep(), UP_DOWN):
         at = path.balance(state, state.paid_out_m, state.loads_n, state.angles_rad, None)
@@ -216,9 +216,9 @@ def test_stretch_is_shared_out_whole() -> None:
 def test_settled_cables_creep_under_a_load_alone_and_recover() -> None:
     creep = Creep(np.full((1, 12), 0.2e-5), np.array([5.0]), 1.0)
     shares = np.concatenate([np.zeros(10), np.ones(150), np.zeros(250)])
-    tension = sensed_n(states_along(Friction(), creep, shares))
+    tension = sensed_n(states_along(PlantFriction(), creep, shares))
     np.testing.assert_allclose(tension[9], tension[0], atol=1e-6)
-    firmly = sensed_n(states_along(Friction(), Creep(), shares[:12]))
+    firmly = sensed_n(states_along(PlantFriction(), Creep(), shares[:12]))
     np.testing.assert_allclose(tension[10], firmly[10], atol=0.05)
     crept = np.abs(tension[159] - firmly[11]).max()
     assert crept > 0.03
@@ -231,7 +231,7 @@ def test_settled_cables_creep_under_a_load_alone_and_recover() -> None:
 
 def test_new_cables_lose_tension() -> None:
     creep = Creep(np.full((1, 12), 0.2e-5), np.array([2.0]), 0.0)
-    tension = sensed_n(states_along(Friction(), creep, np.zeros(100)))
+    tension = sensed_n(states_along(PlantFriction(), creep, np.zeros(100)))
     assert (tension[-1] < tension[0]).mean() > 0.7
     assert tension[-1].sum() < 0.95 * tension[0].sum()
 
@@ -260,7 +260,7 @@ def test_rough_arms_find_rest_whatever_comes(seed: int, law: dict[str, Any]) -> 
     """Random commands, offsets and loads to 70 N; a cable in fourteen is slack."""
     rng = np.random.default_rng(seed)
     arms, segments = 20, np.arange(4)
-    rough = Friction(0.3 * rng.uniform(0.8, 1.2, 12), pulley_rad=1.5, **law)
+    rough = PlantFriction(0.3 * rng.uniform(0.8, 1.2, 12), pulley_rad=1.5, **law)
     path = QuasiStaticPath(BODY, rough, Creep(), RUN_M)
     commands = rng.uniform(-0.12, 0.12, (6, arms, 8))
     straight = cable_lengths_m(BODY, np.zeros((1, 8)))
@@ -280,4 +280,4 @@ def test_rough_arms_find_rest_whatever_comes(seed: int, law: dict[str, Any]) -> 
 def test_hardening_cables_with_friction_are_refused() -> None:
     body: Body = replace(BODY, exponent=1.5)
     with pytest.raises(PlantError, match="harden"):
-        QuasiStaticPath(body, Friction(), Creep(), RUN_M)
+        QuasiStaticPath(body, PlantFriction(), Creep(), RUN_M)

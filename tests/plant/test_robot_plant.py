@@ -11,9 +11,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 from cablesense_plants.robot.cases import drawn
-from cablesense_plants.robot.chain import Chain, read_chain
+from cablesense_plants.robot.chain import LinkChain, read_chain
 from cablesense_plants.robot.guides import PRETENSION_N, Rubbing, pulls_n
-from cablesense_plants.robot.hidden import Kind, stacked
+from cablesense_plants.robot.hidden import RobotKind, stacked
 from cablesense_plants.robot.kinds import GUIDED, KINDS
 from cablesense_plants.robot.motion import (
     Reference,
@@ -42,7 +42,7 @@ def test_torques_are_those_of_mujoco_without_effects(kind):
 
 def test_a_pendulum_swings_with_its_period_and_keeps_its_energy():
     mass, length, angle = 2.0, 0.4, 0.05
-    chain = Chain(
+    chain = LinkChain(
         axis=np.array([[0.0, 1.0, 0.0]]),
         origin_m=np.zeros((1, 3)),
         mass_kg=np.array([mass]),
@@ -58,7 +58,7 @@ def test_a_pendulum_swings_with_its_period_and_keeps_its_energy():
     assert loaded == pytest.approx(acceleration * 4.0 / 10.0)  # mgl and ml² of both
 
 
-class Idle(Kind):
+class Idle(RobotKind):
     """A robot whose controller asks for no torque."""
 
     def nominal(self):

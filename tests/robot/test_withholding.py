@@ -10,9 +10,9 @@ from cablesense_gap.robot import withholding
 from cablesense_gap.robot.model import RobotError, inverse_dynamics, load_robot
 from cablesense_gap.robot.protocol import next_experiment, standard_protocol
 from cablesense_gap.robot.smoothing import derivatives, smoothed
-from cablesense_gap.scoring import Answer, read_answers, score
+from cablesense_gap.scoring import Truth, read_answers, score
 from cablesense_gap.simulator import Term
-from cablesense_gap.verdict import Channel
+from cablesense_gap.verdict import ChannelGap
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def test_forward_and_inverse_dynamics_agree_on_what_is_recorded(tmp_path, robot,
     left = (table[["torque.shoulder", "torque.elbow"]].to_numpy() - needed)[50:-50]
     size = np.sqrt((needed**2).mean(0))
     assert (np.sqrt((left**2).mean(0)) < 0.06 * size).all()  # noise and tolerances
-    assert read_answers(answers) == (Answer("case_001", ("none",)),)
+    assert read_answers(answers) == (Truth("case_001", ("none",)),)
 
 
 def test_what_cannot_be_hidden_is_refused(tmp_path, robot):
@@ -59,6 +59,6 @@ def test_what_cannot_be_hidden_is_refused(tmp_path, robot):
 def test_places_of_a_robot_are_scored_by_its_own_names(tmp_path):
     answers = tmp_path / "answers.csv"
     answers.write_text("recording,effects,where\na,joint_coupling,wrist-2_into_wrist-1\n")
-    channels = {"wrist-1": Channel(unit="N·m", before=1.0, after=0.1, floor=0.1)}
+    channels = {"wrist-1": ChannelGap(unit="N·m", before=1.0, after=0.1, floor=0.1)}
     said = verdict_of("joint_coupling", joints=("wrist-2",), channels=channels)
     assert score({"a": said}, read_answers(answers)).where.hits == 1
