@@ -181,16 +181,6 @@ def test_beside_a_bent_arm_no_tare_is_taken_before_a_command():
     assert {answer.contact for answer in fed(feed, UNLOADED, 300)} == {NO_CONTACT}
 
 
-def test_a_load_of_35_n_is_not_tared_by_itself():
-    feed, force = judged(), np.zeros((4, 3))
-    force[2, 1] = 35.0
-    loaded = solve_equilibrium(MECHANISM, np.zeros(8), force).tensions_n
-    assert all(answer.new_tare is None for answer in fed(feed, loaded))
-    assert sum(answer.new_tare is not None for answer in fed(feed, UNLOADED)) == 1
-    assert {answer.contact for answer in fed(feed, UNLOADED)} == {NO_CONTACT}
-    assert fed(feed, loaded)[-1].contact.magnitude_n == pytest.approx(35.0, abs=1.0)
-
-
 def test_no_tare_is_taken_in_a_contact_that_is_reported():
     feed = Feed().tared()
     fed(feed, PUSHED)
@@ -199,18 +189,6 @@ def test_no_tare_is_taken_in_a_contact_that_is_reported():
     assert feed.sample(PUSHED).contact.segment == 3
     feed.estimation.take_tare(feed.now_ns, forced=True)
     assert feed.sample(PUSHED).contact == NO_CONTACT
-
-
-def test_the_automatic_tare_of_an_assumed_pose_is_dropped_and_taken_anew():
-    feed = judged().tared()
-    there = solve_equilibrium(MECHANISM, BENT).tensions_n
-    feed.command(BENT)
-    assert feed.sample(there).state.tare.tare is None
-    fed(feed, there, 300)
-    tare = feed.estimation.tares.present
-    np.testing.assert_array_equal(tare.command_rad, BENT)
-    feed.command(np.zeros(8))
-    assert feed.estimation.tares.present is tare
 
 
 AWAY = np.deg2rad([6.0, -4.0, 5.0, 3.0, -6.0, 4.0, -3.0, 5.0])

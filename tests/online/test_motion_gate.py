@@ -114,21 +114,6 @@ def test_the_rest_of_a_restored_gate_is_no_further_ahead_than_a_move_takes():
     assert watched.status_now().level is Level.OK
 
 
-def test_a_wait_anew_is_one_of_the_move_that_may_be_under_way():
-    watched, there = gate(), np.array([0.0, 0.3])
-    watched.moving(0)
-    watched.wait_anew()
-    assert watched.moving(S)
-    assert watched.state.rest_from_ns == S + round((move_duration_s(0.0, SPEED) + SETTLE) * S)
-    watched.moving(100 * S)
-    watched.command(there)
-    watched.moving(200 * S)
-    watched.wait_anew()
-    assert watched.moving(200 * S + 100 * MS)
-    wait_ns = round((move_duration_s(0.3, SPEED) + SETTLE) * S)
-    assert watched.state.rest_from_ns == 200 * S + 100 * MS + wait_ns
-
-
 STILL, FOLLOW = 1e-4, 0.05
 
 

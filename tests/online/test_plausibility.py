@@ -304,19 +304,14 @@ def test_the_last_state_is_enough_also_after_a_misfit():
             assert str(again.problem is None) == str(answer.problem is None)
 
 
-def test_forces_on_several_segments_fit_in_noise():
-    arm, told = Arm(model="cdsm_multi"), {2: (20.0, 30.0), 3: (110.0, 12.0), 4: (200.0, 20.0)}
-    forces = sum(push(arm.arm, STRAIGHT, segment, *load) for segment, load in told.items())
-    for _ in range(100):
-        answer = arm.sample(arm.reading(forces))
-        assert answer.problem is None
-        assert most_off_n(answer, told) < 3.0
-
-
 @pytest.mark.parametrize("fault", [scaled(1.3), reads(0.0), reads(60.0), swapped])
 def test_a_fault_makes_no_wrong_forces_on_several_segments_that_are_vouched_for(fault):
     arm, told = Arm(model="cdsm_multi"), {1: (75.0, 25.0), 3: (300.0, 30.0)}
     forces = sum(push(arm.arm, STRAIGHT, segment, *load) for segment, load in told.items())
+    for _ in range(20):
+        answer = arm.sample(arm.reading(forces))
+        assert answer.problem is None
+        assert most_off_n(answer, told) < 3.0
     withheld = 0
     for cable in range(12):
         reading = arm.reading(forces)

@@ -75,8 +75,7 @@ def test_the_wrenches_of_all_segments_are_compared(tmp_path):
     assert got.first_difference.startswith("sample 121,")
 
 
-@pytest.mark.parametrize("model", ["", "cdsm_moving"])
-@pytest.mark.parametrize("missed", [2, 30])
+@pytest.mark.parametrize(("model", "missed"), [("", 30), ("cdsm_moving", 2)])
 def test_answers_that_the_recorder_came_too_late_for_change_nothing(model, missed, tmp_path):
     made = made_run(model=model) if model else made_run()
     first = [record for record in made.records if record[0] == topics.WRENCH][:missed]
@@ -101,7 +100,7 @@ def test_begun_anywhere_and_in_any_namespace_it_is_the_same(made, tmp_path):
     latched = [
         r for r in made.records if r[0] == topics.JOURNAL and r[1] < 500 * STEP_NS + EPOCH_NS
     ]
-    for first in (75, 152, 155, 265, 285):
+    for first in (75, 152, 285):
         begin = EPOCH_NS + first * STEP_NS
         before = [r for r in latched if r[1] < begin][-1:]
         records = [(topic, begin, raw) for topic, _, raw in before]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from arm_variants import variant
 
-from cablesense_msgs_py.messages import Contact, Level
+from cablesense_msgs_py.messages import Level
 from cablesense_online.tare import (
     TareError,
     Tares,
@@ -112,18 +112,6 @@ def test_an_arm_whose_file_lists_more_than_the_model_has_is_not_judged_by_it():
     zero = {"effect": "cable_tolerance", "at": "cable_1", "parameters": {"zero_n": 0.3}}
     assert not UnloadedTensions(variant({"effects": [zero]})).incomplete
     assert UnloadedTensions(variant({"effects": [zero, friction]})).incomplete
-
-
-def test_readings_of_a_reported_contact_are_refused_until_all_are_newer():
-    tares = judging()
-    feed(tares, predict([0.0]))
-    tares.touched(Contact(2, 0.0, 12.3))
-    with pytest.raises(TareError, match=r"contact of 12\.3 N on segment 2"):
-        tares.take(ZERO, NOW_NS)
-    feed(tares, predict([0.0]), 3)
-    assert not tares.ready
-    feed(tares, predict([0.0]), 1)
-    assert tares.ready
 
 
 @pytest.mark.parametrize(
