@@ -161,14 +161,9 @@ def find_amended(arm: str) -> Path:
         folder = Path(arm)
         if not folder.is_dir():
             raise
-    amended, former = folder / AMENDED_ARM, folder / "arm.yaml"
+    amended = folder / AMENDED_ARM
     if amended.is_file():
         return amended
-    if former.is_file():
-        raise ArmFileError(
-            f"{folder}: has no {AMENDED_ARM}; where {former} is the amended arm of a diagnosis by "
-            f"an earlier version, rename it to {AMENDED_ARM}"
-        )
     raise ArmFileError(
         f"{folder}: has no {AMENDED_ARM}; give the folder of `cablesense gap diagnose`"
     )

@@ -21,11 +21,11 @@ from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, joined, read_verdict
 
 
 class ScoreError(CableSenseError):
-    """Verdicts or answers that cannot be scored: names it, and what is right."""
+    """Verdicts or answers that cannot be scored: names the fault and the remedy."""
 
 
 CLEAR_GAP_FLOORS = 5.0
-"""From this many noise floors up a gap is called clear."""
+"""A gap of at least this many noise floors is called clear."""
 
 _COLUMNS = ("recording", "effects", "where")
 _MAX_FILE_BYTES = 10_000_000
@@ -199,7 +199,7 @@ def proportion(outcomes: Iterable[bool]) -> Proportion:
 
 @dataclass(frozen=True)
 class BudgetScore:
-    """What the budgets are worth, over the effects of all recordings with effects of the library.
+    """Scores of the budgets, over the effects of all recordings with effects of the library.
 
     Attributes:
         named: effects that change readings by 5 noise floors or more and are named.
@@ -238,9 +238,9 @@ def budget_score(cases: Sequence[tuple[Verdict, Truth]]) -> BudgetScore:
 
 @dataclass(frozen=True)
 class ScoreSheet:
-    """What the verdicts are worth.
+    """Scores of the verdicts.
 
-    Of recordings with one effect of the library (`singles`), two (`doubles`), `none` or `unknown`.
+    A recording has one effect of the library (`singles`), two (`doubles`), `none` or `unknown`.
 
     Attributes:
         confusion: counts by truth, then by verdict.
@@ -332,7 +332,7 @@ def score(verdicts: Mapping[str, Verdict], answers: Sequence[Truth]) -> ScoreShe
 
 
 def _judged(verdict: Verdict, answer: Truth) -> dict[str, Any]:
-    """One verdict beside its answer, as a row of the table that is counted."""
+    """One verdict with its answer, as a row of the table that is counted."""
     truth, named, gap = answer.effects, verdict.effects, verdict.gap
     weighed = {c.effects: c.probability for c in verdict.candidates}
     weighed = weighed or {named: verdict.probability}

@@ -79,7 +79,7 @@ class FittedNumber(FilePart):
 
 
 class Share(FilePart):
-    """What one named effect contributes.
+    """The contribution of one named effect.
 
     Attributes:
         share_n: RMS by which predictions change without it, all else as fitted.
@@ -99,13 +99,13 @@ class Share(FilePart):
 
 
 class Traded(FilePart):
-    """Two of the effects, which the recording shows together better than apart: one item.
+    """Two of the effects, whose sum the recording determines better than either: one item.
 
     Attributes:
         share_n: RMS by which predictions change without both.
         ci95_n: interval of `share_n`.
-        correlation: of their shares as fitted: near -1 where one may stand for the other, near 1
-            where they may cancel.
+        correlation: of their shares as fitted: near -1 if one can replace the other, near 1 if
+            they can cancel.
     """
 
     effects: Effects
@@ -157,7 +157,7 @@ class CandidateResult(FilePart):
 
     Attributes:
         effects: `["none"]`, `["unknown"]`, or names in alphabetical order.
-        held_out_rmse_n: RMS of what it leaves on trials that its fit has not seen.
+        held_out_rmse_n: RMS residual on held-out trials.
         probability: that it is the truth.
         held_out_ci95_n: interval of `held_out_rmse_n`, by bootstrap over trials.
     """
@@ -189,8 +189,7 @@ class Earlier(FilePart):
 
     Attributes:
         places: where; empty for the whole arm.
-        outcome: whether it is borne out with about the numbers that it had, with other sizes, or
-            no longer.
+        outcome: confirmed with about the same numbers, confirmed with other sizes, or not needed.
         was: its numbers in the arm file, by `parameter` or `place.parameter`.
         now: as this recording has them; none where it is not needed.
     """
@@ -203,7 +202,7 @@ class Earlier(FilePart):
 
 
 class Verdict(FilePart):
-    """What causes the gap, where, how sure that is, and how far the gap shrinks.
+    """The cause of the gap, its place, its probability, and how far the gap shrinks.
 
     Attributes:
         effects: `("none",)`, `("unknown",)`, or names in alphabetical order.
@@ -213,8 +212,8 @@ class Verdict(FilePart):
         next_experiment: what to record next, in plain text.
         shares: of each effect named.
         traded: pairs of these whose shares trade against each other, the largest first.
-        earlier: effects that the arm file listed, and what of them still stands; those of this
-            verdict are beside them.
+        earlier: effects that the arm file listed, and which of them are confirmed; the verdict's
+            effects are additional.
         tolerances_n: RMS by which manufacturing tolerances, as fitted, change predictions.
         unexplained_n: RMS beyond the floor that is left on trials that the fit has not seen.
         unexplained_share: of the nominal arm's gap beyond the floor.
@@ -223,8 +222,8 @@ class Verdict(FilePart):
         estimator: present if the estimator was adapted.
         unit: of all sizes with `_n` at their ends; N of an arm. Channels of a robot are each in
             units of their floor, `floors`.
-        channels: of a robot, the gap at each joint in its own unit.
-        compared: of a robot, what was compared and how, as a sentence.
+        channels: for a robot, the gap at each joint in its own unit.
+        compared: for a robot, the quantities compared and the method, as a sentence.
         why: the reasons, as plain sentences.
         seconds: the diagnosis took.
         rows: of the recording.

@@ -1,4 +1,4 @@
-"""What the cases of both plants share: a change to hide, the order of names, the answers' file."""
+"""The common part of both plants' cases: hidden changes, the order of names, the answers' file."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from cablesense_base import CableSenseError
 from cablesense_base.files import written_whole
 
 NONE, UNKNOWN = "none", "unknown"
-"""Answers where nothing is hidden, and where verdicts have no name for what is."""
+"""Answers if nothing is hidden, and if verdicts have no name for the change."""
 
 _Plant = TypeVar("_Plant")
 
 
 class PlantError(CableSenseError):
-    """A plant that cannot be built or finds no rest: states what, where and what is right."""
+    """A plant that cannot be built or finds no rest: names the fault, its place and the remedy."""
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""Recordings of an arm: what was commanded, what pushed it, and what the sensors read."""
+"""Recordings of an arm: commands, known loads, and readings."""

@@ -30,7 +30,7 @@ _SATURATED_RUNS = 3
 _LEAST_CORRELATION = 0.5
 """No effect turns the responses of half the cables further away from the prediction than this."""
 _SCALES = (0.2, 5.0)
-"""Nor does any scale them by more."""
+"""No effect scales them by more."""
 _STIFFNESS_ROWS = 40
 _SOFTER = (0.3, 0.1, 0.03, 0.01)
 _STIFFER = (3.0, 10.0, 30.0, 100.0)
@@ -114,7 +114,7 @@ def channel_findings(
 
 
 def unborne_findings(unborne: NDArray[np.bool_], arm: Arm) -> list[Finding]:
-    """Of rows (R,) whose loads the arm does not bear as it is described."""
+    """Findings for rows (R,) in which the arm of the file has no equilibrium under the load."""
     if not unborne.any():
         return []
     return [
@@ -187,10 +187,10 @@ def _at_range_ends(read: Array, arm: Arm) -> Iterator[Finding]:
 def _stuck(
     recording: Recording, numbers: NDArray[np.int64], nominal_n: Array, moved_n: float
 ) -> Iterator[Finding]:
-    """Channels that stop at one value while the prediction moves on; rows have `numbers` from 0.
+    """Channels that stay at one value while the prediction changes; rows have `numbers` from 0.
 
-    Friction and slack hold a tension as well, but not from one trial to the next, as a dead
-    channel does, nor at the same maximum in one cycle of loads after another.
+    Friction and slack hold a tension too. A dead channel holds it from one trial to the next, and
+    a saturated one has the same maximum in several load cycles.
     """
     channels = zip(recording.tensions_n.T, nominal_n.T, strict=True)
     for cable, (values, predicted) in enumerate(channels, start=1):
@@ -218,7 +218,7 @@ def _stuck(
             yield _warn(
                 "saturated",
                 f"tension_{cable}_n does not exceed {values.max():g} N in "
-                f"{rows_named(highest)}, while the load on it goes on; load less, "
+                f"{rows_named(highest)}, while the load on it increases; load less, "
                 "or give the sensors' range_n in the arm file",
             )
 
@@ -247,8 +247,8 @@ def _swapped(own: Array, predicted: Array, cables: NDArray[np.int64]) -> Iterato
 def _foreign(responses_n: list[tuple[Array, Array]], arm: Arm) -> list[Finding]:
     """Tensions of another arm, or in another unit, if no pair of `responses_n` is of this one.
 
-    A pair is what is read and what is predicted (R, C), less means. Springs in joints outweigh the
-    rest of a recording over poses, and friction hides loads, but neither does both.
+    A pair is the readings and the predictions (R, C), both without their means. Springs in joints
+    outweigh the rest of a recording over poses, and friction hides loads, but neither does both.
     """
     found = []
     for read, predicted in responses_n:
@@ -278,7 +278,7 @@ def _foreign(responses_n: list[tuple[Array, Array]], arm: Arm) -> list[Finding]:
 
 
 def _less_means(values: Array, group: NDArray[np.int64]) -> Array:
-    """`values` (R, C) less the mean of their group (R,)."""
+    """`values` (R, C) minus the mean of their group (R,)."""
     sums = np.zeros((group.max() + 1, values.shape[1]))
     np.add.at(sums, group, values)
     return values - (sums / np.bincount(group)[:, None])[group]

@@ -135,7 +135,7 @@ def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
     if back.any():
         yield _refuse(
             "time",
-            f"{TIME} does not go on in {rows_named(back)}; each row must be later than "
+            f"{TIME} does not increase in {rows_named(back)}; each row must be later than "
             "the one before: sort the rows, and leave out those that stand twice",
         )
         return
@@ -171,7 +171,7 @@ def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
         yield _warn(
             "trial",
             f"trial {numbers[counts > 1][0]} comes back after another one; a trial is one block "
-            "of rows with a number of its own",
+            "of rows with one number",
         )
 
 
@@ -189,14 +189,14 @@ def _labels(recording: Recording, arm: Arm) -> Iterator[Finding]:
     if unnamed.any():
         yield _refuse(
             "label",
-            f"a load stands in {rows_named(unnamed)} beside {LOAD_SEGMENT} 0; name the "
+            f"a load is given in {rows_named(unnamed)} with {LOAD_SEGMENT} 0; name the "
             "segment it acts on, or give 0 N",
         )
     bare = ~loaded & (segment > 0)
     if bare.any():
         yield _warn(
             "label",
-            f"{LOAD_SEGMENT} names a segment beside a load of 0 N in {rows_named(bare)}; "
+            f"{LOAD_SEGMENT} names a segment with a load of 0 N in {rows_named(bare)}; "
             "0 is right there, unless a load was forgotten",
         )
     huge = (recording.load_n**2).sum(axis=1) > MAX_LOAD_N**2
@@ -248,5 +248,5 @@ def _amount(recording: Recording) -> Iterator[Finding]:
         yield _warn(
             "amount",
             f"has only {rows} rows in {trials} trials; `cablesense gap protocol` lists what to "
-            "record so that effects can be told apart",
+            "record so that effects can be distinguished",
         )

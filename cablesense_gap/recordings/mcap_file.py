@@ -264,7 +264,7 @@ def decoded(path: Path, wanted: Callable[[RawMessage], bool]) -> Iterator[tuple[
 
 
 def raw_messages(path: Path) -> Iterator[RawMessage]:
-    """Of a file, also one that breaks off; of a folder, its files in the order of their numbers.
+    """Messages of a file, even an incomplete one, or of a folder's files in their order.
 
     A folder without MCAP files is left to `rosbags`, which unpacks without bound.
 

@@ -1,9 +1,9 @@
 """Serialized messages in MCAP files: read from first to last, and written in chunks.
 
-A recorder that is killed leaves a file without its end. What it had written must still be read, so
-reading goes from record to record (https://mcap.dev/spec) and not by the index at the end, and
-writing closes a chunk every `CHUNK_S`. Records are read by the library `mcap` and written by
-`rosbags`. Our own is what they lack: `mcap` does not tell a file that breaks off from a damaged
+A recorder that is killed leaves a file without its end. The part already written must still be
+readable, so reading goes from record to record (https://mcap.dev/spec) and not by the index at
+the end, and writing closes a chunk every `CHUNK_S`. Records are read by the library `mcap` and
+written by `rosbags`. Our own code adds: `mcap` does not tell a file that breaks off from a damaged
 one, believes every length and unpacks without bound; no writer closes chunks by time.
 """
 
@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from rosbags.rosbag2.storage_mcap import McapWriter
 
 MOST_RECORD_BYTES: Final = 64 << 20
-"""Of a chunk, packed and unpacked, and of any record outside; rosbag2's chunks have a megabyte."""
+"""Largest chunk, packed and unpacked, and largest other record; rosbag2's chunks have a
+megabyte."""
 CHUNK_S: Final = 0.5
 """A chunk holds no more than this of the messages' time."""
 
@@ -115,7 +116,7 @@ class McapMessages:
                 raise self._damaged(at, why) from error
 
     def _records(self, file: BinaryIO, size: int) -> Iterator[tuple[int, int, bytes]]:
-        """Where each record starts, its opcode and content; nothing longer than the bound."""
+        """Start of each record, its opcode and content; nothing longer than the bound."""
         from mcap.opcode import Opcode
 
         read = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK}
@@ -198,7 +199,7 @@ class BagTypes:
     def message(self, kind: str, data: bytes) -> Any:
         """A message of its type's full name and its bytes (CDR).
 
-        What publishers leave behind its end is ignored. Other bytes raise whatever a parser can.
+        Bytes after its end are ignored. Other bytes raise whatever a parser can.
         """
         definition = self._store.get_msgdef(kind)
         little = bytes(data[:2]) == b"\x00\x01"
@@ -209,7 +210,7 @@ class BagTypes:
 
 
 def topic_file_path(path: str | Path, force: bool) -> Path:
-    """Where a `TopicFile` of this name is to stand, links followed.
+    """The path of a `TopicFile` of this name, links followed.
 
     Raises:
         RecordingError: the name does not end in .mcap, or the file must not be written.

@@ -1,6 +1,6 @@
-"""The protocol: which poses, loads and holds to record so that effects can be told apart.
+"""The protocol: poses, loads and holds to record, so that effects can be distinguished.
 
-What each part is for:
+Purpose of each part:
 
 - load cycles on every segment from several sides, straight and bent: scale and crosstalk of the
   sensors, stiffness, hole geometry, where the loads act, and the loop that friction opens between
@@ -34,7 +34,7 @@ from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.replay import reading_variance_n2
 
 STRONGEST_N = 60.0
-"""What a person hangs on an arm or pulls over a pulley without a crane."""
+"""A person can hang this on an arm, or pull it over a pulley, without a crane."""
 DIRECTIONS: dict[str, tuple[float, float, float]] = {
     "down": (0.0, 0.0, -1.0),
     "to the left": (0.0, 1.0, 0.0),
@@ -65,7 +65,7 @@ _REST_S = 5.0
 
 
 class BlockKind(StrEnum):
-    """What is done in a block."""
+    """The action in a block."""
 
     REST = "rest"
     LOAD_CYCLE = "load cycle"
@@ -143,7 +143,7 @@ def standard_protocol(arm: Arm) -> tuple[Block, ...]:
 
 
 def rows_of(blocks: Sequence[Block], rate_hz: float) -> Recording:
-    """One row every 1 / `rate_hz`, block after block, each a trial of its own; no tensions."""
+    """One row every 1 / `rate_hz`, block after block, each block one trial; no tensions."""
     counts = [max(1, round(block.duration_s * rate_hz)) for block in blocks]
     times = [np.arange(count) / rate_hz for count in counts]
 
@@ -171,8 +171,8 @@ def rows_of(blocks: Sequence[Block], rate_hz: float) -> Recording:
 def bearable_load_n(arm: Arm, command_rad: Array, segment: int, direction: Array) -> float:
     """Largest force in N along `direction` (3,) on segment 1..N that leaves every cable taut.
 
-    At most `STRONGEST_N`, in steps of a thirtieth; less on a weak arm. Where no force that shows
-    (20 noise floors in some cable) leaves all cables taut, the weakest that shows.
+    At most `STRONGEST_N`, in steps of a thirtieth; less on a weak arm. If no visible force
+    (20 noise floors in some cable) leaves all cables taut, the result is the weakest visible one.
 
     Raises:
         EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.
@@ -190,9 +190,9 @@ def bearable_load_n(arm: Arm, command_rad: Array, segment: int, direction: Array
 def slackening_load_n(arm: Arm, command_rad: Array, segment: int, direction: Array) -> float:
     """A force in N along `direction` (3,) on segment 1..N that takes some cable slack, safely.
 
-    Half as strong again as the weakest that does, and never so strong that the nominal arm would
-    be without a rest at 1.3 times the force, or a sensor near the end of its range. Where there is
-    none up to the strongest load, the force of `bearable_load_n`.
+    It is 1.5 times the weakest such force. The nominal arm still has an equilibrium at 1.3 times
+    the force, and no sensor is near the end of its range. If no load up to the strongest takes a
+    cable slack, the result is that of `bearable_load_n`.
 
     Raises:
         EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.
@@ -215,7 +215,7 @@ def slackening_load_n(arm: Arm, command_rad: Array, segment: int, direction: Arr
 def _increasing_loads(
     arm: Arm, command_rad: Array, segment: int, direction: Array, share: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Loads from 0 to a share of the strongest, N; as far as the arm finds rest, what they give.
+    """Loads from 0 to a share of the strongest, N; as far as the arm finds rest, the tensions.
 
     Tensions (L, M), and whether (L,) no sensor is near the end of its range that is not there
     unloaded. A step is a thirtieth of the strongest load: 2 N, or on a weak arm less, by 1, 2 or

@@ -1,11 +1,11 @@
 """One recording of an arm, as arrays, and the trials of one that names none.
 
-A new trial begins at a row where
+A new trial begins at each of these rows:
 
-- time has a gap,
-- the command starts to move after standing still,
-- a load starts after a rest without any, on another segment than the last load, or from another
-  side.
+- after a gap in time;
+- where the command starts to move after standing still;
+- where a load starts after a rest without load, on another segment than the last load, or from
+  another side.
 
 The arm unloaded again belongs to the trial of the load before: it shows what the load left behind.
 """
@@ -23,25 +23,25 @@ from cablesense_base import Array, CableSenseError
 _STILL_S = 1.0
 """A command that has not changed for this long stands still."""
 _REST_S = 3.0
-"""An arm that has borne no load for this long is at rest; steps of a load come faster."""
+"""An arm without load for this long is at rest; steps of a load come faster."""
 _GAP_S = 1.0
 _GAP_INTERVALS = 5.0
 _SAME_SIDE_COSINE = 0.866
 """Loads within 30 degrees of each other come from one side."""
 
 MAX_NUMBERS = 100_000_000
-"""Of a recording that is read: an hour at 1 kHz of an arm with twelve cables, 0.8 GB in memory."""
+"""Size limit of a recording: an hour at 1 kHz of an arm with twelve cables, 0.8 GB in memory."""
 
 _SHOWN = 5
 
 
 class RecordingError(CableSenseError):
-    """A recording that cannot be used: which file, what is wrong, in which rows, what is right."""
+    """A recording that cannot be used: names the file, the rows, the fault and the remedy."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What was commanded, what pushed the arm, and what its sensors read: R rows in time order.
+    """Commands, known loads and readings of an arm: R rows in time order.
 
     Attributes:
         name: of the file it came from, without its suffix.

@@ -1,7 +1,7 @@
 """The rows of a long recording that a diagnosis works on.
 
 Its time and memory grow with rows and trials, and neighbouring rows of a fast recording say the
-same. So rows are chosen, never averaged, since the noise of a reading must stay that of the
+same. Rows are chosen, never averaged, because the noise of a reading must stay that of the
 sensors. Kept are
 
 - of each trial the first row and the last,
@@ -10,7 +10,8 @@ sensors. Kept are
 - of all others as many as there is room for, at equal distances in their order.
 
 A turn or leap counts from a hundredth of the recording's largest on, and from twice as much as
-often as there are too many for half of the room. Of too many trials, whole ones are left out.
+often as there are too many for half of the room. If there are too many trials, whole ones are
+left out.
 
 Fewer rows suffice to choose among effects that depend on the past (`rows_along_path`).
 """

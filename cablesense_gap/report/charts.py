@@ -15,7 +15,7 @@ Kind = Literal["before", "after", "other", "floor"]
 
 
 class Bar(NamedTuple):
-    """One bar, from `low` to `high` in the verdict's unit, with a text beside it."""
+    """One bar, from `low` to `high` in the verdict's unit, with a text."""
 
     name: str
     low: float
@@ -41,7 +41,7 @@ def gap_bars(verdict: Verdict) -> list[Bar]:
 
 
 def steps(verdict: Verdict) -> list[Bar]:
-    """From the nominal gap down to the floor, by what each of several effects takes away."""
+    """Steps from the nominal gap down to the floor, one for each of several effects."""
     if len(verdict.shares) < 2:
         return []
     gap, unit, level = verdict.gap, verdict.unit, verdict.gap.before_n

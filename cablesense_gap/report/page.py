@@ -54,7 +54,7 @@ from cablesense_gap.verdict import (
 DIAGNOSIS_FILES = ("verdict.json", AMENDED_ARM, "report.html")
 
 _WORST = 8
-"""Parts of what remains that are shown before one asks for all."""
+"""Parts of the remaining gap that are shown at first."""
 
 
 def write_diagnosis(
@@ -89,7 +89,7 @@ def make_folder(folder: Path) -> None:
 def report_page(
     found: Diagnosis, models: Mapping[str, RecordedErrors] = MappingProxyType({})
 ) -> str:
-    """The report, one HTML page that needs nothing beside it.
+    """The report as one self-contained HTML page.
 
     `models` are errors of estimators by their names, which a picture shows side by side.
     """

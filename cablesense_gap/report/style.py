@@ -1,7 +1,7 @@
-"""The common style of pages that need nothing beside them: template, pictures and numbers.
+"""The common style of self-contained pages: template, pictures and numbers.
 
 Colours are of Okabe and Ito (*Color Universal Design*, 2008); the two that carry the message also
-differ in lightness, so that they stay apart in grey print.
+differ in lightness, so that they differ in grey print too.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The verdict in one plain sentence, and the names of what it names."""
+"""The verdict as text: its headline, effects, places and numbers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cablesense_sim.effects.effect import EffectDescription, Parameter
 from cablesense_sim.effects.registry import known_effects
 
 SURE = 0.9
-"""From this probability on, a verdict is stated without `probably`."""
+"""A verdict of at least this probability is stated without `probably`."""
 
 _PREPOSITIONS = {"cable": "at", "segment": "on", "joint": "in"}
 _PLACE = re.compile(r"(cable|segment|joint)_(\d+)")
@@ -51,14 +51,14 @@ def headline(verdict: Verdict, known: Known | None = None) -> str:
 
 
 _OUTCOMES = {
-    "stands": "still borne out, with about the same numbers",
-    "changed": "still borne out, with other numbers",
+    "stands": "confirmed, with about the same numbers",
+    "changed": "confirmed, with other numbers",
     "not needed": "no longer needed: held-out trials are predicted as well without it",
 }
 
 
 def earlier_sentence(earlier: Earlier) -> str:
-    """What of one effect that the arm file listed still stands."""
+    """Whether an effect that the arm file listed is confirmed."""
     name = earlier.effect.replace("_", " ") + _at(earlier.places)
     numbers = [
         f"{key} {_with_unit(f'{estimate.value:.3g}', estimate)} (was {earlier.was[key]:.3g})"
@@ -72,7 +72,7 @@ FRICTION_HIDES = (
     "Friction of cables hides forces from any estimator at rest: let the arm breathe "
     "(docs/breathing.md)."
 )
-"""Beside errors of estimators where a verdict names that friction."""
+"""Added to errors of estimators if a verdict names that friction."""
 
 _ERRORS: dict[str, tuple[str, Callable[[float], str]]] = {
     "contact_accuracy": ("loaded segment named", percent),
@@ -84,7 +84,7 @@ _ERRORS: dict[str, tuple[str, Callable[[float], str]]] = {
 
 
 def error_rows(estimator: EstimatorErrors) -> list[tuple[str, str, str]]:
-    """Errors of the first and of the second estimator, by what they are; dashes where none."""
+    """Errors of the first and of the second estimator by name; dashes if there are none."""
     found = []
     for name in dict(estimator.before, **(estimator.after or {})):
         label, text = _ERRORS.get(name, (name.replace("_", " "), "{:.4g}".format))
@@ -123,7 +123,7 @@ def rival_names(verdict: Verdict) -> list[str]:
 
 
 def effect_places(verdict: Verdict, effect: str) -> tuple[str, ...]:
-    """Where an effect of the verdict sits; empty for the whole arm or robot."""
+    """Places of an effect of the verdict; empty for the whole arm or robot."""
     if verdict.channels:
         return verdict.shares[effect].places if effect in verdict.shares else ()
     names = [name.split(".") for name in verdict.parameters]
@@ -139,7 +139,7 @@ class ExplainedNumber(NamedTuple):
 
     Attributes:
         about: what the number means; empty for an effect that is not installed here.
-        past: whether it is what the past had left, and so this recording's own.
+        past: whether it is the friction or creep state at the start of this recording.
     """
 
     effect: str

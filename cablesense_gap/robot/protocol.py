@@ -1,4 +1,4 @@
-"""What to record of a robot, so that effects can be distinguished, and what to record next."""
+"""The protocol to record of a robot so that effects differ, and the next experiment."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _EVERY = 10
 
 @dataclass(frozen=True)
 class RobotBlock:
-    """One trial: what it is, what to do, and the positions (T, J) at `RATE_HZ`."""
+    """One trial: its kind, the instruction, and the positions (T, J) at `RATE_HZ`."""
 
     kind: str
     does: str

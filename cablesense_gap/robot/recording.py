@@ -27,7 +27,7 @@ _KINDS = ("position", "velocity", "torque", "command")
 _PREFIXES = ("time", "trial", *(f"{kind}." for kind in _KINDS))
 _STILL_S = 0.5
 _STILL_SHARE = 0.01
-"""Of a joint's largest speed: slower is standing still."""
+"""A joint slower than this share of its largest speed is standing still."""
 _MOST_STRETCH_S = 20.0
 _LEAST_STRETCH_S = 1.0
 _MOST_RAD = 4.0 * np.pi
@@ -46,7 +46,7 @@ class RobotRecording:
         position: (R, J) of the joints, rad or m.
         torque: (R, J) of the drives at the joints, N·m or N; NaN for joints without.
         command: (R, A) of the actuators; NaN for those without.
-        notes: what was done to it, as sentences.
+        notes: changes made to it, as sentences.
     """
 
     name: str
@@ -65,11 +65,11 @@ class RobotRecording:
 def read_recording(path: str | Path, robot: Robot) -> RobotRecording:
     """Read a .csv or .csv.gz file, a folder of them, a .mcap file or a rosbag2 folder.
 
-    Each file of a folder has trials of its own.
+    Files of a folder do not share trials.
 
     Raises:
         RecordingError: no such file, not CSV, a column missing or of another robot, a cell that
-            is no number, degrees or milliseconds, or time that does not go on.
+            is not a number, degrees or milliseconds, or time that does not increase.
     """
     path = Path(path)
     if is_bag(path):
@@ -106,7 +106,7 @@ def bag_table(path: Path, robot: Robot) -> dict[str, Array]:
     Positions, velocities and efforts come from the joint states. Commands come from a topic whose
     joint states name the actuators, or whose numbers are as many as the actuators and whose name
     contains `command`: the latest before each row. Trials come from a topic `trial`; rows before
-    the first number are a trial of their own. Without efforts, rows begin with the first command.
+    the first number are a separate trial. Without efforts, rows begin with the first command.
 
     Raises:
         RecordingError: no bag, one too large, or no joint states with the robot's joints.

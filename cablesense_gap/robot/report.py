@@ -37,7 +37,7 @@ ROBOT_FILES = ("verdict.json", AMENDED_MODEL, BESIDE_MODEL, "report.html")
 def write_robot_diagnosis(
     folder: Path, found: RobotDiagnosis, beside: Mapping[Term, float]
 ) -> None:
-    """Write all files, each whole or not at all; `beside` are effects of the nominal JSON.
+    """Write all files, each whole or not at all; `beside` are effects of the nominal model's JSON.
 
     Raises:
         VerdictError: the folder cannot be made, or the verdict not be written.
@@ -61,7 +61,7 @@ def floors(value: float) -> str:
 
 
 def report_page(found: RobotDiagnosis, folder: str) -> str:
-    """The report, one HTML page that needs nothing beside it."""
+    """The report as one self-contained HTML page."""
     verdict = found.verdict
     with style():
         overlay = _overlay(found)

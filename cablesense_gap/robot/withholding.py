@@ -30,12 +30,12 @@ _STEP_S, _STEP_OF_TEETH_S = 1e-3, 5e-4
 _TEETH_RAD_S = 500.0
 """At which a rotor would swing on a tooth."""
 _LEAST_ROTOR = 0.04
-"""Of a joint's inertia, where the model has no rotor to speak of."""
+"""Rotor inertia by the joint's inertia, if the model has almost none."""
 _RAD_S_OF_CONTROL = 30.0
 _ENCODER_STEP = 2.0 * np.pi / 2**16
 _NOISE_SHARE = 0.01
 _SIZES = (2.0, 5.0)
-"""Of the typical one, that hidden effects have."""
+"""Range of hidden sizes, by the typical size."""
 _COGGING_PER_RAD = 9.0
 _SMOOTH_SPEED = 0.01
 _ATTEMPTS = 8

@@ -20,7 +20,7 @@ _MASS_SHARE, _PRETENSION_N, _CONTACT_M, _HOLE_DEG, _ZERO_N = 0.005, 0.15, 0.0003
 
 @dataclass(frozen=True)
 class ActuatorFaults:
-    """Faults of M actuators; by default they pay out exactly what is commanded.
+    """Faults of M actuators; by default they follow the command exactly.
 
     Attributes:
         play_m: (M,) lost motion on reversal, from end to end.
@@ -96,7 +96,7 @@ class RealArm:
         return self.sensing.signals_n(np.maximum(tension[before:], 0.0), schedule.time_s)
 
     def held_m(self, command_rad: Array) -> Array:
-        """(R, M) cable that commands (R, 2N) pay out by the drawing, less the straight arm's."""
+        """(R, M) cable paid out by commands (R, 2N) as drawn, minus that of the straight arm."""
         drawn = rigid_body(self.nominal)
         straight = cable_lengths_m(drawn, np.zeros((1, command_rad.shape[1])))
         return cable_lengths_m(drawn, command_rad) - straight

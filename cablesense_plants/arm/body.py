@@ -257,7 +257,7 @@ class PlantFriction:
         breakaway: the same of a cable that sticks, by that of one that slides.
         pulley_rad: constant wrap on a pulley at the actuator, behind the sensor.
         reach_m: sliding over which bristles take up the cables' friction; 0 sticks rigidly.
-        rounded: whether bristles give way little by little, see `chains.friction_state`.
+        rounded: whether bristles yield gradually, see `chains.friction_state`.
         actuator_share: part of a cable's compliance before the pulley, as its actuator's; above 0.
         joint_nm: (J, 2) torque of the joints' friction while they turn.
         joint_reach_rad: angle over which the joints' friction builds up.

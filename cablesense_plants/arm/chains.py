@@ -41,7 +41,7 @@ class Chains(NamedTuple):
     Attributes:
         tension_n: (B, M, P) of the P = 2J + 2 pieces; a slack cable's is negative.
         by_angle_n_rad: (B, M, P, 2J) its derivative by the joint angles.
-        misfit_n: (B, M) largest of what was left unsolved.
+        misfit_n: (B, M) largest unsolved misfit.
         fed_m: as in `GuideState`, like the next two.
     """
 
@@ -54,7 +54,7 @@ class Chains(NamedTuple):
 
     @property
     def guides(self) -> GuideState:
-        """What the state of the guides becomes."""
+        """The new state of the guides."""
         return GuideState(self.fed_m, self.bristle, self.sliding)
 
 
@@ -72,7 +72,7 @@ class _Each(NamedTuple):
 
 
 class _Law(NamedTuple):
-    """What a chain leaves unsolved at a guess: (N, P), matrix (N, P, P), and by lengths (N, P)."""
+    """Unsolved misfit of a chain at a guess: (N, P), matrix (N, P, P), and by lengths (N, P)."""
 
     misfit_n: Array
     matrix: Array
@@ -99,7 +99,7 @@ class PlantCables:
     def fed_m(self, length_m: Array, tension_n: Array, crept_m: Array) -> Array:
         """(B, M, G) unstretched cable beyond each guide.
 
-        Of spans (B, J, M), tensions (B, M, P) and lengthenings by creep (B, M, P).
+        Takes spans (B, J, M), tensions (B, M, P) and lengthenings by creep (B, M, P).
         """
         stretched = (self.compliance_m_n * tension_n + crept_m) @ self._beyond.T
         return np.asarray(np.swapaxes(self.distal[1:] @ length_m, -1, -2) - stretched)
@@ -201,7 +201,7 @@ class PlantCables:
         return _Law(misfit, matrix, np.concatenate([stiff, hold], axis=-1), fed, state)
 
     def _sliding(self, each: _Each, tension: Array, sliding: Array, sweep: int) -> Array:
-        """Where cable passes, by what breaks loose and what would pass against its tension."""
+        """Which guides slide; some break loose, others stop that would slide uphill."""
         nearer, farther = tension[:, :-1], tension[:, 1:]
         excess = {
             sign: high - low * np.exp(each.grip * self._level(each.before_sliding == sign))

@@ -27,7 +27,7 @@ ArmChange = HiddenChange[RealArm]
 
 @dataclass(frozen=True)
 class ArmDraw:
-    """Random choices of what is wrong with an arm as drawn; its M cables count from 0."""
+    """Random draws of changes of an arm as drawn; its M cables count from 0."""
 
     rng: np.random.Generator
     nominal: Nominal

@@ -94,7 +94,7 @@ class QuasiStaticPath:
     """Takes arms from row to row."""
 
     def __init__(self, body: Body, friction: PlantFriction, creep: Creep, run_m: float) -> None:
-        """From the arms' body, its friction and creep, and the run before the base plate."""
+        """The arms' body, its friction and creep, and the run before the base plate."""
         if body.exponent != 1.0:
             raise PlantError("hardening cables have no friction or creep here; use exponent 1")
         joints = body.joint_count

@@ -103,7 +103,7 @@ def require_room(body: Body, angles_rad: Array) -> None:
         raise PlantError(
             f"row {row + 1}: joint {joint + 1} bends by {np.rad2deg(bend[row, joint]):.0f} "
             f"degrees and its plates touch at {np.rad2deg(limit[joint]):.0f}; "
-            "smaller loads or angles leave them apart"
+            "use smaller loads or angles"
         )
 
 

@@ -1,4 +1,4 @@
-"""What the plant's sensors make of tensions: from faults of scale to noise and whole steps."""
+"""Readings of the plant's sensors: from faults of scale to noise and whole steps."""
 
 from __future__ import annotations
 

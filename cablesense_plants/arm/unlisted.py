@@ -27,7 +27,7 @@ _DRAWS = Draws(UNKNOWN)
 
 @_DRAWS.of_size("1", 5e-4, 0.3)
 def actuator_ratio(draw: ArmDraw) -> ArmChange:
-    """Actuators that pay out more or less than is commanded."""
+    """Actuators that pay out more or less than the command."""
     share = draw.weights(draw.cables(1, 3), signed=True)
     return ArmChange(sets("actuation", ratio=(added, share)))
 
@@ -71,7 +71,7 @@ def snagging_cables(draw: ArmDraw) -> ArmChange:
 
 @_DRAWS.of_size("rad/(N m)", 1e-4, 0.05)
 def limber_segments(draw: ArmDraw) -> ArmChange:
-    """Segments that bend in their middle under what they carry."""
+    """Segments that bend in their middle under load."""
     return ArmChange(_limber)
 
 
@@ -148,7 +148,7 @@ def cogging(draw: ArmDraw) -> ArmChange:
 
 @_DRAWS.of_size("N/m", 0.3, 300.0)
 def tether(draw: ArmDraw) -> ArmChange:
-    """A hose or a band from the arm's end to somewhere beside it."""
+    """A hose or a band from the arm's end to a point near the arm."""
     angle, away_m = draw.uniform(0.0, 2.0 * np.pi), draw.uniform(0.1, 0.4)
     x = _reach_m(draw) + draw.uniform(-0.2, 0.1)
     spring = TipSpring((x, float(away_m * np.sin(angle)), float(away_m * np.cos(angle))), 1.0)

@@ -1,6 +1,6 @@
-"""Cases: arms with something hidden in them, what is done to them, and their recordings.
+"""Cases: arms with hidden changes, the motion and loads applied to them, and their recordings.
 
-A set of cases becomes files: recordings as CSV, what is hidden in them as a table beside.
+A set of cases becomes files: recordings as CSV, and the answers as a table.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ def _write_recording(path: Path, rate_hz: float, done: Schedule, tensions_n: Arr
 
 @dataclass(frozen=True)
 class ArmAnswer:
-    """What was hidden in a recording.
+    """The hidden changes of a recording.
 
     Attributes:
         recording: its name.
@@ -190,7 +190,7 @@ class CaseRecording:
 def record_case(
     rng: np.random.Generator, index: int, nominal: Nominal, kind: str, *, second: bool = False
 ) -> CaseRecording:
-    """Draw an arm, what is hidden in it and what is done to it, and record that.
+    """Draw an arm, its hidden changes and its protocol, and record it.
 
     Args:
         rng: all of the case comes from it.

@@ -1,1 +1,1 @@
-"""Robots with something hidden in them, simulated by rigid-body code of their own."""
+"""Robots with hidden changes, simulated by independent rigid-body code."""

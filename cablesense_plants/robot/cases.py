@@ -1,4 +1,4 @@
-"""Sets of cases: robots with something hidden, their recordings, and what is hidden."""
+"""Sets of cases: robots with hidden changes, their recordings, and the answers."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ Drawing = Callable[[RobotDraw], RobotChange]
 _OF_LINKS = ("link_centre", "link_mass", "payload")
 _NONE_SHARE, _UNKNOWN_SHARE, _SEVERAL_SHARE = 0.2, 0.2, 0.2
 _FLOORS = (6.0, 40.0)
-"""What a cause makes of the torques, by the noise of one sample."""
+"""Gap of a cause in the torques, by the noise of one sample."""
 _TOLERANCES = 3.0
-"""A cause is at least so many times what tolerances make."""
+"""A cause is at least this many times the effect of tolerances."""
 _VISIBLE = 0.8
-"""Of the size that is wanted: less and the cause is drawn anew."""
+"""If the gap is below this share of the wanted one, the cause is drawn again."""
 _TRIES, _REDRAWS, _OF_ONE_NAME = 5, 60, 6
 
 
 @dataclass(frozen=True)
 class RobotAnswer:
-    """What is hidden in a recording; gaps are in noise of one sample of a torque, pooled.
+    """The hidden changes of a recording; gaps are in noise of one sample of a torque, pooled.
 
     Attributes:
         recording: its name.
@@ -72,7 +72,7 @@ class RobotAnswer:
 
 @dataclass(frozen=True)
 class RobotCase:
-    """A robot with something hidden, and what it is asked to do in two recordings."""
+    """A robot with hidden changes, and its references in two recordings."""
 
     answer: RobotAnswer
     kind: RobotKind
@@ -206,7 +206,7 @@ def _size_for(
     without: Array,
     wanted: float,
 ) -> tuple[float, float]:
-    """By the ratio of what is wanted to what a size makes, within the cause's bounds."""
+    """Scales the size by the ratio of wanted to actual gap, within the cause's bounds."""
     size, best, found = 0.1 * cause.most, 0.0, 0.0
     for _ in range(_TRIES):
         gap = _gap(kind, _read(kind, cause.apply(plain, size), asked), without)

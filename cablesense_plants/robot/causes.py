@@ -1,4 +1,4 @@
-"""What can be hidden in a robot: effects that verdicts have names for, and others."""
+"""Changes that can be hidden in a robot: effects that verdicts have names for, and others."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RobotChange = HiddenChange[RealRobot]
 
 @dataclass(frozen=True)
 class RobotDraw:
-    """From what causes are drawn: a nominal robot, names of its joints and links."""
+    """The basis of drawn causes: a nominal robot, names of its joints and links."""
 
     rng: np.random.Generator
     kind: RobotKind

@@ -2,7 +2,7 @@
 
 Between two guides lies one piece. Each step, cable passes a guide from the looser piece to the
 tighter one until their tensions are apart by Euler's ratio at most, guide after guide, until no
-more passes; beyond the last guide it is held. What lies before the first has the motor's tension.
+more passes; beyond the last guide it is held. The piece before the first has the motor's tension.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class Rubbing:
         self._natural_m = length - PRETENSION_N / _STIFF_N_M
 
     def lost_n_m(self, angle: Array, torque_n_m: Array) -> Array:
-        """(B, N) what is lost of the motors' torques, on the way to angles (B, N)."""
+        """(B, N) loss of the motors' torques, on the way to angles (B, N)."""
         points, _ = pose = self._guides.pose(angle)
         piece = np.diff(points, axis=2)
         length = np.linalg.norm(piece, axis=-1)

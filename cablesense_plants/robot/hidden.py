@@ -1,4 +1,4 @@
-"""A robot as it really is: what its drives, joints and sensors do beside rigid bodies."""
+"""A real robot: its drives, joints and sensors in addition to rigid bodies."""
 
 from __future__ import annotations
 
@@ -156,12 +156,12 @@ class RealRobot:
         return self.damping * speed + ripple
 
     def spring_n_m(self, angle: Array) -> Array:
-        """What pulls back at the joints, at their angles."""
+        """Torque of springs at the joints, at their angles."""
         beyond = np.maximum((angle - self.tie_rad) * np.sign(self.tie), 0.0)
         return self.stiffness * angle + np.abs(self.tie) * beyond * np.sign(self.tie)
 
     def flank_n_m(self, ahead: Array, closing: Array) -> Array:
-        """What teeth that touch pass on, by how far and how fast motors are ahead of joints."""
+        """Torque through touching teeth, by the lead of motors over joints and its speed."""
         stiffness = self.armature * _FLANK_RAD_S**2
         pressed = ahead - np.clip(ahead, -0.5 * self.play_rad, 0.5 * self.play_rad)
         force = stiffness * pressed + 0.6 * self.armature * _FLANK_RAD_S * closing
@@ -207,7 +207,7 @@ class RealRobot:
 
 
 def stacked(robots: Sequence[_T]) -> _T:
-    """Robots one beside the other, each array with a leading axis."""
+    """Robots side by side, each array with a leading axis."""
     first: Any = robots[0]
     if not is_dataclass(first):
         return np.stack(robots)  # type: ignore[return-value, arg-type]

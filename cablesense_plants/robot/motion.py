@@ -12,17 +12,17 @@ from cablesense_plants.robot.guides import Rubbing, pulls_n
 from cablesense_plants.robot.hidden import RealRobot, RobotKind, stacked
 
 STEP_S = 1e-3
-"""Of the simulation and of the robots' controller."""
+"""Step of the simulation and of the robots' controller."""
 TRIALS = ("sines", "points", "sines", "slow", "points", "sines")
 _STEPS_OF_PLAY = 5
 """Within one step, where teeth touch and part."""
 _TAPER = 0.16
-"""Of a trial, at both ends: how long sines take to come and to go."""
+"""Share of a trial at both ends: how long sines take to come and to go."""
 _MOVE_S, _HOLD_S = 0.9, 0.5
 _CURRENT_S = 0.002
 """Lag of a drive's current."""
 _FILTER_S = 0.0016
-"""Of the filter that a torque's noise passes."""
+"""Time constant of the filter of a torque's noise."""
 _VELOCITY_S = 0.004
 _STRIDE = 8
 _PASSING_ROWS = 2.5
@@ -30,7 +30,7 @@ _PASSING_ROWS = 2.5
 
 
 class Reference(NamedTuple):
-    """What the controllers of B robots are asked for, (T, B, N); T steps of the simulation."""
+    """References of the controllers of B robots, (T, B, N); T steps of the simulation."""
 
     angle: Array
     speed: Array
@@ -71,7 +71,7 @@ def _sines(kind: RobotKind, rng: np.random.Generator, time_s: Array) -> Array:
 
 
 def _points(kind: RobotKind, rng: np.random.Generator, time_s: Array) -> Array:
-    """From point to point with a rest at each, and home again."""
+    """Motion from point to point with a rest at each, and home again."""
     count = max(2, int(time_s[-1] / (_MOVE_S + _HOLD_S)))
     slot_s = time_s[-1] / count
     goals = rng.uniform(-1.0, 1.0, (count + 1, len(kind.home_rad)))
@@ -96,12 +96,12 @@ def _smooth(share: Array) -> Array:
 
 
 def stacked_references(references: list[Reference]) -> Reference:
-    """Of several robots, (T, B, N)."""
+    """References of several robots, (T, B, N)."""
     return Reference(*(np.stack(parts, 1) for parts in zip(*references, strict=True)))
 
 
 def prescribed_n_m(kind: RobotKind, robot: RealRobot, asked: Reference) -> Array:
-    """Torques (T', N) that sensors would read if one robot did just what it is asked for.
+    """Torques (T', N) that sensors would read if one robot followed its reference exactly.
 
     Every eighth step. To size what is hidden: quick, without a controller, friction without its
     past.
@@ -164,10 +164,10 @@ class DrivenMotion(NamedTuple):
 
 
 def simulate(kind: RobotKind, robots: RealRobot, asked: Reference) -> DrivenMotion:
-    """Robots under their controllers: midpoint steps, bristles integrated exactly beside.
+    """Robots under their controllers: midpoint steps, with exactly integrated bristles.
 
-    The controllers know the nominal robot: its torques of what is asked for, and by its inertia a
-    feedback of position and speed.
+    The controllers know the nominal robot: its torques for the reference, and a feedback of
+    position and speed scaled by its inertia.
     """
     nominal = stacked([kind.nominal()[0]])
     forward = nominal.chain.torques_n_m(*asked) + nominal.armature * asked.acceleration
@@ -207,7 +207,7 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: Reference) -> DrivenMoti
     def acceleration(
         angle: Array, speed: Array, rotor: Array, rotor_speed: Array, held: Array
     ) -> tuple[Array, Array]:
-        """Of the chain, and of rotors with play."""
+        """Accelerations of the chain and of rotors with play."""
         motor, motor_speed = motors(angle, speed, rotor, rotor_speed)
         torque = held - robots.motor_n_m(motor, motor_speed)
         passed = robots.flank_n_m(motor - angle[:, 1:], motor_speed - speed[:, 1:])

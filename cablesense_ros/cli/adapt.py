@@ -49,7 +49,7 @@ def adapt(
 ) -> None:
     """Diagnose a recording, and train the force estimator on the arm as it is found to be.
 
-    A fifth of the trials are kept apart from diagnosis and training; on their loads both
+    A fifth of the trials are withheld from diagnosis and training; on their loads both
     estimators are judged. Writes what `gap diagnose` writes, with these errors, and the model
     that the estimator node takes; where it is no better than the one in use, this is said, and
     that one is kept.

@@ -51,14 +51,14 @@ def score(
         int,
         typer.Option(
             min=0,
-            help="With --second: estimate from so many first rows in which state the arm began; "
+            help="With --second: estimate the initial state from this many first rows; "
             "they do not count.",
         ),
     ] = 0,
     arm: NominalArmOption = "cdsm_lab",
     json_output: JsonOption = False,
 ) -> None:
-    """Score verdicts against answers: what was named right, how sure, how calibrated.
+    """Score verdicts against answers: correct names, probabilities, calibration.
 
     Examples: [bold]cablesense gap score verdicts --answers answers.csv --json[/bold],
     [bold]cablesense gap score verdicts --answers answers.csv --second again --settle 60[/bold]
@@ -165,7 +165,7 @@ def withhold(
     arm: NominalArmOption = "cdsm_lab",
     model: ModelOption = None,
     answers: Annotated[
-        Path | None, typer.Option(help="File for what is hidden, if not OUT/answers/answers.csv.")
+        Path | None, typer.Option(help="File for the answers, if not OUT/answers/answers.csv.")
     ] = None,
     only: Annotated[
         list[str] | None,

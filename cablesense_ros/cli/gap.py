@@ -55,7 +55,7 @@ def diagnose(
     """Find where the gap lies, which effect causes it, and how far it shrinks with that effect.
 
     Writes the verdict, a report to read, and an amended arm file that the sim, the training and
-    `gap predict` take as they take any other. Of another robot, give its --model; the recording
+    `gap predict` take as they take any other. For another robot, give its --model; the recording
     then has columns position.<joint>, and torque.<joint> or command.<actuator>, and the model is
     amended.
 
@@ -112,8 +112,8 @@ def predict(
         int,
         typer.Option(
             min=0,
-            help="Estimate from so many first rows in which state the arm began: plays, shares of "
-            "friction, creep, zeros that drift.",
+            help="Estimate the initial state from this many first rows: plays, friction states, "
+            "creep, zeros that drift.",
         ),
     ] = 0,
     force: ForceOption = False,
@@ -121,7 +121,7 @@ def predict(
 ) -> None:
     """Predict the tensions of a recording, without noise, from its commands and loads alone.
 
-    With --settle the first rows are read too, as a recording has a past of its own.
+    With --settle the first rows are read too, since friction and creep depend on the past.
 
     Example: [bold]cablesense gap predict new.csv --arm diagnosis --out new_predicted.csv[/bold]
     """

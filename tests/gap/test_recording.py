@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_gap.recordings.protocol import rows_of, standard_protocol
 from cablesense_gap.recordings.recording import derive_trials, rows_named
-from cablesense_sim.arm import open_arm
 
 
 def trials(loads=(), commands=None, time_s=None, rows=60):
@@ -71,15 +69,6 @@ def test_trials_count_up_from_zero_by_one(runs):
     found = derive_trials(0.2 * np.arange(rows), np.zeros((rows, 8)), segment, force)
     assert found[0] == 0
     assert set(np.diff(found)) <= {0, 1}
-
-
-def test_those_of_the_protocol_are_found_again_but_for_rests_between():
-    arm = open_arm("cdsm_lab")
-    rows = rows_of(standard_protocol(arm), arm.sensors.rate_hz)
-    found = derive_trials(rows.time_s, rows.command_rad, rows.load_segment, rows.load_n)
-    # no derived trial mixes blocks but for those that a rest or another move follows
-    loaded = [set(rows.trial[(found == t) & (rows.load_segment > 0)]) for t in set(found)]
-    assert max(map(len, loaded)) == 1
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60).filter(any))

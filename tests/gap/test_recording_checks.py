@@ -24,7 +24,7 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.replay import read_tensions_n, replay_arm
 
-LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")
+LAB = open_arm("cdsm_lab")
 MECHANISM = mechanism_of(LAB)
 ROWS = rows_of(standard_protocol(LAB), 2.0)
 
@@ -84,18 +84,12 @@ def test_gross_effects_of_an_arm_are_no_fault_of_the_recording(changes):
     assert check_recording(replace(BARE, tensions_n=read), LAB, NOMINAL) == []
 
 
-@pytest.mark.parametrize("gain", [0.7, 1.4])
-def test_nor_are_gains_and_offsets(gain):
-    changed = with_tensions(lambda t: t * np.where(np.arange(12) < 6, gain, 1.0) - 4.0)
-    assert check_recording(changed, LAB, NOMINAL) == []
-
-
 @pytest.mark.parametrize(
     ("broken", "kind", "said"),
     [
         (with_((9, 4), "tensions_n", np.nan), "numbers", "tension_5_n .* row 10;"),
         (with_((0, 7), "command_rad", np.inf), "numbers", "q8_cmd_rad"),
-        (with_(30, "time_s", 1.0), "time", "does not go on in row 31"),
+        (with_(30, "time_s", 1.0), "time", "does not increase in row 31"),
         (with_(slice(40, 45), "load_segment", 0), "label", "row"),
         (with_(12, "load_segment", 5), "segment", r"is 5 in row 13; it must be from 1 to 4"),
         (with_(12, "load_segment", -1), "segment", "is -1"),
@@ -120,7 +114,7 @@ def test_what_rules_a_recording_out_is_reported_with_its_place(broken, kind, sai
 @pytest.mark.parametrize(
     ("odd", "kind", "said"),
     [
-        (with_(3, "load_segment", 2), "label", "beside a load of 0 N in row 4"),
+        (with_(3, "load_segment", 2), "label", "with a load of 0 N in row 4"),
         (with_(slice(100, None), "trial", 0), "trial", "trial 0 comes back"),
         (with_((205, 0), "command_rad", 0.4), "jump", "rows 206 to 207"),
         (SOUND.rows(np.r_[0:30, 300:380]), "amount", "only 110 rows"),
@@ -202,12 +196,6 @@ def test_springs_that_outweigh_all_else_over_poses_are_not_taken_for_another_arm
     assert over_poses[0, 1] < 0.6
     found = check_recording(replace(BARE, tensions_n=tensions), LAB, NOMINAL)
     assert not refused(found), found
-
-
-def test_a_recording_at_rest_has_no_findings_of_channels():
-    rest = SOUND.rows(SOUND.trial == 0)
-    nominal = NOMINAL[SOUND.trial == 0]
-    assert {finding.kind for finding in check_recording(rest, LAB, nominal)} == {"amount"}
 
 
 def test_reading_refuses_what_has_no_form_and_takes_what_is_merely_short(tmp_path):

@@ -19,15 +19,11 @@ from cablesense_gap.report.page import report_page, write_diagnosis
 from cablesense_gap.report.pictures import arm_picture
 from cablesense_gap.report.style import (
     ReportError,
-    newtons,
-    page_css,
     percent,
-    rendered,
     style,
     with_interval,
 )
 from cablesense_gap.report.text import (
-    effect_places,
     headline,
     place_text,
 )
@@ -38,7 +34,6 @@ from cablesense_gap.verdict import (
     FittedNumber,
     Share,
     VerdictError,
-    Where,
     listed,
     read_verdict,
 )
@@ -145,24 +140,6 @@ def test_held_out_predictions_with_gaps_and_findings_are_shown_for_what_they_are
     assert "Nothing was missing" not in page.text
 
 
-def test_it_is_written_whole_small_and_the_same_each_time(tmp_path, html):
-    path = tmp_path / "report.html"
-    write_diagnosis(tmp_path, found(PAYLOAD))
-    assert {file.name for file in tmp_path.iterdir()} == {
-        "report.html",
-        "verdict.json",
-        "amended_arm.yaml",
-    }
-    assert path.stat().st_size < 3_000_000
-    assert path.read_text(encoding="utf-8") == html
-
-
-def test_an_arm_file_of_the_user_stays(tmp_path):
-    (tmp_path / "arm.yaml").write_text("mine")
-    write_diagnosis(tmp_path, found(PAYLOAD))
-    assert (tmp_path / "arm.yaml").read_text() == "mine"
-
-
 def test_a_place_that_cannot_be_written_to_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr("cablesense_gap.report.page.report_page", lambda *_: "page")
     (tmp_path / "report.html").mkdir()
@@ -185,25 +162,6 @@ def test_readings_without_noise_can_be_shown_too():
     assert Page(report_page(found(verdict, before_n=0.0, after_n=0.0))).h1.startswith(
         "Nothing to add: the gap of 0.00 N"
     )
-
-
-def test_a_long_recording_is_drawn_small_and_soon():
-    times = 60
-    many = replace(
-        SMALL.rows(np.tile(np.arange(len(SMALL)), times)),
-        time_s=np.arange(times * len(SMALL)) / 5.0,
-    )
-    noise = np.tile(NOISE, (times, 1))
-    html = report_page(found(PAYLOAD, many, noise + 1.0, noise))
-    assert len(html) < 3_000_000
-    assert f"{len(many):,} rows" in html
-
-
-def test_a_number_of_the_only_place_is_shown_with_that_place(text_of):
-    alone = {"payload.mass_kg": FittedNumber(value=0.4, unit="kg", ci95=(0.38, 0.42))}
-    text = text_of(PAYLOAD.model_copy(update={"parameters": alone}))
-    assert "payload, segment 2: mass_kg" in text
-    assert "of what the segment carries besides0.400 kg0.380 to 0.420" in text
 
 
 def test_effects_are_not_credited_with_what_tolerances_took(text_of):
@@ -286,21 +244,6 @@ def test_two_effects_are_named_each_with_its_places():
     )
 
 
-def test_places_come_from_the_parameters_and_else_from_the_verdict():
-    crosstalk = verdict_of(
-        "sensor_crosstalk", parameters={"sensor_crosstalk.cable_2_into_cable_5.share": ONE}
-    )
-    assert effect_places(crosstalk, "sensor_crosstalk") == ("cable_2", "cable_5")
-    everywhere = verdict_of("sensor_lag", parameters={"sensor_lag.arm.time_constant_s": ONE})
-    assert effect_places(everywhere, "sensor_lag") == ()
-    short = verdict_of("payload", segments=("segment_1",), parameters={"payload.mass_kg": ONE})
-    assert effect_places(short, "payload") == ("segment_1",)
-
-
-def test_an_effect_of_a_users_own_keeps_its_name():
-    assert headline(verdict_of("hose_drag", 0.95)) == "The gap comes from hose drag (95 % sure)."
-
-
 def test_what_cannot_be_distinguished_is_named(text_of):
     assert "cannot distinguish" not in text_of(verdict_of("payload", ambiguity_group=("payload",)))
     verdict = verdict_of("payload", ambiguity_group=("base_tilt+payload", "none", "payload"))
@@ -335,17 +278,6 @@ def test_what_is_doubtful_is_to_be_made_sure_first(text_of):
         assert ("40 % of the probability lies elsewhere" in text) == (doubtful.probability < 0.9)
 
 
-def test_regimes_are_named(text_of):
-    verdict = verdict_of("payload")
-    assert "clearly larger" not in text_of(verdict)
-    for regimes, words in (
-        (("everywhere alike",), "alike whatever the arm does"),
-        (("moving", "bent poses"), "here: moving, bent poses."),
-    ):
-        where = Where(regimes=regimes)
-        assert words in text_of(verdict.model_copy(update={"where": where}))
-
-
 def test_places_are_gathered_by_kind():
     assert place_text(("cable_12", "cable_3", "joint_1")) == "at cables 3 and 12, in joint 1"
     assert listed(["a", "b", "c"]) == "a, b and c"
@@ -371,18 +303,6 @@ def test_a_percentage_never_claims_certainty_that_is_not_there(share):
 )
 def test_numbers_have_the_digits_that_their_interval_leaves(value, low, high, words):
     assert with_interval(FittedNumber(value=value, unit="1", ci95=(low, high))) == words
-
-
-def test_newtons_have_the_digits_of_a_sensor():
-    assert [newtons(x) for x in (0.0749, 9.994, 12.34)] == ["0.07 N", "9.99 N", "12.3 N"]
-
-
-def test_the_style_is_in_every_page():
-    assert "figure img" in page_css()
-    content = {"quick": False, "outcomes": [], "failed": [], "seconds": 0.0, "agreements": []}
-    content |= {"with_paper": {}, "otherwise": {"yes": 0}}
-    page = rendered("cablesense_paper", "paper.html", content, {"figure": str})
-    assert page_css() in page
 
 
 def test_the_folder_holds_the_verdict_the_amended_arm_and_the_report(tmp_path):

@@ -77,11 +77,6 @@ def test_answers_that_cannot_be_are_refused_in_one_line(tmp_path, text, says):
     assert "\n" not in str(refused.value)
 
 
-def test_answers_that_are_not_there_are_refused(tmp_path):
-    with pytest.raises(ScoreError, match="cannot be read"):
-        read_answers(tmp_path / "answers.csv")
-
-
 def test_verdicts_lie_in_folders_or_as_files(tmp_path):
     (tmp_path / "rec_01").mkdir()
     write_verdict(tmp_path / "rec_01" / "verdict.json", verdict_of("none"))
@@ -251,31 +246,6 @@ def test_probabilities_and_removed_gap_are_means_over_the_right_cases():
     assert found.median_removed_fraction == pytest.approx(0.9)  # of 1.0, 0.9 and 0.8
 
 
-def test_only_the_kinds_of_places_that_the_answer_names_count():
-    said = verdict_of("payload", segments=("segment_2",), cables=("cable_4", "cable_5"))
-    for places, right in (
-        (("segment_2",), 1),
-        (("segment_3",), 0),
-        (("segment_2", "joint_2"), 0),
-        (("cable_5", "cable_4"), 1),
-    ):
-        assert score({"a": said}, [answer("a", "payload", *places)]).where.hits == right
-    assert score({"a": said}, [answer("a", "payload")]).where.count == 0
-
-
-def test_a_silent_answer_takes_the_gap_as_the_verdict_measured_it():
-    large, small = gap_of(0.51, 0.1), gap_of(0.49, 0.1)
-    for gap, count in ((large, 1), (small, 0)):
-        found = score({"a": verdict_of("payload", gap=gap)}, [answer("a", "payload")])
-        assert found.clear_singles_exact.count == count
-
-
-def test_the_second_of_top2_is_the_best_beside_the_verdict():
-    said = verdict_of("payload", 0.3, others={"base_tilt": 0.5, "none": 0.2})
-    for truth, hits in (("payload", 1), ("base_tilt", 1), ("none", 0)):
-        assert score({"a": said}, [answer("a", truth)]).top2.hits == hits
-
-
 def test_without_a_case_there_is_no_figure():
     found = score({"a": verdict_of("none")}, [answer("a", "none")])
     assert found.singles_exact.value is None
@@ -286,15 +256,6 @@ def test_without_a_case_there_is_no_figure():
         "hits": 0,
         "count": 0,
     }
-
-
-def test_json_holds_every_figure():
-    figures = json.loads(json.dumps(as_json(score(VERDICTS, ANSWERS))))
-    assert figures["exact"]["value"] == 5 / 8
-    assert figures["confusion"]["payload"] == {"payload": 1}
-    assert figures["calibration"]["bins"]
-    assert figures["by_effect"]["payload"]["count"] == 1
-    assert figures["wrong"] == ["b", "d", "g"]
 
 
 def test_an_answer_without_a_verdict_is_refused():

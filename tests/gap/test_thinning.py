@@ -79,13 +79,6 @@ def test_both_sides_of_a_leap_of_the_load_are_kept_and_noise_takes_no_room():
     assert np.diff(rows).max() <= 100_000 / 2_900
 
 
-def test_a_load_that_goes_to_another_segment_is_a_leap():
-    made = recording(np.zeros(50_000), np.full(50_000, 9.0))
-    segment = np.where(np.arange(50_000) < 20_003, 1, 4)
-    moved = Recording(**{**vars(made), "load_segment": segment})
-    assert np.isin([20_002, 20_003], rows_to_use(moved)).all()
-
-
 def test_the_way_keeps_turns_and_stops_and_few_rows_between():
     up, down = np.linspace(0.0, 1.0, 12), np.linspace(1.0, 0.0, 12)
     load_n = np.concatenate([up, np.ones(40), down, np.zeros(30)])
@@ -96,9 +89,3 @@ def test_the_way_keeps_turns_and_stops_and_few_rows_between():
     assert np.diff(rows).max() <= 10
     assert np.diff(rows[rows <= 11]).max() <= 3
     assert len(rows) < 0.35 * len(load_n)
-
-
-def test_of_a_recording_in_which_nothing_moves_there_is_a_way_too():
-    rows = rows_along_path(recording(np.zeros(50), np.zeros(50)))
-    assert rows[0] == 0
-    assert rows[-1] == 49

@@ -14,7 +14,6 @@ from cablesense_plants.arm.arm import ActuatorFaults, ideal_arm, with_tolerances
 from cablesense_plants.arm.sensing import (
     Drift,
     DriftShape,
-    Dropouts,
     Filter,
     SensorFaults,
     read_n,
@@ -22,12 +21,6 @@ from cablesense_plants.arm.sensing import (
 
 IDEAL = ActuatorFaults()
 TIME_S = 0.2 * np.arange(40)
-
-
-@settings(max_examples=20)
-@given(arrays(float, (40, 3), elements=st.floats(-0.01, 0.01)))
-def test_ideal_actuators_pay_out_what_is_commanded(wanted: np.ndarray) -> None:
-    np.testing.assert_array_equal(IDEAL.paid_out_m(wanted, TIME_S), wanted)
 
 
 @settings(max_examples=30)
@@ -51,49 +44,12 @@ def test_a_reversal_loses_the_whole_play() -> None:
     np.testing.assert_allclose(given_m[:, 0], [-1e-3, 4e-3, 4e-3, 4e-3, 3e-3])
 
 
-def test_a_screw_error_repeats_every_turn_and_is_none_when_straight() -> None:
-    screw = replace(
-        IDEAL,
-        screw_m=np.array([1e-5, 0.0, 2e-5]),
-        screw_pitch_m=0.004,
-        screw_phase_rad=np.array([0.3, 0.0, 1.0]),
-    )
-    wanted = np.array([0.0, 0.001, 0.005, 0.009])[:, None] * np.ones(3)
-    error = screw.paid_out_m(wanted, TIME_S[:4]) - wanted
-    assert not error[0].any()
-    np.testing.assert_allclose(error[1], error[2], atol=1e-15)
-    np.testing.assert_allclose(error[2], error[3], atol=1e-15)
-    assert error[1, 0] != 0.0
-
-
-def test_a_clamp_slips_once() -> None:
-    slipping = replace(IDEAL, slip_m=np.array([0.0, 1e-4, 0.0]), slip_time_s=1.0)
-    error = slipping.paid_out_m(np.zeros((40, 3)), TIME_S)
-    assert not error[TIME_S < 1.0].any()
-    np.testing.assert_array_equal(error[TIME_S >= 1.0, 1], 1e-4)
-
-
 LONG_S = 0.2 * np.arange(600)
-TENSION = 50.0 + 20.0 * np.sin(0.05 * np.arange(600))[:, None] * np.array([1.0, 0.5, -1.0])
 STEP = np.where(LONG_S < 20.0, 50.0, 80.0)[:, None] * np.ones(3)
 
 
 def sensors(**changes: object) -> SensorFaults:
     return SensorFaults(50.0, **changes)
-
-
-def test_ideal_sensors_read_the_tensions() -> None:
-    np.testing.assert_array_equal(sensors().signals_n(TENSION, LONG_S), TENSION)
-
-
-def test_gain_leak_and_offset() -> None:
-    leak = np.zeros((3, 3))
-    leak[2, 0] = 0.1
-    faulty = sensors(gain=np.array([1.1, 1.0, 1.0]), leak=leak, offset_n=np.array([0.0, 2.0, 0.0]))
-    found = faulty.signals_n(TENSION, LONG_S)
-    np.testing.assert_allclose(found[:, 0], 1.1 * TENSION[:, 0])
-    np.testing.assert_allclose(found[:, 1], TENSION[:, 1] + 2.0)
-    np.testing.assert_allclose(found[:, 2], TENSION[:, 2] + 0.11 * TENSION[:, 0])
 
 
 @pytest.mark.parametrize("kind", get_args(Filter))
@@ -124,21 +80,6 @@ def test_zeros_drift_within_their_size(shape: str) -> None:
     assert np.abs(zeros).max(axis=0) == pytest.approx([1.5, 0.0, 0.5], rel=0.15)
     np.testing.assert_array_equal(zeros, drift.zeros_n(LONG_S))
     assert np.abs(np.diff(zeros, axis=0)).max() < 0.4
-
-
-def test_a_channel_that_drops_out_repeats_its_last_value() -> None:
-    dropouts = Dropouts(np.array([0.3, 0.0, 0.0]), 10.0, 2)
-    held = dropouts.repeated_n(TENSION)
-    same = np.flatnonzero(np.diff(held[:, 0]) == 0.0)
-    assert 0.1 < len(same) / len(held) < 0.5
-    np.testing.assert_array_equal(held[:, 1:], TENSION[:, 1:])
-
-
-def test_high_tensions_hit_the_ceiling_softly() -> None:
-    found = sensors(ceiling_n=np.full(3, 60.0)).signals_n(STEP, LONG_S)
-    assert (found[-1] > 60.0).all()
-    assert (found[-1] < 70.0).all()
-    np.testing.assert_array_equal(found[0], 50.0)
 
 
 def test_readings_have_noise_and_whole_steps() -> None:
@@ -175,9 +116,3 @@ def test_tolerances_have_their_standard_deviations() -> None:
     ):
         assert found.std() == pytest.approx(sigma, rel=0.1)
         assert abs(found.mean()) < 0.15 * sigma
-
-
-def test_a_cable_keeps_its_radius_and_one_angle() -> None:
-    body = ARMS[0].body
-    np.testing.assert_allclose(np.linalg.norm(body.after_m[..., 1:], axis=-1), 0.05)
-    np.testing.assert_allclose(body.after_m[..., 1:], body.before_m[..., 1:])

@@ -181,19 +181,6 @@ def test_arms_side_by_side_are_those_one_by_one() -> None:
     np.testing.assert_allclose(state.tension_n, expected, atol=1e-5)
 
 
-def test_a_cable_that_was_slack_has_forgotten_its_friction() -> None:
-    """Paid out and taken in again, it has one tension all along, and friction anew."""
-    path = QuasiStaticPath(BODY, friction(pulley_rad=1.0), Creep(), RUN_M)
-    zero = np.zeros(8)
-    state = path.start(zero[None], paid_out_m(zero), load_n(0.0))
-    state = path.advance(state, paid_out_m(POSE), load_n(3.0), 0.2)
-    assert np.ptp(state.tension_n[0], axis=1).max() > 5.0
-    state = path.advance(state, paid_out_m(zero) + 0.01, load_n(0.0), 0.2)
-    slack = state.tension_n[0].max(axis=1) < 0.0
-    assert slack.sum() == 4
-    assert np.ptp(state.tension_n[0, slack], axis=1).max() < 1e-6
-
-
 def test_joint_friction_holds_no_more_than_its_torque() -> None:
     law = friction(joint_nm=np.full((4, 2), 0.2))
     path = QuasiStaticPath(BODY, PlantFriction(), Creep(), RUN_M)
@@ -203,13 +190,6 @@ def test_joint_friction_holds_no_more_than_its_torque() -> None:
         left.append(np.abs(at.torque_nm))
     assert np.max(left) <= 0.2 + 1e-6
     assert np.max(left) > 0.19
-
-
-def test_stretch_is_shared_out_whole() -> None:
-    pieces = piece_compliance_m_n(BODY, RUN_M, 0.2)
-    np.testing.assert_allclose(pieces.sum(axis=1), 1e-5)
-    np.testing.assert_allclose(pieces[:, 0], 0.2e-5)
-    assert (pieces[0, 3:] == 0.0).all()  # nothing of cable 1 lies beyond the first joint
 
 
 @pytest.mark.slow
@@ -227,25 +207,6 @@ def test_settled_cables_creep_under_a_load_alone_and_recover() -> None:
         np.exp(-1.0), abs=0.06
     )  # one time constant later
     np.testing.assert_allclose(tension[-1], tension[0], atol=0.02)
-
-
-def test_new_cables_lose_tension() -> None:
-    creep = Creep(np.full((1, 12), 0.2e-5), np.array([2.0]), 0.0)
-    tension = sensed_n(states_along(PlantFriction(), creep, np.zeros(100)))
-    assert (tension[-1] < tension[0]).mean() > 0.7
-    assert tension[-1].sum() < 0.95 * tension[0].sum()
-
-
-@pytest.mark.slow
-def test_creep_goes_on_beside_friction() -> None:
-    """A run that sticks loses tension with time alone, by its own creep and no more."""
-    creep = Creep(np.full((1, 12), 0.2e-5), np.array([5.0]), 1.0)
-    shares = np.concatenate([UP_DOWN[:11], np.full(60, UP_DOWN[10])])
-    firm = sensed_n(states_along(friction(pulley_rad=1.5), Creep(), shares))
-    soft = sensed_n(states_along(friction(pulley_rad=1.5), creep, shares))
-    assert np.ptp(firm[10:], axis=0).max() < 1e-9
-    assert 0.05 < np.ptp(soft[10:], axis=0).max() < 10.0
-    assert np.abs(np.diff(soft[10:], axis=0)).max() < 0.5
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from cablesense_gap.recordings.checks import check_recording, read_recording
 from cablesense_gap.recordings.csv_file import read_csv
 from cablesense_plants.arm.body import PlantError, read_nominal
 from cablesense_plants.arm.protocol import draw_schedule
-from cablesense_plants.arm.withhold import draw_several, make_case, withhold
+from cablesense_plants.arm.withhold import make_case, withhold
 from cablesense_ros.cli.app import app
 from cablesense_sim.arm import open_arm
 from cablesense_sim.replay import replay_arm
@@ -126,13 +126,6 @@ def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
         list(withhold(tmp_path / "file", tmp_path / "a.csv", NOMINAL, 1, 0, ("none",)))
 
 
-def test_nothing_remains_of_a_file_that_cannot_take_its_place(tmp_path: Path) -> None:
-    (tmp_path / "answers.csv").mkdir()
-    with pytest.raises(PlantError, match="is a folder"):
-        list(withhold(tmp_path / "cases", tmp_path / "answers.csv", NOMINAL, 0, 0))
-    assert [path.name for path in tmp_path.iterdir()] == ["answers.csv"]
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -166,10 +159,3 @@ def test_the_second_recording_is_of_the_same_arm_doing_something_else() -> None:
     assert make_case(NOMINAL, 5, 1, "sensor_offset", second=True).second[1] == pytest.approx(
         tensions_n
     )
-
-
-def test_several_effects_are_drawn_without_repetition() -> None:
-    kinds = draw_several(np.random.default_rng(1), 50, 3, 5)
-    counts = [len(set(kind.split("+"))) for kind in kinds]
-    assert set(counts) == {3, 4, 5}
-    assert counts == [len(kind.split("+")) for kind in kinds]
