@@ -62,7 +62,7 @@ class CableAngles(FilePart):
     per_cable: Annotated[Number, Field(ge=-360.0, le=360.0)]
 
 
-class Cables(FilePart):
+class CableSet(FilePart):
     """The cables: cable P (n - 1) + k + 1 ends on segment n and passes every joint from 1 to n.
 
     `stiffness_n_m` counts from command to anchor, cable and actuator in series; `axial_rigidity_n`
@@ -79,7 +79,7 @@ class Cables(FilePart):
     run_m: Annotated[Number, Field(ge=0.0, le=20.0)]
 
     @model_validator(mode="after")
-    def _one_elasticity(self) -> Cables:
+    def _one_elasticity(self) -> CableSet:
         if (self.stiffness_n_m is None) == (self.axial_rigidity_n is None):
             raise ValueError(
                 f"gives stiffness_n_m = {self.stiffness_n_m} and axial_rigidity_n = "
@@ -130,7 +130,7 @@ class Arm(FilePart):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]{1,64}$")]
     gravity_m_s2: tuple[Gravity, Gravity, Gravity]
     segments: Segments
-    cables: Cables
+    cables: CableSet
     actuators: Actuators
     sensors: Sensors
     effects: list[ListedEffect] = Field(default_factory=list)

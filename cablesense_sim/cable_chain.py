@@ -21,7 +21,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_sim import cable_law
 from cablesense_sim.compiled import compiled
-from cablesense_sim.effects.effect import Pull
+from cablesense_sim.effects.effect import CablePull
 
 _LEAST_GIVE_M = 1e-8
 
@@ -67,10 +67,12 @@ class CableChains:
         )
         self._any_rigid = not self._cables.give_m.all()
 
-    def pull(self, lengths_m: Array, limit: Array) -> Pull:
+    def pull(self, lengths_m: Array, limit: Array) -> CablePull:
         """At lengths (..., K), m, and limits (..., K - 1) of now, from the state as it is."""
         tensions, slope = cable_law.pull(self._cables, self._flat(lengths_m), self._flat(limit))
-        return Pull(tensions.reshape(self._shape), slope.reshape(*self._shape, self._shape[-1]))
+        return CablePull(
+            tensions.reshape(self._shape), slope.reshape(*self._shape, self._shape[-1])
+        )
 
     def settle(self, lengths_m: Array, limit: Array) -> None:
         """Stay there. In a slack cable the material comes to lie evenly."""

@@ -24,7 +24,7 @@ _TOUCHING_M = 1e-9
 """If the two plates of a joint touch at a hole, the span is zero and has no direction."""
 
 
-class Spans(NamedTuple):
+class CableSpans(NamedTuple):
     """Cable spans across the joints, zero where a cable does not pass. All (..., M, N)."""
 
     length_m: Array
@@ -35,7 +35,7 @@ class Spans(NamedTuple):
     by_yaw_yaw: Array
 
 
-class Chain(NamedTuple):
+class SegmentChain(NamedTuple):
     """The chain's pose in the base frame.
 
     Attributes:
@@ -49,7 +49,7 @@ class Chain(NamedTuple):
     joint_axis: Array
 
 
-def spans(mechanism: Mechanism, joint_angles_rad: Array) -> Spans:
+def spans(mechanism: Mechanism, joint_angles_rad: Array) -> CableSpans:
     """Spans and their first and second derivatives at joint angles (..., 2N)."""
     q = joint_angles_rad
     pitch, yaw = q[..., None, 0::2], q[..., None, 1::2]
@@ -65,7 +65,7 @@ def spans(mechanism: Mechanism, joint_angles_rad: Array) -> Spans:
     scale = passes / length
     by_a = (w * p - x1 * q_) * scale
     by_b = (-y1 * p - y * x1) * scale
-    return Spans(
+    return CableSpans(
         length_m=length * passes,
         by_pitch=by_a,
         by_yaw=by_b,
@@ -94,13 +94,13 @@ def bend_rad(joint_angles_rad: Array) -> Array:
     return np.arccos(np.clip(cosine, -1.0, 1.0))
 
 
-def interleave(span: Spans) -> Array:
+def interleave(span: CableSpans) -> Array:
     """The Jacobian (..., M, 2N) in the order of the joint angles: pitch, yaw, and so on."""
     both = np.stack([span.by_pitch, span.by_yaw], axis=-1)
     return np.reshape(both, (*both.shape[:-2], 2 * both.shape[-2]))
 
 
-def chain(mechanism: Mechanism, joint_angles_rad: Array) -> Chain:
+def chain(mechanism: Mechanism, joint_angles_rad: Array) -> SegmentChain:
     """Pose of every segment at joint angles (..., 2N): each joint turns by `Ry(pitch) Rz(yaw)`."""
     q = joint_angles_rad
     cos, sin = np.cos(q), np.sin(q)
@@ -120,7 +120,7 @@ def chain(mechanism: Mechanism, joint_angles_rad: Array) -> Chain:
         ex, ey = cos_b * pitched_x + sin_b * ey, cos_b * ey - sin_b * pitched_x
         rotations.append(np.stack([ex, ey, ez], axis=-1))
         joint = joint + float(mechanism.segment_length_m[n]) * ex
-    return Chain(
+    return SegmentChain(
         rotation=np.stack(rotations, axis=-3),
         joint_m=np.stack(joints, axis=-2),
         joint_axis=np.stack(axes, axis=-2),
@@ -158,7 +158,7 @@ def load_arms(mechanism: Mechanism, forces_n: Array) -> Array:
     return centre[..., None] * weight + reach[..., None] * forces_n + length[..., None] * beyond
 
 
-def axis_torques_n_m(pose: Chain, load_arms_n_m: Array) -> Array:
+def axis_torques_n_m(pose: SegmentChain, load_arms_n_m: Array) -> Array:
     """Joint torques (..., 2N) of generalised forces (..., N, 3) on the segments' axis vectors."""
     moment = np.cross(pose.rotation[..., 0], load_arms_n_m)
     distal = np.cumsum(moment[..., ::-1, :], axis=-2)[..., ::-1, :]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_sim import kinematics, rest_pose
-from cablesense_sim.effects.effect import Pull, Rest
+from cablesense_sim.effects.effect import ArmRest, CablePull
 from cablesense_sim.effects.registry import Variants, transmissions
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism, stack
@@ -38,7 +38,7 @@ _SMALL_STEPS = 5
 _WHOLE_STEPS = 6
 
 
-class _Pose(NamedTuple):
+class _TrialPose(NamedTuple):
     angles_rad: Array
     shape: Any  # a `rest_pose.Pose`
     tensions_n: Array
@@ -68,7 +68,7 @@ class QuasiStaticArm:
         self._straight_m = spans - self._mechanism.pretension_n / self._mechanism.stiffness_n_m
         self._some_may_fail, self._lost = some_may_fail, np.zeros(len(self._each), dtype=bool)
         self._begun = False
-        self._last: tuple[Array, Array, _Pose] | None = None
+        self._last: tuple[Array, Array, _TrialPose] | None = None
 
     def branched(self) -> QuasiStaticArm:
         """A copy that continues from the same state."""
@@ -124,7 +124,7 @@ class QuasiStaticArm:
                 self._lose(error)
         self._angles_rad = pose.angles_rad
         shape = pose.shape
-        rest = Rest(time_s, pose.angles_rad, shape.span_m, shape.bend_rad, pose.tensions_n)
+        rest = ArmRest(time_s, pose.angles_rad, shape.span_m, shape.bend_rad, pose.tensions_n)
         for transmission in self._transmissions:
             transmission.settle(rest)
         return np.where(self._lost[:, None], np.nan, pose.tensions_n)
@@ -138,7 +138,7 @@ class QuasiStaticArm:
         for transmission in self._transmissions:
             transmission.hold(rest_m - self._longer_m, self._longer_m)
 
-    def _next(self, rest_m: Array, arms: Array) -> _Pose:
+    def _next(self, rest_m: Array, arms: Array) -> _TrialPose:
         """The next equilibrium, which is the last one if nothing has changed."""
         if self._last is not None:
             last_rest_m, last_arms, pose = self._last
@@ -187,7 +187,7 @@ class QuasiStaticArm:
             turn = _step_rad(torque, pose.balance.slope_n_m)
         return pose.angles_rad + turn
 
-    def _balancing_turn_rad(self, pose: _Pose, uncabled_n_m: Array) -> Array | None:
+    def _balancing_turn_rad(self, pose: _TrialPose, uncabled_n_m: Array) -> Array | None:
         """The turn from a pose to rest as transmissions tell it, (P, 2N), if they do."""
         shape = pose.shape
         for transmission in self._transmissions:
@@ -202,7 +202,7 @@ class QuasiStaticArm:
                 return _shortened(np.where(np.isfinite(turn), turn, 0.0))
         return None
 
-    def _in_small_steps(self, rest_m: Array, arms: Array) -> _Pose:
+    def _in_small_steps(self, rest_m: Array, arms: Array) -> _TrialPose:
         """The same rest by way of others, which change no state."""
         angles = self._angles_rad
         last_m, last_arms = (rest_m, 0.0 * arms) if self._last is None else self._last[:2]
@@ -228,12 +228,12 @@ class QuasiStaticArm:
                 continue
             self._angles_rad[arms], tensions[arms] = rest.joint_angles_rad, rest.tensions_n
         shape = rest_pose.posed(self._plates, self._angles_rad)
-        begun = Rest(time_s, self._angles_rad, shape.span_m, shape.bend_rad, tensions)
+        begun = ArmRest(time_s, self._angles_rad, shape.span_m, shape.bend_rad, tensions)
         for transmission in self._transmissions:
             transmission.begin(self._mechanism, begun)
         self._begun = True
 
-    def _search(self, start: Array, rest_m: Array, arms: Array) -> _Pose:
+    def _search(self, start: Array, rest_m: Array, arms: Array) -> _TrialPose:
         pose = self._pose(start, rest_m, arms)
         for _ in range(_WHOLE_STEPS):
             torque = pose.balance.torque_n_m
@@ -298,7 +298,7 @@ class QuasiStaticArm:
             np.flatnonzero((bend >= limit).any(-1)),
         )
 
-    def _pose(self, angles: Array, rest_m: Array, arms: Array) -> _Pose:
+    def _pose(self, angles: Array, rest_m: Array, arms: Array) -> _TrialPose:
         shape = rest_pose.posed(self._plates, angles)
         pull = self._pull(shape.span_m, shape.bend_rad, rest_m)
         resisted, stiffer = self._spring_n_m_rad * angles, self._spring_n_m_rad
@@ -312,9 +312,9 @@ class QuasiStaticArm:
         balance = rest_pose.balanced(shape, along, by_span, arms, resisted, stiffer)
         balance.torque_n_m[self._lost] = 0.0
         balance.slope_n_m[self._lost] = np.eye(angles.shape[-1])
-        return _Pose(angles, shape, pull.tensions_n[..., 0], by_length[..., 0], balance)
+        return _TrialPose(angles, shape, pull.tensions_n[..., 0], by_length[..., 0], balance)
 
-    def _pull(self, spans_m: Array, bends_rad: Array, rest_m: Array) -> Pull:
+    def _pull(self, spans_m: Array, bends_rad: Array, rest_m: Array) -> CablePull:
         for transmission in self._transmissions:
             pull = transmission.pull(spans_m, bends_rad)
             if pull is not None:
@@ -322,7 +322,7 @@ class QuasiStaticArm:
         stretch = spans_m.sum(-1) - rest_m
         stiffness = self._mechanism.stiffness_n_m * (stretch > 0.0)
         count = 1 + spans_m.shape[-1]
-        return Pull(
+        return CablePull(
             np.broadcast_to((stiffness * stretch)[..., None], (*stretch.shape, count)),
             np.broadcast_to(stiffness[..., None, None], (*stretch.shape, count, count)),
         )

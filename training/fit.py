@@ -274,7 +274,7 @@ def fit(
         return run_epochs(_SampleObjective(network, dataset, settings), settings, on_epoch)
 
 
-class _Samples(NamedTuple):
+class _TrainingSamples(NamedTuple):
     """Tensors whose rows belong together."""
 
     tension_difference_n: Tensor
@@ -282,7 +282,7 @@ class _Samples(NamedTuple):
     target: SingleContactTarget | MultiContactTarget
 
 
-def _samples(network: Network, dataset: Dataset) -> _Samples:
+def _samples(network: Network, dataset: Dataset) -> _TrainingSamples:
     shape = (dataset.arm.cable_count, dataset.arm.segment_count)
     if shape != (network.cable_count, network.segment_count):
         raise TrainingError(
@@ -302,10 +302,10 @@ def _samples(network: Network, dataset: Dataset) -> _Samples:
     else:
         segment = torch.as_tensor(dataset.segment, dtype=torch.int64)
         target = SingleContactTarget(segment, real(dataset.angle_deg), real(dataset.magnitude_n))
-    return _Samples(real(dataset.tension_difference_n), real(dataset.command_rad), target)
+    return _TrainingSamples(real(dataset.tension_difference_n), real(dataset.command_rad), target)
 
 
-class _SampleObjective(Objective[_Samples]):
+class _SampleObjective(Objective[_TrainingSamples]):
     """Losses (4) to (8) on shuffled batches; plateau scheduler and early stopping."""
 
     network: Network
@@ -356,14 +356,16 @@ class _SampleObjective(Objective[_Samples]):
     def _held_out_batches(self) -> tuple[Tensor, ...]:
         return torch.arange(len(self.held_out.tension_difference_n)).split(ROWS_AT_ONCE)
 
-    def _answers(self, samples: _Samples, batches: Iterable[Tensor]) -> Iterator[tuple[Any, Any]]:
+    def _answers(
+        self, samples: _TrainingSamples, batches: Iterable[Tensor]
+    ) -> Iterator[tuple[Any, Any]]:
         """Outputs and targets, batch by batch."""
         for rows in batches:
             batch = take(samples, rows)
             yield self.network(batch.tension_difference_n, batch.joint_command_rad), batch.target
 
     def _losses(
-        self, samples: _Samples, batches: Iterable[Tensor]
+        self, samples: _TrainingSamples, batches: Iterable[Tensor]
     ) -> Iterator[tuple[LossTerms, int]]:
         for output, target in self._answers(samples, batches):
             scale = self.network.magnitude.std

@@ -211,7 +211,7 @@ def shifted(place: str, offset_n: Array) -> Sensing:
     return Instant(lambda _, n: n + offset_n[:, None] * chosen(place, n.shape[-1]))
 
 
-class Rest(NamedTuple):
+class ArmRest(NamedTuple):
     """Where P arms side by side rest at one moment.
 
     Attributes:
@@ -229,7 +229,7 @@ class Rest(NamedTuple):
     tensions_n: Array
 
 
-class Pull(NamedTuple):
+class CablePull(NamedTuple):
     """Tensions of cables of K pieces.
 
     Attributes:
@@ -248,7 +248,7 @@ class Transmission:
     as it needs. `settle` gives the equilibrium that was found; only it may change the state.
     """
 
-    def begin(self, mechanism: Mechanism, rest: Rest) -> None:
+    def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
         """Set the state before the first sample; `rest` is that of the arm without history."""
 
     def lengthening_m(self, time_s: float) -> Array | None:
@@ -262,7 +262,7 @@ class Transmission:
         to the length `longer_m` that it has gained since it was tensioned.
         """
 
-    def pull(self, spans_m: Array, bends_rad: Array) -> Pull | None:
+    def pull(self, spans_m: Array, bends_rad: Array) -> CablePull | None:
         """Tensions (P, M, 1 + N) at the actuator and in each span, if not all alike."""
         return None
 
@@ -289,5 +289,5 @@ class Transmission:
         """Torques (P, 2N) that resist, and their derivative by each joint's own angle."""
         return None
 
-    def settle(self, rest: Rest) -> None:
+    def settle(self, rest: ArmRest) -> None:
         """Take the equilibrium that was reached."""

@@ -8,10 +8,10 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_sim.effects.effect import (
+    ArmRest,
+    CablePull,
     Effect,
     Parameter,
-    Pull,
-    Rest,
     Transmission,
     Values,
     cables,
@@ -79,7 +79,7 @@ class _Guides(Transmission):
     def __init__(self, values: Values) -> None:
         self._values = values
 
-    def begin(self, mechanism: Mechanism, rest: Rest) -> None:
+    def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
         none = np.zeros_like(self._values["coefficient"])
         self._coefficient = (self._values["coefficient"][:, None] * mechanism.relative_friction)[
             ..., None
@@ -103,7 +103,7 @@ class _Guides(Transmission):
     def hold(self, rest_m: Array, longer_m: Array) -> None:
         self._rest_m, self._longer_m = rest_m, longer_m
 
-    def pull(self, spans_m: Array, bends_rad: Array) -> Pull:
+    def pull(self, spans_m: Array, bends_rad: Array) -> CablePull:
         return self._chains.pull(self._lengths_m(spans_m), self._limit(bends_rad))
 
     def balancing_turn_rad(
@@ -117,7 +117,7 @@ class _Guides(Transmission):
         lengths, limit = self._lengths_m(spans_m), self._limit(bends_rad)
         return self._chains.balancing_turn_rad(lengths, limit, by_turn_m, torque_n_m, slope_n_m)
 
-    def settle(self, rest: Rest) -> None:
+    def settle(self, rest: ArmRest) -> None:
         self._chains.settle(self._lengths_m(rest.spans_m), self._limit(rest.bends_rad))
 
     def _pieces_m_n(self, mechanism: Mechanism) -> Array:
@@ -221,7 +221,7 @@ class _DryJoints(Transmission):
     def __init__(self, place: str, values: Values) -> None:
         self._place, self._values = place, values
 
-    def begin(self, mechanism: Mechanism, rest: Rest) -> None:
+    def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
         here = np.repeat(chosen(self._place, mechanism.segment_count), 2)
         self._limit_n_m = self._values["torque_n_m"][:, None] * here
         start = np.stack([self._values["start_pitch"], self._values["start_yaw"]], axis=-1)
@@ -235,7 +235,7 @@ class _DryJoints(Transmission):
         share, slope = self._contact.share(angles_rad)
         return self._limit_n_m * share, self._limit_n_m * slope
 
-    def settle(self, rest: Rest) -> None:
+    def settle(self, rest: ArmRest) -> None:
         self._contact.settle(rest.angles_rad)
 
 
@@ -278,7 +278,7 @@ class _Creep(Transmission):
         self._times_s = (values["time_s"][:, None] * spread)[:, None, :]
         self._settled, self._begun = values["settled"][:, None], values["begun"][:, None]
 
-    def begin(self, mechanism: Mechanism, rest: Rest) -> None:
+    def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
         here = own_cables(self._place, mechanism)
         self._give_m_n = self._share * here / mechanism.stiffness_n_m
         self._reference_n = self._settled * mechanism.pretension_n
@@ -289,7 +289,7 @@ class _Creep(Transmission):
     def lengthening_m(self, time_s: float) -> Array:
         return np.asarray(self._parts_at(time_s).sum(-1))
 
-    def settle(self, rest: Rest) -> None:
+    def settle(self, rest: ArmRest) -> None:
         self._parts_m = self._parts_at(rest.time_s)
         self._rest = rest
 

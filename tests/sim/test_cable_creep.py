@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from effect_arms import MECHANISM, entry, small
 
-from cablesense_sim.effects.effect import Rest
+from cablesense_sim.effects.effect import ArmRest
 from cablesense_sim.effects.registry import EffectEntry, side_by_side
 from cablesense_sim.quasi_static import QuasiStaticArm
 
 CREEP = entry("cable_creep", share=0.2, time_s=10.0)
 
 
-def rest(time_s: float, tensions_n: np.ndarray) -> Rest:
+def rest(time_s: float, tensions_n: np.ndarray) -> ArmRest:
     nothing = np.zeros((1, 12, 4))
     tensions = np.broadcast_to(tensions_n, (1, 12))
-    return Rest(time_s, np.zeros((1, 8)), nothing, np.zeros((1, 12, 4, 2)), tensions)
+    return ArmRest(time_s, np.zeros((1, 8)), nothing, np.zeros((1, 12, 4, 2)), tensions)
 
 
 def creeping(entry_: EffectEntry, tensions_n: float = 50.0, **values: float):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from joint_torques import load_torques_n_m
 
 from cablesense_sim import kinematics
-from cablesense_sim.effects.effect import Rest
+from cablesense_sim.effects.effect import ArmRest
 from cablesense_sim.effects.registry import EffectEntry
 from cablesense_sim.quasi_static import QuasiStaticArm
 
@@ -29,9 +29,9 @@ def dry(entry_: EffectEntry = FRICTION, start: float = 0.0, **values: float):
     return friction
 
 
-def at(angles_rad: np.ndarray) -> Rest:
+def at(angles_rad: np.ndarray) -> ArmRest:
     nothing = np.zeros((1, 12, 4))
-    return Rest(0.0, angles_rad[None], nothing, np.zeros((1, 12, 4, 2)), np.zeros((1, 12)))
+    return ArmRest(0.0, angles_rad[None], nothing, np.zeros((1, 12, 4, 2)), np.zeros((1, 12)))
 
 
 def course_of(friction, turns_rad: np.ndarray) -> np.ndarray:

@@ -127,7 +127,7 @@ class SettingEvaluation(NamedTuple):
     firm_ratio: float
 
 
-class Comparison(NamedTuple):
+class ModelComparison(NamedTuple):
     """All settings and the models for several contacts, for one seed."""
 
     seed: int
@@ -204,7 +204,7 @@ def evaluate_setting(setting: Setting, dataset: Dataset) -> SettingEvaluation:
 
 def compare(
     seed: int, samples: int, workers: int = 1, on_setting: Callable[[str], None] | None = None
-) -> Comparison:
+) -> ModelComparison:
     """Draw `samples` fresh samples a setting and let every bundled model answer.
 
     Raises:
@@ -223,10 +223,10 @@ def compare(
         on_setting("multi")
     dataset = draw_dataset(open_arm(MULTI_ARM), multi_protocol(samples), seed, workers=workers)
     multi = {name: found.metrics for name, found in evaluate_multi_models(dataset).items()}
-    return Comparison(seed, samples, tuple(evaluations), multi)
+    return ModelComparison(seed, samples, tuple(evaluations), multi)
 
 
-def as_json(comparison: Comparison) -> dict[str, Any]:
+def as_json(comparison: ModelComparison) -> dict[str, Any]:
     """The comparison as `cablesense evaluate --json` prints it."""
     settings = comparison.settings
     baselines: dict[str, dict[str, Any]] = {}

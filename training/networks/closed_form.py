@@ -30,7 +30,7 @@ from torch import Tensor, nn
 
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.networks.compact import CompactKinematics, Pose
+from cablesense_training.networks.compact import CompactKinematics, CompactPose
 
 SLACK_WEIGHT = 1e-3
 """Variance of a slack cable's tension over that of a taut one's reading."""
@@ -83,7 +83,7 @@ Weighing = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 the evidence of a force f is f' W f plus the constant."""
 
 
-class Balance(NamedTuple):
+class JointBalance(NamedTuple):
     """Statics of B samples at their true poses; joints ordered pitches, then yaws.
 
     Attributes:
@@ -163,7 +163,7 @@ class ClosedForm(nn.Module):
         evidence = (rows @ trusted * rows).sum((2, 3)) + constant
         return Candidates(force + NUDGE_N, covariance, balance.taut, evidence[:, None])
 
-    def balance(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Balance:
+    def balance(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> JointBalance:
         """Torques of the environment on the joints at the true pose."""
         angles, commanded, normal_cross = self.at_command(joint_command_rad)
         unloaded_tension, unloaded_torque = self.unloaded(angles, commanded, normal_cross)
@@ -188,7 +188,7 @@ class ClosedForm(nn.Module):
         torque = pose.jacobian_t_m @ tension - weight_torque - unloaded_torque
         if self.springy:
             torque = torque + self.spring_n_m_rad * angles
-        return Balance(
+        return JointBalance(
             lever=lever,
             precision=inverse_gram * (1.0 / self.reading_variance_n2),
             torque_n_m=torque,
@@ -198,7 +198,7 @@ class ClosedForm(nn.Module):
             commanded_m=commanded.span_m.sum((1, 2)),
         )
 
-    def at_command(self, joint_command_rad: Tensor) -> tuple[Tensor, Pose, Tensor]:
+    def at_command(self, joint_command_rad: Tensor) -> tuple[Tensor, CompactPose, Tensor]:
         """Angles (B, 2N, 1), pitches first, pose and `normal_cross` of joint commands (B, 2N)."""
         n = self.kinematics.segment_count
         angles = joint_command_rad.reshape(-1, n, 2).transpose(1, 2).reshape(-1, 2 * n, 1)
@@ -206,7 +206,7 @@ class ClosedForm(nn.Module):
         return angles, commanded, self.kinematics.normal_cross(commanded)
 
     def unloaded(
-        self, angles: Tensor, commanded: Pose, normal_cross: Tensor
+        self, angles: Tensor, commanded: CompactPose, normal_cross: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Tensions under the arm's own weight, and the joint torque that they leave unbalanced.
 
@@ -235,19 +235,19 @@ class ClosedForm(nn.Module):
             unbalanced = unbalanced + self.spring_n_m_rad * angles
         return tension, unbalanced
 
-    def _at_command_n(self, angles: Tensor, commanded: Pose) -> Tensor:
+    def _at_command_n(self, angles: Tensor, commanded: CompactPose) -> Tensor:
         """Tensions (M, 1) or (B, M, 1) if the arm stood where it is commanded."""
         if self.held_by is None:
             return self.pretension_n
         excess = self._excess_m(angles, commanded) - self.excess_straight_m
         return self.pretension_n + excess / self.compliance_m_n
 
-    def _excess_m(self, angles: Tensor, commanded: Pose) -> Tensor:
+    def _excess_m(self, angles: Tensor, commanded: CompactPose) -> Tensor:
         """(B, M, 1) by which cables of this arm are longer than of the one that holds them."""
         assert self.held_by is not None
         return (commanded.span_m - self.held_by(angles).span_m).sum((1, 2))[..., None]
 
-    def least_squares(self, balance: Balance) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def least_squares(self, balance: JointBalance) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Generalised least squares of the torques on every segment's two force components.
 
         Gives forces (B, N, 2), their covariance and its inverse, the information (B, N, 2, 2), and

@@ -38,7 +38,7 @@ def _about(axis: int) -> Matrix:
     return np.stack([along, np.eye(3) - along, _LEVI_CIVITA[:, axis]], axis=-1)
 
 
-class Pose(NamedTuple):
+class CompactPose(NamedTuple):
     """Kinematics at B poses of an arm with N segments and M cables.
 
     Attributes:
@@ -53,7 +53,7 @@ class Pose(NamedTuple):
 
 
 class CompactKinematics(nn.Module):
-    """`Pose` of joint angles (B, 2N, 1): pitches, then yaws."""
+    """`CompactPose` of joint angles (B, 2N, 1): pitches, then yaws."""
 
     trig_map: Tensor
     trig_shift: Tensor
@@ -93,8 +93,8 @@ class CompactKinematics(nn.Module):
         ):
             self.register_buffer(name, torch.as_tensor(value))
 
-    def forward(self, joint_angles_rad: Tensor) -> Pose:
-        """See `Pose`."""
+    def forward(self, joint_angles_rad: Tensor) -> CompactPose:
+        """See `CompactPose`."""
         n, m = self.segment_count, self.cable_count
         trig = torch.cos(self.trig_map @ joint_angles_rad + self.trig_shift)
         features = trig.index_select(1, self.pitch_feature) * trig.index_select(
@@ -106,13 +106,13 @@ class CompactKinematics(nn.Module):
         frames = [joints[0], joints[1]]
         for turn in joints[2:]:
             frames.append(frames[-1] @ turn)
-        return Pose(
+        return CompactPose(
             span_m=span,
             jacobian_t_m=(spans[:, 1:] / span).reshape(-1, 2 * n, m),
             frames=torch.cat(frames, dim=-1).reshape(-1, 3, 3 * n + 3),
         )
 
-    def normal_cross(self, pose: Pose) -> Tensor:
+    def normal_cross(self, pose: CompactPose) -> Tensor:
         """Cross products with the segments' y and z axes and with gravity: (B, 3 · 2(N + 1), 3).
 
         Rows are (component, segment, axis); the last segment's two axes are gravity's acceleration
@@ -124,7 +124,7 @@ class CompactKinematics(nn.Module):
         crossed = (torch.cat([normals, gravity], dim=1) @ self.cross).reshape(-1, rows, 3, 3)
         return crossed.transpose(1, 2).reshape(-1, 3 * rows, 3)
 
-    def levers(self, pose: Pose, normal_cross: Tensor) -> tuple[Tensor, Tensor]:
+    def levers(self, pose: CompactPose, normal_cross: Tensor) -> tuple[Tensor, Tensor]:
         """Joint torques of unit normal forces at the contact points, and of the weight.
 
         They are (B, N, 2, 2N) and (B, 2N, 1).

@@ -34,7 +34,7 @@ from cablesense_training.networks.closed_form import (
     inverse,
     own_blocks,
 )
-from cablesense_training.networks.compact import Pose
+from cablesense_training.networks.compact import CompactPose
 
 _STEP_RAD = 1e-4
 """Step of the central differences that give derivatives by the pose; their error is a part in
@@ -141,7 +141,7 @@ class SecondOrderClosedForm(nn.Module):
         spread = blocks[:, :, :, None] * self.own
         return spread.reshape(-1, n * rows, n * columns)
 
-    def _expand(self, angles: Tensor, commanded: Pose, normal_cross: Tensor) -> _Expansion:
+    def _expand(self, angles: Tensor, commanded: CompactPose, normal_cross: Tensor) -> _Expansion:
         """Kinematics at the command, and central differences of them by every joint angle."""
         n, m = self.exact.kinematics.segment_count, self.exact.kinematics.cable_count
         joints = 2 * n

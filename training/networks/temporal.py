@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.estimator import NORMAL_95
 from cablesense_training.inference.temporal_estimator import TemporalState
-from cablesense_training.networks.closed_form import NUDGE_N, Balance, ClosedForm, inverse
+from cablesense_training.networks.closed_form import NUDGE_N, ClosedForm, JointBalance, inverse
 from cablesense_training.networks.corrected import LOG_PRIOR, exact_statics
 from cablesense_training.networks.layers import (
     SingleContactOutput,
@@ -257,7 +257,7 @@ class TemporalNetwork(nn.Module):
         self.course.adapt(torch.cat(ticks[1:], dim=-1))
         self.error.adapt(error_n_m)
 
-    def balance(self, ticks: Ticks) -> Balance:
+    def balance(self, ticks: Ticks) -> JointBalance:
         """Statics at the set-points of flat ticks, in float64."""
         return self.closed_form.balance(
             ticks.tension_difference_n.double(), ticks.joint_command_rad.double()
@@ -293,7 +293,7 @@ class TemporalNetwork(nn.Module):
         return following
 
     def answer(
-        self, balance: Balance, encoded: Tensor, states: Tensor, speed_rad_s: Tensor
+        self, balance: JointBalance, encoded: Tensor, states: Tensor, speed_rad_s: Tensor
     ) -> CorrectedAnswer:
         """Answers for B flat ticks, from the encoded and remembered features (B, hidden) of each.
 
@@ -364,16 +364,16 @@ class TemporalNetwork(nn.Module):
         stated, interval_n = self.interval.stated(answer.seen, answer.output)
         return stated, torch.cat([following, past], dim=-1), interval_n
 
-    def joint_torque_n_m(self, balance: Balance) -> Tensor:
+    def joint_torque_n_m(self, balance: JointBalance) -> Tensor:
         """(B, 2N) torques of the environment in the order of the joints, by statics alone."""
         return self.in_joint_order(balance.torque_n_m[..., 0])
 
     def pitches_first(self, joints: Tensor) -> Tensor:
-        """Reorder from the order of the joints to that of `Balance`."""
+        """Reorder from the order of the joints to that of `JointBalance`."""
         return joints.unflatten(-1, (self.segment_count, 2)).transpose(-1, -2).flatten(-2)
 
     def in_joint_order(self, pitches_first: Tensor) -> Tensor:
-        """Reorder from the order of `Balance` to that of the joints."""
+        """Reorder from the order of `JointBalance` to that of the joints."""
         return pitches_first.unflatten(-1, (2, self.segment_count)).transpose(-1, -2).flatten(-2)
 
 
