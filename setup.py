@@ -131,9 +131,7 @@ setup(
             "page = cablesense_ros.page_node:main",
             "can_driver = cablesense_ros.can_driver_node:main",
             "can_emulator = cablesense_ros.can_emulator_node:main",
-            "admittance = cablesense_ros.admittance_node:main",
             "breather = cablesense_ros.breather_node:main",
-            "obstacle = cablesense_ros.obstacle_node:main",
         ],
     },
 )

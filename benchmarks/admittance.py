@@ -6,34 +6,30 @@ For every segment, four directions and walls of several stiffnesses the loop of 
 at rest runs for `STEPS` steps (`run_loop`: no noise, nothing swings). Stable means that the force
 of the last steps does not rise and fall by more than `CHATTER_N`. Then the nodes run over the
 middleware, in simulated dynamics with the sensors' noise:
-`cablesense demo --controller admittance --headless`.
+`python -m examples.admittance --json`.
 """
 
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import harness
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_online.admittance.law import AdmittanceLaw, AdmittanceSettings, ContactForce, Reach
-from cablesense_online.admittance.wall import (
-    ElasticWall,
-    WallPressing,
-    compliance_m_n,
-    wall_beside,
-)
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
+from examples.admittance.__main__ import play
+from examples.admittance.law import AdmittanceLaw, AdmittanceSettings, ContactForce
+from examples.admittance.wall import ElasticWall, wall_beside
 
 RESULT = "admittance.json"
 ARMS = ("cdsm", "cdsm_lab")
@@ -87,12 +83,9 @@ def _case(
 ) -> dict[str, Any]:
     mechanism = mechanism_of(open_arm(arm))
     home = np.zeros(mechanism.joint_count)
-    reach = Reach(mechanism, settings.joint_limit_rad)
-    law = AdmittanceLaw(mechanism, reach, settings)
-    rest = solve_equilibrium(mechanism, home).joint_angles_rad
-    wall = wall_beside(mechanism, rest, segment, angle_deg, stiffness_n_m, 0.0)
-    compliance = compliance_m_n(mechanism, home, segment, wall.normal)
-    advance = HELD_N * (1.0 / stiffness_n_m + compliance)
+    law = AdmittanceLaw(mechanism, settings)
+    wall = wall_beside(mechanism, home, segment, angle_deg, stiffness_n_m)
+    advance = HELD_N * (1.0 / stiffness_n_m + wall.compliance_m_n)
     forces, commands = run_loop(mechanism, law, wall, segment, home, advance, STEPS, PERIOD_S)
     final = float(forces[-1])
     unsettled = np.flatnonzero(np.abs(forces - final) > SETTLED_WITHIN_N)
@@ -129,18 +122,17 @@ def run_loop(
     Raises:
         EquilibriumError: the arm cannot rest under the wall's force.
     """
-    pressing = WallPressing(wall, compliance_m_n(mechanism, home_rad, segment, wall.normal))
     command, forces_n, commands_rad = home_rad, [], []
     while True:
         loads = np.zeros((mechanism.segment_count, 3))
         for _ in range(MOST_ITERATIONS):
-            before_n = pressing.force_n
+            before_n = wall.force_n
             angles = solve_equilibrium(mechanism, command, loads).joint_angles_rad
             point = kinematics.contact_points_m(mechanism, angles)[segment - 1]
-            loads[segment - 1] = pressing.update(point, advance_m, 0.0)
-            if abs(pressing.force_n - before_n) <= BALANCED_N:
+            loads[segment - 1] = wall.update(point, advance_m)
+            if abs(wall.force_n - before_n) <= BALANCED_N:
                 break
-        forces_n.append(pressing.force_n)
+        forces_n.append(wall.force_n)
         commands_rad.append(command)
         if len(forces_n) > step_count:
             return np.array(forces_n), np.array(commands_rad)
@@ -165,13 +157,9 @@ def _summary(cases: Sequence[dict[str, Any]], arm: str, stiffness_n_m: float) ->
 
 
 def _real_nodes() -> dict[str, Any]:
-    """The metrics of one headless demo."""
+    """The metrics of one run of the example."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [*harness.CABLESENSE, "demo", "--controller", "admittance", "--headless"]
-        command += ["--json", "--duration", f"{DEMO_S:g}", "--out", folder]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-    found = json.loads(done.stdout)
-    del found["picture"]
+        found = play(DEMO_S, Path(folder))
     return {key: round(v, 2) if isinstance(v, float) else v for key, v in found.items()}
 
 

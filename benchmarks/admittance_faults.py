@@ -26,8 +26,6 @@ from sensor_msgs.msg import JointState
 
 from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
-from cablesense_online.admittance.controller import AdmittanceController
-from cablesense_online.admittance.law import AdmittanceSettings
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
 from cablesense_online.state import EstimationSettings
@@ -35,6 +33,8 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.replay import read_tensions_n
+from examples.admittance.controller import AdmittanceController
+from examples.admittance.law import AdmittanceSettings
 
 ARMS = ("cdsm", "cdsm_lab")
 BAR_DEG = 0.5
@@ -42,7 +42,7 @@ RATE_HZ = 50.0
 FAULT_S, MOVED_S, END_S = 3.0, 5.0, 9.0
 DRIFT_S = 14.0
 TOUCHED = {"segment": 3, "angle_deg": 70.0, "magnitude_n": 40.0}
-TOUCHED_S, GIVEN_WAY_S, TOUCHED_LIMIT_RAD = 3.0, 12.0, float(np.deg2rad(1.5))
+TOUCHED_S, GIVEN_WAY_S, TOUCHED_LIMIT_DEG = 3.0, 12.0, 1.5
 """When the weight comes, when the fault, and how far the controller may give way."""
 LOOSE_N = -1e5
 """Pretension of a broken cable: it would have to stretch by centimetres to be taut."""
@@ -178,7 +178,7 @@ class Run:
 
 def moved(arm_name: str, fault: Fault, seed: int, *, touched: bool) -> tuple[float, float]:
     """Largest turn of a joint by the controller, degrees, and largest force estimated, N."""
-    run = Run(arm_name, seed, **({"joint_limit_rad": TOUCHED_LIMIT_RAD} if touched else {}))
+    run = Run(arm_name, seed, **({"joint_limit_deg": TOUCHED_LIMIT_DEG} if touched else {}))
     pose = np.deg2rad(run.rng.uniform(-4.0, 4.0, run.arm.joint_count))
     turned_rad = largest_n = 0.0
     fault_s = GIVEN_WAY_S if touched else FAULT_S

@@ -23,6 +23,8 @@ from typing import Any
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1]))  # examples are imported from the checkout
+
 from cablesense_base import CableSenseError
 from cablesense_base.files import write_atomically
 from cablesense_gap.verdict import Verdict

@@ -6,12 +6,10 @@ import sys
 from pathlib import Path
 
 _NODES = (
-    "admittance",
     "breather",
     "can_driver",
     "can_emulator",
     "estimator",
-    "obstacle",
     "page",
     "sim",
 )

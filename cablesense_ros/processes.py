@@ -42,11 +42,13 @@ def node_command(
     remaps: Mapping[str, str] | None = None,
     namespace: str = "",
 ) -> list[str]:
-    """The command line that runs `cablesense_ros.<name>_node` in this Python.
+    """The command line that runs `cablesense_ros.<name>_node`, or another module, in this Python.
 
-    Parameters that are no numbers, truth values or texts are given as their text.
+    `name` is a node's, or a module's with a dot. Parameters other than numbers, truth values and
+    text are given as their text.
     """
-    command = [sys.executable, "-m", f"cablesense_ros.{name}_node", "--ros-args"]
+    module = name if "." in name else f"cablesense_ros.{name}_node"
+    command = [sys.executable, "-m", module, "--ros-args"]
     for topic, other in (({"__ns": namespace} if namespace else {}) | dict(remaps or {})).items():
         command += ["-r", f"{topic}:={other}"]
     for key, value in (parameters or {}).items():

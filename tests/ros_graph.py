@@ -37,7 +37,9 @@ class NodeProcess(Process):
         remaps: dict[str, str] | None = None,
         **parameters: object,
     ) -> None:
-        name = module.removeprefix("cablesense_ros.").removesuffix("_node")
+        name = module
+        if module.startswith("cablesense_ros."):
+            name = module.removeprefix("cablesense_ros.").removesuffix("_node")
         given = {key.replace("__", "."): value for key, value in parameters.items()}
         handle, path = tempfile.mkstemp(suffix=".log")
         os.close(handle)

@@ -18,7 +18,6 @@ from cablesense_ros.cli.options import (
 from cablesense_ros.demo.run import (
     DEMO_FILES,
     DEMO_FOLDER,
-    Controller,
     DemoOptions,
     Source,
     run_headless,
@@ -75,13 +74,6 @@ def demo(
             "emulated adapter and the driver."
         ),
     ] = Source.SIM,
-    controller: Annotated[
-        Controller,
-        typer.Option(
-            help="What moves the arm: nothing but you, or an admittance controller that yields to "
-            "an elastic wall."
-        ),
-    ] = Controller.NONE,
     breathe: Annotated[
         bool,
         typer.Option(
@@ -98,14 +90,12 @@ def demo(
 
     Starts the simulated arm, the estimator and a page in the browser where you can push the arm
     and move its joints. Ctrl-C ends all of it. With --headless it needs no browser: a script of
-    pushes, or of the wall, runs for a minute.
+    pushes runs for a minute. A controller that yields to a wall is in examples/admittance.
     """
     output_folder(out, DEMO_FILES, force=force or out == DEMO_FOLDER)
     if arm is None:
         arm, model = ("cdsm_friction", model or "cdsm") if breathe else ("cdsm", model)
-    options = DemoOptions(
-        arm, model, host, port, out, seed, source, controller, breathe, not no_open
-    )
+    options = DemoOptions(arm, model, host, port, out, seed, source, breathe, not no_open)
     if headless:
         given = ("host", "port", "no_open")
         refuse_given(context, given, "with --headless, which serves no page")

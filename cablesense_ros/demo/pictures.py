@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_base.files import written_whole
-from cablesense_online.admittance.estimate_watch import ContactState
 from cablesense_online.page.drawing import (
     ARROWS_APART_M,
     ESTIMATE_RGB,
@@ -30,7 +28,6 @@ from cablesense_online.page.drawing import (
 )
 from cablesense_online.page.live_arm import ShownContact, Snapshot
 from cablesense_ros.demo.pushes import PushRecord, PushResult, summary
-from cablesense_ros.demo.wall import DEADBAND_N, WallRecord, pressed_segment
 from cablesense_sim.kinematics import contact_points_m, joint_positions_m, segment_rotations
 from cablesense_sim.mechanism import Mechanism
 
@@ -46,12 +43,6 @@ _STYLE: Any = {
 }
 _DPI = 110
 _HEAD_M = 0.034
-_PHASES = {
-    ContactState.CONTACT: ("#7a4a00", "contact"),
-    ContactState.FREE: ("#12452f", "free"),
-    ContactState.UNKNOWN: ("#2c323c", "no estimate: the arm moves"),
-    ContactState.STOPPED: ("#6b1f2a", "stopped"),
-}
 
 
 @contextmanager
@@ -230,67 +221,3 @@ def _draw_time(
     figure.align_ylabels((force, angle, segment))
     for number in range(1, segment_count + 1):
         segment.axhspan(number - 0.5, number + 0.5, color=css(segment_rgb(number)), alpha=0.06)
-
-
-def draw_wall(path: Path, record: WallRecord) -> None:
-    """Draw forces and commanded angles over time, and what could be known of contacts."""
-    segment = pressed_segment(record.commands_rad.shape[1] // 2)
-    text = (
-        f"an elastic wall presses on segment {segment} and leaves at {record.leaves_s:.0f} s; its "
-        "force is estimated from the cables alone"
-    )
-    with _picture(path, (12.0, 6.6)) as figure:
-        forces, phases, angles = figure.subplots(3, 1, sharex=True, height_ratios=(3.0, 0.22, 2.0))
-        figure.subplots_adjust(left=0.07, right=0.985, top=0.87, bottom=0.085, hspace=0.12)
-        _draw_forces(forces, record)
-        _draw_phases(figure, phases, record)
-        _draw_angles(angles, record)
-        figure.text(0.07, 0.945, "CableSense: the arm yields to a contact", size=15, weight="bold")
-        figure.text(0.07, 0.908, text, color=_DIM)
-
-
-def _draw_forces(axes: Any, record: WallRecord) -> None:
-    times = record.times_s
-    computed = {"color": _DIM, "lw": 1.4, "ls": "--", "label": "without controller (computed)"}
-    axes.plot(times, record.unyielding_n, **computed)
-    axes.plot(times, record.true_n, color=css(TRUE_RGB), lw=2.2, label="true force of the wall")
-    in_contact = np.array([state is ContactState.CONTACT for state in record.contact_states])
-    estimated = np.where(in_contact & (record.estimated_n > 0.0), record.estimated_n, np.nan)
-    dots = {"lw": 0, "marker": "o", "ms": 3.2, "label": "estimated, while it can be"}
-    axes.plot(times, estimated, color=css(ESTIMATE_RGB), **dots)
-    axes.axhline(DEADBAND_N, color=_INK, lw=0.8, ls=":", label=f"deadband, {DEADBAND_N:g} N")
-    axes.set(ylabel="force, N", ylim=(-0.5, None), xlim=(0.0, times[-1]))
-    axes.grid(axis="y", lw=0.6)
-    axes.legend(loc="upper right", frameon=False, ncols=2)
-
-
-def _draw_phases(figure: Any, axes: Any, record: WallRecord) -> None:
-    from matplotlib.patches import Patch
-
-    for (start_s, end_s), state in zip(
-        pairwise([*record.times_s, record.times_s[-1]]), record.contact_states, strict=True
-    ):
-        axes.axvspan(start_s, end_s, color=_PHASES[state][0], lw=0)
-    axes.set(yticks=[], ylim=(0, 1))
-    axes.spines[:].set_visible(False)
-    axes.tick_params(bottom=False)
-    shown = [phase for state, phase in _PHASES.items() if state in record.contact_states]
-    figure.legend(
-        handles=[Patch(color=colour, label=label) for colour, label in shown],
-        loc="upper right",
-        bbox_to_anchor=(0.985, 0.985),
-        ncols=len(shown),
-        frameon=False,
-    )
-
-
-def _draw_angles(axes: Any, record: WallRecord) -> None:
-    degrees = np.rad2deg(record.commands_rad)
-    for joint in range(1, degrees.shape[1] // 2 + 1):
-        pitch, yaw = degrees[:, 2 * joint - 2], degrees[:, 2 * joint - 1]
-        style = {"where": "post", "color": css(segment_rgb(joint))}
-        axes.step(record.times_s, pitch, lw=1.4, ls="--", **style)
-        axes.step(record.times_s, yaw, lw=1.8, label=f"joint {joint}", **style)
-    axes.set(xlabel="time, s", ylabel="commanded angle, °\n(yaw; pitch dashed)")
-    axes.grid(axis="y", lw=0.6)
-    axes.legend(loc="upper right", frameon=False, ncols=4)

@@ -8,32 +8,34 @@ import os
 import sys
 import time
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from cablesense_base import CableSenseError
 from cablesense_base.installation import config_path
 from cablesense_msgs_py import topics
 from cablesense_ros.discovery import own_graph
 from cablesense_ros.processes import Processes, node_command
-from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.arm import Arm
 from cablesense_sim.load_capacity import contact_range_n
+
+if TYPE_CHECKING:
+    from cablesense_online.page.live_arm import LiveArm
+    from cablesense_ros.demo.pushes import PushRecord, ScriptedPush
 
 _MAP = "twelve_channel_amplifier"
 """The amplifier that the emulator poses as."""
 _BITRATE_BIT_S = 1_000_000
 _START_S = 60.0
 """Slow machines import for tens of seconds the first time."""
-_LIVE_WALL_DELAY_S = 15.0
 _BREATH_REST_S = 1.0
 """A move of the demo has nearly ended then."""
 
@@ -47,13 +49,6 @@ class Source(StrEnum):
     CAN = "can"
 
 
-class Controller(StrEnum):
-    """What moves the arm: nothing but the person at the page, or a controller."""
-
-    NONE = "none"
-    ADMITTANCE = "admittance"
-
-
 class DemoError(CableSenseError):
     """The demo ran and failed."""
 
@@ -61,7 +56,7 @@ class DemoError(CableSenseError):
 
 
 DEMO_FOLDER = Path("out/demo")
-DEMO_FILES = ("demo.png", "admittance.png", "logs/*.log")
+DEMO_FILES = ("demo.png", "logs/*.log")
 """Of a demo, in its folder."""
 
 
@@ -83,13 +78,12 @@ class DemoOptions:
     out: Path = DEMO_FOLDER
     seed: int = 0
     source: Source = Source.SIM
-    controller: Controller = Controller.NONE
     breathe: bool = False
     open_page: bool = False
 
 
 def run_live(options: DemoOptions) -> None:
-    """Serve the page until it is interrupted; with a controller a wall comes by itself and stays.
+    """Serve the page until it is interrupted.
 
     Whoever commands on the page may choose another arm; all nodes then start again with it.
 
@@ -128,49 +122,50 @@ def _served(options: DemoOptions) -> str:
 
 
 def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> None:
-    """Play a script of pushes, or a wall against the controller; print a report, draw a picture.
+    """Play a script of pushes; print a report, draw a picture.
 
     Raises:
         CableSenseError: a file is wrong, a node ended, or no estimates came.
     """
-    arm = _check_files(options)
-    os.environ.update(own_graph())  # before rclpy starts: this process joins the same domain
-    pushed = options.controller is Controller.NONE
-    picture = options.out / ("demo.png" if pushed else "admittance.png")
-    console = Console(stderr=as_json)
-    play = _play_pushes if pushed else _play_wall
-    metrics, shown, draw = play(arm, options, duration_s, console)
-    with console.status("Drawing the picture …"):
-        draw(picture)
-    if as_json:
-        found = {"arm": arm.identity, **metrics, "picture": str(picture)}
-        print(json.dumps(found, indent=2))
-    else:
-        console.print(shown)
-        console.print(f"picture: {picture}", soft_wrap=True)
-    pushes = metrics.get("pushes", ())
-    if silent := sum(not push["samples"] for push in pushes):
-        raise DemoError(
-            f"no estimate came during {silent} of {len(pushes)} pushes; logs are in {options.out}"
-        )
-
-
-_Played = tuple[dict[str, Any], Table | str, Callable[[Path], None]]
-"""Metrics by the keys of the JSON report, the same for people, and what draws the picture."""
-
-
-def _play_pushes(arm: Arm, options: DemoOptions, duration_s: float, console: Console) -> _Played:
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
     from cablesense_online.page.live_arm import LiveArm
-    from cablesense_ros.arm_client import ArmClient
     from cablesense_ros.demo import pushes
     from cablesense_ros.demo.pictures import draw_pushes
-    from cablesense_ros.node_process import node_in_thread
 
+    arm = _check_files(options)
+    os.environ.update(own_graph())  # before rclpy starts: this process joins the same domain
+    console = Console(stderr=as_json)
     range_n = contact_range_n(arm)
     script = pushes.make_script(arm.segment_count, duration_s, options.seed, range_n)
     live = LiveArm(arm, joint_speed_rad_s=pushes.JOINT_SPEED_RAD_S)
+    record = _played(options, arm, script, live, console)
+    results = pushes.push_results(script, record)
+    picture = options.out / "demo.png"
+    with console.status("Drawing the picture …"):
+        draw_pushes(picture, live.mechanism, record, results)
+    if as_json:
+        found = {"arm": arm.identity, **pushes.metrics(results), "picture": str(picture)}
+        print(json.dumps(found, indent=2))
+    else:
+        console.print(pushes.results_table(results))
+        console.print(f"picture: {picture}", soft_wrap=True)
+    if silent := sum(not result.sample_count for result in results):
+        raise DemoError(
+            f"no estimate came during {silent} of {len(results)} pushes; logs are in {options.out}"
+        )
+
+
+def _played(
+    options: DemoOptions,
+    arm: Arm,
+    script: Sequence[ScriptedPush],
+    live: LiveArm,
+    console: Console,
+) -> PushRecord:
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from cablesense_ros.arm_client import ArmClient
+    from cablesense_ros.demo.pushes import play_script
+    from cablesense_ros.node_process import node_in_thread
 
     def estimated() -> bool:
         return live.snapshot(time.monotonic()).answered
@@ -187,36 +182,7 @@ def _play_pushes(arm: Arm, options: DemoOptions, duration_s: float, console: Con
         columns = TextColumn("pushing the arm"), BarColumn(), done, TimeRemainingColumn()
         with Progress(*columns, console=console, transient=True) as bar:
             task = bar.add_task("", total=script[-1].end_s)
-            progress = partial(bar.update, task)
-            record = pushes.play_script(client, live, script, processes.check, progress)
-    results = pushes.push_results(script, record)
-    draw = partial(draw_pushes, mechanism=live.mechanism, record=record, results=results)
-    return pushes.metrics(results), pushes.results_table(results), draw
-
-
-def _play_wall(arm: Arm, options: DemoOptions, duration_s: float, console: Console) -> _Played:
-    from cablesense_ros.demo import wall
-    from cablesense_ros.demo.pictures import draw_wall
-    from cablesense_ros.node_process import node_in_thread
-
-    segment = wall.pressed_segment(arm.segment_count)
-    stiffness_n_m = wall.unyielding_stiffness_n_m(arm)
-    with _nodes(options, live=False) as processes, node_in_thread("demo") as node:
-        observer = wall.WallObserver(node, arm)
-        with console.status("Starting the simulated arm, the estimator and the controller …"):
-            processes.wait_until(
-                lambda: observer.ready, _START_S, "the controller did not trust the estimator"
-            )
-        with console.status(f"A wall presses on segment {segment} …"):
-            record = wall.play_wall(observer, stiffness_n_m, duration_s, processes.check)
-    metrics = record.metrics()
-    text = (
-        f"The wall would hold segment {segment} with {metrics['without_controller_n']:.1f} N. The "
-        f"arm met {metrics['peak_n']:.1f} N and brought them down to "
-        f"{metrics['settled_n']:.1f} N in {metrics['settling_s']:.1f} s and "
-        f"{metrics['steps']} steps."
-    )
-    return metrics, text, partial(draw_wall, record=record)
+            return play_script(client, live, script, processes.check, partial(bar.update, task))
 
 
 def _check_files(options: DemoOptions) -> Arm:
@@ -246,7 +212,7 @@ def node_commands(options: DemoOptions, live: bool) -> Commands:
 
     Args:
         options: of the demo.
-        live: with the page; the wall comes by itself and stays.
+        live: with the page.
     """
     arm: dict[str, object] = {"arm": options.arm}
     simulation = arm | {"seed": options.seed}
@@ -273,24 +239,8 @@ def node_commands(options: DemoOptions, live: bool) -> Commands:
             "rest_s": _BREATH_REST_S,
         }
         commands["breather"] = node_command("breather", arm | breathing)
-    controlled = options.controller is Controller.ADMITTANCE
-    if controlled:
-        from cablesense_ros.demo import wall
-
-        obstacle = {
-            "segment": wall.pressed_segment(open_arm(options.arm).segment_count),
-            "stiffness_n_m": wall.STIFFNESS_N_M,
-            "clearance_m": -wall.CLEAR_M,
-            "speed_m_s": wall.SPEED_M_S,
-            "depth_m": wall.PRESS_M if live else wall.CLEAR_M,
-            "delay_s": _LIVE_WALL_DELAY_S if live else 0.0,
-        }
-        controller = arm | {"deadband_n": wall.DEADBAND_N}
-        commands["admittance"] = node_command("admittance", controller)
-        commands["obstacle"] = node_command("obstacle", arm | obstacle)
     if live:
-        # with a controller no command: it would take the pose of another's for its new home
-        page = {"host": options.host, "port": options.port, "home_at_start": not controlled}
+        page = {"host": options.host, "port": options.port, "home_at_start": True}
         choice = {"arms": ",".join(_arms(options))}
         commands["page"] = node_command("page", arm | page | choice)
     return commands
@@ -298,8 +248,7 @@ def node_commands(options: DemoOptions, live: bool) -> Commands:
 
 def _arms(options: DemoOptions) -> list[str]:
     """The arms to choose from, the present one first; none where options fit not every arm."""
-    simple = options.source is Source.SIM and options.controller is Controller.NONE
-    if options.breathe or not simple:
+    if options.breathe or options.source is not Source.SIM:
         return []
     arms, models = (
         {path.stem for path in config_path(kind).iterdir()} for kind in ("arms", "models")

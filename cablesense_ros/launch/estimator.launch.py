@@ -1,6 +1,6 @@
-"""The estimator and a source of tensions, with what else is wanted beside them.
+"""The estimator, a source of tensions, and the optional nodes.
 
-`demo.launch.py` and `admittance.launch.py` are this one with other defaults.
+`demo.launch.py` is this file with other defaults.
 """
 
 import sys
@@ -28,7 +28,7 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.model import urdf_xml
 
 PACKAGE = "cablesense_ros"
-FILES = ("estimator.launch.py", "demo.launch.py", "admittance.launch.py")
+FILES = ("estimator.launch.py", "demo.launch.py")
 SWITCH = ("true", "false")
 EMULATED_BIT_S = 1_000_000
 ARGUMENTS = {
@@ -51,8 +51,6 @@ ARGUMENTS = {
     "description": ("true", SWITCH, "robot_state_publisher: robot_description and tf"),
     "page": ("false", SWITCH, "the page in the browser"),
     "rviz": ("false", SWITCH, "rviz2"),
-    "controller": ("false", SWITCH, "the admittance node, which yields to contacts"),
-    "obstacle": ("false", SWITCH, "the wall that presses on the simulated arm"),
     "namespace": ("", None, "of all nodes; two arms have two"),
     "frame_prefix": ("", None, "goes before every frame name; two arms have two"),
 }  # fmt: skip
@@ -60,7 +58,6 @@ BUS = ("interface", "channel", "bitrate_bit_s", "calibration")
 SOURCES = {
     **dict.fromkeys(BUS, ("can",)),
     "map": ("can", "emulated_can"),
-    "obstacle": ("sim", "emulated_can"),
 }
 """With which sources an argument has an effect, where not with all."""
 
@@ -157,9 +154,8 @@ def start(context: LaunchContext) -> list:
     if "auto_tare" not in wanted:
         tared["auto_tare"] = False
     started += lifecycle("estimator", framed | some("model", "state_file") | tared)
-    if "controller" in wanted:
-        started += lifecycle("admittance", framed)
-    started += [node(name, framed) for name in ("obstacle", "page") if name in wanted]
+    if "page" in wanted:
+        started.append(node("page", framed))
     if "description" in wanted:
         urdf = {"robot_description": as_text(urdf_xml(open_arm(given["arm"])))}
         started.append(

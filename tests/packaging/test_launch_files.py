@@ -185,24 +185,22 @@ def test_arguments_reach_the_node_that_they_are_of(start, tmp_path):
     assert str(file) in estimator.given["parameters"]
 
 
-@pytest.mark.parametrize("file", ["estimator.launch.py", "demo.launch.py", "admittance.launch.py"])
+@pytest.mark.parametrize("file", ["estimator.launch.py", "demo.launch.py"])
 def test_a_namespace_and_a_prefix_of_frames_are_of_every_node(start, file):
     started = nodes(start(file, namespace="left", frame_prefix="left_"))
     assert {node.given["namespace"] for node in started.values()} == {"left"}
     assert {node.parameter("frame_prefix") for node in started.values()} == {"left_"}
 
 
-def test_demo_and_controller_are_the_estimator_with_more_beside_it(start):
+def test_the_demo_is_the_estimator_with_the_page(start):
     plain = set(nodes(start()))
     assert set(nodes(start("demo.launch.py"))) - plain == {"page"}
-    assert set(nodes(start("admittance.launch.py"))) - plain == {"admittance", "obstacle"}
 
 
 @pytest.mark.parametrize(
     ("given", "told"),
     [
         ({"channel": "can1"}, "channel has no effect with source:=sim"),
-        ({"source": "can", "obstacle": "true"}, "obstacle has no effect with source:=can"),
         ({"source": "can", "bitrate_bit_s": "fast"}, "whole number"),
         ({"params_file": "/nowhere.yaml"}, "there is no file /nowhere.yaml"),
         ({"rviz": "true", "frame_prefix": "left_"}, "TF Prefix"),
@@ -228,8 +226,6 @@ def test_an_unknown_argument_is_refused_where_it_is_given_to_these_files(start, 
         "sim.yaml",
         "estimator.yaml",
         "can_driver.yaml",
-        "admittance.yaml",
-        "obstacle.yaml",
         "breather.yaml",
     ],
 )

@@ -66,7 +66,7 @@ def test_every_topic_and_service_is_of_the_contract(path):
     ("topic", "who"),
     [
         ("cable_tensions", {"sim", "can_driver"}),
-        ("applied_wrench", {"page", "obstacle"}),
+        ("applied_wrench", {"page"}),
         ("~/wrench", {"estimator"}),
         ("~/journal", {"estimator"}),
     ],

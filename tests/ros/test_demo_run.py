@@ -9,22 +9,18 @@ from typer.testing import CliRunner
 from cablesense_ros.cli import runs
 from cablesense_ros.cli.app import app
 from cablesense_ros.demo import run
-from cablesense_ros.demo.run import Controller, DemoOptions, Source, node_commands, run_headless
+from cablesense_ros.demo.run import DemoOptions, Source, node_commands, run_headless
 
 SOURCES = {Source.SIM: ["sim"], Source.CAN: ["can_emulator", "can_driver", "sim"]}
 
 
 @pytest.mark.parametrize("live", [True, False])
-@pytest.mark.parametrize("controller", Controller)
 @pytest.mark.parametrize("source", Source)
-def test_source_and_controller_are_honoured_in_every_combination(
-    source, controller, live, tmp_path
-):
-    options = DemoOptions(out=tmp_path, seed=3, source=source, controller=controller)
+def test_the_nodes_are_those_of_the_source(source, live, tmp_path):
+    options = DemoOptions(out=tmp_path, seed=3, source=source)
     commands = node_commands(options, live)
-    driving = ["admittance", "obstacle"] if controller is Controller.ADMITTANCE else []
     page = ["page"] if live else []
-    assert list(commands) == [*SOURCES[source], "estimator", *driving, *page]
+    assert list(commands) == [*SOURCES[source], "estimator", *page]
     assert "seed:=3" in commands["sim"]
     if source is Source.SIM:
         assert "-r" not in commands["sim"]
@@ -70,20 +66,6 @@ def test_a_push_is_estimated_through_can_frames(tmp_path, capfd):
     found = json.loads(capfd.readouterr().out)["summary"]
     assert found["pushes"] == found["segment_right"] > 0
     assert found["magnitude_mae_n"] < 2.0
-
-
-@pytest.mark.ros
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_the_controller_yields_to_a_wall_that_is_estimated_through_can_frames(tmp_path, capfd):
-    pytest.importorskip("rclpy")
-    options = DemoOptions(out=tmp_path, source=Source.CAN, controller=Controller.ADMITTANCE)
-    run_headless(options, duration_s=9.0, as_json=True)
-    found = json.loads(capfd.readouterr().out)
-    assert found["steps"] > 0
-    assert found["settled_n"] < 0.5 * found["without_controller_n"]
-    assert "slcan" in (tmp_path / "logs" / "can_driver.log").read_text(encoding="utf-8")
-    assert (tmp_path / "admittance.png").is_file()
 
 
 @pytest.mark.ros

@@ -6,8 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import WrenchStamped
+from diagnostic_msgs.msg import DiagnosticArray
 from ros_graph import Graph, NodeProcess, force
 from sensor_msgs.msg import JointState
 
@@ -49,27 +48,6 @@ class Source:
     def publish(self):
         self.message.header.stamp = self.node.get_clock().now().to_msg()
         self.publisher.publish(self.message)
-
-
-class Estimates:
-    """An estimator that says the same all the time."""
-
-    def __init__(self, graph, segment, force_n):
-        self.node = graph.node
-        advertise = self.node.create_publisher
-        self.wrenches = advertise(WrenchStamped, "/estimator/wrench", 10)
-        self.states = advertise(DiagnosticArray, "/estimator/status", 10)
-        state = "contact" if segment else "free"
-        self.wrench = WrenchStamped()
-        self.state = DiagnosticArray(status=[DiagnosticStatus(message=state)])
-        self.wrench.header.frame_id = f"segment_{segment}" if segment else "base_link"
-        self.wrench.wrench.force.y = force_n
-
-    def publish(self):
-        now = self.node.get_clock().now().to_msg()
-        self.state.header.stamp = self.wrench.header.stamp = now
-        self.wrenches.publish(self.wrench)
-        self.states.publish(self.state)
 
 
 def until(graph, sources, condition, what):
@@ -121,28 +99,6 @@ def test_one_is_recorded(graph, tmp_path):
     recorder.close()
     recorded_n = read_recording(out, ARM).tensions_n
     np.testing.assert_array_equal(recorded_n, np.tile(UNLOADED, (len(recorded_n), 1)))
-
-
-def test_a_controller_stops_while_two_estimate_and_then_follows_the_one_that_is_left(graph):
-    commands = []
-    graph.node.create_subscription(JointState, "/joint_commands", commands.append, 10)
-    controller = NodeProcess("cablesense_ros.admittance_node", resume_after_s=0.3)
-    nothing, contact = Estimates(graph, 0, 0.0), Estimates(graph, 3, 40.0)
-    trusted = "estimates are trusted"
-    until(graph, [nothing], lambda: trusted in controller.log, "the controller's trust")
-    until(graph, [nothing, contact], lambda: "stopped: " in controller.log, "a stop")
-    commands_before = len(commands)
-    ended_s = time.monotonic() + 1.0
-    until(graph, [nothing, contact], lambda: time.monotonic() > ended_s, "a second")
-    until(graph, [nothing, contact], lambda: "admittance: control" in graph.statuses, "a status")
-    status = graph.statuses["admittance: control"]
-    assert status.level == DiagnosticStatus.ERROR
-    assert "another is followed" in status.message
-    assert not commands_before
-    assert not commands
-    until(graph, [contact], lambda: commands, "a step away from the contact")
-    assert controller.log.count(trusted) == 2
-    assert controller.stop() == 0, controller.log
 
 
 def test_one_is_used_until_it_ends_then_the_other_after_a_wait(graph, tmp_path):

@@ -95,7 +95,7 @@ def test_two_arms_run_side_by_side_and_end_with_ctrl_c(launch):
     runs = {
         arm: launch(file, f"namespace:={arm}", f"frame_prefix:={arm}_", *more)
         for arm, file, more in (
-            ("left", "admittance.launch.py", ()),
+            ("left", "demo.launch.py", ()),
             ("right", "estimator.launch.py", ("source:=emulated_can",)),
         )
     }
@@ -106,7 +106,7 @@ def test_two_arms_run_side_by_side_and_end_with_ctrl_c(launch):
     for arm, run in runs.items():
         run.wait(PATIENCE_S)
         nodes = run.log.count("process started")
-        assert nodes == {"left": 4, "right": 4}[arm]
+        assert nodes == {"left": 3, "right": 4}[arm]
         assert run.log.count("process has finished cleanly") == nodes, run.log
 
 

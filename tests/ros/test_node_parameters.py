@@ -24,7 +24,7 @@ rclpy = pytest.importorskip("rclpy")
 pytestmark = [pytest.mark.ros, pytest.mark.filterwarnings("ignore::DeprecationWarning")]
 
 RATE = NodeParameter("rate_hz", 10.0, "A rate, Hz.", (1.0, 100.0))
-NODES = ["sim", "estimator", "can_driver", "can_emulator", "admittance", "obstacle", "page"]
+NODES = ["sim", "estimator", "can_driver", "can_emulator", "breather", "page"]
 
 
 @pytest.fixture

@@ -1,0 +1,1 @@
+"""Runnable examples, each about a page: start them from the checkout."""

@@ -1,0 +1,82 @@
+"""The examples that need nodes: each runs, and the controller stops when it must."""
+
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
+
+from rclpy.qos import qos_profile_sensor_data
+from ros_graph import NodeProcess
+from sensor_msgs.msg import JointState
+
+from examples.admittance.__main__ import metrics, play
+
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+CONTROLLER = "examples.admittance.controller_node"
+HEALTHY = "healthy_tensions"
+
+
+def test_the_admittance_controller_backs_off_from_a_wall_and_returns(tmp_path):
+    found = play(14.0, tmp_path)
+    assert found["without_controller_n"] > 25.0
+    assert found["settled_n"] < 0.25 * found["without_controller_n"]
+    assert found["steps"] > 2
+    assert found["left_from_home_deg"] < 0.5
+
+
+def test_metrics_are_those_of_the_contact():
+    times = np.arange(0.0, 20.0, 0.04)
+    pressed = (times >= 1.0) & (times < 10.0)
+    decay = 2.0 + 28.0 * np.exp(-(times - 1.0) * np.log(28.0) / 3.0)
+    commands = np.zeros((len(times), 8))
+    commands[(times >= 2.0) & (times < 15.0), 3] = 0.01
+    unyielding = np.where(pressed, 30.0, 0.0)
+    found = metrics(times, np.where(pressed, decay, 0.0), unyielding, commands, 10.0)
+    assert found["without_controller_n"] == pytest.approx(30.0)
+    assert found["settled_n"] == pytest.approx(2.0, abs=0.01)
+    assert found["settling_s"] == pytest.approx(3.0, abs=0.1)
+    assert (found["steps"], found["left_from_home_deg"]) == (1, 0.0)
+
+
+@pytest.mark.timeout(180)
+def test_a_failing_channel_moves_no_arm_and_a_killed_estimator_stops_it(graph):
+    """The sim's tensions pass through this process, where a channel fails."""
+    exchanged, commands = False, []
+
+    def pass_on(message):
+        if exchanged:
+            message.effort[2], message.effort[7] = message.effort[7], message.effort[2]
+        out.publish(message)
+
+    out = graph.node.create_publisher(JointState, "/cable_tensions", 10)
+    graph.node.create_subscription(JointState, f"/{HEALTHY}", pass_on, qos_profile_sensor_data)
+    graph.node.create_subscription(JointState, "/joint_commands", commands.append, 100)
+    estimator = NodeProcess("cablesense_ros.estimator_node")
+    sim = NodeProcess("cablesense_ros.sim_node", remaps={"cable_tensions": HEALTHY})
+    controller = NodeProcess(CONTROLLER, resume_after_s=0.5)
+    trusted = "estimates are trusted"
+    graph.until(lambda: trusted in controller.log, "the controller's trust")
+    exchanged = True
+    graph.until(lambda: "stopped: " in controller.log, "a stop")
+    graph.until(lambda: "sample refused" in estimator.log, "the estimator's refusal")
+    graph.spin(0.5)
+    turned_rad = max((np.abs(command.position).max() for command in commands), default=0.0)
+    assert np.rad2deg(turned_rad) <= 0.5
+    exchanged = False
+    trusts = controller.log.count(trusted)
+    graph.until(lambda: controller.log.count(trusted) > trusts, "trust again")
+    stops = controller.log.count("stopped: no state of the force")
+    estimator.kill()
+    commands.clear()
+    stop = "stopped: no state of the force"
+    graph.until(lambda: controller.log.count(stop) > stops, "a stop")
+    time.sleep(0.3)
+    graph.spin(0.2)
+    assert not commands
+    assert [node.stop() for node in (controller, sim)] == [0, 0], controller.log
