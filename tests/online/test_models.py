@@ -4,11 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from estimation_settings import estimation_settings
-from joint_commands import joint_command
 
-from cablesense_online.estimation import Estimation
-from cablesense_online.models import ContactModel, HistoryDependentModel, load_model
+from cablesense_online.models import ContactModel, HistoryDependentModel
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.tare import Tares
 from cablesense_sim.arm import open_arm
@@ -84,56 +81,3 @@ def test_without_a_tare_there_is_no_estimate_but_the_trajectory_is_followed():
         assert answers.estimate([50.0] * 12, 1) is None
     (difference, *_), *_ = model.asked
     assert (difference == 0.0).all()
-
-
-serialization = pytest.importorskip("rclpy.serialization")
-sensor_msgs = pytest.importorskip("sensor_msgs.msg")
-
-SETTINGS = estimation_settings(joint_speed_rad_s=SPEED_RAD_S, settle_s=0.2)
-
-
-def _raw(tensions_n, stamp_ns):
-    message = sensor_msgs.JointState(name=list(ARM.cable_names), effort=tensions_n.tolist())
-    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-    return serialization.serialize_message(message)
-
-
-def _in_motion():
-    return Estimation(ARM, load_model("cdsm", "cdsm_moving").estimator, SETTINGS, 0.0)
-
-
-def _run(estimation, samples, command_at, answers, states):
-    for tick, tensions in samples:
-        if tick == command_at:
-            estimation.command(joint_command(ARM, BENT))
-        stamp_ns = 10**18 + 10_000_000 * tick
-        answers[tick] = estimation.sample(_raw(tensions, stamp_ns), stamp_ns, 0.01 * tick)
-        if answers[tick].state is not None:
-            states[tick] = answers[tick].state
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
-def test_a_history_dependent_model_answers_in_motion_and_again_from_the_states():
-    rng = np.random.default_rng(0)
-    tensions = predicted_n(STRAIGHT) + np.cumsum(rng.normal(0.0, 0.3, (150, 12)), axis=0)
-    tensions[:10] = predicted_n(STRAIGHT)
-    samples = list(enumerate(tensions))
-    answers, states = {}, {}
-    _run(_in_motion(), samples, 30, answers, states)
-    assert all(answers[tick].probabilities for tick in range(30, 150))  # in motion, too
-
-    again = _in_motion()
-    assert not again.reproducible
-    for tick, sample in samples:
-        if tick in states:
-            again.restore(states[tick])
-        stamp_ns = 10**18 + 10_000_000 * tick
-        answer = again.sample(_raw(sample, stamp_ns), stamp_ns, 0.01 * tick)
-        assert again.reproducible
-        assert answer.contact == answers[tick].contact
-        assert list(answer.probabilities) == list(answers[tick].probabilities)
-
-    late = _in_motion()
-    late.restore(states[30].model_copy(update={"events": states[30].events[-1:]}))
-    assert not late.reproducible  # its past was not recorded

@@ -84,6 +84,15 @@ def test_answers_that_the_recorder_came_too_late_for_change_nothing(model, misse
     assert (got.unanswered, got.compared, got.identical) == (missed, 300 - missed, 300 - missed)
 
 
+def test_a_history_dependent_model_is_reproducible_only_from_a_start_on(tmp_path):
+    states = RecordedRun(made_run(model="cdsm_moving").write(tmp_path / "run.mcap")).states
+    rebuilt = RebuiltEstimation("", "")
+    rebuilt.restore(states[0].model_copy(update={"events": ()}))
+    assert not rebuilt.reproducible  # its past was not recorded
+    rebuilt.restore(states[0])
+    assert rebuilt.reproducible
+
+
 @pytest.mark.parametrize("unknown_force", ["nan", "none"])
 def test_what_an_unknown_force_is_published_as_is_repeated(unknown_force, tmp_path):
     made = MadeRun(200, "cdsm_moving", unknown_force=unknown_force)

@@ -67,10 +67,7 @@ STATES = st.builds(
     before_ns=st.integers(0, 2**31 * 10**9 - 1),
     events=st.lists(st.builds(Event, st.sampled_from(EventKind), NUMBERS), max_size=4).map(tuple),
     arm=TEXTS,
-    settings=st.builds(
-        SETTINGS.__class__,
-        **{name: st.just(value) for name, value in SETTINGS},
-    ),
+    settings=st.just(SETTINGS),
     origin=st.dictionaries(TEXTS, TEXTS, max_size=5),
     command_received=st.booleans(),
     gate=st.builds(
