@@ -19,13 +19,16 @@ import can
 import numpy as np
 import onnx
 from fuzz_messages import ARM, SETTINGS, TaredEstimation
-from fuzz_mutation import mutated_bytes, mutated_text, mutated_tree, mutated_yaml
-from fuzz_watched import (
+from fuzz_mutation import (
     FalseAnswerError,
     Outcome,
     Run,
     Target,
     item_random,
+    mutated_bytes,
+    mutated_text,
+    mutated_tree,
+    mutated_yaml,
     require_one_line,
 )
 
@@ -335,7 +338,7 @@ _READERS: dict[str, tuple[str, Mutation, Use, int, int]] = {
 }
 """Suffix, mutation, use, items in a full run and in a quick one."""
 
-FILE_TARGETS = [
-    Target(name, "files", partial(_make, name), items, quick, limit_s=20.0)
+FILE_TARGETS = {
+    name: Target("files", partial(_make, name), items, quick)
     for name, (*_, items, quick) in _READERS.items()
-]
+}

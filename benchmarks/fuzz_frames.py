@@ -15,8 +15,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import can
-from fuzz_mutation import mutated_bytes
-from fuzz_watched import FalseAnswerError, Outcome, Run, item_random
+from fuzz_mutation import FalseAnswerError, Outcome, Run, item_random, mutated_bytes
 
 from cablesense_online.can.bus import CanInterface, FaultLedger
 from cablesense_online.can.channel_map import open_channel_map

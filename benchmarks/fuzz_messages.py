@@ -16,8 +16,14 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
-from fuzz_mutation import mutated_bytes
-from fuzz_watched import FalseAnswerError, Outcome, Run, item_random, require_one_line
+from fuzz_mutation import (
+    FalseAnswerError,
+    Outcome,
+    Run,
+    item_random,
+    mutated_bytes,
+    require_one_line,
+)
 from rosbags.typesys import Stores, get_typestore
 
 from cablesense_base import Array, CableSenseError

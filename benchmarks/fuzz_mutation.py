@@ -2,7 +2,8 @@
 
 A span, a token or a value is removed, repeated, exchanged with another one or with an extreme.
 `hypothesis` stays with the tests: an item here has a number that makes it again by itself, in a
-child process that it may end, and a million of them take minutes.
+child process that it may end, and a million of them take minutes. The types of all targets are
+here too.
 """
 
 from __future__ import annotations
@@ -11,10 +12,61 @@ import copy
 import random
 import re
 import struct
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import yaml
+
+from cablesense_base import CableSenseError
+
+LONGEST_LINE = 1_200
+
+
+class FalseAnswerError(AssertionError):
+    """Invalid input was accepted as valid: the finding that fuzzing is for."""
+
+
+class Outcome(NamedTuple):
+    """The frames, messages or files in an item, and how many were refused and taken."""
+
+    inputs: int = 1
+    refused: int = 0
+    taken: int = 0
+
+
+Run = Callable[[int], Outcome]
+
+
+class Target(NamedTuple):
+    """One reader.
+
+    Attributes:
+        unit: of its inputs.
+        make: gives, for a seed, what takes item after item; called in the child process.
+        items, quick_items: in a full run, and in a quick one.
+    """
+
+    unit: str
+    make: Callable[[int], Run]
+    items: int
+    quick_items: int
+
+
+def item_random(name: str, seed: int, item: int) -> random.Random:
+    """The random numbers of one item, the same in every run with that seed."""
+    return random.Random(f"{name}/{seed}/{item}")
+
+
+def require_one_line(error: CableSenseError) -> None:
+    """Check that a refusal is one line that can be printed.
+
+    Raises:
+        FalseAnswerError: it is not.
+    """
+    text = str(error)
+    if not text or len(text) > LONGEST_LINE or len(text.splitlines()) != 1:
+        raise FalseAnswerError(f"not a one-line refusal: {text[:300]!r} ({len(text)} characters)")
+
 
 BINARY_NUMBERS = (
     *(struct.pack("<Q", n) for n in (0, 1, 2**31 - 1, 2**31, 2**32 - 1, 2**63 - 1, 2**64 - 1)),

@@ -1,176 +1,105 @@
-"""The torque of a real cable-driven jaw, told from the drive's signals alone.
+"""The recorded jaw of a da Vinci instrument, diagnosed as any robot: MJCF files and recordings.
 
-    python benchmarks/real_jaw.py --train DIR --test DIR [--adapt 4] [--json] [--write]
+    python benchmarks/real_jaw.py --data DIR [--write]
 
-A folder's form is described in `real_jaw_recordings.py`. With one and the same folder for both,
-the tool with most levels of the brake is trained on every other level and tested on those between;
-of every other tool a few recordings are for adapting and the rest for testing. With two folders
-all of the first is trained on, which has that tool for its reference, and tools of the second that
-the first has too are adapted to by its recordings.
-Estimators see the drive's angle and torque and its motor's current up to the sample that they
-answer for: neither the jaw's angle nor the level of the brake.
+Neither nominal model of `config/robots` has friction: `jaw.xml` has a transmission, in
+`jaw_cable.xml` a cable over guides drives it. Every other level of the brake is diagnosed. The
+amended model predicts the levels between them.
+
+DIR has `index.csv`, one line a recording (recording, folder, frequency_hz, brake_percent), and a
+`<recording>.csv.gz` for each, with a row every 10 ms: time_s, drive_angle_rad, drive_torque_nm,
+jaw_angle_rad and jaw_torque_nm. `folder` names the tool and how it is mounted. The tool with the
+most levels of the brake is used.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+import tempfile
 from pathlib import Path
 from typing import Any
 
 import harness
-import matplotlib as mpl
-import matplotlib.pyplot as plt
 import numpy as np
-import real_jaw_baselines as baselines
-from real_jaw_baselines import BoostedTrees, Regression, TorqueEstimator
-from real_jaw_diagnosis import best_of, described, loops_nm
-from real_jaw_mechanism import problem_of
-from real_jaw_network import NetworkEstimator
-from real_jaw_physics import PhysicsEstimator
-from real_jaw_recordings import SAMPLE_S, JawRecording, Part, read_recordings, reference, split
+import pandas as pd
 
-from cablesense_base import Array, CableSenseError
+from cablesense_gap.robot.amending import load_amended, write_amended
+from cablesense_gap.robot.model import Robot, load_robot
+from cablesense_gap.robot.pipeline import diagnose
+from cablesense_gap.robot.prediction import predicted
+from cablesense_gap.robot.recording import RobotRecording, read_recording
 
-mpl.use("Agg")
-
-PICTURE = harness.RESULTS / "real_jaw.png"
-PHYSICS, NETWORK = "amended physics, filtered", "network with memory"
-
-
-def trained(
-    recordings: Sequence[JawRecording], physics: PhysicsEstimator, steps: int = 1000
-) -> dict[str, TorqueEstimator]:
-    """Every estimator by its name in the tables, the baselines first."""
-    own = reference(recordings)
-    return {
-        "gain and offset": Regression(baselines.gain_and_offset, own),
-        "Coulomb friction by direction": Regression(baselines.coulomb, own),
-        "load-proportional friction by direction": Regression(baselines.load_proportional, own),
-        "regression on play operators": Regression(baselines.play, own),
-        "boosted trees, half a second": BoostedTrees(own),
-        PHYSICS: physics,
-        NETWORK: NetworkEstimator(recordings, physics, steps),
-    }
+MODELS = Path(__file__).parents[1] / "config" / "robots"
+COLUMNS = {
+    "position.drive": ("drive_angle_rad", 1.0),
+    "position.jaw": ("jaw_angle_rad", 1.0),
+    "torque.drive": ("drive_torque_nm", -1.0),  # in the direction of its motion
+    "torque.jaw": ("jaw_torque_nm", 1.0),
+}
+_NAMES, _SAMPLE_S, _TRIAL_GAP_S = ("jaw.xml", "jaw_cable.xml"), 0.01, 30.0
 
 
 def main() -> None:
-    """Trains, adapts and tests every estimator."""
-    parser = harness.parser(__doc__, "real_jaw.json")
-    parser.add_argument("--train", required=True, help="folder of recordings to train on")
-    parser.add_argument("--test", required=True, help="folder to test on, may be the same")
-    parser.add_argument("--adapt", type=int, default=4, help="recordings to adapt to, by tool")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    """Diagnoses half of the reference tool's recordings and predicts the other half."""
+    parser = harness.parser(__doc__, "results/robot_jaw.json")
+    parser.add_argument("--data", type=Path, required=True, help="folder of the recordings")
     options = parser.parse_args()
-    try:
-        recordings = read_recordings(options.train)
-        same = Path(options.train).resolve() == Path(options.test).resolve()
-        other = None if same else read_recordings(options.test)
-        train, parts = split(recordings, other, options.adapt)
-    except CableSenseError as error:
-        raise SystemExit(str(error)) from None
-    physics = PhysicsEstimator(train)
-    estimators = trained(train, physics)
-    result = {
-        **harness.origin("numpy", "scikit-learn", "torch"),
-        "trained on": [r.name for r in train],
-        "diagnosis": diagnosis(physics, parts),
-        "estimators": {name: measured(one, parts) for name, one in estimators.items()},
+    fitted, unseen = halves(options.data)
+    result: dict[str, Any] = {
+        **harness.origin("mujoco"),
+        "trials": [len(fitted), len(unseen)],
+        **{name: _found(MODELS / name, fitted, unseen) for name in _NAMES},
     }
-    print(json.dumps(result, indent=1) if options.json else "\n".join(table(result)))
-    if options.write:
-        harness.write_result("real_jaw.json", result)
-        draw(physics, estimators, parts)
+    harness.publish("robot_jaw.json", result, options)
 
 
-def measured(estimator: TorqueEstimator, parts: Sequence[Part]) -> dict[str, Any]:
-    """Errors in all, by tool with and without adapting, and by recording."""
-    tools, recordings, every = {}, {}, []
-    for part in parts:
-        unadapted = errors_nm(estimator, part.test)
-        found = unadapted
-        if part.adapt:
-            found = errors_nm(estimator.adapted(part.adapt), part.test)
-        tools[part.tool] = sizes(np.concatenate(found)) | (
-            {
-                "adapted to": [r.name for r in part.adapt],
-                "unadapted": sizes(np.concatenate(unadapted)),
-            }
-            if part.adapt
-            else {}
-        )
-        for recording, error in zip(part.test, found, strict=True):
-            recordings[recording.name] = sizes(error)
-        every += found
-    return {"all": sizes(np.concatenate(every)), "tools": tools, "recordings": recordings}
+def halves(folder: Path) -> tuple[list[pd.DataFrame], list[pd.DataFrame]]:
+    """Recordings of the reference tool at its 1st, 3rd … level of the brake, and at the others."""
+    index = pd.read_csv(folder / "index.csv")
+    tool = index.groupby("folder", sort=False)["brake_percent"].nunique().idxmax()
+    own = index[index["folder"] == tool]
+    fitted_levels = sorted(own["brake_percent"].unique())[::2]
+    fitted, unseen = [], []
+    for row in own.itertuples():
+        half = fitted if row.brake_percent in fitted_levels else unseen
+        half.append(pd.read_csv(folder / f"{row.recording}.csv.gz"))
+    return fitted, unseen
 
 
-def diagnosis(physics: PhysicsEstimator, parts: Sequence[Part]) -> dict[str, Any]:
-    """The verdict on the tool that was trained on, judged on its recordings that were not."""
-    unseen = [r for part in parts if part.tool == physics.tool for r in part.test]
-    unseen_problem = problem_of(unseen, physics.signs) if unseen else physics.problem
-    return described(physics.ranked, physics.problem, unseen_problem)
-
-
-def draw(
-    physics: PhysicsEstimator, estimators: Mapping[str, TorqueEstimator], parts: Sequence[Part]
-) -> None:
-    """Loops of the drive, and the jaw's torque in a recording that was not trained on."""
-    shown = parts[0].test[len(parts[0].test) // 2 :][:1]
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.4), layout="constrained")
-    angle, *torques = loops_nm(problem_of(shown, physics.signs), best_of(physics.ranked))
-    for label, torque in zip(("measured", "without friction", "amended"), torques, strict=True):
-        left.plot(angle[0], 1e3 * torque[0], label=label)
-    left.set(xlabel="drive, rad", ylabel="drive's torque, mN·m")
-    time_s = np.arange(len(shown[0].jaw_torque_nm)) * SAMPLE_S
-    right.plot(time_s, 1e3 * shown[0].jaw_torque_nm, label="measured")
-    for name in (PHYSICS, NETWORK):
-        right.plot(time_s, 1e3 * estimators[name].torques_nm(shown)[0], label=name)
-    right.set(xlabel="time, s", ylabel="jaw's torque, mN·m")
-    for axis in (left, right):
-        axis.legend(fontsize="small")
-    figure.savefig(PICTURE, dpi=110)
-
-
-def errors_nm(estimator: TorqueEstimator, recordings: Sequence[JawRecording]) -> list[Array]:
-    """(T,) errors of the jaw's torque in each recording."""
-    told = estimator.torques_nm(recordings)
-    return [torque - r.jaw_torque_nm for torque, r in zip(told, recordings, strict=True)]
-
-
-def sizes(error_nm: Array) -> dict[str, float]:
-    """Root mean square and mean magnitude, in mN·m."""
+def _found(path: Path, fitted: list[pd.DataFrame], unseen: list[pd.DataFrame]) -> dict[str, Any]:
+    robot = load_robot(path)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        one = _recording(folder / "fitted.csv", fitted, robot)
+        other = _recording(folder / "unseen.csv", unseen, robot)
+        found = diagnose(one, robot)
+        write_amended(folder, robot, found.amended, {})
+        models = ((robot, {}), load_amended(folder))
+        gaps = [predicted(other, *model).gaps[0][2] for model in models]
+    verdict = found.verdict
     return {
-        "rmse_mnm": round(float(np.sqrt((error_nm**2).mean())) * 1e3, 2),
-        "mae_mnm": round(float(np.abs(error_nm).mean()) * 1e3, 2),
+        "effects": verdict.effects,
+        "probability": round(verdict.probability, 3),
+        "ambiguity_group": verdict.ambiguity_group,
+        "numbers": {
+            name: f"{e.value:.3g} ({e.ci95[0]:.3g} to {e.ci95[1]:.3g}) {e.unit}"
+            for name, e in verdict.parameters.items()
+        },
+        "levels not fitted, drive's torque before and after, mN·m": [
+            round(1e3 * gap, 2) for gap in gaps
+        ],
+        "removed": round(1.0 - gaps[1] / gaps[0], 3),
+        "seconds": round(verdict.seconds or 0.0, 1),
     }
 
 
-def table(result: dict[str, Any]) -> list[str]:
-    """Markdown: the verdict; RMSE and MAE of each estimator by tool, in all, and by recording."""
-    verdict, estimators = result["diagnosis"], result["estimators"]
-    lines = [
-        f"{' + '.join(verdict['effects'])} ({verdict['probability']:.2f}); gap of the drive's "
-        f"torque on recordings that were not fitted: {verdict['gap before']} to "
-        f"{verdict['gap after']} mN·m, {verdict['removed']:.0%} removed",
-        "",
-    ]
-    for kind in ("tools", "recordings"):
-        heading = f"{kind[:-1]}, RMSE / MAE in mN·m | " + " | ".join(estimators)
-        rows = [
-            " | ".join([name, *(_cell(found[kind][name]) for found in estimators.values())])
-            for name in next(iter(estimators.values()))[kind]
-        ]
-        if kind == "tools":
-            rows.append(" | ".join(["all", *(_cell(e["all"]) for e in estimators.values())]))
-        lines += [*harness.markdown_table(heading, rows), ""]
-    return lines
-
-
-def _cell(found: dict[str, Any]) -> str:
-    text = f"{found['rmse_mnm']:.2f} / {found['mae_mnm']:.2f}"
-    unadapted = found.get("unadapted")
-    return text if unadapted is None else f"{text} (unadapted {unadapted['rmse_mnm']:.1f})"
+def _recording(path: Path, trials: list[pd.DataFrame], robot: Robot) -> RobotRecording:
+    tables = []
+    for trial, table in enumerate(trials):
+        time_s = _TRIAL_GAP_S * trial + _SAMPLE_S * np.arange(len(table))
+        columns = {name: sign * table[source] for name, (source, sign) in COLUMNS.items()}
+        tables.append(pd.DataFrame({"time_s": time_s, "trial": trial, **columns}))
+    pd.concat(tables).to_csv(path, index=False)
+    return read_recording(path, robot)
 
 
 if __name__ == "__main__":

@@ -57,7 +57,7 @@ KINDS = ("one listed effect", "two listed effects", "something unlisted")
 """Of causes that are rehearsed."""
 
 REHEARSAL = Path(__file__).with_name("rehearsal.json")
-"""Counts of a long rehearsal (`benchmarks/table2_gap.py`), which takes minutes."""
+"""Counts of a long rehearsal (`benchmarks/table2_rehearsal.py`), which takes minutes."""
 
 PRIOR_UNLISTED = 0.2
 """Share of causes outside the library that one expects beforehand."""

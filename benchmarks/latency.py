@@ -1,6 +1,6 @@
 """Latency of the estimator node beside that of a relay that does nothing, in the same run.
 
-    python benchmarks/estimator_latency.py [--seconds 30] [--write]
+    python benchmarks/latency.py [--seconds 30] [--write]
 
 Three processes, each path in turn for a second at a time: publisher → estimator → sink, publisher
 → relay → sink. There are two relays in the estimator's own executor: one passes the serialized
