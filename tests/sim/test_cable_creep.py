@@ -1,4 +1,4 @@
-"""Creep: relaxation of a held cable and recovery after a load, each with its closed form."""
+"""Creep of cables and dry friction of joints."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from effect_arms import MECHANISM, entry, small
+from effect_arms import MECHANISM, STRAIGHT, course, entry, readings, small, up_and_down
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from joint_torques import load_torques_n_m
 
+from cablesense_sim import kinematics
 from cablesense_sim.effects.effect import ArmRest
 from cablesense_sim.effects.registry import EffectEntry, side_by_side
 from cablesense_sim.quasi_static import QuasiStaticArm
@@ -81,3 +85,107 @@ def test_a_held_cable_relaxes_to_one_part_in_one_and_its_share() -> None:
     # tensions are taken as held between rests, which is off by up to half a period's change
     np.testing.assert_allclose(found, np.repeat(expected[:, None], 12, axis=1), atol=0.03)
     np.testing.assert_allclose(found[0], 50.0, atol=1e-4)
+
+
+FRICTION = entry("joint_friction", "joint_2", torque_n_m=0.15)
+
+
+def dry(entry_: EffectEntry = FRICTION, start: float = 0.0, **values: float):
+    """Its friction, having come to rest straight."""
+    numbers = {**entry_.values, "start_pitch": start, "start_yaw": start, **values}
+    friction = entry_.effect.transmission(
+        entry_.place, {name: np.array([v]) for name, v in numbers.items()}
+    )
+    assert friction is not None
+    friction.begin(MECHANISM, at(np.zeros(8)))
+    friction.settle(at(np.zeros(8)))
+    return friction
+
+
+def at(angles_rad: np.ndarray) -> ArmRest:
+    nothing = np.zeros((1, 12, 4))
+    return ArmRest(0.0, angles_rad[None], nothing, np.zeros((1, 12, 4, 2)), np.zeros((1, 12)))
+
+
+def course_of(friction, turns_rad: np.ndarray) -> np.ndarray:
+    """Torque about the pitch of joint 2 at rest after rest."""
+    torques = []
+    for turn in turns_rad:
+        angles = np.where(np.arange(8) == 2, turn, 0.0)
+        torque, _ = friction.joint_torque_n_m(angles[None])
+        friction.settle(at(angles))
+        np.testing.assert_array_equal(torque[0, [0, 1, 4, 5, 6, 7]], 0.0)
+        torques.append(torque[0, 2])
+    return np.array(torques)
+
+
+def test_it_gives_before_it_breaks_away_and_then_stays() -> None:
+    turns = np.array([0.0, 1e-4, 2e-4, 3e-4, 5e-4, 0.01, 0.01 - 3e-4, 0.01 - 6e-4, 0.0])
+    shares = np.array([0.0, 1 / 3, 2 / 3, 1.0, 1.0, 1.0, 0.0, -1.0, -1.0])
+    np.testing.assert_allclose(course_of(dry(), turns), 0.15 * shares, atol=1e-12)
+
+
+@pytest.mark.slow
+@given(st.lists(st.floats(-0.01, 0.01), min_size=1, max_size=12), st.floats(-1.0, 1.0))
+@settings(max_examples=25, deadline=None)
+def test_never_more_than_the_limit_and_never_a_gift_of_energy(
+    turns: list[float], start: float
+) -> None:
+    path = np.array([0.0, *turns])
+    # it gives along the way: with steps as fine as its own give the work is well summed
+    fine = np.interp(np.linspace(0.0, len(path) - 1.0, 80 * len(path)), range(len(path)), path)
+    torque = course_of(dry(start=start), fine)
+    assert np.abs(torque).max() <= 0.15 + 1e-12
+    work = (0.5 * (torque[1:] + torque[:-1]) * np.diff(fine)).sum()
+    stored = 0.5 * 0.15 * 3e-4
+    assert work >= -stored - 1e-9
+
+
+@pytest.mark.parametrize("numbers", [[2], [1, 2, 3, 4]])
+def test_a_slipping_joint_carries_its_limit_of_the_load(numbers: list[int]) -> None:
+    """Between J'T and the load's torque lies the limit, against the motion, and nothing else."""
+    dry_joints = [entry("joint_friction", f"joint_{n}", torque_n_m=0.15) for n in numbers]
+    where = [axis for n in numbers for axis in (2 * n - 2, 2 * n - 1)]
+    arm = QuasiStaticArm([MECHANISM], [dry_joints])
+    before = None
+    for load in up_and_down(segment=4):
+        tensions = arm.step(0.0, np.zeros((1, 12)), load)[0]
+        angles = arm.joint_angles_rad[0]
+        torque = load_torques_n_m(MECHANISM, angles, load)
+        missing = torque - kinematics.cable_jacobian_m(MECHANISM, angles).T @ tensions
+        assert np.abs(missing).max() <= 0.15 + 1e-5
+        np.testing.assert_allclose(np.delete(missing, where), 0.0, atol=1e-5)
+        if before is not None:
+            far = np.abs(angles - before) > 2 * 3e-4
+            far[[j for j in range(8) if j not in where]] = False
+            expected = 0.15 * np.sign(angles - before)[far]
+            np.testing.assert_allclose(missing[far], expected, atol=1e-5)
+        before = angles
+
+
+def test_the_loop_is_twice_the_limit_wide_and_lasts() -> None:
+    """Joint 4 is turned by its own cables alone."""
+    friction = entry("joint_friction", "joint_4", torque_n_m=0.1, give_rad=2e-5)
+    loads = up_and_down(12.0, rows=12, segment=4)
+    still = np.repeat(loads[19:20], 30, axis=0)
+    found = readings(course(STRAIGHT, np.concatenate([loads[:20], still])), friction)
+    own = np.arange(9, 12)
+    y = MECHANISM.hole_y_m[own]
+    loop = found[19, own] - found[5, own]
+    # along y the last three cables turn the last joint about z: torque = -sum y T
+    assert abs(-y @ loop) == pytest.approx(0.2, rel=0.02)
+    np.testing.assert_array_equal(found[20:], np.repeat(found[19:20], 30, axis=0))
+
+
+@pytest.mark.parametrize("give_rad", [1e-5, 3e-4, 0.05])
+def test_a_joint_may_have_stuck_wherever_its_friction_holds_it(give_rad: float) -> None:
+    """However little it gives, it first rests under all of the torque that the past left."""
+    shares = {"start_pitch": -1.0, "start_yaw": 0.6}
+    arm = QuasiStaticArm([MECHANISM], [[small(FRICTION, give_rad=give_rad, **shares)]])
+    tensions = arm.step(0.0, np.zeros((1, 12)), np.zeros((4, 3)))[0]
+    angles = arm.joint_angles_rad[0]
+    torque = load_torques_n_m(MECHANISM, angles, np.zeros((4, 3)))
+    missing = torque - kinematics.cable_jacobian_m(MECHANISM, angles).T @ tensions
+    held = np.zeros(8)
+    held[2:4] = -0.15, 0.6 * 0.15
+    np.testing.assert_allclose(missing, held, atol=1e-5)

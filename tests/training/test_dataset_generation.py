@@ -1,4 +1,6 @@
-"""The same seed gives the same bytes wherever the chunks are computed."""
+"""Datasets do not depend on where they are drawn; arms with effects have their history."""
+
+from __future__ import annotations
 
 import hashlib
 import re
@@ -9,12 +11,19 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import distributed
+import numpy as np
 import pytest
+from arm_variants import variant
 
-from cablesense_sim.arm import load_arm
+from cablesense_sim.arm import load_arm, open_arm
+from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.effects.registry import amended
+from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_training.data import generation
+from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset, generate
-from cablesense_training.data.parquet import produce_dataset
+from cablesense_training.data.history import LoadHistory
+from cablesense_training.data.parquet import produce_dataset, read_dataset, write_dataset
 from cablesense_training.data.protocols import CHUNK_SAMPLES, MultiContact, SingleContact
 from cablesense_training.errors import DatasetError
 
@@ -136,3 +145,95 @@ def test_a_scheduler_out_of_reach_is_named(arm, monkeypatch, address):
 def test_refuses_options_out_of_range(arm, options, message):
     with pytest.raises(DatasetError, match=message):
         generate(arm, PROTOCOL, **options)
+
+
+NOMINAL = mechanism_of(open_arm("cdsm_lab"))
+GENTLE = {"samples": 96, "pose": "random", "force_high_n": 25.0, "noise": False}
+
+
+def listing(*effects: tuple[str, str, dict[str, float]]):
+    listed = [{"effect": name, "at": at, "parameters": p} for name, at, p in effects]
+    return variant({"effects": listed}, "cdsm_lab")
+
+
+def drawn(arm, **options) -> Dataset:
+    return draw_dataset(arm, SingleContact(**{**GENTLE, **options}), seed=4)
+
+
+def test_an_amended_arms_samples_are_its_rests_with_its_own_tare() -> None:
+    arm = listing(
+        ("payload", "segment_3", {"mass_kg": 0.5}),
+        ("routing_geometry", "segment_2", {"plates_angle_rad": 0.03}),
+        ("sensor_gain", "cable_5", {"gain": 0.1}),
+        ("contact_offset", "segment_2", {"offset_m": 0.02}),
+    )
+    data = drawn(arm)
+    mechanism = amended(NOMINAL, entries_of(arm))
+    held = held_lengths_m(NOMINAL, data.command_rad)
+    gain = 1.0 + 0.1 * (np.arange(12) == 4)
+    unloaded = solve_equilibrium(mechanism, data.command_rad, held_m=held).tensions_n
+    loaded = solve_equilibrium(mechanism, data.command_rad, data.forces_n, held_m=held).tensions_n
+    np.testing.assert_allclose(data.unloaded_n, gain * unloaded, atol=1e-6)
+    np.testing.assert_allclose(data.tension_difference_n, gain * (loaded - unloaded), atol=1e-6)
+    np.testing.assert_array_equal(data.slack_cables, (loaded <= 0.0).sum(axis=1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "place", "values"),
+    [
+        ("capstan_friction", "arm", {"coefficient": 0.15}),
+        ("joint_friction", "joint_2", {"torque_n_m": 0.2}),
+        ("cable_creep", "arm", {"share": 0.3}),
+    ],
+)
+def test_the_past_shows_in_the_samples(name: str, place: str, values: dict[str, float]) -> None:
+    plain, marked = drawn(open_arm("cdsm_lab")), drawn(listing((name, place, values)))
+    np.testing.assert_array_equal(marked.command_rad, plain.command_rad)
+    np.testing.assert_array_equal(marked.magnitudes_n, plain.magnitudes_n)
+    off = np.abs(marked.tension_difference_n - plain.tension_difference_n)
+    assert off.max() > 0.1
+    assert np.isfinite(off).all()
+
+
+def test_half_the_samples_come_from_above_their_force() -> None:
+    history = LoadHistory.drawn(4000, np.random.default_rng(0))
+    loads = history.loads_n(np.ones((4000, 4, 3)))[:, :, 0, 0]
+    commands = history.commands_rad(np.ones((4000, 8)))[:, :, 0]
+    assert len(history.time_s) == len(loads) == len(commands)
+    assert (np.diff(history.time_s) >= 0.0).all()
+    np.testing.assert_allclose(loads[-1], 1.0)
+    np.testing.assert_array_equal(loads[:5], 0.0)
+    np.testing.assert_array_equal(commands[4:], 1.0)  # there, and at rest, before the tare
+    assert (loads.max(axis=0) > 1.001).mean() == pytest.approx(0.5, abs=0.05)
+    assert loads.max() <= 1.4
+    assert commands[0].min() < -0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("randomise", ["payload,sensor_gain", "joint_friction"])
+def test_blocks_are_drawn_on_arms_of_their_own(randomise: str) -> None:
+    arm = open_arm("cdsm_lab")
+    plain, marked = drawn(arm), drawn(arm, randomise=randomise)
+    off = np.abs(marked.tension_difference_n - plain.tension_difference_n)
+    first, second = off[:64].max(axis=0), off[64:].max(axis=0)
+    assert first.max() > 1e-3
+    assert second.max() > 1e-3
+    assert np.abs(first - second).max() > 1e-3
+    again = drawn(arm, randomise=randomise)
+    assert again.tension_difference_n.tobytes() == marked.tension_difference_n.tobytes()
+
+
+def test_a_file_says_what_was_randomised_and_one_without_says_nothing(tmp_path: Path) -> None:
+    arm = open_arm("cdsm_lab")
+    for randomise in (None, "payload,sensor_gain"):
+        data = drawn(arm, randomise=randomise, samples=8)
+        path = tmp_path / "data.parquet"
+        write_dataset(path, data)
+        assert read_dataset(path, arm).protocol == data.protocol
+        assert ("randomise" in data.protocol.options()) == (randomise is not None)
+
+
+def test_an_unknown_effect_is_refused_before_anything_is_drawn() -> None:
+    with pytest.raises(DatasetError, match="'rust' is no effect"):
+        SingleContact(randomise="rust")

@@ -1,4 +1,4 @@
-"""A network's file answers as the network does, is whole or absent, and is the same every time."""
+"""Networks are exported as model files that answer alike, and are found by name."""
 
 from copy import deepcopy
 
@@ -8,12 +8,20 @@ import pytest
 import torch
 from model_fixtures import metadata_for
 
+from cablesense_base.installation import config_path
 from cablesense_sim.arm import open_arm
 from cablesense_training import export
 from cablesense_training.errors import TrainingError
 from cablesense_training.export import AGREEMENT, export_model
-from cablesense_training.inference.estimator import MULTI_OUTPUTS, OUTPUTS, Estimator
-from cablesense_training.inference.session import COMMAND, TENSION, ModelSession
+from cablesense_training.inference.estimator import (
+    MULTI_OUTPUTS,
+    OUTPUTS,
+    Estimator,
+    MultiEstimator,
+)
+from cablesense_training.inference.metadata import ModelFileError, bundled_models, find_model
+from cablesense_training.inference.session import COMMAND, TENSION, ModelSession, read_model
+from cablesense_training.inference.temporal_estimator import open_estimator
 from cablesense_training.networks import MultiContactNetwork
 from cablesense_training.networks.single_contact import TwoStageNetwork
 from cablesense_training.recipes import build_network
@@ -104,3 +112,39 @@ def test_a_failed_check_leaves_nothing_behind(tmp_path, monkeypatch, quick_expor
         export_model(_small_network(), kept, _metadata())
     assert [path.name for path in tmp_path.iterdir()] == ["model.onnx"]
     assert kept.read_text() == "what was there"
+
+
+def test_every_bundled_model_is_found_by_its_name():
+    names = bundled_models()
+    assert "cdsm" in names
+    for name in names:
+        assert find_model(name) == config_path(f"models/{name}.onnx")
+
+
+@pytest.mark.parametrize("name", bundled_models())
+def test_every_bundled_model_opens_for_the_bundled_arm_it_was_made_for(name):
+    _, metadata = read_model(find_model(name))
+    load = MultiEstimator.load if metadata.kind == "multi-contact" else open_estimator
+    assert load(find_model(name), open_arm(metadata.arm.name)).metadata == metadata
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        "cdsn",
+        "cdsm.onnx",
+        "../models/cdsm",
+        "peers",
+        "/",
+        "mine.onnx",
+        "mine.onnx/",
+        "\x00.onnx",
+        "a" * 5000 + ".onnx",
+        "two\nlines",
+    ],
+)
+def test_what_is_neither_lists_the_names_there_are(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ModelFileError, match="cdsm"):
+        find_model(name)

@@ -1,4 +1,4 @@
-"""Several contacts: the two-stage network, and statics with its forces and deviations."""
+"""Several contacts at once, by networks and by model files."""
 
 import numpy as np
 import pytest
@@ -10,6 +10,8 @@ from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact
+from cablesense_training.inference.estimator import MultiEstimator
+from cablesense_training.inference.metadata import ModelFileError, find_model
 from cablesense_training.networks.multi_contact import (
     MultiContactClosedForm,
     TwoStageMultiContactNetwork,
@@ -132,3 +134,45 @@ def test_every_weight_learns():
         assert weight.grad is not None, name
         assert bool(torch.isfinite(weight.grad).all()), name
         assert bool((weight.grad != 0.0).any()), name
+
+
+CDSM = open_arm("cdsm")
+
+
+@pytest.fixture(scope="module")
+def estimator():
+    return MultiEstimator.load(find_model("peers/cdsm_multi_two_stage"), CDSM)
+
+
+@pytest.fixture(scope="module")
+def pose_aware():
+    return MultiEstimator.load(find_model("cdsm_multi"), CDSM)
+
+
+def test_rows_do_not_influence_each_other(estimator):
+    values = np.random.default_rng(1).normal(0.0, 30.0, (5, 12))
+    whole = estimator.estimate_batch(values)
+    for row in range(5):
+        one = estimator.estimate_batch(values[row])
+        np.testing.assert_allclose(one.probabilities[0], whole.probabilities[row], rtol=1e-9)
+        np.testing.assert_allclose(one.magnitude_n[0], whole.magnitude_n[row], rtol=1e-9)
+
+
+def test_a_model_of_one_contact_or_another_arm_is_refused():
+    with pytest.raises(ModelFileError, match="single-contact"):
+        MultiEstimator.load(find_model("cdsm"))
+    with pytest.raises(ModelFileError, match="cdsm_lab"):
+        MultiEstimator.load(find_model("cdsm_multi"), open_arm("cdsm_lab"))
+
+
+def test_two_pushes_at_once_are_told_apart(pose_aware):
+    mechanism = mechanism_of(CDSM)
+    for seed in range(5):
+        command = np.random.default_rng(seed).uniform(-0.17, 0.17, 8)
+        forces = normal_force_n(mechanism, command, 2, 70.0, 25.0)
+        forces = forces + normal_force_n(mechanism, command, 4, 200.0, 12.0)
+        loaded = solve_equilibrium(mechanism, command, forces).tensions_n
+        difference = loaded - solve_equilibrium(mechanism, command).tensions_n
+        said = pose_aware.estimate_batch(difference, command)
+        assert (said.probabilities[0] > 0.5).tolist() == [False, True, False, True]
+        assert said.magnitude_n[0, [1, 3]] == pytest.approx([25.0, 12.0], abs=0.1)

@@ -1,7 +1,9 @@
-"""A model with memory, opened: ticks, pauses, and the same answers to the same samples."""
+"""The history-dependent estimator: its ticks, its state, and its answers."""
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from cablesense_sim.arm import open_arm
 from cablesense_training.inference.estimator import EstimateError, Estimator
@@ -9,6 +11,7 @@ from cablesense_training.inference.metadata import ModelFileError, find_model
 from cablesense_training.inference.temporal_estimator import (
     LONGEST_GAP_S,
     TemporalEstimator,
+    TemporalState,
     open_estimator,
 )
 
@@ -128,3 +131,24 @@ def test_neither_kind_opens_as_the_other():
         Estimator.load(find_model("cdsm_moving"))
     with pytest.raises(ModelFileError, match="needed are"):
         TemporalEstimator.load(find_model("cdsm"))
+
+
+@given(st.integers(0, 200), st.integers(1, 4), st.integers(1, 8))
+def test_parts_are_known_from_the_whole_size(hidden, gives, segments):
+    layout = TemporalState(hidden, 3 * segments * gives, 3 * segments, 2 * segments)
+    again = TemporalState.of_size(layout.size, hidden, 3 * segments, 2 * segments)
+    assert again == layout
+
+
+def test_a_tare_forgets_what_was_heard_and_keeps_what_was_drawn():
+    layout = TemporalState(hidden=3, shares=4, cables=2, joints=2)
+    state = np.arange(1.0, layout.size + 1)[None]
+    hidden, shares, lengths, set_point, shares_then, set_point_then, known = np.split(
+        layout.tared(state)[0], np.cumsum(layout.parts)[:-1]
+    )
+    assert (hidden == 0.0).all()
+    np.testing.assert_array_equal(shares, [4, 5, 6, 7])
+    np.testing.assert_array_equal(lengths, [8, 9])
+    np.testing.assert_array_equal(shares_then, shares)
+    np.testing.assert_array_equal(set_point_then, set_point)
+    assert known == state[0, -1]
