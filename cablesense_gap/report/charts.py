@@ -5,11 +5,17 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from cablesense_gap.report.style import size_text
-from cablesense_gap.report.text import candidate_name
-from cablesense_gap.verdict import UNKNOWN, Verdict, listed
+from cablesense_gap.report.text import (
+    Known,
+    candidate_name,
+    causes_and_advice,
+    headline,
+    rival_names,
+)
+from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, listed
 
 Kind = Literal["before", "after", "other", "floor"]
 
@@ -63,3 +69,17 @@ def steps(verdict: Verdict) -> list[Bar]:
 def _signed(change: float, unit: str) -> str:
     size = size_text(abs(change), unit)
     return size if change >= 0.0 or size == size_text(0.0, unit) else f"\N{MINUS SIGN}{size}"
+
+
+def common_content(verdict: Verdict, known: Known | None = None) -> dict[str, Any]:
+    """What `layout.html` and the budget show; `known` are the effects of an arm by default."""
+    alone = verdict.effects[0] in (NONE, UNKNOWN)
+    return {
+        "kind": verdict.effects[0] if alone else "effect",
+        "headline": headline(verdict, known),
+        "rivals": rival_names(verdict),
+        "causes": [] if alone else causes_and_advice(verdict, known),
+        "verdict": verdict,
+        "bars": gap_bars(verdict),
+        "steps": steps(verdict),
+    }

@@ -11,7 +11,7 @@ from cablesense_base.files import write_atomically
 from cablesense_gap.arm_simulator import AMENDED_ARM, write_arm
 from cablesense_gap.pipeline import Diagnosis
 from cablesense_gap.recorded_contacts import RecordedErrors
-from cablesense_gap.report.charts import gap_bars, steps
+from cablesense_gap.report.charts import common_content
 from cablesense_gap.report.pictures import (
     arm_picture,
     cable_picture,
@@ -32,14 +32,12 @@ from cablesense_gap.report.text import (
     FRICTION_HIDES,
     SURE,
     candidate_name,
-    causes_and_advice,
     earlier_sentence,
     effect_places,
     error_rows,
     headline,
     numbers,
     place_text,
-    rival_names,
 )
 from cablesense_gap.residuals import ALL, EVERYWHERE, LOOP, REGIMES, SET, TRIAL, decompose
 from cablesense_gap.verdict import (
@@ -109,12 +107,8 @@ def report_page(
             "estimator": as_uri(drawn_errors(models), "png") if models else "",
         }
     content = {
-        "kind": "effect" if verdict.effects[0] not in (NONE, UNKNOWN) else verdict.effects[0],
-        "headline": headline(verdict),
+        **common_content(verdict),
         "sure": verdict.probability >= SURE,
-        "rivals": rival_names(verdict),
-        "causes": causes_and_advice(verdict),
-        "verdict": verdict,
         "recording": recording,
         "uncounted": int((~found.counted).sum()),
         "trials": len(set(recording.trial.tolist())),
@@ -122,8 +116,6 @@ def report_page(
         "places": place_text(verdict.where.places),
         "everywhere": EVERYWHERE,
         "pictures": pictures,
-        "bars": gap_bars(verdict),
-        "steps": steps(verdict),
         "numbers": numbers(verdict, found.nominal),
         "before": before,
         "after": after,

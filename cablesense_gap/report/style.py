@@ -88,6 +88,9 @@ class ReportError(CableSenseError):
     """A report that cannot be written: names the place and the reason."""
 
 
+_SHARED = ("layout.html", "charts.html")
+
+
 def rendered(
     package: str,
     template: str,
@@ -96,7 +99,7 @@ def rendered(
 ) -> str:
     """A package's Jinja template as HTML text; `content` and the common style, `css`, go in.
 
-    The template may import `charts.html`.
+    The template may extend `layout.html` and import `charts.html`.
     """
     from jinja2 import DictLoader, Environment, StrictUndefined
 
@@ -106,7 +109,7 @@ def rendered(
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        loader=DictLoader({"charts.html": _text(__package__, "charts.html")}),
+        loader=DictLoader({name: _text(__package__, name) for name in _SHARED}),
     )
     environment.filters.update(filters)
     return environment.from_string(source).render({"css": page_css(), **content})

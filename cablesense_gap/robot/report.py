@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from cablesense_base.files import write_atomically
-from cablesense_gap.report.charts import gap_bars, steps
+from cablesense_gap.report.charts import common_content
 from cablesense_gap.report.page import make_folder
 from cablesense_gap.report.style import (
     AFTER,
@@ -24,12 +24,12 @@ from cablesense_gap.report.style import (
     style,
     with_interval,
 )
-from cablesense_gap.report.text import causes_and_advice, headline, rival_names
+from cablesense_gap.report.text import headline
 from cablesense_gap.robot.amending import AMENDED_MODEL, BESIDE_MODEL, write_amended
 from cablesense_gap.robot.catalogue import known_effects
 from cablesense_gap.robot.pipeline import UNIT, RobotDiagnosis
 from cablesense_gap.simulator import Term
-from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, listed, write_verdict
+from cablesense_gap.verdict import Verdict, listed, write_verdict
 
 ROBOT_FILES = ("verdict.json", AMENDED_MODEL, BESIDE_MODEL, "report.html")
 
@@ -65,20 +65,13 @@ def report_page(found: RobotDiagnosis, folder: str) -> str:
     verdict = found.verdict
     with style():
         overlay = _overlay(found)
-    named = verdict.effects[0] not in (NONE, UNKNOWN)
     content = {
-        "kind": "effect" if named else verdict.effects[0],
-        "headline": robot_headline(verdict),
-        "rivals": rival_names(verdict),
-        "causes": causes_and_advice(verdict, known_effects()) if named else [],
-        "verdict": verdict,
+        **common_content(verdict, known_effects()),
         "trials": int(found.comparison.trial.max()) + 1,
         "folder": folder,
         "findings": found.findings,
         "forward": found.motion.forward,
         "overlay": overlay,
-        "bars": gap_bars(verdict),
-        "steps": steps(verdict),
         "parameters": [
             (effect, " ".join(place or verdict.shares[effect].places), parameter, estimate)
             for name, estimate in verdict.parameters.items()
