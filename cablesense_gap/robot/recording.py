@@ -139,39 +139,32 @@ class _BagColumns:
         return len(self._values)
 
     def take(self, topic: str, log_ns: int, message: Any) -> None:
-        """One message; those that are not of this robot are passed over."""
+        """One message; those that are not of this robot are skipped."""
+        robot, commands = self._robot, "command" in topic
         if hasattr(message, "data"):
-            self._take_numbers(topic, message.data)
+            if topic.rpartition("/")[2] == "trial" and np.ndim(message.data) == 0:
+                self._trial = float(message.data)
+            elif commands and np.shape(message.data) == self._command.shape:
+                self._command = np.asarray(message.data, dtype=float)
             return
-        at = {name: k for k, name in enumerate(message.name)}
-        self._names |= set(at)
-        if "command" in topic and self._robot.actuators and set(self._robot.actuators) <= set(at):
-            wanted = [at[name] for name in self._robot.actuators]
-            given = next((f for f in (message.effort, message.position) if len(f)), ())
-            if len(given) == len(at):
-                self._command = np.asarray(given, dtype=float)[wanted]
+        self._names |= set(message.name)
+        if commands and robot.actuators and set(robot.actuators) <= set(message.name):
+            given = message.effort if len(message.effort) else message.position
+            command = _in_order(message.name, given, robot.actuators)
+            self._command = self._command if command is None else command
             return
-        if not set(self._robot.joints) <= set(at) or len(message.position) != len(at):
+        if not set(robot.joints) <= set(message.name):
             return
-        self._topic = self._topic or topic
-        if topic != self._topic:
+        position = _in_order(message.name, message.position, robot.joints)
+        self._topic = self._topic or (topic if position is not None else "")
+        if position is None or topic != self._topic:
             return
-        wanted = [at[name] for name in self._robot.joints]
-        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-        self._values.extend((stamp or 1e-9 * log_ns, self._trial))
-        for values in (message.position, message.effort):
-            known = len(values) == len(at)
-            own = (
-                np.asarray(values, dtype=float)[wanted] if known else np.full(len(wanted), np.nan)
-            )
-            self._values.extend(own)
-        self._values.extend(self._command)
-
-    def _take_numbers(self, topic: str, data: Any) -> None:
-        if topic.rpartition("/")[2] == "trial" and np.ndim(data) == 0:
-            self._trial = float(data)
-        elif "command" in topic and np.shape(data) == self._command.shape:
-            self._command = np.asarray(data, dtype=float)
+        torque = _in_order(message.name, message.effort, robot.joints)
+        torque = np.full(len(position), np.nan) if torque is None else torque
+        stamp_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        self._values.extend((stamp_s or 1e-9 * log_ns, self._trial))
+        for values in (position, torque, self._command):
+            self._values.extend(values)
 
     def table(self, path: Path) -> dict[str, Array]:
         """All rows, time from the first."""
@@ -198,6 +191,14 @@ class _BagColumns:
         else:
             del table["trial"]
         return table
+
+
+def _in_order(names: Sequence[str], values: Any, wanted: Sequence[str]) -> Array | None:
+    """Values of the wanted names; none unless there is one value for each name."""
+    if len(values) != len(names):
+        return None
+    at = {name: k for k, name in enumerate(names)}
+    return np.asarray(values, dtype=float)[[at[name] for name in wanted]]
 
 
 def _part(path: Path, table: dict[str, Array], robot: Robot) -> dict[str, Array]:

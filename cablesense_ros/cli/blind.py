@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from glob import escape
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 
 from cablesense_base.files import output_folder
-from cablesense_ros.cli.gap_robot import ModelOption, withhold_robots
+from cablesense_ros.cli.gap_robot import ModelOption
 from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
@@ -190,26 +190,34 @@ def withhold(
     Examples: [bold]cablesense gap withhold --count 60 --seed 7 --out cases[/bold],
     [bold]cablesense gap withhold --count 10 --only payload --out payloads[/bold]
     """
-    answers_file = answers or out / "answers" / "answers.csv"
-    if model is not None:
-        refuse_given(context, ["arm", "second", "workers"], "with --model")
-        withhold_robots(model, out, answers_file, count, seed, only or [], force)
-        return
     from rich.progress import track
 
-    from cablesense_plants.arm.body import read_nominal
-    from cablesense_plants.arm.withhold import withhold as make
-    from cablesense_sim.arm import find_arm
+    answers_file, kinds = answers or out / "answers" / "answers.csv", tuple(only or ())
+    made: Iterator[Any]
+    if model is not None:
+        refuse_given(context, ["arm", "second", "workers"], "with --model")
+        from cablesense_gap.robot.amending import load_amended
+        from cablesense_gap.robot.withholding import withhold as withhold_robots
 
-    arm_file = find_arm(arm)
+        robot, _ = load_amended(model)
+        source = robot.path
+        made = withhold_robots(out, answers_file, robot, count, seed, kinds)
+    else:
+        from cablesense_plants.arm.body import read_nominal
+        from cablesense_plants.arm.withhold import withhold as withhold_arms
+        from cablesense_sim.arm import find_arm
+
+        source = find_arm(arm)
+        nominal = read_nominal(source)
+        made = withhold_arms(
+            out, answers_file, nominal, count, seed, kinds, workers, second=second
+        )
     written = ("case_*.csv", "second/case_*.csv") if second else ("case_*.csv",)
-    output_folder(out, written, force=force, inputs=(arm_file,))
-    output_folder(
-        answers_file.parent, (escape(answers_file.name),), force=force, inputs=(arm_file,)
-    )
+    output_folder(out, written, force=force, inputs=(source,))
+    output_folder(answers_file.parent, (escape(answers_file.name),), force=force, inputs=(source,))
+    for folder in (out, answers_file.parent):
+        folder.mkdir(parents=True, exist_ok=True)
     console = Console()
-    nominal, kinds = read_nominal(arm_file), tuple(only or ())
-    made = make(out, answers_file, nominal, count, seed, kinds, workers, second=second)
     for _ in track(made, description="Recording", total=count, console=console):
         pass
-    console.print(f"{count} recordings in {out}, what is hidden in {answers_file}", soft_wrap=True)
+    console.print(f"{count} recordings in {out}, the answers in {answers_file}", soft_wrap=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from glob import escape
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -141,24 +140,3 @@ def print_robot_protocol(model: Path, out: Path | None, force: bool) -> None:
     if out is not None:
         rows = write_protocol(out, robot, blocks)
         console.print(f"{out}: {rows:,} rows", soft_wrap=True)
-
-
-def withhold_robots(
-    model: Path, out: Path, answers: Path, count: int, seed: int, only: list[str], force: bool
-) -> None:
-    """`gap withhold --model`."""
-    from rich.progress import track
-
-    from cablesense_gap.robot.amending import load_amended
-    from cablesense_gap.robot.withholding import withhold
-
-    robot, _ = load_amended(model)
-    output_folder(out, ("case_*.csv",), force=force, inputs=(robot.path,))
-    output_folder(answers.parent, (escape(answers.name),), force=force, inputs=(robot.path,))
-    for folder in (out, answers.parent):
-        folder.mkdir(parents=True, exist_ok=True)
-    console = Console()
-    made = withhold(out, answers, robot, count, seed, tuple(only))
-    for _ in track(made, description="Recording", total=count, console=console):
-        pass
-    console.print(f"{count} recordings in {out}, what is hidden in {answers}", soft_wrap=True)

@@ -9,16 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
-from arm_variants import five_by_four_text
 from gap_recordings import LAB, small_recording
-from typer.testing import CliRunner
 
-from cablesense_gap.recordings.csv_file import read_csv, write_csv
+from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.scoring import read_answers
 from cablesense_gap.verdict import read_verdict
-from cablesense_ros.cli.app import app
 from cablesense_sim.arm import Arm, load_arm
 from cablesense_sim.replay import read_tensions_n, replay_arm
 
@@ -31,11 +26,6 @@ def run(*arguments, cwd):
     return subprocess.run(
         [*COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=300
     )
-
-
-def invoke(*arguments):
-    done = CliRunner().invoke(app, ["gap", *arguments], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
 
 
 def recorded(arm: Arm, protocol: Recording = SHORT) -> Recording:
@@ -111,31 +101,3 @@ def test_a_recording_that_cannot_be_used_ends_with_2_and_one_line(command, tmp_p
     assert line.startswith("cablesense: ")
     assert text in line
     assert not (tmp_path / "found").exists()
-
-
-@pytest.mark.slow  # the full library on twenty cables
-@pytest.mark.timeout(400)
-def test_an_arm_of_five_segments_with_four_cables_is_withheld_diagnosed_and_predicted(
-    tmp_path, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
-    description = yaml.safe_load(five_by_four_text())
-    description["cables"]["stiffness_n_m"] = 1e5  # as the laboratory arm: tolerances hide less
-    (tmp_path / "arm.yaml").write_text(yaml.safe_dump(description))
-    of_arm = ("--arm", "arm.yaml")
-    drawn = ("--count", "1", "--seed", "7", "--only", "payload", "--out", "cases")
-    invoke("withhold", *drawn, *of_arm)
-    arm = load_arm(tmp_path / "arm.yaml")
-    whole = read_csv(tmp_path / "cases" / "case_001.csv", arm)
-    seen = whole.trial % 3 == 0
-    few = whole.rows(seen & (np.arange(len(whole)) % 12 == 0))  # rows cost most of the time
-    write_csv(tmp_path / "few.csv", few)
-    invoke("diagnose", "few.csv", *of_arm, "--out", "found", "--workers", "1")
-    verdict = read_verdict(tmp_path / "found" / "verdict.json")
-    (answer,) = read_answers(tmp_path / "cases" / "answers" / "answers.csv")
-    assert verdict.effects == answer.effects == ("payload",)
-    assert set(verdict.where.places) == answer.places
-    assert len(verdict.gap.by_cable_n) == 20
-    invoke("predict", "cases/case_001.csv", "--arm", "found", "--out", "out.csv")
-    left_n = (read_csv(tmp_path / "out.csv", arm).tensions_n - whole.tensions_n)[~seen]
-    assert np.sqrt((left_n**2).mean()) < 0.3 * verdict.gap.before_n

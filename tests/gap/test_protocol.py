@@ -8,12 +8,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from arm_variants import variant
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from cablesense_gap.recordings.protocol import (
     STRONGEST_N,
-    Block,
     BlockKind,
     bearable_load_n,
     rows_of,
@@ -52,22 +49,6 @@ def test_no_cable_goes_slack_but_where_it_is_meant_to(arm):
     assert np.linalg.norm(rows.load_n, axis=1).max() <= STRONGEST_N + 1e-9
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
-def test_every_segment_is_loaded_and_every_joint_turns_back_in_several_trials(arm):
-    rows = rows_of(standard_protocol(arm), arm.sensors.rate_hz)
-    for segment in range(1, arm.segment_count + 1):
-        assert len(set(rows.trial[rows.load_segment == segment])) >= 5
-    for joint in range(arm.joint_count):
-        turning = set()
-        for trial in set(rows.trial):
-            speed = np.diff(rows.command_rad[rows.trial == trial, joint])
-            moving = np.sign(speed[np.abs(speed) > 1e-9])
-            if (np.diff(moving) != 0).any():
-                turning.add(trial)
-        assert len(turning) >= 4
-
-
 def test_rest_comes_at_the_start_in_the_middle_and_at_the_end():
     at = [i for i, block in enumerate(BLOCKS) if block.kind is BlockKind.REST]
     assert (at[0], at[-1]) == (0, len(BLOCKS) - 1)
@@ -85,27 +66,6 @@ def test_blocks_follow_on_without_a_jump_of_the_command():
         assert not before.loads_n[-1].any()
     speed = np.abs(np.diff(rows_of(BLOCKS, 100.0).command_rad, axis=0)) * 100.0
     assert np.rad2deg(speed.max()) < 20.0  # the speed of the simulated arm
-
-
-@given(rate_hz=st.floats(0.5, 200.0), duration_s=st.floats(0.5, 20.0))
-@settings(max_examples=50, deadline=None)
-def test_a_ramp_is_a_straight_line_at_any_rate(rate_hz, duration_s):
-    block = Block(
-        BlockKind.LOAD_CYCLE,
-        "",
-        np.array([0.0, duration_s]),
-        np.zeros((2, 4)),
-        2,
-        np.array([[0.0, 0.0, 0.0], [0.0, -duration_s, 2.0 * duration_s]]),
-    )
-    rows = rows_of((block, block), rate_hz)
-    count = len(rows.time_s) // 2
-    assert count == max(1, round(duration_s * rate_hz))
-    local = rows.time_s[:count]
-    np.testing.assert_allclose(rows.load_n[:count], np.outer(local, [0, -1, 2]), atol=1e-9)
-    np.testing.assert_array_equal(rows.load_n[:count], rows.load_n[count:])
-    assert rows.load_segment[0] == 0
-    assert set(rows.load_segment[1:count]) <= {2}
 
 
 def test_a_bearable_load_is_the_strongest_that_leaves_all_taut():

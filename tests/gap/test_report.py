@@ -29,11 +29,9 @@ from cablesense_gap.report.text import (
 )
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import (
-    CandidateResult,
     EstimatorErrors,
     FittedNumber,
     Share,
-    VerdictError,
     listed,
     read_verdict,
 )
@@ -145,23 +143,6 @@ def test_a_place_that_cannot_be_written_to_is_told(tmp_path, monkeypatch):
     (tmp_path / "report.html").mkdir()
     with pytest.raises(ReportError, match="cannot be written"):
         write_diagnosis(tmp_path, found(PAYLOAD))
-
-
-def test_readings_without_noise_can_be_shown_too():
-    verdict = verdict_of(
-        "none",
-        1.0,
-        gap=gap_of(0.0, 0.0, floor_n=0.0),
-    ).model_copy(
-        update={
-            "candidates": (
-                CandidateResult(effects=("none",), held_out_rmse_n=0.0, probability=1.0),
-            )
-        }
-    )
-    assert Page(report_page(found(verdict, before_n=0.0, after_n=0.0))).h1.startswith(
-        "Nothing to add: the gap of 0.00 N"
-    )
 
 
 def test_effects_are_not_credited_with_what_tolerances_took(text_of):
@@ -317,10 +298,3 @@ def test_the_folder_holds_the_verdict_the_amended_arm_and_the_report(tmp_path):
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert headline.removeprefix("# ") in page
     assert "cable_3 stands still" in page
-
-
-def test_a_folder_that_cannot_be_made_is_refused_in_a_line(tmp_path):
-    (tmp_path / "file").write_text("no folder")
-    with pytest.raises(VerdictError, match="cannot be made") as refused:
-        write_diagnosis(tmp_path / "file" / "diagnosis", found(PAYLOAD))
-    assert "\n" not in str(refused.value)

@@ -16,7 +16,6 @@ from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.scoring import (
     ScoreError,
     Truth,
-    as_json,
     budget_score,
     proportion,
     read_answers,
@@ -244,18 +243,6 @@ def test_probabilities_and_removed_gap_are_means_over_the_right_cases():
     several = [0.2**2, 0.6**2 + 0.6**2, 0, 0.9**2 + 0.7**2 + 0.2**2, 0.1**2, 0, 1 + 0.5**2, 0.5**2]
     assert found.brier_over_candidates == pytest.approx(sum(several) / 8)
     assert found.median_removed_fraction == pytest.approx(0.9)  # of 1.0, 0.9 and 0.8
-
-
-def test_without_a_case_there_is_no_figure():
-    found = score({"a": verdict_of("none")}, [answer("a", "none")])
-    assert found.singles_exact.value is None
-    assert found.median_removed_fraction is None
-    assert json.loads(json.dumps(as_json(found)))["doubles_both"] == {
-        "value": None,
-        "ci95": [0.0, 1.0],
-        "hits": 0,
-        "count": 0,
-    }
 
 
 def test_an_answer_without_a_verdict_is_refused():

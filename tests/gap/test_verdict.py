@@ -48,20 +48,6 @@ VERDICT = Verdict(
     rows=600_000,
     rows_used=6_000,
 )
-KEYS = [
-    "effects",
-    "probability",
-    "ambiguity_group",
-    "next_experiment",
-    "where",
-    "parameters",
-    "gap",
-    "candidates",
-    "estimator",
-    "seconds",
-    "rows",
-    "rows_used",
-]
 
 
 def written(**changes: Any) -> str:
@@ -75,14 +61,7 @@ def test_a_verdict_is_read_as_it_was_written(tmp_path: Path) -> None:
         write_verdict(path, verdict)
         assert read_verdict(path) == verdict
     assert [name.name for name in tmp_path.iterdir()] == ["verdict.json"]
-    assert set(KEYS) <= set(json.loads(path.read_text()))
-
-
-def test_what_is_absent_is_left_out_of_the_file(tmp_path: Path) -> None:
-    write_verdict(tmp_path / "verdict.json", VERDICT)
-    text = (tmp_path / "verdict.json").read_text()
-    assert "null" not in text
-    assert '"estimator"' not in text
+    assert "null" not in path.read_text()
 
 
 def none_with(probability: float) -> dict[str, Any]:

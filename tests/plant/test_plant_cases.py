@@ -18,7 +18,6 @@ from cablesense_plants.arm.withhold import (
     draw_kinds,
     gap_n,
     record_case,
-    size_for,
 )
 
 pytestmark = pytest.mark.slow
@@ -76,14 +75,6 @@ def test_every_change_shows_and_grows_with_its_size(name: str) -> None:
     assert large > 0.3 * NOMINAL.floor_n
 
 
-def test_the_size_meets_the_gap_that_is_wanted() -> None:
-    for name in ("payload", "sensor_gain"):
-        change = LISTED[name](np.random.default_rng(2), NOMINAL)
-        size = size_for(change, ARM, 1.0, WHOLE, HISTORY)
-        changed = change.apply(ARM, size).signals_n(WHOLE, HISTORY)
-        assert gap_n(changed, ARM.signals_n(WHOLE, HISTORY)) == pytest.approx(1.0, rel=0.15)
-
-
 def test_two_hidden_changes_are_visible_and_in_the_answer() -> None:
     kind = "payload+sensor_gain"
     recorded = record_case(np.random.default_rng(4), 1, NOMINAL, kind)
@@ -119,7 +110,7 @@ def test_a_fifth_hides_nothing_and_a_fifth_something_unlisted(count: int) -> Non
         assert {first, second} <= set(LISTED)
 
 
-@pytest.mark.parametrize("name", ["capstan_friction", "routing_geometry", "sensor_crosstalk"])
+@pytest.mark.parametrize("name", ["routing_geometry", "sensor_crosstalk"])
 def test_an_arm_of_five_segments_with_four_cables_is_recorded(name: str, tmp_path: Path) -> None:
     arm_file = tmp_path / "arm.yaml"
     arm_file.write_text(five_by_four_text())

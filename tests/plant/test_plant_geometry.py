@@ -7,7 +7,7 @@ import pytest
 from plant_arm import BODY, NOMINAL
 
 from cablesense_plants.arm.body import Body, CableContact
-from cablesense_plants.arm.geometry import cable_lengths_m, frames, points_m, spans, turns
+from cablesense_plants.arm.geometry import cable_lengths_m, frames, spans, turns
 
 JOINTS = 2 * NOMINAL.segment_count
 RNG = np.random.default_rng(0)
@@ -74,14 +74,3 @@ def test_a_cable_bends_by_half_the_pitch_at_either_plate() -> None:
     np.testing.assert_allclose(bends[0, :, 3:], 0.1)
     assert not bends[1:].any()
     assert (bends[0, 1, :3] == 0.0).all()  # anchored behind the first joint: no guide there
-
-
-def test_a_joint_turns_by_pitch_then_yaw() -> None:
-    angles = np.zeros((1, JOINTS))
-    angles[0, :2] = 0.3, -0.2
-    placed = frames(BODY, angles, turns(BODY, angles))
-    forward = placed.rotation[0, 0, :, 0]
-    expected = [np.cos(0.3) * np.cos(-0.2), np.sin(-0.2), -np.sin(0.3) * np.cos(-0.2)]
-    np.testing.assert_allclose(forward, expected, atol=1e-15)
-    tip = points_m(placed, np.array([3]), np.array([[0.13, 0.0, 0.0]]))[0, 0]
-    np.testing.assert_allclose(tip, [0.015, 0, 0] + 4 * 0.13 * forward)
