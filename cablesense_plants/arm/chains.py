@@ -15,7 +15,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_plants.arm.body import Body, PlantFriction
-from cablesense_plants.arm.geometry import CableSpans
+from cablesense_plants.arm.geometry import SpanGeometry
 
 _ENOUGH_N = 1e-7
 _BLOCK_SWEEPS, _MOST_SWEEPS = 15, 80
@@ -107,7 +107,7 @@ class PlantCables:
     def at_rest(
         self,
         before: GuideState,
-        across: CableSpans,
+        across: SpanGeometry,
         longer_m: Array,
         crept_m: Array,
         guess: Chains | None,
@@ -154,7 +154,7 @@ class PlantCables:
         )
 
     def _side_by_side(
-        self, before: GuideState, across: CableSpans, longer_m: Array, crept_m: Array
+        self, before: GuideState, across: SpanGeometry, longer_m: Array, crept_m: Array
     ) -> _Each:
         rows, cables = longer_m.shape
         count, body = rows * cables, self.body

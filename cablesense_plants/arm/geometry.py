@@ -19,7 +19,7 @@ _PITCH_ORDER = np.array([0, 1, 0, 2, 1, 0])
 _YAW_ORDER = np.array([0, 0, 1, 0, 1, 2])
 
 
-class CableSpans(NamedTuple):
+class SpanGeometry(NamedTuple):
     """The pieces of cable across the joints, B rows.
 
     Attributes:
@@ -51,7 +51,7 @@ class JointFrames(NamedTuple):
     axis: Array
 
 
-def spans(body: Body, angles_rad: Array, turning: Array, with_bends: bool = False) -> CableSpans:
+def spans(body: Body, angles_rad: Array, turning: Array, with_bends: bool = False) -> SpanGeometry:
     """Cable spans at joint angles (B, 2J), of which `turning` are the `turns`."""
     turned = turning @ np.swapaxes(body.after_m, -1, -2)
     v = turned[0] - np.swapaxes(body.before_m, -1, -2)
@@ -62,7 +62,7 @@ def spans(body: Body, angles_rad: Array, turning: Array, with_bends: bool = Fals
     curve = (pairs - slope[_LEFT] * slope[_RIGHT]) / length
     bends = _bends(body, turning[0], v / length[..., None, :]) if with_bends else np.zeros(0)
     slope, curve = (np.moveaxis(values * body.passes, 0, -2) for values in (slope, curve))
-    result = CableSpans(length * body.passes, slope, curve, bends)
+    result = SpanGeometry(length * body.passes, slope, curve, bends)
     for contact in body.cable_contacts:
         result = _pushed_aside(result, contact, angles_rad)
     return result
@@ -135,7 +135,7 @@ def _bends(body: Body, turning: Array, direction: Array) -> Array:
     return 2.0 * np.arcsin(np.minimum(0.5 * chords, 1.0)) * guided
 
 
-def _pushed_aside(free: CableSpans, contact: CableContact, angles_rad: Array) -> CableSpans:
+def _pushed_aside(free: SpanGeometry, contact: CableContact, angles_rad: Array) -> SpanGeometry:
     j, cables = contact.joint, list(contact.cables)
     p, y = contact.toward
     beyond = p * angles_rad[:, 2 * j] + y * angles_rad[:, 2 * j + 1] - contact.from_rad
@@ -147,7 +147,7 @@ def _pushed_aside(free: CableSpans, contact: CableContact, angles_rad: Array) ->
         slope[:, j, i, cables] += touching * beyond * share
     for i, share in enumerate((p * p, p * y, y * y)):
         curve[:, j, i, cables] += touching * share
-    return CableSpans(length, slope, curve, free.bend_rad)
+    return SpanGeometry(length, slope, curve, free.bend_rad)
 
 
 def torques(body: Body, angles_rad: Array, turning: Array, loads_n: Array) -> tuple[Array, Array]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_plants.arm.body import Body, Ints
-from cablesense_plants.arm.geometry import CableSpans, cable_lengths_m, spans, torques, turns
+from cablesense_plants.arm.geometry import SpanGeometry, cable_lengths_m, spans, torques, turns
 from cablesense_plants.cases import PlantError
 
 _ENOUGH_NM = 1e-9
@@ -159,7 +159,7 @@ def tension_law(body: Body, stretch_m: Array) -> tuple[Array, Array]:
 
 
 def with_cable_torques(
-    across: CableSpans, tension_n: Array, torque_nm: Array, slope_nm_rad: Array
+    across: SpanGeometry, tension_n: Array, torque_nm: Array, slope_nm_rad: Array
 ) -> tuple[Array, Array]:
     """Torques (B, 2J) and slopes (B, 2J, 2J) with those of constant span tensions (B, J, M)."""
     cables = -(across.slope_m_rad @ tension_n[..., None])[..., 0]
