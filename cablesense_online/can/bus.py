@@ -20,7 +20,6 @@ from typing import Any
 import can
 
 from cablesense_base import CableSenseError
-from cablesense_online.can.slcan import SlcanBus
 
 INTERFACES = ("socketcan", "slcan", "pcan", "kvaser", "virtual", "udp_multicast")
 """Those that are tried or documented here; python-can's others may well work."""
@@ -115,14 +114,15 @@ class CanInterface:
             CanInterfaceError: it is not there, busy, or its driver is not installed.
         """
         options: dict[str, Any] = {"bitrate": self.bitrate_bit_s} if self.bitrate_bit_s else {}
+        if self.interface == "slcan":
+            options["sleep_after_open"] = 0.0
         try:
-            if self.interface == "slcan":
-                bus = SlcanBus(self.channel, sleep_after_open=0.0, **options)
-                bus.flush()  # what came before would be mistaken for new
-                return bus
-            return can.Bus(
+            bus = can.Bus(
                 channel=self.channel, interface=self.interface, ignore_config=True, **options
             )
+            if self.interface == "slcan":
+                bus.flush()  # type: ignore[attr-defined]  # frames from before opening are old
+            return bus
         except Exception as error:  # each adapter's driver raises errors of its own
             reason = " ".join(str(error).split())[:300] or type(error).__name__
             raise CanInterfaceError(f"{self.name} cannot be opened ({reason})") from error

@@ -1,11 +1,9 @@
-"""CAN over a serial adapter: the slcan protocol (Lawicel's CAN232 manual), from both ends.
+"""The adapter's end of CAN over a serial line: the slcan protocol (Lawicel's CAN232 manual).
 
 A frame is a line: `t1234AABBCCDD` is id 123h with four bytes, `T` has an id of eight digits, `r`
 and `R` are remote frames; lines end with a carriage return. The protocol has no error frames.
-
-`SlcanBus` is the host's end. python-can's own `slcan` reads byte by byte; reading in bulk takes
-0.3 of a core instead of 0.7 at a thousand cycles of four frames a second. `SlcanPort` is the
-adapter's end: a pseudo-terminal that any host opens like a USB adapter.
+`SlcanPort` is a pseudo-terminal that any host opens like a USB adapter, python-can's `slcan`
+interface for example.
 """
 
 from __future__ import annotations
@@ -16,26 +14,19 @@ import re
 import select
 import termios
 import threading
-import time
 import tty
 from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import can
-from can.exceptions import error_check
-from can.interfaces.slcan import slcanBus
 
 from cablesense_base import CableSenseError
 
 FRAME_COMMANDS = b"tTrR"
 MAX_LINE_BYTES = 64
 """More without an end is no line: the longest frame has 26 characters, and a stamp four."""
-TICK_S = 1e-6
-"""Least time from one frame to the next: stamps ascend."""
 _STAMP_DIGITS = 4
-_CLOCK_SET_BACK_S = 0.1
 _OK, _BELL = b"\r", b"\a"
 _HEX = rb"[0-9A-Fa-f]"
 _LINE = re.compile(rb"([tr])(%b{3})([0-8])(%b*)" % (_HEX, _HEX))
@@ -62,10 +53,8 @@ def frame_line(frame: can.Message) -> bytes | None:
     return (head if frame.is_remote_frame else head + bytes(frame.data).hex().upper()).encode()
 
 
-def line_frame(line: bytes, time_s: float = 0.0) -> can.Message:
-    """The frame of a line without its return, with the timestamp `time_s`.
-
-    A stamp of four digits at its end is left out.
+def line_frame(line: bytes) -> can.Message:
+    """The frame of a line without its return; a stamp of four digits at its end is ignored.
 
     Raises:
         ValueError: the line is no frame; shows it.
@@ -78,7 +67,6 @@ def line_frame(line: bytes, time_s: float = 0.0) -> can.Message:
         fits = int(number, 16) < (1 << 29 if extended else 1 << 11)
         if fits and len(digits) in (shown, shown + _STAMP_DIGITS):
             return can.Message(
-                timestamp=time_s,
                 arbitration_id=int(number, 16),
                 is_extended_id=extended,
                 is_remote_frame=remote,
@@ -88,69 +76,8 @@ def line_frame(line: bytes, time_s: float = 0.0) -> can.Message:
     raise ValueError(f"slcan: {line[:MAX_LINE_BYTES]!r} is no frame")
 
 
-class SlcanBus(slcanBus):
-    """python-can's bus with another way of receiving; it opens, sends and closes as that does.
-
-    A frame gets the time of its reading. Frames that had to wait are spread over the time since
-    the reading before: otherwise all of a backlog would bear one time, and neither their order
-    nor their rate could be seen downstream.
-    """
-
-    def __init__(self, channel: str, **options: Any) -> None:
-        """`options` are those of python-can's `slcanBus`."""
-        self._begun = b""
-        self._lines: deque[tuple[bytes, float]] = deque()
-        self._read_s = self._last_s = 0.0
-        super().__init__(channel, **options)
-
-    def flush(self) -> None:
-        """Discard what was received but not taken."""
-        self._begun = b""
-        self._lines.clear()
-        super().flush()
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """One frame, or None when there was none in time; python-can's point to extend.
-
-        Raises:
-            ValueError: a line that begins as a frame and is none.
-            can.CanOperationError: the adapter is gone.
-        """
-        if not self._lines:
-            self._read_lines(timeout)
-        while self._lines:
-            line, time_s = self._lines.popleft()
-            if line[:1] in FRAME_COMMANDS:
-                return line_frame(line, time_s), False
-        return None, False
-
-    def _read_lines(self, timeout: float | None) -> None:
-        port = self.serialPortOrig
-        with error_check("Could not read from serial device"):
-            if port.timeout != timeout:
-                port.timeout = timeout
-            waiting = port.in_waiting
-            data = port.read(max(1, waiting))
-            data += port.read(port.in_waiting)
-        now_s = time.time()
-        since_s = self._read_s if waiting and 0.0 < self._read_s < now_s else now_s
-        self._read_s = now_s
-        *lines, rest = (self._begun + data.replace(_BELL, _OK)).split(_OK)
-        if len(rest) > MAX_LINE_BYTES:
-            lines.append(rest)
-            rest = b""
-        self._begun = rest
-        lines = [line for line in lines if line]
-        if self._last_s > now_s + _CLOCK_SET_BACK_S:
-            self._last_s = 0.0
-        for number, line in enumerate(lines, start=1):
-            time_s = since_s + (now_s - since_s) * number / len(lines)
-            self._last_s = max(time_s, self._last_s + TICK_S)
-            self._lines.append((line, self._last_s))
-
-
 class SlcanPort:
-    """The adapter's end. A thread answers the host until `close`.
+    """The adapter: a thread answers the host until `close`.
 
     Attributes:
         path: the path that the host opens: the link if one was asked for, else the terminal.
