@@ -243,7 +243,7 @@ def _lines(rng: random.Random, amplifier: _Amplifier) -> Iterator[Timed]:
         if rng.random() < 0.2:
             line = mutated_bytes(rng, line, most=2)
         try:
-            received = line_frame(line, frame.timestamp)
+            received = line_frame(line)
         except ValueError:
             continue
         again = frame_line(received) or b""

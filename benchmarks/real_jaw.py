@@ -58,7 +58,8 @@ def halves(folder: Path) -> tuple[list[pd.DataFrame], list[pd.DataFrame]]:
     tool = index.groupby("folder", sort=False)["brake_percent"].nunique().idxmax()
     own = index[index["folder"] == tool]
     fitted_levels = sorted(own["brake_percent"].unique())[::2]
-    fitted, unseen = [], []
+    fitted: list[pd.DataFrame] = []
+    unseen: list[pd.DataFrame] = []
     for row in own.itertuples():
         half = fitted if row.brake_percent in fitted_levels else unseen
         half.append(pd.read_csv(folder / f"{row.recording}.csv.gz"))
@@ -73,7 +74,7 @@ def _found(path: Path, fitted: list[pd.DataFrame], unseen: list[pd.DataFrame]) -
         other = _recording(folder / "unseen.csv", unseen, robot)
         found = diagnose(one, robot)
         write_amended(folder, robot, found.amended, {})
-        models = ((robot, {}), load_amended(folder))
+        models: Any = ((robot, {}), load_amended(folder))
         gaps = [predicted(other, *model).gaps[0][2] for model in models]
     verdict = found.verdict
     return {
