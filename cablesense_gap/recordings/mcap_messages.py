@@ -3,8 +3,9 @@
 A recorder that is killed leaves a file without its end. The part already written must still be
 readable, so reading goes from record to record (https://mcap.dev/spec) and not by the index at
 the end, and writing closes a chunk every `CHUNK_S`. Records are read by the library `mcap` and
-written by `rosbags`. Our own code adds: `mcap` does not tell a file that breaks off from a damaged
-one, believes every length and unpacks without bound; no writer closes chunks by time.
+written by `rosbags`. Our own
+code adds what they lack: `mcap` does not distinguish a file that breaks off from a damaged one,
+trusts every length and unpacks without bound, and no writer closes chunks by time.
 """
 
 from __future__ import annotations

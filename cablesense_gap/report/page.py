@@ -14,7 +14,6 @@ from cablesense_gap.recorded_contacts import RecordedErrors
 from cablesense_gap.report.charts import common_content
 from cablesense_gap.report.pictures import (
     arm_picture,
-    cable_picture,
     drawn_errors,
     dumbbell_picture,
     overlay_picture,
@@ -39,7 +38,7 @@ from cablesense_gap.report.text import (
     numbers,
     place_text,
 )
-from cablesense_gap.residuals import ALL, EVERYWHERE, LOOP, REGIMES, SET, TRIAL, decompose
+from cablesense_gap.residuals import ALL, CABLE, EVERYWHERE, LOOP, REGIMES, SET, TRIAL, decompose
 from cablesense_gap.verdict import (
     NONE,
     UNKNOWN,
@@ -101,7 +100,7 @@ def report_page(
             "arm": arm_picture(found.nominal, _marked(verdict)),
             "overlay": overlay_picture(found),
             "time": time_picture(found),
-            "cable": cable_picture(before, after, found.after_label),
+            "cable": dumbbell_picture(before, after, found.after_label, (CABLE,)),
             "set": dumbbell_picture(before, after, found.after_label, (SET,)),
             "regime": dumbbell_picture(before, after, found.after_label, (*REGIMES, LOOP)),
             "estimator": as_uri(drawn_errors(models), "png") if models else "",

@@ -26,7 +26,7 @@ from cablesense_gap.report.style import (
     as_uri,
     plain_log_ticks,
 )
-from cablesense_gap.residuals import CABLE, Decomposition
+from cablesense_gap.residuals import Decomposition
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 
@@ -37,28 +37,6 @@ _MOST_CABLES, _MOST_COLUMNS = 24, 3
 _MOST_POINTS = 3000
 """More than a picture has columns of pixels; longer recordings are drawn as their envelope."""
 _ROW_IN = 0.95
-
-
-def cable_picture(before: Decomposition, after: Decomposition, after_label: str) -> str:
-    """RMS gap of each cable as bars; only those before where `after_label` is empty."""
-    import matplotlib.pyplot as plt
-
-    names = [part.member for part in before.of_group(CABLE)]
-    x = np.arange(len(names))
-    figure, axes = plt.subplots(figsize=(_WIDTH_IN, 2.7), layout="constrained")
-    shown = [(before, 0.0, BEFORE, "nominal arm")]
-    if after_label:
-        shown = [(before, -0.2, BEFORE, "nominal arm"), (after, 0.2, AFTER, after_label)]
-    for parts, aside, colour, label in shown:
-        size = {part.member: part.rms_n for part in parts.of_group(CABLE)}
-        heights = [size.get(name, np.nan) for name in names]
-        axes.bar(x + aside, heights, 0.38, color=colour, label=label)
-    axes.axhline(before.floor_n, color=FLOOR, ls="--", lw=1.2, label="floor")
-    axes.set_xticks(x, [name.rpartition("_")[2] for name in names])
-    axes.set(xlabel="cable", ylabel="RMS gap, N", xlim=(-0.6, len(names) - 0.4))
-    axes.grid(axis="y")
-    _legend(figure, axes)
-    return as_uri(figure)
 
 
 def dumbbell_picture(

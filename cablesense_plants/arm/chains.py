@@ -201,7 +201,7 @@ class PlantCables:
         return _Law(misfit, matrix, np.concatenate([stiff, hold], axis=-1), fed, state)
 
     def _sliding(self, each: _Each, tension: Array, sliding: Array, sweep: int) -> Array:
-        """Which guides slide; some break loose, others stop that would slide uphill."""
+        """New sliding of the guides: some break loose; those that would slide uphill stop."""
         nearer, farther = tension[:, :-1], tension[:, 1:]
         excess = {
             sign: high - low * np.exp(each.grip * self._level(each.before_sliding == sign))
