@@ -25,7 +25,7 @@ from rich.console import Console
 
 from cablesense_base.installation import config_path
 from cablesense_gap.adaptation import adapt_to, kept_apart
-from cablesense_gap.pipeline import Diagnosis, diagnose
+from cablesense_gap.arm_system import Diagnosis, diagnose
 from cablesense_gap.recorded_contacts import tares_n
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.csv_file import write_csv

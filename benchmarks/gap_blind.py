@@ -30,11 +30,11 @@ import numpy as np
 from rich.progress import track
 
 from cablesense_base.workers import WorkerPool
-from cablesense_gap.pipeline import diagnose
+from cablesense_gap.arm_simulator import removed_on
+from cablesense_gap.arm_system import diagnose
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.scoring import Truth as Case
 from cablesense_gap.scoring import as_json, read_answers, score
-from cablesense_gap.settling import removed_on
 from cablesense_gap.verdict import (
     NONE,
     UNKNOWN,

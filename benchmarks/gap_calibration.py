@@ -20,7 +20,7 @@ import numpy as np
 from gap_blind import ARM, in_pool
 from scipy.optimize import minimize
 
-from cablesense_gap.arm_simulator import ArmSimulator
+from cablesense_gap.arm_system import ArmSystem
 from cablesense_gap.diagnosis import probability
 from cablesense_gap.diagnosis.probability import ProbabilityCalibration, log_weights
 from cablesense_gap.diagnosis.search import search
@@ -65,8 +65,7 @@ def _searched(path: Path) -> dict[str, object]:
     if not kept.exists():
         arm = open_arm(ARM)
         recording = read_recording(path, arm)
-        simulator = ArmSimulator(arm, recording)
-        problem = problem_of(recording, simulator, simulator.predict([{}])[0])
+        problem = problem_of(ArmSystem(arm, recording))
         explanations = search(problem)
         content = {
             "floor": problem.floor,

@@ -27,7 +27,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.pipeline import diagnose
+from cablesense_gap.arm_system import diagnose
 from cablesense_gap.recordings.protocol import rows_of, standard_protocol
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_gap.simulator import Candidate, Term

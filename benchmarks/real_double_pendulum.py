@@ -40,11 +40,12 @@ from cablesense_gap.robot.catalogue import changed
 from cablesense_gap.robot.inverse import InverseDynamics
 from cablesense_gap.robot.model import Robot, load_robot
 from cablesense_gap.robot.motion import Motion
-from cablesense_gap.robot.pipeline import RobotDiagnosis, diagnose, problem_of
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_recording
 from cablesense_gap.robot.report import write_robot_diagnosis
 from cablesense_gap.robot.simulator import RobotSimulator
+from cablesense_gap.pipeline import problem_of
+from cablesense_gap.robot.system import RobotDiagnosis, RobotSystem, diagnose
 from cablesense_gap.simulator import Assignment, Term
 
 MODELS = Path(__file__).parents[1] / "config" / "robots"
@@ -136,7 +137,7 @@ def _friction(diagnosis: RobotDiagnosis) -> list[float | None]:
 
 def _both_frictions(robot: Robot, motion: Motion) -> dict[str, list[float]]:
     """Dry friction at both joints alone, and beside viscous: do the runs tell them apart?"""
-    problem = problem_of(RobotSimulator(robot, motion, {}))
+    problem = problem_of(RobotSystem(robot, motion, {}))
     joints = ("joint_1", "joint_2")
     dry, gives, drag = (
         [Term(effect, joint, number) for joint in joints]

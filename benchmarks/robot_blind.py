@@ -32,10 +32,10 @@ import numpy as np
 import pandas as pd
 
 from cablesense_gap.robot.model import Robot, load_robot
-from cablesense_gap.robot.pipeline import diagnose
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_recording
 from cablesense_gap.robot.simulator import RobotSimulator
+from cablesense_gap.robot.system import diagnose
 from cablesense_gap.scoring import Truth, as_json, proportion, score
 from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, read_verdict, removed_fraction
 from cablesense_gap.verdict import write_verdict as write

@@ -1,7 +1,7 @@
 """Public names; `__init__.py` imports each when it is first used."""
 
-from .pipeline import Diagnosis as Diagnosis
-from .pipeline import diagnose as diagnose
+from .arm_system import Diagnosis as Diagnosis
+from .arm_system import diagnose as diagnose
 from .recordings.checks import read_recording as read_recording
 from .recordings.recording import Recording as Recording
 from .report.page import write_diagnosis as write_diagnosis

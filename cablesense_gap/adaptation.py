@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError
-from cablesense_gap.pipeline import Diagnosis, diagnose, folds_of
+from cablesense_gap.arm_system import Diagnosis, diagnose, folds_of
 from cablesense_gap.recorded_contacts import (
     RecordedErrors,
     contact_errors,

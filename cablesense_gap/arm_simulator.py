@@ -1,31 +1,31 @@
-"""The cable-driven arm as the diagnosis simulates it, and the amended arm that follows."""
+"""The cable-driven arm as the diagnosis simulates it, and its state at the first rows."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import groupby
-from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_base.files import write_atomically
-from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.simulator import Assignment, Candidate, Term
-from cablesense_sim.arm import Arm, ArmFileError, ListedEffect, find_arm, parse_arm
+from cablesense_gap.recordings.recording import Recording, RecordingError
+from cablesense_gap.simulator import Assignment, Candidate
+from cablesense_gap.verdict import removed_fraction
+from cablesense_sim.arm import Arm, ListedEffect
 from cablesense_sim.build import entries_of
-from cablesense_sim.effects.effect import WHOLE_ARM, Effect, Transmission
+from cablesense_sim.effects.effect import Effect, Parameter, Transmission
 from cablesense_sim.effects.registry import EffectEntry, known_effects, transmissions
 from cablesense_sim.equilibrium import EquilibriumError
-from cablesense_sim.replay import Replay, reading_variance_n2
-
-AMENDED_ARM = "amended_arm.yaml"
-"""In the folder of a diagnosis."""
+from cablesense_sim.replay import Replay, reading_variance_n2, replay_arm
 
 SLACK_SHARE = 0.05
-"""Of the pretension: a cable with less tension is slack or about to be."""
+"""A cable with less than this share of its pretension is slack or about to be."""
+_PRIOR = 0.05
+"""Weight of the default state against residuals in units of the floor: first rows that do not
+show a state leave it at its default."""
+_EVALUATIONS = 12
+"""The states act nearly linearly on the first rows."""
 
 
 class ArmSimulator:
@@ -35,7 +35,7 @@ class ArmSimulator:
     """
 
     def __init__(self, arm: Arm, recording: Recording) -> None:
-        """What the arm file lists already is part of the nominal arm."""
+        """Effects that the arm file lists are part of the nominal arm."""
         self.arm = arm
         self.floor = float(np.sqrt(reading_variance_n2(arm.sensors)))
         sizes = arm.segment_count, arm.cable_count
@@ -50,16 +50,16 @@ class ArmSimulator:
     def predict(self, variants: Sequence[Assignment]) -> Array:
         """Readings (P, R, M), N.
 
-        Samples that the real arm has borne and a variant cannot are predicted as the nominal arm
-        bears them: they speak against the variant, and do not hide the others.
+        Samples in which a variant has no equilibrium, although the real arm had one, are predicted
+        by the nominal arm: they count against the variant, and do not hide the others.
         """
         if self._nominal_n is None and any(variants):
             self._nominal_n = self.predict([{}])[0]
         known = self._nominal_n
-        borne = known if known is not None and np.isfinite(known).all() else None
+        fallback = known if known is not None and np.isfinite(known).all() else None
         try:
             entries = [[*self._listed, *entries_from(variant)] for variant in variants]
-            return self._replay.readings_n(entries, borne)
+            return self._replay.readings_n(entries, fallback)
         except EquilibriumError:
             if len(variants) == 1:
                 return np.full((1, *self._shape), np.nan)
@@ -67,7 +67,7 @@ class ArmSimulator:
 
 
 def entries_from(variant: Assignment) -> list[EffectEntry]:
-    """The effects that an assignment stands for."""
+    """The effects with the values of an assignment, for a `Replay`."""
     entries = []
     for (name, place), terms in groupby(
         sorted(variant), key=lambda term: (term.effect, term.place)
@@ -84,25 +84,25 @@ def _candidate(effect: Effect, segment_count: int, cable_count: int) -> Candidat
     defaults = {p.name: np.array([p.default]) for p in effect.parameters}
     history_dependent = isinstance(effect.transmission(places[0], defaults), Transmission)
     numbers = (*effect.parameters, *effect.history(segment_count, cable_count))
-    return Candidate(effect.name, places, numbers, history_dependent)
+    return Candidate(effect.name, places, numbers, history_dependent, effect.against_motion)
 
 
 def has_one_equilibrium(tensions_n: Array, arm: Arm) -> NDArray[np.bool_]:
-    """(…,) whether no segment can have its whole set of cables slack, of tensions (…, M).
+    """(…,) whether too few cables are slack, at tensions (…, M), to slacken a whole segment.
 
-    With more of them slack an arm has several static equilibria, and which one it takes is chance.
+    With more slack cables an arm has several static equilibria, and chance decides among them.
     """
     slack = tensions_n < SLACK_SHARE * arm.cables.pretension_n
     return np.asarray(slack.sum(-1) < arm.cables.per_segment)
 
 
-def borne_rows(arm: Arm, recording: Recording) -> NDArray[np.bool_]:
-    """(R,) in which an arm finds a rest under what is recorded.
+def supported_rows(arm: Arm, recording: Recording) -> NDArray[np.bool_]:
+    """(R,) in which an arm has an equilibrium under the recorded commands and loads.
 
-    All of them where it depends on history: which later rests it has is then not known.
+    All of them if it depends on history, as later equilibria then follow from earlier ones.
 
     Raises:
-        EquilibriumError: an arm finds no rest, and which rows are to blame is not known.
+        EquilibriumError: a history-dependent arm has no equilibrium in some row.
     """
     entries = entries_of(arm)
     replay = Replay(arm, recording.time_s, recording.command_rad, recording.forces_n)
@@ -113,73 +113,94 @@ def borne_rows(arm: Arm, recording: Recording) -> NDArray[np.bool_]:
 
 
 def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[np.bool_]:
-    """(R,) which rows count in the size of a gap: the arm without its effects has one rest there.
+    """(R,) which rows count in the size of a gap: the arm without effects has one equilibrium.
 
-    That is the same for a nominal arm and for what a diagnosis makes of it. Samples that it does
-    not bear without its effects are judged by the prediction (R, M) of the arm with them.
+    The nominal and the amended arm then count the same rows. Rows without an equilibrium of the
+    arm without effects are judged by the prediction (R, M) of the arm with its effects.
     """
     replay = Replay(arm, recording.time_s, recording.command_rad, recording.forces_n)
     return has_one_equilibrium(replay.readings_n([[]], predicted_n)[0], arm)
 
 
-def amended_arm(arm: Arm, values: Mapping[Term, float], tolerances: Mapping[Term, float]) -> Arm:
-    """The arm with effects beside those that it lists already; numbers stay in their ranges.
+def settled(arm: Arm, recording: Recording, rows: int) -> Arm:
+    """The arm with the history-dependent states that the first `rows` of a recording show.
 
-    It keeps its name: without its effects it is the nominal arm, and whatever was made for that
-    one fits it.
+    The position in a play, friction states, creep and drifting zeros belong to a recording, and
+    not to the arm.
+
+    Raises:
+        EquilibriumError: the arm has no equilibrium in these rows.
     """
-    counts = arm.segment_count, arm.cable_count
-    listed = [*arm.effects, *_listed(values, *counts), *_listed(tolerances, *counts)]
-    return arm.model_copy(update={"effects": listed})
+    from scipy.optimize import least_squares
+
+    states = _states(arm)
+    if not states or rows < 1:
+        return arm
+    first = recording.rows(slice(0, rows))
+    low, high = np.array([[p.low, p.high] for _, p in states]).T / (
+        typical := np.array([p.typical for _, p in states])
+    )
+    start = np.clip([p.default / p.typical for _, p in states], low + 1e-6, high - 1e-6)
+
+    def residuals(scaled: Array) -> Array:
+        simulator = ArmSimulator(_with_states(arm, states, scaled * typical), first)
+        residual = (first.tensions_n - simulator.predict([{}])[0]) / simulator.floor
+        return np.concatenate(
+            [np.nan_to_num(residual, nan=1e3).ravel(), _PRIOR * (scaled - start)]
+        )
+
+    found = least_squares(
+        residuals,
+        start,
+        bounds=(low, high),
+        x_scale=1.0,
+        diff_step=0.02,
+        max_nfev=_EVALUATIONS,
+    )
+    return _with_states(arm, states, found.x * typical)
 
 
-def _listed(
-    values: Mapping[Term, float], segment_count: int, cable_count: int
-) -> list[ListedEffect]:
-    """One entry for each effect and place, in the order in which they were found."""
+def removed_on(
+    recording: Recording, nominal: Arm, amended: Arm, rows: int, floor_n: float
+) -> float:
+    """The share of the removable gap that an amended arm removes on a new recording of it.
+
+    Its state is estimated from the first `rows`, which do not count.
+
+    Raises:
+        RecordingError: no rows are left to count.
+        EquilibriumError: an arm has no equilibrium.
+    """
+    nominal_n, amended_n = (
+        replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
+        for arm in (nominal, settled(amended, recording, rows))
+    )
+    judged = counted_rows(nominal, recording, nominal_n)
+    judged[:rows] = False
+    if not judged.any():
+        raise RecordingError(
+            f"{recording.name}: no rows are left to judge after the first {rows}; settle on fewer"
+        )
+    before_n, after_n = (
+        float(np.sqrt(((recording.tensions_n - each)[judged] ** 2).mean()))
+        for each in (nominal_n, amended_n)
+    )
+    return removed_fraction(before_n, after_n, floor_n)
+
+
+def _states(arm: Arm) -> list[tuple[int, Parameter]]:
+    """Parameters of history-dependent states, with the index of their effect in the arm's list."""
     found = []
-    for (name, place), terms in groupby(values, key=lambda term: (term.effect, term.place)):
-        effect = known_effects()[name]
-        every = (*effect.parameters, *effect.history(segment_count, cable_count))
-        ranges = {p.name: (p.low, p.high) for p in every}
-        numbers = {
-            term.parameter: float(np.clip(values[term], *ranges[term.parameter])) for term in terms
-        }
-        found.append(ListedEffect(effect=name, at=place, parameters=numbers))
+    for k, listed in enumerate(arm.effects):
+        effect = known_effects()[listed.effect]
+        history = effect.history(arm.segment_count, arm.cable_count)
+        found += [(k, p) for p in (*effect.parameters, *history) if p.past]
     return found
 
 
-def find_amended(arm: str) -> Path:
-    """The arm file that a name, a path or the folder of a diagnosis stands for.
-
-    Raises:
-        ArmFileError: as `find_arm`, or a folder without an amended arm.
-    """
-    try:
-        return find_arm(arm)
-    except ArmFileError:
-        folder = Path(arm)
-        if not folder.is_dir():
-            raise
-    amended = folder / AMENDED_ARM
-    if amended.is_file():
-        return amended
-    raise ArmFileError(
-        f"{folder}: has no {AMENDED_ARM}; give the folder of `cablesense gap diagnose`"
-    )
-
-
-def write_arm(path: Path, arm: Arm, heading: str) -> None:
-    """Write an arm file that reads back as this very arm, `heading` as comment lines above.
-
-    Raises:
-        ArmFileError: the place cannot be written to.
-    """
-    content = arm.model_dump(mode="json", exclude_none=True)
-    for effect in content["effects"]:
-        if effect["at"] == WHOLE_ARM:
-            del effect["at"]
-    lines = "".join(f"# {line}\n" for line in heading.splitlines())
-    text = lines + yaml.safe_dump(content, sort_keys=False, width=99)
-    parse_arm(text, source=str(path))
-    write_atomically(path, text, ArmFileError)
+def _with_states(arm: Arm, states: Sequence[tuple[int, Parameter]], values: Array) -> Arm:
+    effects: list[ListedEffect] = list(arm.effects)
+    for (k, parameter), value in zip(states, values, strict=True):
+        numbers = {**effects[k].parameters, parameter.name: float(value)}
+        effects[k] = effects[k].model_copy(update={"parameters": numbers})
+    return arm.model_copy(update={"effects": effects})

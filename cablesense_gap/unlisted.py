@@ -7,13 +7,12 @@ elasticity, creep, friction and measurement, whatever the cause is called.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.discrepancy import Features, discrepancy
-from cablesense_gap.diagnosis.problem import Explanation, Problem
+from cablesense_gap.diagnosis.problem import Problem
+from cablesense_gap.pipeline import Unlisted
 from cablesense_gap.recordings.protocol import DIRECTIONS
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residual_patterns import residual_patterns
@@ -154,29 +153,18 @@ def _done_and_again(rows: Recording) -> tuple[str, str]:
 
 
 def describe_unlisted(
-    problem: Problem, recording: Recording, fitted: Sequence[Explanation], arm: Arm
-) -> tuple[tuple[str, ...], str, Array]:
-    """What tolerances leave, as a flexible model that knows no physics sees it.
-
-    Why no listed effect is named, and the pattern of the gap; what to record to learn more; and
-    (R, M) what the flexible model predicts, each trial without its fold. `fitted` are all
-    explanations, among them that of tolerances alone.
-    """
-    none = next(h for h in fitted if not h.effects)
-    residual = problem.readings - none.held_out
+    problem: Problem, residual: Array, recording: Recording, arm: Arm
+) -> Unlisted:
+    """The pattern of a held-out residual (R, M), as a flexible model without physics sees it."""
     features = residual_features(recording, problem.nominal, arm)
     found = discrepancy(
         features, residual, problem.trial, problem.fold, problem.used, problem.floor
     )
-    best = min(fitted, key=lambda h: h.held_out_rmse)
     rows, left = recording.rows(problem.used), residual[problem.used]
     reasons = (
-        f"Tolerances alone leave {none.held_out_rmse:.2f} N on trials that were not fitted; "
-        f"the best that listed effects do is {best.held_out_rmse:.2f} N "
-        f"({' with '.join(best.effects).replace('_', ' ') or 'none'}).",
         f"A flexible model, which knows commands, loads, directions and time but no physics, "
         f"explains {max(found.explained_share, 0.0):.0%} of what is left on such trials.",
         *residual_patterns(rows, left, found, arm, problem.floor),
     )
     experiment = repeat_largest_trial(rows, left, problem.floor)
-    return reasons, experiment, none.held_out + found.held_out
+    return Unlisted(reasons, experiment, found.held_out)

@@ -8,8 +8,8 @@ from types import MappingProxyType
 from typing import Any
 
 from cablesense_base.files import write_atomically
-from cablesense_gap.arm_simulator import AMENDED_ARM, write_arm
-from cablesense_gap.pipeline import Diagnosis
+from cablesense_gap.amended_arm import AMENDED_ARM, write_arm
+from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recorded_contacts import RecordedErrors
 from cablesense_gap.report.charts import common_content
 from cablesense_gap.report.pictures import (

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.pipeline import Diagnosis
+from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recorded_contacts import RecordedErrors
 from cablesense_gap.report.style import (
     AFTER,

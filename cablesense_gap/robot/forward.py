@@ -35,7 +35,7 @@ _STATE, _CONTROL = mujoco.mjtState.mjSTATE_FULLPHYSICS, (
 
 
 class ForwardComparison:
-    """Positions and speeds of all joints at the ends of windows, see `Comparison`."""
+    """Positions and speeds of all joints at the ends of windows, see `MotionComparison`."""
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
         """`motion` is what was measured."""

@@ -172,7 +172,7 @@ class InverseDynamics:
 
 
 class InverseComparison:
-    """Torques of those joints that have one, see `Comparison`.
+    """Torques of those joints that have one, see `MotionComparison`.
 
     Where a joint is at rest, readings and predictions are zero alike; units are such that noise
     alone has a root mean square of one over all rows.

@@ -12,7 +12,7 @@ from cablesense_gap.recordings.csv_file import write_table
 from cablesense_gap.robot.model import Robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording
-from cablesense_gap.robot.simulator import Comparison, RobotSimulator
+from cablesense_gap.robot.simulator import MotionComparison, RobotSimulator
 from cablesense_gap.simulator import Assignment
 
 
@@ -25,7 +25,7 @@ class Prediction(NamedTuple):
             and of measured.
     """
 
-    comparison: Comparison
+    comparison: MotionComparison
     predicted: Array
     gaps: tuple[tuple[str, str, float, float], ...]
 

@@ -27,7 +27,7 @@ from cablesense_gap.report.style import (
 from cablesense_gap.report.text import headline
 from cablesense_gap.robot.amending import AMENDED_MODEL, BESIDE_MODEL, write_amended
 from cablesense_gap.robot.catalogue import known_effects
-from cablesense_gap.robot.pipeline import UNIT, RobotDiagnosis
+from cablesense_gap.robot.system import UNIT, RobotDiagnosis
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Verdict, listed, write_verdict
 

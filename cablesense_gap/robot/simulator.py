@@ -24,7 +24,7 @@ _PROBED, _USUAL = 0.01, 0.1
 _Zeros = tuple[NDArray[np.bool_], Array, Array]
 
 
-class Comparison(Protocol):
+class MotionComparison(Protocol):
     """Q rows of C channels that were measured, and that variants of a robot predict.
 
     Attributes:
@@ -63,7 +63,7 @@ class RobotSimulator:
     def __init__(self, robot: Robot, motion: Motion, listed: Assignment) -> None:
         """`motion` is what was measured, `listed` are effects that the nominal robot has."""
         self.robot, self._listed = robot, dict(listed)
-        self.comparison: Comparison = (
+        self.comparison: MotionComparison = (
             ForwardComparison(robot, motion)
             if motion.forward
             else InverseComparison(robot, motion)

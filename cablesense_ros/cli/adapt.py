@@ -58,7 +58,7 @@ def adapt(
     --out adapted[/bold]
     """
     from cablesense_gap.adaptation import adapt as make
-    from cablesense_gap.arm_simulator import AMENDED_ARM
+    from cablesense_gap.amended_arm import AMENDED_ARM
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import FRICTION_HIDES, headline

@@ -93,9 +93,9 @@ def _removed(
     read: Mapping[str, Verdict], verdicts: Path, second: Path, arm: str, settle: int
 ) -> dict[str, float]:
     """Share of the gap that each amended arm removes on the recording of its name in a folder."""
-    from cablesense_gap.arm_simulator import find_amended
+    from cablesense_gap.amended_arm import find_amended
+    from cablesense_gap.arm_simulator import removed_on
     from cablesense_gap.recordings.checks import read_recording
-    from cablesense_gap.settling import removed_on
     from cablesense_sim.arm import load_arm, open_arm
 
     nominal = open_arm(arm)

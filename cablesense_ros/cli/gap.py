@@ -68,7 +68,7 @@ def diagnose(
         diagnose_robot(recording, model, out, comparison, workers, force, json_output)
         return
     refuse_given(context, ["bandwidth", "forward", "zeroed"], "without --model")
-    from cablesense_gap.pipeline import diagnose as make
+    from cablesense_gap.arm_system import diagnose as make
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import earlier_sentence, headline
@@ -132,10 +132,10 @@ def predict(
         return
     refuse_given(context, ["bandwidth", "forward", "zeroed"], "without --model")
     from cablesense_base import CableSenseError
-    from cablesense_gap.arm_simulator import counted_rows, find_amended
+    from cablesense_gap.amended_arm import find_amended
+    from cablesense_gap.arm_simulator import counted_rows, settled
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.recordings.csv_file import write_csv
-    from cablesense_gap.settling import settled
     from cablesense_sim.arm import load_arm
     from cablesense_sim.replay import replay_arm
 

@@ -62,9 +62,9 @@ def diagnose_robot(
 ) -> None:
     """`gap diagnose --model`."""
     from cablesense_gap.robot.amending import load_amended
-    from cablesense_gap.robot.pipeline import diagnose
     from cablesense_gap.robot.recording import read_recording
     from cablesense_gap.robot.report import ROBOT_FILES, robot_headline, write_robot_diagnosis
+    from cablesense_gap.robot.system import diagnose
 
     robot, beside = load_amended(model)
     output_folder(out, ROBOT_FILES, force=force, inputs=(recording, robot.path))

@@ -26,7 +26,7 @@ from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.diagnosis.problem import Explanation, prepare
 from cablesense_gap.diagnosis.search import search
-from cablesense_gap.pipeline import gap_size, rmse_interval_n
+from cablesense_gap.explained import gap_size, rmse_interval_n
 from cablesense_gap.simulator import Assignment, Term, parameters_of
 from cablesense_gap.verdict import UNKNOWN, CandidateResult, Verdict, Where
 from cablesense_paper.study import PaperError

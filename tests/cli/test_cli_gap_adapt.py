@@ -13,7 +13,7 @@ from gap_recordings import LAB, small_recording
 from verdict_cases import verdict_of
 
 from cablesense_gap import adaptation
-from cablesense_gap.pipeline import Diagnosis
+from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.verdict import Share, read_verdict
 from cablesense_online import misfit_limit

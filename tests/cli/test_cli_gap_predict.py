@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
 from cablesense_base import CableSenseError
-from cablesense_gap.arm_simulator import amended_arm, write_arm
+from cablesense_gap.amended_arm import amended_arm, write_arm
 from cablesense_gap.recordings.csv_file import read_csv, write_csv
 from cablesense_gap.simulator import Term
 from cablesense_ros.cli.app import app

@@ -14,7 +14,7 @@ from verdict_cases import verdict_of
 
 from cablesense_gap import adaptation
 from cablesense_gap.adaptation import AdaptationError, adapt, kept_apart, train_for
-from cablesense_gap.pipeline import Diagnosis
+from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import Share
 from cablesense_sim.arm import Arm, ListedEffect

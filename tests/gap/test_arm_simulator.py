@@ -16,13 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
+from cablesense_gap.amended_arm import amended_arm, write_arm
 from cablesense_gap.arm_simulator import (
     ArmSimulator,
-    amended_arm,
     counted_rows,
     entries_from,
     has_one_equilibrium,
-    write_arm,
 )
 from cablesense_gap.simulator import Term
 from cablesense_sim.arm import ArmFileError, load_arm

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from gap_problem import FLOOR, SIGNALS, Sums, amount, linear, problem_of
 
-from cablesense_gap.budget import rest_of, shares, trades
 from cablesense_gap.diagnosis.gauss_newton import refine, refit
 from cablesense_gap.diagnosis.probability import Ranked
+from cablesense_gap.explained import shares, trades
 
 TRUTH = {amount("gain", "b"): 2.0, amount("other", "a"): -0.7}
 PLANTED = {
@@ -54,11 +54,11 @@ def test_an_effect_is_as_probable_as_all_explanations_that_have_it(budget):
 
 
 def test_what_no_effect_explains_is_stated(problem):
-    explained = rest_of(problem, refit(problem, TRUTH, 4))
+    explained = remainder(problem, refit(problem, TRUTH, 4))
     assert explained.share < 0.05
-    half = rest_of(problem, refit(problem, {amount("gain", "b"): 2.0}, 4))
+    half = remainder(problem, refit(problem, {amount("gain", "b"): 2.0}, 4))
     assert half.unexplained == pytest.approx(size_of(PLANTED["other"]), rel=0.1)
-    nothing = rest_of(problem, refine(problem, {}, [[]]))
+    nothing = remainder(problem, refine(problem, {}, [[]]))
     assert nothing.share == pytest.approx(1.0, abs=0.05)
 
 

@@ -12,19 +12,14 @@ from gap_recordings import LAB, RATE_HZ, small_recording
 
 from cablesense_base import CableSenseError
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.pipeline import (
-    FOLDS,
+from cablesense_gap.arm_system import ArmSystem, Diagnosis, diagnose, folds_of
+from cablesense_gap.explained import (
     NEGLIGIBLE,
-    Diagnosis,
-    diagnose,
     estimates,
-    folds_of,
-    foremost,
     gap_size,
-    problem_of,
     rmse_interval_n,
-    where,
 )
+from cablesense_gap.pipeline import FOLDS, problem_of
 from cablesense_gap.recordings import thinning
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.report.page import report_page
@@ -54,9 +49,7 @@ def loaded() -> Diagnosis:
 
 
 def test_trials_that_are_not_to_be_seen_count_nowhere():
-    simulator = ArmSimulator(LAB, PROTOCOL)
-    nominal = simulator.predict([{}])[0]
-    problem = problem_of(PROTOCOL, simulator, nominal, unseen=(2, 5))
+    problem = problem_of(ArmSystem(LAB, PROTOCOL, unseen=(2, 5)))
     assert set(PROTOCOL.trial[problem.used]) == set(PROTOCOL.trial) - {2, 5}
     others = np.delete(problem.fold, [2, 5])
     assert set(others) == set(range(FOLDS))
@@ -284,30 +277,30 @@ def changing(by_term: dict[Term, float]):
 
 def test_places_that_change_next_to_nothing_are_left_out():
     found = changing({amount("a"): 1.0, amount("b"): 2.0 * NEGLIGIBLE, amount("c"): 0.01})
-    assert list(foremost(found, (LEAK,))) == [amount("a"), amount("b")]
+    assert list(significant_values(found, (LEAK,))) == [amount("a"), amount("b")]
 
 
 def test_a_place_keeps_its_shapes_and_loses_them_with_its_size():
     rates = Term("leak", "a", "rate"), Term("leak", "b", "rate")
     found = changing({amount("a"): 1.0, rates[0]: 0.0, amount("b"): 0.01, rates[1]: 5.0})
-    assert list(foremost(found, (LEAK,))) == [amount("a"), rates[0]]
+    assert list(significant_values(found, (LEAK,))) == [amount("a"), rates[0]]
 
 
 def test_each_effect_is_measured_by_its_own_foremost_place():
     """A second effect may be far smaller than the first: that is for the belief to say."""
     found = changing({amount("a"): 100.0, amount("a", "heavy"): 0.5})
-    assert set(foremost(found, (LEAK, HEAVY))) == set(found.values)
+    assert set(significant_values(found, (LEAK, HEAVY))) == set(found.values)
 
 
 def test_tolerances_alone_name_nothing():
-    assert foremost(changing({}), (LEAK,)) == {}
+    assert significant_values(changing({}), (LEAK,)) == {}
 
 
 def test_places_go_by_kind_and_number():
     terms = [
         Term("x", place, "y") for place in ("cable_10", "cable_2", "segment_3", "joint_1", "arm")
     ]
-    found = where(dict.fromkeys(terms, 1.0), ("moving",))
+    found = places_of(dict.fromkeys(terms, 1.0), ("moving",))
     assert found.cables == ("cable_2", "cable_10")
     assert (found.segments, found.joints) == (("segment_3",), ("joint_1",))
     assert found.regimes == ("moving",)
@@ -315,7 +308,7 @@ def test_places_go_by_kind_and_number():
 
 def test_of_a_leak_the_channel_is_named_that_it_comes_from():
     leak = Term("sensor_crosstalk", "cable_7_into_cable_2", "share")
-    assert where({leak: 0.1}, ()).cables == ("cable_7",)
+    assert places_of({leak: 0.1}, ()).cables == ("cable_7",)
 
 
 def test_numbers_have_units_and_intervals_and_the_place_where_there_are_several():

@@ -9,12 +9,15 @@ import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 
-from cablesense_gap.arm_simulator import ArmSimulator, amended_arm
-from cablesense_gap.earlier import GoingOn, going_on, listed_values, without_effects
+from cablesense_gap.amended_arm import amended_arm, listed_values, without_effects
+from cablesense_gap.arm_simulator import ArmSimulator
+from cablesense_gap.earlier import GoingOn
+from cablesense_gap.arm_system import ArmSystem
 from cablesense_gap.pipeline import problem_of
 from cablesense_gap.report.text import earlier_sentence
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Earlier, FittedNumber
+from cablesense_sim.arm import Arm
 from cablesense_sim.replay import read_tensions_n
 
 PROTOCOL = small_recording(peak_n=25.0)
@@ -26,14 +29,12 @@ LISTED = amended_arm(LAB, {MASS: 0.4, OFFSET: 0.02, GAIN: 0.1}, {ZERO: 0.04})
 
 
 @cache
-def found() -> GoingOn:
+def found() -> tuple[Arm, tuple[Earlier, ...]]:
     """On the arm of today: more payload, the same offset, and the sensor was put right."""
     true = ArmSimulator(LAB, PROTOCOL).predict([{MASS: 0.55, OFFSET: 0.02, ZERO: 0.04}])[0]
     read = read_tensions_n(true, LAB.sensors, np.random.default_rng(0))
     recording = replace(PROTOCOL, tensions_n=read)
-    simulator = ArmSimulator(without_effects(LISTED), recording)
-    nominal = simulator.predict([{}])[0]
-    return going_on(problem_of(recording, simulator, nominal), LISTED)
+    return judged_earlier(problem_of(ArmSystem(without_effects(LISTED), recording)), LISTED)
 
 
 def test_tolerances_are_no_finding():
@@ -43,13 +44,13 @@ def test_tolerances_are_no_finding():
 
 @pytest.mark.slow  # fits with the simulator
 def test_each_effect_is_said_to_stand_to_have_changed_or_not_to_be_needed():
-    outcomes = {each.effect: each.outcome for each in found().earlier}
+    outcomes = {each.effect: each.outcome for each in found()[1]}
     assert outcomes == {
         "contact_offset": "stands",
         "payload": "changed",
         "sensor_gain": "not needed",
     }
-    payload = next(each for each in found().earlier if each.effect == "payload")
+    payload = next(each for each in found()[1] if each.effect == "payload")
     assert (payload.places, payload.was) == (("segment_3",), {"segment_3.mass_kg": 0.4})
     assert payload.now["segment_3.mass_kg"].value == pytest.approx(0.55, rel=0.05)
     text = earlier_sentence(payload)
@@ -68,6 +69,6 @@ def test_a_number_without_a_unit_is_said_without_one():
 
 @pytest.mark.slow  # fits with the simulator
 def test_the_diagnosis_goes_on_from_what_stands_with_its_new_numbers():
-    values = listed_values(found().arm)
+    values = listed_values(found()[0])
     assert set(values) == {MASS, OFFSET}
     assert values[MASS] == pytest.approx(0.55, rel=0.05)

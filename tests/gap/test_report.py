@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from verdict_cases import gap_of, verdict_of
 
-from cablesense_gap.arm_simulator import amended_arm
-from cablesense_gap.pipeline import Diagnosis
+from cablesense_gap.amended_arm import amended_arm
+from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.report.page import report_page, write_diagnosis
 from cablesense_gap.report.pictures import arm_picture
 from cablesense_gap.report.style import (

@@ -11,7 +11,7 @@ from gap_recordings import LAB, small_recording
 from typer.testing import CliRunner
 from verdict_cases import gap_of, verdict_of
 
-from cablesense_gap.arm_simulator import AMENDED_ARM, write_arm
+from cablesense_gap.amended_arm import AMENDED_ARM, write_arm
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.scoring import (
     ScoreError,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 
-from cablesense_gap.settling import removed_on, settled
+from cablesense_gap.arm_simulator import removed_on, settled
 from cablesense_sim.arm import ListedEffect
 from cablesense_sim.replay import replay_arm
 

@@ -10,7 +10,8 @@ from arm_variants import variant
 from plant_arm import ARM_FILE, NOMINAL
 from typer.testing import CliRunner
 
-from cablesense_gap.arm_simulator import counted_rows, write_arm
+from cablesense_gap.amended_arm import write_arm
+from cablesense_gap.arm_simulator import counted_rows
 from cablesense_gap.recordings.checks import check_recording, read_recording
 from cablesense_gap.recordings.csv_file import read_csv
 from cablesense_plants.arm.body import PlantError, read_nominal

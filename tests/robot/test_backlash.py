@@ -9,11 +9,11 @@ import pytest
 from cablesense_gap.robot import withholding
 from cablesense_gap.robot.catalogue import changed
 from cablesense_gap.robot.model import load_robot
-from cablesense_gap.robot.pipeline import diagnose
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.protocol import standard_protocol
 from cablesense_gap.robot.recording import read_recording
 from cablesense_gap.robot.simulator import RobotSimulator
+from cablesense_gap.robot.system import diagnose
 from cablesense_gap.simulator import Term
 
 ROTOR, INERTIA, WEIGHT = 0.005, 0.05, 1.2  # kg·m², kg·m², N·m

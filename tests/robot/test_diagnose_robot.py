@@ -9,21 +9,15 @@ from two_link import model_torques, motion, recorded, torques, write_model
 from typer.testing import CliRunner
 
 from cablesense_gap.diagnosis.gauss_newton import refine, refit
+from cablesense_gap.pipeline import problem_of
 from cablesense_gap.robot.amending import load_amended, write_amended
 from cablesense_gap.robot.catalogue import changed
 from cablesense_gap.robot.inverse import InverseDynamics
 from cablesense_gap.robot.model import load_robot
-from cablesense_gap.robot.pipeline import (
-    begun_at_zero,
-    diagnose,
-    doubtful,
-    problem_of,
-    with_other_names,
-)
 from cablesense_gap.robot.prediction import predicted
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import read_recording
-from cablesense_gap.robot.simulator import RobotSimulator
+from cablesense_gap.robot.system import RobotSystem, diagnose, starts_at_zero
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import read_verdict
 from cablesense_ros.cli.app import app
@@ -124,10 +118,11 @@ def test_a_mass_at_the_end_is_found_on_the_lower_link(tmp_path, model):
 def test_a_mass_that_a_shifted_centre_stands_for_is_tried_under_its_own_name(tmp_path, model):
     path = recorded(tmp_path / "recording.csv", seed=4, payload=0.3)
     robot = load_robot(model)
-    problem = problem_of(RobotSimulator(robot, prepared(read_recording(path, robot), robot), {}))
+    system = RobotSystem(robot, prepared(read_recording(path, robot), robot), {})
+    problem = problem_of(system)
     shifted = {Term("link_centre", "lower", f"{axis}_m"): 0.0 for axis in "xyz"}
     begun = [refine(problem, {}, [[]]), refit(problem, shifted, 12)]
-    found = {h.effects: problem.cost_of(h) for h in with_other_names(problem, robot, begun)}
+    found = {h.effects: problem.cost_of(h) for h in system.completed(problem, begun)}
     assert found["payload",] < 0.5 * found["link_centre",]
 
 
@@ -147,8 +142,8 @@ def test_losses_count_by_the_drives_torque_or_by_the_joints(tmp_path, model):
 def test_torques_of_the_other_sign_are_told(tmp_path, model):
     path = recorded(tmp_path / "recording.csv", read=lambda torque: torque * [1.0, -1.0])
     robot = load_robot(model)
-    simulator = RobotSimulator(robot, prepared(read_recording(path, robot), robot), {})
-    doubts = doubtful(simulator, simulator.predict([{}])[0])
+    system = RobotSystem(robot, prepared(read_recording(path, robot), robot), {})
+    doubts = system.doubtful()
     assert len(doubts) == 1
     assert doubts[0].startswith("torque.elbow is -")
 
@@ -172,11 +167,11 @@ def test_encoders_that_are_zeroed_where_trials_begin_give_each_its_own_zeros(tmp
 def test_trials_that_begin_at_zero_are_told(tmp_path, model):
     robot = load_robot(model)
     path = recorded(tmp_path / "recording.csv")
-    assert not begun_at_zero(read_recording(path, robot))
+    assert not starts_at_zero(read_recording(path, robot))
     table, joints = pd.read_csv(path), ["position.shoulder", "position.elbow"]
     table[joints] -= table.groupby("trial")[joints].transform("first")
     table.to_csv(path, index=False)
-    (said,) = begun_at_zero(read_recording(path, robot))
+    (said,) = starts_at_zero(read_recording(path, robot))
     assert "--zeroed" in said
 
 

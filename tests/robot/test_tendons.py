@@ -12,11 +12,11 @@ from cablesense_gap.robot.catalogue import changed, known_effects
 from cablesense_gap.robot.inverse import InverseDynamics
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.motion import Trajectory
-from cablesense_gap.robot.pipeline import diagnose
 from cablesense_gap.robot.prediction import predicted
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import read_recording
 from cablesense_gap.robot.simulator import RobotSimulator
+from cablesense_gap.robot.system import diagnose
 from cablesense_gap.simulator import Term
 
 MU, TURN = 0.3, np.deg2rad(70.0)

@@ -1,0 +1,255 @@
+"""The cable-driven arm as a `System`, and its diagnosis from a recording to an amended arm."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array
+from cablesense_gap.amended_arm import amended_arm, judged_earlier, listed_values, without_effects
+from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, supported_rows
+from cablesense_gap.diagnosis.problem import Problem
+from cablesense_gap.experiments import next_experiment
+from cablesense_gap.pipeline import FOLDS, System, Unlisted, diagnose_system, problem_of
+from cablesense_gap.recordings.channels import stiffness_findings, unborne_findings
+from cablesense_gap.recordings.checks import check_recording, refuse_unusable
+from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.recordings.thinning import rows_along_path, rows_to_use
+from cablesense_gap.residuals import decompose, regimes
+from cablesense_gap.simulator import Assignment, Simulator, Term
+from cablesense_gap.unlisted import describe_unlisted, repeat_largest_trial
+from cablesense_gap.verdict import UNKNOWN, Earlier, Verdict, Where
+from cablesense_sim.arm import Arm, ArmFileError
+from cablesense_sim.replay import reading_variance_n2, replay_arm
+
+_LEAST_SUPPORTED = 0.98
+"""Share of the rows in which the nominal arm must have an equilibrium; the others are left out."""
+_SKETCH_SHARE = 0.7
+"""A sketch with more than this share of the rows saves too little time."""
+
+
+class ArmSystem(ArmSimulator, System):
+    """An arm with a recording of it.
+
+    Rows do not count where the arm may have more than one static equilibrium (`counted_rows`), and
+    those of the trials `unseen` do not.
+    """
+
+    def __init__(self, arm: Arm, recording: Recording, unseen: Collection[int] = ()) -> None:
+        """`recording` holds the rows to use; `unseen` are numbers of trials."""
+        super().__init__(arm, recording)
+        self.name, self.recording_name, self.row_count = arm.name, recording.name, len(recording)
+        self.recording = recording
+        self.readings, self.trial = recording.tensions_n, recording.trial
+        self.fold = folds_of(recording, unseen)
+        self.nominal_n = self.predict([{}])[0]
+        self.counted = np.zeros(len(recording), dtype=bool)
+        if np.isfinite(self.nominal_n).all():
+            self.counted = counted_rows(arm, recording, self.nominal_n)
+            self.counted &= ~np.isin(recording.trial, list(unseen))
+
+    @property
+    def _counted_recording(self) -> Recording:
+        return self.recording.rows(self.counted)
+
+    def sketch(self) -> tuple[Simulator, NDArray[np.int64]] | None:
+        """Rows along the path of commands and loads."""
+        rows = rows_along_path(self.recording)
+        if len(rows) > _SKETCH_SHARE * len(self.recording):
+            return None
+        return ArmSimulator(self.arm, self.recording.rows(rows)), rows
+
+    def where(self, values: Mapping[Term, float], residual: Array) -> Where:
+        """Cables, segments and joints of the values, and regimes of the residual."""
+        parts = decompose(self._counted_recording, residual, self.floor, self.arm)
+        return places_of(values, tuple(regimes(parts)))
+
+    def next_experiment(self, rivals: Sequence[Assignment], question: str) -> str:
+        """A block of the standard protocol."""
+        return next_experiment(self.arm, rivals, self.floor, question=question).text
+
+    def repetition(self, residual: Array) -> str:
+        """The load or motion of the trial with the largest residual, and how to vary it."""
+        return repeat_largest_trial(self._counted_recording, residual, self.floor)
+
+    def unlisted(self, problem: Problem, residual: Array) -> Unlisted:
+        """Its pattern over cables, loads and time, and a flexible model of it."""
+        return describe_unlisted(problem, residual, self.recording, self.arm)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """A verdict, the arm that follows from it, and what both arms predict.
+
+    Attributes:
+        recording: the R rows that were used (`recordings.thinning`).
+        amended: the arm with what was found.
+        predicted_before_n: (R, M) by the nominal arm.
+        predicted_after_n: (R, M) by the amended arm.
+        held_out_n: (R, M) by the amended arm, each trial fitted without its fold; NaN where none.
+        counted: (R,) rows that count in sizes of the gap (`counted_rows`).
+        findings: of the checks of the recording, as sentences.
+    """
+
+    recording: Recording
+    nominal: Arm
+    verdict: Verdict
+    amended: Arm
+    predicted_before_n: Array
+    predicted_after_n: Array
+    held_out_n: Array
+    counted: NDArray[np.bool_]
+    findings: tuple[str, ...] = ()
+
+    @property
+    def before_n(self) -> Array:
+        """Residual (R, M) of the nominal arm, measured minus predicted; NaN where none counts."""
+        return self._residual_n(self.predicted_before_n)
+
+    @property
+    def after_n(self) -> Array:
+        """Residual (R, M) of the amended arm on held-out trials; NaN where none counts."""
+        return self._residual_n(self.held_out_n)
+
+    def _residual_n(self, predicted_n: Array) -> Array:
+        return np.where(self.counted[:, None], self.recording.tensions_n - predicted_n, np.nan)
+
+    @property
+    def after_label(self) -> str:
+        """What pictures call the state after; empty where nothing was changed."""
+        if np.allclose(self.before_n, self.after_n, equal_nan=True):
+            return ""
+        return "flexible correction" if self.verdict.effects == (UNKNOWN,) else "amended arm"
+
+
+def diagnose(
+    recording: Recording,
+    arm: Arm,
+    progress: Callable[[str, float], None] = lambda *_: None,
+    workers: int = 1,
+    on_finding: Callable[[str], None] = lambda _: None,
+    unseen: Collection[int] = (),
+) -> Diagnosis:
+    """Find what makes the recorded arm differ from the nominal one.
+
+    Effects that the arm file lists are judged first. The diagnosis starts from those that are
+    still needed, with the numbers that this recording gives them.
+
+    Args:
+        recording: see `read_recording`.
+        arm: the nominal one.
+        progress: receives the present step and the share of the whole that is done.
+        workers: processes that share the search.
+        on_finding: receives each problem of the recording before the search starts.
+        unseen: numbers of trials whose readings are only checked; neither the search nor any
+            figure of the verdict uses them.
+
+    Raises:
+        RecordingError: the recording cannot be used.
+        ArmFileError: the arm's sensors are perfect.
+        EquilibriumError: the nominal arm has no static equilibrium in too many rows, or depends
+            on history and has none in one.
+    """
+    began_s = time.monotonic()
+    if reading_variance_n2(arm.sensors) == 0.0:
+        raise ArmFileError(
+            f"{arm.identity}: noise_std_n and step_n of its sensors are both 0; a gap is judged "
+            "by what the sensors add to a reading, so one of them must be above 0"
+        )
+    refuse_unusable(recording, check_recording(recording, arm))
+    rows = rows_to_use(recording)
+    progress("predicting the nominal arm", 0.0)
+    earlier: tuple[Earlier, ...] = ()
+    if listed_values(arm):
+        progress("judging what the arm file lists", 0.0)
+        arm, earlier = _with_needed_effects(arm, recording.rows(rows), unseen)
+    system, rows, unsupported = _supported_system(arm, recording, rows, unseen)
+    findings = check_recording(recording, arm, system.nominal_n, rows)
+    refuse_unusable(recording, findings)
+    findings += stiffness_findings(system.recording, arm, system.nominal_n)
+    findings += unborne_findings(unsupported, arm)
+    for finding in findings:
+        on_finding(finding.text)
+    found = diagnose_system(system, progress, workers, began_s)
+    return Diagnosis(
+        recording=system.recording,
+        nominal=arm,
+        verdict=found.verdict.model_copy(update={"earlier": earlier}),
+        amended=amended_arm(arm, found.values, found.tolerances),
+        predicted_before_n=found.nominal,
+        predicted_after_n=found.predicted,
+        held_out_n=found.held_out,
+        counted=system.counted,
+        findings=tuple(finding.text for finding in findings),
+    )
+
+
+def _supported_system(
+    arm: Arm, recording: Recording, rows: NDArray[np.int64], unseen: Collection[int]
+) -> tuple[ArmSystem, NDArray[np.int64], NDArray[np.bool_]]:
+    """The system of the rows (K,) in which the arm has an equilibrium.
+
+    Also their numbers, and which rows of the whole recording (R,) have no equilibrium.
+    """
+    system = ArmSystem(arm, recording.rows(rows), unseen)
+    unsupported = np.zeros(len(recording), dtype=bool)
+    if not np.isfinite(system.nominal_n).all():
+        used = system.recording
+        supported = supported_rows(arm, used)
+        if supported.all() or supported.mean() < _LEAST_SUPPORTED:
+            # raises with a row that has no equilibrium
+            replay_arm(arm, used.time_s, used.command_rad, used.forces_n)
+        unsupported[rows[~supported]] = True
+        rows = rows[supported]
+        system = ArmSystem(arm, recording.rows(rows), unseen)
+    system.row_count = len(recording)
+    return system, rows, unsupported
+
+
+def _with_needed_effects(
+    arm: Arm, recording: Recording, unseen: Collection[int]
+) -> tuple[Arm, tuple[Earlier, ...]]:
+    system = ArmSystem(without_effects(arm), recording, unseen)
+    if not np.isfinite(system.nominal_n).all():  # the arm needs its listed effects to be supported
+        return arm, ()
+    return judged_earlier(problem_of(system), arm)
+
+
+def folds_of(recording: Recording, unseen: Collection[int] = ()) -> NDArray[np.int64]:
+    """(T,) fold 0 to 4 of each trial, in the order of their numbers.
+
+    Trials of one kind, by the loaded segment and by whether the arm moves, are dealt to the folds
+    in turn, so that each fold leaves some of every kind to fit to. Those `unseen` are dealt
+    separately.
+    """
+    kinds: dict[tuple[bool, int, bool], list[int]] = {}
+    for t, number in enumerate(np.unique(recording.trial)):
+        rows = recording.trial == number
+        moves = bool((np.ptp(recording.command_rad[rows], axis=0) > 0.0).any())
+        kind = number in unseen, int(recording.load_segment[rows].max()), moves
+        kinds.setdefault(kind, []).append(t)
+    dealt = [t for kind in sorted(kinds) for t in kinds[kind]]
+    fold = np.empty(len(dealt), dtype=np.int64)
+    fold[dealt] = np.arange(len(dealt)) % min(FOLDS, len(dealt))
+    return fold
+
+
+def places_of(values: Mapping[Term, float], regimes: tuple[str, ...]) -> Where:
+    """The places by kind; an effect of the whole arm names none, crosstalk its source channel."""
+    places = " ".join(term.place.split("_into_")[0] for term in values)
+
+    def of_kind(kind: str) -> tuple[str, ...]:
+        numbers = sorted({int(number) for number in re.findall(rf"{kind}_(\d+)", places)})
+        return tuple(f"{kind}_{n}" for n in numbers)
+
+    return Where(
+        cables=of_kind("cable"),
+        segments=of_kind("segment"),
+        joints=of_kind("joint"),
+        regimes=regimes,
+    )

@@ -1,0 +1,287 @@
+"""What an explanation accounts for: shares of the gap, the unexplained part, sizes, estimates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array
+from cablesense_gap.diagnosis.probability import NEAR_BEST, Ranked
+from cablesense_gap.diagnosis.problem import Explanation, Problem, from_scaled, to_scaled
+from cablesense_gap.simulator import Candidate, Term, parameters_of
+from cablesense_gap.verdict import (
+    CandidateResult,
+    FittedNumber,
+    Gap,
+    Share,
+    Traded,
+    removed_fraction,
+)
+from cablesense_sim.effects.effect import WHOLE_ARM
+
+TRADING = 0.8
+"""Correlation of two fitted shares, in size, from which on they trade against each other."""
+NEGLIGIBLE = 0.1
+"""A place that changes the readings by less than this share of the largest one is not named."""
+_UNSURE = 0.1
+"""Relative standard deviation of a share below which the share is known and trades with none."""
+_DRAWS = 2000
+"""Of a bootstrap: the quantiles of an interval are then good to a few per cent of its width."""
+
+
+class Trade(NamedTuple):
+    """Two effects of one explanation whose sum the recording shows better than the parts.
+
+    Attributes:
+        traded: for the verdict.
+        elsewhere: numbers of the explanation that are as probable as the fitted ones, with the
+            smaller of the two effects reduced by 1.96 standard deviations.
+    """
+
+    traded: Traded
+    elsewhere: dict[Term, float]
+
+
+class Remainder(NamedTuple):
+    """What the effects of an explanation do not account for, RMS in the channels' unit.
+
+    Attributes:
+        tolerances: by which fitted tolerances change predictions.
+        unexplained: beyond the floor, on held-out trials.
+        share: ratio of `unexplained` to the nominal gap beyond the floor.
+    """
+
+    tolerances: float
+    unexplained: float
+    share: float
+
+
+def significant_values(
+    explanation: Explanation, candidates: Sequence[Candidate]
+) -> dict[Term, float]:
+    """The values in the places that matter, effect by effect."""
+    parameters = parameters_of(candidates)
+    changes: dict[tuple[str, str], float] = {}
+    for column, (term, value) in zip(explanation.columns, explanation.values.items(), strict=True):
+        if parameters[term].role == "size":
+            size = _rms(column) * abs(to_scaled(parameters[term], value))
+            changes[term[:2]] = float(np.hypot(changes.get(term[:2], 0.0), size))
+    largest = {
+        effect: max(size for (name, _), size in changes.items() if name == effect)
+        for effect in explanation.effects
+    }
+    return {
+        term: value
+        for term, value in explanation.values.items()
+        if changes[term[:2]] >= NEGLIGIBLE * largest[term.effect]
+    }
+
+
+def estimates(
+    values: Mapping[Term, float],
+    deviations: Mapping[Term, float],
+    candidates: Sequence[Candidate],
+) -> dict[str, FittedNumber]:
+    """Values with units, and their intervals, clipped to the plausible range.
+
+    The name contains the place if there is more than one place.
+    """
+    parameters = parameters_of(candidates)
+    single = len({term[:2] for term in values}) == 1
+    found = {}
+    for term, value in values.items():
+        parameter, half = parameters[term], deviations[term]
+        found[f"{term.effect}.{term.parameter}" if single else str(term)] = FittedNumber(
+            value=value,
+            unit=parameter.unit,
+            ci95=(max(value - half, parameter.low), min(value + half, parameter.high)),
+        )
+    return found
+
+
+def shares(
+    problem: Problem, ranked: Sequence[Ranked], values: Mapping[Term, float]
+) -> dict[str, Share]:
+    """The share of each effect of the first explanation, the largest first.
+
+    `values` are those in the places that matter. The intervals are linear about the fit.
+    """
+    best = ranked[0].explanation
+    if best is None:
+        return {}
+    parts = {effect: _part(problem, best, {effect}) for effect in best.effects}
+    largest = sorted(best.effects, key=lambda effect: -parts[effect].size)
+    found = {}
+    for k, effect in enumerate(largest):
+        included = {t: v for t, v in best.values.items() if t.effect in largest[: k + 1]}
+        last = k + 1 == len(largest)
+        predicted = best.held_out_effects if last else problem.simulator.predict([included])[0]
+        places = dict.fromkeys(t.place for t in values if t.effect == effect)
+        found[effect] = Share(
+            share_n=parts[effect].size,
+            ci95_n=parts[effect].interval,
+            left_n=_rms((problem.readings - predicted)[problem.used]),
+            probability=min(1.0, sum(r.probability for r in ranked if effect in r.effects)),
+            places=tuple(p for p in places if p != WHOLE_ARM),
+            alternatives=_alternatives(ranked, effect),
+        )
+    return found
+
+
+def remainder(problem: Problem, explanation: Explanation) -> Remainder:
+    """The contribution of tolerances and the unexplained part."""
+    used, floor = problem.used, problem.floor
+    gap = _rms((problem.readings - problem.nominal)[used])
+    unexplained, whole = (
+        float(np.sqrt(max(size**2 - floor**2, 0.0))) for size in (explanation.held_out_rmse, gap)
+    )
+    tolerances = _rms((explanation.prediction - explanation.without_tolerances)[used])
+    share = min(1.0, unexplained / whole) if whole > 0.0 else 0.0
+    return Remainder(tolerances, unexplained, share)
+
+
+def trades(problem: Problem, best: Explanation) -> list[Trade]:
+    """Pairs of effects whose shares trade against each other, the largest pair first.
+
+    The sensitivities at the fit decide: numbers of both can move together so that predictions
+    hardly change. Sizes that need opposite signs for that are such a pair too.
+    """
+    parts = {effect: _part(problem, best, {effect}) for effect in best.effects}
+    found = []
+    for pair in combinations(best.effects, 2):
+        one, other = (parts[effect] for effect in pair)
+        if any(part.deviation <= _UNSURE * part.size for part in (one, other)):
+            continue
+        covariance = float(one.slope @ best.covariance @ other.slope)
+        correlation = covariance / (one.deviation * other.deviation)
+        if abs(correlation) < TRADING:
+            continue
+        both, less = _part(problem, best, set(pair)), min(one, other, key=lambda part: part.size)
+        traded = Traded(
+            effects=pair,
+            share_n=both.size,
+            ci95_n=both.interval,
+            correlation=float(np.clip(correlation, -1.0, 1.0)),
+        )
+        step = -1.96 * (best.covariance @ less.slope) / less.deviation
+        found.append(Trade(traded, _stepped(problem, best, step)))
+    return sorted(found, key=lambda trade: -trade.traded.share_n)
+
+
+class _Part(NamedTuple):
+    """RMS by which some effects change predictions, its standard deviation and its slope.
+
+    `slope` (K,) is the derivative by the scaled numbers of these effects, zero for others.
+    """
+
+    size: float
+    deviation: float
+    slope: Array
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        half = 1.96 * self.deviation
+        return max(self.size - half, 0.0), self.size + half
+
+
+def _part(problem: Problem, best: Explanation, effects: set[str]) -> _Part:
+    others = {t: v for t, v in best.values.items() if t.effect not in effects}
+    change = (best.without_tolerances - problem.simulator.predict([others])[0])[problem.used]
+    size, slope = _rms(change), np.zeros(len(best.values))
+    if size > 0.0:
+        by_number = (best.columns[:, problem.used] * change).mean(axis=(1, 2)) / size
+        slope = np.where([term.effect in effects for term in best.values], by_number, 0.0)
+    return _Part(size, max(float(slope @ best.covariance @ slope), 0.0) ** 0.5, slope)
+
+
+def _stepped(problem: Problem, best: Explanation, step: Array) -> dict[Term, float]:
+    """The fitted numbers after a step (K,) of the scaled ones."""
+    known = parameters_of(problem.simulator.candidates)
+    return {
+        term: from_scaled(known[term], to_scaled(known[term], value) + float(own))
+        for (term, value), own in zip(best.values.items(), step, strict=True)
+    }
+
+
+def _alternatives(ranked: Sequence[Ranked], effect: str) -> tuple[str, ...]:
+    """Effects that replace it in explanations that are otherwise equal and nearly as probable."""
+    best = ranked[0]
+    others = set(best.effects) - {effect}
+    return tuple(
+        sorted(
+            name
+            for each in ranked[1:]
+            if len(each.effects) == len(best.effects)
+            and others < set(each.effects)
+            and each.probability >= NEAR_BEST * best.probability
+            for name in set(each.effects) - others
+        )
+    )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+def candidate_results(ranked: Sequence[Ranked]) -> tuple[CandidateResult, ...]:
+    """Every explanation with its residual; an unlisted effect has that of tolerances alone."""
+    none = next(r.explanation for r in ranked if r.explanation and not r.explanation.effects)
+    return tuple(
+        CandidateResult(
+            effects=each.effects,
+            held_out_rmse_n=h.held_out_rmse,
+            probability=each.probability,
+            held_out_ci95_n=rmse_interval_n(h.squares, h.count),
+        )
+        for each in ranked
+        for h in (each.explanation or none,)
+    )
+
+
+def gap_size(
+    before_n: Array,
+    after_n: Array,
+    trial: NDArray[np.int64],
+    floor_n: float,
+    effects_n: Array | None = None,
+) -> Gap:
+    """Sizes of residuals (R, C) before and after, with a bootstrap over trials (R,).
+
+    `effects_n` (R, C) is the residual with the effects alone, without tolerances.
+    """
+    trial = np.unique(trial, return_inverse=True)[1]  # a draw of empty trials has no size
+    squares = [np.bincount(trial, (each**2).sum(-1)).astype(float) for each in (before_n, after_n)]
+    count = np.bincount(trial).astype(float) * before_n.shape[1]
+    drawn = zip(*(_bootstrapped_rms(each, count) for each in squares), strict=True)
+    fractions = [removed_fraction(before, after, floor_n) for before, after in drawn]
+    low, high = np.quantile(fractions, [0.025, 0.975])
+    before, after = (float(np.sqrt(each.sum() / count.sum())) for each in squares)
+    return Gap(
+        before_n=before,
+        after_n=after,
+        floor_n=floor_n,
+        removed_fraction=removed_fraction(before, after, floor_n),
+        ci95=(float(low), float(high)),
+        by_cable_n=tuple(float(v) for v in np.sqrt((before_n**2).mean(0))),
+        effects_n=None if effects_n is None else float(np.sqrt((effects_n**2).mean())),
+    )
+
+
+def rmse_interval_n(squares: Array, count: Array) -> tuple[float, float]:
+    """95 % interval of the root mean square of squares (T,) of trials, by bootstrap over them."""
+    sizes = _bootstrapped_rms(squares[count > 0], count[count > 0])
+    low, high = np.quantile(sizes, [0.025, 0.975])
+    return float(low), float(high)
+
+
+def _bootstrapped_rms(squares: Array, count: Array) -> Array:
+    """(draws,) root mean squares of trials (T,) drawn with replacement, the same at each call.
+
+    `scipy.stats.bootstrap` takes samples of one statistic; these are ratios of two sums.
+    """
+    drawn = np.random.default_rng(0).integers(0, len(count), (_DRAWS, len(count)))
+    return np.asarray(np.sqrt(squares[drawn].sum(-1) / count[drawn].sum(-1)))

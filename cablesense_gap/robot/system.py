@@ -1,0 +1,247 @@
+"""A robot as a `System`, and its diagnosis from a recording to the amended model's values."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_gap.diagnosis.gauss_newton import final_refinement, refit
+from cablesense_gap.diagnosis.probability import bundled_calibration, posterior
+from cablesense_gap.diagnosis.problem import Explanation, Problem
+from cablesense_gap.pipeline import FOLDS, System, Unlisted, diagnose_system
+from cablesense_gap.robot.model import Robot
+from cablesense_gap.robot.motion import Motion
+from cablesense_gap.robot.preparation import prepared
+from cablesense_gap.robot.protocol import next_experiment
+from cablesense_gap.robot.recording import RobotRecording
+from cablesense_gap.robot.simulator import MotionComparison, RobotSimulator
+from cablesense_gap.simulator import Assignment, Candidate, Term
+from cablesense_gap.verdict import ChannelGap, Verdict, Where
+
+UNIT = "floors"
+"""Each channel is in units of its own floor."""
+_FOLLOWS, _OTHER_UNIT = 0.8, 5.0
+"""Least correlation of a channel with the model's, and the ratio of both that is doubtful."""
+_AT_ZERO = 0.002
+"""Share of a joint's span within which its position counts as zero."""
+_STEPS, _RENAMED = 12, 3
+"""Gauss-Newton steps of an explanation with another name, and explanations that are renamed."""
+_FAR_OFF = 3.0
+"""Standard deviations that one tolerance among many may be off."""
+
+
+class RobotSystem(RobotSimulator, System):
+    """A robot with its motion as it was measured; all rows count."""
+
+    unit = UNIT
+
+    def __init__(self, robot: Robot, motion: Motion, listed: Assignment) -> None:
+        """See `RobotSimulator`."""
+        super().__init__(robot, motion, listed)
+        self.trial = self.comparison.trial
+        self.name, self.recording_name, self.row_count = robot.name, "", len(self.trial)
+        self.compared = self.comparison.description
+        count = int(self.trial.max()) + 1
+        self.fold = np.arange(count) % min(FOLDS, count)
+        self.counted = np.ones(len(self.trial), dtype=bool)
+        self._floor = motion.floor
+
+    def completed(self, problem: Problem, found: Sequence[Explanation]) -> list[Explanation]:
+        """Also the most probable ones with other names for the effects of links in them.
+
+        A wrong mass, a shifted centre and a payload change the same ten numbers of a link, each
+        under its own law. A search that starts with one of them finds numbers that leave little
+        for another to explain; so each is also fitted in place of another.
+        """
+        calibration = bundled_calibration()
+
+        def cost(one: Explanation) -> float:
+            sizes = calibration.size / calibration.power * one.sizes
+            return float(np.log(problem.cost_of(one)) + sizes)
+
+        known = {e.effects: e for e in (_with_outliers(problem, each) for each in found)}
+        ranked = posterior(list(known.values()), problem.floor, calibration)
+        named = [r.explanation for r in ranked if r.explanation and r.explanation.effects]
+        of_links = {c.effect: c for c in self.candidates if c.places == self.robot.bodies}
+        for first in named[:_RENAMED]:
+            names = set(first.effects)
+            for one, other in product(names & set(of_links), set(of_links) - names):
+                fitted = refit(problem, _renamed(first, one, of_links[other]), _STEPS)
+                if fitted is not None:
+                    fitted = _with_outliers(problem, final_refinement(problem, fitted)[0])
+                    rival = known.setdefault(fitted.effects, fitted)
+                    known[fitted.effects] = min(rival, fitted, key=cost)
+        return list(known.values())
+
+    def where(self, values: Mapping[Term, float], residual: Array) -> Where:
+        """Joints, bodies and tendons of the effects; of a coupling the joint of its drive."""
+        places = {term.place.split("_into_")[0] for term in values}
+        return Where(
+            joints=tuple(joint for joint in self.robot.joints if joint in places),
+            bodies=tuple(body for body in self.robot.bodies if body in places),
+            tendons=tuple(tendon for tendon in self.robot.tendons if tendon in places),
+        )
+
+    def next_experiment(self, rivals: Sequence[Assignment], question: str) -> str:
+        """A block of the robot's protocol."""
+        text = next_experiment(self.robot, rivals, self._floor)
+        return f"To find out {question}: {text}" if text and question else text
+
+    def unlisted(self, problem: Problem, residual: Array) -> Unlisted:
+        """The channel with the largest residual."""
+        left = np.sqrt((residual**2).mean(0))
+        worst = int(left.argmax())
+        most = f"Most is left at {self.comparison.names[worst]}: {left[worst]:.3g} floors."
+        return Unlisted((most,), "", 0.0)
+
+    def channels(self, before: Array, after: Array) -> dict[str, ChannelGap]:
+        """The gap at each joint."""
+        compared = self.comparison
+        sizes = [np.sqrt((each**2).mean(0)) * compared.floor for each in (before, after)]
+        columns = zip(compared.names, compared.units, *sizes, compared.floor, strict=True)
+        return {
+            name: ChannelGap(unit=unit, before=float(b), after=float(a), floor=float(floor))
+            for name, unit, b, a, floor in columns
+        }
+
+    def doubtful(self) -> list[str]:
+        """Channels that follow the model's, but with another sign or in another unit."""
+        found = []
+        predicted = self.predict([{}])[0]
+        for c, column in enumerate(self.comparison.columns):
+            measured, nominal = self.readings[:, c], predicted[:, c]
+            own, theirs = float(np.linalg.norm(measured)), float(np.linalg.norm(nominal))
+            if own * theirs == 0.0:
+                continue
+            correlation = float(measured @ nominal) / (own * theirs)
+            ratio = own / theirs * float(np.sign(correlation))
+            if abs(correlation) > _FOLLOWS and not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
+                found.append(
+                    f"{column} is {ratio:.2g} times the model's value: check its sign and unit."
+                )
+        return found
+
+
+@dataclass(frozen=True)
+class RobotDiagnosis:
+    """A verdict, and what is compared, measured and predicted.
+
+    Attributes:
+        amended: effects of the verdict and tolerances, as fitted.
+        comparison: by which rows and channels.
+        before, after: (Q, C) predicted, in the channels' units; after by fits that have not seen
+            the trial.
+        findings: changes to recording and model, and doubts about them, as sentences.
+    """
+
+    robot: Robot
+    motion: Motion
+    verdict: Verdict
+    amended: dict[Term, float]
+    comparison: MotionComparison
+    before: Array
+    after: Array
+    findings: tuple[str, ...]
+
+
+def diagnose(
+    recording: RobotRecording,
+    robot: Robot,
+    beside: Assignment | None = None,
+    bandwidth_hz: float | None = None,
+    progress: Callable[[str, float], None] = lambda *_: None,
+    workers: int = 1,
+    forward: bool | None = None,
+    *,
+    zeroed: bool = False,
+) -> RobotDiagnosis:
+    """Find what makes the recorded robot differ from its model.
+
+    Args:
+        recording: see `read_recording`.
+        robot: the nominal one.
+        beside: effects that an amended model lists in addition to its MJCF.
+        bandwidth_hz: up to which motion and torques are compared, see `prepared`.
+        progress: receives the present step and the share of the whole that is done.
+        workers: processes that share the search.
+        forward: whether to compare forward in time; by default if commands and no torques are
+            recorded.
+        zeroed: whether encoders were set to zero where each trial starts; each trial then has
+            the zeros that fit it.
+
+    Raises:
+        RecordingError: the recording cannot be compared.
+    """
+    began_s = time.monotonic()
+    progress("smoothing", 0.0)
+    motion = prepared(recording, robot, bandwidth_hz, forward, zeroed=zeroed)
+    system = RobotSystem(robot, motion, beside or {})
+    system.recording_name, system.row_count = recording.name, len(recording)
+    found = diagnose_system(system, progress, workers, began_s)
+    return RobotDiagnosis(
+        robot=robot,
+        motion=motion,
+        verdict=found.verdict,
+        amended={**found.values, **found.tolerances},
+        comparison=system.comparison,
+        before=found.nominal * system.comparison.noise,
+        after=found.held_out * system.comparison.noise,
+        findings=(
+            *recording.notes,
+            *(() if motion.forward else robot.left_out),
+            *beyond_range(recording, robot),
+            *(() if zeroed else starts_at_zero(recording)),
+            *system.doubtful(),
+            system.compared,
+        ),
+    )
+
+
+def _renamed(explanation: Explanation, one: str, other: Candidate) -> dict[Term, float]:
+    """Values to start from, with another effect in the places of one."""
+    places = dict.fromkeys(term.place for term in explanation.values if term.effect == one)
+    kept = {term: value for term, value in explanation.values.items() if term.effect != one}
+    new = {Term(other.effect, at, p.name): p.default for at in places for p in other.parameters}
+    return kept | new
+
+
+def _with_outliers(problem: Problem, explanation: Explanation) -> Explanation:
+    """One tolerance far off counts as much as all of them off.
+
+    A robot has so many tolerances that one alone, for example a delay of many samples, would not
+    show in the sum of their squares.
+    """
+    std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
+    tolerances = explanation.tolerances
+    largest = max((abs(value) / std[term] for term, value in tolerances.items()), default=0.0)
+    least = len(tolerances) * (largest / _FAR_OFF) ** 4
+    return replace(explanation, tolerance_chi2=max(explanation.tolerance_chi2, least))
+
+
+def beyond_range(recording: RobotRecording, robot: Robot) -> list[str]:
+    """Commands that the model's actuators clip, if torques are computed from commands."""
+    if np.isfinite(recording.torque).any():
+        return []
+    low, high = robot.model.actuator_ctrlrange.T
+    most, least = recording.command.max(0), recording.command.min(0)
+    clipped = robot.model.actuator_ctrllimited.astype(bool) & ((most > high) | (least < low))
+    return [
+        f"command.{robot.actuators[a]} goes from {least[a]:.3g} to {most[a]:.3g}, which the model "
+        f"clips to its range of {low[a]:.3g} to {high[a]:.3g}."
+        for a in np.flatnonzero(clipped)
+    ]
+
+
+def starts_at_zero(recording: RobotRecording) -> list[str]:
+    """Whether all joints read zero at the start of each trial: by chance, or as they were set."""
+    position = recording.position
+    starts = np.diff(recording.trial, prepend=recording.trial[0] - 1) != 0
+    at_zero = np.abs(position[starts]) <= _AT_ZERO * np.ptp(position, axis=0)
+    if starts.sum() < 2 or not at_zero.all():
+        return []
+    return ["All trials start at zero; if encoders were set to zero there, say so with --zeroed."]
