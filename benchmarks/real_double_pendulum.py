@@ -35,6 +35,7 @@ import pandas as pd
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.gauss_newton import refit
+from cablesense_gap.pipeline import problem_of
 from cablesense_gap.robot import smoothing
 from cablesense_gap.robot.catalogue import changed
 from cablesense_gap.robot.inverse import InverseDynamics
@@ -44,7 +45,6 @@ from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_recording
 from cablesense_gap.robot.report import write_robot_diagnosis
 from cablesense_gap.robot.simulator import RobotSimulator
-from cablesense_gap.pipeline import problem_of
 from cablesense_gap.robot.system import RobotDiagnosis, RobotSystem, diagnose
 from cablesense_gap.simulator import Assignment, Term
 

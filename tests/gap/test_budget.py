@@ -8,7 +8,7 @@ from gap_problem import FLOOR, SIGNALS, Sums, amount, linear, problem_of
 
 from cablesense_gap.diagnosis.gauss_newton import refine, refit
 from cablesense_gap.diagnosis.probability import Ranked
-from cablesense_gap.explained import shares, trades
+from cablesense_gap.explained import remainder, shares, trades
 
 TRUTH = {amount("gain", "b"): 2.0, amount("other", "a"): -0.7}
 PLANTED = {

@@ -12,12 +12,13 @@ from gap_recordings import LAB, RATE_HZ, small_recording
 
 from cablesense_base import CableSenseError
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.arm_system import ArmSystem, Diagnosis, diagnose, folds_of
+from cablesense_gap.arm_system import ArmSystem, Diagnosis, diagnose, folds_of, places_of
 from cablesense_gap.explained import (
     NEGLIGIBLE,
     estimates,
     gap_size,
     rmse_interval_n,
+    significant_values,
 )
 from cablesense_gap.pipeline import FOLDS, problem_of
 from cablesense_gap.recordings import thinning

@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 
-from cablesense_gap.amended_arm import amended_arm, listed_values, without_effects
+from cablesense_gap.amended_arm import (
+    amended_arm,
+    judged_earlier,
+    listed_values,
+    without_effects,
+)
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.earlier import GoingOn
 from cablesense_gap.arm_system import ArmSystem
 from cablesense_gap.pipeline import problem_of
 from cablesense_gap.report.text import earlier_sentence
