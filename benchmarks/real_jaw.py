@@ -24,9 +24,9 @@ import pandas as pd
 
 from cablesense_gap.robot.amending import load_amended, write_amended
 from cablesense_gap.robot.model import Robot, load_robot
-from cablesense_gap.robot.pipeline import diagnose
 from cablesense_gap.robot.prediction import predicted
 from cablesense_gap.robot.recording import RobotRecording, read_recording
+from cablesense_gap.robot.system import diagnose
 
 MODELS = Path(__file__).parents[1] / "config" / "robots"
 COLUMNS = {
