@@ -19,6 +19,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.problem import Problem, prepare
+from cablesense_gap.pipeline import System
 from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
@@ -176,3 +177,15 @@ def problem_of(simulator: Pulley, readings: Array, folds: int = 4) -> Problem:
     trial = simulator._done.trial
     fold = np.arange(trial.max() + 1) // 3 % folds
     return prepare(simulator, readings, trial, fold, np.ones(len(trial), dtype=bool))
+
+
+class PulleySystem(Pulley, System):
+    """The pulley with its readings (R, 3), for the whole pipeline."""
+
+    name, recording_name, unit = "pulley", "work", "floors"
+
+    def __init__(self, done: Work, readings: Array) -> None:
+        super().__init__(done)
+        self.readings, self.trial, self.row_count = readings, done.trial, len(readings)
+        self.fold = np.arange(done.trial.max() + 1) // 3 % 4
+        self.counted = np.ones(len(readings), dtype=bool)

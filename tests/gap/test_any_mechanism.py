@@ -10,10 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gap_problem import size
-from pulley import FORCES, G_M_S2, NOISE, WEIGHT_KG, Pulley, Work, problem_of, recorded, work
+from pulley import (
+    FORCES,
+    G_M_S2,
+    NOISE,
+    WEIGHT_KG,
+    Pulley,
+    PulleySystem,
+    Work,
+    problem_of,
+    recorded,
+    work,
+)
 
 from cablesense_gap.diagnosis.probability import Ranked, bundled_calibration, posterior
 from cablesense_gap.diagnosis.search import search
+from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.simulator import Candidate, Term
 
 pytestmark = pytest.mark.slow
@@ -105,6 +117,16 @@ def test_the_amended_simulator_predicts_work_that_it_has_not_seen() -> None:
     new = Pulley(work(seed=77))
     after, before, real = (new.predict([v])[0] for v in (best.values, {}, truth))
     assert np.sqrt(((after - real) ** 2).mean()) < 0.03 * np.sqrt(((before - real) ** 2).mean())
+
+
+def test_the_pipeline_gives_a_verdict_on_a_machine_that_is_no_arm() -> None:
+    truth = {WEIGHT_GAIN: -0.04}
+    found = diagnose_system(PulleySystem(work(), recorded(truth)[1]))
+    assert found.verdict.effects == ("sensor_gain",)
+    (number,) = found.verdict.parameters.values()
+    assert number.value == pytest.approx(-0.04, abs=WITHIN[WEIGHT_GAIN])
+    assert found.verdict.gap.removed_fraction > 0.9
+    assert found.verdict.gap.floor_n == 1.0
 
 
 def test_workers_find_what_one_process_finds() -> None:
