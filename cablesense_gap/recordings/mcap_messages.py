@@ -1,11 +1,10 @@
 """Serialized messages in MCAP files: read from first to last, and written in chunks.
 
 A recorder that is killed leaves a file without its end. The part already written must still be
-readable, so reading goes from record to record (https://mcap.dev/spec) and not by the index at
-the end, and writing closes a chunk every `CHUNK_S`. Records are read by the library `mcap` and
-written by `rosbags`. Our own
-code adds what they lack: `mcap` does not distinguish a file that breaks off from a damaged one,
-trusts every length and unpacks without bound, and no writer closes chunks by time.
+readable: files are read record by record (https://mcap.dev/spec), not by the index at the end, and
+a chunk is closed every `CHUNK_S`. The library `mcap` reads records, and `rosbags` writes them. Our
+own code adds what they lack: `mcap` does not distinguish a file that breaks off from a damaged
+one, trusts every length and unpacks without bound, and no writer closes chunks by time.
 """
 
 from __future__ import annotations
@@ -32,8 +31,7 @@ if TYPE_CHECKING:
     from rosbags.rosbag2.storage_mcap import McapWriter
 
 MOST_RECORD_BYTES: Final = 64 << 20
-"""Largest chunk, packed and unpacked, and largest other record; rosbag2's chunks have a
-megabyte."""
+"""Limit of a chunk, packed and unpacked, and of any other record; rosbag2 writes 1 MB chunks."""
 CHUNK_S: Final = 0.5
 """A chunk holds no more than this of the messages' time."""
 
