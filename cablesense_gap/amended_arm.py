@@ -15,7 +15,6 @@ import yaml
 
 from cablesense_base.files import write_atomically
 from cablesense_gap.diagnosis.gauss_newton import refit
-from cablesense_gap.diagnosis.joint_selection import borne_out
 from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.simulator import Term, parameters_of
 from cablesense_gap.verdict import Earlier, FittedNumber
@@ -122,7 +121,7 @@ def judged_earlier(problem: Problem, arm: Arm) -> tuple[Arm, tuple[Earlier, ...]
         others = {t: v for t, v in fitted.values.items() if t.effect != effect}
         rest = refit(problem, others, _STEPS_WITHOUT)
         needed = rest is None or (
-            problem.cost_of(rest) > _WORSE * problem.cost_of(fitted) and borne_out(fitted, rest)
+            problem.cost_of(rest) > _WORSE * problem.cost_of(fitted) and fitted.beats(rest)
         )
         if not needed:
             kept = {t: v for t, v in kept.items() if t.effect != effect}

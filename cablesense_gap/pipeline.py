@@ -1,6 +1,6 @@
 """From a system with its recording to a verdict: the one pipeline of arms, robots and others.
 
-The way of a recording from here: screening and fits (`diagnosis.search`), probabilities
+The way of a recording from here: the search (`diagnosis.search`), probabilities
 (`diagnosis.probability`), then shares, places, estimates and the gap (`explained`). What depends
 on the kind of machine is a method of its `System`.
 """
@@ -102,7 +102,7 @@ class System(ABC):
         return None
 
     def completed(self, problem: Problem, found: Sequence[Explanation]) -> list[Explanation]:
-        """The search's explanations with further ones that this kind of machine needs."""
+        """The search's explanations, as this kind of machine weighs them."""
         return list(found)
 
     def where(self, values: Mapping[Term, float], residual: Array) -> Where:

@@ -1,13 +1,13 @@
-"""A flexible model of what is left: how much of it repeats, whatever its cause.
+"""A flexible model of the residual: how much of it repeats, whatever its cause.
 
-Ridge regression on a kernel over features of what the arm was doing, judged on folds that it has
-not seen; it knows no physics and names no cause. The kernel adds up, for each group of features, a
-straight line and bumps of two widths, and for each two groups a bump in both: additive models
-learn from fewer trials than one bump in all features would (Duvenaud, Nickisch and Rasmussen,
-Additive Gaussian processes, NIPS 2011). Far from all trials bumps predict nothing.
+Kernel ridge regression on features of the arm's motion and load, judged on held-out folds. It
+knows no physics and names no cause. The kernel is a sum: for each group of features a linear term
+and bumps of two widths, and for each two groups a bump in both. Additive models learn from fewer
+trials than one bump in all features (Duvenaud, Nickisch and Rasmussen, Additive Gaussian
+processes, NIPS 2011). Far from all trials, bumps predict nothing.
 
-scikit-learn's KernelRidge solves anew for each ridge; here one eigendecomposition serves all
-ridges, and each channel has its own, chosen between the other folds.
+scikit-learn's KernelRidge solves again for each ridge. Here one eigendecomposition serves all
+ridges, and each channel has its own, chosen on the other folds.
 """
 
 from __future__ import annotations
@@ -21,44 +21,40 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 
-_WIDTHS = (0.5, 1.5)
-"""Of the bumps, in standard deviations of each feature."""
-_PAIR_WEIGHT = 0.3
 _RIDGES = np.logspace(-3.0, 2.0, 6)
-LONG_ROWS = 120
-"""Trials longer than this are held out in stretches: no other trial has the poses of a sweep."""
-_STRETCH_ROWS = 50
-_TOGETHER = 3
-"""Neighbouring rows are averaged: they are the same but for noise."""
-_FAR = 3.0
-"""Standard deviations at which a feature is cut off; trials may lie far from all others."""
-_FOREMOST = 5
+"""From hardly any smoothing to nothing but smoothing, for standardised features."""
+
+_LONG_ROWS, _STRETCH_ROWS = 120, 50
+"""A longer trial is held out in stretches: no other trial has the poses of a sweep."""
 
 Indices = NDArray[np.int64]
 Rows = NDArray[np.bool_]
 
 
 def kernel(groups: Sequence[Array]) -> Array:
-    """(R, R) from groups of standardised features, each (R, F)."""
+    """(R, R) from groups of standardised features, each (R, F).
+
+    Widths are in standard deviations. Bumps in two groups weigh less: they are rarely needed.
+    """
     count = len(groups[0])
     total = np.ones((count, count))
     for x in groups:
         apart = _squared_distance(x) / x.shape[1]
         total += x @ x.T / x.shape[1]
-        total += sum(np.exp(-apart / (2.0 * width**2)) for width in _WIDTHS)
+        total += sum(np.exp(-apart / (2.0 * width**2)) for width in (0.5, 1.5))
     for one, other in combinations(groups, 2):
         apart = (_squared_distance(one) + _squared_distance(other)) / (
             one.shape[1] + other.shape[1]
         )
-        total += _PAIR_WEIGHT * np.exp(-apart / 2.0)
+        total += 0.3 * np.exp(-apart / 2.0)
     return total
 
 
 def held_out(kernel_: Array, y: Array, fold: Indices, used: Rows) -> Array:
     """(R, C) each fold 0 … F - 1 predicted by a fit to the used rows (R,) of the others.
 
-    The ridge of each channel is the one that predicts best between these other folds. Where
-    nothing does better than zero, zero is predicted.
+    Each channel has the ridge that predicts best among these other folds, and the prediction zero
+    if no ridge is better than that.
     """
     count = int(fold.max()) + 1
     left = _left_by_two(kernel_, y, fold, used)
@@ -98,7 +94,7 @@ def _squared_distance(x: Array) -> Array:
 
 @dataclass(frozen=True)
 class Features:
-    """What a residual may go with: values (R, F) in any units, names (F,) and groups (F,).
+    """Possible causes of a residual: values (R, F) in any units, names (F,) and groups (F,).
 
     Groups say which features belong together, as in `pose` or `load`.
     """
@@ -110,14 +106,14 @@ class Features:
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """What the flexible model makes of a residual.
+    """The part of a residual that the flexible model explains.
 
     Attributes:
         held_out: (R, C) each stretch predicted by a fit without its fold.
         explained_share: of the mean square beyond the floor; zero or less where nothing repeats.
         by_channel: (C,) the same of each channel; zero in a channel without an excess.
         alone: the share that each group of features explains without the others.
-        foremost: features that the residual goes with in a straight line, the foremost first.
+        foremost: features by the strength of their linear relation to the residual.
     """
 
     held_out: Array
@@ -153,7 +149,7 @@ def discrepancy(
         return fitted[part]
 
     def share(prediction: Array, channels: slice = slice(None)) -> float:
-        """Of the mean square beyond the floor."""
+        """Share of the mean square beyond the floor."""
         before, after = residual[used], (residual - prediction)[used]
         removable = float((before[:, channels] ** 2).mean()) - floor**2
         left = max(float((after[:, channels] ** 2).mean()) - floor**2, 0.0)
@@ -162,7 +158,7 @@ def discrepancy(
     whole, every = predicted(groups), _standardised(features.values, used)[used]
     straight = every.T @ (residual[used] - residual[used].mean(0))
     strength = (straight**2).sum(1) / np.maximum((every**2).sum(0), 1e-12)
-    order = np.argsort(-strength, kind="stable")[:_FOREMOST]
+    order = np.argsort(-strength, kind="stable")[:5]
     return Discrepancy(
         held_out=whole,
         explained_share=share(whole),
@@ -175,29 +171,29 @@ def discrepancy(
 def _standardised(values: Array, used: Rows) -> Array:
     mean, spread = values[used].mean(0), values[used].std(0)
     scaled = (values - mean) / np.where(spread > 1e-12, spread, np.inf)
-    return np.clip(scaled, -_FAR, _FAR)
+    return np.clip(scaled, -3.0, 3.0)  # a trial may be far from all others
 
 
 def _fold_of_rows(trial: Indices, fold: Indices) -> Indices:
-    """(R,) fold of each row from 0 on; the stretches of a long trial are in folds of their own."""
+    """(R,) fold of each row from 0 on; each stretch of a long trial has its own fold."""
     fold = np.unique(fold, return_inverse=True)[1]
     found = fold[trial]
     count = int(fold.max()) + 1
     for t in range(len(fold)):
         rows = np.flatnonzero(trial == t)
-        if len(rows) > LONG_ROWS:
+        if len(rows) > _LONG_ROWS:
             stretch = np.arange(len(rows)) // _STRETCH_ROWS
             found[rows] = (fold[t] + stretch) % count
     return np.asarray(found)
 
 
 def _parts(trial: Indices, row_fold: Indices, used: Rows) -> Indices:
-    """(R,) number of the few neighbouring rows that a row is averaged with."""
+    """(R,) part of each row. Rows of a part are averaged: they differ by noise alone."""
     state = np.column_stack([trial, row_fold, used])
     changes = (np.diff(state, axis=0, prepend=state[:1]) != 0).any(1)
     begin = np.maximum.accumulate(np.where(changes, np.arange(len(state)), 0))
     since = np.arange(len(state)) - begin
-    return np.cumsum(changes | ((since % _TOGETHER == 0) & (since > 0)))
+    return np.cumsum(changes | ((since % 3 == 0) & (since > 0)))
 
 
 def _averaged(values: Array, part: Indices) -> Array:

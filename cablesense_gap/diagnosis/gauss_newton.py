@@ -1,10 +1,9 @@
 """Effects fitted to the recording with the simulator itself: damped Gauss-Newton.
 
-Tolerances enter linearly and are fitted along. What no candidate explains is correlated from row
-to row, so the fit gives each number the weight that such a residual deserves, not that of white
-noise (`evidence.weight`); held-out trials are predicted by the fit to the other folds, linear
-about the one to all (the one-step estimate of Giordano et al., A Swiss Army infinitesimal
-jackknife, AISTATS 2019).
+Tolerances enter linearly and are fitted along. The unexplained part is correlated from row to row,
+so its weight is not that of white noise (`linear_fit.weight`). Held-out trials are predicted by
+fits to the other folds, linear about the fit to all (the one-step estimate of Giordano et al.,
+A Swiss Army infinitesimal jackknife, AISTATS 2019).
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.diagnosis.evidence import Products, fold_solutions, products, solve, weight
+from cablesense_gap.diagnosis.linear_fit import Products, fold_solutions, products, solve, weight
 from cablesense_gap.diagnosis.problem import (
     Explanation,
     Problem,
@@ -24,68 +23,70 @@ from cablesense_gap.diagnosis.problem import (
     to_scaled,
     unit_of,
 )
-from cablesense_gap.simulator import Term, parameters_of
+from cablesense_gap.simulator import Term
 from cablesense_sim.effects.effect import Parameter
 
+MOST_STEPS = 8
+"""Of Gauss-Newton; a fit that has not converged by then is no better than its rivals."""
+
 _STEP = 0.03
-_CLOSE = 5e-3
-_WORTH = 5e-3
-_MOST_DAMPING = 30.0
+"""Scaled, for derivatives: far above the rounding of the simulator, small enough to be linear."""
+
 _NEAR = 0.25
-"""So far from where they were taken derivatives still serve, scaled."""
-_FINAL_STEPS = 3
-_SEVERAL = 3
+"""Scaled: derivatives still serve at such a distance from where they were taken."""
+
+_CONVERGED = 5e-3
+"""Scaled step, and relative gain, that are too small to continue."""
 
 
 def refine(
     problem: Problem,
     parameters: Mapping[Term, Parameter],
     starts: Sequence[Sequence[float]],
-    most_steps: int = 8,
+    most_steps: int = MOST_STEPS,
     most_left: float = np.inf,
-    begun: tuple[Array, Array] | None = None,
+    start_at: tuple[Array, Array] | None = None,
 ) -> Explanation | None:
-    """The most probable numbers from the best of some scaled starts on.
+    """Fit values, from the best of several scaled starts.
 
-    None where nothing there can be simulated, or where several starts all leave a mean square of
-    more than `most_left`. Of a single start the prediction and its columns may be given, `begun`.
+    None if nothing there can be simulated, or if several starts all leave a mean square of more
+    than `most_left`. For a single start, `start_at` may give the prediction and its columns.
     """
-    return _Fit(problem, parameters).run(np.array(starts, float), most_steps, most_left, begun)
+    return _Fit(problem, parameters).run(np.array(starts, float), most_steps, most_left, start_at)
 
 
 def refit(
     problem: Problem,
     values: Mapping[Term, float],
     most_steps: int,
-    begun: tuple[Array, Array] | None = None,
+    start_at: tuple[Array, Array] | None = None,
 ) -> Explanation | None:
-    """The most probable numbers from `values` on; None where these cannot be simulated.
+    """Fit values again, from `values`; None if these cannot be simulated.
 
-    With no step allowed they stay, and only the tolerances are fitted.
+    With no step allowed, they stay and only the tolerances are fitted.
     """
-    known = parameters_of(problem.simulator.candidates)
-    parameters = {term: known[term] for term in values}
+    parameters = {term: problem.parameters[term] for term in values}
     start = [to_scaled(parameters[term], value) for term, value in values.items()]
-    return refine(problem, parameters, [start], most_steps, begun=begun)
+    return refine(problem, parameters, [start], most_steps, start_at=start_at)
 
 
 def refit_part(
     problem: Problem, explanation: Explanation, values: Mapping[Term, float], most_steps: int
 ) -> Explanation | None:
-    """As `refit`, of some of an explanation' values, begun with its sensitivities."""
+    """As `refit`, from some values of an explanation and its sensitivities to them."""
     own = [k for k, term in enumerate(explanation.values) if term in values]
     predicted = problem.simulator.predict([values])[0]
     return refit(problem, values, most_steps, (predicted, explanation.columns[own]))
 
 
-def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explanation, Problem]:
-    """The same effects, fitted beside tolerances that are linear about these very effects.
+def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explanation, Array]:
+    """Fit the same effects with tolerances that are linear about these effects.
 
-    The search takes them linear about the nominal mechanism, which is near enough to choose by.
-    The problem with these tolerances is given too.
+    The search takes tolerances linear about the nominal mechanism, which is near enough to choose
+    by. Gives the columns of the tolerances, (K, R, C), too.
     """
     if not explanation.values or not problem.tolerance_terms:
-        return explanation, problem
+        return explanation, problem.tolerance_columns
     base = {**explanation.values, **dict.fromkeys(problem.tolerance_terms, 0.0)}
     terms = zip(problem.tolerance_terms, problem.tolerance_std, strict=True)
     predicted = problem.simulator.predict([{**base, t: float(std)} for t, std in terms])
@@ -93,11 +94,11 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
     if not np.isfinite(columns).all():
         columns = problem.tolerance_columns
     about = replace(problem, tolerance_columns=columns)
-    begun = explanation.without_tolerances, explanation.columns
-    fitted = refit(about, explanation.values, _FINAL_STEPS, begun)
+    start_at = explanation.without_tolerances, explanation.columns
+    fitted = refit(about, explanation.values, 3, start_at)
     if fitted is None or problem.cost_of(fitted) > problem.cost_of(explanation):
-        return explanation, problem
-    return fitted, about
+        return explanation, problem.tolerance_columns
+    return fitted, columns
 
 
 class _Fit:
@@ -113,7 +114,7 @@ class _Fit:
         history = {c.effect for c in problem.simulator.candidates if c.history_dependent}
         effects = {term.effect for term in self._terms}
         self._slow = bool(effects & history)
-        several = len(effects) >= _SEVERAL and self._slow
+        several = len(effects) > 2 and self._slow
         self._without_history = np.array(
             [several and t.effect not in history for t in self._terms]
         )
@@ -123,14 +124,14 @@ class _Fit:
         starts: Array,
         most_steps: int,
         most_left: float,
-        begun: tuple[Array, Array] | None,
+        start_at: tuple[Array, Array] | None,
     ) -> Explanation | None:
         point, left = self._best(np.clip(starts, self._low, self._high))
         if left > most_left:
             return None
         shape = np.array([p.role == "shape" for p in self._parameters], dtype=bool)
         self._expected = np.where(shape, point, 0.0)
-        predicted, columns = begun or self._linear(point)
+        predicted, columns = start_at or self._linear(point)
         if not np.isfinite(predicted).all():
             return None
         damping, mean_square = 1e-3, self._cost(point, predicted, None)[1]
@@ -138,7 +139,7 @@ class _Fit:
         for _ in range(most_steps):
             step = self._step(point, predicted, columns, mean_square, damping)
             tried = np.clip(point + step, self._low, self._high)
-            if np.abs(tried - point).max(initial=0.0) < _CLOSE:
+            if np.abs(tried - point).max(initial=0.0) < _CONVERGED:
                 break
             far = bool(np.abs(tried - linear_at).max() > _NEAR)
             there = self._linear(tried, columns) if far and self._slow else None
@@ -146,7 +147,7 @@ class _Fit:
             before = self._cost(point, predicted, mean_square)
             after = self._cost(tried, ahead, mean_square)
             if not after[0] < before[0]:
-                if damping > _MOST_DAMPING:
+                if damping > 30.0:
                     break
                 damping *= 30.0
                 continue
@@ -155,12 +156,12 @@ class _Fit:
             if far:
                 columns = self._linear(tried, columns)[1] if there is None else there[1]
                 linear_at = tried
-            if (before[0] - after[0]) / before[0] < _WORTH:
+            if (before[0] - after[0]) / before[0] < _CONVERGED:
                 break
         return self._explanation(point, predicted, columns, mean_square)
 
     def _best(self, starts: Array) -> tuple[Array, float]:
-        """The start that leaves least, with the tolerances at their best, and that mean square."""
+        """The start with the least residual, tolerances fitted, and its mean square."""
         if len(starts) == 1:
             return starts[0], 0.0
         self._expected = starts[0]
@@ -175,8 +176,8 @@ class _Fit:
     def _linear(self, point: Array, known: Array | None = None) -> tuple[Array, Array]:
         """The prediction (R, C) at one point, with its derivatives (K, R, C).
 
-        Known derivatives by what fades stay: there are many, and they matter for a few rows. Among
-        several effects, those by what does not depend on history are taken without what does.
+        Known derivatives by parameters that fade stay: they are many and matter in few rows.
+        With several effects, derivatives by those without history are taken without those with.
         """
         steps = np.where(point + _STEP <= self._high, _STEP, -_STEP)
         varied = np.arange(len(point)) if known is None else self._lasting
@@ -218,7 +219,7 @@ class _Fit:
         own = np.where(np.arange(len(gram)) < none, 0.0, gram.diagonal())
         damped = gram + damping * np.diag(own)
         free = np.ones(len(gram), dtype=bool)
-        for _ in range(3):  # numbers that leave their range stay at its end, the others go on
+        for _ in range(3):  # values that leave their range stay at its end, the others continue
             step, at = np.zeros(len(gram)), np.flatnonzero(free)
             step[at] = solve(
                 damped[np.ix_(at, at)], moment[at], self._precision[at], offset[at], weight_
@@ -232,14 +233,14 @@ class _Fit:
         return step[none:]
 
     def _products(self, predicted: Array, columns: Array) -> Products:
-        """Of columns (K, R, C) with what a prediction leaves."""
+        """Products of columns (K, R, C) and the residual of a prediction."""
         problem = self._problem
         return products(columns, problem.readings - predicted, problem.trial, problem.used)
 
     def _cost(
         self, point: Array, prediction: Array, mean_square: float | None
     ) -> tuple[float, float]:
-        """Negative log posterior with tolerances at their best, and the mean square left."""
+        """Negative log posterior, tolerances fitted, and the mean square residual."""
         problem = self._problem
         if not np.isfinite(prediction).all():
             return np.inf, np.inf
@@ -277,7 +278,7 @@ class _Fit:
         held_out = held_out_effects + tolerated
         covariance = np.zeros(2 * self._precision.shape)
         covariance[np.ix_(at, at)] = _covariance(part, found, precision, weight_)
-        # of a number at its bound: how far from there the readings allow it, the others free
+        # a value at its bound gets the deviation that it would have with all values free
         gram, moment, off = data.gram.sum(0), data.moment.sum(0), self._offset(point)
         freed = solve(gram, moment, self._precision, off, weight_)
         spread = np.sqrt(_covariance(data, freed, self._precision, weight_).diagonal())

@@ -1,29 +1,26 @@
-"""How probable each explanation is, and which of them a recording cannot distinguish.
+"""The probability of each explanation, and which of them a recording cannot distinguish.
 
-The weights fall with a power of what is left beyond the sensors' floor on held-out trials, and by
-a factor for every effect that an explanation names:
+The log weight of an explanation with k effects and n sizes is
 
-    log w = -κ log(excess) - τ log(s / m) - π_1 - (k - 1) (π_2 - π_1) - ν n,
+    log w = -κ log(excess) - τ log(s / m) - π_1 - (k - 1) (π_2 - π_1) - ν n
 
-for k effects of n sizes in all,
+`excess` is the RMS residual on held-out trials beyond the sensors' floor. s is the sum of squares
+of the m tolerances in standard deviations, at least m: tolerances are rarely many deviations off.
 
-with s the sum of squares of the m tolerances in standard deviations, taken as m where it is less:
-manufacturing tolerances should not have to be many deviations off,
+Tolerances alone have their own power κ₀, because a plain gap rules them out:
 
-for tolerances alone, which are out where the gap is plain, with a power κ₀ of its own,
+    log w = -κ log(least) - κ₀ log(excess / least) - τ log(s / m)
 
-    log w = -κ log(least) - κ₀ log(excess / least) - τ log(s / m),    least = what can be resolved,
-
-and an unlisted effect is weighed as if the best listed one imitated it, which leaves
-a share φ of the gap, and γ floors where the gap is small:
+`least` is the excess that can be resolved. An unlisted effect is weighed as if the best listed one
+imitated it, down to a share φ of the gap, and to γ floors if the gap is small:
 
     log w = -κ log √((φ · excess of none)² + (γ σ₀)²) - π_unknown
 
-The few numbers are fitted to simulated cases (`benchmarks/gap_calibration.py`) by their mean log
-probability, so that the probabilities are calibrated.
+`benchmarks/gap_calibration.py` fits these numbers to simulated cases by their mean log
+probability, so the probabilities are calibrated.
 
-Two effects are alike where one can imitate what the other changes in the readings: its numbers
-are free, and tolerances may help as far as manufacturing leaves them.
+Two effects are alike if one can imitate the other's change of the readings with free numbers, and
+with tolerances as far as manufacturing allows.
 """
 
 from __future__ import annotations
@@ -36,22 +33,20 @@ from importlib.resources import files
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.diagnosis.evidence import weight
+from cablesense_gap.diagnosis.linear_fit import weight
 from cablesense_gap.diagnosis.problem import Explanation, Problem, excess
 
 UNKNOWN = ("unknown",)
 LEAST, NEAR_BEST = 0.1, 0.2
-"""A rival has at least this probability, and this share of that of the best."""
+"""A rival has at least this probability, and this share of the probability of the best."""
+
 PARALLEL = 0.75
-"""What can be imitated to this share is not distinguished by its shape."""
-_SLIGHT = 1e-6
-_SEVERAL = 3
-_UNEXPLAINED, _OUTWEIGHED = 0.4, 0.7
-"""Share of the gap that may stay beside several effects, and beside one that depends on history or
-turns round with the motion: no static effect makes loading and unloading differ, so what it
-explains, none imitates."""
-_BORNE_OUT = 1.6
-"""A named effect's part must be about as large as all that stays unexplained."""
+"""The shapes of two changes do not differ if one is imitated to this share."""
+
+_UNEXPLAINED, _OUTWEIGHED, _SUPPORTED = 0.4, 0.7, 1.6
+"""Effects are named although an unlisted one is more probable in two cases. Three or more leave at
+most the first share of the gap; or one that depends on history leaves at most the second, since no
+static effect makes loading and unloading differ. Leaving one out must cost the last factor."""
 
 
 @dataclass(frozen=True)
@@ -84,14 +79,14 @@ class ProbabilityCalibration:
 
 
 def bundled_calibration() -> ProbabilityCalibration:
-    """That of `calibration.json` beside this file."""
+    """The calibration that is installed with the package."""
     text = files("cablesense_gap.diagnosis").joinpath("calibration.json").read_text("utf-8")
     return ProbabilityCalibration(**json.loads(text))
 
 
 @dataclass(frozen=True)
 class Ranked:
-    """An explanation, or that of an unlisted effect, with its probability."""
+    """An explanation, or an unlisted effect, with its probability."""
 
     effects: tuple[str, ...]
     probability: float
@@ -103,7 +98,7 @@ def posterior(
 ) -> list[Ranked]:
     """Probabilities of all explanations and of an unlisted effect, the most probable first.
 
-    `explanations` holds that of tolerances alone, which stands for `none`.
+    `explanations` contain the one of tolerances alone, which is named `none`.
     """
     weights = log_weights(
         np.array([h.held_out_rmse for h in explanations]),
@@ -127,24 +122,23 @@ def posterior(
 def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration) -> list[Ranked]:
     """The explanations, first the one that the verdict names.
 
-    The most probable one, unless that is an unlisted effect although listed ones are borne out,
-    several, or one that depends on history or turns round with the motion, that explain more than
-    they leave. Then it is the one of them that leaves least, and what it leaves is unexplained and
-    stated beside it.
+    This is the most probable one. If that is an unlisted effect, it may be an explanation that
+    explains more than it leaves: one with several effects, or with an effect that depends on
+    history or on the direction of motion. The unexplained part is then stated with the verdict.
     """
     first = ranked[0]
     if first.effects != UNKNOWN:
         return list(ranked)
-    borne_out = [
+    supported = [
         (problem.cost_of(each.explanation), k, ratios)
         for k, each in enumerate(ranked)
         if each.explanation
         and (ratios := _left_out_ratios(problem, ranked, each.explanation))
         and _outweighs(problem, ranked, ratios, each)
     ]
-    if not borne_out:
+    if not supported:
         return list(ranked)
-    _, k, ratios = min(borne_out)
+    _, k, ratios = min(supported)
     odds = c.power * np.log(list(ratios.values())) - (c.two - c.one)
     exact = float(np.prod(1.0 / (1.0 + np.exp(-odds)))) * first.probability
     chosen = replace(ranked[k], probability=ranked[k].probability + exact)
@@ -155,7 +149,7 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
 def _outweighs(
     problem: Problem, ranked: Sequence[Ranked], ratios: dict[str, float], one: Ranked
 ) -> bool:
-    """Whether an explanation explains more than it leaves, and needs each of its effects."""
+    """Whether an explanation explains more than it leaves and needs each of its effects."""
     left = {r.effects: r.explanation for r in ranked if r.explanation}
     gap, rest = (
         excess(left[effects].held_out_rmse ** 2, problem.floor)
@@ -164,17 +158,17 @@ def _outweighs(
     candidates = problem.simulator.candidates
     past = {c.effect for c in candidates if c.history_dependent or c.against_motion}
     if past.isdisjoint(ratios):
-        enough = len(ratios) >= _SEVERAL and rest <= _UNEXPLAINED * gap
+        enough = len(ratios) > 2 and rest <= _UNEXPLAINED * gap
     else:
         enough = rest <= _OUTWEIGHED * gap
-    least = {effect: 1.0 / _OUTWEIGHED if effect in past else _BORNE_OUT for effect in ratios}
+    least = {effect: 1.0 / _OUTWEIGHED if effect in past else _SUPPORTED for effect in ratios}
     return enough and all(ratio >= least[effect] for effect, ratio in ratios.items())
 
 
 def _left_out_ratios(
     problem: Problem, ranked: Sequence[Ranked], whole: Explanation
 ) -> dict[str, float]:
-    """By which factor what is left grows without each of the effects."""
+    """The factor by which the cost grows without each of the effects."""
     costs = [(set(h.effects), problem.cost_of(h)) for r in ranked if (h := r.explanation)]
     own = set(whole.effects)
     return {
@@ -193,7 +187,10 @@ def log_weights(
     floor: float,
     calibration: ProbabilityCalibration,
 ) -> Array:
-    """Of each explanation, and last of an unlisted effect; `counts` 0 marks tolerances alone."""
+    """One for each explanation, and the last for an unlisted effect.
+
+    `counts` of effects are 0 for tolerances alone.
+    """
     c = calibration
     floor_share = c.floor_share * floor
     left = np.array([np.hypot(excess(e**2, floor), floor_share) for e in held_out_rmse])
@@ -213,9 +210,9 @@ def ambiguity(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Explanations between which the recording does not decide, and a reason for each rival.
 
-    The best comes first, and alone where it is clear; several effects are joined by `+`. `none`
-    and an unlisted effect change nothing that could be compared: they stand alone, and are in
-    nobody's group. `unit` is that of the channels.
+    The best comes first, and alone if it is clear; several effects are joined by `+`. `none` and
+    an unlisted effect change nothing that could be compared, so they are in no group of others.
+    `unit` is the unit of the channels.
     """
     best, rivals = ranked[0], rivals_of(ranked)
     return (
@@ -225,7 +222,7 @@ def ambiguity(
 
 
 def rivals_of(ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
-    """Explanations too probable to be dismissed beside the best, which is `ranked[0]`."""
+    """Explanations that are not much less probable than the best, `ranked[0]`."""
     best = ranked[0]
     if not _names_an_effect(best):
         return ()
@@ -240,7 +237,7 @@ def _names_an_effect(ranked: Ranked) -> bool:
 def imitated_share(problem: Problem, one: Explanation, other: Explanation) -> float:
     """Share of what one explanation changes that the other can imitate, 0 to 1.
 
-    Of the root mean square of the change, tolerances taken out; the other's numbers are free.
+    It is a share of the RMS of the change without its tolerances; the other's numbers are free.
     """
     change = _beyond_tolerances(problem, _change(problem, one), one)
     whole = float(change @ change)
@@ -249,7 +246,7 @@ def imitated_share(problem: Problem, one: Explanation, other: Explanation) -> fl
     own = [_change(problem, other), *other.columns]
     columns = np.array([_beyond_tolerances(problem, column, one) for column in own])
     gram = columns @ columns.T
-    gram += _SLIGHT * np.diag(gram.diagonal()) + np.finfo(float).tiny * np.eye(len(gram))
+    gram += 1e-6 * np.diag(gram.diagonal()) + np.finfo(float).tiny * np.eye(len(gram))
     moment = columns @ change
     left = whole - float(moment @ np.linalg.lstsq(gram, moment, rcond=None)[0])
     return 1.0 - float(np.sqrt(np.clip(left / whole, 0.0, 1.0)))
@@ -286,7 +283,7 @@ def _reason(problem: Problem, best: Ranked, rival: Ranked, unit: str) -> str:
 
 
 def _change(problem: Problem, explanation: Explanation) -> Array:
-    """(R, C) what the effects change, at their fitted numbers."""
+    """(R, C) the change by the effects with their fitted numbers."""
     scaled = [
         explanation.tolerances.get(term, 0.0) / std
         for term, std in zip(problem.tolerance_terms, problem.tolerance_std, strict=True)
@@ -296,10 +293,10 @@ def _change(problem: Problem, explanation: Explanation) -> Array:
 
 
 def _beyond_tolerances(problem: Problem, change: Array, fitted: Explanation) -> Array:
-    """Over the used rows, flat: what tolerances leave of a change, at the cost of their priors.
+    """The part of a change over the used rows, flat, that tolerances do not imitate.
 
-    The priors' cost is part of the vector, so that the products of two of them are those of the
-    readings' marginal likelihood.
+    The cost of their priors is appended, so that products of two such vectors are those of the
+    marginal likelihood of the readings.
     """
     weight_ = weight(fitted.held_out_rmse**2, problem.floor)
     tolerances = problem.tolerance_columns[:, problem.used]

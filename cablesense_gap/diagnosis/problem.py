@@ -1,13 +1,15 @@
-"""The diagnosis problem: readings beside a simulator, and an explanation that explains them.
+"""The diagnosis problem: readings and a simulator. An explanation is a fitted set of effects.
 
-Numbers are sought in scaled form, in units of what is typical, so that one step suits them all.
+Fits use scaled values, in units of a typical one, so that one step suits all parameters.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +24,14 @@ RESOLUTION = 0.2
 SIZE_PRIOR = 3.0
 """Sizes are expected within this many typical ones of zero (one standard deviation)."""
 
-_CHI2_POWER = 1.0 / 3.0
+EFFECT_WORTH, PLACE_WORTH, CHOICE_WORTH = 1.08, 1.04, 0.02
+"""The factors by which an effect and each of its places must make the cost smaller, and the power
+of the number of ways to choose these places: many choices fit chance better."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Explanation:
-    """Effects, fitted, beside the manufacturing tolerances.
+    """Effects with places and values, fitted together with the manufacturing tolerances.
 
     Attributes:
         effects: names in alphabetical order; none for tolerances alone.
@@ -38,11 +42,11 @@ class Explanation:
         covariance: (K, K) of the scaled values; zero for those at the end of their range.
         held_out: (R, C) each trial predicted by a fit without its fold.
         held_out_effects: (R, C) the same with the effects alone, without tolerances.
-        squares: (T,) sum of squares that this leaves in each trial.
+        squares: (T,) sum of squared held-out residuals of each trial.
         count: (T,) numbers in each trial.
         sizes: how many of the values are sizes.
         tolerance_chi2: sum of the squares of the tolerances, each in standard deviations.
-        prior_distance: of the values from what was expected, in squared deviations.
+        prior_distance: of the values from their priors, in squared standard deviations.
     """
 
     effects: tuple[str, ...]
@@ -62,6 +66,16 @@ class Explanation:
     prior_distance: float
 
     @property
+    def sites(self) -> list[tuple[str, str]]:
+        """Each effect with each of its places, in the order of the values."""
+        return list(dict.fromkeys(term[:2] for term in self.values))
+
+    def beats(self, other: Explanation) -> bool:
+        """Whether it leaves less on held-out trials by more than chance over them (90 %)."""
+        gain = other.squares - self.squares
+        return bool(gain.sum() > 1.28 * np.sqrt(len(gain)) * gain.std())
+
+    @property
     def held_out_rmse(self) -> float:
         """Root mean square over all trials, each predicted by a fit without its fold."""
         return float(np.sqrt(self.squares.sum() / self.count.sum()))
@@ -69,7 +83,7 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Problem:
-    """One recording beside its simulator.
+    """One recording and its simulator.
 
     Attributes:
         readings: (R, C).
@@ -79,8 +93,8 @@ class Problem:
         nominal: (R, C) prediction without any effect.
         tolerance_std: standard deviation of each of the terms.
         tolerance_columns: (K, R, C) sensitivities, in standard deviations.
-        sketch: the same of some of the rows, if they suffice to choose among effects that depend
-            on the past.
+        sketch: the same for some of the rows, if these suffice to choose among history-dependent
+            effects.
     """
 
     simulator: Simulator
@@ -96,49 +110,69 @@ class Problem:
 
     @property
     def floor(self) -> float:
-        """Root mean square of what the sensors add."""
+        """RMS of what the sensors add to a perfect reading."""
         return self.simulator.floor
 
     @cached_property
     def acting_tolerances(self) -> NDArray[np.bool_]:
-        """(K,) which tolerances change anything; those of friction do only where there is some."""
+        """(K,) which tolerances change anything; some do so only with friction."""
         return np.asarray(self.tolerance_columns.any(axis=(1, 2)))
 
+    @cached_property
+    def parameters(self) -> dict[Term, Parameter]:
+        """Every number of the candidates in every place."""
+        return parameters_of(self.simulator.candidates)
+
+    @cached_property
+    def _place_counts(self) -> dict[str, int]:
+        return {c.effect: len(c.places) for c in self.simulator.candidates}
+
+    def penalty(self, counts: Mapping[str, int]) -> float:
+        """Factor on the cost, from the number of places of each effect."""
+        factor = 1.0
+        for effect, count in counts.items():
+            places = self._place_counts[effect]
+            choices = sum(comb(places, k + 1) for k in range(count))
+            factor *= EFFECT_WORTH * PLACE_WORTH**count * float(choices) ** CHOICE_WORTH
+        return factor
+
+    def judged(self, explanation: Explanation) -> float:
+        """The cost of an explanation with its penalty: the search minimises it."""
+        return self.cost_of(explanation) * self.penalty(Counter(e for e, _ in explanation.sites))
+
     def squares_by_trial(self, held_out: Array) -> tuple[Array, Array]:
-        """(T,) sums of squares that a prediction (R, C) leaves by trial, and of how many."""
+        """(T,) sums of squared residuals of a prediction (R, C), and (T,) how many they are."""
         of_row = ((self.readings - held_out) ** 2).sum(-1) * self.used
         every = self.used * float(held_out.shape[1])
         sums = [np.bincount(self.trial, each, len(self.fold)) for each in (of_row, every)]
         return sums[0].astype(float), sums[1].astype(float)
 
     def cost(self, mean_square: float, tolerance_chi2: float) -> float:
-        """Excess over the floor, larger where tolerances would have to be unusually far off.
+        """RMS residual beyond the floor, larger if tolerances would have to be far off.
 
         The search ranks explanations by it; the posterior weighs both by calibrated powers.
         """
         usual = max(int(self.acting_tolerances.sum()), 1)
-        return float(
-            excess(mean_square, self.floor) * max(tolerance_chi2 / usual, 1.0) ** _CHI2_POWER
-        )
+        return excess(mean_square, self.floor) * float(np.cbrt(max(tolerance_chi2 / usual, 1.0)))
 
     def cost_of(self, explanation: Explanation) -> float:
-        """That of what an explanation leaves on held-out trials."""
+        """The cost of an explanation on held-out trials."""
         return self.cost(explanation.held_out_rmse**2, explanation.tolerance_chi2)
 
 
 @dataclass(frozen=True)
 class Sketch:
-    """A problem of some rows of another.
+    """A problem with some of the rows of another.
 
     Attributes:
-        rows: (K,) of the other's, the first, the last and some of every trial.
+        rows: (K,) of the other problem: the first, the last and some of every trial.
     """
 
     rows: NDArray[np.int64]
     problem: Problem
 
     def explanation(self, whole: Explanation) -> Explanation:
-        """One of the other problem as it does on these rows."""
+        """An explanation of the other problem on these rows."""
         held_out, problem = whole.held_out[self.rows], self.problem
         squares, count = problem.squares_by_trial(held_out)
         return replace(
@@ -153,7 +187,7 @@ class Sketch:
         )
 
     def over_all_rows(self, columns: Array) -> Array:
-        """(K, R, C) of what is known on these rows, (K, rows, C); straight on between them."""
+        """(K, R, C) columns from (K, rows, C), linear between these rows."""
         every = np.arange(self.rows[-1] + 1)
         after = np.clip(np.searchsorted(self.rows, every), 1, len(self.rows) - 1)
         begin, end = self.rows[after - 1], self.rows[after]
@@ -162,7 +196,7 @@ class Sketch:
 
 
 def sketched(problem: Problem, simulator: Simulator, rows: NDArray[np.int64]) -> Problem:
-    """The problem with a sketch of it, of some rows that `simulator` goes through alone."""
+    """The problem with a sketch: `simulator` simulates these rows alone."""
     part = replace(
         problem,
         simulator=simulator,
@@ -182,7 +216,7 @@ def prepare(
     fold: NDArray[np.int64],
     used: NDArray[np.bool_],
 ) -> Problem:
-    """Predict the nominal mechanism and what each tolerance changes of it."""
+    """Predict the nominal mechanism, and the change by each tolerance."""
     nominal = simulator.predict([{}])[0]
     std = {term: p.typical for term, p in parameters_of(simulator.tolerances).items()}
     columns = [simulator.predict([{term: value}])[0] - nominal for term, value in std.items()]
@@ -200,25 +234,25 @@ def prepare(
 
 
 def excess(mean_square: float, floor: float) -> float:
-    """Root mean square left beyond the floor, never below what can be resolved."""
+    """RMS residual beyond the floor, at least what can be resolved."""
     beyond = max(mean_square - floor**2, 0.0)
     return float(np.sqrt(beyond + (RESOLUTION * floor) ** 2))
 
 
 def is_logarithmic(parameter: Parameter) -> bool:
-    """Times and lengths that are never zero are sought by their logarithm."""
+    """Times and lengths that are never zero are fitted by their logarithm."""
     return parameter.role == "shape" and parameter.low > 0.0
 
 
 def to_scaled(parameter: Parameter, value: float) -> float:
-    """The value as the search has it."""
+    """The scaled value."""
     if parameter.relative:
         return float(np.log1p(value) / np.log1p(parameter.typical))
     return float(np.log(value)) if is_logarithmic(parameter) else value / parameter.typical
 
 
 def from_scaled(parameter: Parameter, scaled: float) -> float:
-    """The value that the search means, within the plausible range."""
+    """The value of a scaled one, within the plausible range."""
     if parameter.relative:
         value = float(np.expm1(scaled * np.log1p(parameter.typical)))
     else:
@@ -227,12 +261,12 @@ def from_scaled(parameter: Parameter, scaled: float) -> float:
 
 
 def unit_of(parameter: Parameter, value: float) -> float:
-    """By how much the value moves as the scaled one moves by one."""
+    """Derivative of the value by the scaled one."""
     if parameter.relative:
         return float((1.0 + value) * np.log1p(parameter.typical))
     return value if is_logarithmic(parameter) else parameter.typical
 
 
 def prior_precision(parameter: Parameter) -> float:
-    """Of the scaled value about zero for a size, about its start for a shape."""
+    """Prior precision of a scaled value: about zero for a size, about its start for a shape."""
     return SIZE_PRIOR**-2 if parameter.role == "size" else 1.0

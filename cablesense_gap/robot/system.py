@@ -5,13 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.diagnosis.gauss_newton import final_refinement, refit
-from cablesense_gap.diagnosis.probability import bundled_calibration, posterior
 from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.pipeline import FOLDS, System, Unlisted, diagnose_system
 from cablesense_gap.robot.model import Robot
@@ -20,7 +17,7 @@ from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.protocol import next_experiment
 from cablesense_gap.robot.recording import RobotRecording
 from cablesense_gap.robot.simulator import MotionComparison, RobotSimulator
-from cablesense_gap.simulator import Assignment, Candidate, Term
+from cablesense_gap.simulator import Assignment, Term
 from cablesense_gap.verdict import ChannelGap, Verdict, Where
 
 UNIT = "floors"
@@ -29,8 +26,6 @@ _FOLLOWS, _OTHER_UNIT = 0.8, 5.0
 """Least correlation of a channel with the model's, and the ratio of both that is doubtful."""
 _AT_ZERO = 0.002
 """Share of a joint's span within which its position counts as zero."""
-_STEPS, _RENAMED = 12, 3
-"""Gauss-Newton steps of an explanation with another name, and explanations that are renamed."""
 _FAR_OFF = 3.0
 """Standard deviations that one tolerance among many may be off."""
 
@@ -52,31 +47,8 @@ class RobotSystem(RobotSimulator, System):
         self._floor = motion.floor
 
     def completed(self, problem: Problem, found: Sequence[Explanation]) -> list[Explanation]:
-        """Also the most probable ones with other names for the effects of links in them.
-
-        A wrong mass, a shifted centre and a payload change the same ten numbers of a link, each
-        under its own law. A search that starts with one of them finds numbers that leave little
-        for another to explain; so each is also fitted in place of another.
-        """
-        calibration = bundled_calibration()
-
-        def cost(one: Explanation) -> float:
-            sizes = calibration.size / calibration.power * one.sizes
-            return float(np.log(problem.cost_of(one)) + sizes)
-
-        known = {e.effects: e for e in (_with_outliers(problem, each) for each in found)}
-        ranked = posterior(list(known.values()), problem.floor, calibration)
-        named = [r.explanation for r in ranked if r.explanation and r.explanation.effects]
-        of_links = {c.effect: c for c in self.candidates if c.places == self.robot.bodies}
-        for first in named[:_RENAMED]:
-            names = set(first.effects)
-            for one, other in product(names & set(of_links), set(of_links) - names):
-                fitted = refit(problem, _renamed(first, one, of_links[other]), _STEPS)
-                if fitted is not None:
-                    fitted = _with_outliers(problem, final_refinement(problem, fitted)[0])
-                    rival = known.setdefault(fitted.effects, fitted)
-                    known[fitted.effects] = min(rival, fitted, key=cost)
-        return list(known.values())
+        """The same explanations; one tolerance far off weighs as much as all of them off."""
+        return [_with_outliers(problem, each) for each in found]
 
     def where(self, values: Mapping[Term, float], residual: Array) -> Where:
         """Joints, bodies and tendons of the effects; of a coupling the joint of its drive."""
@@ -200,14 +172,6 @@ def diagnose(
             system.compared,
         ),
     )
-
-
-def _renamed(explanation: Explanation, one: str, other: Candidate) -> dict[Term, float]:
-    """Values to start from, with another effect in the places of one."""
-    places = dict.fromkeys(term.place for term in explanation.values if term.effect == one)
-    kept = {term: value for term, value in explanation.values.items() if term.effect != one}
-    new = {Term(other.effect, at, p.name): p.default for at in places for p in other.parameters}
-    return kept | new
 
 
 def _with_outliers(problem: Problem, explanation: Explanation) -> Explanation:

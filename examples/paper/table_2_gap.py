@@ -64,7 +64,7 @@ PRIOR_UNLISTED = 0.2
 
 _INDEPENDENT = 5.4
 """What the 54 numbers count for among explanations that all leave most: a tenth, as the search has
-it (`diagnosis.evidence.CORRELATION`)."""
+it (`diagnosis.linear_fit.CORRELATION`)."""
 
 _SEED = 1
 _SMALLEST_N, _LARGEST_N = 0.5, 3.0

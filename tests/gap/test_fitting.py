@@ -1,4 +1,4 @@
-"""Fits of screened effects and pairs: starts, places chosen again, the final refinement."""
+"""Fits of additions: where they start, and the final refinement."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from gap_problem import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.diagnosis.fitting import fit, reselect_places
+from cablesense_gap.diagnosis.columns import linear_effects
+from cablesense_gap.diagnosis.fitting import fit
 from cablesense_gap.diagnosis.gauss_newton import final_refinement, refine
-from cablesense_gap.diagnosis.places import linear_effects
-from cablesense_gap.diagnosis.screening import screen_pairs, screen_singles
+from cablesense_gap.diagnosis.selection import Selection
 from cablesense_gap.simulator import Candidate, Term
 
 GAIN, AMOUNT, RATE = amount("gain", "b"), amount("fading", "x"), Term("fading", "x", "rate")
@@ -34,14 +34,17 @@ PLAIN = linear("gain", "abc")
 TRIED = replace(FADING, parameters=(size("amount"), replace(rate(), trials=(1.0, 5.0, 25.0))))
 
 
-def offered_for(library, truth):
+def proposed(library, truth, about=None):
     problem = problem_of(Sums(library), truth)
-    return problem, {c.effect: linear_effects(problem, c) for c in problem.simulator.candidates}
+    about = about or refine(problem, {}, [[]])
+    offered = [e for c in problem.simulator.candidates for e in linear_effects(problem, c)]
+    others = [e for e in offered if e.effect not in about.effects]
+    return problem, Selection(problem, about, others).additions()
 
 
-def fitted(library, truth):
-    problem, offered = offered_for(library, truth)
-    return fit(problem, screen_singles(problem, offered)[0])
+def fitted(library, truth, about=None):
+    problem, proposals = proposed(library, truth, about)
+    return min(fit(problem, proposals[0]), key=problem.judged)
 
 
 @given(st.floats(0.3, 20.0), st.booleans())
@@ -90,92 +93,27 @@ def test_what_saturates_is_begun_smaller_too():
 
 def test_a_pair_has_its_planted_numbers():
     truth = {GAIN: 1.0, AMOUNT: 5.0, RATE: 5.0}
-    problem, offered = offered_for({**PLAIN, TRIED: FADES}, truth)
-    found = fit(problem, screen_pairs(problem, offered, FLOOR**2)[0])
+    found = fitted({**PLAIN, TRIED: FADES}, truth)
     assert found.effects == ("fading", "gain")
     assert found.values == pytest.approx(truth, rel=0.1)
 
 
-def test_beside_what_is_fitted_both_are_fitted_on():
-    """The first alone was wrong, as the second was not there."""
+def test_what_is_added_to_and_what_is_added_are_fitted_together():
+    """The first alone was wrong, because the second was missing."""
     resembling = linear("gain", "ab", [SIGNALS[0], SIGNALS[1] + 0.7 * SIGNALS[6]])
     truth = {AMOUNT: 5.0, RATE: 5.0, GAIN: 1.0}
-    problem, offered = offered_for({**resembling, TRIED: FADES}, truth)
-    first = fit(
-        problem, next(k for k in screen_singles(problem, offered) if "fading" in k.effects)
-    )
+    problem, proposals = proposed({**resembling, TRIED: FADES}, truth)
+    alone = next(p for p in proposals if p.effects == ("fading",))
+    first = min(fit(problem, alone), key=problem.judged)
     assert first.values[RATE] < 4.0
-    (second,) = screen_singles(problem, offered, first)
-    assert fit(problem, second).values == pytest.approx(truth, rel=0.1)
+    found = fitted({**resembling, TRIED: FADES}, truth, first)
+    assert found.values == pytest.approx(truth, rel=0.1)
 
 
 def test_where_every_start_leaves_too_much_there_is_no_fit():
-    problem, offered = offered_for({TRIED: FADES}, {AMOUNT: 6.0, RATE: 6.0})
-    screened = screen_singles(problem, offered)[0]
-    assert fit(problem, replace(screened, most_left=1e-6)) is None
-    assert (
-        fit(problem, replace(screened, most_left=screened.placed.mean_square * 10.0)) is not None
-    )
-
-
-TWO_EFFECTS = {**linear("gain", "abcd"), **linear("zero", "abc", SIGNALS[4:])}
-A, B, C, D = (amount("gain", place) for place in "abcd")
-ZERO_A, ZERO_B, ZERO_C = (amount("zero", place) for place in "abc")
-EACH = st.sampled_from([-1.5, -0.5, 0.5, 2.0])
-
-
-def rethought(truth, terms, offered=("gain", "zero")):
-    """Second thoughts on an explanation that was fitted with these terms."""
-    problem = problem_of(Sums(TWO_EFFECTS), truth)
-    before = refine(problem, {term: size("amount") for term in terms}, [[0.5] * len(terms)])
-    by_name = {c.effect: linear_effects(problem, c) for c in problem.simulator.candidates}
-    after = reselect_places(problem, before, {name: by_name[name] for name in offered})
-    return before, after
-
-
-@pytest.mark.parametrize("wrong", [(B, ZERO_A), (A, ZERO_C), (B, ZERO_C), (B, C, ZERO_B)])
-def test_a_pair_in_wrong_places_is_put_right(wrong):
-    truth = {A: 1.0, ZERO_A: -0.8}
-    before, after = rethought(truth, wrong)
-    assert after.values == pytest.approx(truth, abs=0.05)
-    assert after.held_out_rmse == pytest.approx(FLOOR, rel=0.15)
-    assert after.held_out_rmse < before.held_out_rmse
-
-
-def test_a_missing_place_is_added():
-    truth = {A: 1.0, C: 0.7, ZERO_A: -0.8}
-    assert rethought(truth, [A, ZERO_A])[1].values == pytest.approx(truth, abs=0.05)
-
-
-@pytest.mark.parametrize("idle", [[B], [C, D], [ZERO_B], [B, ZERO_C]])
-def test_places_that_do_nothing_are_left_out(idle):
-    truth = {A: 1.0, ZERO_A: -0.8}
-    assert rethought(truth, [*truth, *idle])[1].values == pytest.approx(truth, abs=0.05)
-
-
-def test_of_a_single_effect_too_places_that_do_nothing_are_left_out():
-    assert set(rethought({A: 1.0}, [C, A, D])[1].values) == {A}
-
-
-@pytest.mark.slow
-@given(
-    st.dictionaries(st.sampled_from([A, B, C, D]), EACH, min_size=1),
-    st.dictionaries(st.sampled_from([ZERO_A, ZERO_B, ZERO_C]), EACH, min_size=1),
-)
-@settings(max_examples=20, deadline=None)
-def test_places_that_are_needed_stay(gains, zeros):
-    truth = {**gains, **zeros}
-    assert rethought(truth, truth)[1].values == pytest.approx(truth, abs=0.05)
-
-
-def test_both_effects_stay_even_if_one_does_nothing():
-    """Whether it is named is for others to say."""
-    assert rethought({A: 1.0}, [A, ZERO_A])[1].effects == ("gain", "zero")
-
-
-def test_an_effect_that_is_not_offered_stays_where_it_is():
-    _, after = rethought({A: 1.0, ZERO_A: -0.8}, [B, ZERO_B], offered=["zero"])
-    assert {term for term in after.values if term.effect == "gain"} == {B}
+    problem, proposals = proposed({TRIED: FADES}, {AMOUNT: 6.0, RATE: 6.0})
+    assert fit(problem, replace(proposals[0], most_left=1e-6)) == []
+    assert fit(problem, replace(proposals[0], most_left=1e3)) != []
 
 
 COUPLED_GAIN, OFF = amount("gain", "a"), amount("scatter", "b")
@@ -203,8 +141,8 @@ def coupled():
 def test_tolerances_are_taken_as_they_act_beside_the_effect():
     problem = coupled()
     rough = fitted_coupled(problem)
-    smooth, about = final_refinement(problem, rough)
-    assert not np.allclose(about.tolerance_columns, problem.tolerance_columns)
+    smooth, columns = final_refinement(problem, rough)
+    assert not np.allclose(columns, problem.tolerance_columns)
     assert rough.held_out_rmse > 10.0 * FLOOR
     assert smooth.held_out_rmse < 1.1 * FLOOR
     assert smooth.values[COUPLED_GAIN] == pytest.approx(2.0, abs=0.02)

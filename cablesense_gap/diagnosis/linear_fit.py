@@ -1,12 +1,12 @@
-"""What a linear model of the residual explains, on trials that it was not fitted to.
+"""Linear fits of a residual, judged on held-out trials.
 
-All is done on the products X'X, X'y and y'y of each trial, so that a fit without some of the
-trials costs no more than the solution of a small system. Where tolerances b are always fitted
-along and a few other columns c are chosen among many, b is eliminated once (Schur complement):
+A fit needs only the products X'X, X'y and y'y of each trial, so a fit without some of the trials
+is the solution of a small system. If tolerances b are always fitted and a few other columns c are
+chosen among many, b is eliminated once (Schur complement) over the trials outside a fold:
 
     b = b₀ - B c,    b₀ = w S X_b'y,    B = w S X_b'X_c,    S = (w X_b'X_b + P_b)⁻¹
 
-over the trials outside a fold, and what is left in the fold is a quadratic form of c.
+The residual sum of squares in the fold is then a quadratic form of c.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from cablesense_base import Array
 Indices = NDArray[np.int64]
 
 CORRELATION = 10.0
-"""Neighbouring samples share what no candidate explains: that part counts for as many fewer."""
+"""Samples that share a residual which no candidate explains: they count as one."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def products(columns: Array, residual: Array, trial: Indices, used: NDArray[np.b
 
 
 def weight(mean_square: float, floor: float) -> float:
-    """Inverse variance that one number deserves when so much is left unexplained."""
+    """Inverse variance of one number at a mean square residual, part of which is correlated."""
     return 1.0 / (floor**2 + CORRELATION * max(mean_square - floor**2, 0.0))
 
 
@@ -146,7 +146,7 @@ class Reduced:
         return np.asarray(np.maximum(left, 0.0) / self._count)
 
     def base_chi2(self, sets: NDArray[np.int64], count: int) -> Array:
-        """(N,) sums of squares of the first of the base beside each set, fitted to all trials."""
+        """(N,) sums of squares of the first base columns with each set, fitted to all trials."""
         found = self._solved(sets)[-1]
         by = np.moveaxis(self._by[:count][:, sets], 0, 1)
         base = self._first[:count] - (by * found[:, None]).sum(-1)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.diagnosis.evidence import (
+from cablesense_gap.diagnosis.linear_fit import (
     Products,
     Reduced,
     fold_solutions,

@@ -1,0 +1,151 @@
+"""Planted effects and places are chosen, and no others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gap_problem import (
+    FLOOR,
+    SIGNALS,
+    TIME,
+    TRIAL,
+    Sums,
+    amount,
+    linear,
+    problem_of,
+    scatter,
+    size,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cablesense_gap.diagnosis.columns import linear_effects, own_columns
+from cablesense_gap.diagnosis.gauss_newton import refine, refit
+from cablesense_gap.diagnosis.selection import Selection
+from cablesense_gap.simulator import Candidate, Term
+
+PLACES = tuple("abcdefgh")
+SPREAD = linear("gain", PLACES)
+GAINS, ZEROS = linear("gain", "abcd"), linear("zero", "abcd", SIGNALS[4:])
+EVERYWHERE = linear("gain", ("arm", "a", "b", "c", "d"))
+SIZES = st.sampled_from([-1.5, -0.4, 0.4, 2.0])
+
+
+def selection(problem, about=None):
+    about = about or refine(problem, {}, [[]])
+    offered = [e for c in problem.simulator.candidates for e in linear_effects(problem, c)]
+    return Selection(problem, about, [e for e in offered if e.effect not in about.effects])
+
+
+def sizes_of(proposal):
+    terms = [effect.terms[0] for effect in proposal.added]
+    return dict(zip(terms, proposal.coefficients, strict=True))
+
+
+def added(effects, truth, seed=0):
+    """Sizes in the best addition to the nominal mechanism."""
+    return sizes_of(selection(problem_of(Sums(effects), truth, seed)).additions()[0])
+
+
+def as_planted(found, truth):
+    """A site that chance added may stay, with next to nothing in it."""
+    return found == pytest.approx({**dict.fromkeys(found, 0.0), **truth}, abs=0.05)
+
+
+def planted(gains, zeros=()):
+    zeros = dict(zeros)
+    return {amount("gain", p): v for p, v in gains.items()} | {
+        amount("zero", p): v for p, v in zeros.items()
+    }
+
+
+@given(
+    st.dictionaries(st.sampled_from(PLACES), SIZES, min_size=1, max_size=4), st.integers(0, 100)
+)
+@settings(max_examples=15, deadline=None)
+def test_planted_places_are_found_and_no_others(truth, seed):
+    truth = planted(truth)
+    assert as_planted(added(SPREAD, truth, seed), truth)
+
+
+@given(
+    st.dictionaries(st.sampled_from("abcd"), SIZES, min_size=1, max_size=2),
+    st.dictionaries(st.sampled_from("abcd"), SIZES, min_size=1, max_size=2),
+    st.integers(0, 100),
+)
+@settings(max_examples=15, deadline=None)
+def test_planted_pairs_are_found_with_all_places(gains, zeros, seed):
+    truth = planted(gains, zeros)
+    assert as_planted(added({**GAINS, **ZEROS}, truth, seed), truth)
+
+
+@pytest.mark.parametrize("gains", [{"arm": 0.5}, {"b": 0.5}, {"a": 0.5, "d": -0.8}])
+@pytest.mark.parametrize("zeros", [{}, {"b": 1.0}])
+def test_an_effect_is_everywhere_or_in_places(gains, zeros):
+    truth = planted(gains, zeros)
+    assert added({**EVERYWHERE, **ZEROS}, truth) == pytest.approx(truth, abs=0.05)
+
+
+def test_what_is_nearly_the_same_everywhere_is_not_taken_apart():
+    """Place by place explains a little more of something that nothing explains."""
+    truth = planted({"a": 0.56, "b": 0.44, "c": 0.55, "d": 0.45}, {"b": 1.0})
+    teeth = 0.5 * np.outer(np.sin(40.0 * TIME), [1.0, 1.0, 1.0])
+    uneven = teeth + Sums({**EVERYWHERE, **ZEROS}).predict([truth])[0]
+    assert set(added({**EVERYWHERE, **ZEROS}, uneven)) == set(planted({"arm": 1}, {"b": 1}))
+
+
+def test_what_holds_in_one_trial_alone_is_no_place():
+    """It explains what it was fitted to, and nothing of the held-out trials."""
+    once = np.array([SIGNALS[0], SIGNALS[1] * (TRIAL == 3)[:, None]])
+    assert set(added(linear("gain", "ab", once), planted({"a": 1.0, "b": 1.0}))) == set(
+        planted({"a": 1.0})
+    )
+
+
+def test_two_places_of_which_either_alone_explains_nothing_are_found_together():
+    """Two cables that pull against each other: only their difference shows."""
+    alike = SIGNALS[0] + SIGNALS[1]
+    signals = np.array([10.0 * alike + SIGNALS[2], -10.0 * alike, SIGNALS[3], SIGNALS[4]])
+    truth = planted({"a": 1.0, "b": 1.0, "c": 3.0})
+    assert set(added(linear("gain", "abcd", signals), truth)) == set(truth)
+
+
+def test_two_effects_are_seen_through_a_third_that_resembles_both():
+    """Alone it explains more than either."""
+    both = SIGNALS[1] + SIGNALS[6] + 0.5 * np.outer(np.sin(40.0 * TIME), [1.0, -1.0, 1.0])
+    library = {**linear("resembling", "a", [both]), **GAINS, **ZEROS}
+    truth = planted({"b": 1.0}, {"c": 1.0})
+    assert added(library, truth) == pytest.approx(truth, abs=0.05)
+
+
+def test_a_size_that_cannot_be_is_no_site():
+    """The signal of "a" would have to be taken away, which it cannot be."""
+    candidate = Candidate("load", ("a", "b"), (replace(size("amount"), low=0.0),))
+    by_place = dict(zip("ab", SIGNALS, strict=False))
+    library = {candidate: lambda place, numbers: numbers["amount"] * by_place[place]}
+    assert set(added(library, 2.0 * SIGNALS[1] - 3.0 * SIGNALS[0])) == {amount("load", "b")}
+
+
+def test_what_the_explanation_explains_already_is_not_counted_twice():
+    """Tolerances are off by three deviations, and an addition sees that too."""
+    off = {Term("scatter", "a", "amount"): 1.5, Term("scatter", "b", "amount"): -1.5}
+    problem = problem_of(
+        Sums({**GAINS, **ZEROS}, scatter(0.5)), planted({"b": 1.0}, {"a": 0.5}) | off
+    )
+    (proposal,) = selection(problem, refit(problem, planted({"b": 1.0}), 3)).singles()
+    assert proposal.effects == ("gain", "zero")
+    assert sizes_of(proposal) == pytest.approx(planted({}, {"a": 0.5}), abs=0.05)
+    strained = FLOOR * 0.2 * np.cbrt(18.0 / 2.0)
+    assert strained < proposal.forecast
+
+
+@pytest.mark.parametrize("idle", [{"a": 0.5}, {"c": 0.5, "d": 0.5}])
+def test_sites_of_a_fit_that_do_nothing_are_not_kept(idle):
+    truth = planted({"b": 1.0}, {"a": -0.8})
+    problem = problem_of(Sums({**GAINS, **ZEROS}), truth)
+    fitted = refit(problem, truth | planted(idle), 3)
+    nothing, sites = own_columns(problem, fitted)
+    kept = Selection(problem, nothing, sites).kept()
+    assert {sites[k].terms[0] for k in kept} == set(truth)
