@@ -17,7 +17,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 # Of every file of a release, so that each platform's wheel passes.
 HASHES := build/uv/bin/uv pip compile --quiet --no-deps --generate-hashes --no-annotate --custom-compile-command 'make lock'
 # An editable installation is made again when a requirement, an entry point or a package has changed.
-REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py examples/paper/__init__.py)
+REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-fast lint setup models limits lock verify clean
@@ -101,4 +101,3 @@ $(BIN)/python:
 build/mypy:
 	@mkdir -p $@
 	@ln -sfn ../../training $@/cablesense_training
-	@ln -sfn ../../examples/paper $@/cablesense_paper

@@ -81,7 +81,7 @@ EXTRAS = {
 }
 
 
-FOLDERS = {"cablesense_training": "training", "cablesense_paper": "examples/paper"}
+FOLDERS = {"cablesense_training": "training"}
 """Packages whose folder has another name."""
 
 
@@ -98,7 +98,13 @@ def data_files() -> list[tuple[str, list[str]]]:
     share = Path("share", NAME)
     placed = {Path("share/ament_index/resource_index/packages"): [f"resource/{NAME}"]}
     placed[share] = ["package.xml"]
-    for source, target in (("config", "config"), ("cablesense_ros/launch", "launch")):
+    placed[share / "examples"] = ["examples/__init__.py"]
+    sources = (
+        ("config", "config"),
+        ("cablesense_ros/launch", "launch"),
+        ("examples/paper", "examples/paper"),
+    )
+    for source, target in sources:
         for file in sorted(Path(source).rglob("*")):
             if file.is_file() and "__pycache__" not in file.parts:
                 folder = share / target / file.parent.relative_to(source)

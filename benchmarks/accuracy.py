@@ -18,7 +18,6 @@ from typing import Any
 
 import harness
 
-from cablesense_paper.boosting import BoostingBaseline, BoostingSettings
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
@@ -43,6 +42,7 @@ from cablesense_training.inference.metadata import find_model
 from cablesense_training.model_training import single_contact_answer
 from cablesense_training.networks import SingleContactNetwork
 from cablesense_training.recipes import build_network, recipe_for
+from examples.paper.boosting import BoostingBaseline, BoostingSettings
 
 TEST_SEED = 20_260_001
 TRAIN_SEED = 0

@@ -5,18 +5,26 @@
 Random cables of two to nine elastic pieces, softer and stiffer, over guides of random grip, pulled
 at random with their slack. At every rest of the law a search over all patterns of sticking and
 sliding says what the tensions have to be (up to five pieces), and a simulation in time says what
-they become along the path between rows (`chain_reference`); the law comes as near to that as its
+they become along the path between rows; the law comes as near to that as its
 steps are short. Errors are the largest over rows and pieces, by the range of the history.
+
+The P pieces of a cable lie between its ends and G = P - 1 guides. On both sides of a guide the
+tensions stay within a factor exp(grip) of each other (grip: friction times wrap angle), and cable
+passes only at that bound, towards the higher tension. A piece without stretch has no tension.
+
+`searched` tries all patterns of sticking and sliding; in `timed` a little viscosity at the guides
+decides. A history is the stretch (R, P) that the pieces would have had nothing passed any guide:
+an actuator that takes in cable adds to that of the first piece, a joint that opens to its own.
 """
 
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from itertools import product
+from typing import Any, NamedTuple
 
 import harness
 import numpy as np
-from chain_reference import random_history, searched, timed
 
 from cablesense_base import Array
 from cablesense_sim.cable_chain import CableChains
@@ -117,6 +125,125 @@ def _losses(
 
 def _summary(errors: list[float]) -> dict[str, float]:
     return harness.percentiles(errors, ["median", "95 %", "worst"], 7)
+
+
+_CLOSE = 1e-9
+
+
+class Course(NamedTuple):
+    """What a cable does along R rows of a history.
+
+    Attributes:
+        tension_n: (R, P).
+        passed_m: (R, G) over each guide towards the last piece since the first row.
+    """
+
+    tension_n: Array
+    passed_m: Array
+
+
+def searched(stiffness_n_m: Array, grip: Array, stretch_m: Array, substeps: int = 1) -> Course:
+    """By the one of the 3^G patterns of sticking, sliding out and sliding in that is admissible.
+
+    Args:
+        stiffness_n_m: (P,) of the pieces.
+        grip: (G,) or (R, G).
+        stretch_m: (R, P) if nothing passed; the first row's tensions must hold as they are.
+        substeps: into which each row is divided evenly; a rest is found after every one.
+
+    Raises:
+        ValueError: no pattern is admissible, or two with different tensions are.
+    """
+    rows, guides = len(stretch_m), len(stiffness_n_m) - 1
+    grips = np.broadcast_to(grip, (rows, guides))
+    passes = np.eye(guides + 1, guides) - np.eye(guides + 1, guides, k=-1)
+    patterns = np.array(list(product((0, 1, -1), repeat=guides)))
+    passed, found = np.zeros(guides), []
+    for row in range(rows):
+        before = max(row - 1, 0)
+        for share in np.arange(1, substeps + 1) / substeps:
+            stretch = stretch_m[before] + share * (stretch_m[row] - stretch_m[before])
+            bound = grips[before] + share * (grips[row] - grips[before])
+            if stretch.sum() <= 0.0:  # wherever the slack lies, no piece has tension
+                even = stretch.sum() / stiffness_n_m / (1.0 / stiffness_n_m).sum()
+                passed, tension = np.cumsum(even - stretch)[:-1], np.zeros(guides + 1)
+                continue
+            passed, tension = _admissible(stiffness_n_m, passes, patterns, bound, stretch, passed)
+        found.append((tension, passed))
+    tensions, lengths = zip(*found, strict=True)
+    return Course(np.array(tensions), np.array(lengths))
+
+
+def _admissible(
+    stiffness: Array, passes: Array, patterns: Array, bound: Array, stretch: Array, before: Array
+) -> tuple[Array, Array]:
+    """Cable passed (G,) and tensions (P,), from the cable passed `before`."""
+    stick = patterns == 0
+    ratio = np.exp(patterns * bound)
+    by_passed = stiffness[:, None] * passes
+    unpassed = stiffness * stretch
+    slide = by_passed[1:] - ratio[..., None] * by_passed[:-1]
+    matrix = np.where(stick[..., None], np.eye(len(bound)), slide)
+    right = np.where(stick, before, ratio * unpassed[:-1] - unpassed[1:])
+    passed = np.linalg.solve(matrix, right[..., None])[..., 0]
+    tension = unpassed + passed @ by_passed.T
+    scale_n, scale_m = np.abs(unpassed).max(), np.abs(unpassed / stiffness).max()
+    low, high = np.sort(np.stack([tension[:, 1:], tension[:, :-1]]), axis=0)
+    holds = high <= np.exp(bound) * low + _CLOSE * scale_n
+    onward = patterns * (passed - before) >= -_CLOSE * scale_m
+    taut = low >= -_CLOSE * scale_n
+    right_ones = np.flatnonzero((np.where(stick, holds, onward) & taut).all(axis=-1))
+    if not len(right_ones):
+        raise ValueError("no pattern of sticking and sliding is admissible")
+    if np.ptp(tension[right_ones], axis=0).max() > 1e3 * _CLOSE * scale_n:
+        raise ValueError("two patterns with different tensions are admissible")
+    return passed[right_ones[0]], tension[right_ones[0]]
+
+
+def timed(stiffness_n_m: Array, grip: Array, stretch_m: Array, steps: int = 4000) -> Course:
+    """By explicit steps in time: over each guide cable passes in proportion to what is too much.
+
+    Args:
+        stiffness_n_m: (..., P) of the pieces.
+        grip: (..., G).
+        stretch_m: (R, ..., P) if nothing passed.
+        steps: in time from row to row; the slower, the nearer to rests.
+    """
+    near, far = stiffness_n_m[..., :-1], stiffness_n_m[..., 1:]
+    factor = np.exp(grip)
+    mobility = 0.4 / (factor * (near + far))
+    passed = np.zeros(stretch_m[0, ..., 1:].shape)
+    tensions, lengths = [], []
+    for before, row in zip(stretch_m[[0, *range(len(stretch_m) - 1)]], stretch_m, strict=True):
+        for share in np.arange(1, steps + 1) / steps:
+            stretch = before + share * (row - before)
+            stretch[..., :-1] += passed
+            stretch[..., 1:] -= passed
+            tension = stiffness_n_m * np.maximum(stretch, 0.0)
+            nearer, farther = tension[..., :-1], tension[..., 1:]
+            outward = np.maximum(farther - factor * nearer, 0.0)
+            passed = passed + mobility * (outward - np.maximum(nearer - factor * farther, 0.0))
+        tensions.append(tension)
+        lengths.append(passed)
+    return Course(np.array(tensions), np.array(lengths))
+
+
+def random_history(rng: np.random.Generator, guides: int, rows: int) -> tuple[Array, Array, Array]:
+    """Stiffness (P,), grips (G,) and stretch (R, P) of a cable that is pulled at random.
+
+    It begins evenly at 50 N. The actuator and each piece move to and fro, by up to three times the
+    cable's stretch; in one history of four the cable goes slack where that is enough.
+    """
+    stiffness = np.exp(rng.uniform(np.log(1e5), np.log(1e6), guides + 1))
+    grip = rng.uniform(0.0, 0.5, guides) * rng.choice([1.0, 0.0], guides, p=[0.9, 0.1])
+    knots = rng.normal(size=(max(2, rows // 4), guides + 1))
+    at = np.linspace(0.0, len(knots) - 1.0, rows)
+    course = np.array([np.interp(at, np.arange(len(knots)), each) for each in knots.T]).T
+    course -= course[0]
+    lowest = -course.sum(axis=1).min()
+    least = rng.choice([0.8, 1.6], p=[0.67, 0.33])
+    size = min(3.0 / np.abs(course).max(), least / max(lowest, 1e-9))
+    return stiffness, grip, 50.0 * (1.0 / stiffness + (1.0 / stiffness).sum() * size * course)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ from typing import Any
 import harness
 import numpy as np
 
-from cablesense_paper.boosting import BoostingBaseline, MultiBoostingBaseline
 from cablesense_sim.arm import open_arm
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
@@ -28,6 +27,7 @@ from cablesense_training.evaluation.comparison import (
 )
 from cablesense_training.evaluation.noise_bound import multi_contact_bound_n
 from cablesense_training.evaluation.table2 import read_table2
+from examples.paper.boosting import BoostingBaseline, MultiBoostingBaseline
 
 TEST_SEED = 20_260_001
 TRAINING_SAMPLES = 50_000

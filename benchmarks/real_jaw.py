@@ -74,8 +74,9 @@ def _found(path: Path, fitted: list[pd.DataFrame], unseen: list[pd.DataFrame]) -
         other = _recording(folder / "unseen.csv", unseen, robot)
         found = diagnose(one, robot)
         write_amended(folder, robot, found.amended, {})
-        models: Any = ((robot, {}), load_amended(folder))
-        gaps = [predicted(other, *model).gaps[0][2] for model in models]
+        gaps = [
+            predicted(other, *model).gaps[0][2] for model in ((robot, {}), load_amended(folder))
+        ]
     verdict = found.verdict
     return {
         "effects": verdict.effects,

@@ -11,7 +11,7 @@ import harness
 
 from cablesense_base import CableSenseError
 from cablesense_base.files import write_atomically
-from cablesense_paper.table_2_gap import REHEARSAL, diagnose_table
+from examples.paper.table_2_gap import REHEARSAL, diagnose_table
 
 
 def main() -> None:

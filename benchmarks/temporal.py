@@ -7,8 +7,8 @@ Memoryless estimators get the set-point at every tick, which is more than the no
 there they are silent until the arm rests again, and that is a row of its own. Long sequences show
 whether the state stays right; under friction there are several, as a late start weighs more than
 the time since. Stated intervals are judged by what the load does, as friction hides most of it
-while it falls and after it went. `--write` puts `temporal_ARM.json`, `.md` and a picture of each
-arm into `benchmarks/results/`.
+while it falls and after it went. `--write` puts `temporal_ARM.json` of each arm into
+`benchmarks/results/`.
 """
 
 from __future__ import annotations
@@ -17,10 +17,7 @@ from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
 import harness
-import matplotlib as mpl
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from cablesense_base import Array
@@ -39,8 +36,6 @@ from cablesense_training.evaluation.metrics import (
 from cablesense_training.inference.estimator import Estimates, SequenceEstimator
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.temporal_estimator import open_estimator
-
-mpl.use("Agg")
 
 SEED, LONG_SEED = 7_000_001, 7_000_002
 LONG_S = 300.0
@@ -100,22 +95,16 @@ def main() -> None:
     if options.without_long:
         cases = [case._replace(long_sequences=0) for case in cases]
     for case in cases:
-        figure, axis = plt.subplots(figsize=(4.5, 3.4), layout="constrained")
         result: dict[str, Any] = {
             **harness.origin(),
             "seeds": [SEED, LONG_SEED],
             "protocol": asdict(protocol),
-            "arms": {case.arm: _arm(case, protocol, options.workers, axis)},
+            "arms": {case.arm: _arm(case, protocol, options.workers)},
         }
-        text = _tables(result)
-        print(text)
-        if options.write:
-            name = f"temporal_{case.arm}"
-            harness.write_result(f"{name}.json", result)
-            figure.savefig(harness.write_result(f"{name}.md", text).with_suffix(".png"), dpi=150)
+        harness.publish(f"temporal_{case.arm}.json", result, options)
 
 
-def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: Axes) -> dict[str, Any]:
+def _arm(case: Case, protocol: MotionProtocol, workers: int) -> dict[str, Any]:
     sequences = _drawn(case.arm, replace(protocol, sequences=case.sequences), SEED, workers)
     long = None
     if case.long_sequences:
@@ -123,7 +112,6 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: Axes) -> dict
         long = _drawn(case.arm, long_protocol, LONG_SEED, workers)
     metrics: dict[str, Any] = {}
     moving = unsettled(sequences)  # or did within half a second
-    shown = moving & (sequences.segment > 0)
     for name, model in case.estimators.items():
         estimator = open_estimator(find_model(model))
         found = sequence_estimates(estimator, sequences)
@@ -141,12 +129,6 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int, axis: Axes) -> dict
         if model == "cdsm":
             gated = replace(answer, segment=np.where(moving.ravel(), 0, answer.segment))
             metrics[GATED] = _plain(sequence_metrics(gated, sequences))
-        error = np.sort(_force_error_n(answer, sequences)[shown])
-        axis.plot(error, np.linspace(0.0, 1.0, len(error)), label=name, linewidth=1.2)
-    axis.set_title(f"arm {case.arm}", fontsize=9)
-    axis.set(xlabel="error of the force, N", ylabel="share of contacts in motion")
-    axis.set(xscale="log", xlim=(0.01, 30.0))
-    axis.legend(fontsize=6, frameon=False)
     return {
         "why": case.why,
         "sequences": len(sequences),
@@ -228,80 +210,6 @@ def _intervals(found: Estimates, sequences: Sequences) -> dict[str, dict[str, fl
         for name, rows in phases.items()
         if rows.any()
     }
-
-
-def _tables(result: dict[str, Any]) -> str:
-    lines = [
-        "# Estimators along sequences",
-        "",
-        f"Made by `{result['command']}`. Fresh sequences of "
-        f"{result['protocol']['duration_s']:g} s, a sample every "
-        f"{1000 * result['protocol']['tick_s']:g} ms; contacts of 0 to "
-        f"{result['protocol']['force_high_n']:g} N that come, swell and go. In motion: the "
-        "set-point moves or did within half a second. Contact: share of ticks with the right "
-        "segment, none being one. False force: mean of what is answered where nothing touches.",
-        "",
-    ]
-    for arm, part in result["arms"].items():
-        estimators, rows = part["estimators"], []
-        for name, metrics in estimators.items():
-            cells = [name]
-            for state in ("moving", "rest"):
-                errors = metrics[state]["errors"]
-                direction = errors["direction_mae_deg"]  # none where no contact was found
-                cells += [
-                    f"{metrics[state]['contact_accuracy']:.2%}",
-                    "–" if direction is None else f"{direction:.2f}°",
-                    f"{errors['magnitude_mae_n']:.3f} N",
-                    f"{metrics[f'false_force_{state}_n']:.3f} N",
-                ]
-            rows.append(" | ".join(cells))
-        measured = " | direction | force MAE | false force"
-        headings = f"estimator | contact in motion{measured} | contact at rest{measured}"
-        title = f"## {arm}: {part['why']}"
-        lines += [title, "", f"{part['sequences']} sequences.", ""]
-        lines += [*harness.markdown_table(headings, rows), ""]
-        trained = {name: m for name, m in estimators.items() if "trained by" in m}
-        phases = list(next(iter(trained.values()))["intervals95"])
-        intervals = [
-            " | ".join(
-                [
-                    name,
-                    *(
-                        f"{i['coverage95']:.1%}, {i['half_width_n']:.2f} N" if i else "–"
-                        for phase in phases
-                        for i in [m["intervals95"].get(phase)]
-                    ),
-                ]
-            )
-            for name, m in trained.items()
-        ]
-        starts = (
-            f" {name}, started {', '.join(f'{when}: {n:.2f} N' for when, n in started.items())}."
-            for name, m in trained.items()
-            if (started := m.get("of_long_courses_started"))
-        )
-        if part["long courses"]:
-            errors_n = (
-                f"{name}: " + " ".join(f"{n:.2f}" for n in m["by_tenth_of_the_long_courses"])
-                for name, m in trained.items()
-            )
-            lines += [
-                f"Force error along {LONG_S:g} s, by tenths of it, mean of "
-                f"{part['long courses']}: {'; '.join(errors_n)} N.{''.join(starts)}",
-                "",
-            ]
-        lines += [
-            "Stated 95 % intervals that hold the force, and half their mean width:",
-            "",
-            *harness.markdown_table(" | ".join(["estimator", *phases]), intervals),
-            "",
-            "Trained by:",
-            "",
-            *(f"- {name}: `{m['trained by']}`" for name, m in trained.items()),
-            "",
-        ]
-    return "\n".join(lines)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """What is installed: the files of `config/`, by path or by the name of one, and the version.
 
-A wheel or a `colcon build` copies `config/` to `share/cablesense_ros/config` under the prefix that
-the package was installed to; a checkout (and an editable installation of one) has it beside the
-packages.
+A wheel or a `colcon build` copies `config/` and the examples that a verb runs to
+`share/cablesense_ros` under the prefix that the package was installed to; a checkout (and an
+editable installation of one) has them beside the packages.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from cablesense_base import CableSenseError
 from cablesense_base.files import is_file
 
-_SHARE = Path("share", "cablesense_ros", "config")
+_SHARE = Path("share", "cablesense_ros")
 
 
 def config_path(name: str) -> Path:
@@ -33,13 +33,26 @@ def config_path(name: str) -> Path:
         raise CableSenseError(
             f"bundled file {name!r}: give a path inside config/, such as 'arms/cdsm.yaml'"
         )
-    roots = _config_roots()
+    roots = [root / "config" for root in _roots()]
     for root in roots:
         candidate = root / relative
         if candidate.exists():
             return candidate
     sought = ", ".join(str(root) for root in roots)
     raise CableSenseError(f"no bundled file {name!r}; sought in {sought}")
+
+
+def examples_parent() -> Path:
+    """The folder that holds `examples/`; on `sys.path` it makes the examples importable.
+
+    Raises:
+        CableSenseError: no installation has it.
+    """
+    for root in _roots():
+        if (root / "examples" / "__init__.py").is_file():
+            return root
+    sought = ", ".join(str(root / "examples") for root in _roots())
+    raise CableSenseError(f"the examples are not installed; sought in {sought}")
 
 
 @dataclass(frozen=True)
@@ -84,13 +97,13 @@ class BundledFiles:
         )
 
 
-def _config_roots() -> list[Path]:
-    """List the folders that may be `config/`; the nearest comes first, so that an overlay wins."""
+def _roots() -> list[Path]:
+    """List the folders that may hold `config/`; the nearest comes first: an overlay wins."""
     module = Path(__file__).resolve()
     checkout = module.parents[1]
     roots = []
     if (checkout / "package.xml").is_file():  # else any site-packages/config would pass for ours
-        roots.append(checkout / "config")
+        roots.append(checkout)
     # the module lies in PREFIX/lib/pythonX.Y/site-packages; Debian puts local/ before lib/
     prefixes = list(module.parents[4:6])
     ament_prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 
 from cablesense_gap.report.style import style
-from cablesense_paper.study import (
+from examples.paper.study import (
     CLOSED_FORM,
     PAPER,
     Agreement,

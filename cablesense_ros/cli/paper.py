@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -10,8 +11,14 @@ from typing import Annotated
 import typer
 from rich.progress import TaskID
 
-from cablesense_paper.study import study_names
+from cablesense_base.installation import examples_parent
 from cablesense_ros.cli.options import ForceOption, JsonOption, print_json, task_bars
+
+
+def _study_names() -> str:
+    """Names of the studies, also for completion: they are the names of their texts."""
+    texts = (examples_parent() / "examples" / "paper" / "studies").glob("*.yaml")
+    return ", ".join(sorted(text.stem for text in texts))
 
 
 def paper(
@@ -32,7 +39,7 @@ def paper(
     only: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME", help=f"Only this study; repeatable. Names: {', '.join(study_names())}."
+            metavar="NAME", help=f"Only this study; repeatable. Names: {_study_names()}."
         ),
     ] = None,
     force: ForceOption = False,
@@ -50,8 +57,10 @@ def paper(
     """
     from rich.console import Console
 
-    from cablesense_paper.report import claim_folder, write_report
-    from cablesense_paper.study import FailedStudyError, chosen_studies, run_study
+    if (parent := str(examples_parent())) not in sys.path:
+        sys.path.insert(0, parent)
+    from examples.paper.report import claim_folder, write_report
+    from examples.paper.study import FailedStudyError, chosen_studies, run_study
 
     for package in ("jinja2", "matplotlib"):  # missing ones are found now, not after minutes
         import_module(package)

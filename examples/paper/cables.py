@@ -205,7 +205,7 @@ def rendered_scenes(names: tuple[str, ...], width: int, height: int) -> tuple[li
     A kind that the environment names in `MUJOCO_GL` is tried first.
     """
     asked = os.environ.get("MUJOCO_GL", "")
-    command = [sys.executable, "-m", __name__, str(width), str(height), *names]
+    command = [sys.executable, __file__, str(width), str(height), *names]
     for backend in sorted(BACKENDS, key=lambda kind: kind != asked):
         environment = {**os.environ, "MUJOCO_GL": backend}
         try:

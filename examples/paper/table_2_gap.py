@@ -29,8 +29,10 @@ from cablesense_gap.diagnosis.search import search
 from cablesense_gap.explained import gap_size, rmse_interval_n
 from cablesense_gap.simulator import Assignment, Term, parameters_of
 from cablesense_gap.verdict import UNKNOWN, CandidateResult, Verdict, Where
-from cablesense_paper.study import PaperError
-from cablesense_paper.tension_changes import (
+from cablesense_sim.arm import Arm, open_arm
+from cablesense_training.evaluation.table2 import read_table2
+from examples.paper.study import PaperError
+from examples.paper.tension_changes import (
     ChangeSimulator,
     Explained,
     OneNumber,
@@ -41,8 +43,6 @@ from cablesense_paper.tension_changes import (
     numbers_of,
     scan,
 )
-from cablesense_sim.arm import Arm, open_arm
-from cablesense_training.evaluation.table2 import read_table2
 
 ARM = "cdsm_table2"
 STEP_N = 0.1813

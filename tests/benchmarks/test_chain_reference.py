@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
-from chain_reference import Course, random_history, searched, timed
-from friction_law import tensions_by_law
+from friction_law import Course, random_history, searched, tensions_by_law, timed
 
 Way = Callable[..., Course]
 

@@ -96,13 +96,10 @@ def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
     source = tmp_path / "source"
     source.mkdir()
     files = ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE", "NOTICE")
-    for name in (*files, "resource", "config"):
+    for name in (*files, "resource", "config", "examples"):
         (source / name).symlink_to(CHECKOUT / name)
-    for package in (
-        *CHECKOUT.glob("cablesense_*/"),
-        *map(CHECKOUT.joinpath, ("training", "examples")),
-    ):
-        if (package / "__init__.py").is_file() or package.name == "examples":
+    for package in (*CHECKOUT.glob("cablesense_*/"), CHECKOUT / "training"):
+        if (package / "__init__.py").is_file():
             (source / package.name).symlink_to(package)
     pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
     subprocess.run(
@@ -113,12 +110,12 @@ def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
     )
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
-    for package in ("msgs_py", "sim", "training", "gap", "paper", "ros"):
+    for package in ("msgs_py", "sim", "training", "gap", "ros"):
         assert f"cablesense_{package}/__init__.py" in names
     for data in ("diagnosis/calibration.json", "report/report.html", "report/page.css"):
         assert f"cablesense_gap/{data}" in names
-    assert "cablesense_paper/paper.html" in names
-    assert "cablesense_paper/studies/friction.yaml" in names
+    for data in ("__init__.py", "paper/paper.html", "paper/studies/friction.yaml"):
+        assert any(n.endswith(f"share/cablesense_ros/examples/{data}") for n in names)
     assert {"cablesense_ros/parameters.yaml", "cablesense_online/page/panel.css"} <= set(names)
     for folder in CHECKOUT.glob("training/*/__init__.py"):
         assert f"cablesense_training/{folder.parent.name}/__init__.py" in names

@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from paper_studies import compared, disagreeing, result_of
 
-from cablesense_paper.studies.friction import (
+from examples.paper.studies.friction import (
     Friction,
     capstan_limit_n,
     friction,
     quasi_static_tensions_n,
     stepped_tensions_n,
 )
-from cablesense_paper.study import PAPER, Agreement
+from examples.paper.study import PAPER, Agreement
 
 MU, WRAP_RAD = 0.2, np.pi
 
@@ -38,16 +38,6 @@ def test_in_slip_the_capstan_leaves_exp_of_minus_mu_theta(coefficient, wrap_rad)
     assert far / near == pytest.approx(np.exp(-coefficient * wrap_rad), rel=1e-6)
 
 
-def test_let_out_again_the_ratio_is_turned_over():
-    back = np.concatenate([np.linspace(8e-6, -1e-6, 1000), np.full(300, -1e-6)])
-    near, far = pulled(Friction.CAPSTAN, then=back)[-1]
-    assert near / far == pytest.approx(np.exp(-0.2 * np.pi), rel=1e-6)
-
-
-def test_without_friction_both_halves_carry_the_same():
-    np.testing.assert_allclose(pulled(Friction.NONE)[-1], 50.0 + 1e7 * 8e-6, rtol=1e-6)
-
-
 @pytest.mark.parametrize("law", [Friction.YIELDING, Friction.CAPSTAN])
 def test_what_yields_holds_for_ever(law):
     tensions = pulled(law, rest=5300)
@@ -64,14 +54,6 @@ def test_frictionloss_lets_go_at_once_as_it_comes_and_in_seconds_when_hardened()
     assert held_n[-1] < 0.2 * limit_n
 
 
-def test_a_fixed_force_is_the_same_at_every_tension():
-    differences = []
-    for high_m in (8e-6, 16e-6):
-        near, far = pulled(Friction.YIELDING, high_m)[-1]
-        differences.append(near - far)
-    assert differences[0] == pytest.approx(differences[1], rel=1e-6)
-
-
 @pytest.mark.parametrize("coefficient", [0.0, 0.1, 0.5])
 def test_in_slip_the_effect_leaves_exp_of_minus_mu_theta(coefficient):
     near, far = quasi_static_tensions_n(np.linspace(0.0, 4e-5, 50), coefficient, WRAP_RAD)[-1]
@@ -82,13 +64,6 @@ def test_both_halves_together_are_as_long_as_the_drive_says():
     path = 1e-6 * np.array([0.0, 3.0, 8.0, 5.0, -2.0, 1.0])
     tensions = quasi_static_tensions_n(path, MU, WRAP_RAD)
     np.testing.assert_allclose(tensions.sum(axis=1), 100.0 + 2e7 * path, rtol=1e-9)
-
-
-def test_the_same_place_has_two_tensions_by_the_history():
-    up_and_down = 1e-6 * np.array([0.0, 4.0, 8.0, 4.0, -1.0, 4.0])
-    near = quasi_static_tensions_n(up_and_down, MU, WRAP_RAD)[:, 0]
-    assert near[1] - near[3] > 10.0
-    assert near[5] > near[3]
 
 
 def test_in_slip_mujoco_comes_to_the_same():
@@ -120,10 +95,3 @@ def test_what_holds_and_what_creeps(result):
     assert left["frictionloss"] < 1.0
     assert 10.0 < left["frictionloss, hardened"] < 60.0
     assert disagreeing(result) == []
-
-
-@pytest.mark.slow
-def test_what_frictionloss_cannot_do_is_stated(result):
-    found = compared(result)
-    assert found["frictionloss and equation (2)", PAPER][2] is Agreement.NO
-    assert found["hysteresis from frictionloss", PAPER][2] is Agreement.PARTLY

@@ -6,8 +6,8 @@ import pytest
 from paper_studies import failing, study
 from typer.testing import CliRunner
 
-from cablesense_paper.study import FailedStudyError, PaperError, StudyResult
 from cablesense_ros.cli.app import app
+from examples.paper.study import FailedStudyError, PaperError, StudyResult
 
 
 def invoke(*arguments):
@@ -36,7 +36,7 @@ def test_after_a_failure_the_others_run_and_the_command_fails(tmp_path, monkeypa
         return StudyResult("It ran.")
 
     chosen = (failing(ZeroDivisionError()), study(work, name="second"))
-    monkeypatch.setattr("cablesense_paper.study.chosen_studies", lambda only: chosen)
+    monkeypatch.setattr("examples.paper.study.chosen_studies", lambda only: chosen)
     result = invoke("--out", str(tmp_path / "report"))
     assert isinstance(result.exception, FailedStudyError)
     assert result.exception.exit_code == 1
@@ -45,21 +45,6 @@ def test_after_a_failure_the_others_run_and_the_command_fails(tmp_path, monkeypa
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     assert "It ran." in page
     assert "ZeroDivisionError" in page
-
-
-def test_results_are_printed_for_programs_as_they_are_written(tmp_path, monkeypatch):
-    chosen = (study(lambda quick, progress: StudyResult("It ran."), name="second"),)
-    monkeypatch.setattr("cablesense_paper.study.chosen_studies", lambda only: chosen)
-    result = invoke("--out", str(tmp_path / "report"), "--json")
-    written = json.loads((tmp_path / "report" / "results.json").read_text(encoding="utf-8"))
-    assert json.loads(result.stdout) == written
-    assert written["studies"][0]["name"] == "second"
-
-
-def test_help_names_the_studies():
-    result = invoke("--help")
-    assert result.exit_code == 0
-    assert "displacement" in result.output
 
 
 @pytest.mark.parametrize("missing", ["jinja2", "matplotlib"])

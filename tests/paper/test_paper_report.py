@@ -2,15 +2,13 @@
 
 import json
 import os
-from pathlib import Path
 
 import pytest
 from html_page import Page
 from paper_studies import DOT, RESULT, failing, ignore, study
 
-from cablesense_gap.report.style import ReportError
-from cablesense_paper.report import claim_folder, paper_page, shown, write_report
-from cablesense_paper.study import PaperError, run_study
+from examples.paper.report import claim_folder, paper_page, write_report
+from examples.paper.study import PaperError, run_study
 
 BROKEN = ZeroDivisionError("the <cable> broke")
 
@@ -66,28 +64,6 @@ def test_quick_mode_states_what_it_reduces(page):
     assert "Quick mode" not in whole.text
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (0.0, "0"),
-        (-0.12345, "−0.1235"),
-        (50.0, "50"),
-        (1e7, "1e7"),
-        (-2.5e-9, "−2.5e−9"),
-        ("none", "none"),
-    ],
-)
-def test_numbers_are_short_and_have_a_true_minus(value, text):
-    assert shown(value) == text
-
-
-def test_a_new_folder_is_made_and_left_empty(tmp_path):
-    folder = tmp_path / "a" / "b"
-    claim_folder(folder)
-    claim_folder(folder)
-    assert list(folder.iterdir()) == []
-
-
 def test_a_folder_that_holds_something_is_refused(tmp_path):
     (tmp_path / "mine.txt").touch()
     with pytest.raises(PaperError, match="is not empty"):
@@ -120,19 +96,3 @@ def test_the_folder_holds_page_pictures_and_numbers(tmp_path):
     assert first["comparisons"][1]["agreement"] == "partly"
     assert "ZeroDivisionError" in second["failure"]
     assert "comparisons" not in second
-
-
-@pytest.mark.parametrize("broken", ["dot.png", "results.json", "report.html"])
-def test_no_file_of_the_folder_is_ever_half_written(tmp_path, monkeypatch, broken):
-    def cut_off(path, content):
-        if broken in path.name:
-            whole(path, content[: len(content) // 2])
-            raise OSError(28, "No space left on device")
-        return whole(path, content)
-
-    whole = Path.write_bytes
-    monkeypatch.setattr(Path, "write_bytes", cut_off)
-    with pytest.raises(ReportError, match=f"{broken}: cannot be written"):
-        write_report(tmp_path, outcomes(), quick=True)
-    assert broken not in {path.name for path in tmp_path.iterdir()}
-    assert not any("part" in path.name for path in tmp_path.iterdir())

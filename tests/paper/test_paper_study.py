@@ -5,15 +5,14 @@ import sys
 
 import matplotlib.pyplot as plt
 import pytest
-from paper_studies import RESULT, failing, ignore, study
+from paper_studies import failing, ignore
 
 from cablesense_gap.report.style import style
-from cablesense_paper import study as studies
-from cablesense_paper.study import (
+from examples.paper import study as studies
+from examples.paper.study import (
     PRINT_DPI,
     PaperError,
     chosen_studies,
-    filled,
     run_study,
     study_names,
     study_result,
@@ -63,27 +62,13 @@ def test_those_that_are_named_are_chosen_and_others_refused():
 @pytest.mark.slow
 def test_listing_the_studies_loads_nothing_heavy():
     code = (
-        "import sys; from cablesense_paper.study import chosen_studies; chosen_studies();"
+        "import sys; from examples.paper.study import chosen_studies; chosen_studies();"
         "print(*(m for m in ('rclpy', 'torch', 'mujoco', 'matplotlib', 'onnxruntime', 'jinja2')"
         " if m in sys.modules))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
     assert result.stdout.strip() == ""
-
-
-def test_a_study_receives_the_mode_and_reports_its_progress():
-    modes, shares = [], []
-
-    def run(quick, progress):
-        modes.append(quick)
-        progress(0.5)
-        return RESULT
-
-    outcome = run_study(study(run), True, shares.append)
-    assert (modes, shares) == ([True], [0.5])
-    assert outcome.result is RESULT
-    assert outcome.failure == ""
 
 
 @pytest.mark.parametrize(
@@ -98,11 +83,6 @@ def test_whatever_a_study_raises_is_part_of_its_outcome(error, text):
     outcome = run_study(failing(error), False, ignore)
     assert outcome.result is None
     assert text in outcome.failure
-
-
-def test_ctrl_c_ends_everything():
-    with pytest.raises(KeyboardInterrupt):
-        run_study(failing(KeyboardInterrupt()), False, ignore)
 
 
 @pytest.mark.parametrize(
@@ -128,21 +108,6 @@ def test_a_comparison_agrees_by_its_rule(ours, rule, agreement, monkeypatch):
     monkeypatch.setattr(studies, "read_study_text", lambda name: text)
     result = study_result("any", {"ours": ours, "limit": 1.0}, {})
     assert [c.agreement for c in result.comparisons] == [agreement]
-
-
-@pytest.mark.parametrize(
-    ("template", "value"),
-    [
-        ("{a}", 1.25),
-        ("{b[c]}", 2),
-        ("{a} N", "1.25 N"),
-        ("{a:.1f} N", "1.2 N"),
-        ("none", "none"),
-        (3.0, 3.0),
-    ],
-)
-def test_a_template_of_one_field_stands_for_its_value(template, value):
-    assert filled(template, {"a": 1.25, "b": {"c": 2}}) == value
 
 
 def test_a_result_is_made_of_text_numbers_and_figures(monkeypatch):

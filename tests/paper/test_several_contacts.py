@@ -3,8 +3,8 @@
 import pytest
 from paper_studies import compared, result_of
 
-from cablesense_paper.studies.several_contacts import several_contacts
-from cablesense_paper.study import PAPER, Agreement
+from examples.paper.studies.several_contacts import several_contacts
+from examples.paper.study import PAPER, Agreement
 
 pytestmark = pytest.mark.slow  # answers samples, grows trees and draws
 

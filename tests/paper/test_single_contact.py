@@ -4,21 +4,19 @@ import numpy as np
 import pytest
 from paper_studies import compared, result_of
 
-from cablesense_paper.boosting import BoostingSettings
-from cablesense_paper.studies.single_contact import (
+from cablesense_training.evaluation.comparison import SHIPPED
+from cablesense_training.inference.metadata import find_model
+from cablesense_training.inference.session import read_model
+from examples.paper.boosting import BoostingSettings
+from examples.paper.studies.single_contact import (
     ALL_SETTINGS,
     FORCE_EDGES_N,
     LABELS,
-    TITLES,
     TREES,
-    answered_as_the_paper_tests,
     answered_setting,
     single_contact,
 )
-from cablesense_paper.study import PAPER, Agreement
-from cablesense_training.evaluation.comparison import SHIPPED
-from cablesense_training.inference.metadata import bundled_models, find_model
-from cablesense_training.inference.session import read_model
+from examples.paper.study import PAPER, Agreement
 
 pytestmark = pytest.mark.slow
 
@@ -26,13 +24,6 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def straight():
     return answered_setting(ALL_SETTINGS[0], 512, 512, BoostingSettings(rounds=10, leaves=15))
-
-
-def test_no_bundled_single_contact_model_is_left_out():
-    asked = {model for setting in ALL_SETTINGS for model in setting.models.values()}
-    single = {name for name in bundled_models() if _from_single_samples(name)}
-    assert asked == single
-    assert {setting.name for setting in ALL_SETTINGS} == set(TITLES)
 
 
 def _from_single_samples(name):
@@ -63,12 +54,6 @@ def test_the_shipped_model_comes_near_the_bound_and_trees_do_not(straight):
     assert sum(part.contacts for part in straight.bound_by_force) == straight.bound.contacts
 
 
-def test_the_paper_tests_without_noise_and_with_contacts_alone():
-    tested = answered_as_the_paper_tests(ALL_SETTINGS[0], 256)
-    assert sum(tested[SHIPPED].metrics.confusion[0]) == 0
-    assert tested[SHIPPED].metrics.errors.magnitude_mae_n < 0.01
-
-
 @pytest.fixture(scope="module")
 def result():
     chosen = [s for s in ALL_SETTINGS if s.name in ("straight", "tensions_only")]
@@ -87,14 +72,3 @@ def test_the_two_stage_network_meets_all_the_papers_errors(result):
         "magnitude error, RMS",
     ):
         assert found[f"two-stage network: {what}", PAPER][2] is Agreement.YES, what
-
-
-def test_every_table_ends_with_what_it_is_measured_against(result):
-    like_paper, *settings = result.tables
-    assert like_paper.rows[-1] == ("the paper", "over 98", 5.96, 9.97, 14.26)
-    assert [table.rows[-1][0] for table in settings] == ["noise bound"] * 2
-
-
-def test_all_four_estimators_are_in_the_first_setting(result):
-    assert len(result.tables[1].rows) == 5
-    assert len(result.pictures) == 5

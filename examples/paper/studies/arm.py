@@ -10,7 +10,15 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.report.style import FLOOR, GRID
-from cablesense_paper.drawing import (
+from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.dynamics import ArmDynamics
+from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
+from cablesense_sim.kinematics import cable_jacobian_m, cable_lengths_m
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.model import build_spec
+from cablesense_training.evaluation.table2 import STANDARD_GRAVITY_M_S2, read_table2
+from examples.paper.drawing import (
     BLACK,
     BLUE,
     DASHES,
@@ -20,15 +28,7 @@ from cablesense_paper.drawing import (
     panels,
     plot_by_cable,
 )
-from cablesense_paper.study import Figures, Numbers, Progress
-from cablesense_sim.arm import open_arm
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.dynamics import ArmDynamics
-from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
-from cablesense_sim.kinematics import cable_jacobian_m, cable_lengths_m
-from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.model import build_spec
-from cablesense_training.evaluation.table2 import STANDARD_GRAVITY_M_S2, read_table2
+from examples.paper.study import Figures, Numbers, Progress
 
 AMPLITUDE_RAD = float(np.deg2rad(10.0))
 PERIOD_S = 4.0

@@ -14,7 +14,8 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.report.style import FLOOR
-from cablesense_paper.cables import (
+from cablesense_sim.cable_chain import CableChains
+from examples.paper.cables import (
     AXIAL_RIGIDITY_N,
     CYLINDER_RADIUS_M,
     LENGTH_M,
@@ -23,9 +24,8 @@ from cablesense_paper.cables import (
     around_a_cylinder,
     drive_direction,
 )
-from cablesense_paper.drawing import BLACK, BLUE, DASHES, GREY, ORANGE, SERIES, one_panel, panels
-from cablesense_paper.study import Figures, Numbers, Progress
-from cablesense_sim.cable_chain import CableChains
+from examples.paper.drawing import BLACK, BLUE, DASHES, GREY, ORANGE, SERIES, one_panel, panels
+from examples.paper.study import Figures, Numbers, Progress
 
 _STICK_STIFFNESS_N_M = 5e8
 """With which friction gives before it slips: fifty times the cable's own."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from cablesense_gap.report.style import plain_log_ticks
-from cablesense_paper.drawing import (
+from examples.paper.drawing import (
     BLACK,
     BLUE,
     DASHES,
@@ -17,7 +17,7 @@ from cablesense_paper.drawing import (
     panels,
     plain_ticks,
 )
-from cablesense_paper.network_trials import (
+from examples.paper.network_trials import (
     DECOUPLED,
     DIRECTION,
     FORCE,
@@ -33,7 +33,7 @@ from cablesense_paper.network_trials import (
     TrialResults,
     explore,
 )
-from cablesense_paper.study import Figures, Numbers, Progress
+from examples.paper.study import Figures, Numbers, Progress
 
 _POSES = {"straight": "straight arm", "random": "poses within ±10°, unknown"}
 _STYLES: dict[str, dict[str, Any]] = {

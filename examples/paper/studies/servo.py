@@ -17,9 +17,10 @@ from scipy.stats import linregress
 
 from cablesense_base import Array
 from cablesense_gap.report.style import FLOOR, plain_log_ticks
-from cablesense_paper.cables import PRETENSION_N, STIFFNESS_N_M, fixed_and_driven
-from cablesense_paper.drawing import BLACK, BLUE, DASHES, ORANGE, SERIES, one_panel, panels
-from cablesense_paper.servo_cable import (
+from cablesense_sim.model import ACTUATOR_MASS_KG
+from examples.paper.cables import PRETENSION_N, STIFFNESS_N_M, fixed_and_driven
+from examples.paper.drawing import BLACK, BLUE, DASHES, ORANGE, SERIES, one_panel, panels
+from examples.paper.servo_cable import (
     INTEGRATORS,
     longest_bounded_step_s,
     positions_at_rest_m,
@@ -27,8 +28,7 @@ from cablesense_paper.servo_cable import (
     stays_bounded,
     tension_at_rest_n,
 )
-from cablesense_paper.study import Figures, Numbers, Progress
-from cablesense_sim.model import ACTUATOR_MASS_KG
+from examples.paper.study import Figures, Numbers, Progress
 
 _PULL_M = 10e-6
 """As the paper is silent on its drive signal: twice the pretension's stretch."""

@@ -8,25 +8,6 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.report.style import plain_log_ticks
-from cablesense_paper.boosting import BoostingSettings, MultiBoostingBaseline
-from cablesense_paper.drawing import (
-    BLACK,
-    DOTTED,
-    draw_confusion,
-    draw_predicted,
-    one_panel,
-    panel_grid,
-)
-from cablesense_paper.studies.single_contact import (
-    LABELS,
-    SHOWN_POINTS,
-    STYLES,
-    TEST_SEED,
-    TRAIN_SEED,
-    TREES,
-    TWO_STAGE,
-)
-from cablesense_paper.study import Figures, Numbers, Progress
 from cablesense_sim.arm import open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
@@ -43,6 +24,25 @@ from cablesense_training.evaluation.comparison import (
 )
 from cablesense_training.evaluation.metrics import confusion_matrix
 from cablesense_training.evaluation.noise_bound import multi_contact_bound_n
+from examples.paper.boosting import BoostingSettings, MultiBoostingBaseline
+from examples.paper.drawing import (
+    BLACK,
+    DOTTED,
+    draw_confusion,
+    draw_predicted,
+    one_panel,
+    panel_grid,
+)
+from examples.paper.studies.single_contact import (
+    LABELS,
+    SHOWN_POINTS,
+    STYLES,
+    TEST_SEED,
+    TRAIN_SEED,
+    TREES,
+    TWO_STAGE,
+)
+from examples.paper.study import Figures, Numbers, Progress
 
 
 def several_contacts(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:

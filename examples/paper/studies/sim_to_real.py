@@ -25,9 +25,11 @@ from cablesense_gap.report.style import (
 )
 from cablesense_gap.report.text import candidate_name
 from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, listed
-from cablesense_paper.drawing import GREEN, one_panel, panels
-from cablesense_paper.study import Figures, Numbers, Progress
-from cablesense_paper.table_2_gap import (
+from cablesense_sim.effects.registry import known_effects
+from cablesense_training.evaluation.table2 import STANDARD_GRAVITY_M_S2
+from examples.paper.drawing import GREEN, one_panel, panels
+from examples.paper.study import Figures, Numbers, Progress
+from examples.paper.table_2_gap import (
     FOLDS,
     KINDS,
     PRIOR_UNLISTED,
@@ -36,9 +38,7 @@ from cablesense_paper.table_2_gap import (
     best_of_each,
     diagnose_table,
 )
-from cablesense_paper.tension_changes import Explained, OneNumber
-from cablesense_sim.effects.registry import known_effects
-from cablesense_training.evaluation.table2 import STANDARD_GRAVITY_M_S2
+from examples.paper.tension_changes import Explained, OneNumber
 
 _ALIKE = 1.05
 """Numbers that leave this much more than the best are called no worse."""

@@ -10,22 +10,6 @@ import numpy as np
 from scipy.stats import binned_statistic
 
 from cablesense_base import Array
-from cablesense_paper.boosting import BoostingBaseline, BoostingSettings
-from cablesense_paper.drawing import (
-    BLACK,
-    BLUE,
-    DASHES,
-    DOTTED,
-    GREEN,
-    ORANGE,
-    VERMILION,
-    draw_confusion,
-    draw_predicted,
-    panel_grid,
-    panels,
-    plain_ticks,
-)
-from cablesense_paper.study import Figures, Numbers, Progress
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.evaluation.comparison import (
@@ -39,6 +23,22 @@ from cablesense_training.evaluation.comparison import (
 )
 from cablesense_training.evaluation.metrics import ContactTruth, angle_difference_deg
 from cablesense_training.evaluation.noise_bound import NoiseBound, noise_bound
+from examples.paper.boosting import BoostingBaseline, BoostingSettings
+from examples.paper.drawing import (
+    BLACK,
+    BLUE,
+    DASHES,
+    DOTTED,
+    GREEN,
+    ORANGE,
+    VERMILION,
+    draw_confusion,
+    draw_predicted,
+    panel_grid,
+    panels,
+    plain_ticks,
+)
+from examples.paper.study import Figures, Numbers, Progress
 
 TEST_SEED, TRAIN_SEED = 20_260_002, 0
 TWO_STAGE, TREES = "two_stage", "gradient_boosting"

@@ -10,15 +10,15 @@ import mujoco
 import numpy as np
 
 from cablesense_gap.report.style import WIDTH_IN
-from cablesense_paper.cables import (
+from examples.paper.cables import (
     CYLINDER_RADIUS_M,
     SCENES,
     Pixels,
     rendered_scenes,
     scene,
 )
-from cablesense_paper.drawing import BLACK, BLUE, VERMILION
-from cablesense_paper.study import Figures, Numbers, Progress
+from examples.paper.drawing import BLACK, BLUE, VERMILION
+from examples.paper.study import Figures, Numbers, Progress
 
 _USES = ("stiffness and pretension", "self-locking", "friction")
 
