@@ -16,7 +16,7 @@ from cablesense_ros.cli.options import ForceOption, JsonOption, print_json, task
 
 
 def _study_names() -> str:
-    """Names of the studies, also for completion: they are the names of their texts."""
+    """Names of the studies, read from the files of their texts: loads no code."""
     texts = (examples_parent() / "examples" / "paper" / "studies").glob("*.yaml")
     return ", ".join(sorted(text.stem for text in texts))
 
