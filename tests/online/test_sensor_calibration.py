@@ -34,14 +34,6 @@ def points(force_n=UP_AND_DOWN_N, noise_n=None, scale=SCALE, zero=ZERO, raw_u=0.
     ]
 
 
-def test_planted_scale_and_zero_come_back():
-    found = calibrate_sensor("cable_1", points())
-    assert found.scale_n_per_unit == pytest.approx(SCALE)
-    assert found.zero == pytest.approx(ZERO)
-    assert found.points == 9
-    assert found.largest_force_n == 80.0
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("raw_u", [0.0, 0.3 / SCALE])
 def test_the_stated_uncertainty_covers_the_truth_in_95_of_100_draws(raw_u):
@@ -139,10 +131,6 @@ def test_readings_without_error_give_back_scale_and_zero(scale, zero):
     assert line.degrees_of_freedom == 4
 
 
-def test_readings_that_stand_still_have_no_line():
-    assert fit_line(FORCES_N, np.full(6, 17.0), NONE, NONE) is None
-
-
 def test_an_unsure_reading_counts_for_little():
     raw = 5.0 + 2.0 * FORCES_N
     raw[3] += 10.0
@@ -160,13 +148,6 @@ def test_given_uncertainties_are_not_undercut_by_luck():
     np.testing.assert_allclose(unsure_loads.covariance, 2.0 * line.covariance, rtol=1e-6)
 
 
-def test_the_residual_is_in_newtons_of_the_sensor():
-    raw = 100.0 - 4.0 * FORCES_N
-    raw[2] += 8.0
-    line = fit_line(FORCES_N, raw, NONE, np.where(np.arange(6) == 2, 1e4, 1.0))
-    assert line.residual_n[2] == pytest.approx(-2.0, rel=1e-3)
-
-
 @given(st.floats(0.01, 1.0), st.floats(1.0, 500.0))
 def test_uncertainties_scale_with_the_units(noise, factor):
     raw = 7.0 + 3.0 * FORCES_N + noise * np.array([1.0, -1.0, 0.5, -0.5, 1.0, -0.5])
@@ -178,27 +159,24 @@ def test_uncertainties_scale_with_the_units(noise, factor):
     assert line.force_u_n(50.0) < line.force_u_n(0.0)
 
 
-LOOP_N = np.array([0.0, 50.0, 100.0, 50.0, 0.0])
-
-
-def test_the_loop_is_between_falling_and_rising():
-    found = residual_characteristics(LOOP_N, np.array([0.0, -0.5, 0.25, 1.0, 0.125]))
-    assert found["hysteresis_n"] == pytest.approx(1.5)
-    assert found["nonlinearity_n"] == pytest.approx(0.5)
-    assert found["repeatability_n"] is None
-
-
-def test_loads_put_on_again_show_repeatability():
-    found = residual_characteristics(
-        np.tile([0.0, 50.0, 100.0], 2), np.array([0, 0, 0, 0, 0.75, 0.0])
-    )
-    assert found["repeatability_n"] == pytest.approx(0.75)
-
-
-def test_rising_loads_alone_show_no_loop():
-    found = residual_characteristics(np.array([0.0, 50.0, 100.0]), np.array([0.1, -0.2, 0.1]))
-    assert found["hysteresis_n"] is None
-    assert found["nonlinearity_n"] == pytest.approx(0.2)
+@pytest.mark.parametrize(
+    ("force_n", "residual_n", "nonlinearity_n", "hysteresis_n", "repeatability_n"),
+    [
+        ([0, 50, 100, 50, 0], [0.0, -0.5, 0.25, 1.0, 0.125], 0.5, 1.5, None),
+        ([0, 50, 100, 0, 50, 100], [0.0, 0.0, 0.0, 0.0, 0.75, 0.0], 0.375, 0.0, 0.75),
+        ([0, 50, 100], [0.1, -0.2, 0.1], 0.2, None, None),
+    ],
+    ids=["up and down", "repeated", "rising only"],
+)
+def test_characteristics_follow_from_the_order_of_the_loads(
+    force_n, residual_n, nonlinearity_n, hysteresis_n, repeatability_n
+):
+    found = residual_characteristics(np.array(force_n, dtype=float), np.array(residual_n))
+    assert found == {
+        "nonlinearity_n": pytest.approx(nonlinearity_n),
+        "hysteresis_n": hysteresis_n and pytest.approx(hysteresis_n),
+        "repeatability_n": repeatability_n and pytest.approx(repeatability_n),
+    }
 
 
 def test_nearly_the_same_weight_is_the_same_load():
@@ -221,29 +199,18 @@ def recording(tensions_n):
     )
 
 
-def load(reading, cable="cable_3"):
-    return KnownLoad("l.csv: line 2", cable, True, 20.0, 0.1, reading, 0.0)
-
-
-def with_channel(cable, **values):
-    channels = dict(PACKED.channels)
-    channels[cable] = channels[cable].model_copy(update=values)
-    return PACKED.model_copy(update={"channels": channels})
-
-
-def test_noted_readings_go_through():
-    point = calibration_point(load(417.0), PACKED, None)
-    assert (point.force_n, point.raw, point.force_u_n) == (20.0, 417.0, 0.1)
+def load(reading):
+    return KnownLoad("l.csv: line 2", "cable_3", True, 20.0, 0.1, reading, 0.0)
 
 
 def test_a_window_gives_the_signal_value_whatever_scale_was_in_force():
-    as_recorded = with_channel("cable_3", scale_n_per_unit=0.5, zero=10.0)
+    channel = PACKED.channels["cable_3"].model_copy(update={"scale_n_per_unit": 0.5, "zero": 10.0})
+    as_recorded = PACKED.model_copy(update={"channels": {**PACKED.channels, "cable_3": channel}})
     tensions_n = np.zeros((len(TIME_S), 12))
-    tensions_n[(TIME_S >= 5.0) & (TIME_S <= 8.0), 2] = as_recorded.channels["cable_3"].tension_n(
-        417.0
-    )
+    tensions_n[(TIME_S >= 5.0) & (TIME_S <= 8.0), 2] = channel.tension_n(417.0)
     point = calibration_point(load(TimeWindow(5.0, 8.0)), as_recorded, recording(tensions_n))
     assert point.raw == pytest.approx(417.0)
+    assert calibration_point(load(417.0), PACKED, None).raw == 417.0
 
 
 @pytest.mark.parametrize("window", [TimeWindow(5.0, 5.2), TimeWindow(30.0, 40.0)])
@@ -269,5 +236,6 @@ def test_the_record_is_taken_by_the_map_it_was_made_for():
     assert made.cables["cable_9"].signal == PACKED.channels["cable_9"].signal
     assert made.cables["cable_9"].points == 5
     assert made.cables["cable_9"].hysteresis_n is None
+    assert made.cables["cable_9"].largest_force_n == 80.0
     channel = calibrated(PACKED, PACKED_DATABASE, made, "c").channels["cable_9"]
     assert abs(channel.tension_n(3.0 + 4.0 * 50.0) - 50.0) < 1e-9

@@ -7,7 +7,7 @@ import pytest
 from gap_recordings import small_recording
 from hypothesis import given
 from hypothesis import strategies as st
-from sensor_series import ARM, EXPECTED, RATE_HZ, good_tensions_n, series
+from sensor_series import EXPECTED, RATE_HZ, good_tensions_n, series
 
 from cablesense_base import CableSenseError
 from cablesense_online.commissioning.sensor_statistics import (
@@ -20,7 +20,7 @@ from cablesense_online.commissioning.sensor_statistics import (
     series_of,
     timing_statistics,
 )
-from cablesense_online.commissioning.tables import CommissioningError, Pull, TimeWindow, read_pulls
+from cablesense_online.commissioning.tables import CommissioningError, Pull, TimeWindow
 
 TIME_S = np.arange(2000) / 100.0
 REST = np.ones(2000, dtype=bool)
@@ -61,12 +61,6 @@ def test_the_step_survives_rounding_in_a_file():
     true_n = 50.0 + 40.0 * np.sin(TIME_S)
     read_n = np.round(0.1813 * np.round(true_n / 0.1813), 4)
     assert quantisation_step_n(read_n) == pytest.approx(0.1813, abs=1e-3)
-
-
-def test_three_neighbouring_values_at_rest_show_the_step():
-    read_n = 0.18 * np.round((50.04 + noise_n(0.05)) / 0.18)
-    assert len(np.unique(read_n)) == 3
-    assert quantisation_step_n(read_n) == pytest.approx(0.18)
 
 
 def test_readings_on_no_steps_have_none():
@@ -167,27 +161,3 @@ def test_what_a_pull_shows(moves_n, dead, verdict):
 def test_a_pull_without_readings_around_it_is_refused(window):
     with pytest.raises(CableSenseError, match="pull of cable_3 from"):
         judged({}, window=window)
-
-
-def test_pulls_are_read_from_a_table(tmp_path):
-    path = tmp_path / "pulls.csv"
-    path.write_text("cable,start_s,end_s\ncable_2,4,7\n", encoding="utf-8")
-    assert read_pulls(path, ARM.cable_names) == [Pull("cable_2", WINDOW)]
-    path.write_text("cable,start_s,end_s\ncable_22,4,7\n", encoding="utf-8")
-    with pytest.raises(CableSenseError, match=r"pulls\.csv: line 2: no cable 'cable_22'"):
-        read_pulls(path, ARM.cable_names)
-
-
-def test_a_swap_is_found_from_both_ends():
-    tensions_n = good_tensions_n(20.0)
-    for start_s, cable in ((4.5, 2), (12.5, 7)):
-        rows = slice(int(start_s * RATE_HZ), int((start_s + 2.0) * RATE_HZ))
-        tensions_n[rows, cable] += 20.0
-    tensions_n[:, [2, 7]] = tensions_n[:, [7, 2]]
-    found = [
-        judge_pull(series(tensions_n), Pull(cable, window), EXPECTED.floor_n)
-        for cable, window in (("cable_3", WINDOW), ("cable_8", TimeWindow(12.0, 15.0)))
-    ]
-    assert [result.moved for result in found] == ["cable_8", "cable_3"]
-    assert {result.verdict for result in found} == {PullVerdict.SWAPPED}
-    assert np.isfinite(found[0].own_n)
