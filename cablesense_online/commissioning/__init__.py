@@ -1,1 +1,1 @@
-"""Taking tension sensors into use: are they fit, and what is their scale and zero."""
+"""Commissioning of tension sensors: check their statistics, and calibrate scale and zero."""

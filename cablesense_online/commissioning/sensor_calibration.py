@@ -1,19 +1,18 @@
 """Scale and zero of a tension sensor from known loads, with uncertainty and characteristics.
 
-A straight line is fitted through the readings of known forces by weighted least squares: the
-readings on the forces, since the forces are the better known of the two::
+Weighted least squares fits a straight line to the readings as a function of the known forces,
+because the forces are known better than the readings::
 
     raw_i = zero + force_i / scale + e_i,      weight_i = 1 / (raw_u_i² + (force_u_i / scale)²)
 
 The covariance of zero and slope is s² (Xᵀ W X)⁻¹, with s² = Σ weight_i e_i² / (n - 2). Source:
 JCGM 100:2008 (GUM), annex H.3 (a calibration line by least squares) and 5.1 (propagation), with
-the t-distribution of G.3. Where uncertainties of the readings were given, s² is at least 1: that
-the points lie closer to the line than they should proves nothing.
+the t-distribution of G.3. If uncertainties of the readings are given, s² is at least 1, because
+a small scatter can be chance.
 
 Nonlinearity, hysteresis and repeatability are those of VDI/VDE 2638 (characteristics of force
-transducers), given in N. The reference line is the fitted one, and the loads are those that there
-were; the standard's own procedure, with its fixed load steps and mounting positions, is for a
-testing machine.
+transducers), in N. They refer to the fitted line and to the loads that were applied. The
+standard's fixed load steps and mounting positions need a testing machine.
 """
 
 from __future__ import annotations
@@ -35,23 +34,23 @@ from cablesense_online.can.channel_map import ChannelMap, signal_conversion
 from cablesense_online.commissioning.tables import CommissioningError, KnownLoad
 
 LEAST_CHANGE = 1e-6
-"""Readings that change by less than this share of the largest do not change: noise is more."""
+"""A smaller relative change of the readings counts as no change."""
 LARGEST_SCALE_N_PER_UNIT = 1e9
-"""As of channel maps."""
+"""The same limit as in channel maps."""
 SAME_FORCE = 0.005
-"""Forces that differ by less than this share of the largest are one load put on again."""
+"""Forces that differ by less than this share of the largest are the same load, repeated."""
 FEWEST_POINTS = 5
-"""Three degrees of freedom: with fewer the factor of 95 % exceeds 4."""
+"""Gives three degrees of freedom; with fewer, the 95 % coverage factor exceeds 4."""
 FEWEST_LOADS = 3
-"""Two loads make any sensor straight."""
+"""Two loads cannot show nonlinearity."""
 LEAST_SPREAD = 0.5
-"""The loads must cover this share of the largest, or the zero is far outside of them."""
+"""The loads must cover this share of the largest; otherwise the zero is extrapolated far."""
 LARGEST_SCALE_U95 = 0.1
-"""A scale that is known no better than to this share is none: the sensor does not follow."""
+"""If the relative uncertainty of the scale is larger, the sensor does not follow the loads."""
 FEWEST_SAMPLES = 10
-"""In a window; the mean of fewer is hardly better than one reading."""
+"""Per window; the mean of fewer samples is hardly better than one reading."""
 _WEIGHT_ROUNDS = 4
-"""The weights depend on the slope so weakly that it stands after two."""
+"""The weights depend weakly on the slope; it converges after two rounds."""
 
 
 class CalibrationPoint(NamedTuple):
@@ -70,13 +69,14 @@ class SensorCalibration:
     Attributes:
         scale_n_per_unit, scale_u95_n_per_unit: newtons of one unit of the signal.
         zero, zero_u95: the signal without tension.
-        tension_u95_n: of a tension within the loads, where it is largest.
-        largest_residual_n, largest_residual_at: the point furthest from the line, from 0.
+        tension_u95_n: largest uncertainty of a tension within the range of the loads.
+        largest_residual_n, largest_residual_at: residual and index of the point furthest from
+            the line.
         points, largest_force_n: number of loads, and the largest.
         nonlinearity_n: largest distance of a rising load's mean reading from the line.
         hysteresis_n: largest difference of mean readings between falling and rising at one load;
-            none where the loads do not show it.
-        repeatability_n: largest range of readings at one load, reached from one side; likewise.
+            none if the loads do not show it.
+        repeatability_n: largest range of readings at one load, reached from one side; or none.
     """
 
     scale_n_per_unit: float
@@ -98,8 +98,8 @@ def calibration_point(
 ) -> CalibrationPoint:
     """The point of a load, with the mean reading where it has a window in a recording.
 
-    `as_recorded` is the map with the scales and zeros in force when the recording was made, which
-    turn its tensions back into the signals' values; its channels are in the recording's order.
+    `as_recorded` is the channel map used for the recording. Its scales and zeros convert the
+    tensions back to signal values; its channels are in the recording's order.
 
     Raises:
         CommissioningError: a window without a recording, or with too few samples in it.
@@ -130,9 +130,9 @@ def calibrate_sensor(
 ) -> SensorCalibration:
     """Scale and zero of a cable's sensor.
 
-    Points are in the order the loads were put on. `common_relative_u`: relative standard
-    uncertainty that all forces share (gravity, the gauge or set of weights); it goes to the scale
-    and no averaging lessens it.
+    Points are in the order in which the loads were applied. `common_relative_u` is the relative
+    standard uncertainty that all forces share (gravity, gauge, set of weights). It adds to the
+    uncertainty of the scale, and averaging does not reduce it.
 
     Raises:
         CommissioningError: too few points or loads, loads too close together, uncertainties for
@@ -202,13 +202,15 @@ def calibration_record(
     gravity_m_s2: float | None,
     common_relative_u: float,
 ) -> Calibration:
-    """The calibration file's content; cables of the map that were not found are listed as such.
+    """The calibration file's content; cables of the map without a result are uncalibrated.
 
-    Gravity is none where there were no masses; the relative uncertainty is the one of all loads.
+    Gravity is none if no load was given as a mass.
     """
     cables = {}
+    uncalibrated = []
     for cable, channel in channel_map.channels.items():
         if cable not in found:
+            uncalibrated.append(cable)
             continue
         values = asdict(found[cable])
         unit, factor, offset = signal_conversion(database, channel)
@@ -225,7 +227,7 @@ def calibration_record(
         made=made,
         gravity_m_s2=gravity_m_s2,
         common_relative_u=common_relative_u,
-        uncalibrated=tuple(cable for cable in channel_map.channels if cable not in found),
+        uncalibrated=tuple(uncalibrated),
         cables=cables,
     )
 
@@ -254,20 +256,20 @@ class LineFit:
 
     @property
     def scale_u_n_per_unit(self) -> float:
-        """Standard uncertainty of the scale, without what all forces have in common."""
+        """Standard uncertainty of the scale, without the part that all forces share."""
         return float(np.sqrt(self.covariance[1, 1])) * self.scale_n_per_unit**2
 
     def force_u_n(self, force_n: float) -> float:
-        """Standard uncertainty that the line gives a force, likewise."""
+        """Standard uncertainty of a force read from the line, without the shared part."""
         by = np.array([1.0, force_n])
         return float(np.sqrt(by @ self.covariance @ by)) * abs(self.scale_n_per_unit)
 
 
 def fit_line(force_n: Array, raw: Array, force_u_n: Array, raw_u: Array) -> LineFit | None:
-    """Fit `raw` (n,) readings, in any unit, to known forces; none where they do not follow.
+    """Fit `raw` (n,) readings, in any unit, to known forces; none if they do not follow.
 
     `force_n` (n,), at least two of them different. `force_u_n` and `raw_u` (n,) are standard
-    uncertainties, 0 where unknown; where all are 0, every point counts the same.
+    uncertainties, 0 if unknown; if all are 0, all points have the same weight.
     """
     given = bool((force_u_n > 0.0).any() or (raw_u > 0.0).any())
     weight = np.ones_like(force_n)
@@ -291,9 +293,9 @@ def fit_line(force_n: Array, raw: Array, force_u_n: Array, raw_u: Array) -> Line
 
 
 def residual_characteristics(force_n: Array, residual_n: Array) -> dict[str, Any]:
-    """Nonlinearity, hysteresis and repeatability of (n,) loads in the order they were put on.
+    """Nonlinearity, hysteresis and repeatability of (n,) loads in the order of application.
 
-    The largest load belongs to both sides, as the end of one and the start of the other.
+    The largest load ends the rising side and starts the falling side, so it shows no hysteresis.
     """
     means: dict[tuple[int, bool], float] = {}
     ranges = []

@@ -1,7 +1,7 @@
-"""Whether tension sensors can be used: their statistics beside expected ones, and the findings.
+"""Check of tension sensors: compare their statistics with the expected ones and report findings.
 
-The expected statistics come from the arm file, or from options. Where a recording has loads or
-poses, channels are also compared with the nominal arm's tensions.
+The expected statistics come from the arm file or from options. If the recording has loads or
+moves, channels are also compared with the nominal arm's tensions.
 """
 
 from __future__ import annotations
@@ -35,26 +35,26 @@ from cablesense_sim.replay import reading_variance_n2
 
 RATE_TOLERANCE = 0.05
 JITTER_PERIODS = 0.5
-"""From half a period on, a sample can be mistaken for its neighbour."""
+"""With more than half a period, a sample can be mistaken for its neighbour."""
 LOST_SHARE = 0.001
 NOISE_FACTOR = 2.0
-"""Over what the arm file says; a loose screen or a motor nearby makes far more."""
+"""Relative to the arm file; a loose screen or a nearby motor causes far more noise."""
 STEP_FACTOR = 1.5
 LEAST_FLOOR_N = 0.01
-"""Of an arm file whose sensors are ideal."""
+"""Floor for an arm file with ideal sensors; real sensors have at least this noise."""
 DRIFT_FLOORS = 4.0
-"""So many standard deviations of a reading are noticed as a force by and by."""
+"""A larger drift, in standard deviations of a reading, is soon estimated as a force."""
 
 
 @dataclass(frozen=True)
 class SensorExpectation:
-    """Bounds of each statistic, upper limits unless something else is stated.
+    """Bounds of each statistic; upper limits unless stated otherwise.
 
     Attributes:
-        rate_hz: of samples, to 5 %.
+        rate_hz: sample rate, within 5 %.
         floor_n: standard deviation of one reading at rest: noise, and the step's rounding.
-        step_n: 0 is not judged.
-        range_n: the ends at which a reading means nothing; none where unknown.
+        step_n: 0 means not checked.
+        range_n: ends of the measuring range, where readings are invalid; none if unknown.
     """
 
     rate_hz: float
@@ -66,14 +66,14 @@ class SensorExpectation:
 
     @property
     def jitter_s(self) -> float:
-        """Upper limit."""
+        """Upper limit of the jitter."""
         return JITTER_PERIODS / self.rate_hz
 
 
 def expectation(
     sensors: Sensors, rate_hz: float | None = None, drift_n: float | None = None
 ) -> SensorExpectation:
-    """The expectation by an arm file; rate and drift can be given instead."""
+    """The expectation from an arm file; a given rate or drift takes precedence."""
     floor_n = max(float(np.sqrt(reading_variance_n2(sensors))), LEAST_FLOOR_N)
     return SensorExpectation(
         rate_hz=sensors.rate_hz if rate_hz is None else rate_hz,
@@ -86,7 +86,7 @@ def expectation(
 
 
 MOVED_FLOORS = 20.0
-"""A channel that moves by so many standard deviations of a reading is alive."""
+"""A channel that moves by this many standard deviations of a reading works."""
 
 
 @dataclass(frozen=True)
@@ -127,10 +127,10 @@ class SensorReport:
 def check_sensors(
     series: TensionSeries, expected: SensorExpectation, pulls: Sequence[Pull] = ()
 ) -> SensorReport:
-    """Check a series of readings; while a cable was pulled the arm was not at rest.
+    """Check a series of readings; times of pulls do not count as rest.
 
     Raises:
-        CommissioningError: too few readings, in all or around a pull.
+        CommissioningError: too few readings, overall or around a pull.
     """
     timing = timing_statistics(series)
     results = tuple(judge_pull(series, pull, expected.floor_n) for pull in pulls)
@@ -177,7 +177,7 @@ def _of_timing(timing: TimingStatistics, expected: SensorExpectation) -> _Findin
 
 
 def _of_channel(channel: ChannelStatistics, expected: SensorExpectation, alone: bool) -> _Findings:
-    """Drift is wrong only of an arm left `alone`: friction keeps part of what moved it."""
+    """Drift is wrong only for an arm left `alone`: after motion, friction and creep cause it."""
     wrong = partial(SensorFinding, True, where=channel.cable)
     note = partial(SensorFinding, False, where=channel.cable)
     if channel.noise_n is None:
@@ -262,14 +262,14 @@ def _of_pull(result: PullResult, expected: SensorExpectation) -> _Findings:
 
 
 _KINDS = ("swapped", "stuck", "arm", "unit")
-"""The others show in the sensors' own statistics."""
+"""Other kinds already appear in the statistics of the sensors."""
 
 
 def exercised_channel_findings(recording: Recording, arm: Arm) -> list[SensorFinding]:
-    """Exchanged or dead channels and wrong units, by the nominal arm; empty without movement.
+    """Swapped or dead channels and wrong units against the nominal arm; empty without motion.
 
     Raises:
-        CableSenseError: the arm has no rest under one of the loads.
+        CableSenseError: the arm has no equilibrium under one of the loads.
     """
     if not (np.ptp(recording.command_rad, axis=0).any() or recording.load_n.any()):
         return []

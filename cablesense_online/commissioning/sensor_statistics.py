@@ -1,7 +1,7 @@
 """Statistics of tension readings: noise, quantisation step, drift, timing, movement under pulls.
 
-A series of readings comes from a recording or live; noise and drift are those at rest, that is in
-static equilibrium in one pose with nothing touching the arm.
+A series of readings comes from a recording or from the live topic. Noise and drift are computed at
+rest: static equilibrium in one pose without contact.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from cablesense_gap.recordings.recording import Recording
 from cablesense_online.commissioning.tables import CommissioningError, Pull
 
 SETTLING_S = 1.0
-"""How long after a change of pose or load the arm still swings."""
+"""Time for oscillations to decay after a change of pose or load."""
 WINDOW_S = 1.0
-"""Within it changes beyond those of a straight line count as noise."""
+"""Deviations from a straight line within this window count as noise."""
 WINDOW_SAMPLES = 10
-"""A window has at least so many."""
+"""Minimum number of samples per window."""
 FEWEST_VALUES = 3
-"""Different values without which a step cannot be distinguished from chance."""
+"""With fewer distinct values, a step cannot be distinguished from chance."""
 STEP_SCATTER = 0.1
-"""Values further than this share of a step from whole steps are not on steps."""
+"""Largest deviation from whole steps, as a share of a step, of quantised readings."""
 FEWEST_INTERVALS = 20
-"""With fewer, neither a rate nor noise can be estimated."""
+"""With fewer intervals, neither rate nor noise can be estimated."""
 BEFORE_S = 1.0
-"""A pull is compared with the time just before."""
+"""A pull is compared with the readings of this time before it."""
 FEWEST_SAMPLES = 3
 CLEARLY = 0.7
-"""Where the second channel moves by more than this share of the first, a pull is unclear."""
+"""If the second channel changes by more than this share of the first, a pull is unclear."""
 PULLED_FLOORS = 10.0
-"""A pull counts from so many standard deviations of the readings on."""
+"""A pull must change a reading by at least this many standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,10 @@ class TensionSeries:
     Attributes:
         cable_names: (M,).
         time_s: (R,) ascending.
-        block: (R,) rows of one block follow each other without a wanted break.
-        at_rest: (R,) whether the arm stood in one and the same pose with nothing touching it.
+        block: (R,) number of the uninterrupted block that each row belongs to.
+        at_rest: (R,) whether the arm was at rest, always in the same pose and without contact.
         tensions_n: (R, M).
-        problems: what was already wrong when the readings came, a line each.
+        problems: problems found while the readings were received, one line each.
     """
 
     cable_names: tuple[str, ...]
@@ -61,7 +61,7 @@ class TensionSeries:
 
 
 def series_of(recording: Recording, cable_names: tuple[str, ...]) -> TensionSeries:
-    """A recording's readings; at rest is its most frequent pose without a load, once settled."""
+    """A recording's readings; rest is its most frequent unloaded pose, after settling."""
     unloaded = recording.load_segment == 0
     at_rest = np.zeros(len(recording), dtype=bool)
     if unloaded.any():
@@ -78,7 +78,7 @@ def series_of(recording: Recording, cable_names: tuple[str, ...]) -> TensionSeri
 
 
 def at_rest_without(series: TensionSeries, pulls: Sequence[Pull]) -> NDArray[np.bool_]:
-    """(R,) at rest, and neither during a pull nor while the arm then settles."""
+    """(R,) rows at rest, without those of pulls and of the settling that follows."""
     at_rest = series.at_rest.copy()
     for window in (pull.window for pull in pulls):
         at_rest &= ~replace(window, end_s=window.end_s + SETTLING_S).rows(series.time_s)
@@ -87,14 +87,14 @@ def at_rest_without(series: TensionSeries, pulls: Sequence[Pull]) -> NDArray[np.
 
 @dataclass(frozen=True)
 class ChannelStatistics:
-    """One sensor; none where there were too few readings at rest.
+    """Statistics of one sensor; none if there were too few readings at rest.
 
     Attributes:
         cable: its name.
-        mean_n: at rest, or of all readings where there was no rest.
+        mean_n: at rest, or of all readings if too few are at rest.
         lowest_n, highest_n: of all readings.
         noise_n: standard deviation at rest about a straight line, the median of windows of 1 s.
-        step_n: smallest step of the readings; none where they lie on no steps.
+        step_n: smallest step of the readings; none if they are not quantised.
         drift_n: rise of a straight line through the readings at rest from first to last.
     """
 
@@ -110,7 +110,7 @@ class ChannelStatistics:
 def channel_statistics(
     cable: str, time_s: Array, readings_n: Array, at_rest: NDArray[np.bool_]
 ) -> ChannelStatistics:
-    """The statistics of (R,) readings at ascending times, of which some were taken at rest."""
+    """Statistics of (R,) readings at ascending times; `at_rest` (R,) marks those at rest."""
     rest_n, rest_s = readings_n[at_rest], time_s[at_rest]
     enough = len(rest_n) >= WINDOW_SAMPLES
     line = _line(rest_s, rest_n) if enough else None
@@ -126,9 +126,9 @@ def channel_statistics(
 
 
 def quantisation_step_n(readings_n: Array) -> float | None:
-    """The step on whose multiples readings (R,) lie, from any start; none if they lie on none.
+    """The quantisation step of (R,) readings with any offset; none if they are not quantised.
 
-    It can be a multiple of the true step where no two neighbouring values occur.
+    It can be a multiple of the true step if no two adjacent levels occur.
     """
     values = np.unique(readings_n)
     if len(values) < FEWEST_VALUES:
@@ -163,13 +163,13 @@ def _line(time_s: Array, readings_n: Array) -> Array:
 
 @dataclass(frozen=True)
 class TimingStatistics:
-    """Of the samples' stamps, within blocks.
+    """Timing of the samples' stamps, within blocks.
 
     Attributes:
         samples: how many.
-        rate_hz: one over the mean interval between samples of which none is missing between.
-        jitter_s: by how much 99 of 100 such intervals differ at most from their median.
-        lost: samples that are missing between others, by the length of the intervals.
+        rate_hz: one over the mean interval between samples, without intervals that span a loss.
+        jitter_s: 99 % quantile of the deviation of such intervals from the median.
+        lost: number of missing samples, from the length of the intervals.
     """
 
     samples: int
@@ -215,15 +215,15 @@ class PullVerdict(StrEnum):
 class PullResult:
     """A cable pulled by hand: which channels moved, and the verdict.
 
-    A pull on one cable bends the arm and so moves others as well, hence two are distinguished only
-    where one moves clearly more. Pulled sideways between its sensor and the arm, the pulled one
-    does.
+    A pull on one cable deflects the arm and so changes other readings too. The channel is
+    identified only if one reading changes clearly more, as it does if the cable is pulled sideways
+    between its sensor and the arm.
 
     Attributes:
-        cable: which was pulled.
-        moved: the channel that moved most, and `second` the next.
-        own_n, moved_n, second_n: by how much the pulled cable's channel and those two moved.
-        verdict: the conclusion.
+        cable: the cable that was pulled.
+        moved, second: the channels whose readings changed most and second most.
+        own_n, moved_n, second_n: change of the pulled cable's reading and of those two.
+        verdict: conclusion from these changes.
     """
 
     cable: str
@@ -236,7 +236,7 @@ class PullResult:
 
 
 def judge_pull(series: TensionSeries, pull: Pull, floor_n: float) -> PullResult:
-    """The result of a pull; `floor_n`: standard deviation of readings at rest, as it should be.
+    """The result of a pull; `floor_n` is the expected standard deviation at rest.
 
     Raises:
         CommissioningError: too few readings before or during the pull.
@@ -251,7 +251,7 @@ def judge_pull(series: TensionSeries, pull: Pull, floor_n: float) -> PullResult:
             f"least {FEWEST_SAMPLES} of each are needed"
         )
     rest_n = np.median(series.tensions_n[before], axis=0)
-    # from the median before to what a twentieth of the readings exceed
+    # 95 % quantile, so that single outliers do not count
     moved_n = np.quantile(np.abs(series.tensions_n[during] - rest_n), 0.95, axis=0)
     ranked = np.argsort(moved_n)[::-1]
     first, second = int(ranked[0]), int(ranked[1])

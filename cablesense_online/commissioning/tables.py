@@ -1,7 +1,6 @@
 """Tables written by hand: known loads on single cables, and pulls on single cables.
 
-A table is a CSV file of a few columns and at most some thousand rows. It is read by `csv` rather
-than pandas, so that an error names the line.
+A table is a small CSV file. It is read by `csv` rather than pandas, so that errors name the line.
 """
 
 from __future__ import annotations
@@ -24,17 +23,17 @@ GRAVITY_RELATIVE_U = 0.0015
 """Standard uncertainty of the standard value where the local one is not given: normal gravity goes
 from 9.7803 m/s² at the equator to 9.8322 at the poles (WGS 84); half of that over root 3."""
 MAX_TABLE_BYTES = 1_000_000
-"""Far more rows than anybody writes."""
+"""Far more than a table written by hand."""
 HEAVIEST_N = 20_000.0
 LARGEST_RAW = 1e11
 LATEST_S = 1e7
-"""A hundred days; beyond it a time is a date."""
+"""About a hundred days; a larger number is a date."""
 _WINDOW_COLUMNS = ("start_s", "end_s")
 _LOAD_COLUMNS = ("mass_kg", "mass_u_kg", "force_n", "force_u_n", "raw", "raw_u", *_WINDOW_COLUMNS)
 
 
 class CommissioningError(CableSenseError):
-    """Input that cannot be used for commissioning: names file, row or cable, and the remedy."""
+    """Unusable input for commissioning; the message names file, row or cable, and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -55,12 +54,12 @@ class KnownLoad:
 
     Attributes:
         where: file and row, for errors.
-        cable: name of the cable it hung on.
-        by_mass: whether its force was computed from a mass, so that gravity's uncertainty counts.
-        force_n: its pull on the cable.
-        force_u_n: standard uncertainty of that, beyond what all loads have in common; 0 unknown.
+        cable: name of the loaded cable.
+        by_mass: whether the force was computed from a mass and has the uncertainty of gravity.
+        force_n: force on the cable.
+        force_u_n: its standard uncertainty, without the part shared by all loads; 0 if unknown.
         reading: the sensor's reading in the signal's unit, or its window in a recording.
-        raw_u: standard uncertainty of the reading; 0 unknown.
+        raw_u: standard uncertainty of the reading; 0 if unknown.
     """
 
     where: str
@@ -83,7 +82,7 @@ class Pull:
 def read_known_loads(
     path: str | Path, cable_names: Sequence[str], gravity_m_s2: float = STANDARD_GRAVITY_M_S2
 ) -> dict[str, list[KnownLoad]]:
-    """Known loads by cable, each in the order in which they were put on.
+    """Known loads by cable, each in the order of application.
 
     Columns: `cable`; `mass_kg` or `force_n`; `raw`, or `start_s` and `end_s`; if known also
     `mass_u_kg` or `force_u_n`, and `raw_u`. A load of 0 is the bare cable.
@@ -124,7 +123,7 @@ def read_pulls(path: str | Path, cable_names: Sequence[str]) -> list[Pull]:
 
 @dataclass(frozen=True)
 class _Row:
-    """One row; `where` names file and row in errors, `cells` go by column."""
+    """One row; `where` names file and row in errors, `cells` maps columns to texts."""
 
     where: str
     cells: Mapping[str, str]
@@ -180,7 +179,7 @@ class _Row:
 
 
 def _rows(path: str | Path, required: Sequence[str], optional: Sequence[str]) -> list[_Row]:
-    """Read a table; empty lines and lines that begin with # are left out."""
+    """Read a table, without empty lines and lines that begin with #."""
     text = read_bounded_text(path, MAX_TABLE_BYTES, "a table written by hand", CommissioningError)
     lines = [
         (number, line)
