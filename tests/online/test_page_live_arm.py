@@ -34,10 +34,11 @@ def tensions():
     return Message(name=list(ARM.cable_names), effort=[50.0] * 12)
 
 
-def told(state):
-    """A `status` message."""
+def receive(live, state, now_s):
+    """Tensions and a `status` message arrive."""
     header = Message(stamp=Message(sec=1, nanosec=0))
-    return Message(header=header, status=[Message(message=state.value)])
+    live.on_tensions(tensions(), now_s)
+    live.on_status(Message(header=header, status=[Message(message=state.value)]), now_s)
 
 
 def diagnosed(part, level, text):
@@ -66,16 +67,8 @@ def test_a_load_about_the_base_is_that_of_its_segment(live):
     assert live.snapshot(0.0).true.magnitude_n == pytest.approx(usual.magnitude_n)
 
 
-def test_a_push_beside_another_leaves_that_where_it_is(live):
-    live.on_load(wrench("segment_2", (0.0, 0.0, 10.0)))
-    (pushed,) = live.loads_of(4, 0.0, 15.0, beside=True)
-    live.on_load(wrench("segment_4", pushed.force_base_n))
-    assert [each.segment for each in live.snapshot(0.0).all_true] == [4, 2]
-
-
 def test_contacts_of_several_segments_are_shown_and_old_ones_are_not(live):
-    live.on_tensions(tensions(), 1.0)
-    live.on_status(told(ForceState.CONTACT), 1.0)
+    receive(live, ForceState.CONTACT, 1.0)
     live.on_wrench(wrench("segment_4", (0.0, 0.0, 30.0)), 1.0)
     live.on_segment_wrench(wrench("segment_1", (0.0, 9.0, 0.0)), 1.0 - 2 * STALE_S)
     live.on_segment_wrench(wrench("segment_2", (0.0, 10.0, 0.0)), 1.0)
@@ -87,12 +80,14 @@ def test_contacts_of_several_segments_are_shown_and_old_ones_are_not(live):
     assert shown.status.headline == "Contact on segments 2 and 4"
 
 
-def test_a_push_elsewhere_releases_the_one_before(live):
+def test_a_push_releases_the_previous_one_unless_both_are_wanted(live):
     live.on_load(wrench("segment_2", (0.0, 0.0, 10.0)))
-    released, pushed = live.loads_of(4, 0.0, 5.0)
-    assert released.segment == 2
+    released, pushed = live.loads_of(4, 0.0, 15.0)
+    assert (released.segment, pushed.segment) == (2, 4)
     assert not released.force_base_n.any()
-    assert pushed.segment == 4
+    (pushed,) = live.loads_of(4, 0.0, 15.0, beside=True)
+    live.on_load(wrench("segment_4", pushed.force_base_n))
+    assert [each.segment for each in live.snapshot(0.0).all_true] == [4, 2]
 
 
 def command(first_rad):
@@ -104,8 +99,7 @@ def test_an_estimate_is_turned_into_base_axes_at_the_commanded_pose(live):
     live.on_joint_commands(command(np.pi / 6))
     for now_s in (0.0, 30.0):
         live.snapshot(now_s)
-    live.on_tensions(tensions(), 30.0)
-    live.on_status(told(ForceState.CONTACT), 30.0)
+    receive(live, ForceState.CONTACT, 30.0)
     live.on_wrench(wrench("segment_1", (0.0, 0.0, 10.0)), 30.0)
     estimate = live.snapshot(30.0).estimate
     assert estimate.angle_deg == pytest.approx(0.0)
@@ -115,8 +109,7 @@ def test_an_estimate_is_turned_into_base_axes_at_the_commanded_pose(live):
 
 def test_old_estimates_and_old_tensions_are_not_shown_as_the_present(live):
     assert live.snapshot(0.0).status.level is Level.STALE
-    live.on_tensions(tensions(), 1.0)
-    live.on_status(told(ForceState.CONTACT), 1.0)
+    receive(live, ForceState.CONTACT, 1.0)
     live.on_wrench(wrench("segment_1", (0.0, 5.0, 0.0)), 1.0)
     assert live.snapshot(1.1).status.headline == "Contact on segment 1"
     live.on_tensions(tensions(), 2.0)
@@ -129,9 +122,8 @@ def test_old_estimates_and_old_tensions_are_not_shown_as_the_present(live):
 
 @pytest.mark.parametrize("state", [each for each in ForceState if not each.known])
 def test_what_is_not_known_is_never_shown_as_no_contact(live, state):
-    live.on_tensions(tensions(), 1.0)
+    receive(live, state, 1.0)
     live.on_wrench(wrench("base_link"), 1.0)
-    live.on_status(told(state), 1.0)
     shown = live.snapshot(1.0)
     assert shown.status.headline != "No contact"
     assert shown.status.level is not Level.OK
@@ -139,8 +131,7 @@ def test_what_is_not_known_is_never_shown_as_no_contact(live, state):
 
 
 def test_the_stated_interval_is_that_between_two_wrenches(live):
-    live.on_tensions(tensions(), 1.0)
-    live.on_status(told(ForceState.HIDDEN), 1.0)
+    receive(live, ForceState.HIDDEN, 1.0)
     assert live.snapshot(1.0).bounds is None
     live.on_lower(wrench("base_link"), 1.0)
     live.on_upper(wrench("segment_2", (0.0, 3.0, -4.0)), 1.0)
@@ -165,8 +156,7 @@ def test_the_stated_interval_is_that_between_two_wrenches(live):
     ],
 )
 def test_a_warning_that_lessens_no_trust_is_a_note_alone(live, part, level, shown):
-    live.on_tensions(tensions(), 1.0)
-    live.on_status(told(ForceState.FREE), 1.0)
+    receive(live, ForceState.FREE, 1.0)
     live.on_diagnostics(diagnosed(part, level, "as it is"), 1.0)
     status = live.snapshot(1.0).status
     assert (status.level, status.notes) == (shown, ("as it is",))
