@@ -193,30 +193,33 @@ def withhold(
     from rich.progress import track
 
     answers_file, kinds = answers or out / "answers" / "answers.csv", tuple(only or ())
-    made: Iterator[Any]
     if model is not None:
         refuse_given(context, ["arm", "second", "workers"], "with --model")
+        source = model
+    else:
+        from cablesense_sim.arm import find_arm
+
+        source = find_arm(arm)
+    written = ("case_*.csv", "second/case_*.csv") if second else ("case_*.csv",)
+    output_folder(out, written, force=force, inputs=(source,))
+    output_folder(answers_file.parent, (escape(answers_file.name),), force=force, inputs=(source,))
+    made: Iterator[Any]
+    if model is not None:
         from cablesense_gap.robot.amending import load_amended
         from cablesense_gap.robot.withholding import withhold as withhold_robots
 
         robot, _ = load_amended(model)
-        source = robot.path
+        for folder in (out, answers_file.parent):
+            folder.mkdir(parents=True, exist_ok=True)
         made = withhold_robots(out, answers_file, robot, count, seed, kinds)
     else:
         from cablesense_plants.arm.body import read_nominal
         from cablesense_plants.arm.withhold import withhold as withhold_arms
-        from cablesense_sim.arm import find_arm
 
-        source = find_arm(arm)
         nominal = read_nominal(source)
         made = withhold_arms(
             out, answers_file, nominal, count, seed, kinds, workers, second=second
         )
-    written = ("case_*.csv", "second/case_*.csv") if second else ("case_*.csv",)
-    output_folder(out, written, force=force, inputs=(source,))
-    output_folder(answers_file.parent, (escape(answers_file.name),), force=force, inputs=(source,))
-    for folder in (out, answers_file.parent):
-        folder.mkdir(parents=True, exist_ok=True)
     console = Console()
     for _ in track(made, description="Recording", total=count, console=console):
         pass

@@ -27,7 +27,8 @@ def imported(*folders: str) -> set[str]:
                 names |= {alias.name.split(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
                 names.add(node.module.split(".")[0])
-    return {n for n in names - sys.stdlib_module_names if not n.startswith("cablesense_")}
+    own = ("cablesense_", "examples")
+    return {n for n in names - sys.stdlib_module_names if not n.startswith(own)}
 
 
 def declared(*extras: str) -> set[str]:
@@ -62,7 +63,7 @@ def ros_modules() -> set[str]:
         (["training"], ["", "train"]),
         (["cablesense_gap"], ["", "gap"]),
         (["cablesense_plants"], ["", "gap"]),
-        (["examples"], ["", "gap", "train"]),
+        (["examples"], ["", "gap", "train", "ros"]),
         (["cablesense_online"], ["", "page", "can", "gap"]),
         (["cablesense_ros"], ["", "page", "ros", "can", "gap", "train"]),
         (["tests", "benchmarks"], ["", "page", "ros", "can", "train", "gap", "dev"]),

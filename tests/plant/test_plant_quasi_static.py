@@ -24,7 +24,7 @@ from cablesense_plants.arm.rest import follow_path
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
-from chain_reference import searched
+from friction_law import searched
 
 RUN_M = NOMINAL.run_m
 POSE = np.deg2rad([8.0, -4.0, 6.0, 5.0, -7.0, 3.0, 4.0, -6.0])
