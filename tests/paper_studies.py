@@ -9,7 +9,7 @@ from examples.paper.study import (
     CLOSED_FORM,
     PAPER,
     Agreement,
-    Comparison,
+    PaperComparison,
     Picture,
     SmallTable,
     Study,
@@ -29,9 +29,9 @@ RESULT = StudyResult(
     pictures=(Picture("dot", DOT, "Fig. 3 of the paper.", "a dot"),),
     tables=(SmallTable("Two cables.", ("cable", "tension, N"), (("cable_1", 50.0),)),),
     comparisons=(
-        Comparison("slope", 1e7, 1e7, "N/m", Agreement.YES, "It is the stiffness."),
-        Comparison("peak", 91.0, "about 100", "N", Agreement.PARTLY, "The servo gives."),
-        Comparison("ratio", 0.5, 0.5, "", Agreement.YES, "Euler's.", CLOSED_FORM),
+        PaperComparison("slope", 1e7, 1e7, "N/m", Agreement.YES, "It is the stiffness."),
+        PaperComparison("peak", 91.0, "about 100", "N", Agreement.PARTLY, "The servo gives."),
+        PaperComparison("ratio", 0.5, 0.5, "", Agreement.YES, "Euler's.", CLOSED_FORM),
     ),
     notes=("The paper is silent on the amplitude.",),
 )

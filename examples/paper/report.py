@@ -11,7 +11,7 @@ from typing import Any
 
 from cablesense_base.files import output_folder, write_atomically
 from cablesense_gap.report.style import WIDTH_IN, ReportError, image_uri, rendered
-from examples.paper.study import PAPER, PRINT_DPI, Agreement, Outcome, PaperError, Picture
+from examples.paper.study import PAPER, PRINT_DPI, Agreement, PaperError, Picture, StudyOutcome
 
 
 def claim_folder(folder: Path, force: bool = False) -> None:
@@ -37,7 +37,7 @@ def claim_folder(folder: Path, force: bool = False) -> None:
         ) from error
 
 
-def write_report(folder: Path, outcomes: Sequence[Outcome], quick: bool) -> dict[str, Any]:
+def write_report(folder: Path, outcomes: Sequence[StudyOutcome], quick: bool) -> dict[str, Any]:
     """Write all files, each of them whole or not at all; gives the content of `results.json`.
 
     Raises:
@@ -57,7 +57,7 @@ def write_report(folder: Path, outcomes: Sequence[Outcome], quick: bool) -> dict
     return results
 
 
-def _as_json(outcome: Outcome, quick: bool) -> dict[str, Any]:
+def _as_json(outcome: StudyOutcome, quick: bool) -> dict[str, Any]:
     """What the page shows of a study, pictures by file name."""
     study, result = outcome.study, outcome.result
     about: dict[str, Any] = {
@@ -74,7 +74,7 @@ def _as_json(outcome: Outcome, quick: bool) -> dict[str, Any]:
     return about | asdict(result) | {"pictures": pictures}
 
 
-def paper_page(outcomes: Sequence[Outcome], quick: bool) -> str:
+def paper_page(outcomes: Sequence[StudyOutcome], quick: bool) -> str:
     """The report as an HTML page that needs nothing beside it."""
     comparisons = [c for one in outcomes if one.result for c in one.result.comparisons]
     content = {

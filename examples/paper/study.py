@@ -93,7 +93,7 @@ class SmallTable:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class PaperComparison:
     """One result of ours beside its reference.
 
     Attributes:
@@ -128,7 +128,7 @@ class StudyResult:
     lead: str
     pictures: tuple[Picture, ...] = ()
     tables: tuple[SmallTable, ...] = ()
-    comparisons: tuple[Comparison, ...] = ()
+    comparisons: tuple[PaperComparison, ...] = ()
     notes: tuple[str, ...] = ()
 
 
@@ -154,7 +154,7 @@ class Study:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class StudyOutcome:
     """A study that has been run: its result, or why there is none, and the seconds it took."""
 
     study: Study
@@ -197,7 +197,7 @@ def _load_and_run(name: str, quick: bool, progress: Progress) -> StudyResult:
     return study_result(name, *run(size, progress))
 
 
-def run_study(study: Study, quick: bool, progress: Progress) -> Outcome:
+def run_study(study: Study, quick: bool, progress: Progress) -> StudyOutcome:
     """Run one study; whatever it raises is part of the outcome, Ctrl-C aside."""
     began = time.perf_counter()
     result, failure = None, ""
@@ -213,7 +213,7 @@ def run_study(study: Study, quick: bool, progress: Progress) -> Outcome:
         )
     except Exception:
         failure = traceback.format_exc(limit=-3)
-    return Outcome(study, result, failure, time.perf_counter() - began)
+    return StudyOutcome(study, result, failure, time.perf_counter() - began)
 
 
 @cache
@@ -245,7 +245,7 @@ def study_result(name: str, numbers: Numbers, figures: Figures) -> StudyResult:
         for table, own in _each(text.get("tables", ()), numbers)
     )
     comparisons = tuple(
-        Comparison(
+        PaperComparison(
             **{key: filled(entry[key], own) for key in ("what", "ours", "theirs", "why")},
             unit=filled(entry.get("unit", ""), own),
             agreement=_agreement(entry, own),
