@@ -156,6 +156,7 @@ def test_several_contacts_at_once_have_a_wrench_each_and_are_replayed(tared, tmp
         return [force(told[number][-1])[k] for number, k in ((2, 2), (4, 1))]
 
     tared.until(lambda: all(told.values()), "wrenches of all segments")
+    recorder.flush()  # subscribes to the segments, whose discovery takes a while
     tared.until(lambda: np.allclose(both(), (30.0, -25.0), atol=2.0), "both forces")
     tared.until(lambda: not any(force(told[3][-1])), "nothing on the segment between")
     tared.until(
@@ -165,7 +166,7 @@ def test_several_contacts_at_once_have_a_wrench_each_and_are_replayed(tared, tmp
     for force_n in (30.0, 0.0):  # recorded from here on, with its journal from the start
         recorder.flush()
         tared.push(2, (0.0, 0.0, force_n))
-        tared.spin(1.0)
+        tared.spin(2.5)
     recorder.close()
     tared.executor.remove_node(listener)
     listener.destroy_node()
