@@ -25,16 +25,16 @@ REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cab
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
 
-demo: $(VENV)/.demo  ## a live picture of an arm being pushed; ARGS='--headless' prints a table instead
+demo: $(VENV)/.demo build/compiled  ## a live picture of an arm being pushed; ARGS='--headless' prints a table instead
 	@$(BIN)/cablesense demo $(ARGS)
 
-test: setup build/mypy  ## style, types, dependencies between packages, and all tests on all cores; ARGS go to pytest
+test: setup build/mypy build/compiled  ## style, types, dependencies between packages, and all tests on all cores; ARGS go to pytest
 	@failed=0; \
 	$(MAKE) --no-print-directory lint || failed=1; \
 	$(BIN)/python -m pytest $(PARALLEL) $(ALL) $(ARGS) || failed=1; \
 	exit $$failed
 
-test-fast: setup  ## the tests that take milliseconds: no nodes, no browser, nothing slow
+test-fast: setup build/compiled  ## the tests that take milliseconds: no nodes, no browser, nothing slow
 	@$(BIN)/python -m pytest $(PARALLEL) $(FAST) $(ARGS)
 
 lint: setup build/mypy  ## style, types and dependencies between packages
@@ -45,13 +45,25 @@ lint: setup build/mypy  ## style, types and dependencies between packages
 	$(BIN)/lint-imports --no-logo || failed=1; \
 	exit $$failed
 
+# A minute, that many processes at once would take several times. Numba does not see that a module of
+# which code is in another module's has changed.
+build/compiled: $(shell grep -l '^@compiled' cablesense_sim/*.py)
+	@mkdir -p build
+	@rm -f cablesense_sim/__pycache__/*.nbi cablesense_sim/__pycache__/*.nbc
+	@echo 'Compiling statics, the law of friction and the fits of contacts (a minute, once) …'
+	@$(BIN)/python -c 'from cablesense_sim import *; solve_equilibrium(mechanism_of(open_arm("cdsm")), [[0.0] * 8] * 999)'
+	@$(BIN)/python -c 'from cablesense_sim.arm import open_arm; from cablesense_sim.dynamics import RestToRestArm; RestToRestArm(open_arm("cdsm_friction"))'
+	@$(BIN)/python -c 'from cablesense_online.models import load_model; load_model("cdsm", "").estimator.prepare()'
+	@touch $@
+
 setup: $(VENV)/.all  ## everything that developing needs, in .venv
 
 models: setup  ## trains every bundled model again
 	@CABLESENSE=$(BIN)/cablesense config/models/train.sh
 
 limits: setup  ## puts the largest misfit of simulated healthy arms into every bundled model of single contacts again
-	@$(BIN)/python -m cablesense_online.misfit_limit $$(ls config/models/*.onnx config/models/peers/*.onnx | grep -v multi)
+	@$(BIN)/python -c 'import pathlib, sys; from cablesense_online.misfit_limit import put_simulated_limit as put; [print(path, put(pathlib.Path(path))) for path in sys.argv[1:]]' \
+		$$(ls config/models/*.onnx config/models/peers/*.onnx | grep -v multi)
 
 lock: setup  ## writes versions of .venv to constraints.txt, their files' hashes beside it, and to NOTICE what is copyleft
 	@mkdir -p build
@@ -81,9 +93,6 @@ $(VENV)/.demo: $(REQUIREMENTS) | $(BIN)/python
 $(VENV)/.all: $(REQUIREMENTS) | $(BIN)/python
 	@echo 'Installing what the tests need (some minutes, once: torch is large) …'
 	@PYTHONWARNINGS=ignore $(INSTALL) '.[ros,can,page,train,gap,dev]'
-	@echo 'Compiling statics and the law of friction (half a minute, once) …'
-	@$(BIN)/python -c 'from cablesense_sim.arm import open_arm; from cablesense_sim.dynamics import RestToRestArm; RestToRestArm(open_arm("cdsm_friction"))'
-	@$(BIN)/python -c 'from cablesense_sim import *; solve_equilibrium(mechanism_of(open_arm("cdsm")), [[0.0] * 8] * 999)'
 	@touch $@ $(VENV)/.demo
 
 $(BIN)/python:

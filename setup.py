@@ -36,9 +36,9 @@ EXTRAS = {
         "python-can[serial]",  # every CAN adapter; serial for those that speak slcan
     ],
     "page": [
+        "jinja2",  # the figures on the page
         "matplotlib",  # the picture of a headless demo, pictures of an evaluation
         "msgspec",  # reads what a browser sends, before viser does
-        "trimesh",  # the meshes of the arm on the page
         "viser",  # the 3D page in the browser
         "websockets",  # viser's server, whose requests are checked
     ],

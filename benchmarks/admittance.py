@@ -38,7 +38,7 @@ STIFFNESSES_N_M = (2_000.0, 10_000.0, 20_000.0, 40_000.0, 100_000.0)
 HELD_N = 30.0
 STEPS = 40
 PERIOD_S = 0.73
-"""Of the node's cycle beside the static estimator: move 0.1 s, settle 0.5 s, measure 0.1 s."""
+"""The node's cycle with the static estimator: move 0.1 s, settle 0.5 s, measure 0.1 s."""
 SETTLED_WITHIN_N = 1.0
 CHATTER_N = 0.5
 LAST = 8

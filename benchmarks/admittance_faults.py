@@ -2,12 +2,12 @@
 
     python benchmarks/admittance_faults.py [--arm cdsm] [--workers 2] [--write]
 
-Estimator and controller in one process, at 50 Hz, beside an arm that goes from rest to rest (no
-swing), with the sensors' noise and step. Every fault comes to an arm that nothing touches: after
-the tare, and 2 s later another node commands a bent pose. And to an arm that a weight of 40 N
-pulls, on segment 3, as far as the controller may give way (1.5 degrees). What counts is how far
-the controller's commands are from the pose that others commanded, or in contact from the one
-before the fault.
+Estimator and controller run in one process, at 50 Hz, with a simulated arm that steps from rest to
+rest (no swing). Readings have the sensors' noise and step. Every fault comes to an arm that
+nothing touches: after the tare, and 2 s later another node commands a bent pose. It also comes to
+an arm that a weight of 40 N pulls, on segment 3, to the controller's limit (1.5 degrees). The
+measure is the distance of the controller's commands from the pose that others commanded, or in
+contact from the one before the fault.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
-from cablesense_online.state import EstimationSettings
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.loads import normal_force_n
@@ -43,7 +42,7 @@ FAULT_S, MOVED_S, END_S = 3.0, 5.0, 9.0
 DRIFT_S = 14.0
 TOUCHED = {"segment": 3, "angle_deg": 70.0, "magnitude_n": 40.0}
 TOUCHED_S, GIVEN_WAY_S, TOUCHED_LIMIT_DEG = 3.0, 12.0, 1.5
-"""When the weight comes, when the fault, and how far the controller may give way."""
+"""The times of weight and fault, and the limit of the controller."""
 LOOSE_N = -1e5
 """Pretension of a broken cable: it would have to stretch by centimetres to be taut."""
 
@@ -54,7 +53,7 @@ Change = Callable[[Array, float], None]
 
 
 class Fault(NamedTuple):
-    """What fails, and how large it is in its unit; `change` is of the readings."""
+    """One fault and its size with its unit; `change` is of the readings."""
 
     kind: str
     size: str
@@ -118,18 +117,12 @@ class Run:
     """Arm, estimator and controller; every message is answered as the nodes do."""
 
     def __init__(self, arm_name: str, seed: int, **limits: Any) -> None:
-        loaded = opened(arm_name, "")
+        loaded = opened(arm_name, arm_name)
         self.arm, self.rng = loaded.arm, np.random.default_rng(seed)
         self.mechanism = mechanism_of(self.arm)
-        settings = EstimationSettings(
-            contact_threshold=0.5,
-            stale_after_s=0.2,
-            slack_below_n=1.0,
+        settings = harness.estimation_settings(
             tare_samples=50,
-            tare_steady_n=1.0,
-            auto_tare=True,
             joint_speed_rad_s=float(np.deg2rad(20.0)),
-            settle_s=0.5,
             tare_deviation_n=2.0,
             tare_drift_n=0.1,
             largest_misfit=loaded.largest_misfit(-1.0),
@@ -215,7 +208,7 @@ Row = tuple[str, str, int, float, float]
 def cable_rows(arm_name: str, touched: bool, cable: int) -> list[Row]:
     """Kind, size, cable, turn (degrees) and largest force (N) of its faults."""
     rows = []
-    for number, fault in enumerate(faults(opened(arm_name, "").arm.cable_count)):
+    for number, fault in enumerate(faults(opened(arm_name, arm_name).arm.cable_count)):
         if fault.cable == cable:
             with suppress(EquilibriumError):  # the arm collapses
                 found = moved(arm_name, fault, number, touched=touched)
@@ -225,7 +218,7 @@ def cable_rows(arm_name: str, touched: bool, cable: int) -> list[Row]:
 
 def measure(arm_name: str, workers: int, *, touched: bool) -> dict[str, Any]:
     """All faults of one arm, by kind."""
-    count = opened(arm_name, "").arm.cable_count
+    count = opened(arm_name, arm_name).arm.cable_count
     with WorkerPool(workers, arm_name, touched) as pool:
         rows = [row for found in pool.map(cable_rows, range(count)) for row in found]
     result = {}

@@ -2,15 +2,23 @@
 
     python benchmarks/breathing.py [--arms 32] [--friction 0.05 0.10 0.15] [--write]
 
-Cables stick rigidly at every guide and at a pulley of a quarter turn. Arms side by side, half of
-them straight and half bent by up to 8 degrees, are loaded with 5 to 100 N on one segment, the load
-is lowered, and taken off; at each of these rests they breathe once. The shipped static model, of
-the arm without friction, answers from one reading after the breath, with noise and step. Beside
-it the same course without breathing (`passive`), also with a simulation beside each arm that knows
-its friction and not its loads (`simulated`), and with the shape of a demagnetisation: joints to
-and fro with shrinking amplitude, all cables in and out by 0.1 mm, the geometric mean of these two
+Cables stick rigidly at every guide and at a pulley of a quarter turn. Half of the arms are
+straight and half bent by up to 8 degrees. They are loaded with 5 to 100 N on one segment; the load
+is lowered, then removed. At each of these rests they breathe once. The shipped static model, of
+the arm without friction, answers from one reading after the breath, with noise and step. So does
+that of contacts anywhere, which is not told the place. The same
+course is also run without breathing (`passive`), with a simulation of each arm that knows its
+friction and not its loads (`simulated`), and with the shape of a demagnetisation: joints to and
+fro with shrinking amplitude, all cables in and out by 0.1 mm, the geometric mean of these two
 readings (`to and fro`), and breaths of 0.6 of the least circle that turns every guide (`gentle
 breath`), both on the soft arm.
+
+    python benchmarks/breathing.py --hidden [--write]
+
+measures the part of a load that friction hides without breathing, against its coefficient, on the
+laboratory's arm, straight and bent: the smallest changes of `HIDDEN_LOAD_N` that show
+(`cablesense_sim.load_capacity`), medians over the directions around the third segment. It writes
+`hidden_force.json` and a picture.
 """
 
 from __future__ import annotations
@@ -22,17 +30,26 @@ from functools import partial
 from typing import Any
 
 import harness
+import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_online.breath_readings import BreathReadings
-from cablesense_online.breathing import SET_POINTS_A_TURN, Breath, breath_circle, tip_m
+from cablesense_online.breathing import (
+    SET_POINTS_A_TURN,
+    Breath,
+    BreathReadings,
+    breath_circle,
+    tip_m,
+)
 from cablesense_plants.arm.arm import SteppedArms, ideal_arm
 from cablesense_plants.arm.body import PlantFriction, read_nominal
 from cablesense_sim.arm import Arm, find_arm, open_arm
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.load_capacity import DIRECTIONS, SHOWS_AT_STD, hidden_force
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.replay import read_tensions_n
+from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.history_simulation import HistorySimulation
 from cablesense_training.inference.metadata import find_model
@@ -41,10 +58,18 @@ SEED = 20_261_122
 TURN_S, SETTLE_S = 0.4, 0.5
 _PULLEY_RAD, _BENT_DEG, _FORCES_N = np.pi / 2, 8.0, (5.0, 100.0)
 _STEPS = 4
-"""Of a load, and of a move."""
+"""The steps of a load, and of a move."""
 _STEP_S, _TARE_SAMPLES = 0.1, 50
 _GENTLE = 0.6
 _BARS_N = {0.05: 0.3, 0.10: 0.4, 0.15: 0.6}
+HIDING_ARM, HIDING_SEGMENT, HIDDEN_LOAD_N = "cdsm_lab", 3, 20.0
+_FRICTIONS = (0.0, 0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2)
+_LABELS = {
+    "touching_n": "a first push",
+    "rising_n": "more, at the load",
+    "falling_n": "less, at the load",
+    "released_n": "a push after release",
+}
 
 
 class Course:
@@ -90,7 +115,7 @@ class Course:
 
 
 class SimulatedCourse(Course):
-    """The same, with a simulation beside each arm that knows its friction."""
+    """The same, with a simulation of each arm that knows its friction."""
 
     def __init__(self, name: str, coefficient: float, arms: int) -> None:
         known = with_friction(open_arm(name), coefficient)
@@ -201,13 +226,16 @@ def errors(course: Course, read: Callable[[], Array], loads: int) -> dict[str, A
     estimator = Estimator.load(find_model(course.arm.name), course.arm)
     mechanism, rng = mechanism_of(course.arm), np.random.default_rng(SEED + 1)
     unloaded_n, right, off_n, off_deg, ghost_n = read(), [], [], [], []
+    anywhere = AnywhereEstimator.load(find_model(f"{course.arm.name}_anywhere"), course.arm)
+    located, off_mm, off_there_n, off_moment = [], [], [], []
     for _ in range(loads):
         segment, angle = rng.integers(1, 5, arms), rng.uniform(0.0, 360.0, arms)
         highest = rng.uniform(*_FORCES_N, arms)
         lower = np.maximum(_FORCES_N[0], highest * rng.uniform(0.2, 0.8, arms))
         for force in (highest, lower, np.zeros(arms)):
             course.load(normal_force_n(mechanism, course.base_rad, segment, angle, force))
-            found = estimator.estimate_batch(read() - unloaded_n, course.base_rad)
+            difference_n = read() - unloaded_n
+            found = estimator.estimate_batch(difference_n, course.base_rad)
             touched = found.probabilities[:, 0] < 0.5
             if not force.any():
                 ghost_n += np.where(touched, found.magnitude_n, 0.0).tolist()
@@ -216,7 +244,22 @@ def errors(course: Course, read: Callable[[], Array], loads: int) -> dict[str, A
             right += (touched & (likeliest == segment)).tolist()
             off_n += np.abs(found.magnitude_n - force).tolist()
             off_deg += np.abs((found.angle_deg - angle + 180.0) % 360.0 - 180.0).tolist()
+            place, _ = anywhere.locate_batch(difference_n, course.base_rad)
+            at_m, named = mechanism.contact_m[segment - 1], place.segment == segment
+            far, first = named & (segment > 1), named & (segment == 1)
+            located += named.tolist()
+            off_mm += (1e3 * np.abs(place.place_m - at_m))[far].tolist()
+            size_n = np.hypot(*place.force_n[:, 1:].T)
+            off_there_n += np.abs(size_n - force)[far].tolist()
+            turned = np.hypot(*place.moment_n_m.T) / (force * at_m)
+            off_moment += np.abs(turned - 1.0)[first].tolist()
     return {
+        "anywhere": {
+            "contact": float(np.mean(located)),
+            "place_mm": harness.percentiles(off_mm, ["median", "95 %"]),
+            "force_n": harness.percentiles(off_there_n, ["median", "95 %"]),
+            "segment_1_moment_share": harness.percentiles(off_moment, ["median", "95 %"]),
+        },
         "samples": len(right),
         "contact": float(np.mean(right)),
         "force_mae_n": round(float(np.mean(off_n)), 3),
@@ -241,13 +284,53 @@ def breathed(name: str, coefficient: float, options: Any, share: float) -> dict[
     }
 
 
+def hidden(write: bool) -> dict[str, Any]:
+    """The force hidden by friction, against its coefficient; `write` draws its picture too."""
+    mpl.use("Agg")
+    result: dict[str, Any] = {
+        **harness.origin("numpy"),
+        "arm": HIDING_ARM,
+        "segment": HIDING_SEGMENT,
+        "load_n": HIDDEN_LOAD_N,
+        "pulley_wrap_rad": _PULLEY_RAD,
+        "shows_at_std": SHOWS_AT_STD,
+        "directions": DIRECTIONS,
+        "coefficients": _FRICTIONS,
+    }
+    figure, every = plt.subplots(1, 2, figsize=(8.0, 3.2), sharey=True)
+    for bend_deg, axes in zip((0.0, 5.0), every, strict=True):
+        curves: dict[str, list[float | None]] = {name: [] for name in _LABELS}
+        for coefficient in _FRICTIONS:
+            arm = with_friction(open_arm(HIDING_ARM), coefficient)
+            pose_rad = np.full(arm.joint_count, np.deg2rad(bend_deg))
+            for name, values in hidden_force(arm, pose_rad, HIDDEN_LOAD_N)._asdict().items():
+                median = float(np.median(values[HIDING_SEGMENT - 1]))
+                curves[name].append(round(median, 3) if np.isfinite(median) else None)
+        result[f"median_n_bent_by_{bend_deg:g}_deg"] = curves
+        for name, label in _LABELS.items():
+            shown = [np.nan if n is None else n for n in curves[name]]  # the whole load is hidden
+            axes.plot(_FRICTIONS, shown, marker=".", label=label)
+        axes.set(title=f"every joint at {bend_deg:g}°", xlabel="coefficient of friction")
+        axes.axhline(HIDDEN_LOAD_N, color="grey", linestyle=":", linewidth=1.0)
+    every[0].set(ylabel="smallest change that shows, N", ylim=(0.0, 1.05 * HIDDEN_LOAD_N))
+    every[0].legend(frameon=False, fontsize=8)
+    figure.tight_layout()
+    if write:
+        figure.savefig(harness.RESULTS / "hidden_force.png", dpi=150)
+    return result
+
+
 def main() -> None:
     """Measures and prints; writes with `--write`."""
-    parser = harness.parser(__doc__, "results/breathing.json")
+    parser = harness.parser(__doc__, "results/breathing.json or hidden_force.*")
     parser.add_argument("--arms", type=int, default=32, help="side by side")
     parser.add_argument("--loads", type=int, default=2, help="of each arm")
     parser.add_argument("--friction", type=float, nargs="+", default=[0.05, 0.10, 0.15])
+    parser.add_argument("--hidden", action="store_true", help="what friction hides, instead")
     options = parser.parse_args()
+    if options.hidden:
+        harness.publish("hidden_force.json", hidden(options.write), options)
+        return
     cases: list[dict[str, Any]] = []
     bars: dict[str, bool] = {}
     for name in ("cdsm", "cdsm_lab"):
@@ -264,6 +347,7 @@ def main() -> None:
                 course = Course(name, coefficient, options.arms)
                 case["to and fro"] = errors(course, partial(to_and_fro, course), options.loads)
             cases.append(case | {"seconds": round(time.monotonic() - began)})
+            there = breath["anywhere"]
             what = f"{name}, friction {coefficient:g}: "
             bar_n = _BARS_N.get(coefficient, 0.6)
             bars |= {
@@ -274,6 +358,11 @@ def main() -> None:
                 ),
                 f"{what}ghost {breath['ghost_n']:.2f} N": breath["ghost_n"] <= 0.1,
                 f"{what}breath {breath['took_s']:.2f} s": breath["took_s"] <= 2.0,
+                f"{what}place {there['place_mm']['median']:.1f} mm": there["place_mm"]["median"]
+                <= 5,
+                f"{what}force there {there['force_n']['median']:.2f} N": (
+                    there["force_n"]["median"] <= 0.3
+                ),
                 f"{what}tip {breath['tip_mm']['worst']:.2f} mm": breath["tip_mm"]["worst"] <= 1.0,
             }
     result = {**harness.origin("numpy"), "seed": SEED, "arms": options.arms, "cases": cases}

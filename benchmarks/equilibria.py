@@ -1,6 +1,6 @@
 """Equilibria per second with cables that only pull, and how long time-stepping takes for the same.
 
-    python benchmarks/equilibria.py [--json] [--write]
+    python benchmarks/equilibria.py [--cases 65536] [--write]
 
 Worker processes, one per core and each with one BLAS thread, solve random poses within ±10
 degrees under one contact of 0 to 200 N. Handing out the cases and taking back the tensions counts,
@@ -15,13 +15,11 @@ with the baseline's time counted as its number of steps times MuJoCo's bare step
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import os
 import statistics
 import sys
 import time
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
@@ -38,7 +36,6 @@ from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 
-CASES = 65_536
 SHARE = 2_048
 HARD_CASES = 2_000
 STEPPED_CASES = 12
@@ -49,17 +46,17 @@ BARE_STEPS = 20_000
 RESULT = "equilibria.json"
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> int:
     """Measure, print, write; 1 where a bar is missed."""
     parser = harness.parser(__doc__, f"results/{RESULT}")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    options = parser.parse_args(arguments)
+    parser.add_argument("--cases", type=int, default=65_536, help="random poses of each arm")
+    options = parser.parse_args()
     for library in ("OMP", "OPENBLAS", "MKL"):  # read by the workers, which start afterwards
         os.environ[f"{library}_NUM_THREADS"] = "1"
     workers = len(os.sched_getaffinity(0))
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        arms = {name: _measure(pool, workers, name) for name in ("cdsm", "cdsm_lab")}
+        arms = {name: _measure(pool, name, options.cases) for name in ("cdsm", "cdsm_lab")}
         hard = pool.submit(_hard).result()
     met = (
         all(arm["per_second"] >= BAR_PER_S for arm in arms.values())
@@ -74,9 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "arms": arms,
         "hard": hard,
     }
-    if options.write:
-        harness.write_result(RESULT, report, indent=2)
-    print(json.dumps(report, indent=2) if options.json else _table(report))
+    harness.publish(RESULT, report, options)
     return 0 if met else 1
 
 
@@ -97,7 +92,7 @@ def _cases(
 
 
 def _with_rest(name: str, command: Array, forces: Array) -> NDArray[np.int64]:
-    """Positions of the cases in which the plates stay apart."""
+    """Positions of the cases in which the plates do not touch."""
     try:
         solve_equilibrium(mechanism_of(open_arm(name)), command, forces)
     except EquilibriumError as error:
@@ -114,11 +109,11 @@ def _solve(
     return rest.tensions_n, rest.residual_n_m, rest.iterations, time.process_time() - start
 
 
-def _measure(pool: ProcessPoolExecutor, workers: int, name: str) -> dict[str, Any]:
+def _measure(pool: ProcessPoolExecutor, name: str, cases: int) -> dict[str, Any]:
     mechanism = mechanism_of(open_arm(name))
-    command, forces = _cases(mechanism, CASES, degrees=10, contacts=1, largest_n=200)
+    command, forces = _cases(mechanism, cases, degrees=10, contacts=1, largest_n=200)
     # also warms the workers up: each has solved before the clock starts
-    parts = [slice(i, i + SHARE) for i in range(0, CASES, SHARE)]
+    parts = [slice(i, i + SHARE) for i in range(0, cases, SHARE)]
     kept = pool.map(_with_rest, *zip(*((name, command[p], forces[p]) for p in parts), strict=True))
     good = np.concatenate([p.start + rows for p, rows in zip(parts, kept, strict=True)])
     shares = np.array_split(good, len(parts))
@@ -137,7 +132,7 @@ def _measure(pool: ProcessPoolExecutor, workers: int, name: str) -> dict[str, An
         "per_second": len(good) / seconds,
         "per_second_one_core": one_core,
         "slack_share": float((tensions == 0).any(axis=1).mean()),
-        "without_rest": CASES - len(good),
+        "without_rest": cases - len(good),
         "largest_residual_n_m": float(residual.max()),
         "largest_iterations": int(iterations.max()),
         "stepped_cases": len(steps),
@@ -190,28 +185,6 @@ def _hard() -> dict[str, Any]:
         "largest_iterations": int(iterations.max()),
         "slack_share": float((tensions == 0).any(axis=1).mean()),
     }
-
-
-def _table(report: dict[str, Any]) -> str:
-    lines = [f"{report['workers']}; {report['machine']}"]
-    for name, arm in report["arms"].items():
-        lines += [
-            f"{name}: {arm['per_second']:,.0f} equilibria per second "
-            f"({arm['per_second_one_core']:,.0f} on one core), residual at most "
-            f"{arm['largest_residual_n_m']:.1e} N·m, slack in {arm['slack_share']:.0%}",
-            f"  stepping to rest: {arm['steps_to_rest']:,.0f} steps, {arm['stepping_ms']:.1f} ms "
-            f"bare, {arm['stepping_with_python_ms']:.1f} ms with Python; "
-            f"{arm['ratio_as_run']:,.0f} times as long as run, "
-            f"{arm['ratio_bare_one_core']:,.0f} times bare on one core; tensions within "
-            f"{arm['largest_tension_difference_n']:.1e} N",
-        ]
-    hard = report["hard"]
-    lines.append(
-        f"hard cases: {hard['converged']} of {hard['cases']} at rest, residual at most "
-        f"{hard['largest_residual_n_m']:.1e} N·m, {hard['largest_iterations']} steps at most"
-    )
-    lines.append("bars met" if report["bar"]["met"] else "a bar is missed")
-    return "\n".join(lines)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""The law of cable friction beside two references that share no code with it.
+"""The law of cable friction compared with two references that share no code with it.
 
     python benchmarks/friction_law.py [--count 200] [--write]
 
 Random cables of two to nine elastic pieces, softer and stiffer, over guides of random grip, pulled
-at random with their slack. At every rest of the law a search over all patterns of sticking and
-sliding says what the tensions have to be (up to five pieces), and a simulation in time says what
-they become along the path between rows; the law comes as near to that as its
-steps are short. Errors are the largest over rows and pieces, by the range of the history.
+at random with their slack. For up to five pieces, a search over all patterns of sticking and
+sliding gives the tensions at every rest of the law. A simulation in time gives them along the path
+between rows; the law approaches it as its steps become shorter. Errors are the largest over rows
+and pieces, by the range of the history.
 
 The P pieces of a cable lie between its ends and G = P - 1 guides. On both sides of a guide the
 tensions stay within a factor exp(grip) of each other (grip: friction times wrap angle), and cable
@@ -130,8 +130,8 @@ def _summary(errors: list[float]) -> dict[str, float]:
 _CLOSE = 1e-9
 
 
-class Course(NamedTuple):
-    """What a cable does along R rows of a history.
+class CableCourse(NamedTuple):
+    """The course of a cable along R rows of a history.
 
     Attributes:
         tension_n: (R, P).
@@ -142,7 +142,9 @@ class Course(NamedTuple):
     passed_m: Array
 
 
-def searched(stiffness_n_m: Array, grip: Array, stretch_m: Array, substeps: int = 1) -> Course:
+def searched(
+    stiffness_n_m: Array, grip: Array, stretch_m: Array, substeps: int = 1
+) -> CableCourse:
     """By the one of the 3^G patterns of sticking, sliding out and sliding in that is admissible.
 
     Args:
@@ -171,7 +173,7 @@ def searched(stiffness_n_m: Array, grip: Array, stretch_m: Array, substeps: int 
             passed, tension = _admissible(stiffness_n_m, passes, patterns, bound, stretch, passed)
         found.append((tension, passed))
     tensions, lengths = zip(*found, strict=True)
-    return Course(np.array(tensions), np.array(lengths))
+    return CableCourse(np.array(tensions), np.array(lengths))
 
 
 def _admissible(
@@ -200,8 +202,8 @@ def _admissible(
     return passed[right_ones[0]], tension[right_ones[0]]
 
 
-def timed(stiffness_n_m: Array, grip: Array, stretch_m: Array, steps: int = 4000) -> Course:
-    """By explicit steps in time: over each guide cable passes in proportion to what is too much.
+def timed(stiffness_n_m: Array, grip: Array, stretch_m: Array, steps: int = 4000) -> CableCourse:
+    """By explicit steps in time: cable passes a guide in proportion to the excess of tension.
 
     Args:
         stiffness_n_m: (..., P) of the pieces.
@@ -225,7 +227,7 @@ def timed(stiffness_n_m: Array, grip: Array, stretch_m: Array, steps: int = 4000
             passed = passed + mobility * (outward - np.maximum(nearer - factor * farther, 0.0))
         tensions.append(tension)
         lengths.append(passed)
-    return Course(np.array(tensions), np.array(lengths))
+    return CableCourse(np.array(tensions), np.array(lengths))
 
 
 def random_history(rng: np.random.Generator, guides: int, rows: int) -> tuple[Array, Array, Array]:

@@ -32,7 +32,7 @@ from fuzz_mutation import FalseAnswerError, Target
 ITEM_LIMIT_S = 60.0
 """Longest time of an item, of which the slowest takes some seconds: a busy machine delays all."""
 GROWTH_LIMIT_MB = 1_500.0
-"""Most address space that a child may take beyond what it began with."""
+"""The most address space that a child may add to that at its start."""
 FINDING_KINDS = ("ended", "escaped", "false_answers")
 INPUTS = ("inputs", "refused", "taken")
 SHARES = 3
@@ -44,12 +44,11 @@ def targets() -> dict[str, Target]:
     """All readers of what comes from outside, by name."""
     from fuzz_files import FILE_TARGETS  # slow to import, and not needed for --help
     from fuzz_frames import make_frames
-    from fuzz_messages import make_commands, make_messages
+    from fuzz_messages import make_messages
 
     return {
         "frames": Target("CAN frames", make_frames, 4_000, 12),
         "messages": Target("messages", make_messages, 1_050, 3),
-        "commands": Target("messages", make_commands, 400, 3),
         **FILE_TARGETS,
     }
 

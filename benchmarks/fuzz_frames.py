@@ -1,7 +1,7 @@
-"""Sequences of mutated CAN frames into the driver's reading path, with an oracle of its own.
+"""Sequences of mutated CAN frames into the driver's reading path, with an independent oracle.
 
 The oracle reads values off the frames' bytes by `struct`, as the amplifiers' manuals define them,
-and beside it by cantools. A sample is right if each of its tensions was carried, in the range, by
+and also by cantools. A sample is right if each of its tensions was carried, in the range, by
 a well-formed frame of that channel since the cycle was opened, and no frame served two samples.
 Bytes that spell another plausible value cannot be recognised as wrong.
 """
@@ -15,13 +15,12 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import can
-from fuzz_mutation import FalseAnswerError, Outcome, Run, item_random, mutated_bytes
+from fuzz_mutation import FalseAnswerError, ItemOutcome, Run, item_random, mutated_bytes
 
 from cablesense_online.can.bus import CanInterface, FaultLedger
 from cablesense_online.can.channel_map import open_channel_map
-from cablesense_online.can.decoder import Sample
+from cablesense_online.can.reader import SCATTER_OF_READING_S, Sample, TensionReader
 from cablesense_online.can.slcan import frame_line, line_frame
-from cablesense_online.can.tension_reader import SCATTER_OF_READING_S, TensionReader
 
 CYCLES = 60
 START_S = 1.7e9
@@ -91,7 +90,7 @@ def _plain(frame: can.Message) -> bool:
 
 
 class _Witness:
-    """Gets every frame beside the reader, and judges each sample."""
+    """Gets every frame that the reader gets, and judges each sample."""
 
     def __init__(self, amplifier: _Amplifier, skew_limit_s: float) -> None:
         self._amplifier = amplifier
@@ -125,13 +124,13 @@ class _Witness:
 
 
 def make_frames(seed: int) -> Run:
-    """Items are sequences of some hundred frames into a reader of their own.
+    """Items are sequences of some hundred frames, each into a new reader.
 
     Frames make samples: `refused` counts those withheld, `taken` those given.
     """
     amplifiers = [_Amplifier("twelve_channel_amplifier"), _Amplifier("cia404_amplifier")]
 
-    def run(item: int) -> Outcome:
+    def run(item: int) -> ItemOutcome:
         rng = item_random("frames", seed, item)
         amplifier = amplifiers[item % 2]
         interface = rng.choice(("virtual", "slcan"))
@@ -146,15 +145,13 @@ def make_frames(seed: int) -> Run:
             arrival_s += gap_s
             sent += 1
             witness.take(frame)
-            sample = reader.take(frame, arrival_s, arrival_s - START_S + 100.0)
+            sample = reader.take(frame, arrival_s)
             if sample is not None:
                 witness.judge(sample, arrival_s)
                 taken += 1
-            elif rng.random() < 0.002:
-                reader.silence(arrival_s - START_S + 100.0)
             if rng.random() < 0.0005:
                 reader.reopened()
-        return Outcome(inputs=sent, taken=taken, refused=reader.withheld)
+        return ItemOutcome(inputs=sent, taken=taken, refused=reader.withheld)
 
     return run
 

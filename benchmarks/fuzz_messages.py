@@ -1,4 +1,4 @@
-"""Mutated serialized messages and commands to an estimation, without ROS.
+"""Mutated serialized messages to an estimation, without ROS.
 
 An oracle reads each message by rosbags, which the estimator does not use. A contact is right if
 the bytes are a message with every cable's plausible tension and a present stamp, and if the model
@@ -12,13 +12,13 @@ import random
 import struct
 from collections.abc import Sequence
 from functools import cache
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
+import harness
 import numpy as np
 from fuzz_mutation import (
     FalseAnswerError,
-    Outcome,
+    ItemOutcome,
     Run,
     item_random,
     mutated_bytes,
@@ -26,11 +26,10 @@ from fuzz_mutation import (
 )
 from rosbags.typesys import Stores, get_typestore
 
-from cablesense_base import Array, CableSenseError
+from cablesense_base import Array
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
 from cablesense_online.samples import PLAUSIBLE_N
-from cablesense_online.state import EstimationSettings
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -43,18 +42,8 @@ _STORE = get_typestore(Stores.ROS2_JAZZY)
 _DEFINITION = _STORE.get_msgdef(_KIND)
 
 MESSAGES = 100
-COMMANDS = 8
 TARED_NS = 10**18
-SETTINGS = EstimationSettings(
-    contact_threshold=0.5,
-    stale_after_s=0.2,
-    slack_below_n=1.0,
-    tare_samples=5,
-    tare_steady_n=1.0,
-    auto_tare=True,
-    joint_speed_rad_s=0.35,
-    settle_s=0.5,
-)
+SETTINGS = harness.estimation_settings()
 ARM = open_arm("cdsm")
 PUSHES = 40
 
@@ -64,7 +53,7 @@ _STAMPS_NS = (-(2**31) * 10**9, 2**31 * 10**9 - 1)
 
 
 class Content(NamedTuple):
-    """Of a message, as far as the estimator reads it."""
+    """The parts of a message that the estimator reads."""
 
     stamp_ns: int
     names: tuple[str, ...]
@@ -170,7 +159,7 @@ def rig() -> tuple[Estimator, Array, Array]:
 
 
 class TaredEstimation:
-    """An estimation that was tared, the clock beside it, and the judge of its answers."""
+    """A tared estimation with its clock, and the judge of its answers."""
 
     def __init__(self) -> None:
         self._model, unloaded_n, self.pushed_n = rig()
@@ -183,11 +172,6 @@ class TaredEstimation:
     def next_ns(self) -> int:
         """When the next message will be taken, 10 ms after the one before."""
         return self.now_ns + 10**7
-
-    @property
-    def command_deg(self) -> list[float]:
-        """The command in force."""
-        return np.rad2deg(self.estimation.gate.command_rad).tolist()
 
     def take(self, raw: bytes) -> Answer:
         """The answer to a message.
@@ -223,7 +207,7 @@ class TaredEstimation:
 def make_messages(seed: int) -> Run:
     """Items are a hundred mutated messages, and half as many good ones, to a tared estimation."""
 
-    def run(item: int) -> Outcome:
+    def run(item: int) -> ItemOutcome:
         rng = item_random("messages", seed, item)
         tared = TaredEstimation()
         refused = mutated = 0
@@ -239,47 +223,6 @@ def make_messages(seed: int) -> Run:
         tared.now_ns += 10**9
         if tared.take_pushed().contact.segment != 1:
             raise FalseAnswerError("a good message after bad ones was not answered")
-        return Outcome(inputs=mutated, refused=refused, taken=max(0, mutated - refused))
+        return ItemOutcome(inputs=mutated, refused=refused, taken=max(0, mutated - refused))
 
     return run
-
-
-def make_commands(seed: int) -> Run:
-    """Items are a few commands as ROS hands them over, mutated, to a tared estimation."""
-
-    def run(item: int) -> Outcome:
-        rng = item_random("commands", seed, item)
-        tared = TaredEstimation()
-        refused = 0
-        for _ in range(COMMANDS):
-            before = tared.command_deg
-            message = _command(rng)
-            try:
-                tared.estimation.command(message)
-            except CableSenseError as error:
-                require_one_line(error)
-                refused += 1
-                if tared.command_deg != before:
-                    raise FalseAnswerError("a refused command counts") from error
-            else:
-                angles = dict(zip(message.name, message.position, strict=True))
-                wanted = [
-                    math.degrees(angles[name]) if name in angles else angle_deg
-                    for name, angle_deg in zip(ARM.joint_names, before, strict=True)
-                ]
-                if not np.allclose(tared.command_deg, wanted, atol=1e-9):
-                    raise FalseAnswerError(f"{wanted} was read as another command")
-            answer = tared.take_pushed()
-            moved = tared.command_deg != before
-            if answer.contact.segment and (moved or any(tared.command_deg)):
-                raise FalseAnswerError("a contact while the arm may move")
-        return Outcome(inputs=COMMANDS, refused=refused, taken=COMMANDS - refused)
-
-    return run
-
-
-def _command(rng: random.Random) -> SimpleNamespace:
-    names, angles = list(ARM.joint_names), [rng.uniform(-0.15, 0.15) for _ in ARM.joint_names]
-    for _ in range(rng.randint(0, 2)):
-        _mutate(rng, names, angles)
-    return SimpleNamespace(header=SimpleNamespace(frame_id=""), name=names, position=angles)

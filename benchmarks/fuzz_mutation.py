@@ -26,7 +26,7 @@ class FalseAnswerError(AssertionError):
     """Invalid input was accepted as valid: the finding that fuzzing is for."""
 
 
-class Outcome(NamedTuple):
+class ItemOutcome(NamedTuple):
     """The frames, messages or files in an item, and how many were refused and taken."""
 
     inputs: int = 1
@@ -34,7 +34,7 @@ class Outcome(NamedTuple):
     taken: int = 0
 
 
-Run = Callable[[int], Outcome]
+Run = Callable[[int], ItemOutcome]
 
 
 class Target(NamedTuple):

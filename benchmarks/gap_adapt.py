@@ -1,12 +1,12 @@
-"""Force estimators put right by `cablesense gap adapt`, on arms of the independent plant.
+"""Force estimators corrected by `cablesense gap adapt`, on arms of the independent plant.
 
     python benchmarks/gap_adapt.py --folder DIR [--count 12] [--seed 9401] [--minutes 7] [--write]
 
-Draws arms with two to five effects, one of which is among those that can mislead an estimator,
-until so many of them mislead the shipped one by `--least` newtons or more at the peaks of loads;
-each of these is adapted to. Errors before and after are those on all loaded rows of the trials
-that neither the diagnosis nor the training had. With the same folder it goes on where it was
-stopped; after `--minutes` it begins no further arm, and reports those that are done.
+Draws arms with two to five effects, one of which is among those that can mislead an estimator. An
+arm counts if it misleads the shipped estimator by `--least` newtons or more at the peaks of loads;
+`--count` such arms are adapted to. Errors before and after are those on all loaded rows of the
+trials that neither the diagnosis nor the training had. With the same folder it continues where it
+was stopped; after `--minutes` it begins no further arm, and reports those that are done.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ import numpy as np
 from rich.console import Console
 
 from cablesense_base.installation import config_path
-from cablesense_gap.adaptation import adapt_to, kept_apart
+from cablesense_gap.adaptation import adapt_to, withheld_trials
 from cablesense_gap.arm_system import Diagnosis, diagnose
-from cablesense_gap.recorded_contacts import tares_n
+from cablesense_gap.recorded_contacts import at_contact_points, tares_n
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.recording import Recording
@@ -43,7 +43,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 RESULT = "gap_adapt.json"
 ARM = "cdsm_lab"
 HURTING = {"contact_offset", "capstan_friction", "sensor_lag", "sensor_gain", "joint_friction"}
-"""What a tare takes away, or what acts before it, seldom misleads."""
+"""Effects that a tare takes away seldom mislead."""
 _MOST_DRAWN = 200
 _NEAR_PEAK = 0.9
 _HIDDEN_BY = "capstan_friction"
@@ -94,7 +94,7 @@ def _case(folder: Path, kind: str, index: int, options: Any) -> dict[str, Any]:
     LOG.print(f"{folder.name}: {kind}, misled by {misled_n:.2f} N")
     if misled_n < options.least:
         return case
-    unseen = kept_apart(recording)
+    unseen = withheld_trials(recording, arm)
     if not kept.exists():
         kept.write_bytes(pickle.dumps(diagnose(recording, arm, unseen=unseen)))
     found: Diagnosis = pickle.loads(kept.read_bytes())
@@ -120,6 +120,7 @@ def _error_at_peaks_n(recording: Recording, estimator: Estimator) -> float:
     near = size >= _NEAR_PEAK * np.array([peak[t] for t in recording.trial])
     tare = tares_n(recording)
     rows = near & (recording.load_segment > 0) & np.isfinite(tare).all(axis=1)
+    rows &= at_contact_points(recording, estimator.metadata.arm)
     found = estimator.estimate_batch(
         (recording.tensions_n - tare)[rows], recording.command_rad[rows]
     )

@@ -4,14 +4,16 @@
     python benchmarks/gap_blind.py --count 8 --friction 12 --seed 9403 [--write]
     python benchmarks/gap_blind.py --effects 3-5 --count 40 --seed 9304 [--write]
     python benchmarks/gap_blind.py --recordings FOLDER [--write]
+    python benchmarks/gap_blind.py --speed cable_creep --seed 7 [--write]
 
 Draws the recordings, diagnoses each without its answer, and scores the verdicts. The cases are of
 all kinds in turn, followed by `--friction` cases with friction of cables, or they have several
 effects at once (`--effects`). Every arm is recorded twice: the amended arm of the first recording
 predicts the second. Seeds below 9100 and 9302, 9303, 9311 were used during development. `--folder`
 keeps recordings and verdicts and continues there; `--minutes` starts no further case after that
-time and scores the finished ones; `--first` stops after so many cases of a set. `--recordings`
-diagnoses recordings of another plant, whose answers are unknown.
+time and scores the finished ones; `--first` stops after that number of cases. `--recordings`
+diagnoses recordings of another plant, whose answers are unknown. `--speed` measures time and
+memory of one diagnosis with two workers, as a user runs it.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,7 +37,7 @@ from cablesense_gap.arm_simulator import removed_on
 from cablesense_gap.arm_system import diagnose
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.scoring import Truth as Case
-from cablesense_gap.scoring import as_json, read_answers, score
+from cablesense_gap.scoring import read_answers, score
 from cablesense_gap.verdict import (
     NONE,
     UNKNOWN,
@@ -50,7 +53,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 ARM = "cdsm_lab"
 SETTLED_ROWS = 60
-"""Of a second recording, from which history-dependent states are estimated."""
+"""The rows of a second recording from which history-dependent states are estimated."""
 _FRICTION = ["capstan_friction"] * 3 + ["cable_creep+capstan_friction"]
 
 
@@ -65,8 +68,12 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--effects", help="how many in each case, from-to, instead of all kinds")
     parser.add_argument("--minutes", type=float, default=np.inf, help="then no further case")
-    parser.add_argument("--folder", type=Path, help="of recordings and verdicts, goes on there")
+    parser.add_argument("--folder", type=Path, help="of recordings and verdicts, continued there")
+    parser.add_argument("--speed", metavar="EFFECT", help="time of a diagnosis of this effect")
     options = parser.parse_args()
+    if options.speed:
+        harness.publish("gap_speed.json", _speed(options.speed, options.seed), options)
+        return
     if options.recordings:
         result = {**harness.origin(), "each_case": _without_answers(options)}
         harness.publish("withheld.json", result, options)
@@ -103,9 +110,9 @@ def main() -> None:
             "median": round(np.median(seconds)),
             "most": round(max(seconds)),
         },
-        **as_json(score(verdicts, [a for a in truth if a in everything[: options.count]])),
+        **asdict(score(verdicts, [a for a in truth if a in everything[: options.count]])),
         "second_recording": _second({a.recording: done[a.recording][1] for a in truth}, truth),
-        **({"friction": as_json(score(verdicts, rough))} if rough else {}),
+        **({"friction": asdict(score(verdicts, rough))} if rough else {}),
     }
     result["each_case"] = [
         harness.case(a.recording, "+".join(a.effects), *done[a.recording]) for a in truth
@@ -123,9 +130,9 @@ def drawn(
     *,
     second: bool = False,
 ) -> dict[str, ArmAnswer]:
-    """Recordings `case_….csv` by the independent plant, and what is hidden in each by its name.
+    """Recordings `case_….csv` by the independent plant, and the hidden effects by its name.
 
-    The answers stand in `answers/answers.csv` beside them.
+    The answers are in `answers/answers.csv` in the same folder.
     """
     nominal, answers = read_nominal(find_arm(ARM)), folder / "answers" / "answers.csv"
     made = withhold(folder, answers, nominal, count, seed, tuple(only), workers, second=second)
@@ -161,6 +168,34 @@ def _second(removed: dict[str, float], truth: Sequence[Case]) -> dict[str, objec
     """Share of the gap removed on second recordings of arms with effects of the library."""
     listed = [removed[a.recording] for a in truth if a.effects[0] not in (NONE, UNKNOWN)]
     return {"median_removed_fraction": float(np.median(listed)) if listed else None}
+
+
+def _speed(effect: str, seed: int) -> dict[str, Any]:
+    loads, workers = [round(load, 1) for load in os.getloadavg()], 2
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        answer = drawn(folder, 1, seed, (effect,))["case_001"]
+        command = [*harness.CABLESENSE, "gap", "diagnose", str(folder / "case_001.csv")]
+        command += ["--arm", ARM, "--out", str(folder / "out"), "--workers", str(workers)]
+        seconds, peak_mb = harness.run_watched(command)
+        verdict = read_verdict(folder / "out" / "verdict.json")
+    return {
+        **harness.origin(),
+        "load_average_before": loads,
+        "rows": verdict.rows,
+        "hidden": {key: getattr(answer, key) for key in ("effects", "where", "form")}
+        | {"gap_n": f"{answer.gap_n:.4f}"},
+        "diagnosis": {
+            "workers": workers,
+            "seconds": round(seconds, 1),
+            "peak_memory_mb": round(peak_mb),
+            "effects": list(verdict.effects),
+            "probability": round(verdict.probability, 3),
+            "gap_before_n": round(verdict.gap.before_n, 4),
+            "gap_after_n": round(verdict.gap.after_n, 4),
+            "gap_floor_n": round(verdict.gap.floor_n, 4),
+        },
+    }
 
 
 def _without_answers(options: Any) -> list[dict[str, Any]]:

@@ -3,7 +3,7 @@
     python benchmarks/gap_calibration.py FOLDER [FOLDER ...] [--write]
 
 Each folder holds recordings of `cablesense gap withhold` with their `answers/answers.csv`. The
-residuals that the search leaves in each case are kept beside the recording
+residuals that the search leaves in each case are kept next to the recording
 (`case_….search.json`); then the numbers are fitted that give the true answers the highest mean
 log probability. The bundled numbers come from 60 cases of seed 606 and the first 21 of seed 9002.
 """
@@ -53,7 +53,7 @@ def main() -> None:
     stated = [_probabilities(case, calibration) for case, _ in cases]
     named = [max(each.items(), key=lambda item: item[1]) for each in stated]
     right = np.mean([n[0] == truth for n, (_, truth) in zip(named, cases, strict=True)])
-    print(f"{len(cases)} cases, {right:.0%} right, mean probability of what is named "
+    print(f"{len(cases)} cases, {right:.0%} right, mean probability of the named effects "
           f"{np.mean([p for _, p in named]):.2f}")  # fmt: skip
     print(json.dumps(asdict(calibration), indent=1))
     if options.write:

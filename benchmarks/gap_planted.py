@@ -3,11 +3,11 @@
     python benchmarks/gap_planted.py [--effects payload,sensor_gain] [--history] [--write]
 
 The arm of the standard protocol has manufacturing tolerances, one effect, and its sensors' noise,
-all simulated by the library itself: what is measured is the search, not how true the library is.
+all simulated by the library itself: this measures the search, not the library.
 Sizes beyond their range are held to it; an effect of several sizes has them all, of random sign.
 Which of the places of a kind it sits in is drawn. A case whose effect changes the readings by less
-than one floor is counted apart. With `--history` friction and creep are planted too. With
-`--folder` it goes on where it was stopped, and after `--minutes` it begins no further case.
+than one floor is counted separately. With `--history` friction and creep are planted too. With
+`--folder` it continues where it was stopped, and after `--minutes` it begins no further case.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of places, signs and tolerances")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--minutes", type=float, default=np.inf, help="then no further case")
-    parser.add_argument("--folder", type=Path, help="of finished cases, goes on there")
+    parser.add_argument("--folder", type=Path, help="of finished cases, continued there")
     options = parser.parse_args()
     arm = open_arm(ARM)
     asked = rows_of(standard_protocol(arm), RATE_HZ)

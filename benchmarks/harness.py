@@ -1,6 +1,6 @@
 """The harness of all benchmarks: options, the origin of a result, its file, process statistics.
 
-A benchmark is a script beside this file: `parser` gives its options, `origin` the first entries
+A benchmark is a script in this folder: `parser` gives its options, `origin` the first entries
 of its result, `publish` or `write_result` its file under `results/`.
 """
 
@@ -28,6 +28,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # examples are imported from
 from cablesense_base import CableSenseError
 from cablesense_base.files import write_atomically
 from cablesense_gap.verdict import Verdict
+from cablesense_online.state import EstimationSettings
 
 _CASE = re.compile(r'\{\s+"case".*?\}', re.DOTALL)
 """A case of a blind set is one line of a result."""
@@ -39,6 +40,21 @@ CABLESENSE = [
 """The command `cablesense` in this Python, also where it is not installed."""
 
 
+def estimation_settings(**changes: Any) -> EstimationSettings:
+    """The estimator's settings that benchmarks share: the node's, with a tare of few readings."""
+    shared = {
+        "contact_threshold": 0.5,
+        "stale_after_s": 0.2,
+        "slack_below_n": 1.0,
+        "tare_samples": 5,
+        "tare_steady_n": 1.0,
+        "auto_tare": True,
+        "joint_speed_rad_s": 0.35,
+        "settle_s": 0.5,
+    }
+    return EstimationSettings(**shared | changes)
+
+
 def parser(doc: str | None, writes: str) -> argparse.ArgumentParser:
     """The parser of a script's options, with `--write` for the files that `writes` names."""
     made = argparse.ArgumentParser(description=(doc or "").partition("\n")[0])
@@ -47,7 +63,7 @@ def parser(doc: str | None, writes: str) -> argparse.ArgumentParser:
 
 
 def origin(*libraries: str) -> dict[str, Any]:
-    """Where a result comes from: command line, time (UTC), machine, versions of `libraries`.
+    """The origin of a result: command line, time (UTC), machine, versions of `libraries`.
 
     Without `--folder`: where files lie meanwhile changes no figure.
     """
@@ -94,9 +110,9 @@ def print_bars(bars: dict[str, bool]) -> None:
         print(f"{'kept  ' if kept else 'MISSED'} {bar}")
 
 
-def write_result(name: str, result: dict[str, Any] | str, indent: int = 1) -> Path:
+def write_result(name: str, result: dict[str, Any] | str) -> Path:
     """Write a result as JSON, or a text as it is, to `results/`; gives the path."""
-    text = result if isinstance(result, str) else json.dumps(result, indent=indent) + "\n"
+    text = result if isinstance(result, str) else json.dumps(result, indent=1) + "\n"
     text = _CASE.sub(lambda match: " ".join(match[0].split()), text)
     path = RESULTS / name
     path.parent.mkdir(exist_ok=True)
@@ -155,7 +171,7 @@ def _tree(pid: int) -> Iterator[int]:
 
 
 def cpu_s(pid: int) -> float:
-    """Processor time that a process has taken so far, s; NaN when it has ended."""
+    """Processor time that a process has taken, s; NaN when it has ended."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -2,17 +2,16 @@
 
     python benchmarks/kill.py [--times 50] [--write]
 
-Sim, amplifiers as CAN frames over slcan on a pseudo-terminal, `can_driver`, `estimator` and a
-recorder run as processes of their own while the load on the arm changes. Each victim in turn is
-killed at a random moment (in half of the kills the load changes while it is dead), started again,
-and watched from here: do the others go on, how soon is the wrench reported as stale, how soon is
-it right again, is any false force published. Then recorders are killed, and what they leave is
-read.
+The sim, amplifiers as CAN frames over slcan on a pseudo-terminal, `can_driver`, `estimator` and a
+recorder run as processes while the load on the arm changes. Each victim in turn is killed at a
+random moment (in half of the kills the load changes while it is dead), started again, and watched
+from here: do the others continue, how soon is the wrench reported as stale, how soon is it right
+again, is any false force published. Then recorders are killed, and their files are read.
 
 When driver or sim are dead, stale is a zero wrench with a fresh stamp. When the estimator itself
 is dead nothing is published on its topic; the subscriber's own middleware reports it, by the
-liveliness that the estimator offers on `~/wrench`. Right is a force on the right segment within
-2 N or 3 % of the load, ten times in a row.
+liveliness that the estimator offers on `~/wrench`. Right is a force on the right segment within 2
+N or 3 % of the load, ten times in a row.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ from cablesense_sim.arm import Arm, open_arm
 STALE_WITHIN_S, RIGHT_WITHIN_S = 0.1, 1.0
 ARM, RATE_HZ = "cdsm", 200.0
 WRITING_S = (0.0, 2.0)
-"""A recorder is killed so long after the first tensions stand in its file."""
+"""A recorder is killed at such a time after the first tensions are in its file."""
 DRIVER_AWAY_S = 0.1
 
 
@@ -112,7 +111,7 @@ def _whole(path: Path, received_ns: Sequence[int], arm: Arm) -> dict[str, Any]:
 
 
 def _kill_recorders(times: int, run: LiveRun, trials: KillTrials) -> dict[str, Any]:
-    """Kill recorders while they write, and read what they leave."""
+    """Kill recorders while they write, and read their files."""
     rng = np.random.default_rng(1)
     lost_s: list[float] = []
     problems: list[str] = []

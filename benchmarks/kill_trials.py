@@ -35,7 +35,7 @@ TOLERANCE_N, TOLERANCE = 2.0, 0.03
 """A wrench is right when its force is no further from the load than the larger of these."""
 
 STEADY = 10
-"""So many right wrenches in a row are right."""
+"""The number of right wrenches in a row that counts as right."""
 
 SETTLED_S = 1.0
 """A change of load has swung out by then; a wrench that differs from the load later is wrong."""

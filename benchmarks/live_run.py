@@ -1,4 +1,4 @@
-"""Processes of a live run as a user starts them, a node of this process beside them, its log."""
+"""Processes of a live run as a user starts them, a node of this process, and its log."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ class Log:
     """Arrivals of one topic; `lost_at_sink` counts those that the middleware reports as lost."""
 
     def __init__(self, numbers: int) -> None:
-        """A message ends with so many `numbers`."""
+        """A message ends with that number of `numbers`."""
         self.lost_at_sink = 0
         self._kind = np.dtype(
             [("s", "<i4"), ("ns", "<u4"), ("letter", "u1"), ("numbers", "<f8", numbers)]

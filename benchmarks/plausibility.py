@@ -1,4 +1,4 @@
-"""The plausibility check: what it withholds of healthy arms, and which faults it lets pass.
+"""The plausibility check: samples of healthy arms that it withholds, and faults that it passes.
 
     python benchmarks/plausibility.py [--arm cdsm] [--commands 500] [--faulty 60] [--write]
 
@@ -54,14 +54,14 @@ class Bench:
     """One arm with its estimator and check, at one random command with its tare."""
 
     def __init__(self, arm_name: str, number: int) -> None:
-        loaded = load_model(arm_name, "")
+        loaded = load_model(arm_name, arm_name)  # of contacts at the points of the arm file
         assert isinstance(loaded.estimator, Estimator)
         self.arm, self.estimator = loaded.arm, loaded.estimator
         self.rng = np.random.default_rng([20_260_013, ARMS.index(arm_name), number])
         statics = UnloadedTensions(self.arm)
         self.mechanism = statics.mechanism
         self.check = PlausibilityCheck(
-            statics, self.arm, TARE_SAMPLES, LARGEST_MISFIT, self.estimator.metadata
+            statics, TARE_SAMPLES, LARGEST_MISFIT, self.estimator.metadata
         )
         self.command = np.deg2rad(self.rng.uniform(-10.0, 10.0, self.arm.joint_count))
         unloaded = statics.predict_n(self.command)
@@ -163,7 +163,7 @@ def faults(bench: Bench, reading_n: Array, cable: int) -> Iterator[tuple[str, Ar
         yield "all twelve at zero", np.zeros_like(reading_n)
 
 
-class Case(NamedTuple):
+class FaultCase(NamedTuple):
     """One fault under one load, and its judgement."""
 
     fault: str
@@ -196,7 +196,7 @@ def look_alike(bench: Bench, reading_n: Array, contact: Contact) -> bool:
     return float(left @ left) <= (len(left) - 2) * LARGEST_MISFIT**2
 
 
-def faulty(arm_name: str, number: int) -> list[Case]:
+def faulty(arm_name: str, number: int) -> list[FaultCase]:
     """Every case at one command."""
     bench = Bench(arm_name, 1_000_000 + number)
     segments, forces = bench.loads(6)
@@ -224,7 +224,7 @@ def faulty(arm_name: str, number: int) -> list[Case]:
         report = bench.check.status()
         named = report.message.partition("all but the reading of ")[2].partition(" would fit")[0]
         judged.append(
-            Case(
+            FaultCase(
                 name,
                 cable,
                 int(segments[i]),
@@ -243,8 +243,8 @@ def faulty(arm_name: str, number: int) -> list[Case]:
 def check_us(arm_name: str) -> dict[str, Any]:
     """Time of a check of a stream at 100 Hz under a steady contact, µs.
 
-    Of five runs the one with the least median, as `timeit` advises: the others show what else the
-    machine did.
+    The run with the least median of five, as `timeit` advises: the others show other work of the
+    machine.
     """
     runs = [_check_times_us(arm_name) for _ in range(5)]
     least = min(runs, key=np.median)
@@ -265,7 +265,7 @@ def _check_times_us(arm_name: str) -> list[float]:
 
 
 def healthy_figures(options: Any, arm_name: str) -> dict[str, Any]:
-    """What is withheld of a healthy arm."""
+    """The samples of a healthy arm that are withheld."""
     with WorkerPool(options.workers, arm_name) as pool:
         sound = np.concatenate(list(pool.map(healthy, range(options.commands))))
     misfit, error, slack, passes, segment, doubt = sound.T
@@ -335,7 +335,7 @@ def fault_figures(options: Any, arm_name: str) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Measures and prints; with `--write` replaces what was measured."""
+    """Measures and prints; with `--write` replaces the measured figures."""
     parser = harness.parser(__doc__, "results/plausibility.json")
     parser.add_argument("--arm", choices=ARMS, action="append", help="only this one")
     parser.add_argument("--commands", type=int, default=500, help="of 1000 healthy samples each")

@@ -33,7 +33,7 @@ from cablesense_gap.recordings.mcap_messages import McapMessages
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import COMMAND
 from cablesense_msgs_py.serialized import stamp_ns
-from cablesense_online.recorded_run import RecordedRun
+from cablesense_online.replay import RecordedRun
 from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.processes import node_command
 from cablesense_sim.arm import Arm, open_arm

@@ -4,7 +4,7 @@
 
 Fresh sequences of commands and contacts, seeds that no training has seen, sensor noise on.
 Memoryless estimators get the set-point at every tick, which is more than the node gives them:
-there they are silent until the arm rests again, and that is a row of its own. Long sequences show
+there they are silent until the arm rests again, and that is a separate row. Long sequences show
 whether the state stays right; under friction there are several, as a late start weighs more than
 the time since. Stated intervals are judged by what the load does, as friction hides most of it
 while it falls and after it went. `--write` puts `temporal_ARM.json` of each arm into
@@ -23,12 +23,10 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import open_arm
-from cablesense_training.data.motion_protocol import MotionProtocol
-from cablesense_training.data.sequences import Sequences, draw_sequences
+from cablesense_training.data.sequences import MotionProtocol, Sequences, draw_sequences
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
     SequenceMetrics,
-    sequence_answer,
     sequence_estimates,
     sequence_metrics,
     unsettled,
@@ -44,7 +42,7 @@ RELEASED_S = 2.0
 GATED = "statics, silent in motion (as the node runs it)"
 
 
-class Case(NamedTuple):
+class SequenceCase(NamedTuple):
     """An arm, its numbers of sequences, and its estimators by their names in the table.
 
     Under friction there are more: an interval's share is judged by its contacts, not its ticks.
@@ -58,7 +56,7 @@ class Case(NamedTuple):
 
 
 CASES = (
-    Case(
+    SequenceCase(
         "cdsm",
         "no friction, in time by MuJoCo: inertia and swinging",
         16,
@@ -68,7 +66,7 @@ CASES = (
             "statics (shipped)": "cdsm",
         },
     ),
-    Case(
+    SequenceCase(
         "cdsm_friction",
         "capstan friction of 0.15 with half a radian of pulley wrap, from rest to rest",
         24,
@@ -104,7 +102,7 @@ def main() -> None:
         harness.publish(f"temporal_{case.arm}.json", result, options)
 
 
-def _arm(case: Case, protocol: MotionProtocol, workers: int) -> dict[str, Any]:
+def _arm(case: SequenceCase, protocol: MotionProtocol, workers: int) -> dict[str, Any]:
     sequences = _drawn(case.arm, replace(protocol, sequences=case.sequences), SEED, workers)
     long = None
     if case.long_sequences:
@@ -124,7 +122,8 @@ def _arm(case: Case, protocol: MotionProtocol, workers: int) -> dict[str, Any]:
             part = _plain(sequence_metrics(told, sequences.select(followed)))
             metrics[f"{name}, where it ran before the arm moved"] = part
         if long is not None:
-            metrics[name] |= _along(long, _force_error_n(sequence_answer(estimator, long), long))
+            told = ContactAnswer.of(sequence_estimates(estimator, long))
+            metrics[name] |= _along(long, _force_error_n(told, long))
         metrics[name]["trained by"] = estimator.metadata.command
         if model == "cdsm":
             gated = replace(answer, segment=np.where(moving.ravel(), 0, answer.segment))
@@ -179,7 +178,7 @@ def _force_error_n(answer: ContactAnswer, sequences: Sequences) -> Array:
 def _intervals(found: Estimates, sequences: Sequences) -> dict[str, dict[str, float]]:
     """Share of the 95 % intervals of the force that hold it, and half their mean width, N.
 
-    Where no contact is answered the interval begins at nothing: so much may be hidden.
+    The interval begins at 0 N where no contact is answered, as a force may be hidden.
     """
     low = np.where(found.segment > 0, found.low_n, 0.0).ravel()
     high = found.high_n.ravel()

@@ -1,8 +1,8 @@
-"""What every package stands on: the error family, arrays, files from outside, worker pools.
+"""The base of all packages: the error family, arrays, files from outside, worker pools.
 
 Every error that CableSense raises on purpose derives from `CableSenseError`, so that a command can
-turn it into one line and a node into one log message. Each package adds its own beside what raises
-them: `ArmFileError`, `RecordingError` and so on.
+turn it into one line and a node into one log message. Each package adds its own next to the code
+that raises them: `ArmFileError`, `RecordingError` and so on.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class CableSenseError(Exception):
-    """Base of all errors raised on purpose: names what was wrong, where, and what is right."""
+    """Base of all errors raised on purpose: names the mistake, its place, and the valid values."""
 
 
 def some_of(names: Sequence[str], most: int = 6) -> str:

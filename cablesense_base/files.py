@@ -1,12 +1,11 @@
 """Files: read if regular and no larger than their kind can be, written whole or not at all.
 
-Nothing but a regular file that may be written to is ever replaced. A command asks `output_file` or
-`output_folder` before it begins, and there an existing file needs the user's word.
+Only a regular file that may be written to is ever replaced. A command asks `output_file` or
+`output_folder` before it begins, and an existing file then needs the user's word.
 """
 
 from __future__ import annotations
 
-import errno
 import os
 import stat
 from collections.abc import Iterable, Iterator
@@ -23,31 +22,27 @@ class OutputError(CableSenseError):
 def read_bounded_bytes(
     path: str | Path, max_bytes: int, what: str, refusal: type[CableSenseError]
 ) -> bytes:
-    """The content of a regular file.
-
-    It is the opened file that is looked at, so that none can be put in its place between. One
-    larger than `max_bytes` is refused unread; errors call it `what` ("an arm file").
+    """The content of a regular file; errors call it `what` ("an arm file").
 
     Raises:
-        CableSenseError: of the class `refusal`: missing, no file, or too large.
+        CableSenseError: of the class `refusal`: missing, no regular file, or over `max_bytes`.
     """
     try:
         # a pipe without a writer would keep a plain open waiting for ever
-        number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with open(number, "rb") as file:  # noqa: PTH123  (a number has no path)
-            status = os.fstat(number)
-            if not stat.S_ISREG(status.st_mode):
-                raise refusal(f"{path}: not a file; {what} is one")
-            if status.st_size <= max_bytes:
-                content = file.read(max_bytes + 1)
-                if len(content) <= max_bytes:
-                    return content
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        with open(descriptor, "rb") as file:  # noqa: PTH123  (a descriptor has no path)
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                raise OSError("not a file")
+            content = file.read(max_bytes + 1)
     except IsADirectoryError as error:
         raise refusal(f"{path}: not a file; {what} is one") from error
     except (OSError, ValueError) as error:
-        wrong = f"{_shown(path)}: cannot be read ({_why(error)})"
-        raise refusal(f"{wrong}; give the path of {what}") from error
-    raise refusal(f"{path}: larger than {max_bytes} bytes, so not {what}")
+        raise refusal(
+            f"{_shown(path)}: cannot be read ({_why(error)}); give the path of {what}"
+        ) from error
+    if len(content) > max_bytes:
+        raise refusal(f"{path}: larger than {max_bytes} bytes, so not {what}")
+    return content
 
 
 def read_bounded_text(
@@ -56,7 +51,7 @@ def read_bounded_text(
     """The text of a regular file; as `read_bounded_bytes`.
 
     Raises:
-        CableSenseError: of the class `refusal`: as `read_bounded_bytes`, or no UTF-8 text.
+        CableSenseError: of the class `refusal`: as `read_bounded_bytes`, or the file is no UTF-8.
     """
     try:
         return read_bounded_bytes(path, max_bytes, what, refusal).decode("utf-8-sig")
@@ -79,7 +74,7 @@ def output_file(
         path: as the user gives it.
         refusal: the class of errors.
         force: whether an existing file may be replaced.
-        inputs: what is read meanwhile; such a file is never replaced, whatever its other names.
+        inputs: files that the command reads; none of them is replaced, whatever its other names.
 
     Raises:
         CableSenseError: of the class `refusal`: a folder, a device, a pipe or a link to one; a
@@ -88,17 +83,15 @@ def output_file(
     """
     try:
         place = Path(os.path.realpath(path))
-        there = _status(place)
-        if there is None:
+        try:
+            there = place.stat()
+        except FileNotFoundError:
+            there = None
             place.parent.stat()
-        elif stat.S_ISDIR(there.st_mode):
-            raise IsADirectoryError(errno.EISDIR, "is a folder")
-        elif not stat.S_ISREG(there.st_mode):
-            raise OSError(errno.EINVAL, "is a device or a pipe, not a file")
-        elif not (there.st_mode & _WRITABLE and os.access(place, os.W_OK)):
-            raise OSError(errno.EACCES, "is read-only")
+        if there is not None:
+            _require_replaceable(place, there.st_mode)
         if not os.access(place.parent, os.W_OK | os.X_OK):
-            raise OSError(errno.EACCES, os.strerror(errno.EACCES))
+            raise OSError("Permission denied")
         read = [Path(name).stat() for name in inputs if name and Path(name).exists()]
     except (OSError, ValueError) as error:
         raise _not_written(path, error, refusal) from error
@@ -108,6 +101,15 @@ def output_file(
         if not force:
             raise refusal(f"{path}: exists already; give another name, or replace it with --force")
     return place
+
+
+def _require_replaceable(place: Path, mode: int) -> None:
+    if stat.S_ISDIR(mode):
+        raise OSError("is a folder")
+    if not stat.S_ISREG(mode):
+        raise OSError("is a device or a pipe, not a file")
+    if not (mode & _WRITABLE and os.access(place, os.W_OK)):
+        raise OSError("is read-only")
 
 
 _WRITABLE = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
@@ -122,9 +124,9 @@ def output_folder(
     force: bool = False,
     inputs: Iterable[str | Path | None] = (),
 ) -> None:
-    """Refuse a folder where files of these names or patterns must not be written.
+    """Refuse a folder in which files of these names or patterns must not be written.
 
-    It need not exist yet. Other files in it are nobody's concern.
+    The folder need not exist yet. Its other files do not matter.
 
     Raises:
         CableSenseError: of the class `refusal`: it cannot be made or written to, or `output_file`
@@ -134,9 +136,9 @@ def output_folder(
     try:
         nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
         if not nearest.is_dir():
-            raise OSError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+            raise OSError("Not a directory")
         if not os.access(nearest, os.W_OK | os.X_OK):
-            raise OSError(errno.EACCES, os.strerror(errno.EACCES))
+            raise OSError("Permission denied")
     except (OSError, ValueError) as error:
         raise refusal(
             f"{_shown(folder)}: cannot be written to ({_why(error)}); give another --out"
@@ -147,10 +149,10 @@ def output_folder(
 
 @contextmanager
 def written_whole(path: str | Path, refusal: type[CableSenseError]) -> Iterator[Path]:
-    """A new file beside `path` that takes its name when the block ends well, and else vanishes.
+    """A new file next to `path` that takes its name when the block ends well, and else vanishes.
 
-    Errors of the block pass through, except an `OSError`; a regular file that is there is
-    replaced, also where `path` is a link to it.
+    Errors of the block pass through, except an `OSError`. A regular file at `path` is replaced,
+    also where `path` is a link to it.
 
     Raises:
         CableSenseError: of the class `refusal`: the file cannot be written; as `output_file`.
@@ -180,21 +182,6 @@ def write_atomically(
         beside.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
-def is_file(path: str | Path) -> bool:
-    """Whether a file of this name exists; False, too, for what cannot be a name."""
-    try:
-        return Path(path).is_file()
-    except (OSError, ValueError):  # too long, or with a null in it
-        return False
-
-
-def _status(path: Path) -> os.stat_result | None:
-    try:
-        return path.stat()
-    except FileNotFoundError:
-        return None
-
-
 def _not_written(
     path: str | Path, error: Exception, refusal: type[CableSenseError]
 ) -> CableSenseError:
@@ -205,10 +192,10 @@ def _not_written(
 
 
 def _why(error: Exception) -> str:
-    return (isinstance(error, OSError) and error.strerror) or " ".join(str(error).split())
+    return (isinstance(error, OSError) and error.strerror) or str(error)
 
 
 def _shown(path: str | Path) -> str:
-    """A path in an error: one with a null in it, or without end, is data too."""
+    """A path in an error; one that holds a null or has no end is shortened."""
     text = str(path)
     return text if len(text) < 200 and text.isprintable() else repr(text[:100])

@@ -1,13 +1,11 @@
-"""YAML as data: a mapping of plain values, its model, and what is wrong with it in a single line.
+"""YAML as data: a mapping of plain values, its model, and its first error in a single line.
 
-No tags, so nothing is ever constructed but text, numbers, booleans, dates, lists and mappings; no
-aliases and no merging, which nest without end; no key twice, where PyYAML would take the last; no
-scalar or nesting so large that reading it takes longer than the file's size suggests.
+Only text, numbers, booleans, dates, lists and mappings are constructed. Aliases, tags, a key that
+stands twice, and values or nesting without end are refused.
 """
 
 from __future__ import annotations
 
-import re
 import reprlib
 from typing import Annotated, Any, TypeVar, get_args
 
@@ -21,8 +19,6 @@ MAX_SCALAR_CHARACTERS = 1_000
 
 MAX_DEPTH = 20
 """The deepest file here has five levels."""
-
-_SHOWN_CHARACTERS = 60
 
 _ModelT = TypeVar("_ModelT", bound=BaseModel)
 
@@ -96,15 +92,13 @@ class _PlainLoader(yaml.SafeLoader):
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
         event = self.peek_event()
         if isinstance(event, yaml.AliasEvent):
-            self.refuse("an alias (*name); write the value out", event.start_mark)
+            _refuse("an alias (*name); write the value out", event)
         if getattr(event, "tag", None) is not None:
-            self.refuse(f"a tag ({_short(event.tag)}); write the plain value", event.start_mark)
+            _refuse(f"a tag ({event.tag[:60]!r}); write the plain value", event)
         if isinstance(event, yaml.ScalarEvent) and len(event.value) > MAX_SCALAR_CHARACTERS:
-            long = f"{len(event.value)} characters; at most {MAX_SCALAR_CHARACTERS} can be meant"
-            self.refuse(f"a value of {long}", event.start_mark)
-        if self.depth >= MAX_DEPTH:
-            nested = f"lists and mappings nested deeper than {MAX_DEPTH} levels"
-            self.refuse(nested, event.start_mark)
+            _refuse(f"a value of more than {MAX_SCALAR_CHARACTERS} characters", event)
+        if self.depth >= MAX_DEPTH:  # PyYAML takes ever longer the deeper it goes
+            _refuse(f"lists and mappings nested deeper than {MAX_DEPTH} levels", event)
         self.depth += 1
         node = super().compose_node(parent, index)
         self.depth -= 1
@@ -113,28 +107,15 @@ class _PlainLoader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
         for key, _ in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                self.refuse("a list or mapping as a key; a key is one word", key.start_mark)
-            if key.tag == "tag:yaml.org,2002:merge":
-                self.refuse("a merge (<<); write the keys out", key.start_mark)
-            if key.value in seen:
-                self.refuse(f"key {_short(key.value)} stands twice; give it once", key.start_mark)
-            seen.add(key.value)
+            if isinstance(key.value, str) and key.value in seen:
+                _refuse(f"key {key.value[:60]!r} stands twice; give it once", key)
+            seen.add(str(key.value))
         return super().construct_mapping(node, deep)
 
-    def refuse(self, what: str, mark: Any) -> None:
-        raise yaml.constructor.ConstructorError(None, None, what, mark)
 
+def _refuse(what: str, where: Any) -> None:
+    raise yaml.constructor.ConstructorError(None, None, what, where.start_mark)
 
-def _short(text: str) -> str:
-    return repr(text[:_SHOWN_CHARACTERS])
-
-
-_UNITS = {
-    "_n_m_s": "N·m·s/rad", "_m_s2": "m/s²", "_n_m": "N/m", "_kg": "kg", "_hz": "Hz", "_n": "N",
-    "_m": "m",
-}  # fmt: skip
-"""Units by the end of a key; the first that fits counts."""
 
 _MESSAGES = {
     "greater_than": "must be greater than {gt}",
@@ -149,10 +130,7 @@ _MESSAGES = {
     "string_type": "must be text",
     "string_pattern_mismatch": "must be 1 to 64 letters, digits, _ or -",
 }
-_NUMBER_MESSAGES = ("must be a number", "must be a finite number")
-
-_shorten = reprlib.Repr()
-_shorten.maxlevel, _shorten.maxlist, _shorten.maxdict = 2, 4, 4
+"""Pydantic's kinds of error in the words of a file."""
 
 
 def describe_problem(error: ValidationError, root: type[BaseModel]) -> str:
@@ -162,42 +140,37 @@ def describe_problem(error: ValidationError, root: type[BaseModel]) -> str:
         if _is_of_the_branch_meant(problem):
             problems.setdefault(_key(problem), problem)
     key, problem = next(iter(problems.items()))
-    line = f"{key} {_message(key, problem, root)}".strip()
+    line = f"{key} {_message(problem, root)}"
     if len(problems) > 1:
         line += f" (and {len(problems) - 1} more)"
     return " ".join(line.split())
 
 
-def _message(key: str, problem: Any, root: type[BaseModel]) -> str:
+def _message(problem: Any, root: type[BaseModel]) -> str:
     kind, location = problem["type"], problem["loc"]
+    value = reprlib.repr(problem["input"])  # a text or a nest of lists may have no end
     if kind == "extra_forbidden":
-        return f"is no known key; valid keys here: {', '.join(_keys_of(root, location[:-1]))}"
+        return f"is no known key; valid keys here: {_keys_of(root, location[:-1])}"
     if kind == "missing" and isinstance(location[-1], int):
         return "is missing: the list is too short"
     if kind == "missing":
-        return f"is missing; keys here: {', '.join(_keys_of(root, location[:-1]))}"
+        return f"is missing; keys here: {_keys_of(root, location[:-1])}"
     if kind == "value_error":
         return str(problem["ctx"]["error"])
-    value = _shorten.repr(problem["input"])  # a text or a nest of lists may have no end
     if kind == "model_type":
-        return f"= {value}: must be a mapping with the keys {', '.join(_keys_of(root, location))}"
+        return f"= {value}: must be a mapping with the keys {_keys_of(root, location)}"
     if kind in _MESSAGES:
-        text = _MESSAGES[kind].format(**problem.get("ctx", {}))
-    else:
-        text = problem["msg"][0].lower() + problem["msg"][1:]
-    written = re.sub(r"\.\d+$", "", key)  # without the position in a list
-    unit = next((unit for end, unit in _UNITS.items() if written.endswith(end)), None)
-    if unit and (kind.startswith(("greater", "less")) or text in _NUMBER_MESSAGES):
-        text += f", in {unit}"
-    return f"= {value}: {text}"
+        return f"= {value}: {_MESSAGES[kind].format(**problem.get('ctx', {}))}"
+    return f"= {value}: {problem['msg'][0].lower() + problem['msg'][1:]}"
 
 
 def _key(problem: Any) -> str:
-    location = problem["loc"]
-    last = len(location) - 1 if problem["type"] == "extra_forbidden" else len(location)
-    written = [part for i, part in enumerate(location) if i == last or not _is_type_tag(part)]
+    *before, last = problem["loc"] or ("",)
+    written = [part for part in before if not _is_type_tag(part)]
+    if problem["type"] == "extra_forbidden" or not _is_type_tag(last):
+        written.append(last)
     return ".".join(
-        part if isinstance(part, str) and part.isidentifier() else _shorten.repr(part)
+        part if isinstance(part, str) and (part.isidentifier() or not part) else reprlib.repr(part)
         for part in written
     )
 
@@ -208,21 +181,16 @@ def _is_type_tag(part: object) -> bool:
 
 
 def _is_of_the_branch_meant(problem: Any) -> bool:
-    """Where one number or a list may stand, pydantic reports on both; only one was meant."""
-    location = problem["loc"]
-    if not location or not _is_type_tag(location[-1]):
-        return True
-    return str(location[-1]).startswith("list[") == isinstance(problem["input"], list)
+    """Pydantic reports on both branches of a number or list; the user meant one of them."""
+    last = problem["loc"][-1] if problem["loc"] else ""
+    return not _is_type_tag(last) or last.startswith("list[") == isinstance(problem["input"], list)
 
 
-def _keys_of(root: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    model = root
+def _keys_of(root: type[BaseModel], location: tuple[int | str, ...]) -> str:
+    model: Any = root
     for part in location:
-        if isinstance(part, int):  # an item of a list, whose type has been taken already
-            continue
-        annotation = model.model_fields[str(part)].annotation
-        annotation = next(iter(get_args(annotation)), annotation)
-        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
-            break
-        model = annotation
-    return list(model.model_fields)
+        if isinstance(part, str) and part in model.model_fields:
+            annotation = model.model_fields[part].annotation
+            kinds = (annotation, *get_args(annotation))  # the latter of a list or mapping
+            model = next((kind for kind in kinds if hasattr(kind, "model_fields")), model)
+    return ", ".join(model.model_fields)

@@ -1,4 +1,4 @@
-"""A progress bar for long runs, on standard error: how many are done, how fast, time left."""
+"""A progress bar for long runs, on standard error: how many are done, and the time left."""
 
 from __future__ import annotations
 
@@ -6,26 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TextColumn,
-    TimeRemainingColumn,
-)
-from rich.text import Text
-
-
-class _RateColumn(ProgressColumn):
-    def render(self, task: Task) -> Text:
-        """The note if there is one, the rate of late, or a dash until there is one."""
-        if task.fields["note"]:
-            return Text(task.fields["note"])
-        speed = task.finished_speed or task.speed
-        rate = "–" if speed is None else f"{speed:,.3g}"
-        return Text(f"{rate} {task.description}/s")
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 
 @contextmanager
@@ -34,15 +15,15 @@ def progress_bar(
 ) -> Iterator[Callable[..., None]]:
     """A bar of `total` samples, or `what` they are; nothing is drawn but if `shown` on a terminal.
 
-    What it gives is called with how many more are done, and may be with a note (losses of an
-    epoch) that stands in place of the rate.
+    The function that it yields takes the number done since the last call, and optionally a note
+    such as the losses of an epoch.
     """
     console = Console(stderr=True)
     with Progress(
-        TextColumn(what),
+        TextColumn("{task.description}"),
         BarColumn(bar_width=20),
         MofNCompleteColumn(),
-        _RateColumn(),
+        TextColumn("{task.fields[note]}"),
         TimeRemainingColumn(),
         console=console,
         disable=not (shown and console.is_terminal),

@@ -1,9 +1,8 @@
 """A pool of worker processes: the same results in the same order for any number of workers.
 
-No worker outlives its pool. Where the block around the pool ends by an error or an interrupt, what
-the workers do is ended, with the temporary files that they have open; and where the process that
-owns the pool is killed, each worker notices and ends itself. Ctrl-C and a hangup of the terminal
-reach workers too: they leave it to their owner.
+No worker outlives its pool. An error or an interrupt in the block around the pool terminates the
+workers, which then remove the temporary files that they have open. Each worker also ends when the
+owner of the pool is killed. Signals of the terminal are left to the owner.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from collections import deque
@@ -28,19 +28,16 @@ Result = TypeVar("Result")
 GRACE_S = 3.0
 """How long a worker may take to end after SIGTERM, before it is killed."""
 _TERMINATED = 128 + signal.SIGTERM
-_OF_THE_TERMINAL = {signal.SIGINT, signal.SIGHUP}
 
 _shared: tuple[Any, ...] = ()
 """In a worker: what the tasks of its pool share."""
-_at_work = False
-"""In a worker: whether a task is under way, which may have files to remove."""
 
 
 class WorkerPool:
     """Calls a function with values that all tasks share and those of one task, in order.
 
     With one worker everything happens in this process. With more, a script needs the usual
-    `if __name__ == "__main__":` guard, as the processes are spawned; function and values must be
+    `if __name__ == "__main__":` guard, as the processes are spawned. Function and values must be
     picklable, and the shared ones are sent to each worker once.
     """
 
@@ -66,19 +63,16 @@ class WorkerPool:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Tasks that have not begun are dropped; after an error those under way are ended."""
+        """Waiting tasks are dropped; after an error those under way are ended."""
         if self._pool is None:
             return
         if kind is not None:
             # Python 3.14 has this as ProcessPoolExecutor.terminate_workers
-            alive = list((self._pool._processes or {}).values())
-            for worker in alive:
+            workers = list((self._pool._processes or {}).values())
+            for worker in workers:
                 worker.terminate()
-            deadline_s = time.monotonic() + GRACE_S
-            while alive and (left_s := deadline_s - time.monotonic()) > 0.0:
-                ended = wait([worker.sentinel for worker in alive], left_s)
-                alive = [worker for worker in alive if worker.sentinel not in ended]
-            for worker in alive:
+            for worker in workers:
+                worker.join(GRACE_S)
                 worker.kill()
             # or the pool would wait for the rest of a result that was cut short
             self._pool._result_queue._writer.close()  # type: ignore[attr-defined]
@@ -119,8 +113,8 @@ class WorkerPool:
 
 @contextmanager
 def _terminal_is_not_heard() -> Iterator[None]:
-    """Processes that start in the block inherit the signals blocked; here they only wait."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _OF_THE_TERMINAL)
+    """Processes that start in the block inherit the blocked signals; here these only wait."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
     finally:
@@ -137,8 +131,8 @@ def _begin(*shared: Any) -> None:
 
 def _end(*_: object) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the executor sends one more
-    if not _at_work:
-        os._exit(_TERMINATED)
+    # Python would print and forget an exit that is raised while it collects an object
+    sys.unraisablehook = lambda _: os._exit(_TERMINATED)
     raise SystemExit(_TERMINATED)
 
 
@@ -152,11 +146,7 @@ def _end_with_parent() -> None:
 
 
 def _call(function: Callable[..., Result], task: tuple[Any, ...]) -> Result:
-    global _at_work
-    _at_work = True
     try:
         return function(*_shared, *task)
     except SystemExit:  # the executor would report it and take the next task
         os._exit(_TERMINATED)
-    finally:
-        _at_work = False

@@ -1,8 +1,8 @@
-"""From a diagnosis to a force estimator that is put right by it.
+"""A force estimator that is trained on the amended arm of a diagnosis.
 
-Some trials are kept apart: neither the diagnosis nor the training has their readings, and the
-estimator before and the one after are judged on their loads. The second is trained on the amended
-arm, over the poses and forces of the first, with a memory where the arm has one.
+Some trials are withheld: neither the diagnosis nor the training has their readings, and the
+estimators before and after are judged on their loads. The new one is trained on the amended arm,
+over the poses and forces of the one in use, with a memory if the arm depends on history.
 """
 
 from __future__ import annotations
@@ -19,7 +19,10 @@ from cablesense_base import Array, CableSenseError
 from cablesense_gap.arm_system import Diagnosis, diagnose, folds_of
 from cablesense_gap.recorded_contacts import (
     RecordedErrors,
+    answer_at,
+    at_contact_points,
     contact_errors,
+    loads_at_m,
     recorded_errors,
     tares_n,
     with_acting_loads,
@@ -28,12 +31,12 @@ from cablesense_gap.recorded_contacts import (
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import EstimatorErrors
 from cablesense_sim.arm import Arm
+from cablesense_sim.contact_location import locate, touched_at
 from cablesense_sim.load_capacity import contact_range_n
-from cablesense_training.data.dataset import Dataset
-from cablesense_training.data.sequences import Sequences
 from cablesense_training.errors import DatasetError
 from cablesense_training.evaluation.metrics import ContactAnswer, angle_difference_deg
 from cablesense_training.fit import EpochRecord, OnEpoch
+from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import NORMAL_95, Estimator, SequenceEstimator
 from cablesense_training.inference.history_simulation import (
     HistorySimulation,
@@ -42,37 +45,39 @@ from cablesense_training.inference.history_simulation import (
 )
 from cablesense_training.inference.metadata import HISTORY_SIMULATED
 from cablesense_training.inference.temporal_estimator import open_estimator
-from cablesense_training.model_training import contact_answer, draw_training_data, train_model
-from cablesense_training.networks import Network
+from cablesense_training.model_training import (
+    balance_answer,
+    contact_answer,
+    draw_training_data,
+    train_model,
+)
+from cablesense_training.networks.anywhere import AnywhereStatics
 from cablesense_training.networks.corrected import CorrectedClosedForm
+from cablesense_training.networks.layers import ContactNetwork
 from cablesense_training.networks.temporal import TemporalNetwork
-from cablesense_training.recipes import adjusted, recipe_for
+from cablesense_training.recipes import recipe_for
 
-NETWORK = "closed-form-corrected"
 _SAMPLES, _EPOCHS, _TEST_SAMPLES = 4096, 8, 512
-_WEAKER = 4
-"""How often forces to train on are lowered by three tenths where an arm does not bear them."""
-_LESS = 0.95
-"""Of the first estimator's force error: so much must the second be below it."""
-_CONTACTS_GIVEN_UP = 0.01
-"""Of the rows: a second estimator that names fewer is no better, however small its errors."""
-_DIAGNOSIS_SHARE, _TRAINING_SHARE = 0.7, 0.1
-"""Of the time that all takes."""
+"""A small training: the network only corrects a closed form."""
+_ANYWHERE = "anywhere"
+_ERROR_LEFT, _CONTACTS_LOST = 0.95, 0.01
+"""A better estimator leaves at most this share of the force error, and names at most this share of
+the contacts less: one that names fewer contacts has small errors for the wrong reason."""
 
 
 class AdaptationError(CableSenseError):
-    """A recording or a model that nothing can be adapted by: names what is missing."""
+    """A recording that no estimator can be adapted by: says what is missing."""
 
 
 @dataclass(frozen=True)
 class Adaptation:
-    """A diagnosis, and errors of the estimators on the loads of the trials that it has not seen.
+    """A diagnosis, and errors of the estimators on the loads of the withheld trials.
 
     Attributes:
         trials: numbers of these trials.
-        before: of the first estimator.
-        after: of the second; none where the diagnosis names nothing to train on.
-        better: whether the second is to be used: it errs less, and names no fewer contacts.
+        before: of the estimator in use.
+        after: of the new one; None if the diagnosis names no effect to train on.
+        better: whether the new one is to be used.
     """
 
     diagnosis: Diagnosis
@@ -94,26 +99,25 @@ def adapt(
 ) -> Adaptation:
     """Diagnose, train on the amended arm, and judge the models in the files `first` and `second`.
 
-    The second is written where the diagnosis names effects, `command` into it. See `diagnose` for
-    the other arguments and for errors.
+    The second is written if the diagnosis names effects, with `command` in its metadata. See
+    `diagnose` for the other arguments and for errors.
 
     Raises:
-        AdaptationError: too few loads to keep some apart.
+        AdaptationError: too few loads to withhold some.
         ModelFileError: `first` is no model of single contacts of this arm.
     """
     open_estimator(first, arm)
-    unseen = kept_apart(recording)
+    unseen = withheld_trials(recording, arm)
+    diagnosed = 0.7  # of the whole time; the training takes 0.1
 
     def show(doing: str, done: float) -> None:
-        progress(doing, _DIAGNOSIS_SHARE * done)
-
-    found = diagnose(recording, arm, show, workers, on_finding, unseen)
+        progress(doing, diagnosed * done)
 
     def show_training(record: EpochRecord) -> None:
-        share = record.epoch / _EPOCHS
-        progress("training for the amended arm", _DIAGNOSIS_SHARE + _TRAINING_SHARE * share)
+        progress("training for the amended arm", diagnosed + 0.1 * record.epoch / _EPOCHS)
 
-    progress("drawing samples of the amended arm", _DIAGNOSIS_SHARE)
+    found = diagnose(recording, arm, show, workers, on_finding, unseen)
+    progress("drawing samples of the amended arm", diagnosed)
     adapted = adapt_to(found, recording, unseen, first, second, command, show_training)
     progress("done", 1.0)
     return adapted
@@ -128,12 +132,14 @@ def adapt_to(
     command: str,
     on_epoch: OnEpoch = lambda _: None,
 ) -> Adaptation:
-    """What follows in `adapt` from a diagnosis that has not seen some trials.
+    """The part of `adapt` that follows the diagnosis, which has not seen some trials.
 
-    Estimators are judged on the loads that acted, which a load cell may have got wrong.
+    Estimators are judged on the loads that acted, as the load cell may have errors.
     """
     recording = with_acting_loads(recording, found.amended)
     estimator = open_estimator(first)
+    if network_for(estimator, found.amended) != _ANYWHERE:  # both are judged on the same loads
+        recording = recording.rows(at_contact_points(recording, found.amended))
     before, after, better = recorded_errors(recording, estimator, unseen), None, False
     if found.verdict.shares:
         seen = recording.rows(~np.isin(recording.trial, unseen))
@@ -141,8 +147,8 @@ def adapt_to(
         after = recorded_errors(recording, open_estimator(second, found.amended), unseen)
         better = _is_better(before, after)
     errors = EstimatorErrors(
-        before=_named(before),
-        after=None if after is None else _named(after),
+        before=_figures(before),
+        after=None if after is None else _figures(after),
         use="after" if better else "before",
         trials=unseen,
     )
@@ -150,10 +156,10 @@ def adapt_to(
     return Adaptation(replace(found, verdict=verdict), unseen, before, after, better)
 
 
-def kept_apart(recording: Recording) -> tuple[int, ...]:
+def withheld_trials(recording: Recording, arm: Arm) -> tuple[int, ...]:
     """Numbers of the trials that the estimators are judged on: the fold with the most loads.
 
-    Where that is all loads, one trial of them, so that the others are left to learn from.
+    If that has all loads, one of its trials, so that the others are left to learn from.
 
     Raises:
         AdaptationError: fewer than two trials have a load that can be estimated.
@@ -163,15 +169,25 @@ def kept_apart(recording: Recording) -> tuple[int, ...]:
     loaded = np.isin(numbers, recording.trial[can_be_estimated])
     if loaded.sum() < 2:
         raise AdaptationError(
-            f"{recording.name}: {loaded.sum()} trials have a load that follows unloaded rows at "
-            "its command; at least 2 are needed, one to learn from and one to be judged on: "
-            "record load cycles (cablesense gap protocol)"
+            f"{recording.name}: {loaded.sum()} trials have a load that follows "
+            "unloaded rows at its command; at least 2 are needed, one to learn from and one to be "
+            "judged on: record load cycles (cablesense gap protocol)"
         )
-    fold = int(np.bincount(folds[loaded]).argmax())
-    apart = folds == fold
-    if apart[loaded].all():
-        apart = np.arange(len(numbers)) == np.flatnonzero(loaded)[-1]
-    return tuple(int(number) for number in numbers[apart])
+    withheld = folds == int(np.bincount(folds[loaded]).argmax())
+    if withheld[loaded].all():
+        withheld = np.arange(len(numbers)) == np.flatnonzero(loaded)[-1]
+    return tuple(int(number) for number in numbers[withheld])
+
+
+def network_for(first: Estimator | SequenceEstimator, arm: Arm) -> str:
+    """The network to train for an arm: of contacts anywhere if those of the first model are.
+
+    That of an arm that depends on its history knows contacts at the arm file's points alone.
+    """
+    if depends_on_history(arm):
+        return HISTORY_SIMULATED
+    anywhere = isinstance(first, AnywhereEstimator)
+    return _ANYWHERE if anywhere else "closed-form-corrected"
 
 
 def train_for(
@@ -185,14 +201,12 @@ def train_for(
     """Train a network for an arm over the poses and forces of a first model, into a file.
 
     History-dependent effects are known to it by a simulation that runs with the network. Poses go
-    as far as the recording's if that is farther, and forces as far as the arm bears. Its intervals
-    are widened until they hold the forces of the recording.
+    as far as those of the recording if these are larger, and forces as far as the arm bears. Its
+    intervals are widened until they hold the forces of the recording.
     """
-    network, metadata = NETWORK, first.metadata
-    if depends_on_history(arm):
-        network = HISTORY_SIMULATED
-    else:
-        arm = without_history(arm)
+    metadata, has_history = first.metadata, depends_on_history(arm)
+    network = network_for(first, arm)
+    arm = arm if has_history else without_history(arm)
     pose_deg = float(np.rad2deg(np.abs(recording.command_rad).max()))
     options: dict[str, Any] = {
         "samples": _SAMPLES,
@@ -200,41 +214,57 @@ def train_for(
         "pose_range_deg": max(metadata.pose_range_deg, np.ceil(pose_deg)),
         "force_high_n": contact_range_n(arm, metadata.force_range_n),
     }
-    recipe = recipe_for(network).settings
-    settings = adjusted(recipe, seed=0, threads=1, epochs=_EPOCHS, batch_size=256)
-    data = _drawn(arm, network, options)
+    for attempt in range(5):  # with smaller forces if the arm does not bear these in every pose
+        try:
+            data = draw_training_data(arm, network, options, seed=0)
+            break
+        except DatasetError:
+            if attempt == 4:
+                raise
+            options["force_high_n"] *= 0.7
 
-    def widen(trained: Network | TemporalNetwork) -> None:
-        assert isinstance(trained, CorrectedClosedForm)
-        unseen_n = np.zeros((0, 2))  # what the simulation states of each answer itself
+    def widen(trained: ContactNetwork | TemporalNetwork) -> None:
+        assert isinstance(trained, CorrectedClosedForm | AnywhereStatics)
+        unseen_n = np.zeros((0, 2))  # the uncertainty that the simulation states of each answer
 
         def answering(taken: Recording, tare_n: Array, rows: NDArray[np.bool_]) -> ContactAnswer:
             nonlocal unseen_n
             difference_n, hidden_n = taken.tensions_n - tare_n, np.zeros((len(taken), 2))
-            if network == HISTORY_SIMULATED:
+            if has_history:
                 simulation = HistorySimulation(arm, metadata.tare_samples)
                 difference_n, hidden_n = without_history_n(taken, tare_n, simulation)
             unseen_n = hidden_n[rows]
+            if isinstance(trained, AnywhereStatics):
+                balance = balance_answer(trained, difference_n[rows], taken.command_rad[rows])
+                located = locate(balance, *touched_at(arm))
+                at_m = loads_at_m(taken, arm)[rows]
+                return answer_at(located, taken.load_segment[rows], at_m)
             return contact_answer(trained, difference_n[rows], taken.command_rad[rows])
 
-        errors = contact_errors(recording, arm, answering)
+        anywhere = isinstance(trained, AnywhereStatics)
+        errors = contact_errors(recording, arm, answering, anywhere=anywhere)
         off = np.abs(errors.truth.magnitude_n - errors.answer.magnitude_n)
         turned = np.abs(angle_difference_deg(errors.answer.angle_deg, errors.truth.angle_deg))
         found = (errors.truth.segment > 0) & (errors.truth.segment == errors.answer.segment)
-        if not found.any():  # no error to widen by; such a model is then judged and not used
+        if not found.any():  # there is no error to widen by, and the model will not be used
             return
         stated = errors.answer.magnitude_std_n, errors.answer.angle_std_deg
         unseen_n[:, 1] = np.rad2deg(unseen_n[:, 1] / np.maximum(errors.answer.magnitude_n, 1e-9))
+        wider = []
         for k, (error, std) in enumerate(zip((off, turned), stated, strict=True)):
             beyond = np.maximum(error**2 - unseen_n[:, k] ** 2, 0.0) ** 0.5
             ratio = beyond[found] / (NORMAL_95 * std[found])
-            trained.spread.factor[k] *= max(1.0, float(np.quantile(ratio, 0.95)))
+            wider.append(max(1.0, float(np.quantile(ratio, 0.95))))
+        if anywhere:  # one deviation of torques, of which both follow
+            wider = [max(wider)]
+        factor = trained.spread.factor
+        factor.mul_(factor.new_tensor(wider))
 
     train_model(
         path,
         network,
         data,
-        settings,
+        replace(recipe_for(network).settings, seed=0, threads=1, epochs=_EPOCHS, batch_size=256),
         command=command,
         test_samples=_TEST_SAMPLES,
         on_epoch=on_epoch,
@@ -242,28 +272,18 @@ def train_for(
     )
 
 
-def _drawn(arm: Arm, network: str, options: dict[str, Any]) -> Dataset | Sequences:
-    """Samples of an arm, with weaker forces where it does not bear these in every pose."""
-    for _ in range(_WEAKER):
-        try:
-            return draw_training_data(arm, network, options, seed=0)
-        except DatasetError:
-            options = {**options, "force_high_n": 0.7 * options["force_high_n"]}
-    return draw_training_data(arm, network, options, seed=0)
-
-
 def _is_better(before: RecordedErrors, after: RecordedErrors) -> bool:
     first, second = before.whole.errors, after.whole.errors
     return (
-        second.magnitude_mae_n < _LESS * first.magnitude_mae_n
-        and second.contact_accuracy >= first.contact_accuracy - _CONTACTS_GIVEN_UP
+        second.magnitude_mae_n < _ERROR_LEFT * first.magnitude_mae_n
+        and second.contact_accuracy >= first.contact_accuracy - _CONTACTS_LOST
     )
 
 
-def _named(errors: RecordedErrors) -> dict[str, float]:
-    """Errors over loaded rows; what there is nothing to average for is left out."""
+def _figures(errors: RecordedErrors) -> dict[str, float]:
+    """Errors over loaded rows, without those that average over no row."""
     of_loads = errors.whole.errors
-    named = {
+    figures = {
         "contact_accuracy": of_loads.contact_accuracy,
         "force_mae_n": of_loads.magnitude_mae_n,
         "direction_mean_deg": of_loads.direction_mae_deg,
@@ -271,4 +291,4 @@ def _named(errors: RecordedErrors) -> dict[str, float]:
         "false_force_n": errors.false_n,
         "rows": float(of_loads.contacts),
     }
-    return {name: value for name, value in named.items() if np.isfinite(value)}
+    return {name: value for name, value in figures.items() if np.isfinite(value)}

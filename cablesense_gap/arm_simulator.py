@@ -43,7 +43,7 @@ class ArmSimulator:
         self.candidates = tuple(_candidate(e, *sizes) for e in effects if not e.tolerance)
         self.tolerances = tuple(_candidate(e, *sizes) for e in effects if e.tolerance)
         self._listed = entries_of(arm)
-        self._replay = Replay(arm, recording.time_s, recording.command_rad, recording.forces_n)
+        self._replay = Replay(arm, *recording.inputs)
         self._nominal_n: Array | None = None
         self._shape = recording.tensions_n.shape
 
@@ -105,7 +105,7 @@ def supported_rows(arm: Arm, recording: Recording) -> NDArray[np.bool_]:
         EquilibriumError: a history-dependent arm has no equilibrium in some row.
     """
     entries = entries_of(arm)
-    replay = Replay(arm, recording.time_s, recording.command_rad, recording.forces_n)
+    replay = Replay(arm, *recording.inputs)
     if transmissions([entries]):
         return np.ones(len(recording), dtype=bool)
     predicted = replay.readings_n([entries], np.full(recording.tensions_n.shape, np.nan))[0]
@@ -118,7 +118,7 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
     The nominal and the amended arm then count the same rows. Rows without an equilibrium of the
     arm without effects are judged by the prediction (R, M) of the arm with its effects.
     """
-    replay = Replay(arm, recording.time_s, recording.command_rad, recording.forces_n)
+    replay = Replay(arm, *recording.inputs)
     return has_one_equilibrium(replay.readings_n([[]], predicted_n)[0], arm)
 
 
@@ -172,8 +172,7 @@ def removed_on(
         EquilibriumError: an arm has no equilibrium.
     """
     nominal_n, amended_n = (
-        replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
-        for arm in (nominal, settled(amended, recording, rows))
+        replay_arm(arm, *recording.inputs) for arm in (nominal, settled(amended, recording, rows))
     )
     judged = counted_rows(nominal, recording, nominal_n)
     judged[:rows] = False

@@ -16,7 +16,7 @@ from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, supported_r
 from cablesense_gap.diagnosis.problem import Problem
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.pipeline import FOLDS, System, Unlisted, diagnose_system, problem_of
-from cablesense_gap.recordings.channels import stiffness_findings, unborne_findings
+from cablesense_gap.recordings.channels import unborne_findings
 from cablesense_gap.recordings.checks import check_recording, refuse_unusable
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.recordings.thinning import rows_along_path, rows_to_use
@@ -88,7 +88,7 @@ class Diagnosis:
 
     Attributes:
         recording: the R rows that were used (`recordings.thinning`).
-        amended: the arm with what was found.
+        amended: the arm with the effects and tolerances that were found.
         predicted_before_n: (R, M) by the nominal arm.
         predicted_after_n: (R, M) by the amended arm.
         held_out_n: (R, M) by the amended arm, each trial fitted without its fold; NaN where none.
@@ -121,7 +121,7 @@ class Diagnosis:
 
     @property
     def after_label(self) -> str:
-        """What pictures call the state after; empty where nothing was changed."""
+        """The name of the state after in pictures; empty if nothing was changed."""
         if np.allclose(self.before_n, self.after_n, equal_nan=True):
             return ""
         return "flexible correction" if self.verdict.effects == (UNKNOWN,) else "amended arm"
@@ -171,7 +171,6 @@ def diagnose(
     system, rows, unsupported = _supported_system(arm, recording, rows, unseen)
     findings = check_recording(recording, arm, system.nominal_n, rows)
     refuse_unusable(recording, findings)
-    findings += stiffness_findings(system.recording, arm, system.nominal_n)
     findings += unborne_findings(unsupported, arm)
     for finding in findings:
         on_finding(finding.text)
@@ -203,7 +202,7 @@ def _supported_system(
         supported = supported_rows(arm, used)
         if supported.all() or supported.mean() < _LEAST_SUPPORTED:
             # raises with a row that has no equilibrium
-            replay_arm(arm, used.time_s, used.command_rad, used.forces_n)
+            replay_arm(arm, *used.inputs)
         unsupported[rows[~supported]] = True
         rows = rows[supported]
         system = ArmSystem(arm, recording.rows(rows), unseen)
@@ -223,15 +222,18 @@ def _with_needed_effects(
 def folds_of(recording: Recording, unseen: Collection[int] = ()) -> NDArray[np.int64]:
     """(T,) fold 0 to 4 of each trial, in the order of their numbers.
 
-    Trials of one kind, by the loaded segment and by whether the arm moves, are dealt to the folds
-    in turn, so that each fold leaves some of every kind to fit to. Those `unseen` are dealt
-    separately.
+    Trials of one kind, by the loaded segment, the place of the load on it, and by whether the arm
+    moves, are dealt to the folds in turn, so that each fold leaves some of every kind to fit to.
+    Those `unseen` are dealt separately.
     """
-    kinds: dict[tuple[bool, int, bool], list[int]] = {}
+    kinds: dict[tuple[bool, int, float, bool], list[int]] = {}
+    places_m = recording.inputs[3]
+    at_m = np.zeros(len(recording)) if places_m is None else np.nan_to_num(places_m).max(axis=1)
     for t, number in enumerate(np.unique(recording.trial)):
         rows = recording.trial == number
         moves = bool((np.ptp(recording.command_rad[rows], axis=0) > 0.0).any())
-        kind = number in unseen, int(recording.load_segment[rows].max()), moves
+        segment = int(recording.load_segment[rows].max())
+        kind = number in unseen, segment, float(at_m[rows].max()), moves
         kinds.setdefault(kind, []).append(t)
     dealt = [t for kind in sorted(kinds) for t in kinds[kind]]
     fold = np.empty(len(dealt), dtype=np.int64)

@@ -1,8 +1,8 @@
-"""The experiment that would distinguish explanations, chosen among the blocks of the protocol.
+"""The experiment that distinguishes explanations best, chosen among the blocks of the protocol.
 
-Each explanation is simulated with the numbers that were fitted to it, and the block is proposed
-where their predictions part most: after a constant of each channel and what tolerances could add
-are taken out, as these are fitted to every recording anew.
+Each explanation is simulated with its fitted numbers. The block is proposed where the predictions
+differ most, without a constant of each channel and without what tolerances can change: both are
+fitted to every recording anew.
 """
 
 from __future__ import annotations
@@ -27,50 +27,30 @@ from cablesense_sim.replay import Replay
 
 Rival = Mapping[Term, float]
 
-SLOW_HZ = 2.5
-"""Rate at which blocks are simulated where the past counts: two samples a level and more."""
-FINALISTS = 3
-SEPARATES_FLOORS = 1.0
-HIDDEN_FLOORS = 0.1
-ABOUT_AS_FAR = 0.9
-TOLERANCE_REACH = 2.0
-"""Standard deviations to which each tolerance may take a difference away."""
+_SLOW_HZ = 2.5
+"""The rate of history-dependent simulations: two samples and more for each level of a load."""
+_FINALISTS = 3
+"""Blocks whose tolerances are simulated: that costs far more than the first comparison."""
+_CLEAR_FLOORS, _HIDDEN_FLOORS = 1.0, 0.1
+"""In noise floors: a difference that one recording shows, and one that no repetition shows."""
+_AS_FAR = 0.9
+"""The first block with this share of the largest difference is proposed: it is the simplest."""
+_TOLERANCE_REACH = 2.0
+"""Standard deviations to which each tolerance may reduce a difference."""
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """What to record next, for a person at the arm, and what it will show.
+    """A proposal for the next recording, for a person at the arm.
 
     Attributes:
-        block: what to do, as in the protocol; empty where nothing is needed.
-        separation_n: root mean square by which predictions part there.
-        over_floor: the same in noise floors.
+        block: what to do, as in the protocol; empty if nothing is needed.
+        separation_n: root mean square difference of the predictions there.
     """
 
     text: str
     block: str = ""
     separation_n: float = 0.0
-    over_floor: float = 0.0
-
-
-class _Tried(NamedTuple):
-    """A block as the rivals predict it.
-
-    Attributes:
-        used: (R,) rows with one rest only.
-        apart_n: (R', M) first rival less each other, in the used rows.
-    """
-
-    block: Block
-    simulator: ArmSimulator
-    used: NDArray[np.bool_]
-    apart_n: list[Array]
-
-    def nearest_n(self, tolerances: Array, free_constants: bool) -> Array:
-        """(M,) RMS by which the first rival parts from the nearest other."""
-        left = [_left(apart, tolerances, free_constants) for apart in self.apart_n]
-        nearest = min(left, key=lambda each: float((each**2).sum()))
-        return np.asarray(np.sqrt((nearest**2).mean(0)))
 
 
 def next_experiment(
@@ -80,50 +60,99 @@ def next_experiment(
     blocks: Sequence[Block] | None = None,
     question: str = "",
 ) -> Experiment:
-    """What to record to distinguish the first rival from the others.
+    """The block to record that distinguishes the first rival from the others.
 
-    `question` is what that would tell, where the rivals are one explanation with other numbers.
-
-    Rivals are fitted numbers, `{}` for none. One alone is distinguished from the nominal arm, so
-    that it can be confirmed. `blocks` are those of the standard protocol unless given.
+    Args:
+        arm: the nominal one.
+        rivals: fitted numbers of each, `{}` for none. A single one is distinguished from the
+            nominal arm.
+        floor_n: the noise floor of a reading.
+        blocks: to choose from, those of the standard protocol unless given.
+        question: what the recording would answer, if the rivals are one explanation with
+            different numbers.
 
     Raises:
         ValueError: no rival is given.
-        EquilibriumError: the nominal arm finds no rest in the standard protocol.
+        EquilibriumError: the nominal arm has no equilibrium in the standard protocol.
     """
     if not rivals:
         raise ValueError("no explanation is given; at least one is needed")
     if len(rivals) == 1 and not rivals[0]:
         return Experiment("No further experiment is needed.")
+    compared = [_without_history(arm, r) for r in (rivals if rivals[1:] else [*rivals, {}])]
+    rate_hz = arm.sensors.rate_hz
+    if any(e.effect.acts_on == "transmission" for r in compared for e in entries_from(r)):
+        rate_hz = min(rate_hz, _SLOW_HZ)
     offered = standard_protocol(arm) if blocks is None else blocks
-    known, counts = known_effects(), (arm.segment_count, arm.cable_count)
-    # before a new experiment nobody knows what the past left
-    compared = [
-        {
-            t: v
-            for t, v in r.items()
-            if t.parameter not in (h.name for h in known[t.effect].history(*counts))
-        }
-        for r in (rivals if rivals[1:] else [*rivals, {}])
-    ]
-    past_counts = any(
-        e.effect.acts_on == "transmission" for r in compared for e in entries_from(r)
-    )
-    rate_hz = min(arm.sensors.rate_hz, SLOW_HZ) if past_counts else arm.sensors.rate_hz
-    tried = [_try(arm, block, compared, rate_hz) for block in offered]
+    tried = [_tried(arm, block, compared, rate_hz) for block in offered]
     best = _furthest([each for each in tried if each is not None], floor_n)
     if best is None:
         return Experiment("No block of the protocol can be simulated with these explanations.")
     block, by_cable_n = best
-    apart_n = _rms(by_cable_n)
     text = _text(arm, rivals, block.does, by_cable_n, floor_n, question)
-    return Experiment(text, block.does, apart_n, apart_n / floor_n)
+    return Experiment(text, block.does, _rms(by_cable_n))
+
+
+def _without_history(arm: Arm, rival: Rival) -> dict[Term, float]:
+    """A rival without the states of a past that a new experiment does not share."""
+    known = known_effects()
+    return {
+        term: value
+        for term, value in rival.items()
+        if term.parameter
+        not in (p.name for p in known[term.effect].history(arm.segment_count, arm.cable_count))
+    }
+
+
+class _Tried(NamedTuple):
+    """A block as the rivals predict it.
+
+    Attributes:
+        used: (R,) rows in which every prediction has one equilibrium only.
+        differences_n: (R', M) of the first rival to each other, in these rows.
+    """
+
+    block: Block
+    simulator: ArmSimulator
+    used: NDArray[np.bool_]
+    differences_n: list[Array]
+
+    def nearest_n(self, tolerances: Array, free_constants: bool) -> Array:
+        """(M,) RMS difference of the first rival to the nearest other."""
+        left = [_left(each, tolerances, free_constants) for each in self.differences_n]
+        nearest = min(left, key=lambda each: float((each**2).sum()))
+        return np.asarray(np.sqrt((nearest**2).mean(0)))
+
+    def tolerances(self, free_constants: bool) -> Array:
+        """(K, R' M) what one standard deviation of each tolerance changes."""
+        nominal, columns = self.simulator.predict([{}])[0], []
+        for term, parameter in parameters_of(self.simulator.tolerances).items():
+            change = self.simulator.predict([{term: parameter.typical}])[0] - nominal
+            columns.append(_without_mean(change[self.used], free_constants).ravel())
+        found = np.array(columns)
+        return found[np.isfinite(found).all(1)]
+
+
+def _tried(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> _Tried | None:
+    """None if an explanation cannot be simulated, or if no row has one equilibrium only."""
+    rows = rows_of((block,), rate_hz)
+    recorded = replace(rows, tensions_n=np.zeros((len(rows), arm.cable_count)))
+    replay = Replay(arm, *recorded.inputs)
+    try:
+        predicted = [replay.readings_n([[*entries_of(arm), *entries_from(r)]])[0] for r in rivals]
+    except EquilibriumError:
+        return None
+    used = np.all([has_one_equilibrium(p, arm) for p in predicted], axis=0)
+    if not used.any():
+        return None
+    differences_n = [(predicted[0] - other)[used] for other in predicted[1:]]
+    return _Tried(block, ArmSimulator(arm, recorded), used, differences_n)
 
 
 def _furthest(trials: Sequence[_Tried], floor_n: float) -> tuple[Block, Array] | None:
-    """The block that separates most, and by how much in each cable (M,).
+    """The block with the largest difference, and its size in each cable (M,).
 
-    A difference by a constant alone is taken as it is.
+    Constants count only if no block shows a clear difference without them.
     """
     final: list[tuple[Block, Array]] = []
     most_n = 0.0
@@ -131,50 +160,17 @@ def _furthest(trials: Sequence[_Tried], floor_n: float) -> tuple[Block, Array] |
         first_n = [_rms(t.nearest_n(np.empty((0, 0)), free_constants)) for t in trials]
         order = np.argsort(-np.array(first_n), kind="stable")
         final = [
-            (t.block, t.nearest_n(_tolerances(t, free_constants), free_constants))
-            for t in (trials[k] for k in sorted(order[:FINALISTS]))
+            (t.block, t.nearest_n(t.tolerances(free_constants), free_constants))
+            for t in (trials[k] for k in sorted(order[:_FINALISTS]))
         ]
         most_n = max((_rms(by_cable_n) for _, by_cable_n in final), default=0.0)
-        if most_n >= SEPARATES_FLOORS * floor_n:
+        if most_n >= _CLEAR_FLOORS * floor_n:
             break
-    # of blocks that separate about as much, the first is the simplest
-    return next((each for each in final if _rms(each[1]) >= ABOUT_AS_FAR * most_n), None)
-
-
-def _rms(by_cable_n: Array) -> float:
-    return float(np.sqrt((by_cable_n**2).mean()))
-
-
-def _try(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> _Tried | None:
-    """None where an explanation cannot be simulated, or the arm has more than one rest."""
-    rows = rows_of((block,), rate_hz)
-    recorded = replace(rows, tensions_n=np.zeros((len(rows), arm.cable_count)))
-    replay = Replay(arm, recorded.time_s, recorded.command_rad, recorded.forces_n)
-    try:
-        predicted = [replay.readings_n([[*entries_of(arm), *entries_from(r)]])[0] for r in rivals]
-    except EquilibriumError:
-        return None
-    used = np.all([has_one_equilibrium(p, arm) for p in predicted], axis=0)
-    if not all(np.isfinite(p).all() for p in predicted) or not used.any():
-        return None
-    apart_n = [(predicted[0] - other)[used] for other in predicted[1:]]
-    return _Tried(block, ArmSimulator(arm, recorded), used, apart_n)
-
-
-def _tolerances(trial: _Tried, free_constants: bool) -> Array:
-    """(K, R' M) what one standard deviation of each changes."""
-    simulator = trial.simulator
-    nominal = simulator.predict([{}])[0]
-    columns = []
-    for term, parameter in parameters_of(simulator.tolerances).items():
-        change = simulator.predict([{term: parameter.typical}])[0] - nominal
-        columns.append(_without_mean(change[trial.used], free_constants).ravel())
-    found = np.array(columns)
-    return found[np.isfinite(found).all(1)]
+    return next((each for each in final if _rms(each[1]) >= _AS_FAR * most_n), None)
 
 
 def _left(difference_n: Array, tolerances: Array, free_constants: bool) -> Array:
-    """What constants, and tolerances as far as manufacturing leaves them, do not take away."""
+    """The part of a difference that constants and likely tolerances cannot remove."""
     from scipy.optimize import lsq_linear
 
     apart = _without_mean(difference_n, free_constants)
@@ -182,12 +178,16 @@ def _left(difference_n: Array, tolerances: Array, free_constants: bool) -> Array
         return apart
     # on a triangle of the columns instead of all rows
     rotated, triangle = np.linalg.qr(tolerances.T)
-    least = lsq_linear(triangle, rotated.T @ apart.ravel(), (-TOLERANCE_REACH, TOLERANCE_REACH))
+    least = lsq_linear(triangle, rotated.T @ apart.ravel(), (-_TOLERANCE_REACH, _TOLERANCE_REACH))
     return np.asarray(apart - (least.x @ tolerances).reshape(apart.shape))
 
 
 def _without_mean(values_n: Array, free_constants: bool) -> Array:
     return values_n - values_n.mean(0) if free_constants else values_n
+
+
+def _rms(by_cable_n: Array) -> float:
+    return float(np.sqrt((by_cable_n**2).mean()))
 
 
 def _text(
@@ -200,12 +200,12 @@ def _text(
 ) -> str:
     floors = _rms(by_cable_n) / floor_n
     first, others = _name(rivals[0]), listed([_name(rival) for rival in rivals[1:] or [{}]], "or")
-    if floors < HIDDEN_FLOORS:
+    if floors < _HIDDEN_FLOORS:
         if question:
             return f"No block of the protocol shows {question}."
         return (
-            f"No block of the protocol distinguishes {first} from {others}: with the numbers that "
-            "were fitted, they predict the same readings."
+            f"No block of the protocol distinguishes {first} from {others}: with their fitted "
+            "numbers they predict the same readings."
         )
     most = [k for k in np.argsort(-by_cable_n)[:2] if by_cable_n[k] > 0.5 * by_cable_n.max()]
     numbers = [arm.cable_names[k].removeprefix("cable_") for k in sorted(most)]
@@ -214,19 +214,20 @@ def _text(
         f"most at cable{'s' if numbers[1:] else ''} {' and '.join(numbers)}."
     )
     if question:
-        text = f"To find out {question}: {does} There predictions part {by}"
+        text = f"To find out {question}: {does} There the predictions differ {by}"
     elif not rivals[0]:
         text = (
-            "Nothing more needs to be recorded. What may hide below the noise would show most "
-            f"here: {does} With the size that fits best, {others} would change the readings {by}"
+            "No further recording is needed. An effect that is hidden by the noise would show "
+            f"most here: {does} With the size that fits best, {others} would change the readings "
+            f"{by}"
         )
     elif len(rivals) == 1:
         text = f"To confirm it: {does} There {first} must change the readings {by}"
     else:
-        text = f"To distinguish {first} from {others}: {does} There their predictions part {by}"
-    if floors < SEPARATES_FLOORS:
-        times = int(np.ceil((SEPARATES_FLOORS / floors) ** 2))
-        text += f" Nothing in the protocol shows more: do it {times} times."
+        text = f"To distinguish {first} from {others}: {does} There the predictions differ {by}"
+    if floors < _CLEAR_FLOORS:
+        times = int(np.ceil((_CLEAR_FLOORS / floors) ** 2))
+        text += f" No block of the protocol shows more: repeat it {times} times."
     return text
 
 

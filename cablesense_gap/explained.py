@@ -1,4 +1,4 @@
-"""What an explanation accounts for: shares of the gap, the unexplained part, sizes, estimates."""
+"""The content of an explanation: shares of the gap, the unexplained part, sizes, estimates."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Trade(NamedTuple):
 
 
 class Remainder(NamedTuple):
-    """What the effects of an explanation do not account for, RMS in the channels' unit.
+    """The residual parts beyond the effects of an explanation, RMS in the channels' unit.
 
     Attributes:
         tolerances: by which fitted tolerances change predictions.

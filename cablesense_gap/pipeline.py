@@ -1,8 +1,8 @@
-"""From a system with its recording to a verdict: the one pipeline of arms, robots and others.
+"""The pipeline from a system with its recording to a verdict, for arms, robots and others.
 
-The way of a recording from here: the search (`diagnosis.search`), probabilities
-(`diagnosis.probability`), then shares, places, estimates and the gap (`explained`). What depends
-on the kind of machine is a method of its `System`.
+The steps are the search (`diagnosis.search`), probabilities (`diagnosis.probability`), then
+shares, places, estimates and the gap (`explained`). A `System` has a method for each step that
+depends on the kind of machine.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class System(ABC):
         counted: (R,) rows that count in fits and sizes.
         candidates, tolerances, floor: see `Simulator`.
         unit: of the channels.
-        compared: what is compared and how, as a sentence; empty for plain readings.
+        compared: the compared quantities and the method, as a sentence; empty for readings.
     """
 
     name: str
@@ -110,7 +110,7 @@ class System(ABC):
         return Where()
 
     def next_experiment(self, rivals: Sequence[Assignment], question: str) -> str:
-        """What to record to distinguish the first rival from the others; `question` may be empty.
+        """The recording that distinguishes the first rival from the others.
 
         A single rival is distinguished from the nominal machine.
         """
@@ -195,7 +195,14 @@ def diagnose_system(
         experiment = experiment or system.next_experiment([values, *rivals], "")
     else:
         described = system.unlisted(problem, problem.readings - none.held_out)
-        reasons = (_left_by_listed(fitted, none, system.unit), *described.reasons)
+        least = min(fitted, key=lambda e: e.held_out_rmse)
+        names = " with ".join(least.effects).replace("_", " ") or "none"
+        left = (
+            f"On held-out trials, tolerances alone leave {none.held_out_rmse:.3g} {system.unit}; "
+            f"the best that listed effects do is {least.held_out_rmse:.3g} {system.unit} "
+            f"({names})."
+        )
+        reasons = (left, *described.reasons)
         experiment = described.experiment
         predicted = held_out = none.held_out + described.correction
     before, after = ((problem.readings - each)[used] for each in (problem.nominal, held_out))
@@ -233,12 +240,3 @@ def diagnose_system(
     )
     progress("done", 1.0)
     return Outcome(verdict, values, explained.tolerances, problem.nominal, predicted, held_out)
-
-
-def _left_by_listed(fitted: Sequence[Explanation], none: Explanation, unit: str) -> str:
-    best = min(fitted, key=lambda e: e.held_out_rmse)
-    return (
-        f"On held-out trials, tolerances alone leave {none.held_out_rmse:.3g} {unit}; the best "
-        f"that listed effects do is {best.held_out_rmse:.3g} {unit} "
-        f"({' with '.join(best.effects).replace('_', ' ') or 'none'})."
-    )

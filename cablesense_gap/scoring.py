@@ -1,4 +1,4 @@
-"""Verdicts against answers that were withheld: the score sheet."""
+"""Verdicts against answers that were withheld: the score sheet (docs/verdict.md)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any
@@ -17,7 +17,15 @@ import numpy as np
 
 from cablesense_base import CableSenseError
 from cablesense_base.files import read_bounded_text
-from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, joined, read_verdict
+from cablesense_gap.verdict import (
+    MAX_FILE_BYTES,
+    NONE,
+    UNKNOWN,
+    Verdict,
+    checked_effects,
+    joined,
+    read_verdict,
+)
 
 
 class ScoreError(CableSenseError):
@@ -26,13 +34,7 @@ class ScoreError(CableSenseError):
 
 CLEAR_GAP_FLOORS = 5.0
 """A gap of at least this many noise floors is called clear."""
-
 _COLUMNS = ("recording", "effects", "where")
-_MAX_FILE_BYTES = 10_000_000
-_BINS = 10
-_COUNTED = {1: "one", 2: "two"}
-_NAME = re.compile(r"[a-z][a-z0-9_]*")
-_PLACE = re.compile(r"(?:cable|segment|joint)_[1-9]\d*")
 
 
 @dataclass(frozen=True)
@@ -42,33 +44,26 @@ class Truth:
     Attributes:
         recording: its name, without a suffix.
         effects: `("none",)`, `("unknown",)`, or names in alphabetical order.
-        places: cables, segments and joints that the answer names; empty if it names none.
-        names: the words of `where`, of a robot the names of its joints, bodies and tendons.
-        gap_over_floor: RMS gap of the nominal arm in noise floors, if the file gives it.
-        form: which form of the effect the plant has, if the file gives it.
-        each_gap_n: RMS gap of each of the effects alone, if the file gives it.
+        where: text with the names of the places; empty if the answer names none.
+        gap_over_floor: RMS gap of the nominal arm in noise floors, if known.
+        each_gap_n: RMS gap of each of the effects alone, if known.
     """
 
     recording: str
     effects: tuple[str, ...]
-    places: frozenset[str] = frozenset()
+    where: str = ""
     gap_over_floor: float | None = None
-    form: str = ""
     each_gap_n: tuple[float, ...] = ()
-    names: frozenset[str] = frozenset()
 
 
 def read_answers(path: str | Path) -> tuple[Truth, ...]:
     """Read answers: CSV with `recording,effects,where`; effects are joined by `+`.
 
-    In `where`, places are found whatever stands between them, so that
-    `cable_2_into_cable_5` and `cable_2 cable_5` mean the same.
-
     Raises:
-        ScoreError: the file cannot be read, a column is missing, a row cannot be.
+        ScoreError: the file cannot be read, misses a column, or has an invalid row.
     """
     try:
-        text = read_bounded_text(path, _MAX_FILE_BYTES, "a table of answers", ScoreError)
+        text = read_bounded_text(path, MAX_FILE_BYTES, "a table of answers", ScoreError)
         table = csv.DictReader(text.splitlines(), skipinitialspace=True)
         rows = list(table)
     except (ValueError, csv.Error) as error:
@@ -91,24 +86,19 @@ def _answer(at: str, row: dict[str, str | None]) -> Truth:
     if not recording:
         raise ScoreError(f"{at}: names no recording")
     effects = tuple(sorted(name.strip() for name in cells["effects"].split("+")))
-    if not all(_NAME.fullmatch(name) for name in effects) or len(set(effects)) < len(effects):
-        raise ScoreError(
-            f"{at}: effects = {cells['effects'][:80]!r}; must be names joined by +, each once"
-        )
-    for alone in (NONE, UNKNOWN):
-        if alone in effects and len(effects) > 1:
-            raise ScoreError(f"{at}: effects = {'+'.join(effects)}; {alone} must stand alone")
+    if not all(re.fullmatch("[a-z][a-z0-9_]*", name) for name in effects):
+        raise ScoreError(f"{at}: effects = {cells['effects'][:80]!r}; must be names joined by +")
+    try:
+        checked_effects(effects)
+    except ValueError as error:
+        raise ScoreError(f"{at}: effects {error}") from None
     gap = _numbers(at, cells, "gap_over_floor", 1)
     each_gap_n = _numbers(at, cells, "each_gap_n", len(effects))
-    places = frozenset(_PLACE.findall(cells["where"]))
-    # of what one place does to another the first counts, as in verdicts
-    names = frozenset(re.sub(r"_into_\S+", "", cells["where"]).split())
-    form = cells.get("form", "")
-    return Truth(recording, effects, places, gap[0] if gap else None, form, each_gap_n, names)
+    return Truth(recording, effects, cells["where"], gap[0] if gap else None, each_gap_n)
 
 
 def _numbers(at: str, cells: Mapping[str, str], column: str, count: int) -> tuple[float, ...]:
-    """Those of a cell, or none where it is empty or not there."""
+    """The numbers in a cell; none if it is empty or missing."""
     cell, found = cells.get(column, ""), list[float]()
     if not cell:
         return ()
@@ -120,55 +110,29 @@ def _numbers(at: str, cells: Mapping[str, str], column: str, count: int) -> tupl
     return tuple(found)
 
 
-@dataclass(frozen=True)
-class Bin:
-    """Cases whose stated probability lies in one tenth of 0 to 1."""
+def read_verdicts(folder: str | Path, recordings: Iterable[str]) -> dict[str, Verdict]:
+    """Read the verdicts on these recordings; other files in the folder are ignored.
 
-    low: float
-    high: float
-    count: int
-    mean_probability: float
-    share_right: float
-
-
-@dataclass(frozen=True)
-class Reliability:
-    """Stated probabilities of verdicts against whether they were right.
-
-    Attributes:
-        brier: mean square of (probability - outcome); 0 is best, 0.25 is a coin's.
-        expected_error: mean over cases of what a bin's mean probability and share differ by.
-        bins: those that hold a case.
+    Raises:
+        ScoreError: no such folder; a recording without a verdict, or with two.
+        VerdictError: a file is no verdict.
     """
-
-    brier: float
-    expected_error: float
-    bins: tuple[Bin, ...]
-
-
-def reliability(probability: Sequence[float], right: Sequence[bool]) -> Reliability:
-    """Brier score and expected calibration error of stated probabilities, ten even bins.
-
-    G. W. Brier, Monthly Weather Review 78 (1950) 1-3; M. P. Naeini et al., AAAI 2015.
-    """
-    stated, outcome = np.asarray(probability, dtype=float), np.asarray(right, dtype=float)
-    member = np.minimum((stated * _BINS).astype(int), _BINS - 1)  # 1.0 belongs to the last
-    bins = tuple(
-        Bin(
-            low=k / _BINS,
-            high=(k + 1) / _BINS,
-            count=int((member == k).sum()),
-            mean_probability=float(stated[member == k].mean()),
-            share_right=float(outcome[member == k].mean()),
-        )
-        for k in np.unique(member).tolist()
-    )
-    apart = sum(b.count * abs(b.mean_probability - b.share_right) for b in bins)
-    return Reliability(
-        brier=float(((stated - outcome) ** 2).mean()),
-        expected_error=apart / len(stated),
-        bins=bins,
-    )
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise ScoreError(f"{folder}: no such folder; give the one that holds the verdicts")
+    found = {}
+    for name in recordings:
+        places = folder / name / "verdict.json", folder / f"{name}.json"
+        paths = [path for path in places if path.is_file()]
+        if len(paths) > 1:
+            raise ScoreError(f"{folder}: has {name}/verdict.json and {name}.json; keep one")
+        if not paths:
+            raise ScoreError(
+                f"{folder}: no verdict on {name}; every recording of the answers needs its "
+                f"{name}/verdict.json or {name}.json"
+            )
+        found[name] = read_verdict(paths[0])
+    return found
 
 
 @dataclass(frozen=True)
@@ -186,7 +150,7 @@ class Proportion:
 
 
 def proportion(outcomes: Iterable[bool]) -> Proportion:
-    """How many of the outcomes are true."""
+    """The share of the outcomes that are true."""
     from scipy.stats import binomtest
 
     listed = [bool(outcome) for outcome in outcomes]
@@ -198,12 +162,40 @@ def proportion(outcomes: Iterable[bool]) -> Proportion:
 
 
 @dataclass(frozen=True)
+class Reliability:
+    """Stated probabilities of verdicts against whether they were right.
+
+    Attributes:
+        brier: mean square of (probability - outcome); 0 is best, 0.25 is a coin's.
+        expected_error: mean over cases of the difference between the mean probability and the
+            share of right verdicts, in ten even bins of the probability.
+    """
+
+    brier: float
+    expected_error: float
+
+
+def reliability(probability: Sequence[float], right: Sequence[bool]) -> Reliability:
+    """Brier score and expected calibration error of stated probabilities.
+
+    G. W. Brier, Monthly Weather Review 78 (1950) 1-3; M. P. Naeini et al., AAAI 2015.
+    """
+    stated, outcome = np.asarray(probability, dtype=float), np.asarray(right, dtype=float)
+    member = np.minimum((stated * 10).astype(int), 9)  # 1.0 belongs to the last bin
+    apart = [abs((stated - outcome)[member == k].sum()) for k in range(10)]
+    return Reliability(
+        brier=float(((stated - outcome) ** 2).mean()),
+        expected_error=float(sum(apart) / len(stated)),
+    )
+
+
+@dataclass(frozen=True)
 class BudgetScore:
     """Scores of the budgets, over the effects of all recordings with effects of the library.
 
     Attributes:
         named: effects that change readings by 5 noise floors or more and are named.
-        false_names: of all names given, those of effects that are not there.
+        false_names: of all names given, those of absent effects.
         shares: of effects named rightly, those whose share is within a third of the truth.
         median_removed_fraction: of the gap on held-out trials, over recordings.
     """
@@ -238,29 +230,9 @@ def budget_score(cases: Sequence[tuple[Verdict, Truth]]) -> BudgetScore:
 
 @dataclass(frozen=True)
 class ScoreSheet:
-    """Scores of the verdicts.
+    """Scores of the verdicts; docs/verdict.md says which cases each counts.
 
     A recording has one effect of the library (`singles`), two (`doubles`), `none` or `unknown`.
-
-    Attributes:
-        confusion: counts by truth, then by verdict.
-        exact: verdicts that name exactly the truth.
-        top2: truth among the two most probable explanations.
-        truth_in_group: truth is the verdict or in its ambiguity group.
-        clear_singles_exact: exact singles whose gap is at least 5 noise floors.
-        doubles_both: doubles with both effects named and no other.
-        doubles_one: doubles with at least one effect named.
-        false_alarms: of `none`, those with another verdict.
-        unknown_recall: of `unknown`, those recognised.
-        where: of correct verdicts whose answer names places, those that name the same ones.
-        by_effect: exact singles by true effect.
-        by_form: exact verdicts by the plant's form, where answers give one.
-        mean_probability_on_truth: of the candidate that is the truth, 0 where none is.
-        brier_over_candidates: sum over candidates of (probability - outcome)², mean over cases.
-        budgets: effects and shares over all recordings with effects of the library.
-        reliability: of the verdicts' own probability.
-        median_removed_fraction: of correct verdicts on singles and doubles; None without one.
-        wrong: recordings whose verdict is not exact.
     """
 
     cases: int
@@ -276,11 +248,9 @@ class ScoreSheet:
     unknown_recall: Proportion
     where: Proportion
     by_effect: dict[str, Proportion]
-    by_form: dict[str, Proportion]
     mean_probability_on_truth: float
-    brier_over_candidates: float
     budgets: BudgetScore
-    reliability: Reliability
+    calibration: Reliability
     median_removed_fraction: float | None
     wrong: tuple[str, ...]
 
@@ -301,9 +271,9 @@ def score(verdicts: Mapping[str, Verdict], answers: Sequence[Truth]) -> ScoreShe
     cases = pd.DataFrame([_judged(verdicts[answer.recording], answer) for answer in answers])
     right, none, unknown, singles, doubles = (
         cases[chosen]
-        for chosen in (cases.exact, *(cases.kind == k for k in (NONE, UNKNOWN, "one", "two")))
+        for chosen in (cases.exact, *(cases.kind == kind for kind in (NONE, UNKNOWN, "1", "2")))
     )
-    removed = right.removed[right.kind.isin(("one", "two"))]
+    removed = right.removed[right.kind.isin(("1", "2"))]
     confusion: dict[str, dict[str, int]] = {}
     for (truth, named), count in cases.groupby(["truth", "named"]).size().items():
         confusion.setdefault(truth, {})[named] = int(count)
@@ -319,13 +289,11 @@ def score(verdicts: Mapping[str, Verdict], answers: Sequence[Truth]) -> ScoreShe
         doubles_one=proportion(doubles.names_one),
         false_alarms=proportion(~none.exact),
         unknown_recall=proportion(unknown.exact),
-        where=proportion(right.places_right[right.has_places]),
+        where=proportion(right.places_right.dropna()),
         by_effect={name: proportion(own.exact) for name, own in singles.groupby("truth")},
-        by_form={name: proportion(own.exact) for name, own in cases.groupby("form") if name},
         mean_probability_on_truth=fmean(cases.on_truth),
-        brier_over_candidates=fmean(cases.brier),
         budgets=budget_score([(verdicts[a.recording], a) for a in answers]),
-        reliability=reliability(cases.probability, cases.exact),
+        calibration=reliability(cases.probability, cases.exact),
         median_removed_fraction=median(removed) if len(removed) else None,
         wrong=tuple(cases.recording[~cases.exact]),
     )
@@ -335,68 +303,37 @@ def _judged(verdict: Verdict, answer: Truth) -> dict[str, Any]:
     """One verdict with its answer, as a row of the table that is counted."""
     truth, named, gap = answer.effects, verdict.effects, verdict.gap
     weighed = {c.effects: c.probability for c in verdict.candidates}
-    weighed = weighed or {named: verdict.probability}
     others = [c.effects for c in verdict.ranked if c.effects != named]
     ratio = answer.gap_over_floor
     if ratio is None and gap.floor_n > 0.0:  # as the verdict measured it on the recording
         ratio = gap.before_n / gap.floor_n
-    kinds = {place.split("_")[0] for place in answer.places}
-    named_places = answer.names or answer.places
-    on_truth = weighed.get(truth, 0.0)
     return {
         "recording": answer.recording,
-        "form": answer.form,
         "truth": joined(truth),
         "named": joined(named),
-        "kind": truth[0] if truth[0] in (NONE, UNKNOWN) else _COUNTED.get(len(truth), "several"),
+        "kind": truth[0] if truth[0] in (NONE, UNKNOWN) else str(len(truth)),
         "clear": ratio is not None and ratio >= CLEAR_GAP_FLOORS,
         "exact": truth == named,
         "top2": truth in (named, *others[:1]),
         "in_group": truth == named or joined(truth) in verdict.ambiguity_group,
         "names_one": not set(truth).isdisjoint(named),
-        # the same set for each kind of place that the answer names
-        "has_places": bool(named_places if verdict.channels else kinds),
-        "places_right": set(verdict.where.places) == named_places
-        if verdict.channels
-        else {p for p in verdict.where.places if p.split("_")[0] in kinds} == answer.places,
+        "places_right": places_right(verdict, answer.where),
         "probability": verdict.probability,
-        "on_truth": on_truth,
-        "brier": (1.0 - on_truth) ** 2 + sum(p**2 for e, p in weighed.items() if e != truth),
+        "on_truth": (weighed or {named: verdict.probability}).get(truth, 0.0),
         "removed": gap.removed_fraction,
     }
 
 
-def as_json(score: ScoreSheet) -> dict[str, Any]:
-    """The score as plain values for a JSON file."""
-    plain = asdict(score)
-    plain["calibration"] = plain.pop("reliability")
-    return plain
+def places_right(verdict: Verdict, where: str) -> bool | None:
+    """Whether the verdict has the same places as the answer; None if the answer has none.
 
-
-def read_verdicts(folder: str | Path, recordings: Iterable[str]) -> dict[str, Verdict]:
-    """Read the verdicts on these recordings; what else lies in the folder is left alone.
-
-    Raises:
-        ScoreError: no such folder; a recording without a verdict, or with two.
-        VerdictError: a file is no verdict.
+    An arm's places are found whatever stands between them, and only the kinds that the answer
+    names are compared. A robot's are words; of what one place does to another the first counts.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise ScoreError(f"{folder}: no such folder; give the one that holds the verdicts")
-    found, missing = {}, []
-    for name in recordings:
-        places = folder / name / "verdict.json", folder / f"{name}.json"
-        paths = [path for path in places if path.is_file()]
-        if len(paths) > 1:
-            raise ScoreError(f"{folder}: has {name}/verdict.json and {name}.json; keep one")
-        if paths:
-            found[name] = read_verdict(paths[0])
-        else:
-            missing.append(name)
-    if missing:
-        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-        raise ScoreError(
-            f"{folder}: no verdict on {missing[0]}{more}; every recording of the answers needs "
-            f"its {missing[0]}/verdict.json or {missing[0]}.json"
-        )
-    return found
+    named = set(verdict.where.places)
+    if verdict.channels:
+        places = set(re.sub(r"_into_\S+", "", where).split())
+        return named == places if places else None
+    places = set(re.findall(r"(?:cable|segment|joint)_[1-9]\d*", where))
+    kinds = {place.split("_")[0] for place in places}
+    return {p for p in named if p.split("_")[0] in kinds} == places if places else None

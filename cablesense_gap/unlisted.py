@@ -1,76 +1,111 @@
 """A gap that no listed effect explains: its pattern, and what to record to narrow it down.
 
-A flexible model of what tolerances leave (`diagnosis.discrepancy`) sees features of what the arm
-was doing. How a gap responds to the size of a load, to its duration and to its direction separates
-elasticity, creep, friction and measurement, whatever the cause is called.
+A flexible model (`diagnosis.discrepancy`) is fitted to the residual after tolerances, on features
+of commands, loads and time. The pattern is a list of sentences for a person who looks for the
+cause at the arm: the cables, what the residual depends on, its period, its steps and jumps.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import combinations_with_replacement
+
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.diagnosis.discrepancy import Features, discrepancy
+from cablesense_gap.diagnosis.discrepancy import Discrepancy, Features, discrepancy
 from cablesense_gap.diagnosis.problem import Problem
 from cablesense_gap.pipeline import Unlisted
 from cablesense_gap.recordings.protocol import DIRECTIONS
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.residual_patterns import residual_patterns
-from cablesense_gap.verdict import short
+from cablesense_gap.residuals import (
+    BENT_RAD,
+    CABLE,
+    LEVEL,
+    LOOP,
+    Decomposition,
+    decompose,
+    segment_modes_n,
+)
+from cablesense_gap.verdict import listed, short
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
 
-_PLAYS = (0.05, 0.3)
-"""Widths of the plays, as shares of a channel's range."""
-_WAITED_S = 10.0
-_FEWEST_ROWS = 10
-_SIDES = {**DIRECTIONS, "up": (0.0, 0.0, 1.0), "up and to the left": (0.0, 0.5**0.5, 0.5**0.5)}
-_BENT_RAD = float(np.deg2rad(1.5))
+_WITHIN_FLOORS = 1.2
+"""Below this many floors there is no pattern to describe."""
+_WAVES = np.arange(2.5, 20.0, 0.2)
+"""Periods that a range of motion may hold; slower waves count as smooth."""
 ONE_AT_A_TIME = (
-    "Record again what the regimes above name, and change one thing at a time: "
-    "`cablesense gap protocol` lists loads, poses and holds that part most effects."
+    "Record again under the conditions that are named above, and change one thing at a time: "
+    "`cablesense gap protocol` lists loads, poses and holds that distinguish most effects."
 )
+_GROUPS = {
+    "pose": "the commanded pose",
+    "load": "the applied load",
+    "tension": "the cables' tensions",
+    "motion": "the direction in which cables move",
+    "history": "the last reversals of the tensions",
+    "time": "time",
+}
+
+
+def describe_unlisted(
+    problem: Problem, residual: Array, recording: Recording, arm: Arm
+) -> Unlisted:
+    """The pattern of a held-out residual (R, M), and the experiment to repeat."""
+    features = residual_features(recording, problem.nominal, arm)
+    found = discrepancy(
+        features, residual, problem.trial, problem.fold, problem.used, problem.floor
+    )
+    rows, left = recording.rows(problem.used), residual[problem.used]
+    reasons = (
+        "A flexible model of commands, loads, directions and time, without physics, explains "
+        f"{max(found.explained_share, 0.0):.0%} of the residual on held-out trials.",
+        *residual_patterns(rows, left, found, arm, problem.floor),
+    )
+    return Unlisted(reasons, repeat_largest_trial(rows, left, problem.floor), found.held_out)
 
 
 def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Features:
-    """Features of the rows, beside the nominal prediction (R, M).
+    """Features of the rows, with the nominal prediction (R, M).
 
-    pose: commanded angles. load: by segment and axis, and its magnitude. tension: of each cable in
-    the nominal arm. motion: which way each cable is pulled. history: how far each cable's tension
-    lags behind itself in a play, which depends on where it turned. time: since the recording
+    pose: commanded angles. load: by segment and axis, and its magnitude; where places are stated,
+    also times its distance from the nominal contact point. tension: of each cable in the nominal
+    arm. motion: the sign of each cable's speed. history: how far each cable's tension is from the
+    middle of a play that follows it, for a narrow and a wide play. time: since the recording
     began, and since the arm or its load last changed.
     """
     held_m, trial = held_lengths_m(mechanism_of(arm), recording.command_rad), recording.trial
     step_m = np.diff(held_m, axis=0, prepend=held_m[:1])
     step_m[np.diff(trial, prepend=trial[0]) != 0] = 0.0
-    forces_n = recording.forces_n
+    forces_n, segments = recording.forces_n, range(1, arm.segment_count + 1)
     loads_n = forces_n.reshape(len(recording), -1)
     size_n = np.linalg.norm(forces_n, axis=-1).sum(-1)
+    load_names = [f"load on segment_{n} along {axis}" for n in segments for axis in "xyz"]
+    places_m = recording.inputs[3]
+    if places_m is not None:
+        beyond_m = np.nan_to_num(places_m - mechanism_of(arm).contact_m, nan=0.0)
+        moments = (beyond_m[..., None] * forces_n).reshape(len(recording), -1)
+        loads_n = np.concatenate([loads_n, moments], axis=1)
+        load_names += [f"place of the {name}" for name in load_names]
     state = np.concatenate([recording.command_rad, loads_n], axis=1)
     changed = (np.diff(state, axis=0, prepend=state[:1]) != 0.0).any(axis=1)
     last = np.maximum.accumulate(np.where(changed, np.arange(len(state)), 0))
-    waited_s = recording.time_s - recording.time_s[last]
-    segments = range(1, forces_n.shape[1] + 1)
+    recent = np.exp(-(recording.time_s - recording.time_s[last]) / 10.0)
     cables = arm.cable_names
+    plays = [_in_play(nominal_n, share) for share in (0.05, 0.3)]
     parts = {
         "pose": (recording.command_rad, [f"{name} commanded" for name in arm.joint_names]),
-        "load": (
-            np.column_stack([loads_n, size_n]),
-            [f"load on segment_{n} along {axis}" for n in segments for axis in "xyz"]
-            + ["size of the load"],
-        ),
+        "load": (np.column_stack([loads_n, size_n]), [*load_names, "size of the load"]),
         "tension": (nominal_n, [f"tension of {name}" for name in cables]),
         "motion": (
             np.sign(np.where(np.abs(step_m) > 1e-9, step_m, 0.0)),
             [f"motion of {name}" for name in cables],
         ),
-        "history": (
-            np.concatenate([_behind(nominal_n, share) for share in _PLAYS], axis=1),
-            [f"turning points of {name}" for _ in _PLAYS for name in cables],
-        ),
+        "history": (np.column_stack(plays), [f"reversals of {name}" for name in cables] * 2),
         "time": (
-            np.column_stack([recording.time_s, np.exp(-waited_s / _WAITED_S)]),
+            np.column_stack([recording.time_s, recent]),
             ["time", "time since the last change"],
         ),
     }
@@ -81,8 +116,11 @@ def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Featu
     )
 
 
-def _behind(signal: Array, share: float) -> Array:
-    """How far the signal is from the middle of a play that follows it, in half widths, -1 to 1."""
+def _in_play(signal: Array, share: float) -> Array:
+    """The signal minus the middle of a play that follows it, in half widths, from -1 to 1.
+
+    `share` is the half width of the play as a share of the signal's range.
+    """
     half = np.maximum(share * np.ptp(signal, axis=0), 1e-9)
     middle = signal[0].copy()
     found = np.empty_like(signal)
@@ -92,47 +130,249 @@ def _behind(signal: Array, share: float) -> Array:
     return found
 
 
+def residual_patterns(
+    recording: Recording, residual_n: Array, found: Discrepancy, arm: Arm, floor_n: float
+) -> tuple[str, ...]:
+    """The pattern of a residual (R, M) in sentences; none if the residual is near the floor.
+
+    `recording` and the residual hold the rows that count; `found` is the flexible model of it.
+
+    Raises:
+        ValueError: the residual has another shape than the readings.
+    """
+    parts = decompose(recording, residual_n, floor_n, arm)
+    if parts.rms_n < _WITHIN_FLOORS * floor_n:
+        return ()
+    return (
+        _cables(parts),
+        *_modes(residual_n, arm),
+        *_dependence(found),
+        *_load(parts),
+        *_wave(recording, residual_n, floor_n, arm),
+        *_steps(recording, residual_n, floor_n, arm),
+        *_jumps(recording, residual_n, floor_n, arm),
+    )
+
+
+def _cables(parts: Decomposition) -> str:
+    """The fewest cables that hold four fifths of the mean square, if these are few."""
+    ranked = sorted(parts.of_group(CABLE), key=lambda part: -part.rms_n)
+    square = np.array([part.rms_n for part in ranked]) ** 2
+    few = int(np.searchsorted(np.cumsum(square), 0.8 * square.sum())) + 1
+    if few > len(ranked) // 3:
+        return (
+            f"It is in all cables: {ranked[-1].rms_n:.2g} to {ranked[0].rms_n:.2g} N RMS, with a "
+            f"noise floor of {parts.floor_n:.2g} N."
+        )
+    numbers = [f"{_plain(p.member)} ({p.rms_n:.2g} N RMS)" for p in ranked[:few]]
+    share = square[:few].sum() / square.sum()
+    return f"{share:.0%} of its mean square is in {listed(numbers)}."
+
+
+def _modes(residual_n: Array, arm: Arm) -> Iterator[str]:
+    """How the cables of one segment change together, if chance hardly makes it so."""
+    square = (segment_modes_n(residual_n, arm) ** 2).sum(axis=(0, 1))
+    share = square / max(square.sum(), 1e-12)
+    chance = 1.0 / arm.cables.per_segment
+    if share[0] >= 1.8 * chance:
+        yield (
+            "The cables that end on one segment change alike, as a wrong pretension or length "
+            "would make them."
+        )
+    elif share[3:].sum() >= 0.6:
+        yield (
+            "The cables that end on one segment change against each other without a torque on "
+            "the segment, as wrong tensions or sensors of single cables would make them."
+        )
+    elif share[0] <= 0.3 * chance:
+        yield (
+            "The cables that end on one segment change against each other, as a torque on the "
+            "segment would make them."
+        )
+
+
+def _dependence(found: Discrepancy) -> Iterator[str]:
+    group, share = max(found.alone.items(), key=lambda item: item[1], default=("", 0.0))
+    if share >= 0.3:
+        yield (
+            f"It depends on {_GROUPS.get(group, group)}, most clearly on "
+            f"{_plain(found.foremost)}: a flexible model of that alone predicts {share:.0%} of it "
+            "on held-out trials."
+        )
+    elif found.explained_share < 0.2:
+        yield (
+            f"It is not reproducible: a flexible model predicts "
+            f"{max(found.explained_share, 0.0):.0%} of it on held-out trials. Random events have "
+            "this pattern, and poses or loads that occur only once."
+        )
+
+
+def _load(parts: Decomposition) -> Iterator[str]:
+    levels = parts.of_group(LEVEL)
+    if len(levels) > 1 and levels[-1].rms_n >= 2.0 * levels[0].rms_n:
+        items = [f"{p.rms_n:.2g} N RMS for loads {p.member}" for p in levels]
+        yield f"It grows with the load: {listed(items)}."
+    for loop in parts.of_group(LOOP):
+        if loop.rms_n >= max(0.4 * parts.rms_n, _WITHIN_FLOORS * parts.floor_n):
+            yield (
+                f"Loading and unloading differ by {2.0 * loop.rms_n:.2g} N RMS at one load: the "
+                "cause depends on history, as friction, backlash and creep do."
+            )
+
+
+def _wave(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> Iterator[str]:
+    """The period along a joint's angle or the cables' lengths that explains most, if much.
+
+    Screws, gears and detents have periods; effects that are smooth in the pose have none. A
+    quadratic polynomial of all commands is therefore removed first. A wave is fitted to the
+    readings of all cables, because the arm passes on the change of one. All cables share a period.
+    """
+    free = recording.load_segment == 0
+    command, residual = recording.command_rad[free], residual_n[free]
+    moving = np.ptp(command, axis=0) > 0.0 if len(command) else np.zeros(0, dtype=bool)
+    if len(command) < 100 or not moving.any():
+        return
+    moved = command[:, moving]
+    products = [one * other for one, other in combinations_with_replacement(moved.T, 2)]
+    columns = np.column_stack([np.ones(len(moved)), moved, *products])
+    left, size, _ = np.linalg.svd(columns, full_matrices=False)
+    smooth = left[:, size > 1e-9 * size[0]]
+    rest = residual - smooth @ (smooth.T @ residual)
+    if np.sqrt((rest**2).mean()) < 1.5 * floor_n:
+        return
+
+    def best(along: Array) -> tuple[float, float]:
+        """The share that one period of all coordinates (R, K) explains, and that period."""
+        periods = float(np.ptp(along, axis=0).max()) / _WAVES
+        shares = [_explained(along / each, rest, smooth) for each in periods]
+        return float(max(shares) - np.median(shares)), float(periods[int(np.argmax(shares))])
+
+    held_m = held_lengths_m(mechanism_of(arm), command)
+    joints = [(*best(command[:, k : k + 1]), arm.joint_names[k]) for k in np.flatnonzero(moving)]
+    (joint_share, period_rad, joint), (share, period_m) = max(joints), best(held_m)
+    # the waves of all cables together can follow the wave of one joint, which is simpler
+    if joint_share >= 0.7 * share:
+        if joint_share >= 0.25:
+            yield (
+                f"It repeats every {np.rad2deg(period_rad):.2g} degrees of {_plain(joint)}, as "
+                "gear teeth or detents would make it."
+            )
+    elif share >= 0.25:
+        alone = [_explained(column[:, None] / period_m, rest, smooth) for column in held_m.T]
+        yield (
+            f"It repeats every {1e3 * period_m:.2g} mm of cable, most in "
+            f"{_plain(arm.cable_names[int(np.argmax(alone))])}, as a screw, a gear or a drum "
+            "would make it."
+        )
+
+
+def _explained(turns: Array, rest: Array, smooth: Array) -> float:
+    """Share of the square of `rest` that waves of these turns (R, K) explain beyond `smooth`."""
+    wave = np.concatenate([np.sin(2.0 * np.pi * turns), np.cos(2.0 * np.pi * turns)], axis=1)
+    wave -= smooth @ (smooth.T @ wave)
+    square, along = np.linalg.eigh(wave.T @ wave)
+    seen = square > 1e-12 * len(wave)  # the others are rounding errors of what is smooth
+    moment = along[:, seen].T @ (wave.T @ rest)
+    return float((moment**2 / square[seen, None]).sum() / (rest**2).sum())
+
+
+def _steps(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> Iterator[str]:
+    """Cables in which one lasting step explains most of the scatter, the largest first."""
+    count, rows = len(residual_n), np.arange(1, len(residual_n))
+    centred = residual_n - residual_n.mean(0)
+    weight = (rows * (count - rows) / count)[:, None]
+    apart_n = -np.cumsum(centred, axis=0)[:-1] / weight
+    explained = weight * apart_n**2 / np.maximum((centred**2).sum(0), 1e-12)
+    # near either end a step cannot be distinguished from a few unusual rows
+    explained[(rows <= 0.05 * count) | (rows >= 0.95 * count)] = 0.0
+    at = explained.argmax(0)
+    size_n = apart_n[at, np.arange(len(at))]
+    clear = (explained.max(0) >= 0.6) & (np.abs(size_n) >= 4.0 * floor_n)
+    cables = [c for c in np.argsort(-np.abs(size_n)) if clear[c]][:3]
+    if cables:
+        items = [
+            f"{_plain(arm.cable_names[c])} by {size_n[c]:+.2g} N "
+            f"at {recording.time_s[at[c] + 1]:.0f} s"
+            for c in cables
+        ]
+        yield f"It changes once and stays: {listed(items)}. Check what slipped or was moved then."
+
+
+def _jumps(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> Iterator[str]:
+    """Cables that jump more than once between rows of one command and load, most jumps first."""
+    at_m = np.zeros(0) if recording.load_at_m is None else np.nan_to_num(recording.load_at_m)
+    loads = recording.load_n, at_m.reshape(len(recording), -1)
+    state = np.concatenate([recording.command_rad, *loads], axis=1)
+    still = (np.diff(state, axis=0) == 0.0).all(1) & (np.diff(recording.trial) == 0)
+    change = np.pad(np.diff(residual_n, axis=0), ((1, 1), (0, 0)))
+    here, size = change[1:-1], np.abs(change[1:-1])
+    beside = np.stack([change[:-2], change[2:]])
+    # a change that goes on in the same direction is not a jump: the channel is late
+    late = ((np.sign(beside) == np.sign(here)) & (np.abs(beside) > 0.25 * size)).any(0)
+    settled = still & np.append(False, still[:-1])
+    far = settled[:, None] & (size > 8.0 * floor_n) & ~late
+    count = far.sum(0)
+    cables = [c for c in np.argsort(-count, kind="stable") if count[c] > 1][:3]
+    if cables:
+        items = [
+            f"{count[c]} times in {_plain(arm.cable_names[c])} "
+            f"(by {np.median(size[far[:, c], c]):.2g} N)"
+            for c in cables
+        ]
+        yield (
+            f"It jumps while nothing moves: {listed(items)}. Check sensors, wiring and "
+            "electronics, and parts that stick and slip."
+        )
+
+
+def _plain(name: str) -> str:
+    return name.replace("_", " ")
+
+
 def repeat_largest_trial(recording: Recording, residual_n: Array, floor_n: float) -> str:
     """How to repeat and vary the trial where the residual (R, M) is largest, as text.
 
-    Both hold the rows that count; trials of less than ten rows do not.
+    Both hold the rows that count. Trials of less than ten rows are left out.
     """
     sizes = {
         int(t): float(np.sqrt((residual_n[recording.trial == t] ** 2).mean()))
         for t in np.unique(recording.trial)
-        if (recording.trial == t).sum() >= _FEWEST_ROWS
+        if (recording.trial == t).sum() >= 10
     }
     if not sizes:
         return ONE_AT_A_TIME
     trial = max(sizes, key=lambda t: sizes[t])
     done, again = _done_and_again(recording.rows(recording.trial == trial))
     return (
-        f"Repeat what shows most of it, trial {trial}: {done}. There {sizes[trial]:.2g} N are "
-        f"left, {short(sizes[trial] / floor_n)} times the noise floor. {again} Watch and touch "
-        "the arm meanwhile."
+        f"Repeat trial {trial}, which has the largest residual: {done}. It leaves "
+        f"{sizes[trial]:.2g} N, {short(sizes[trial] / floor_n)} times the noise floor. {again} "
+        "Watch and touch the arm meanwhile."
     )
 
 
 def _done_and_again(rows: Recording) -> tuple[str, str]:
-    """What was done in one trial, and how to vary it."""
+    """The load or motion of one trial, and variations of it."""
     bent = np.abs(rows.command_rad).max()
     pose = "arm straight"
-    if bent > _BENT_RAD:
-        pose = f"arm bent as then (up to {np.rad2deg(bent):.2g} degrees)"
+    if bent > BENT_RAD:
+        pose = f"arm bent as in the recording (up to {np.rad2deg(bent):.2g} degrees)"
     size = np.linalg.norm(rows.load_n, axis=1)
     if size.max() > 0.0:
         peak = int(size.argmax())
-        direction = rows.load_n[peak] / size[peak]
-        along = {name: float(np.dot(side, direction)) for name, side in _SIDES.items()}
+        direction, half = rows.load_n[peak] / size[peak], 0.5**0.5
+        sides = {**DIRECTIONS, "up": (0.0, 0.0, 1.0), "up and to the left": (0.0, half, half)}
+        along = {name: float(np.dot(side, direction)) for name, side in sides.items()}
         side = max(along, key=lambda name: along[name])
         if along[side] <= 0.9:
-            listed = ", ".join(f"{part:.2f}" for part in direction)
-            side = f"along ({listed}) of the base frame"
+            numbers = ", ".join(f"{part:.2f}" for part in direction)
+            side = f"along ({numbers}) of the base frame"
         return (
-            f"load segment {rows.load_segment[peak]} {side} up to {size[peak]:.2g} N, {pose}",
-            "Then load it half as far, twice as slowly, and from the opposite side: what grows "
-            "faster than the load is no spring, what grows with time creeps, and what is not "
-            "opposite on the opposite side is friction, contact or a wrong measurement.",
+            f"load segment {rows.load_segment[peak]}{_place(rows, peak)} {side} up to "
+            f"{size[peak]:.2g} N, {pose}",
+            "Then load it to half the force, at half the speed, and from the opposite side. A "
+            "residual that grows faster than the load is not elastic. One that grows with time is "
+            "creep. One that is not opposite on the opposite side is friction, a contact or a "
+            "wrong measurement.",
         )
     moved = np.ptp(rows.command_rad, axis=0)
     if moved.max() > 0.0:
@@ -140,31 +380,19 @@ def _done_and_again(rows: Recording) -> tuple[str, str]:
         named = ", ".join(str(j) for j in dict.fromkeys(joints.tolist()))
         which = f"joint {named}" if "," not in named else f"joints {named}"
         return (
-            f"move {which} by {np.rad2deg(moved.max()):.2g} degrees in all",
-            "Then move one joint at a time, twice as slowly, and once forth and back with stops: "
-            "what stays at a stop belongs to the pose, what depends on the way there is "
-            "friction or play.",
+            f"move {which} over {np.rad2deg(moved.max()):.2g} degrees",
+            "Then move one joint at a time, at half the speed, and once back and forth with "
+            "stops. A residual that is the same from both sides depends on the pose. One that "
+            "depends on the direction of approach is friction or backlash.",
         )
     return (
-        f"leave the arm alone, {pose}",
-        "Then do so for ten minutes: what wanders is in the sensors or creeps, what stays is a "
-        "zero, a weight or a tension.",
+        f"leave the arm at rest, {pose}",
+        "Then do so for ten minutes. A residual that drifts is in the sensors or is creep. A "
+        "constant one is a sensor zero, a weight or a pretension.",
     )
 
 
-def describe_unlisted(
-    problem: Problem, residual: Array, recording: Recording, arm: Arm
-) -> Unlisted:
-    """The pattern of a held-out residual (R, M), as a flexible model without physics sees it."""
-    features = residual_features(recording, problem.nominal, arm)
-    found = discrepancy(
-        features, residual, problem.trial, problem.fold, problem.used, problem.floor
-    )
-    rows, left = recording.rows(problem.used), residual[problem.used]
-    reasons = (
-        f"A flexible model, which knows commands, loads, directions and time but no physics, "
-        f"explains {max(found.explained_share, 0.0):.0%} of what is left on such trials.",
-        *residual_patterns(rows, left, found, arm, problem.floor),
-    )
-    experiment = repeat_largest_trial(rows, left, problem.floor)
-    return Unlisted(reasons, experiment, found.held_out)
+def _place(rows: Recording, row: int) -> str:
+    """Where the load of a row acts, if that is stated."""
+    at_m = np.nan if rows.load_at_m is None else float(rows.load_at_m[row])
+    return "" if np.isnan(at_m) else f", {1e3 * at_m:.0f} mm from its joint,"

@@ -22,7 +22,12 @@ class VerdictError(CableSenseError):
     """A verdict that cannot be: names the file, the key, its value and what would be valid."""
 
 
-def _in_order(names: tuple[str, ...]) -> tuple[str, ...]:
+def checked_effects(names: tuple[str, ...]) -> tuple[str, ...]:
+    """The names of an explanation.
+
+    Raises:
+        ValueError: they are not in alphabetical order, or `none` or `unknown` has company.
+    """
     if list(names) != sorted(set(names)):
         raise ValueError(
             f"= {', '.join(names)}: must be in alphabetical order, each once: "
@@ -41,7 +46,7 @@ def _ascending(interval: tuple[float, float]) -> tuple[float, float]:
 
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
-Effects = Annotated[tuple[Name, ...], Field(min_length=1), AfterValidator(_in_order)]
+Effects = Annotated[tuple[Name, ...], Field(min_length=1), AfterValidator(checked_effects)]
 Probability = Annotated[float, Field(ge=0.0, le=1.0)]
 Rows = Annotated[int, Field(ge=1)]
 Newtons = Annotated[float, Field(ge=0.0)]

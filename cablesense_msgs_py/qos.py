@@ -11,7 +11,7 @@ from cablesense_msgs_py import topics
 
 @dataclass(frozen=True)
 class Qos:
-    """What a publisher offers or a subscriber asks for; history is always keep-last `depth`.
+    """The quality that a publisher offers or a subscriber asks for; history is keep-last `depth`.
 
     `lease_s`: a publisher whose process shows no sign of life for so long counts as dead with
     those subscribers that ask for a lease as well (liveliness, automatic); 0 for none.
@@ -34,12 +34,11 @@ process loses a sample; ROS's own sensor profile keeps five."""
 COMMAND: Final = Qos(depth=10, reliable=True)
 """Commands and loads: rare, and none may be lost."""
 LATCHED: Final = Qos(depth=1, reliable=True, transient_local=True)
-"""What a late subscriber must still receive: the robot description."""
+"""For late subscribers, too: the robot description."""
 JOURNAL: Final = Qos(depth=100, reliable=True, transient_local=True)
 """The estimator's journal: a recorder that comes late gets the latest entries too."""
 _RECORDED: Final = Qos(depth=2000, reliable=True)
-_ESTIMATOR: Final = "estimator"
-_ON_SEGMENT: Final = re.compile(rf"/{_ESTIMATOR}/wrenches/segment_([1-9][0-9]{{0,3}})$")
+_ON_SEGMENT: Final = re.compile(r"/estimator/wrenches/segment_([1-9][0-9]{0,3})$")
 JOINT_STATE_TYPE: Final = "sensor_msgs/msg/JointState"
 WRENCH_TYPE: Final = "geometry_msgs/msg/WrenchStamped"
 NUMBER_TYPE: Final = "std_msgs/msg/Int32"
@@ -62,7 +61,7 @@ INPUTS: Final = {
     topics.APPLIED_WRENCH: TopicType(WRENCH_TYPE, COMMAND, COMMAND),
     topics.TRIAL: TopicType(NUMBER_TYPE, COMMAND, COMMAND),
 }
-"""What a diagnosis of the arm needs."""
+"""The topics that a diagnosis of the arm needs."""
 
 CONTRACT: Final = {
     **INPUTS,
@@ -78,6 +77,8 @@ CONTRACT: Final = {
     topics.JOINT_TORQUES: TopicType(JOINT_STATE_TYPE, PUBLISHER),
     topics.SEGMENT_WRENCHES: TopicType(WRENCH_TYPE, PUBLISHER),
     topics.CONTACT_POINT: TopicType("geometry_msgs/msg/PointStamped", PUBLISHER),
+    topics.CONTACT_REGION: TopicType("geometry_msgs/msg/PolygonStamped", PUBLISHER),
+    topics.CONTACT_POSE: TopicType("geometry_msgs/msg/PoseWithCovarianceStamped", PUBLISHER),
     topics.FORCE_DIRECTION: TopicType("geometry_msgs/msg/Vector3Stamped", PUBLISHER),
     topics.CONTACT_PROBABILITIES: TopicType("std_msgs/msg/Float64MultiArray", PUBLISHER),
     topics.MARKERS: TopicType("visualization_msgs/msg/MarkerArray", PUBLISHER),
@@ -92,7 +93,7 @@ def resolved(topic: str, namespace: str = "/") -> str:
     """The full name of a topic of the contract in a namespace, as ROS would resolve it."""
     if topic.startswith("/"):
         return topic
-    inside = topic.replace("~", _ESTIMATOR, 1) if topic.startswith("~/") else topic
+    inside = topic.replace("~/", "estimator/", 1)
     return f"/{namespace.strip('/')}/{inside}".replace("//", "/")
 
 
@@ -103,7 +104,7 @@ def segment_of(name: str) -> int:
 
 
 def of_contract(name: str) -> str | None:
-    """The topic of the contract that a full name stands for, in whatever namespace; or none.
+    """The topic of the contract that has a full name, in any namespace; None for other names.
 
     `/arm/cable_tensions` is `cable_tensions`, `/arm/estimator/wrench` is `~/wrench`, and that of
     any segment `SEGMENT_WRENCHES`.
@@ -111,7 +112,7 @@ def of_contract(name: str) -> str | None:
     if segment_of(name):
         return topics.SEGMENT_WRENCHES
     *_, node, last = ["", "", *name.split("/")]
-    for topic in (name, f"~/{last}" if node == _ESTIMATOR else "", last):
+    for topic in (name, f"~/{last}" if node == "estimator" else "", last):
         if topic in CONTRACT:
             return topic
     return "/diagnostics" if last == "diagnostics" else None

@@ -17,12 +17,11 @@ from typing import NamedTuple
 from cablesense_msgs_py.topics import ContractError, Frames
 
 MAX_MESSAGE_BYTES = 1 << 18
-"""Of a message that is read; a sample of an arm with twelve cables has 400."""
+"""The most of a message that is read; a sample of an arm with twelve cables has 400."""
 MAX_NAMES = 4096
 """Far more joints than any arm has; a larger count is a malformed message."""
 _STAMP_AT, _HEAD_AT = 4, 12
 """After the encapsulation, and after the stamp."""
-_KNOWN_HEADS = 16
 _BYTE_ORDERS = {b"\0\0": ">", b"\0\1": "<"}
 _STAMPS = {encapsulation: struct.Struct(f"{o}iI") for encapsulation, o in _BYTE_ORDERS.items()}
 
@@ -41,25 +40,14 @@ class Efforts(NamedTuple):
     values: tuple[float, ...]
 
 
-class _Head(NamedTuple):
-    """What precedes the efforts' values: names, their layout, and where they lie."""
-
-    names: tuple[str, ...]
-    values: struct.Struct
-    values_at: int
-
-
 class EffortReader:
-    """Reads serialized joint states; knows recent heads again, so that only values are decoded.
-
-    Padding between strings is not always zero, so several heads with the same names may be kept.
-    """
+    """Reads serialized joint states; where the head is as before, only values are decoded."""
 
     def __init__(self) -> None:
-        self._known: dict[bytes, _Head] = {}
-        self._values_at = 0
-        self._encapsulation = b""
-        self._stamp = _STAMPS[b"\0\1"]
+        self._encapsulation: bytes | None = None
+        self._head = b""
+        self._names: tuple[str, ...] = ()
+        self._values = struct.Struct("")
 
     def read(self, raw: bytes) -> Efforts:
         """Read one message, of either byte order.
@@ -67,42 +55,39 @@ class EffortReader:
         Raises:
             ContractError: the bytes end too early, are too many, or are no CDR joint state.
         """
-        head = None
-        if raw[:2] == self._encapsulation:
-            head = self._known.get(raw[_HEAD_AT : self._values_at])
-        if head is None:
-            head = self._read_head(raw)
-        _, layout, at = head
-        if at + layout.size > len(raw):
+        values_at = _HEAD_AT + len(self._head)
+        if raw[:2] != self._encapsulation or raw[_HEAD_AT:values_at] != self._head:
+            values_at = self._read_head(raw)
+        if values_at + self._values.size > len(raw):
             raise ContractError(
-                f"effort: {layout.size // 8} values announced, "
-                f"{max(0, len(raw) - at) // 8} left in the message"
+                f"effort: {self._values.size // 8} values announced, "
+                f"{max(0, len(raw) - values_at) // 8} left in the message"
             )
-        seconds, nanoseconds = self._stamp.unpack_from(raw, _STAMP_AT)
+        seconds, nanoseconds = _STAMPS[raw[:2]].unpack_from(raw, _STAMP_AT)
         if nanoseconds >= 1_000_000_000:
             raise ContractError(
                 f"header.stamp.nanosec is {nanoseconds}; it must be below 1000000000"
             )
         stamp_ns = seconds * 1_000_000_000 + nanoseconds
-        return Efforts(stamp_ns, head.names, layout.unpack_from(raw, at))
+        return Efforts(stamp_ns, self._names, self._values.unpack_from(raw, values_at))
 
-    def _read_head(self, raw: bytes) -> _Head:
+    def _read_head(self, raw: bytes) -> int:
+        """Keep what precedes the efforts, and give where these lie."""
         require_bounded(raw)
-        encapsulation = raw[:2]
-        order = _BYTE_ORDERS.get(encapsulation)
-        if order is None or len(raw) < _HEAD_AT:
-            raise ContractError(
-                f"{len(raw)} bytes beginning {raw[:4].hex()} are no serialized JointState; "
-                "plain CDR begins 0000 or 0001"
-            )
-        head = _decode_head(raw, order)
-        same_kind = head.values_at == self._values_at and encapsulation == self._encapsulation
-        if not same_kind or len(self._known) >= _KNOWN_HEADS:
-            self._known.clear()
-            self._values_at, self._encapsulation = head.values_at, encapsulation
-            self._stamp = _STAMPS[encapsulation]
-        self._known[raw[_HEAD_AT : head.values_at]] = head
-        return head
+        _require_stamped(raw, "serialized JointState")
+        fields = _Fields(raw, _BYTE_ORDERS[raw[:2]])
+        fields.string("header.frame_id")
+        count = fields.count("name")
+        if count > MAX_NAMES:
+            raise ContractError(f"name has {count} entries; at most {MAX_NAMES} can be true")
+        names = tuple(fields.string(f"name[{number}]") for number in range(count))
+        for field in ("position", "velocity"):
+            count = fields.doubles(field)
+            fields.at += 8 * count
+        count = fields.doubles("effort")
+        self._encapsulation, self._head = raw[:2], raw[_HEAD_AT : fields.at]
+        self._names, self._values = names, struct.Struct(f"{fields.order}{count}d")
+        return fields.at
 
 
 def require_bounded(raw: bytes) -> None:
@@ -117,56 +102,49 @@ def require_bounded(raw: bytes) -> None:
         )
 
 
-def _decode_head(raw: bytes, order: str) -> _Head:
-    _, at = _string(raw, _HEAD_AT, order, "header.frame_id")
-    count, at = _count(raw, at, order, "name")
-    if count > MAX_NAMES:
-        raise ContractError(f"name has {count} entries; at most {MAX_NAMES} can be true")
-    names = []
-    for number in range(count):
-        name, at = _string(raw, at, order, f"name[{number}]")
-        names.append(name)
-    for field in ("position", "velocity"):
-        count, at = _doubles(raw, at, order, field)
-        at += 8 * count
-    count, at = _doubles(raw, at, order, "effort")
-    return _Head(tuple(names), struct.Struct(f"{order}{count}d"), at)
+class _Fields:
+    """Reads a message after its stamp, field by field; `at` is where the next one begins."""
 
+    def __init__(self, raw: bytes, order: str) -> None:
+        self.raw, self.order, self.at = raw, order, _HEAD_AT
 
-def _count(raw: bytes, at: int, order: str, field: str) -> tuple[int, int]:
-    at += -at % 4
-    if at + 4 > len(raw):
-        raise ContractError(f"{field}: the message ends after {len(raw)} bytes, before its length")
-    (count,) = struct.unpack_from(order + "I", raw, at)
-    return count, at + 4
+    def count(self, field: str) -> int:
+        self.at += -self.at % 4
+        if self.at + 4 > len(self.raw):
+            raise ContractError(
+                f"{field}: the message ends after {len(self.raw)} bytes, before its length"
+            )
+        (count,) = struct.unpack_from(self.order + "I", self.raw, self.at)
+        self.at += 4
+        return int(count)
 
+    def string(self, field: str) -> str:
+        length = self.count(field)
+        content = self.raw[self.at : self.at + length]
+        self._require_left(field, length, "bytes", 1)
+        self.at += length
+        try:
+            text = content.decode("utf-8")
+        except UnicodeDecodeError as error:
+            raise ContractError(f"{field}: not UTF-8 text ({error.reason})") from error
+        if text and not text.endswith("\0"):
+            raise ContractError(
+                f"{field}: {length} bytes that do not end with a NUL; a string does"
+            )
+        return text[:-1]
 
-def _string(raw: bytes, at: int, order: str, field: str) -> tuple[str, int]:
-    length, at = _count(raw, at, order, field)
-    if length > len(raw) - at:
-        raise ContractError(
-            f"{field}: {length} bytes announced, {len(raw) - at} left in the message"
-        )
-    content = raw[at : at + length]
-    if content[-1:] not in (b"\0", b""):
-        raise ContractError(f"{field}: {length} bytes that do not end with a NUL; a string does")
-    try:
-        text = content[:-1].decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise ContractError(f"{field}: not UTF-8 text ({error.reason})") from error
-    return text, at + length
+    def doubles(self, field: str) -> int:
+        """How many there are; `at` is where the first lies."""
+        count = self.count(field)
+        if count:
+            self.at += (_STAMP_AT - self.at) % 8  # aligned from after the encapsulation
+        self._require_left(field, count, "values", 8)
+        return count
 
-
-def _doubles(raw: bytes, at: int, order: str, field: str) -> tuple[int, int]:
-    """How many values, and where the first lies."""
-    count, at = _count(raw, at, order, field)
-    if count:
-        at += (_STAMP_AT - at) % 8  # aligned from after the encapsulation
-    if 8 * count > len(raw) - at:
-        raise ContractError(
-            f"{field}: {count} values announced, {max(0, len(raw) - at) // 8} left in the message"
-        )
-    return count, at
+    def _require_left(self, field: str, count: int, what: str, size: int) -> None:
+        left = max(0, len(self.raw) - self.at) // size
+        if count > left:
+            raise ContractError(f"{field}: {count} {what} announced, {left} left in the message")
 
 
 class WrenchWriter:
@@ -191,18 +169,22 @@ def wrench_writers(frames: Frames) -> list[WrenchWriter]:
     return [WrenchWriter(name) for name in names]
 
 
+def _require_stamped(raw: bytes, what: str) -> None:
+    if raw[:2] not in _STAMPS or len(raw) < _HEAD_AT:
+        raise ContractError(
+            f"{len(raw)} bytes beginning {raw[:4].hex()} are no {what}; plain CDR begins 0000 or "
+            "0001"
+        )
+
+
 def stamp_ns(raw: bytes) -> int:
     """Its stamp, ns; 0 when the publisher set none.
 
     Raises:
         ContractError: the bytes are no message with a header.
     """
-    layout = _STAMPS.get(raw[:2])
-    if layout is None or len(raw) < _HEAD_AT:
-        raise ContractError(
-            f"{len(raw)} bytes beginning {raw[:4].hex()} are no message with a stamp in plain CDR"
-        )
-    seconds, nanoseconds = layout.unpack_from(raw, _STAMP_AT)
+    _require_stamped(raw, "message with a stamp")
+    seconds, nanoseconds = _STAMPS[raw[:2]].unpack_from(raw, _STAMP_AT)
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
@@ -212,5 +194,5 @@ def restamped(raw: bytes, stamp: int) -> bytes:
     Raises:
         ContractError: the bytes are no message with a header.
     """
-    stamp_ns(raw)
+    _require_stamped(raw, "message with a stamp")
     return raw[:_STAMP_AT] + _STAMPS[raw[:2]].pack(*divmod(stamp, 1_000_000_000)) + raw[_HEAD_AT:]

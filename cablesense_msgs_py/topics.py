@@ -31,19 +31,25 @@ APPLIED_WRENCH: Final = "applied_wrench"
 """`geometry_msgs/WrenchStamped`: a known force on segment N, base axes, N. In frame `segment_N`
 without torque, or in the base frame with the torque that it has there."""
 TRIAL: Final = "trial"
-"""`std_msgs/Int32`, optional: what is recorded from now on belongs to the trial of this number."""
+"""`std_msgs/Int32`, optional: the number of the trial that starts now."""
 ROBOT_DESCRIPTION: Final = "robot_description"
 """`std_msgs/String`, transient local: the URDF generated from the arm file."""
 DIAGNOSTICS: Final = "/diagnostics"
 """`diagnostic_msgs/DiagnosticArray`, 1 Hz."""
 CONTACT_POINT: Final = "~/contact_point"
 """`geometry_msgs/PointStamped` in frame `segment_N`, only during a contact."""
+CONTACT_REGION: Final = "~/contact_region"
+"""`geometry_msgs/PolygonStamped` in frame `segment_N`, only during a contact whose place is
+estimated: two points on the segment's axis, the ends of the place's 95 % interval."""
+CONTACT_POSE: Final = "~/contact_pose"
+"""`geometry_msgs/PoseWithCovarianceStamped` in the base frame, only during a contact whose place
+is estimated: its x axis points along the normal force, its z axis along the segment."""
 FORCE_DIRECTION: Final = "~/force_direction"
 """`geometry_msgs/Vector3Stamped`: unit vector in frame `segment_N`, only during a contact."""
 WRENCH: Final = "~/wrench"
 """`geometry_msgs/WrenchStamped`: the environment's force on the arm, one for every sample."""
 STATUS: Final = "~/status"
-"""`diagnostic_msgs/DiagnosticArray`: what every wrench stands for, with the wrench's stamp: one
+"""`diagnostic_msgs/DiagnosticArray`: the state of every wrench, with the wrench's stamp: one
 status, whose message is a `messages.ForceState`. The only standard message that has a stamp and a
 state in words."""
 WRENCH_LOWER: Final = "~/wrench_lower"
@@ -65,8 +71,8 @@ model estimates several contacts at once."""
 MARKERS: Final = "~/markers"
 """`visualization_msgs/MarkerArray`: an arrow and a sphere while something touches."""
 JOURNAL: Final = "~/journal"
-"""`diagnostic_msgs/DiagnosticArray`, transient local: what the estimator's answers rest on beside
-the samples, from the sample in `header.stamp` on (`cablesense_online.state`)."""
+"""`diagnostic_msgs/DiagnosticArray`, transient local: the state behind the estimator's
+answers, from the sample in `header.stamp` on (`cablesense_online.state`)."""
 TARE: Final = "~/tare"
 """`std_srvs/Trigger`: take the present tensions as the unloaded state."""
 TARE_UNDO: Final = "~/tare_undo"

@@ -4,8 +4,8 @@ from .answer import Answer as Answer
 from .estimation import Estimation as Estimation
 from .models import LoadedModel as LoadedModel
 from .models import load_model as load_model
-from .recorded_run import RecordedRun as RecordedRun
 from .replay import Comparison as Comparison
+from .replay import RecordedRun as RecordedRun
 from .replay import replay_in_process as replay_in_process
 from .state import EstimationSettings as EstimationSettings
 from .state import EstimatorState as EstimatorState

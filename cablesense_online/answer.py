@@ -20,20 +20,19 @@ class Answer:
     """The answer to one sample; by default that of none.
 
     Attributes:
-        contact: the strongest contact; `NO_CONTACT` also when the force is not known.
         force: what is known of the force.
-        estimate: the estimate behind it; None without one, or with several contacts.
+        contacts: all estimated contacts, the strongest first.
+        estimate: the estimate behind a single contact, or none; None without an estimate.
         contact_m: (N,) where on its axis each segment is touched; empty without an estimate.
         probabilities: (N+1,) of no contact, segment 1, …; empty when nothing was estimated.
         stamp_ns: time of the sample; 0 when it has none, or it cannot be trusted.
         problem: why the sample could not be used.
         new_tare: the tare that was taken by `auto_tare`; it counts from the next sample on.
         state: the state that answers rest on from this sample on, if it has changed.
-        contacts: all estimated contacts, the strongest first.
     """
 
-    contact: Contact = NO_CONTACT
     force: ForceState = ForceState.SILENT
+    contacts: Sequence[Contact] = ()
     estimate: Estimate | None = None
     contact_m: Sequence[float] = ()
     probabilities: Sequence[float] = ()
@@ -41,14 +40,45 @@ class Answer:
     problem: SampleError | None = None
     new_tare: Tare | None = None
     state: EstimatorState | None = None
-    contacts: Sequence[Contact] = ()
+
+    @property
+    def contact(self) -> Contact:
+        """The strongest contact; `NO_CONTACT` also when the force is not known."""
+        return self.contacts[0] if self.contacts else NO_CONTACT
 
     @property
     def bounds(self) -> tuple[Contact, Contact] | None:
-        """Ends of the 95 % intervals of force and direction; None without an estimate."""
-        if self.estimate is None:
+        """Ends of the 95 % intervals of force and direction; None without an estimate.
+
+        Without a decided contact the lower end is none, and the upper is on the likeliest segment:
+        this much may act unseen.
+        """
+        estimate, segment = self.estimate, self.contact.segment
+        if estimate is None:
             return None
-        return force_bounds(self.estimate, self.contact, self.contact_m)
+        low_n, high_n = estimate.low_n if segment else 0.0, estimate.high_n
+        if not segment:
+            segment = 1 + int(estimate.probabilities[1:].argmax())
+        half_deg = min(NORMAL_95 * estimate.angle_std_deg, _HALF_TURN_DEG)
+        low_m, high_m, moment_n_m = self.contact_m[segment - 1], self.contact_m[segment - 1], None
+        if (place := estimate.place) is not None:
+            low_m = high_m = place.place_m
+            if self.contact.segment and not place.force_known:
+                # a weak force acts far from the joint, a strong one near
+                low_m, high_m, moment_n_m = place.high_m, place.low_m, place.moment_n_m
+        low_deg, high_deg = estimate.angle_deg - half_deg, estimate.angle_deg + half_deg
+        upper = Contact(segment, high_deg, high_n, high_m, moment_n_m=moment_n_m)
+        if low_n <= 0.0:
+            return NO_CONTACT, upper
+        return Contact(segment, low_deg, low_n, low_m, moment_n_m=moment_n_m), upper
+
+    @property
+    def region_m(self) -> tuple[float, float] | None:
+        """Between which a contact's place lies on its segment; None where it is not estimated."""
+        estimate = self.estimate
+        if not self.contact.segment or estimate is None or estimate.place is None:
+            return None
+        return estimate.place.low_m, estimate.place.high_m
 
     def on_segment(self, number: int, unknown_force: str) -> Sequence[float] | None:
         """The `wrench` on segment `number` alone, from 1 on."""
@@ -62,30 +92,9 @@ class Answer:
 
         A contact is published even if unconfirmed; `unknown_force` as in `EstimationSettings`.
         """
-        if self.contact.segment or self.force.known or unknown_force == "zero":
+        if self.contacts or self.force.known or unknown_force == "zero":
             return self.contact.wrench
         return UNKNOWN_WRENCH if unknown_force == "nan" else None
-
-
-def force_bounds(
-    estimate: Estimate, contact: Contact, contact_m: Sequence[float]
-) -> tuple[Contact, Contact]:
-    """The ends of the 95 % intervals of force and direction, as contacts.
-
-    Without a decided contact the lower end is none, and the upper is on the likeliest segment:
-    this much may act unseen.
-    """
-    low_n, high_n = estimate.low_n, estimate.high_n
-    half_deg = min(NORMAL_95 * estimate.angle_std_deg, _HALF_TURN_DEG)
-    segment = contact.segment
-    if not segment:
-        low_n, (_, *touched) = 0.0, estimate.probabilities.tolist()
-        segment = 1 + touched.index(max(touched))
-    at_m = contact_m[segment - 1]
-    upper = Contact(segment, estimate.angle_deg + half_deg, high_n, at_m)
-    if low_n <= 0.0:
-        return NO_CONTACT, upper
-    return Contact(segment, estimate.angle_deg - half_deg, low_n, at_m), upper
 
 
 def decide(

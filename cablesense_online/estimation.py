@@ -7,7 +7,6 @@ the readings; an `Answer` is given.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,8 +15,6 @@ import numpy as np
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import (
     BREATH_END,
-    NO_CONTACT,
-    Contact,
     ForceState,
     NamedOrder,
     breath_turn,
@@ -27,14 +24,14 @@ from cablesense_msgs_py.messages import (
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.answer import Answer
-from cablesense_online.breath_readings import BreathReadings
-from cablesense_online.drift import DriftWatch
-from cablesense_online.force_fit import ContactStatics
+from cablesense_online.anywhere_check import AnywhereCheck
+from cablesense_online.breathing import BreathReadings
+from cablesense_online.contact_statics import ContactStatics
 from cablesense_online.models import (
     AnyEstimator,
-    ContactModel,
+    FoundContacts,
     HistoryDependentModel,
-    MultiContactModel,
+    contact_model,
 )
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.plausibility import PlausibilityCheck
@@ -55,10 +52,10 @@ from cablesense_online.state import (
     EventLog,
     Tare,
 )
-from cablesense_online.tare import Tares, UnloadedTensions
+from cablesense_online.tare import DriftWatch, Tares, UnloadedTensions
 from cablesense_sim.arm import Arm
-from cablesense_sim.replay import reading_variance_n2
-from cablesense_training.inference.estimator import MultiEstimator, SequenceEstimator
+from cablesense_training.inference.anywhere import AnywhereEstimator
+from cablesense_training.inference.estimator import SequenceEstimator
 
 _STEPS = {-1: EventKind.CLOCK, 1: EventKind.CLOCK_AHEAD}
 _REFUSED = {
@@ -81,8 +78,7 @@ class Estimation:
         publisher, clock, check, health: checks of the input.
         gate: the command in force, and whether the arm moves.
         breathing: what readings would be without friction.
-        tares: the unloaded state.
-        drift: its drift over the time without contact.
+        tares, drift: the unloaded state, and its drift over the time without contact.
         plausibility: whether readings fit the estimates.
         command_received: whether any joint command has come; until then the arm is assumed to be
             straight.
@@ -110,42 +106,22 @@ class Estimation:
         self.clock = SampleClock(settings.stale_after_s)
         self.publisher = FollowedPublisher(settings.stale_after_s)
         self.check = SampleCheck(arm.sensors.range_n, settings.slack_below_n)
-        self.health = InputHealth(self.clock, now_s)
-        self.gate = MotionGate(
-            straight,
-            settings.joint_speed_rad_s,
-            settings.settle_s,
-            settings.still_rad,
-            settings.follow_rad_s,
-        )
-        self.tares = Tares(
-            unloaded.predict_n,
-            straight,
-            settings.tare_samples,
-            settings.tare_steady_n,
-            settings.tare_deviation_n or math.inf,
-            complete=not unloaded.incomplete,
-            automatic=settings.auto_tare,
-        )
-        self.drift = DriftWatch(
-            settings.tare_drift_n,
-            reading_variance_n2(arm.sensors) ** 0.5,
-            settings.tare_samples,
-            arm.cable_names,
-            unloaded.incomplete,
-        )
-        largest_misfit = settings.largest_misfit
+        self.health = InputHealth(self.clock, self.publisher, now_s)
+        self.gate = MotionGate(straight, settings)
+        self.tares = Tares(unloaded, settings, straight)
+        self.drift = DriftWatch(unloaded, settings)
         in_motion = isinstance(estimator, SequenceEstimator)
-        self.plausibility = PlausibilityCheck(
+        check = AnywhereCheck if isinstance(estimator, AnywhereEstimator) else PlausibilityCheck
+        self.plausibility = check(
             unloaded,
-            arm,
             settings.tare_samples,
-            largest_misfit,
+            settings.largest_misfit,
             # without a limit the estimator may be any object that answers
-            estimator.metadata if largest_misfit else None,
+            estimator.metadata if settings.largest_misfit else None,
             HistoryDependentModel.unchecked if in_motion else "",
         )
-        self._model = self._model_of(estimator, unloaded, straight)
+        fits = self.plausibility.fits
+        self._model = contact_model(estimator, self.tares, self.gate, fits, settings)
         self.reproducible = not in_motion
         self.breathing = BreathReadings(settings.settle_s)
         self._breath_rad: Array | None = None
@@ -154,18 +130,6 @@ class Estimation:
         self.largest_force_n = 0.0
         self._events = EventLog()
         self._events.note(EventKind.START, self.gate.command_rad)
-
-    def _model_of(
-        self, estimator: AnyEstimator, unloaded: UnloadedTensions, straight_rad: Array
-    ) -> ContactModel:
-        if isinstance(estimator, SequenceEstimator):
-            speed_rad_s = self._settings.joint_speed_rad_s
-            return HistoryDependentModel(
-                estimator, self.tares, unloaded.predict_n, straight_rad, speed_rad_s
-            )
-        if isinstance(estimator, MultiEstimator):
-            return MultiContactModel(estimator, self.tares, self.gate, self.plausibility.fits)
-        return ContactModel(estimator, self.tares, self.gate)
 
     def follow(self, number: int, now_s: float) -> bool:
         """Whether another publisher is followed from the sample with this publication number on.
@@ -249,30 +213,31 @@ class Estimation:
         tensions_n = np.array(freed_n)
         if not moving and (self.breathing.known or not self._settings.await_breath):
             self.tares.add(freed_n)
-        estimate = self._model.estimate(tensions_n, stamp_ns)
-        if self.tares.automatic and not moving and self.tares.ready:
+        found = self._model.find(tensions_n, stamp_ns, self._settings.contact_threshold)
+        if self.tares.automatic and not moving and not self.tares.refusal():
             tare = self.take_tare(stamp_ns, EventKind.AUTO_TARE)
             return Answer(force=ForceState.UNTARED, new_tare=tare)
-        if estimate is None:
+        if found is None:
             return Answer(force=ForceState.UNTARED)
-        contact_m = self._contact_m
-        contacts = self._model.decide(estimate, self._settings.contact_threshold, contact_m)
-        doubt = "" if moving else self._doubt(tensions_n, contacts, stamp_ns)
+        probabilities, contacts, estimate, *_ = found
+        doubt = "" if moving else self._doubt(tensions_n, found, stamp_ns)
         self.gate.estimated(known=True)
-        stated = None if self._model.several else estimate
+        force = ForceState.FREE
         if contacts:
-            contact = contacts[0]
-            self.tares.touched(contact)
-            self.largest_force_n = max(self.largest_force_n, contact.magnitude_n)
-            force = ForceState.UNCONFIRMED if doubt else ForceState.CONTACT
-        else:
-            contact = NO_CONTACT
-            hidden = stated is not None and stated.high_n > self._settings.hidden_above_n
-            force = ForceState.HIDDEN if hidden else ForceState.FREE
-        probabilities = estimate.probabilities.tolist()
-        return Answer(contact, force, stated, contact_m, probabilities, contacts=contacts)
+            self.tares.touched(contacts[0])
+            self.largest_force_n = max(self.largest_force_n, contacts[0].magnitude_n)
+            force = ForceState.CONTACT if contacts[0].magnitude_n else ForceState.MOMENT
+            if doubt:
+                force = ForceState.UNCONFIRMED
+        elif (
+            estimate is not None
+            and estimate.place is None  # near joint 1 any force is hidden, and the place says so
+            and estimate.high_n > self._settings.hidden_above_n
+        ):
+            force = ForceState.HIDDEN
+        return Answer(force, contacts, estimate, self._contact_m, probabilities)
 
-    def _doubt(self, tensions_n: Array, contacts: Sequence[Contact], stamp_ns: int) -> str:
+    def _doubt(self, tensions_n: Array, found: FoundContacts, stamp_ns: int) -> str:
         """Watch an arm at rest for drift, and require that its readings fit the contacts.
 
         Gives the reason why they are doubted nevertheless; empty where they are not.
@@ -280,12 +245,15 @@ class Estimation:
         check, unloaded_n = self.plausibility, self.tares.unloaded_n
         assert unloaded_n is not None  # or there would be no estimate
         difference_n = tensions_n - unloaded_n
-        self.drift.add(difference_n, stamp_ns, touched=bool(contacts))
+        self.drift.add(difference_n, stamp_ns, touched=bool(found.contacts))
+        # in slow motion the pose is not known well enough to doubt an axial force
+        stated_doubt = "" if self.gate.turning else found.doubt
         if check.unchecked or self.breathing.known:
-            return ""
+            return stated_doubt
         before_ns = check.state.withheld_until_ns
         try:
-            check.check(difference_n, self.gate.pose_rad, contacts, stamp_ns)
+            pose_rad, contacts = self.gate.pose_rad, found.contacts
+            check.check(difference_n, pose_rad, contacts, stamp_ns, found.misfit, stated_doubt)
         finally:
             if check.state.withheld_until_ns != before_ns:
                 self._events.note(EventKind.MISFIT)
@@ -380,8 +348,8 @@ class Estimation:
 
     def start(self, now_s: float) -> None:
         """Samples begin, or begin again, now; earlier ones do not count any more."""
-        self.health = InputHealth(self.clock, now_s)
         self.publisher = FollowedPublisher(self.clock.stale_after_s)
+        self.health = InputHealth(self.clock, self.publisher, now_s)
         self.tares.forget_readings()
         self._model.restart(self.gate.command_rad)
         self._events.note(EventKind.START, self.gate.command_rad)

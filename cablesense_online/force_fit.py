@@ -16,21 +16,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_msgs_py.messages import Contact
 from cablesense_online.tare import UnloadedTensions
-from cablesense_sim import kinematics
-from cablesense_sim.equilibrium import (
-    EquilibriumError,
-    held_lengths_m,
-    potential_gradient_n_m,
-    stiffness_matrix_n_m,
-)
+from cablesense_sim import kinematics, rest_pose
+from cablesense_sim.equilibrium import EquilibriumError, balance_at, held_lengths_m
 from cablesense_sim.mechanism import Mechanism
 
 LARGEST_MISFIT: Final = 2.3
@@ -60,47 +55,6 @@ def _torques_by_force_m(mechanism: Mechanism, angles_rad: Array, axes: Array) ->
     return np.asarray(np.swapaxes(moves, -1, -2) @ axes)
 
 
-class ContactStatics:
-    """Contacts at one pose of the arm, in base axes and at the joints.
-
-    A force in the plane normal to segment n at its contact point makes the joint torques
-
-        tau = J_n(q)^T [y_n z_n] (f_y, f_z)
-
-    with J_n the derivative of the contact point and y_n, z_n the segment's axes in the base frame.
-    """
-
-    def __init__(self, mechanism: Mechanism) -> None:
-        self._mechanism = mechanism
-        self._pose_rad: Array | None = None
-
-    def at(self, pose_rad: Array) -> ContactStatics:
-        """This object at a pose (2N,)."""
-        if pose_rad is not self._pose_rad:
-            self._pose_rad, mechanism = pose_rad, self._mechanism
-            self._axes = np.asarray(kinematics.segment_rotations(mechanism, pose_rad)[..., 1:])
-            self._points_m = kinematics.contact_points_m(mechanism, pose_rad)
-            self._torques_m = _torques_by_force_m(mechanism, pose_rad, self._axes)
-        return self
-
-    def base_wrench(self, contacts: Sequence[Contact]) -> list[float]:
-        """(6,) force, N, and moment about the base frame's origin, N·m, of all contacts."""
-        wrench = np.zeros(6)
-        for contact in contacts:
-            force_n = contact.magnitude_n * self._axes[contact.segment - 1] @ contact.direction
-            wrench[:3] += force_n
-            wrench[3:] += np.cross(self._points_m[contact.segment - 1], force_n)
-        return wrench.tolist()
-
-    def joint_torques_n_m(self, contacts: Sequence[Contact]) -> list[float]:
-        """(2N,) torques of all contacts at the joints."""
-        torques = np.zeros(self._mechanism.joint_count)
-        for contact in contacts:
-            torque_m = self._torques_m[contact.segment - 1] @ contact.direction
-            torques += contact.magnitude_n * torque_m
-        return torques.tolist()
-
-
 class _Response(NamedTuple):
     """Tensions near forces on K segments, with one set of taut cables.
 
@@ -111,11 +65,11 @@ class _Response(NamedTuple):
         taut: (M,) which cables are.
         slack: positions of the others.
         unseen_n: (M,) error of a force due to an error of one reading whose residual is 1.
-        to_rest_rad: (2 N,) rotation of the joints from the pose to rest at those forces; None
-            where they are at rest with this set.
+        to_rest_rad: (2 N,) turn of the joints from the pose to rest at those forces; None where
+            they are at rest with this set.
         to_fit: (2 M + 2 N + 3 K, M) maps readings less `change_n` to their residuals, in expected
-            standard deviations; to the forces to add, y and z of each, then x of each, N; to the
-            resulting change of `elastic_n`; and to the resulting rotation of the joints.
+            standard deviations; to the forces to add, y and z of each, then x of each, N; and to
+            the resulting change of `elastic_n` and turn of the joints.
     """
 
     change_n: Array
@@ -155,10 +109,15 @@ class ForceFit:
         self.holds = self.misfit <= largest and self.consistent and self.near
 
     @property
+    def segments(self) -> tuple[int, ...]:
+        """The touched segments, from 1 on."""
+        return self.pose.segments
+
+    @property
     def elastic_n(self) -> Array:
         """(M,) tensions under those forces, negative where a slack cable lacks length."""
-        elastic, begin = self.response.elastic_n, self.pose.elastic_from
-        return np.asarray(elastic + self.fitted[begin : begin + len(elastic)])
+        elastic_n, begin = self.response.elastic_n, self.pose.elastic_from
+        return np.asarray(elastic_n + self.fitted[begin : begin + len(elastic_n)])
 
     @property
     def consistent(self) -> bool:
@@ -239,19 +198,18 @@ class _LoadedPose:
         self.elastic_from = mechanism.cable_count + 3 * len(segments)
         self._fits, self._at_rest = fits, at_rest
         self._stiffness_n_m = mechanism.stiffness_n_m
-        span = kinematics.spans(mechanism, angles_rad)
-        self._jacobian_m = kinematics.interleave(span)
-        curvature_m = (0.5 * span.by_pitch_pitch, span.by_pitch_yaw, 0.5 * span.by_yaw_yaw)
-        self._curvature = (mechanism.stiffness_n_m / fits.spread_n)[:, None] * np.hstack(
-            curvature_m
-        )
+        shape = rest_pose.posed(rest_pose.plates_of(mechanism, 1), angles_rad[None])
+        self._jacobian_m = shape.by_turn_m[0].reshape(mechanism.cable_count, -1)
+        pitch_m, both_m, yaw_m = np.moveaxis(shape.by_turns_m[0], -1, 0)
+        curvature_m = (0.5 * pitch_m, both_m, 0.5 * yaw_m)
+        stiffness = mechanism.stiffness_n_m / fits.spread_n
+        self._curvature = stiffness[:, None] * np.hstack(curvature_m)
         self._most_curved = 1.5 * float(np.abs(self._curvature).max())
         stretch_m = held_lengths_m(mechanism, angles_rad) - statics.held_m(command)
         self._elastic_n = mechanism.stiffness_n_m * stretch_m + mechanism.pretension_n
         self._taut = self._elastic_n > 0.0
-        tensions = self._taut * self._elastic_n
-        self._hessian = stiffness_matrix_n_m(mechanism, angles_rad, tensions, forces)
-        self._gradient = potential_gradient_n_m(mechanism, angles_rad, tensions, forces)
+        tensions_n = self._taut * self._elastic_n
+        self._balance = balance_at(mechanism, angles_rad, tensions_n, forces)
         touched = np.array(segments) - 1
         axes = kinematics.segment_rotations(mechanism, command)
         by_axis = _torques_by_force_m(mechanism, angles_rad, axes)[touched]
@@ -270,19 +228,16 @@ class _LoadedPose:
         search ends when the misfit is at most `largest` and the set is that of its forces, or when
         no set is new.
         """
-        read = difference_n > self._fits.taut_from_n
-        best = self.with_taut(difference_n, read, largest)
-        if best is not None and best.holds:
-            return best
-        barely = difference_n > self._fits.taut_from_n - _BARELY_SPREADS * self._fits.spread_n
-        tried, candidates = {read.tobytes()}, [barely, self._taut]
-        if best is not None:
-            candidates += self._estimated(best, force_n)
+        best: ForceFit | None = None
+        tried, from_n = set[bytes](), self._fits.taut_from_n
+        barely_n = from_n - _BARELY_SPREADS * self._fits.spread_n
+        candidates = [difference_n > from_n, difference_n > barely_n, self._taut]
         while candidates and len(tried) < _MOST_SETS:
             taut = candidates.pop(0)
-            new = taut.tobytes() not in tried
-            fit = self.with_taut(difference_n, taut, largest) if new else None
+            if taut.tobytes() in tried:
+                continue
             tried.add(taut.tobytes())
+            fit = self.with_taut(difference_n, taut, largest)
             if fit is None:
                 continue
             if fit.holds:
@@ -321,10 +276,9 @@ class _LoadedPose:
     def _response(self, taut: NDArray[np.bool_]) -> _Response | None:
         key = taut.tobytes()
         if key not in self._responses:
-            try:
+            self._responses[key] = None
+            with suppress(np.linalg.LinAlgError):
                 self._responses[key] = self._linearised(taut)
-            except np.linalg.LinAlgError:
-                self._responses[key] = None
         return self._responses[key]
 
     def _linearised(self, taut: NDArray[np.bool_]) -> _Response:
@@ -335,8 +289,8 @@ class _LoadedPose:
         """
         spread_n, jacobian = self._fits.spread_n, self._jacobian_m
         other = (taut.astype(float) - self._taut)[:, None] * jacobian
-        hessian = self._hessian + jacobian.T @ (self._stiffness_n_m[:, None] * other)
-        unbalanced = self._gradient + self._elastic_n @ other
+        hessian = self._balance.slope_n_m + jacobian.T @ (self._stiffness_n_m[:, None] * other)
+        unbalanced = self._balance.torque_n_m + self._elastic_n @ other
         turned = np.linalg.solve(hessian, np.column_stack([self._torques_m, -unbalanced]))
         *by, moved = (self._stiffness_n_m[:, None] * (jacobian @ turned)).T
         count = len(self.force_n)

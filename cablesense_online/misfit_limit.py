@@ -1,8 +1,6 @@
 """The largest misfit that a model file states: from simulated healthy arms at rest.
 
-    python -m cablesense_online.misfit_limit MODEL.onnx ...
-
-writes it into model files and changes nothing else in them; `cablesense train` does so too.
+`cablesense train` writes it into its model file, and `make limits` into those of this repository.
 
 By noise alone (M - 2) misfit² has a chi-square distribution of M - 2 degrees of freedom. Slack
 cables, the sensors' step, the arm's linearisation and the estimator's own errors widen it. The
@@ -13,28 +11,30 @@ noise: the estimate is wrong by itself, or the arm has two positions of rest.
 
 from __future__ import annotations
 
-import argparse
-import sys
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from scipy.stats import chi2
 
-from cablesense_base import Array, CableSenseError
+from cablesense_base import Array
 from cablesense_online.answer import decide
+from cablesense_online.anywhere_check import AnywhereCheck
 from cablesense_online.models import LoadedModel
 from cablesense_online.plausibility import PlausibilityCheck
 from cablesense_online.samples import SampleError
 from cablesense_online.tare import UnloadedTensions
-from cablesense_sim.equilibrium import EquilibriumError
+from cablesense_sim.contact_location import touched_at
+from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.replay import read_tensions_n
+from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.metadata import MisfitLimit
-from cablesense_training.inference.session import replace_misfit_limit
+from cablesense_training.inference.metadata import ANYWHERE, MisfitLimit
+from cablesense_training.inference.model_file import replace_misfit_limit
 
 FALSE_ALARM_RATE: Final = 1e-7
 JUDGED_AT: Final = 0.9
@@ -49,8 +49,9 @@ def simulated_misfits(loaded: LoadedModel, seed: int = 0) -> Iterator[float]:
     assert isinstance(estimator, Estimator)
     metadata, rng = estimator.metadata, np.random.default_rng(seed)
     statics, count = UnloadedTensions(arm), arm.segment_count
-    check = PlausibilityCheck(statics, arm, metadata.tare_samples, _UNLIMITED, metadata)
-    reach_m, range_rad = statics.mechanism.contact_m.tolist(), np.deg2rad(metadata.pose_range_deg)
+    check = PlausibilityCheck(statics, metadata.tare_samples, _UNLIMITED, metadata)
+    mechanism, range_rad = statics.mechanism, np.deg2rad(metadata.pose_range_deg)
+    contact_m, (reach, _) = mechanism.contact_m, touched_at(arm)
 
     def readings(tensions_n: Array, count: int) -> Array:
         read_n = read_tensions_n(np.tile(tensions_n, (count, 1)), arm.sensors, rng)
@@ -62,12 +63,20 @@ def simulated_misfits(loaded: LoadedModel, seed: int = 0) -> Iterator[float]:
         for _ in range(LOADS):
             segment, angle_deg = rng.integers(0, count + 1), rng.uniform(0.0, 360.0)
             size_n = rng.uniform(0.0, metadata.force_range_n)
-            forces = normal_force_n(statics.mechanism, command, segment, angle_deg, size_n)
+            forces = normal_force_n(mechanism, command, segment, angle_deg, size_n)
+            if isinstance(estimator, AnywhereEstimator):
+                contact_m = rng.uniform(reach[:, 0], reach[:, 1])
+            touched = replace(mechanism, contact_m=contact_m)
+            held_m = statics.held_m(command)
             try:
-                differences_n = readings(statics.at_rest(command, forces).tensions_n, READINGS)
+                rest = solve_equilibrium(touched, command, forces, held_m=held_m)
             except EquilibriumError:
                 continue  # the arm collapses
-            differences_n -= tare_n
+            differences_n = readings(rest.tensions_n, READINGS) - tare_n
+            if isinstance(estimator, AnywhereEstimator):
+                placed, misfits = estimator.locate_batch(differences_n, command)
+                yield from misfits[placed.segment > 0].tolist()
+                continue
             found = estimator.estimate_batch(differences_n, command)
             answers = zip(
                 differences_n,
@@ -77,7 +86,7 @@ def simulated_misfits(loaded: LoadedModel, seed: int = 0) -> Iterator[float]:
                 strict=True,
             )
             for difference_n, probabilities, angle, size in answers:
-                contact = decide(probabilities, angle, size, 0.5, reach_m)
+                contact = decide(probabilities, angle, size, 0.5, contact_m.tolist())
                 with suppress(SampleError):
                     check.check(difference_n, command, [contact] if contact.segment else [], 0)
                 yield check.misfit
@@ -94,7 +103,9 @@ def put_simulated_limit(path: Path) -> MisfitLimit | None:
     """
     loaded, limit = LoadedModel.open(path), None
     if isinstance(loaded.estimator, Estimator) and not UnloadedTensions(loaded.arm).incomplete:
-        limit = _limit(np.fromiter(simulated_misfits(loaded), float), loaded.arm.cable_count - 2)
+        numbers = AnywhereCheck.numbers if loaded.estimator.metadata.kind == ANYWHERE else 2
+        misfits = np.fromiter(simulated_misfits(loaded), float)
+        limit = _limit(misfits, loaded.arm.cable_count - numbers)
     replace_misfit_limit(path, limit)
     return limit
 
@@ -109,20 +120,3 @@ def _limit(misfits: Array, free: int) -> MisfitLimit:
         samples=len(misfits),
         above=int((misfits > round(largest, 2)).sum()),
     )
-
-
-def main() -> int:
-    """Write the limit into the model files that the command line names."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("models", nargs="+", type=Path, help="model files (.onnx)")
-    try:
-        for path in parser.parse_args().models:
-            print(f"{path}: {put_simulated_limit(path) or 'not checked with this model'}")
-    except CableSenseError as error:
-        print(error, file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,13 +1,13 @@
 """A model as the online estimator uses it: loaded, asked for a contact, its estimate decided on.
 
-A model file holds one of two kinds of estimator. A memoryless one takes samples of an arm at rest,
-with one contact or several. A history-dependent one takes every sample along the trajectory of the
-joints. `ContactModel` is their common interface.
+A memoryless estimator takes samples of an arm at rest, with one contact or several. A
+history-dependent one takes every sample along the trajectory of the joints. `ContactModel` is
+their common interface.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,17 +19,22 @@ from cablesense_msgs_py.messages import Contact, Level, Status
 from cablesense_online.answer import decide
 from cablesense_online.force_fit import LARGEST_MISFIT, ForceFits
 from cablesense_online.motion_gate import MotionGate
+from cablesense_online.plausibility import FORCE_OFF_N
+from cablesense_online.state import EstimationSettings
 from cablesense_online.tare import Tares
 from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.contact_pairs import ContactPair
 from cablesense_sim.joint_motion import JointMotion
+from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import (
+    NORMAL_95,
     Estimate,
     Estimator,
     MultiEstimator,
     SequenceEstimator,
 )
-from cablesense_training.inference.metadata import find_model
-from cablesense_training.inference.session import model_sha256, read_model
+from cablesense_training.inference.metadata import default_model, find_model
+from cablesense_training.inference.model_file import model_sha256, read_model
 from cablesense_training.inference.temporal_estimator import open_estimator
 
 PREDICTED_EVERY_RAD = 2e-3
@@ -38,6 +43,25 @@ PREDICTED_EVERY_RAD = 2e-3
 On the arm `cdsm` they change by less than 0.1 N over this.
 """
 
+
+ALONG_KNOWN_N = 1.0
+"""An axial force is stated if its standard deviation is below this: the arm is then so bent that a
+small error of the pose does not make one."""
+
+_FRICTION = 0.5
+"""Axial over normal force that friction at a contact may make, unless the arm file states more. A
+contact on segment 1 beside one on segment 2 reads like one there with another axial force."""
+
+_UNKNOWN_PLACE = 0.2
+"""Share of a segment's reach: at a larger standard deviation of the place the force is not known.
+A uniform distribution has 0.29."""
+
+_ONE_UP_TO_CHI2 = 20.0
+"""Two contacts are tried if one leaves more of the torques: with four residuals that happens once
+in 2,000 samples by noise."""
+
+_TWO_BEYOND = 10.0
+"""Log evidence by which two contacts must be likelier than one: sensors also err by steps."""
 
 AnyEstimator = Estimator | MultiEstimator | SequenceEstimator
 
@@ -91,13 +115,34 @@ class LoadedModel:
 
 
 def load_model(arm: str, model: str) -> LoadedModel:
-    """Load by name or path; an empty `model` takes the bundled one of the arm's name.
+    """Load by name or path; an empty `model` takes the arm's bundled one.
+
+    That is the one of contacts anywhere (`cdsm_anywhere`) if there is one, or else that of the
+    arm's name.
 
     Raises:
         CableSenseError: a file is missing or invalid, or the model was made for another arm.
     """
     description = open_arm(arm)
-    return LoadedModel.open(find_model(model or description.name), description)
+    return LoadedModel.open(find_model(model or default_model(description.name)), description)
+
+
+class FoundContacts(NamedTuple):
+    """The contacts that a model finds in a sample.
+
+    Attributes:
+        probabilities: (N + 1,) that nothing touches, and of each segment that it is touched.
+        contacts: those decided on, the strongest first.
+        estimate: the one behind them, if the model states one.
+        doubt: why readings do not determine the contacts; empty where they do.
+        misfit: root mean square of the readings' residuals, if the model states it.
+    """
+
+    probabilities: list[float]
+    contacts: tuple[Contact, ...]
+    estimate: Estimate | None = None
+    doubt: str = ""
+    misfit: float | None = None
 
 
 class ContactModel:
@@ -112,12 +157,12 @@ class ContactModel:
     in_motion = several = False
     unchecked = ""
 
-    def __init__(self, estimator: Estimator, tares: Tares, gate: MotionGate) -> None:
-        self._estimator, self._tares, self._gate = estimator, tares, gate
-        self._pose_aware = estimator.pose_aware
+    def __init__(self, estimator: Any, tares: Tares, gate: MotionGate, fits: ForceFits) -> None:
+        self._estimator, self._tares, self._gate, self._fits = estimator, tares, gate, fits
+        self._contact_m = fits.statics.mechanism.contact_m.tolist()
 
-    def estimate(self, tensions_n: Array, stamp_ns: int) -> Any:
-        """The contact behind tensions (M,), as `decide` takes it; None without a tare.
+    def find(self, tensions_n: Array, stamp_ns: int, threshold: float) -> FoundContacts | None:
+        """The contacts behind tensions (M,), of a probability `threshold`; None without a tare.
 
         Raises:
             CableSenseError: the model cannot take this sample.
@@ -125,24 +170,14 @@ class ContactModel:
         unloaded = self._tares.unloaded_n
         if unloaded is None:
             return None
-        pose = self._gate.pose_rad if self._pose_aware else None
-        return self._estimator.estimate(tensions_n - unloaded, pose)
+        pose = self._gate.pose_rad if self._estimator.pose_aware else None
+        return self._decided(self._estimator.estimate(tensions_n - unloaded, pose), threshold)
 
-    def decide(
-        self, estimate: Any, threshold: float, contact_m: Sequence[float]
-    ) -> tuple[Contact, ...]:
-        """The contacts in an estimate of this model, the strongest first.
-
-        See the function `decide` for the other arguments and for errors.
-        """
-        contact = decide(
-            estimate.probabilities.tolist(),
-            float(estimate.angle_deg),
-            float(estimate.magnitude_n),
-            threshold,
-            contact_m,
-        )
-        return (contact,) if contact.segment else ()
+    def _decided(self, estimate: Estimate, threshold: float) -> FoundContacts:
+        probabilities = estimate.probabilities.tolist()
+        angle_deg, size_n = float(estimate.angle_deg), float(estimate.magnitude_n)
+        contact = decide(probabilities, angle_deg, size_n, threshold, self._contact_m)
+        return FoundContacts(probabilities, (contact,) if contact.segment else (), estimate)
 
     def command(self, command_rad: Array) -> None:
         """Commanded angles (2N,) count from the next sample on."""
@@ -168,115 +203,170 @@ class HistoryDependentModel(ContactModel):
         self,
         estimator: SequenceEstimator,
         tares: Tares,
-        predict_n: Callable[[Array], Array],
-        command_rad: Array,
+        gate: MotionGate,
+        fits: ForceFits,
         joint_speed_rad_s: float,
     ) -> None:
-        self._sequence, self._tares, self._predict_n = estimator, tares, predict_n
+        super().__init__(estimator, tares, gate, fits)
         self._speed_rad_s = joint_speed_rad_s
         self._last_ns: int | None = None
-        self._predicted_at_rad: Array | None = None
-        self.restart(command_rad)
+        self._predicted: tuple[Array, Array] | None = None
+        self.restart(gate.command_rad)
 
-    def estimate(self, tensions_n: Array, stamp_ns: int) -> Estimate | None:
+    def find(self, tensions_n: Array, stamp_ns: int, threshold: float) -> FoundContacts | None:
         """See `ContactModel`; the trajectory is followed without a tare too."""
         passed_s = 0.0 if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
         self._last_ns = stamp_ns
         self._motion.advance(max(0.0, passed_s))
-        angle, speed, acceleration = self._motion.state
-        unloaded = self._unloaded_n(angle)
+        set_point = self._motion.state
+        unloaded = self._unloaded_n(set_point[0])
         if unloaded is None:
-            self._sequence.tare()
+            self._estimator.tare()
         difference = np.zeros(len(tensions_n)) if unloaded is None else tensions_n - unloaded
-        estimate = self._sequence.estimate(difference, angle, speed, acceleration, stamp_ns * 1e-9)
-        return None if unloaded is None else estimate
+        estimate = self._estimator.estimate(difference, *set_point, stamp_ns * 1e-9)
+        return None if unloaded is None else self._decided(estimate, threshold)
+
+    def _decided(self, estimate: Estimate, threshold: float) -> FoundContacts:
+        found = super()._decided(estimate, threshold)
+        return found if estimate.segment else found._replace(contacts=())
 
     def command(self, command_rad: Array) -> None:
         """See `ContactModel`."""
         self._motion.go_to(command_rad)
 
-    def decide(
-        self, estimate: Any, threshold: float, contact_m: Sequence[float]
-    ) -> tuple[Contact, ...]:
-        """See `ContactModel`; there is none where the estimator answers none."""
-        contacts = super().decide(estimate, threshold, contact_m)
-        return contacts if estimate.segment else ()
-
     def tared(self) -> None:
         """The estimator gets tensions since the tare, as in training."""
-        self._sequence.tare()
+        self._estimator.tare()
 
     def restart(self, command_rad: Array) -> None:
         """See `ContactModel`."""
         self._motion = JointMotion(command_rad, self._speed_rad_s)
-        self._last_ns = self._predicted_at_rad = None
-        self._predicted_n = np.zeros(0)
-        self._sequence.forget()
+        self._last_ns = self._predicted = None
+        self._estimator.forget()
 
     def _unloaded_n(self, angle_rad: Array) -> Array | None:
         if not self._motion.moving:
-            self._predicted_at_rad = None
+            self._predicted = None
             return self._tares.unloaded_n
-        at = self._predicted_at_rad
-        if at is None or np.abs(angle_rad - at).max() > PREDICTED_EVERY_RAD:
-            self._predicted_at_rad = angle_rad
-            self._predicted_n = self._predict_n(angle_rad)
+        at = self._predicted
+        if at is None or np.abs(angle_rad - at[0]).max() > PREDICTED_EVERY_RAD:
+            self._predicted = at = angle_rad, self._fits.statics.predict_n(angle_rad)
         tare = self._tares.present
-        return None if tare is None else tare.unloaded_n(self._predicted_n)
-
-
-class Several(NamedTuple):
-    """Contacts on several segments at once.
-
-    Attributes:
-        probabilities: (N + 1,) that nothing touches, and of each segment that it is touched.
-        magnitude_n: (N,) force on each segment, if it is touched.
-        difference_n: (M,) tensions minus the unloaded ones.
-    """
-
-    probabilities: Array
-    magnitude_n: Array
-    difference_n: Array
+        return None if tare is None else tare.unloaded_n(at[1])
 
 
 class MultiContactModel(ContactModel):
     """A memoryless estimator of several contacts; a force fit gives their directions.
 
-    No bounds are given: the model states the uncertainty of each force, not of its direction.
+    No estimate is stated: the model has the uncertainty of each force, not of its direction.
     """
 
     several = True
 
-    def __init__(
-        self, estimator: MultiEstimator, tares: Tares, gate: MotionGate, fits: ForceFits
-    ) -> None:
-        self._several, self._tares, self._gate, self._fits = estimator, tares, gate, fits
-
-    def estimate(self, tensions_n: Array, stamp_ns: int) -> Several | None:
+    def find(self, tensions_n: Array, stamp_ns: int, threshold: float) -> FoundContacts | None:
         """See `ContactModel`."""
         unloaded = self._tares.unloaded_n
         if unloaded is None:
             return None
-        difference_n = tensions_n - unloaded
-        found = self._several.estimate_batch(difference_n, self._gate.pose_rad)
-        touched, magnitude_n = found.probabilities[0], found.magnitude_n[0]
-        free = np.prod(1.0 - touched)
-        return Several(np.concatenate([[free], touched]), magnitude_n, difference_n)
-
-    def decide(
-        self, estimate: Several, threshold: float, contact_m: Sequence[float]
-    ) -> tuple[Contact, ...]:
-        """See `ContactModel`."""
-        probability = estimate.probabilities.tolist()
-        force_n = [0.0, *estimate.magnitude_n.tolist()]
-        numbers = range(1, len(force_n))
-        touched = tuple(n for n in numbers if probability[n] >= threshold and force_n[n] > 0.0)
+        pose_rad, difference_n = self._gate.pose_rad, tensions_n - unloaded
+        estimates = self._estimator.estimate_batch(difference_n, pose_rad)
+        touching, force_n = estimates.probabilities[0], estimates.magnitude_n[0].tolist()
+        probabilities = [float(np.prod(1.0 - touching)), *touching.tolist()]
+        touched = tuple(
+            n
+            for n, force in enumerate(force_n, start=1)
+            if probabilities[n] >= threshold and force > 0.0
+        )
         if not touched:
-            return ()
-        self._fits.command(self._gate.pose_rad)
-        angles = self._fits.angles_deg(estimate.difference_n, touched)
+            return FoundContacts(probabilities, ())
+        self._fits.command(pose_rad)
+        angles = self._fits.angles_deg(difference_n, touched)
         contacts = [
-            Contact(n, angle_deg, force_n[n], contact_m[n - 1])
+            Contact(n, angle_deg, force_n[n - 1], self._contact_m[n - 1])
             for n, angle_deg in zip(touched, angles, strict=True)
         ]
-        return tuple(sorted(contacts, key=lambda contact: -contact.magnitude_n))
+        contacts.sort(key=lambda contact: -contact.magnitude_n)
+        return FoundContacts(probabilities, tuple(contacts))
+
+
+class AnywhereModel(ContactModel):
+    """A memoryless estimator of contacts anywhere: of one, or of two where that is likelier."""
+
+    several = True
+
+    def __init__(
+        self, estimator: AnywhereEstimator, tares: Tares, gate: MotionGate, fits: ForceFits
+    ) -> None:
+        super().__init__(estimator, tares, gate, fits)
+        estimator.prepare()
+
+    def _decided(self, estimate: Estimate, threshold: float) -> FoundContacts:
+        place, probabilities = estimate.place, estimate.probabilities.tolist()
+        assert place is not None
+        if place.chi2 > _ONE_UP_TO_CHI2:
+            pair, misfit = self._estimator.two()
+            if pair.log_evidence[0] > max(place.log_evidence, 0.0) + _TWO_BEYOND:
+                return FoundContacts(
+                    probabilities, *_two(pair, self._estimator.reach_m), misfit=misfit
+                )
+        if 1.0 - probabilities[0] < threshold:
+            return FoundContacts(probabilities, (), estimate)
+        contact = Contact(
+            1 + int(estimate.probabilities[1:].argmax()),
+            estimate.angle_deg,
+            estimate.magnitude_n if place.force_known else 0.0,
+            place.place_m,
+            place.along_n if place.along_std_n < ALONG_KNOWN_N else 0.0,
+            place.moment_n_m,
+        )
+        doubt, surface = "", self._estimator.surface
+        most = max(_FRICTION, surface.friction if surface else 0.0) * estimate.magnitude_n
+        if abs(contact.along_n) > most + NORMAL_95 * place.along_std_n:
+            doubt = (
+                f"an axial force of {place.along_n:.0f} N with a normal one of "
+                f"{estimate.magnitude_n:.0f} N is more than friction makes: there may be "
+                "two contacts, one of them on segment 1"
+            )
+        return FoundContacts(probabilities, (contact,), estimate, doubt, place.misfit)
+
+
+def _two(pair: ContactPair, reach: Array) -> tuple[tuple[Contact, ...], None, str]:
+    """The contacts of a pair within a reach (N, 2), the strongest first; why they are doubted."""
+    contacts, unknown_n = [], 0.0
+    for k, (along_n, y, z) in enumerate(pair.force_n[0].tolist()):
+        number, place_m = int(pair.segments[0, k]), float(pair.place_m[0, k])
+        size_n, angle_deg = math.hypot(y, z), math.degrees(math.atan2(y, z)) % 360.0
+        along_std_n, *std_n = pair.force_std_n[0, k].tolist()
+        low_m, high_m = reach[number - 1].tolist()
+        moment_n_m = None
+        if pair.place_std_m[0, k] > _UNKNOWN_PLACE * (high_m - low_m):
+            size_n, moment_n_m = 0.0, place_m * size_n
+        else:
+            unknown_n = max(unknown_n, *std_n)
+        along_n = along_n if along_std_n < ALONG_KNOWN_N else 0.0
+        contacts.append(Contact(number, angle_deg, size_n, place_m, along_n, moment_n_m))
+    contacts.sort(key=lambda contact: -contact.magnitude_n)
+    doubt = ""
+    if not contacts[-1].magnitude_n:
+        doubt = "only the moment of one contact is known: other pairs explain the readings too"
+    elif NORMAL_95 * unknown_n > FORCE_OFF_N:
+        doubt = f"two forces here are known to {NORMAL_95 * unknown_n:.0f} N only"
+    return tuple(contacts), None, doubt
+
+
+def contact_model(
+    estimator: AnyEstimator,
+    tares: Tares,
+    gate: MotionGate,
+    fits: ForceFits,
+    settings: EstimationSettings,
+) -> ContactModel:
+    """The model of an estimator's kind."""
+    if isinstance(estimator, SequenceEstimator):
+        return HistoryDependentModel(estimator, tares, gate, fits, settings.joint_speed_rad_s)
+    kind = ContactModel
+    if isinstance(estimator, MultiEstimator):
+        kind = MultiContactModel
+    elif isinstance(estimator, AnywhereEstimator):
+        kind = AnywhereModel
+    return kind(estimator, tares, gate, fits)

@@ -11,15 +11,14 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Level, Status
-from cablesense_online.state import GateState
+from cablesense_online.state import EstimationSettings, GateState
 from cablesense_sim.joint_motion import SHORTEST_MOVE_S, JointMotion, move_duration_s
 
 _POSE_STEPS_RAD = (1e-4, 2e-3)
 """The pose follows a set-point at rest, or in motion, only beyond this distance: a new pose costs
 milliseconds."""
-_BLIND_S = 3.0
-"""A warning is due after this time without an estimate while commands continue."""
-_SOME_COMMANDS = 3
+_BLIND_S, _SOME_COMMANDS = 3.0, 3
+"""A warning is due after this time without an estimate, if this number of commands came."""
 _LONG_AGO_NS = -(2**62)
 _CLOCK_JITTER_S = 0.02
 """Between the stamps' clock and the monotonic one; a larger difference means a clock was set."""
@@ -30,7 +29,7 @@ class MotionGate:
 
     Only the commanded angles are known, not the joints' progress. While the arm moves, any angle
     between the commands since the last rest is possible, and the gate waits for the longest way
-    from there.
+    from there, and then `settle_s`.
 
     Time is that of the samples' stamps, so that a recording has the same answers: a command counts
     from the first sample after it. If stamps step back, the remaining wait is kept. If they step
@@ -48,32 +47,23 @@ class MotionGate:
         shortened_s: by how much the wait of a restored state was cut down to one of a move.
     """
 
-    def __init__(
-        self,
-        command_rad: Array,
-        joint_speed_rad_s: float,
-        settle_s: float,
-        still_rad: float = 0.0,
-        follow_rad_s: float = 0.0,
-    ) -> None:
-        """At rest at `command_rad` (2N,); `settle_s` is waited after each arrival."""
-        self._speed_rad_s, self._settle_s = joint_speed_rad_s, settle_s
-        self._still_rad, self._follow_rad_s = still_rad, follow_rad_s
+    def __init__(self, command_rad: Array, settings: EstimationSettings) -> None:
+        """At rest at a command (2N,)."""
+        self._settings = settings
         self._blind_since_ns: int | None = None
         self._commands_since = 0
         self._turned_ns = 2 * _LONG_AGO_NS
         self._rest_from_s = 0.0
         self._last_ns = _LONG_AGO_NS
         here = command_rad.copy()
-        self.restore(
-            GateState(
-                command_rad=here,
-                pose_rad=here,
-                lowest_rad=here,
-                highest_rad=here,
-                rest_from_ns=_LONG_AGO_NS,
-            )
+        state = GateState(
+            command_rad=here,
+            pose_rad=here,
+            lowest_rad=here,
+            highest_rad=here,
+            rest_from_ns=_LONG_AGO_NS,
         )
+        self.restore(state)
 
     @property
     def command_rad(self) -> Array:
@@ -84,6 +74,16 @@ class MotionGate:
     def pose_rad(self) -> Array:
         """(2N,) pose of the estimates: the command, or a set-point of a followed motion."""
         return self.state.pose_rad
+
+    @property
+    def shut(self) -> bool:
+        """Whether the arm may have moved at the last sample, or was commanded since."""
+        return self._starting or self._last_ns < self.state.rest_from_ns
+
+    @property
+    def turning(self) -> bool:
+        """Whether the joints have turned within the time in which the arm settles."""
+        return self._last_ns - self._turned_ns <= self._settings.settle_s * 1e9
 
     def command(self, command_rad: Array) -> bool:
         """Take over a command (2N,); gives whether it differs from the previous one."""
@@ -103,15 +103,17 @@ class MotionGate:
 
     def follows(self, command_rad: Array) -> bool:
         """Whether a command (2N,) would be followed with the gate as it is."""
-        if float(np.abs(command_rad - self.pose_rad).max()) <= self._still_rad and not self.shut:
+        settings = self._settings
+        off_rad = float(np.abs(command_rad - self.pose_rad).max())
+        if off_rad <= settings.still_rad and not self.shut:
             return True
-        if not self._follow_rad_s:
+        if not settings.follow_rad_s:
             return False
         angle, speed, _ = self._course.state
         ahead_rad = float(np.abs(command_rad - angle).max())
         return (
-            ahead_rad <= self._follow_rad_s * SHORTEST_MOVE_S
-            and float(np.abs(speed).max()) <= self._follow_rad_s
+            ahead_rad <= settings.follow_rad_s * SHORTEST_MOVE_S
+            and float(np.abs(speed).max()) <= settings.follow_rad_s
         )
 
     def wait_anew(self) -> None:
@@ -143,27 +145,6 @@ class MotionGate:
             self._pose_at(course.state[0] if course.moving else self.command_rad)
         return shut
 
-    def _pose_at(self, angles_rad: Array) -> None:
-        off_rad = float(np.abs(angles_rad - self.pose_rad).max())
-        if self._follow_rad_s or off_rad > self._still_rad:
-            self.angles_rad = angles_rad
-            if off_rad > self._still_rad and self._course.moving:  # after a wait it has settled
-                self._turned_ns = self._last_ns
-            if off_rad > _POSE_STEPS_RAD[self._course.moving]:
-                self.state.pose_rad = angles_rad
-
-    @property
-    def turning(self) -> bool:
-        """Whether the joints have turned within the time in which the arm settles."""
-        return self._last_ns - self._turned_ns <= self._settle_s * 1e9
-
-    def estimated(self, known: bool) -> None:
-        """Note whether the last sample had an estimate; a long time without one is reported."""
-        if known:
-            self._blind_since_ns, self._commands_since = None, 0
-        elif self._blind_since_ns is None:
-            self._blind_since_ns = self._last_ns
-
     def _may_move(self, stamp_ns: int, now_ns: int, now_s: float) -> bool:
         self.step, self._resting = 0, False
         state, first, last_ns = self.state, self._last_ns == _LONG_AGO_NS, self._last_ns
@@ -191,10 +172,30 @@ class MotionGate:
         self.step = 1
         return True
 
-    @property
-    def shut(self) -> bool:
-        """Whether the arm may have moved at the last sample, or was commanded since."""
-        return self._starting or self._last_ns < self.state.rest_from_ns
+    def _longest_wait_ns(self, *, restored: bool) -> int:
+        """Wait for a move to the command, or between any possible angles of a `restored` gate."""
+        lowest, highest = self.state.lowest_rad, self.state.highest_rad
+        ends = (highest, lowest) if restored else (self.command_rad,) * 2
+        turn = max(float((highest - ends[1]).max()), float((ends[0] - lowest).max()))
+        move_s = move_duration_s(turn, self._settings.joint_speed_rad_s)
+        return round((move_s + self._settings.settle_s) * 1e9)
+
+    def _pose_at(self, angles_rad: Array) -> None:
+        off_rad = float(np.abs(angles_rad - self.pose_rad).max())
+        still_rad = self._settings.still_rad
+        if self._settings.follow_rad_s or off_rad > still_rad:
+            self.angles_rad = angles_rad
+            if off_rad > still_rad and self._course.moving:  # after a wait it has settled
+                self._turned_ns = self._last_ns
+            if off_rad > _POSE_STEPS_RAD[self._course.moving]:
+                self.state.pose_rad = angles_rad
+
+    def estimated(self, known: bool) -> None:
+        """Note whether the last sample had an estimate; a long time without one is reported."""
+        if known:
+            self._blind_since_ns, self._commands_since = None, 0
+        elif self._blind_since_ns is None:
+            self._blind_since_ns = self._last_ns
 
     def snapshot(self) -> GateState:
         """The state at the last sample, for `restore`."""
@@ -211,26 +212,12 @@ class MotionGate:
         state.lowest_rad = np.minimum(state.lowest_rad, command_rad)
         state.highest_rad = np.maximum(state.highest_rad, command_rad)
         self.angles_rad = state.pose_rad
-        self._course = JointMotion(command_rad, self._speed_rad_s)
+        self._course = JointMotion(command_rad, self._settings.joint_speed_rad_s)
         if state.course.size:
             self._course.resume(state.course.tolist())
         self._last_ns = _LONG_AGO_NS
         self._heading = self._starting = self._resting = False
         self.step, self.shortened_s = 0, 0.0
-
-    @property
-    def _blind_s(self) -> float:
-        """Time without an estimate, where more than one command came since."""
-        if self._blind_since_ns is None or self._commands_since < _SOME_COMMANDS:
-            return 0.0
-        return (self._last_ns - self._blind_since_ns) * 1e-9
-
-    def _longest_wait_ns(self, *, restored: bool) -> int:
-        """Wait for a move to the command, or between any possible angles of a `restored` gate."""
-        lowest, highest = self.state.lowest_rad, self.state.highest_rad
-        ends = (highest, lowest) if restored else (self.command_rad,) * 2
-        turn = max(float((highest - ends[1]).max()), float((ends[0] - lowest).max()))
-        return round((move_duration_s(turn, self._speed_rad_s) + self._settle_s) * 1e9)
 
     def status(
         self, pose_range_deg: float, refused: int, *, received: bool, in_motion: bool
@@ -250,30 +237,32 @@ class MotionGate:
         }
         if self.shortened_s:
             values["wait of the state file cut by (s)"] = f"{self.shortened_s:.3f}"
-        level, message = Level.OK, "at rest"
+        blind_s = 0.0
+        if self._blind_since_ns is not None and self._commands_since >= _SOME_COMMANDS:
+            blind_s = (self._last_ns - self._blind_since_ns) * 1e-9
+        level, message = Level.WARN, ""
         if refused:
             level, message = Level.ERROR, "a command was refused; see the log"
         elif self.shortened_s:
-            level = Level.WARN
             message = (
                 f"the state file's rest lay {self.shortened_s:.0f} s further ahead than a move "
                 "takes (was a clock set?); no longer than for a move was waited"
             )
-        elif (blind_s := self._blind_s) > _BLIND_S and not in_motion:
-            level = Level.WARN
+        elif blind_s > _BLIND_S and not in_motion:
             message = (
                 f"moving: no estimate for {blind_s:.0f} s, as commands continue that exceed "
-                f"{np.rad2deg(self._follow_rad_s):g} deg/s (follow_deg_s), or the arm lags behind "
-                "them; a model with memory estimates in motion (cablesense train --network "
-                "temporal)"
+                f"{np.rad2deg(self._settings.follow_rad_s):g} deg/s (follow_deg_s), or the arm "
+                "lags behind them; a model with memory estimates in motion (cablesense train "
+                "--network temporal)"
             )
-        elif self.shut:
-            message = "moving" if in_motion else "moving: no estimate until the arm rests"
-        elif self.turning:
-            message = "moving slowly: its set-points are followed"
+        elif self.shut or self.turning:
+            level, message = Level.OK, "moving slowly: its set-points are followed"
+            if self.shut:
+                message = "moving" if in_motion else "moving: no estimate until the arm rests"
         elif max(map(abs, command_deg)) > pose_range_deg + 1e-6:
-            level = Level.WARN
             message = f"beyond the poses of the model's training (±{pose_range_deg:g} degrees)"
         elif not received:
-            level, message = Level.WARN, "none received: arm assumed to be straight"
+            message = "none received: arm assumed to be straight"
+        else:
+            level, message = Level.OK, "at rest"
         return Status("joint_commands", level, message, values)

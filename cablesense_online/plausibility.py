@@ -22,8 +22,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
-from typing import Final
+from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
 
@@ -33,9 +34,8 @@ from cablesense_online.force_fit import LARGEST_MISFIT, ForceFit, ForceFits
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.state import MisfitState
 from cablesense_online.tare import UnloadedTensions
-from cablesense_sim.arm import Arm
 from cablesense_sim.replay import difference_variance_n2, mean_variance_n2
-from cablesense_training.inference.metadata import MisfitLimit, ModelMetadata
+from cablesense_training.inference.metadata import ANYWHERE, ModelMetadata
 
 FORCE_OFF_N: Final = 5.0
 """Largest distance of an estimate from the force that fits best, and largest effect of one wrong
@@ -66,6 +66,28 @@ _LEAST_SPREAD_N = 0.01
 """Assumed of a sensor without noise and step."""
 
 
+class Explanation(Protocol):
+    """Contacts that explain readings.
+
+    Attributes:
+        segments: the touched ones, from 1 on.
+        force_n: y and z of each force, N.
+        response: of the tensions near these forces; another object is another one.
+    """
+
+    segments: tuple[int, ...]
+    force_n: Sequence[float]
+    response: object
+
+    def without(self, cables: Sequence[int]) -> float:
+        """The misfit without the readings of some cables."""
+        ...
+
+    def hidden_n(self, difference_n: Array, largest: float) -> Array:
+        """(M,) largest error of a force due to one wrong reading, at a misfit of `largest`."""
+        ...
+
+
 class PlausibilityCheck:
     """Gives no force whose readings do not fit it, nor one soon after such a sample.
 
@@ -75,12 +97,16 @@ class PlausibilityCheck:
         unchecked: why nothing is checked; empty where all is.
         doubt: why the contact of the last sample that fits is unconfirmed; empty where it is not.
         misfit: misfit of the last sample; infinite if it was compared with no equilibrium.
+        numbers: that readings determine of one contact.
+        judged_every_ns: how often a contact is judged while its tensions respond alike.
     """
+
+    numbers: ClassVar[int] = 2
+    judged_every_ns: ClassVar[int] = _JUDGED_EVERY_NS
 
     def __init__(
         self,
         statics: UnloadedTensions,
-        arm: Arm,
         tare_samples: int,
         largest_misfit: float,
         model: ModelMetadata | None,
@@ -90,33 +116,43 @@ class PlausibilityCheck:
 
         `unchecked` states why a model's answers cannot be checked.
         """
-        sensors, range_n = arm.sensors, model.force_range_n if model else 0.0
-        self._limit_from = _limit_origin(largest_misfit, model.misfit_limit if model else None)
-        spread_n = max(difference_variance_n2(sensors, tare_samples) ** 0.5, _LEAST_SPREAD_N)
-        self.fits = ForceFits(statics, spread_n)
-        self._sensors, self._tare_samples = sensors, tare_samples
+        self._sensors, self._tare_samples = statics.arm.sensors, tare_samples
+        self._cable_names = statics.arm.cable_names
+        spread_n = difference_variance_n2(self._sensors, tare_samples) ** 0.5
+        self.fits = ForceFits(statics, max(spread_n, _LEAST_SPREAD_N))
         self.unchecked = unchecked or statics.incomplete
         if not largest_misfit:
             self.unchecked = "switched off (largest_misfit is 0)"
-        self._largest, self._largest_force_n = largest_misfit, BEYOND_TRAINING * range_n
-        several = model is not None and model.kind == "multi-contact"
-        most = arm.segment_count if several else 1
-        self._limits = _limits(largest_misfit, arm.cable_count, most)
-        self._cable_names = arm.cable_names
+        self._largest, self._model = largest_misfit, model
+        self._largest_force_n = BEYOND_TRAINING * (model.force_range_n if model else 0.0)
+        most = {"multi-contact": statics.arm.segment_count, ANYWHERE: 2}
+        self._limits = _limits(
+            largest_misfit,
+            statics.arm.cable_count,
+            most.get(model.kind, 1) if model else 1,
+            self.numbers,
+        )
         self.state = MisfitState()
         self.misfit = self._worst = 0.0
         self._withheld, self._last_problem, self._suspects = 0, "", ""
-        self._fit: ForceFit | None = None
+        self._fit: Any = None
         self.doubt = self._last_doubt = ""
         self._steady: _SteadyContact | None = None
         self._command_rad: Array | None = None
 
     def check(
-        self, difference_n: Array, command_rad: Array, contacts: Sequence[Contact], stamp_ns: int
+        self,
+        difference_n: Array,
+        command_rad: Array,
+        contacts: Sequence[Contact],
+        stamp_ns: int,
+        stated_misfit: float | None = None,
+        stated_doubt: str = "",
     ) -> None:
         """Check readings less unloaded tensions (M,) at a command (2N,) with the arm at rest.
 
-        Contacts come the strongest first.
+        Contacts come the strongest first, with the misfit that the model states, if it does, and
+        its own reason to doubt them.
 
         Raises:
             SampleError: they do not fit the contacts estimated, or did not a moment ago.
@@ -125,12 +161,12 @@ class PlausibilityCheck:
             self._command_rad = command_rad
             self.fits.command(command_rad)
             self._steady = None
-        misfit = self._misfit_text(difference_n, contacts)
+        misfit = self._misfit_text(difference_n, contacts, stated_misfit)
         self._worst = max(self._worst, self.misfit)
         state = self.state
         until_ns = min(state.withheld_until_ns, stamp_ns + round(WITHHELD_S * 1e9))
         if not misfit and stamp_ns >= until_ns:
-            self.doubt = self._doubted(difference_n, stamp_ns)
+            self.doubt = self._doubted(difference_n, stamp_ns) or stated_doubt
             self._last_doubt = self.doubt or self._last_doubt
             return
         self._steady = None
@@ -155,7 +191,7 @@ class PlausibilityCheck:
         values = {
             "largest misfit": f"{self._worst:.2f}",
             "largest misfit that passes": f"{self._largest:g}",
-            "this limit is": self._limit_from,
+            "this limit is": self._limit_origin(),
             "withheld": str(self._withheld),
         }
         level, message = Level.OK, "readings fit the estimates"
@@ -167,12 +203,24 @@ class PlausibilityCheck:
         self._worst, self._withheld, self._last_doubt = 0.0, 0, ""
         return Status("plausibility", level, message, values)
 
-    def _misfit_text(self, difference_n: Array, contacts: Sequence[Contact]) -> str:
+    def _limit_origin(self) -> str:
+        stated = self._model.misfit_limit if self._model else None
+        if stated is not None and self._largest == stated.largest_misfit:
+            return (
+                f"of the model file: above it are {stated.above} of {stated.samples} simulated "
+                f"healthy samples, by noise alone a share of {stated.false_alarm_rate:g}"
+            )
+        if stated is None and self._largest == LARGEST_MISFIT:
+            return "by default: the model file states none"
+        return "of the parameter largest_misfit"
+
+    def _misfit_text(
+        self, difference_n: Array, contacts: Sequence[Contact], stated_misfit: float | None
+    ) -> str:
         """Why the readings do not fit, as text; empty where they do."""
         self._fit = None
         if not contacts:
-            free = difference_n / self.fits.spread_n
-            self.misfit = math.sqrt(float(free.dot(free)) / len(free))
+            self.misfit = self._free_misfit(difference_n)
             return "" if self.misfit <= self._largest else self._described("no contact")
         self.misfit = math.inf
         force = contacts[0].magnitude_n
@@ -181,23 +229,27 @@ class PlausibilityCheck:
                 f"an estimate of {force:.0f} N is beyond {self._largest_force_n:.0f} N, "
                 f"{BEYOND_TRAINING:g} times what the model was trained on"
             )
-        if len(contacts) > 1:
-            contacts = sorted(contacts, key=lambda contact: contact.segment)
+        contacts = sorted(contacts, key=lambda contact: contact.segment)
+        return self._explained(difference_n, contacts, stated_misfit)
+
+    def _explained(
+        self, difference_n: Array, contacts: Sequence[Contact], stated_misfit: float | None
+    ) -> str:
+        """Fit forces on the touched segments; gives why readings do not fit, as text, or none."""
         segments = tuple([contact.segment for contact in contacts])
-        largest = self._limits[len(segments)]
+        largest, where = self._limits[len(segments)], on_segments(segments)
         estimated_n = [c.magnitude_n * part for c in contacts for part in c.direction]
         self._fit = fit = self.fits.best(difference_n, segments, estimated_n, largest)
         if fit is None:
-            return f"the arm cannot rest under {_on(segments)} of up to {force:.0f} N"
+            force = max(contact.magnitude_n for contact in contacts)
+            return f"the arm cannot rest under {where} of up to {force:.0f} N"
         self.misfit = fit.misfit * self._largest / largest
         if fit.misfit > largest:
-            return self._described(_on(segments))
+            return self._described(where)
         if (off_n := math.dist(fit.force_n, estimated_n)) > FORCE_OFF_N:
-            return f"the estimate lies {off_n:.1f} N from {_on(segments)} that would fit"
-        return "" if fit.holds else self._slack_text(fit, _on(segments))
-
-    def _slack_text(self, fit: ForceFit, where: str) -> str:
-        """The cable that reads slack but would be taut under the forces that fit all others."""
+            return f"the estimate lies {off_n:.1f} N from {where} that would fit"
+        if fit.holds:
+            return ""
         if fit.consistent or not fit.near:
             return f"the arm cannot rest under {where} with the cables slack that read so"
         tension_n = fit.elastic_n
@@ -206,6 +258,11 @@ class PlausibilityCheck:
             f"{self._cable_names[cable]} is slack and would carry {tension_n[cable]:.1f} N under "
             f"{where} that fit all others: a broken cable, or a channel that reads zero"
         )
+
+    def _free_misfit(self, difference_n: Array) -> float:
+        """The misfit of readings less unloaded tensions, of all cables or some, to no contact."""
+        free = difference_n / self.fits.spread_n
+        return math.sqrt(float(free.dot(free)) / max(len(free), 1))
 
     def _described(self, contact: str) -> str:
         return (
@@ -218,37 +275,29 @@ class PlausibilityCheck:
         if self.misfit <= self._largest:
             return ""
         ends_on = self.fits.statics.mechanism.cable_segment
-        for cables in (
-            [[cable] for cable in range(len(ends_on))],
-            [np.flatnonzero(ends_on == segment).tolist() for segment in np.unique(ends_on)],
-        ):
+        segments = [np.flatnonzero(ends_on == segment).tolist() for segment in np.unique(ends_on)]
+        for sets in ([[cable] for cable in range(len(ends_on))], segments):
             names = [
-                ", ".join(self._cable_names[cable] for cable in some)
-                for some in cables
-                if self._fit_without(difference_n, some)
+                ", ".join(self._cable_names[cable] for cable in cables)
+                for cables in sets
+                if self._free_misfit(np.delete(difference_n, cables)) <= self._largest
+                or (self._fit is not None and self._fit.without(cables) <= self._largest)
             ]
             if names:
                 return f"; all but the reading of {' or '.join(names)} would fit"
         return "; the cables of no one segment explain it"
 
-    def _fit_without(self, difference_n: Array, cables: Sequence[int]) -> bool:
-        """Whether all other readings fit no contact, or the estimated one."""
-        free = np.delete(difference_n, cables) / self.fits.spread_n
-        misfits = [math.sqrt(float(free @ free) / max(len(free), 1))]
-        if self._fit is not None:
-            misfits.append(self._fit.without(cables))
-        return min(misfits) <= self._largest
-
     def _doubted(self, difference_n: Array, stamp_ns: int) -> str:
         """Why a contact that fits is unconfirmed; empty where it is not."""
-        fit, steady = self._fit, self._steady
+        fit: Explanation | None = self._fit
+        steady = self._steady
         if fit is None:
             self._steady = None
             return ""
-        if steady is None or not steady.continues(fit.pose.segments, stamp_ns):
-            self._steady = steady = _SteadyContact(fit.pose.segments, len(difference_n))
-        steady.add(difference_n, fit.force_n, stamp_ns)
-        if steady.to_be_judged(fit.response, stamp_ns):
+        if steady is None or not steady.continues(fit.segments, stamp_ns):
+            self._steady = steady = _SteadyContact(fit.segments, 0.0 * difference_n)
+        steady.add(difference_n, tuple(fit.force_n), stamp_ns)
+        if steady.to_be_judged(fit.response, stamp_ns, self.judged_every_ns):
             hidden = self._hidden(fit, difference_n) or self._exchanged(fit, difference_n)
             steady.judge(fit.response, stamp_ns, hidden)
         if stamp_ns - steady.averaged_ns >= _JUDGED_EVERY_NS and steady.count >= _FEWEST_AVERAGED:
@@ -256,9 +305,9 @@ class PlausibilityCheck:
             self._judge_average(steady, stamp_ns)
         return steady.hidden or steady.off_average
 
-    def _hidden(self, fit: ForceFit, difference_n: Array) -> str:
+    def _hidden(self, fit: Explanation, difference_n: Array) -> str:
         """The cables whose readings no others confirm in a contact, as text; else empty."""
-        hidden_n = fit.hidden_n(difference_n, self._limits[len(fit.pose.segments)])
+        hidden_n = fit.hidden_n(difference_n, self._limits[len(fit.segments)])
         of = np.flatnonzero(hidden_n > FORCE_OFF_N).tolist()
         if not of:
             return ""
@@ -268,12 +317,12 @@ class PlausibilityCheck:
             f"up to {min(float(hidden_n.max()), self._largest_force_n):.0f} N"
         )
 
-    def _exchanged(self, fit: ForceFit, difference_n: Array) -> str:
+    def _exchanged(self, fit: Any, difference_n: Array) -> str:
         """Two cables whose exchanged readings would fit other forces on several segments.
 
         With one contact this hardly ever happens, as its forces leave so little free.
         """
-        segments = fit.pose.segments
+        segments = fit.segments
         if len(segments) == 1:
             return ""
         largest = self._limits[len(segments)]
@@ -290,8 +339,8 @@ class PlausibilityCheck:
             if (off_n := math.dist(near.force_n, fit.force_n)) > FORCE_OFF_N:
                 names = " and ".join(self._cable_names[cable] for cable in two)
                 return (
-                    f"if the plugs of {names} are exchanged, so many contacts hide it, and forces "
-                    f"are wrong by up to {off_n:.0f} N"
+                    f"several contacts can hide exchanged plugs of {names}; forces would then be "
+                    f"wrong by up to {off_n:.0f} N"
                 )
         return ""
 
@@ -304,104 +353,100 @@ class PlausibilityCheck:
         variances_n2 = (mean_variance_n2(self._sensors, n) for n in (count, self._tare_samples))
         spread_n = max(sum(variances_n2) ** 0.5, _LEAST_SPREAD_N)
         largest = self._limits[len(steady.segments)] * spread_n / self.fits.spread_n
-        mean_n = steady.sum_n / count
-        fit = self.fits.best(mean_n, steady.segments, steady.force_n, largest)
-        if fit is not None and fit.misfit > largest:
+        misfit = self._misfit_of_average(steady.sum_n / count, steady, largest)
+        if misfit > largest:
             steady.off_average = (
-                f"on their average of {count} they lie {fit.misfit:.2f} times as far from "
-                f"{_on(steady.segments)} as one by its noise (at most {largest:.2f})"
+                f"on their average of {count} they lie {misfit:.2f} times as far from "
+                f"{on_segments(steady.segments)} as one by its noise (at most {largest:.2f})"
             )
         elif full:
             steady.off_average = ""
         if full:
             steady.begin(stamp_ns)
 
+    def _misfit_of_average(self, mean_n: Array, steady: _SteadyContact, largest: float) -> float:
+        """Misfit of averaged readings less unloaded tensions (M,); zero where nothing is known."""
+        fit = self.fits.best(mean_n, steady.segments, steady.force_n, largest)
+        return 0.0 if fit is None else fit.misfit
 
+
+@dataclass
 class _SteadyContact:
     """The readings of one or several contacts, averaged while their forces are steady.
 
     Attributes:
         segments: the touched segments.
-        count, sum_n: number of readings, and their sum (M,) less unloaded tensions, N.
-        began_ns: stamp of the first of them.
+        sum_n, count: sum of the readings (M,) less unloaded tensions, N, and their number.
+        began_ns, last_ns: stamps of the first and the last of them.
         force_n: y and z of each force at the first of them.
         averaged_ns: stamp at which the average was last judged.
         hidden, off_average: findings, as text; empty where there are none.
     """
 
-    def __init__(self, segments: tuple[int, ...], cables: int) -> None:
-        self.segments = segments
-        self.sum_n = np.zeros(cables)
-        self.count = self.began_ns = self._last_ns = 0
-        self.averaged_ns = self._judged_ns = -_JUDGED_EVERY_NS
-        self.force_n: tuple[float, ...] = (math.inf,) * (2 * len(segments))
-        self._judged: dict[int, tuple[object, int, str]] = {}
-        self.hidden = self.off_average = ""
+    segments: tuple[int, ...]
+    sum_n: Array
+    count: int = 0
+    began_ns: int = 0
+    last_ns: int = 0
+    force_n: tuple[float, ...] = ()
+    averaged_ns: int = -_JUDGED_EVERY_NS
+    hidden: str = ""
+    off_average: str = ""
+    _judged: tuple[object, int] = (None, -_JUDGED_EVERY_NS)
+    _found: tuple[object, int] = (None, 0)
 
     def continues(self, segments: tuple[int, ...], stamp_ns: int) -> bool:
         """Whether a sample is of the same contact."""
-        return segments == self.segments and 0 < stamp_ns - self._last_ns <= _LONGEST_GAP_NS
+        return segments == self.segments and 0 < stamp_ns - self.last_ns <= _LONGEST_GAP_NS
 
     def add(self, difference_n: Array, force_n: tuple[float, ...], stamp_ns: int) -> None:
         """Add readings less unloaded tensions (M,), and the forces that fit them, y and z each."""
-        if math.dist(force_n, self.force_n) > _STEADY_N:
+        if not self.force_n or math.dist(force_n, self.force_n) > _STEADY_N:
             self.off_average, self.force_n = "", force_n
             self.begin(stamp_ns)
-        self._last_ns = stamp_ns
+        self.last_ns = stamp_ns
         self.sum_n += difference_n
         self.count += 1
-
-    def to_be_judged(self, response: object, stamp_ns: int) -> bool:
-        """Whether readings with this response of the tensions are due to be judged."""
-        before = self._judged.get(id(response))
-        if before is not None and stamp_ns - before[1] < _JUDGED_EVERY_NS:
-            return False
-        return stamp_ns - self._judged_ns >= _SOONEST_NS
-
-    def judge(self, response: object, stamp_ns: int, hidden: str) -> None:
-        """Keep a finding for each response: at the edge of slack two alternate."""
-        last_ns = stamp_ns - 2 * _JUDGED_EVERY_NS
-        self._judged = {key: one for key, one in self._judged.items() if one[1] > last_ns}
-        self._judged[id(response)] = response, stamp_ns, hidden
-        self._judged_ns = stamp_ns
-        self.hidden = next((text for _, _, text in self._judged.values() if text), "")
 
     def begin(self, stamp_ns: int) -> None:
         """Begin a new average."""
         self.sum_n[:] = 0.0
         self.count, self.began_ns = 0, stamp_ns
 
+    def to_be_judged(self, response: object, stamp_ns: int, every_ns: int) -> bool:
+        """Whether readings with this response of the tensions are due to be judged."""
+        last, at_ns = self._judged
+        return stamp_ns - at_ns >= (every_ns if response is last else _SOONEST_NS)
 
-def _on(segments: Sequence[int]) -> str:
+    def judge(self, response: object, stamp_ns: int, hidden: str) -> None:
+        """Take a finding; it outlasts others a while, as two alternate at the edge of slack."""
+        self._judged = response, stamp_ns
+        by, at_ns = self._found
+        if hidden:
+            self.hidden, self._found = hidden, self._judged
+        elif response is by or stamp_ns - at_ns >= 2 * _JUDGED_EVERY_NS:
+            self.hidden = ""
+
+
+def on_segments(segments: Sequence[int]) -> str:
     """Forces on segments as text."""
     if len(segments) == 1:
         return f"a force on segment {segments[0]}"
     return f"forces on segments {', '.join(map(str, segments))}"
 
 
-def _limits(of_one: float, cables: int, most: int) -> list[float]:
+def _limits(of_one: float, cables: int, most: int, numbers: int) -> list[float]:
     """The largest misfit that passes, by number of contacts up to `most`.
 
     The stated limit `of_one` also holds without contact. With more contacts the residuals have
     fewer degrees of freedom and their mean square varies more: each limit is exceeded equally
-    rarely by noise alone, where (M - 2 K) misfit² has a chi-square distribution.
+    rarely by noise alone, where (M - n K) misfit² has a chi-square distribution, with `numbers` n
+    of each contact.
     """
     if most == 1:
         return [of_one] * 2
     from scipy.special import chdtri  # nodes that tell single contacts start sooner without
 
-    free = np.maximum(cables - 2 * np.arange(1, most + 1), 1)
+    free = np.maximum(cables - numbers * np.arange(1, most + 1), 1)
     rare = chdtri(free, _FALSE_ALARM_RATE) / free
     return [of_one, *(of_one * np.sqrt(rare / rare[0])).tolist()]
-
-
-def _limit_origin(largest_misfit: float, stated: MisfitLimit | None) -> str:
-    """The origin of a limit, as text."""
-    if stated is not None and largest_misfit == stated.largest_misfit:
-        return (
-            f"of the model file: above it are {stated.above} of {stated.samples} simulated "
-            f"healthy samples, by noise alone a share of {stated.false_alarm_rate:g}"
-        )
-    if stated is None and largest_misfit == LARGEST_MISFIT:
-        return "by default: the model file states none"
-    return "of the parameter largest_misfit"

@@ -11,8 +11,6 @@ from enum import Enum
 from math import isfinite
 from typing import Final, NoReturn
 
-import numpy as np
-
 from cablesense_base import CableSenseError
 from cablesense_msgs_py.messages import Level, Status
 
@@ -98,10 +96,6 @@ class SampleCheck:
         raise SampleError(kind, f"effort of cable_{cable} is {tension:g} N{text}")
 
 
-_STAMPS_KEPT, _FEWEST_STAMPS = 2048, 4
-_PERIODS_KEPT, _FEWEST_PERIODS = 9, 3
-
-
 class SampleClock:
     """Refuses samples that are too old, from the future, or not newer than the previous one.
 
@@ -116,10 +110,7 @@ class SampleClock:
     def __init__(self, stale_after_s: float) -> None:
         self.stale_after_s = stale_after_s
         self.largest_age_s = 0.0
-        self._last_ns = self._last_now_ns = self._accepted = 0
-        self._stamps_ns: deque[int] = deque(maxlen=_STAMPS_KEPT)
-        self._periods_ns: deque[float] = deque(maxlen=_PERIODS_KEPT)
-        self._earliest = (0, 0)
+        self._last_ns = self._last_now_ns = 0
 
     def accept(self, stamp_ns: int, now_ns: int) -> None:
         """Accept the stamp of a sample that comes at `now_ns`.
@@ -127,63 +118,31 @@ class SampleClock:
         Raises:
             SampleError: the stamp cannot be that of a present sample.
         """
-        if stamp_ns == 0:
-            if self._last_ns:
-                raise SampleError(
-                    ProblemKind.CLOCK,
-                    "header.stamp is 0, and samples with stamps have come: such a sample's age is "
-                    "unknown; stamp every sample",
-                )
-            return
-        age_s = (now_ns - stamp_ns) * 1e-9
-        if abs(age_s) > self.stale_after_s:
-            where = "old" if age_s > 0 else "ahead of this machine's clock"
-            raise SampleError(
-                ProblemKind.CLOCK,
-                f"header.stamp is {abs(age_s):.3f} s {where}; at most {self.stale_after_s:g} s is "
-                "accepted (synchronise the clocks; for a replay set use_sim_time)",
-            )
+        age_s, problem = (now_ns - stamp_ns) * 1e-9, ""
         behind_ns = self._last_ns - stamp_ns
         stepped_back = now_ns < self._last_now_ns and behind_ns >= self.stale_after_s * 1e9
-        if behind_ns >= 0 and not stepped_back:
-            raise SampleError(
-                ProblemKind.CLOCK,
-                f"header.stamp lies {behind_ns * 1e-9:.6f} s before that of the "
-                "last sample; stamps must ascend (is there more than one publisher?)",
+        if stamp_ns == 0:
+            if not self._last_ns:
+                return
+            problem = (
+                "is 0, and samples with stamps have come: such a sample's age is unknown; stamp "
+                "every sample"
             )
+        elif abs(age_s) > self.stale_after_s:
+            where = "old" if age_s > 0 else "ahead of this machine's clock"
+            problem = (
+                f"is {abs(age_s):.3f} s {where}; at most {self.stale_after_s:g} s is accepted "
+                "(synchronise the clocks; for a replay set use_sim_time)"
+            )
+        elif behind_ns >= 0 and not stepped_back:
+            problem = (
+                f"lies {behind_ns * 1e-9:.6f} s before that of the last sample; stamps must "
+                "ascend (is there more than one publisher?)"
+            )
+        if problem:
+            raise SampleError(ProblemKind.CLOCK, f"header.stamp {problem}")
         self._last_ns, self._last_now_ns = stamp_ns, now_ns
-        self._stamps_ns.append(stamp_ns)
-        self._accepted += 1
-        if age_s > self.largest_age_s:
-            self.largest_age_s = age_s
-
-    def missing_since_last_report(self) -> int:
-        """The number of missing samples, by the usual period and the stamps that came.
-
-        A stamp may be late, by its publisher's jitter, but never early. The count is therefore
-        made from the earliest sample of one report, relative to the period, to that of the next,
-        so that a late sample is not counted as lost. The first three reports, also after a
-        silence, learn the period.
-        """
-        stamps = np.array(self._stamps_ns, dtype=np.int64)
-        self._stamps_ns.clear()
-        if len(stamps) < _FEWEST_STAMPS:
-            self._periods_ns.clear()
-            self._earliest = (0, 0)
-            return 0
-        first = self._accepted - len(stamps)
-        mean_ns = float(stamps[-1] - stamps[0]) / (len(stamps) - 1)
-        period_ns = float(np.median(self._periods_ns)) if self._periods_ns else mean_ns
-        due_ns = np.arange(len(stamps)) * period_ns
-        at = int(np.argmin(stamps - stamps[0] - due_ns))
-        (before_number, before_ns), self._earliest = self._earliest, (first + at, int(stamps[at]))
-        if not before_ns:
-            return 0
-        count, elapsed_ns = first + at - before_number, int(stamps[at]) - before_ns
-        self._periods_ns.append(elapsed_ns / count)
-        if len(self._periods_ns) < _FEWEST_PERIODS:
-            return 0
-        return max(0, round(elapsed_ns / float(np.median(self._periods_ns))) - count)
+        self.largest_age_s = max(self.largest_age_s, age_s)
 
 
 _UNNUMBERED: Final = 2**64 - 1
@@ -206,12 +165,13 @@ class FollowedPublisher:
     Attributes:
         stale_after_s: may be changed.
         refused_s: monotonic time of the last sample of another.
+        lost: how many of its samples never came, since the last report set it to zero.
     """
 
     def __init__(self, stale_after_s: float = 0.2) -> None:
         self.stale_after_s = stale_after_s
         self.refused_s = float("-inf")
-        self._publishers = 0
+        self.lost = self._publishers = 0
         self._last: int | None = None
         self._others: deque[int] = deque(maxlen=_OTHERS_KEPT)
         self._others_since_s: float | None = None
@@ -242,8 +202,10 @@ class FollowedPublisher:
                 self._others.clear()
             in_doubt, self._in_doubt = self._in_doubt, False
             return in_doubt
-        if not last < number <= last + _MOST_LOST and number != _UNNUMBERED:
-            return self._other(number, last, now_s)
+        if number != _UNNUMBERED:
+            if not last < number <= last + _MOST_LOST:
+                return self._other(number, last, now_s)
+            self.lost += number - last - 1
         self._last = number
         return False
 
@@ -278,9 +240,9 @@ class FollowedPublisher:
 class InputHealth:
     """Counts samples between reports, and in total."""
 
-    def __init__(self, clock: SampleClock, now_s: float) -> None:
-        """Counts from monotonic time `now_s` on; ages and missing samples are those of `clock`."""
-        self._clock = clock
+    def __init__(self, clock: SampleClock, publisher: FollowedPublisher, now_s: float) -> None:
+        """Counts from monotonic time `now_s` on; ages and lost samples are those of the others."""
+        self._clock, self._publisher = clock, publisher
         clock.largest_age_s = 0.0
         self._report_s = self._last_arrival_s = now_s
         self._received = False
@@ -310,7 +272,7 @@ class InputHealth:
         `lost` samples were reported by the middleware since then; `publisher_count` publishers are
         on the topic.
         """
-        missing = max(lost, self._clock.missing_since_last_report())
+        missing, self._publisher.lost = max(lost, self._publisher.lost), 0
         self._total_missing += missing
         rate = self._arrived / max(now_s - self._report_s, 1e-9)
         level, message = self._verdict(now_s, missing, publisher_count)
@@ -343,10 +305,8 @@ class InputHealth:
             kinds = ", ".join(f"{count} {kind.value}" for kind, count in self._refused.items())
             return Level.ERROR, f"samples refused: {kinds}"
         if publisher_count > 1:
-            return (
-                Level.WARN,
-                f"{others}; the others are silent (one that was killed is counted for 5 s)",
-            )
+            silent = "the others are silent (one that was killed is counted for 5 s)"
+            return Level.WARN, f"{others}; {silent}"
         if missing:
             return Level.WARN, f"{missing} sample{'s' if missing != 1 else ''} dropped"
         return Level.OK, "receiving"

@@ -84,7 +84,7 @@ class SimulatedArm:
         still = np.zeros(dynamics.arm.cable_count)
         self._offset_motion = JointMotion(still, _OFFSET_SPEED_M_S)
         self._load_timeout_s = load_timeout_s
-        self._loads: dict[int, tuple[Array, float]] = {}
+        self._loads: dict[int, tuple[Load, float]] = {}
         self.pacer = RealTimePacer(timestep_s, longest_lag_s, now_s)
         self._sensings = sensings
         self._began_s = self._now_s = now_s
@@ -108,9 +108,13 @@ class SimulatedArm:
         self._offset_motion.go_to(lengths_m)
 
     def push(self, load: Load, now_s: float) -> None:
-        """Replace the load on a segment; a zero force removes it."""
-        self._dynamics.load(load.segment, load.force_base_n)
-        self._loads[load.segment] = (load.force_base_n, now_s)
+        """Replace the load on a segment; a zero force removes it.
+
+        Raises:
+            LoadError: no such segment or place.
+        """
+        self._dynamics.load(load.segment, load.force_base_n, load.contact_m)
+        self._loads[load.segment] = (load, now_s)
         if not load.force_base_n.any():
             del self._loads[load.segment]
 
@@ -152,9 +156,6 @@ class SimulatedArm:
         return self._dynamics.joint_angles_rad
 
     @property
-    def loads_n(self) -> dict[int, float]:
-        """Magnitude of the load on each loaded segment, N."""
-        return {
-            segment: float(np.linalg.norm(force))
-            for segment, (force, _) in sorted(self._loads.items())
-        }
+    def loads(self) -> list[Load]:
+        """The loads that act, by segment."""
+        return [load for _, (load, _) in sorted(self._loads.items())]

@@ -225,12 +225,7 @@ class TareState(BaseModel):
 
 
 class MisfitState(BaseModel):
-    """Until when no force is given after readings that did not fit.
-
-    Attributes:
-        withheld_until_ns: samples with earlier stamps give no force.
-        misfit_since_ns: stamp from which on readings did not fit.
-    """
+    """Readings did not fit from one stamp on; no force is given before the other."""
 
     withheld_until_ns: WholeNumber = 0
     misfit_since_ns: WholeNumber = 0
@@ -305,7 +300,8 @@ class EstimatorState(BaseModel):
                 more than a turn.
         """
         lengths = {"rad": arm.joint_count, "n": arm.cable_count, "course": 7 * arm.joint_count + 2}
-        for name, vector, required in _vectors(self):
+        commands = [("event.command_rad", np.array(e.command_rad), False) for e in self.events]
+        for name, vector, required in (*_vectors(self), *commands):
             wanted = lengths[name.rpartition(".")[2].rpartition("_")[2]]
             if len(vector) != wanted and (required or len(vector)):
                 raise ContractError(
@@ -315,12 +311,6 @@ class EstimatorState(BaseModel):
                 raise ContractError(
                     f"state: {name} has a joint at {np.abs(vector).max():g} rad; no joint turns "
                     f"by more than {tau:.3f}"
-                )
-        for event in self.events:
-            if len(event.command_rad) not in (0, arm.joint_count):
-                raise ContractError(
-                    f"state: an event has {len(event.command_rad)} joint angles; the arm "
-                    f"{arm.identity} has {arm.joint_count}"
                 )
 
 
@@ -352,9 +342,9 @@ def put_state(
     make_status: Callable[..., Any],
     make_value: Callable[..., Any],
 ) -> None:
-    """Put a state into a `DiagnosticArray`, made of its `DiagnosticStatus` and `KeyValue`.
+    """Put a state into a `DiagnosticArray`: one status with its events and its fields as JSON.
 
-    One status names the events in its message and holds the state's fields as JSON.
+    The message's classes are `DiagnosticStatus` and `KeyValue`.
     """
     stamp = message.header.stamp
     stamp.sec, stamp.nanosec = divmod(state.before_ns, 1_000_000_000)

@@ -10,8 +10,6 @@ import json
 import os
 import time
 from collections.abc import Callable
-from contextlib import suppress
-from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -62,22 +60,22 @@ class StateFile:
             return None
         except (OSError, ValueError) as error:
             raise StateFileError(f"{self._path}: cannot be read ({error})") from error
-        if not -self._within_s <= age_s <= self._within_s:
+        if abs(age_s) > self._within_s:
             raise StateFileError(
                 f"{self._path}: its estimator was last alive {age_s:.0f} s ago; at most "
                 f"{self._within_s:g} s is accepted"
             )
         text = read_bounded_text(self._path, MAX_BYTES, "a state file", StateFileError)
+        problem = f"{self._path}: is no state of an estimator"
         try:
             values = json.loads(text)
-        except (ValueError, RecursionError):
-            values = None
-        if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
-            raise StateFileError(f"{self._path}: is no state of an estimator ({FORMAT})")
-        try:
+            if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
+                raise StateFileError(f"{problem} ({FORMAT})")
             state = validated_state(values)
         except ContractError as error:
-            raise StateFileError(f"{self._path}: is no state of an estimator: {error}") from error
+            raise StateFileError(f"{problem}: {error}") from error
+        except (ValueError, RecursionError) as error:
+            raise StateFileError(f"{problem} ({FORMAT})") from error
         if state.arm != arm_identity:
             raise StateFileError(
                 f"{self._path}: is of arm {state.arm[:80]!r}; this is {arm_identity}"
@@ -115,8 +113,8 @@ class StateFile:
                 write_atomically(self._path, text, StateFileError)
         except (OSError, StateFileError) as error:
             cause = error if isinstance(error, StateFileError) else f"{self._path}: {error}"
-            self._problem = f"{cause}; {self._invalidated(self._path)}"
             self._written = False
+            self._problem = f"{cause}; {self._removed(self._path)}"
             raise StateFileError(self._problem) from error
         self._written, self._ours, self._problem = True, True, ""
 
@@ -128,14 +126,12 @@ class StateFile:
             return Status("state file", Level.ERROR, f"the state is not kept: {self._problem}")
         return Status("state file", Level.OK, f"the state is kept in {self._path}")
 
-    def _invalidated(self, path: Path) -> str:
+    def _removed(self, path: Path) -> str:
         """Leave no outdated state in the file; gives the consequence for a restart, as text."""
-        started = "until it is, an estimator that is started again begins without tare"
-        if not self._ours:
-            return started
-        for spoil in (partial(path.unlink, missing_ok=True), partial(os.truncate, path, 0)):
-            with suppress(OSError):
-                spoil()
-                self._ours = False
-                return started
-        return "an earlier state stays in it: delete it before an estimator is started again"
+        try:
+            if self._ours:
+                path.unlink(missing_ok=True)
+        except OSError:
+            return "an earlier state stays in it: delete it before an estimator is started again"
+        self._ours = False
+        return "until it is, an estimator that is started again begins without tare"

@@ -1,4 +1,4 @@
-"""The unloaded state: tensions with nothing touching, carried over to other commands by a model.
+"""The unloaded state: measured with nothing touching, carried to other commands, and its drift.
 
 A tare is taken at one command. Elsewhere the unloaded tensions are
 
@@ -7,27 +7,29 @@ A tare is taken at one command. Elsewhere the unloaded tensions are
 with the prediction of the arm file's static equilibrium: the sensors' offsets from the model stay,
 and the changes due to gravity and geometry are added.
 
-A tare of a loaded arm, or of one that is not where it was commanded, would falsify all later
-estimates. Therefore no tare is taken from readings far from the model at the command, nor soon
-after a reported contact, unless it is forced. A tare that was taken by itself before any command
-rests on an assumed pose; a first command to another pose drops it.
+A tare of a loaded arm, or of one elsewhere than commanded, would falsify all later estimates.
+Therefore none is taken from readings far from the model at the command, nor soon after a reported
+contact, unless it is forced. A tare that was taken by itself before any command rests on an
+assumed pose; a first command to another pose drops it.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import Contact, Level, Status
-from cablesense_online.state import Tare, TareState
+from cablesense_online.state import EstimationSettings, Tare, TareState, utc_text
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import actuations, amended, sensings, transmissions
 from cablesense_sim.equilibrium import Equilibrium, held_lengths_m, solve_equilibrium
+from cablesense_sim.replay import reading_variance_n2
 
 MOST_TARES_KEPT = 16
 """How many times a tare can be undone."""
@@ -43,11 +45,12 @@ class UnloadedTensions:
     """The static equilibrium of an arm that is commanded as if its effects were unknown.
 
     Attributes:
-        mechanism: the arm, amended by its effects.
+        arm, mechanism: the arm, as described and as amended by its effects.
         incomplete: why these tensions may not be those of the arm at rest; empty where they are.
     """
 
     def __init__(self, arm: Arm) -> None:
+        self.arm = arm
         self._nominal, entries = mechanism_of(arm), entries_of(arm)
         self.mechanism = amended(self._nominal, entries)
         causes = [[entry for entry in entries if not entry.effect.tolerance]]
@@ -57,15 +60,15 @@ class UnloadedTensions:
         )
 
     def predict_n(self, command_rad: Array) -> Array:
-        """Tensions (M,) at rest at a command (2N,).
+        """Unloaded tensions (..., M) at rest at commands (..., 2N).
 
         Raises:
-            CableSenseError: the arm has no rest at this command.
+            CableSenseError: the arm has no rest at a command.
         """
         return self.at_rest(command_rad).tensions_n
 
     def at_rest(self, command_rad: Array, forces_n: Array | None = None) -> Equilibrium:
-        """Pose and tensions at a command (2N,) under forces (N, 3) in base axes.
+        """Pose and tensions at commands (..., 2N) under forces (..., N, 3) in base axes.
 
         Raises:
             EquilibriumError: the arm has no rest there.
@@ -87,46 +90,28 @@ class Tares:
 
     Attributes:
         state: the tare in use, at the present angles.
-        automatic: whether one is to be taken as soon as `ready`.
+        automatic: whether one is to be taken as soon as nothing is against it.
         unloaded_n: (M,) unloaded tensions at the present angles; None before the first tare.
     """
 
     def __init__(
-        self,
-        predict_n: Callable[[Array], Array],
-        command_rad: Array,
-        sample_count: int,
-        steady_n: float,
-        deviation_n: float = math.inf,
-        *,
-        complete: bool = True,
-        automatic: bool = False,
+        self, unloaded: UnloadedTensions, settings: EstimationSettings, command_rad: Array
     ) -> None:
-        """Without a tare, at `command_rad` (2N,).
-
-        Args:
-            predict_n: the arm file's unloaded tensions (M,) at a command (2N,).
-            command_rad: (2N,) where the arm is.
-            sample_count: number of readings that a tare averages.
-            steady_n: largest standard deviation of a cable's readings, N.
-            deviation_n: largest deviation of their mean from the prediction, N.
-            complete: whether that prediction is one of the arm at rest, so that it may judge.
-            automatic: whether a tare is to be taken as soon as `ready`.
+        """Without a tare, at a command (2N,).
 
         Raises:
             CableSenseError: the arm has no unloaded state at this command.
         """
-        self._predict_n = predict_n
-        self._steady_n, self._sample_count = steady_n, sample_count
-        self._deviation_n, self._complete = deviation_n, complete
-        self.automatic = automatic
+        self._unloaded, self._settings = unloaded, settings
+        self._deviation_n = settings.tare_deviation_n or math.inf
+        self.automatic = settings.auto_tare
         self._contact: Contact | None = None
         self._since_contact = 0
-        self._readings: deque[Sequence[float]] = deque(maxlen=sample_count)
+        self._readings: deque[Sequence[float]] = deque(maxlen=settings.tare_samples)
         self._readings_at_rad = command_rad
         self._near: tuple[Array, Array, Array] | None = None
         self._earlier: deque[Tare] = deque(maxlen=MOST_TARES_KEPT - 1)
-        self.state = TareState(predicted_n=predict_n(command_rad))
+        self.state = TareState(predicted_n=unloaded.predict_n(command_rad))
         self.unloaded_n: Array | None = None
 
     @property
@@ -149,7 +134,7 @@ class Tares:
         Raises:
             CableSenseError: the arm has no unloaded state at this command; nothing has changed.
         """
-        before_n, predicted_n = self.state.predicted_n, self._predict_n(command_rad)
+        before_n, predicted_n = self.state.predicted_n, self._unloaded.predict_n(command_rad)
         self.state.predicted_n = predicted_n
         self._linearise(None)
         self._readings.clear()
@@ -200,39 +185,67 @@ class Tares:
         self._contact, self._since_contact = contact, 0
 
     @property
-    def ready(self) -> bool:
-        """Whether the last readings can be those of the unloaded arm."""
-        return not (self._obstacle() or self._objection())
-
-    @property
     def awaited(self) -> str:
         """Why the automatic tare is not taken though readings are there; else empty."""
-        if not self.automatic or len(self._readings) < self._sample_count:
+        enough = len(self._readings) >= self._settings.tare_samples
+        return self.refusal() if self.automatic and enough else ""
+
+    def refusal(self, *, forced: bool = False) -> str:
+        """Why the last readings are no tare, as text; empty where they may be one."""
+        count, steady_n = self._settings.tare_samples, self._settings.tare_steady_n
+        if len(self._readings) < count:
+            return (
+                f"only {len(self._readings)} of {count} usable readings at this pose yet; wait a "
+                "moment with the arm at rest and call again"
+            )
+        spread_n = np.std(self._readings, axis=0)
+        worst = int(np.argmax(spread_n))
+        if spread_n[worst] > steady_n:
+            return (
+                f"cable_{worst + 1} varies by {spread_n[worst]:.2f} N (standard deviation; at "
+                f"most {steady_n:g} N); let the arm rest with nothing touching it and call again"
+            )
+        if forced:
             return ""
-        return self._obstacle() or self._objection()
+        if self._contact is not None and self._since_contact < count:
+            return (
+                f"a contact of {self._contact.magnitude_n:.1f} N on segment "
+                f"{self._contact.segment} is reported, or was among these readings; take it away "
+                "and call again. If nothing touches the arm, the present tare is wrong: call "
+                "~/tare_undo, or set tare_force"
+            )
+        off_n = np.mean(self._readings, axis=0) - self.state.predicted_n
+        worst = int(np.argmax(np.abs(off_n)))
+        if self._unloaded.incomplete or abs(off_n[worst]) <= self._deviation_n:
+            return ""
+        return (
+            f"cable_{worst + 1} lies {off_n[worst]:+.1f} N from the arm file's unloaded tension "
+            f"at the last command, straight before the first (at most {self._deviation_n:g} N, "
+            "tare_deviation_n): take loads away, and send the command that the arm is at. If it "
+            "is unloaded and there, its arm file or sensors are off: set tare_force to take it"
+        )
 
     def take(
         self, command_rad: Array, now_ns: int, *, by_itself: bool = False, forced: bool = False
     ) -> Tare:
-        """Take the average of the last readings as the unloaded state.
+        """Take the average of the last readings as the unloaded state at angles (2N,).
 
-        `command_rad` (2N,) are the present angles, `now_ns` is the time since the epoch. `forced`
-        takes any steady readings.
+        `now_ns` is the time since the epoch. `forced` takes any steady readings.
 
         Raises:
             TareError: too few readings yet, they are not steady, or the arm seems to be loaded or
                 elsewhere.
         """
-        obstacle = self._obstacle() or ("" if forced else self._objection())
-        if obstacle:
-            raise TareError(obstacle)
+        if refusal := self.refusal(forced=forced):
+            raise TareError(refusal)
         if self.present is not None:
             self._earlier.append(self.present)
+        predicted_n = self.state.predicted_n
         tare = Tare(
             measured_n=np.mean(self._readings, axis=0),
-            predicted_n=self._predict_n(command_rad) if self.linear else self.state.predicted_n,
+            predicted_n=self._unloaded.predict_n(command_rad) if self.linear else predicted_n,
             command_rad=command_rad,
-            sample_count=self._sample_count,
+            sample_count=len(self._readings),
             taken_ns=now_ns,
             by_itself=by_itself,
         )
@@ -261,9 +274,9 @@ class Tares:
         """
         state = state.model_copy()
         if not same_arm:
-            state.predicted_n = self._predict_n(angles_rad)
+            state.predicted_n = self._unloaded.predict_n(angles_rad)
             if state.tare is not None:
-                predicted = {"predicted_n": self._predict_n(state.tare.command_rad)}
+                predicted = {"predicted_n": self._unloaded.predict_n(state.tare.command_rad)}
                 state.tare = state.tare.model_copy(update=predicted)
         self._earlier.clear()
         self._readings.clear()
@@ -288,7 +301,7 @@ class Tares:
             "tares that can be undone": str(self.undoable),
         }
         level, message = Level.OK, f"tared since {tare.since}"
-        if self._complete and tare.offset_n > self._deviation_n:
+        if not self._unloaded.incomplete and tare.offset_n > self._deviation_n:
             level, message = Level.WARN, f"{message}, {tare.offset_n:.1f} N from the arm file"
         return Status("tare", level, message, values)
 
@@ -302,46 +315,11 @@ class Tares:
             self._near, self.state.linear_at_rad = None, np.zeros(0)
             return
         step = _DIFFERENCE_RAD * np.eye(len(at_rad))
-        predicted_n = self._predict_n(at_rad + np.vstack([np.zeros_like(at_rad), step, -step]))
-        more, less = np.split(predicted_n[1:], 2)
-        self._near = (at_rad, predicted_n[0], (more - less).T / (2.0 * _DIFFERENCE_RAD))
+        around_rad = at_rad + np.vstack([np.zeros_like(at_rad), step, -step])
+        there_n, *others_n = self._unloaded.predict_n(around_rad)
+        more, less = np.split(np.array(others_n), 2)
+        self._near = (at_rad, there_n, (more - less).T / (2.0 * _DIFFERENCE_RAD))
         self.state.linear_at_rad = at_rad
-
-    def _objection(self) -> str:
-        """Why the last readings are not those of an unloaded arm; empty where they may be."""
-        contact = self._contact
-        if contact is not None and self._since_contact < self._sample_count:
-            return (
-                f"a contact of {contact.magnitude_n:.1f} N on segment {contact.segment} is "
-                "reported, or was among these readings; take it away and call again. If nothing "
-                "touches the arm, the present tare is wrong: call ~/tare_undo, or set tare_force"
-            )
-        off_n = np.mean(self._readings, axis=0) - self.state.predicted_n
-        worst = int(np.argmax(np.abs(off_n)))
-        if not self._complete or abs(off_n[worst]) <= self._deviation_n:
-            return ""
-        return (
-            f"cable_{worst + 1} lies {off_n[worst]:+.1f} N from the arm file's unloaded tension "
-            f"at the last command, straight before the first (at most {self._deviation_n:g} N, "
-            "tare_deviation_n): take loads away, and send the command that the arm is at. If it "
-            "is unloaded and there, its arm file or sensors are off: set tare_force to take it"
-        )
-
-    def _obstacle(self) -> str:
-        """Why there is nothing to average now; empty where there is."""
-        if len(self._readings) < self._sample_count:
-            return (
-                f"only {len(self._readings)} of {self._sample_count} usable readings at this pose "
-                "yet; wait a moment with the arm at rest and call again"
-            )
-        spread = np.std(self._readings, axis=0)
-        worst = int(np.argmax(spread))
-        if spread[worst] <= self._steady_n:
-            return ""
-        return (
-            f"cable_{worst + 1} varies by {spread[worst]:.2f} N (standard deviation; at most "
-            f"{self._steady_n:g} N); let the arm rest with nothing touching it and call again"
-        )
 
 
 def tare_undone_line(
@@ -353,3 +331,97 @@ def tare_undone_line(
         return line + "there is none now, so no estimate"
     described = earlier.described(cable_names)
     return f"{line}again in force is the one {described}; {undoable} left to undo"
+
+
+WINDOW_S: Final = 0.5
+FEWEST_READINGS: Final = 25
+WINDOWS: Final = 3
+"""Windows in a row; their smallest deviation is the drift, if all have its sign."""
+MOST_TOUCHED: Final = 10
+"""This many contacts in a row begin the windows anew; fewer are noise and excluded."""
+_LEAST_STDS = 5.0
+"""No limit is below this many standard deviations of a window and its tare."""
+
+
+class DriftWatch:
+    """Warns of unloaded tensions that have moved since the tare, and proposes a fresh one.
+
+    Readings of an untouched arm less its unloaded tensions are averaged in windows. The part that
+    several windows in a row share is drift. A swing, or a touch too light to be a contact, does
+    not last that long.
+
+    Attributes:
+        drift_n: (M,) drift over the last windows, N; zero before there were enough.
+        limit_n: a warning is due from here on; infinite where nothing is watched.
+    """
+
+    def __init__(self, unloaded: UnloadedTensions, settings: EstimationSettings) -> None:
+        self._cable_names = unloaded.arm.cable_names
+        share = 1.0 / FEWEST_READINGS + 1.0 / settings.tare_samples
+        noise_n = math.sqrt(reading_variance_n2(unloaded.arm.sensors) * share)
+        self._unwatched, limit_n = unloaded.incomplete, settings.tare_drift_n
+        if not limit_n:
+            self._unwatched = self._unwatched or "switched off (tare_drift_n is 0)"
+        self.limit_n = math.inf if self._unwatched else max(limit_n, _LEAST_STDS * noise_n)
+        self._sum_n = np.zeros(len(self._cable_names))
+        self._means_n: deque[Array] = deque(maxlen=WINDOWS)
+        self.tared()
+
+    def tared(self) -> None:
+        """Begin anew with another tare, or none."""
+        self.interrupt()
+        self.drift_n = np.zeros(len(self._cable_names))
+        self._since_ns: int | None = None
+
+    def interrupt(self) -> None:
+        """Begin new windows, as the arm is touched or moves; the last result is kept."""
+        self._count = self._touched = 0
+        self._means_n.clear()
+
+    def add(self, difference_n: Array, stamp_ns: int, *, touched: bool) -> None:
+        """Add a reading minus the unloaded one (M,), at rest; `touched` as estimated."""
+        self._touched = self._touched + 1 if touched else 0
+        if self._touched == MOST_TOUCHED:
+            self.interrupt()
+        if touched:
+            return
+        if not self._count:
+            self._began_ns = stamp_ns
+            self._sum_n[:] = 0.0
+            if not self._means_n:
+                self._first_ns = stamp_ns
+        self._sum_n += difference_n
+        self._count += 1
+        if self._count < FEWEST_READINGS or abs(stamp_ns - self._began_ns) < WINDOW_S * 1e9:
+            return
+        self._means_n.append(self._sum_n / self._count)
+        self._count = 0
+        if len(self._means_n) == WINDOWS:
+            lowest, highest = np.min(self._means_n, axis=0), np.max(self._means_n, axis=0)
+            self.drift_n = np.maximum(lowest, 0.0) + np.minimum(highest, 0.0)
+            if np.abs(self.drift_n).max() < self.limit_n:
+                self._since_ns = None
+            elif self._since_ns is None:
+                self._since_ns = self._first_ns
+
+    def status(self) -> Status:
+        """Which tensions have drifted, and since when."""
+        if self._unwatched:
+            return Status("drift", Level.OK, f"not watched: {self._unwatched}")
+        sizes = zip(self._cable_names, self.drift_n.tolist(), strict=True)
+        values = {
+            "drift since the tare (N)": ", ".join(f"{name} {n:+.2f}" for name, n in sizes),
+            "warned of from (N)": f"{self.limit_n:.2f}",
+        }
+        if self._since_ns is None:
+            return Status("drift", Level.OK, "none of the unloaded tensions seen", values)
+        size_n = np.abs(self.drift_n)
+        off = np.flatnonzero(size_n >= 0.4 * size_n.max())
+        most = 2 * len(off) > len(size_n)
+        which = "most cables" if most else ", ".join(self._cable_names[cable] for cable in off)
+        message = (
+            f"unloaded tensions have drifted by up to {self.drift_n[size_n.argmax()]:+.2f} N "
+            f"({which}) from the tare since {utc_text(self._since_ns)}: call ~/tare with nothing "
+            "touching the arm"
+        )
+        return Status("drift", Level.WARN, message, values)

@@ -1,1 +1,1 @@
-"""Independent simulators of arms and robots, which share no code with what is tested on them."""
+"""Independent simulators of arms and robots, which share no code with the diagnosis."""

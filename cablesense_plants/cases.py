@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import astuple, dataclass, field, fields
+from dataclasses import astuple, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -16,6 +16,9 @@ from cablesense_base.files import written_whole
 
 NONE, UNKNOWN = "none", "unknown"
 """Answers if nothing is hidden, and if verdicts have no name for the change."""
+
+NO_FAULT: Any = np.float64(0.0)
+"""No fault of any cable, joint, actuator or sensor: it takes the shape of whatever it meets."""
 
 _Plant = TypeVar("_Plant")
 
@@ -47,6 +50,107 @@ class HiddenChange(Generic[_Plant]):
     unit: str = ""
     least: float = 0.0
     most: float = 0.0
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Functions that draw changes, by name; the order is part of what a seed makes.
+
+    Attributes:
+        effect: what verdicts call all their changes; by default the name of each.
+    """
+
+    effect: str = ""
+    by_name: dict[str, Callable[[Any], Any]] = field(default_factory=dict)
+
+    def of_size(self, unit: str, least: float = 0.0, most: float = 0.0) -> Callable[..., Any]:
+        """Register a function whose changes have sizes within bounds, if it gives no others."""
+
+        def register(draw_change: Any, name: str = "") -> Any:
+            name = name or draw_change.__name__
+
+            def complete(draw: Any) -> Any:
+                drawn = draw_change(draw)
+                return replace(
+                    drawn,
+                    form=drawn.form or name,
+                    effect=self.effect or name,
+                    unit=drawn.unit or unit,
+                    least=drawn.least or least,
+                    most=drawn.most or most,
+                )
+
+            self.by_name[name] = complete
+            return draw_change
+
+        return register
+
+
+@dataclass(frozen=True)
+class Draw:
+    """Random draws for changes."""
+
+    rng: np.random.Generator
+
+    def uniform(self, low: float, high: float) -> float:
+        """A number between two, all alike."""
+        return float(self.rng.uniform(low, high))
+
+    def chance(self, share: float) -> bool:
+        """True in this share of draws."""
+        return bool(self.rng.random() < share)
+
+    def sign(self) -> float:
+        """1 or -1."""
+        return float(self.rng.choice([-1.0, 1.0]))
+
+    def one_of(self, texts: Iterable[str]) -> str:
+        """One of some texts."""
+        return str(self.rng.choice(list(texts)))
+
+
+def sets(part: str = "", /, **given: Any) -> Callable[[Any, float], Any]:
+    """Sets fields of a plant, or of a part of it: to a value, or to one by `law(old, size)`."""
+
+    def apply(plant: Any, size: float) -> Any:
+        whole = getattr(plant, part) if part else plant
+        new = {
+            name: value(getattr(whole, name), size) if callable(value) else value
+            for name, value in given.items()
+        }
+        changed = replace(whole, **new)
+        return replace(plant, **{part: changed}) if part else changed
+
+    return apply
+
+
+Law = Callable[[Any, float], Any]
+
+
+def scaled(share: Any) -> Law:
+    """A share of the size, whatever was there."""
+    return lambda _old, size: size * share
+
+
+def added(share: Any) -> Law:
+    """A share of the size added."""
+    return lambda old, size: old + size * share
+
+
+def grown(share: Any) -> Law:
+    """The old value times 1 and a share of the size."""
+    return lambda old, size: old * (1.0 + size * share)
+
+
+def at_index(index: int, law: Law) -> Law:
+    """A law for one row of an array."""
+
+    def apply(old: Any, size: float) -> Any:
+        changed = old.copy()
+        changed[index] = law(old[index], size)
+        return changed
+
+    return apply
 
 
 def in_turn(rng: np.random.Generator, names: Sequence[str]) -> Iterator[str]:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import WrenchStamped
+from geometry_msgs.msg import PolygonStamped, WrenchStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from cablesense_base import Array
 from cablesense_msgs_py import qos, topics
-from cablesense_msgs_py.messages import put_joint_angles
+from cablesense_msgs_py.messages import Contact, put_joint_angles
 from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.samples import FollowedPublisher
 from cablesense_ros.endpoints import RefusalLog, of_node, overridable
@@ -37,33 +38,30 @@ class ArmClient:
         self._node = node
         self._live = live
         self._joint_names = list(arm.joint_names)
-        inputs: tuple[tuple[type, str, qos.Qos, Callable[[Any], None]], ...] = (
-            (JointState, topics.CABLE_TENSIONS, qos.SENSOR, _timed(live.on_tensions)),
-            (JointState, topics.JOINT_STATES, qos.SENSOR, live.on_joint_states),
-            (JointState, topics.JOINT_COMMANDS, qos.COMMAND, live.on_joint_commands),
-            (WrenchStamped, topics.APPLIED_WRENCH, qos.COMMAND, live.on_load),
-            (WrenchStamped, topics.WRENCH, qos.SENSOR, _timed(live.on_wrench)),
-            (DiagnosticArray, topics.STATUS, qos.SENSOR, _timed(live.on_status)),
-            (WrenchStamped, topics.WRENCH_LOWER, qos.SENSOR, _timed(live.on_lower)),
-            (WrenchStamped, topics.WRENCH_UPPER, qos.SENSOR, _timed(live.on_upper)),
-            (Float64MultiArray, topics.CONTACT_PROBABILITIES, qos.SENSOR, live.on_probabilities),
-            (DiagnosticArray, topics.DIAGNOSTICS, qos.COMMAND, _timed(live.on_diagnostics)),
-        )
-        of_segments = tuple(
-            (
-                WrenchStamped,
-                topics.SEGMENT_WRENCHES.format(number),
-                qos.SENSOR,
-                _timed(live.on_segment_wrench),
-            )
-            for number in range(1, arm.segment_count + 1)
+        inputs: tuple[tuple[type, str, qos.Qos], ...] = (
+            (JointState, topics.CABLE_TENSIONS, qos.SENSOR),
+            (JointState, topics.JOINT_STATES, qos.SENSOR),
+            (JointState, topics.JOINT_COMMANDS, qos.COMMAND),
+            (WrenchStamped, topics.APPLIED_WRENCH, qos.COMMAND),
+            (WrenchStamped, topics.WRENCH, qos.SENSOR),
+            (DiagnosticArray, topics.STATUS, qos.SENSOR),
+            (WrenchStamped, topics.WRENCH_LOWER, qos.SENSOR),
+            (WrenchStamped, topics.WRENCH_UPPER, qos.SENSOR),
+            (PolygonStamped, topics.CONTACT_REGION, qos.SENSOR),
+            (Float64MultiArray, topics.CONTACT_PROBABILITIES, qos.SENSOR),
+            (DiagnosticArray, topics.DIAGNOSTICS, qos.COMMAND),
+            *(
+                (WrenchStamped, topics.SEGMENT_WRENCHES.format(number), qos.SENSOR)
+                for number in range(1, arm.segment_count + 1)
+            ),
         )
         refuse = RefusalLog(node)
-        for kind, topic, quality, handle in (*inputs, *of_segments):
+        for kind, topic, quality in inputs:
             publisher = live.tension_publisher if topic == topics.CABLE_TENSIONS else None
             if publisher is None and quality is qos.SENSOR:
                 publisher = FollowedPublisher()
-            refuse.subscribe(kind, of_node(estimator, topic), quality, handle, publisher)
+            take = partial(self._take, topic)
+            refuse.subscribe(kind, of_node(estimator, topic), quality, take, publisher)
         self._loads, self._commands = (
             node.create_publisher(kind, topic, **overridable(qos.COMMAND))
             for kind, topic in (
@@ -71,6 +69,9 @@ class ArmClient:
                 (JointState, topics.JOINT_COMMANDS),
             )
         )
+
+    def _take(self, topic: str, message: Any) -> None:
+        self._live.take(topic, message, time.monotonic())
 
     @property
     def connected(self) -> bool:
@@ -89,25 +90,28 @@ class ArmClient:
         put_joint_angles(message, command)
         self._commands.publish(message)
 
-    def push(
-        self, segment: int, angle_deg: float, magnitude_n: float, beside: bool = False
-    ) -> None:
-        """Put one load on the arm, in place of others or `beside` them; 0 N or segment 0 releases.
+    def push(self, contact: Contact, beside: bool = False) -> None:
+        """Put one load on the arm, in place of others or, with `beside`, in addition to them.
+
+        0 N or segment 0 releases.
 
         Raises:
-            LoadError: no such segment, or numbers that are not finite.
+            LoadError: no such segment or place, or numbers that are not finite.
         """
-        for load in self._live.loads_of(segment, angle_deg, magnitude_n, beside=beside):
+        for load in self._live.loads_of(contact, beside=beside):
             message = WrenchStamped()
             message.header.stamp = self._node.get_clock().now().to_msg()
             message.header.frame_id = self._live.frames.segment(load.segment)
-            force = message.wrench.force
-            force.x, force.y, force.z = (float(component) for component in load.force_base_n)
+            torque_n_m = self._live.torque_n_m(load)
+            if torque_n_m is not None:
+                message.header.frame_id = self._live.frames.base
+                _put(message.wrench.torque, torque_n_m)
+            _put(message.wrench.force, load.force_base_n)
             self._loads.publish(message)
 
 
-def _timed(handle: Callable[[Any, float], None]) -> Callable[[Any], None]:
-    return lambda message: handle(message, time.monotonic())
+def _put(vector: Any, numbers: Array) -> None:
+    vector.x, vector.y, vector.z = (float(number) for number in numbers)
 
 
 def record(
@@ -116,7 +120,7 @@ def record(
     """Act and observe every `RECORD_EVERY_S`.
 
     Args:
-        moment: takes the time since the start, s; does what is due and gives what is seen.
+        moment: takes the time since the start, s; acts and gives an observation.
         duration_s: of the whole.
         check: called at every step; raises to end it.
 

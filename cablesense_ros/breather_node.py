@@ -1,4 +1,4 @@
-"""The `breather` node: moves the arm a little on purpose, so that friction shows what it hides."""
+"""The `breather` node: moves the arm a little on purpose, so that friction hides no force."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class BreatherNode(Node):
         return response
 
     def _begin(self, turns: int) -> str:
-        """Begin to breathe, with so many turns; gives by how much, as text.
+        """Begin to breathe, with this number of turns; gives the amplitude as text.
 
         Raises:
             CableSenseError: there is no breath for this arm here, or not now.

@@ -18,21 +18,20 @@ from cablesense_msgs_py.messages import (
     put_joint_angles,
     put_tensions,
 )
-from cablesense_msgs_py.qos import COMMAND, PUBLISHER
+from cablesense_msgs_py.qos import PUBLISHER
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.can.bus import CanInterface
-from cablesense_online.can.calibration import (
+from cablesense_online.can.channel_map import (
     Calibration,
     calibrated,
     calibration_status,
     load_calibration,
+    open_channel_map,
 )
-from cablesense_online.can.channel_map import open_channel_map
-from cablesense_online.can.decoder import Sample
 from cablesense_online.can.driver import CanDriver
-from cablesense_ros.endpoints import RefusalLog, overridable
-from cablesense_ros.node_process import ConfiguredNode, run_node, steady_timer
-from cablesense_ros.trajectory_input import TrajectoryInput
+from cablesense_online.can.reader import Sample
+from cablesense_ros.endpoints import CommandInput, RefusalLog, overridable, steady_timer
+from cablesense_ros.node_process import ConfiguredNode, run_node
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.joint_motion import JointMotion
 
@@ -85,7 +84,7 @@ class CanDriverNode(ConfiguredNode):
         )
 
     def _show_set_points(self, arm: Arm, speed_rad_s: float) -> None:
-        """Of an arm that is straight until it is commanded."""
+        """Publish the set-points of an arm that is straight until it is commanded."""
         joints = NamedOrder(arm.joint_names, "joints")
         motion = JointMotion(np.zeros(arm.joint_count), speed_rad_s)
         shown = JointState(name=list(arm.joint_names))
@@ -99,14 +98,12 @@ class CanDriverNode(ConfiguredNode):
         def follow(message: JointState) -> None:
             motion.go_to(joint_command_rad(message, joints, motion.target_rad))
 
-        commands = self._refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND, follow)
-        trajectories = TrajectoryInput(
+        commands = CommandInput(
             self, self._refuse, arm.joint_names, lambda: motion.target_rad, follow
         )
-        self._entities.callback(trajectories.destroy)
+        self._entities.callback(commands.destroy)
         timer = steady_timer(self, JOINT_STATES_PERIOD_S, publish)
         self._entities.callback(self.destroy_publisher, out)
-        self._entities.callback(self.destroy_subscription, commands)
         self._entities.callback(self.destroy_timer, timer)
 
     def _publish(self, sample: Sample) -> None:

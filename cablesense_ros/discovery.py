@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import functools
 import os
 import tempfile
@@ -34,16 +35,19 @@ def prefer_quick_discovery(environment: MutableMapping[str, str] = os.environ) -
 
     Who asked for this machine alone gets `dds/loopback.xml`, which keeps that promise, in place of
     a discovery range of LOCALHOST, for which ROS 2 adds shared memory whatever else is asked for.
-    Other middleware, or another release of ROS 2, finds its settings untouched. Without the
-    bundled files everything works as well, with Fast DDS's own timing.
+    Other middleware, or another release of ROS 2, finds its settings untouched.
     """
-    if any(environment.get(name) for name in PROFILES) or not _speaks_fast_dds(environment):
+    middleware = environment.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp"
+    release = environment.get("ROS_DISTRO") or "jazzy"
+    if not middleware.startswith("rmw_fastrtps") or release != "jazzy":
         return
-    alone = _on_this_machine_alone(environment) and not environment.get(TRANSPORTS)
-    try:
-        path = config_path("dds/loopback.xml" if alone else "dds/quick_discovery.xml")
-    except CableSenseError:
+    if any(environment.get(name) for name in PROFILES):
         return
+    # the older variable wins where both are set, as in ROS 2
+    older = environment.get(_OLDER_RANGE)
+    alone = older == "1" if older else environment.get(RANGE) == "LOCALHOST"
+    alone = alone and not environment.get(TRANSPORTS)
+    path = config_path("dds/loopback.xml" if alone else "dds/quick_discovery.xml")
     for name in PROFILES:
         environment[name] = str(path)
     if alone:
@@ -54,7 +58,7 @@ def prefer_quick_discovery(environment: MutableMapping[str, str] = os.environ) -
 
 
 def own_graph(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """The environment of nodes that stay on this machine, in a domain of their own.
+    """The environment of nodes that stay on this machine, in a separate domain.
 
     A domain, a discovery range or a profile of Fast DDS that is set already stays.
     """
@@ -71,37 +75,12 @@ def own_graph(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
 @functools.cache
 def free_domain() -> int:
     """A ROS domain that no other process on this machine has got here, for this process's life."""
-    import fcntl
-
-    folder = Path(tempfile.gettempdir())
     start = os.getpid() % len(_DOMAINS)
     for domain in (*_DOMAINS[start:], *_DOMAINS[:start]):
-        path = folder / f"cablesense_ros_domain_{domain}.lock"
-        try:
-            lock = os.open(path, os.O_WRONLY | os.O_CREAT)  # stays open until the process ends
-        except OSError:  # another user's
-            continue
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            os.close(lock)
+        path = Path(tempfile.gettempdir(), f"cablesense_ros_domain_{domain}.lock")
+        try:  # what is opened stays open until the process ends
+            fcntl.flock(os.open(path, os.O_WRONLY | os.O_CREAT), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:  # in use, or another user's
             continue
         return domain
     raise CableSenseError(f"all ROS domains are in use; set {DOMAIN} to one that may be shared")
-
-
-def _on_this_machine_alone(environment: Mapping[str, str]) -> bool:
-    # the older variable wins where both are set, as in ROS 2
-    if older := environment.get(_OLDER_RANGE):
-        return older == "1"
-    return environment.get(RANGE) == "LOCALHOST"
-
-
-def _speaks_fast_dds(environment: Mapping[str, str]) -> bool:
-    middleware = environment.get("RMW_IMPLEMENTATION")
-    if not middleware:
-        from rclpy.utilities import get_rmw_implementation_identifier
-
-        middleware = str(get_rmw_implementation_identifier())
-    release = environment.get("ROS_DISTRO") or "jazzy"
-    return middleware.startswith("rmw_fastrtps") and release == "jazzy"

@@ -1,15 +1,17 @@
-"""The contract's topics in rclpy's terms: quality of service, subscriptions, refusals."""
+"""The contract's topics in rclpy's terms: quality of service, subscriptions, refusals, timers."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 from inspect import Parameter, Signature
 from typing import Any
 
+import numpy as np
+from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -23,9 +25,13 @@ from rclpy.qos import (
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
 
-from cablesense_base import CableSenseError
-from cablesense_msgs_py.qos import Qos
+from cablesense_base import Array, CableSenseError
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.qos import COMMAND, Qos
 from cablesense_msgs_py.serialized import require_bounded
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.samples import FollowedPublisher, SampleError
@@ -54,6 +60,25 @@ def overridable(qos: Qos) -> dict[str, Any]:
     """
     overriding = QoSOverridingOptions.with_default_policies()
     return {"qos_profile": qos_profile(qos), "qos_overriding_options": overriding}
+
+
+def of_node(node_name: str, topic: str) -> str:
+    """A private topic (`~/…`) of a node, as another node names it."""
+    return topic.replace("~", node_name, 1)
+
+
+def message_class(kind: str) -> type | None:
+    """The class of `sensor_msgs/msg/JointState` and the like; none where it is not installed."""
+    package, _, name = kind.split("/")
+    try:
+        return getattr(import_module(f"{package}.msg"), name, None)
+    except ModuleNotFoundError:
+        return None
+
+
+def steady_timer(node: Node, period_s: float, act: Callable[[], None]) -> Timer:
+    """A timer in real time, which continues when simulated time stops."""
+    return node.create_timer(period_s, act, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 def subscribe_to_one(
@@ -114,22 +139,8 @@ def subscribe_to_one(
     )
 
 
-def of_node(node_name: str, topic: str) -> str:
-    """A private topic (`~/…`) of a node, as another node names it."""
-    return topic.replace("~", node_name, 1)
-
-
-def message_class(kind: str) -> type | None:
-    """The class of `sensor_msgs/msg/JointState` and the like; none where it is not installed."""
-    package, _, name = kind.split("/")
-    try:
-        return getattr(import_module(f"{package}.msg"), name, None)
-    except ModuleNotFoundError:
-        return None
-
-
 WARN_EVERY_S = 1.0
-"""At most one warning of a kind in this time; diagnostics count what was not logged."""
+"""At most one warning of a kind in this time; diagnostics count all of them."""
 
 
 class RefusalLog:
@@ -171,7 +182,7 @@ class RefusalLog:
         publisher: FollowedPublisher | None = None,
         accept: Callable[[int, float], bool] | None = None,
     ) -> Subscription:
-        """A subscription of the node, guarded so; what is too long is refused unread.
+        """A subscription of the node, guarded so; a message that is too long is never parsed.
 
         With a `publisher` to follow, messages of others are refused (`subscribe_to_one`).
         """
@@ -191,3 +202,80 @@ class RefusalLog:
             )
         refuse = partial(self, topic)
         return subscribe_to_one(self._node, kind, topic, qos, publisher, guarded, refuse, accept)
+
+
+TRAJECTORY_PERIOD_S = 0.02
+
+
+class CommandInput:
+    """The joint commands of a node: those on `joint_commands`, and those of a `JointTrajectory`.
+
+    A trajectory is taken as the commands that it comes to, one every 20 ms. Positions are
+    interpolated linearly, from the present command on where the first is later. A trajectory
+    replaces the one before; one without points stops it, as trajectory controllers have it.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        refuse: RefusalLog,
+        joint_names: Sequence[str],
+        present_rad: Callable[[], Array],
+        take: Callable[[JointState], object],
+    ) -> None:
+        """`take` gets the commands, `present_rad` gives the one in force (2N,)."""
+        self._node, self._refuse, self._take = node, refuse, take
+        self._joint_names, self._present_rad = list(joint_names), present_rad
+        self._command = JointState()
+        self._times_s: Array = np.zeros(0)
+        self._positions_rad: Array = np.zeros((0, 0))
+        self._start_s = 0.0
+        self._subscriptions = [
+            refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND, take),
+            refuse.subscribe(JointTrajectory, topics.JOINT_TRAJECTORY, COMMAND, self._begin),
+        ]
+        self._timer = steady_timer(node, TRAJECTORY_PERIOD_S, self._follow)
+
+    def destroy(self) -> None:
+        """Take no more."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._node.destroy_timer(self._timer)
+
+    def _begin(self, message: JointTrajectory) -> None:
+        names, points = list(message.joint_names), message.points
+        for point in points:
+            if len(point.positions) != len(names):
+                raise ContractError(
+                    f"points: {len(point.positions)} positions for {len(names)} joint names"
+                )
+        since = [point.time_from_start for point in points]
+        times_s: Array = np.array([one.sec + 1e-9 * one.nanosec for one in since])
+        positions_rad: Array = np.array([point.positions for point in points])
+        if len(points) and (times_s[0] < 0.0 or (np.diff(times_s) <= 0.0).any()):
+            raise ContractError("points: time_from_start must ascend, from 0 on")
+        if len(points) and times_s[0] > 0.0:
+            present = dict(zip(self._joint_names, self._present_rad(), strict=True))
+            first = dict(zip(names, positions_rad[0], strict=True)) | present
+            times_s = np.insert(times_s, 0, 0.0)
+            positions_rad = np.vstack([[first[name] for name in names], positions_rad])
+        stamp, now_ns = message.header.stamp, self._node.get_clock().now().nanoseconds
+        stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+        late_s = (now_ns - stamp_ns) * 1e-9 if stamp_ns else 0.0
+        self._start_s = time.monotonic() - late_s
+        self._command.name = names
+        self._times_s, self._positions_rad = times_s, positions_rad
+
+    def _follow(self) -> None:
+        passed_s = time.monotonic() - self._start_s
+        if not len(self._times_s) or passed_s < 0.0:
+            return
+        columns = self._positions_rad.T
+        self._command.position = [np.interp(passed_s, self._times_s, one) for one in columns]
+        if passed_s >= self._times_s[-1]:
+            self._times_s = np.zeros(0)
+        try:
+            self._take(self._command)
+        except CableSenseError as error:
+            self._times_s = np.zeros(0)
+            self._refuse(topics.JOINT_TRAJECTORY, error)

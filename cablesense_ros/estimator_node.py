@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any
 
 from rclpy.event_handler import QoSMessageLostInfo
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -25,11 +24,16 @@ from cablesense_online.models import load_model
 from cablesense_online.state import LIVE_SETTINGS, EstimationSettings, Tare
 from cablesense_online.state_file import StateFile
 from cablesense_online.tare import TareError, tare_undone_line
-from cablesense_ros.endpoints import WARN_EVERY_S, RefusalLog, subscribe_to_one
-from cablesense_ros.estimator_outputs import EstimatorOutputs
-from cablesense_ros.node_process import ConfiguredNode, run_node, steady_timer
+from cablesense_ros.endpoints import (
+    WARN_EVERY_S,
+    CommandInput,
+    RefusalLog,
+    steady_timer,
+    subscribe_to_one,
+)
+from cablesense_ros.estimator_outputs import EstimatorOutputs, Outputs
+from cablesense_ros.node_process import ConfiguredNode, run_node
 from cablesense_ros.parameters import parameter_values
-from cablesense_ros.trajectory_input import TrajectoryInput
 
 STALE_CHECK_S = 0.02
 """How often silence of the input is checked for; while it lasts, a zero wrench is published."""
@@ -41,7 +45,7 @@ class EstimatorNode(ConfiguredNode):
     def __init__(self) -> None:
         super().__init__("estimator")
         self._simulated_time = self.get_clock().ros_time_is_active
-        self._lost = 0
+        self._lost, self._topics = 0, Outputs(self)
         self._refuse_sample = RefusalLog(self, "sample refused")
         self._refuse_command = RefusalLog(self)
         self.add_post_set_parameters_callback(self._on_parameters)
@@ -62,31 +66,20 @@ class EstimatorNode(ConfiguredNode):
             message_lost=self._on_lost,
         )
         at_end(self.destroy_subscription, samples)
-        for topic, take in (
-            (topics.JOINT_COMMANDS, self._on_command),
-            (topics.CABLE_OFFSETS, self._on_offsets),
-        ):
-            commands = self._refuse_command.subscribe(JointState, topic, COMMAND, take)
-            at_end(self.destroy_subscription, commands)
-        trajectories = TrajectoryInput(
+        refuse, arm = self._refuse_command, self._loaded.arm
+        offset = self._estimation.offset
+        offsets = refuse.subscribe(JointState, topics.CABLE_OFFSETS, COMMAND, offset)
+        at_end(self.destroy_subscription, offsets)
+        commands = CommandInput(
             self,
-            self._refuse_command,
-            self._loaded.arm.joint_names,
+            refuse,
+            arm.joint_names,
             lambda: self._estimation.gate.command_rad,
             self._on_command,
         )
-        at_end(trajectories.destroy)
+        at_end(commands.destroy)
         at_end(self.destroy_timer, steady_timer(self, STALE_CHECK_S, self._check_stale))
         at_end(self._publish_zero)  # none is left standing
-
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget model and tare, and say so."""
-        tare, file = self._estimation.tares.present, self.get_parameter("state_file").value
-        result = super().on_cleanup(state)
-        if tare is not None:
-            end = f"is kept in {file}" if file else "is forgotten; a state_file would keep it"
-            self.get_logger().warning(f"the tare of {tare.since} {end}")
-        return result
 
     def _configure(self, given: dict[str, Any]) -> None:
         self._loaded = load_model(given["arm"], given["model"])
@@ -96,7 +89,7 @@ class EstimatorNode(ConfiguredNode):
         self._restore_state(given)
         frames = Frames(arm.segment_count, given["frame_prefix"])
         self._outputs = EstimatorOutputs(
-            self,
+            self._topics,
             frames,
             arm.identity,
             given["markers"],
@@ -104,7 +97,6 @@ class EstimatorNode(ConfiguredNode):
             self._estimation,
             arm.joint_names,
         )
-        self._entities.callback(self._outputs.destroy)
         for name, answer in ((topics.TARE, self._tare), (topics.TARE_UNDO, self._undo_tare)):
             service = self.create_service(Trigger, name, partial(self._on_request, answer))
             self._entities.callback(self.destroy_service, service)
@@ -134,7 +126,7 @@ class EstimatorNode(ConfiguredNode):
             self.get_logger().warning(f"starts anew, without tare: {error}")
             return
         self.get_logger().info(
-            f"goes on with the tare and the command of {given['state_file']}; if the arm was "
+            f"continues with the tare and the command of {given['state_file']}; if the arm was "
             "changed since, call ~/tare with nothing touching it"
         )
 
@@ -153,11 +145,8 @@ class EstimatorNode(ConfiguredNode):
         if self._estimation.command(message):
             self.get_logger().warning(
                 "the tare that was taken before any command is dropped: the first command is to "
-                "another pose than was assumed; auto_tare takes another once the arm rests"
+                "another pose than the assumed one; auto_tare takes another once the arm rests"
             )
-
-    def _on_offsets(self, message: JointState) -> None:
-        self._estimation.offset(message)
 
     def _on_request(
         self, act: Callable[[], str], _: Trigger.Request, response: Trigger.Response

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Sequence
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, PointStamped, Vector3Stamped, WrenchStamped
+from geometry_msgs.msg import (
+    Point,
+    Point32,
+    PointStamped,
+    PolygonStamped,
+    PoseWithCovarianceStamped,
+    Quaternion,
+    Vector3Stamped,
+    WrenchStamped,
+)
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.serialization import serialize_message
@@ -15,16 +25,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from visualization_msgs.msg import Marker, MarkerArray
 
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.messages import (
-    Contact,
-    ContactMarkers,
-    ForceState,
-    Status,
-    describe_probabilities,
-    put_contact_point,
-    put_force_direction,
-    put_probabilities,
-)
+from cablesense_msgs_py.messages import NO_CONTACT, Contact, ForceState, Status
 from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, WRENCH, Qos
 from cablesense_msgs_py.serialized import restamped, wrench_writers
 from cablesense_msgs_py.topics import Frames
@@ -33,17 +34,42 @@ from cablesense_online.estimation import Estimation
 from cablesense_online.state import put_state
 from cablesense_ros.endpoints import overridable
 from cablesense_ros.node_process import diagnostic_array
+from cablesense_training.inference.estimator import NORMAL_95
 
 DISPLAY_PERIOD_S = 1.0 / 30.0
 """Markers and probabilities are for display, and published no faster than this."""
+ARROW_M_PER_N = 0.004
+"""Length of the arrow per newton: 50 N are 0.2 m."""
+_SPHERE_DIAMETER_M = 0.03
+_ARROW_DIAMETERS_M = (0.012, 0.024, 0.03)  # shaft, head and head length
+_BAND_WIDTH_M, _SHORTEST_BAND_M, _BAND_OPACITY = 0.04, 0.002, 0.4
+_COLOUR = (0.95, 0.35, 0.1, 1.0)
+
+
+class Outputs:
+    """The topics of a node, kept for as long as it lives.
+
+    A publisher that is destroyed while a matched subscriber is being reported ends the process:
+    the events executor calls its handler later.
+    """
+
+    def __init__(self, node: LifecycleNode) -> None:
+        self.node = node
+        self._made: dict[str, _Output] = {}
+
+    def make(self, kind: type, topic: str, qos: Qos = PUBLISHER) -> _Output:
+        """The topic, made the first time."""
+        if topic not in self._made:
+            self._made[topic] = _Output(self.node, kind, topic, qos)
+        return self._made[topic]
 
 
 class EstimatorOutputs:
-    """The publishers of a configured estimator; messages are made once and reused."""
+    """The topics of a configured estimator; messages are made once and reused."""
 
     def __init__(
         self,
-        node: LifecycleNode,
+        outputs: Outputs,
         frames: Frames,
         identity: str,
         markers: bool,
@@ -52,100 +78,78 @@ class EstimatorOutputs:
         joint_names: Sequence[str],
     ) -> None:
         """`identity` is the arm's, `unknown_force` as in `EstimationSettings`."""
-        self._node, self._estimation = node, estimation
+        self._estimation, self._frames = estimation, frames
         self._unknown_force = unknown_force
-        self._frames = frames
-        self._outputs: list[_Output] = []
         self._next_display_s = float("-inf")
-        self._wrench_out = self._create(WrenchStamped, topics.WRENCH, WRENCH)
-        self._wrench_in = wrench_writers(frames)
-        self._status_out = self._create(DiagnosticArray, topics.STATUS)
-        self._status: dict[ForceState, bytes] = {}
+        self._writers = wrench_writers(frames)
+        self._wrench_out = outputs.make(WrenchStamped, topics.WRENCH, WRENCH)
+        self._status_out = outputs.make(DiagnosticArray, topics.STATUS)
+        self._statuses: dict[ForceState, bytes] = {}
         for state in ForceState:
             status = Status("force", state.level, state.value)
-            self._status[state] = serialize_message(diagnostic_array(node, [status], identity))
-        self._bounds_out = [
-            self._create(WrenchStamped, topic)
-            for topic in (topics.WRENCH_LOWER, topics.WRENCH_UPPER)
-        ]
-        self._base_out = self._create(WrenchStamped, topics.WRENCH_BASE)
-        self._torques_out = self._create(JointState, topics.JOINT_TORQUES)
+            self._statuses[state] = serialize_message(
+                diagnostic_array(outputs.node, [status], identity)
+            )
+        self._lower_out = outputs.make(WrenchStamped, topics.WRENCH_LOWER)
+        self._upper_out = outputs.make(WrenchStamped, topics.WRENCH_UPPER)
+        self._base_out = outputs.make(WrenchStamped, topics.WRENCH_BASE)
+        self._torques_out = outputs.make(JointState, topics.JOINT_TORQUES)
         self._torques = JointState(name=list(joint_names))
         self._torques.header.frame_id = frames.base
         count = frames.segment_count if estimation.several else 0
         self._segments_out = [
-            self._create(WrenchStamped, topics.SEGMENT_WRENCHES.format(number))
+            outputs.make(WrenchStamped, topics.SEGMENT_WRENCHES.format(number))
             for number in range(1, count + 1)
         ]
-        self._point, self._direction = PointStamped(), Vector3Stamped()
-        self._point_out = self._create(PointStamped, topics.CONTACT_POINT)
-        self._direction_out = self._create(Vector3Stamped, topics.FORCE_DIRECTION)
+        self._point_out = outputs.make(PointStamped, topics.CONTACT_POINT)
+        self._region_out = outputs.make(PolygonStamped, topics.CONTACT_REGION)
+        self._pose_out = outputs.make(PoseWithCovarianceStamped, topics.CONTACT_POSE)
+        self._direction_out = outputs.make(Vector3Stamped, topics.FORCE_DIRECTION)
+        self._probabilities_out = outputs.make(Float64MultiArray, topics.CONTACT_PROBABILITIES)
+        labels = ["none", *(f"segment_{n + 1}" for n in range(frames.segment_count))]
         self._probabilities = Float64MultiArray()
-        self._probabilities.layout.dim = [MultiArrayDimension()]
-        describe_probabilities(self._probabilities.layout.dim[0], frames.segment_count)
-        self._probabilities_out = self._create(Float64MultiArray, topics.CONTACT_PROBABILITIES)
-        self._journal_out = self._create(DiagnosticArray, topics.JOURNAL, JOURNAL)
-        most = max(1, count)
-        self._markers = ContactMarkers(MarkerArray(), Marker, Point, most) if markers else None
-        self._markers_out = self._create(MarkerArray, topics.MARKERS) if markers else None
+        self._probabilities.layout.dim = [
+            MultiArrayDimension(label=",".join(labels), size=len(labels), stride=len(labels))
+        ]
+        self._journal_out = outputs.make(DiagnosticArray, topics.JOURNAL, JOURNAL)
+        self._markers_out = outputs.make(MarkerArray, topics.MARKERS) if markers else None
+        self._markers = ContactMarkers(frames, max(1, count))
 
     def publish(self, answer: Answer, stamp_ns: int, now_s: float) -> None:
         """Publish the answer to a sample, stamped `stamp_ns`, at monotonic time `now_s`."""
         contact, wrench = answer.contact, answer.wrench(self._unknown_force)
         if wrench is not None:
-            writer = self._wrench_in[contact.segment]
-            self._wrench_out.publish(writer.write(stamp_ns, wrench))
+            self._wrench_out.publish(self._writers[contact.segment].write(stamp_ns, wrench))
         if self._status_out.subscribed:
-            self._status_out.publish(restamped(self._status[answer.force], stamp_ns))
+            self._status_out.publish(restamped(self._statuses[answer.force], stamp_ns))
         if wrench is not None:
             self._publish_whole(answer, wrench, stamp_ns)
-        lower, upper = self._bounds_out
-        if (lower.subscribed or upper.subscribed) and answer.bounds is not None:
-            for out, bound in zip(self._bounds_out, answer.bounds, strict=True):
+        if answer.bounds is not None:
+            outs = (self._lower_out, self._upper_out)
+            for out, bound in zip(outs, answer.bounds, strict=True):
                 if out.subscribed:
-                    writer = self._wrench_in[bound.segment]
-                    out.publish(writer.write(stamp_ns, bound.wrench))
+                    out.publish(self._writers[bound.segment].write(stamp_ns, bound.wrench))
         if answer.state is not None:
             message = DiagnosticArray()
             message.header.frame_id = self._frames.base
             put_state(message, answer.state, DiagnosticStatus, KeyValue)
             self._journal_out.publish(message)
         if contact.segment:
-            self._publish_contact(contact, stamp_ns)
+            self._publish_contact(answer, stamp_ns)
         if now_s >= self._next_display_s:
             self._next_display_s = now_s + DISPLAY_PERIOD_S
             self._publish_display(answer, stamp_ns)
 
-    def destroy(self) -> None:
-        """Take the topics away."""
-        for out in self._outputs:
-            self._node.destroy_lifecycle_publisher(out.publisher)
-
-    def _create(self, kind: type, topic: str, qos: Qos = PUBLISHER) -> _Output:
-        self._outputs.append(_Output(self._node, kind, topic, qos))
-        return self._outputs[-1]
-
-    def _publish_contact(self, contact: Contact, stamp_ns: int) -> None:
-        for out, message, put in (
-            (self._point_out, self._point, put_contact_point),
-            (self._direction_out, self._direction, put_force_direction),
-        ):
-            if out.subscribed:
-                message.header.stamp = _time(stamp_ns)
-                put(message, contact, self._frames)
-                out.publish(message)
-
     def _publish_whole(self, answer: Answer, wrench: Sequence[float], stamp_ns: int) -> None:
         """The force in base axes, at the joints and, of several contacts, on each segment."""
-        contacts = answer.contacts
+        contacts, pose = answer.contacts, self._estimation.at_pose
         if self._base_out.subscribed:
-            if contacts:
-                wrench = self._estimation.at_pose.base_wrench(contacts)
-            self._base_out.publish(self._wrench_in[0].write(stamp_ns, wrench))
+            in_base = pose.base_wrench(contacts) if contacts else wrench
+            self._base_out.publish(self._writers[0].write(stamp_ns, in_base))
         if self._torques_out.subscribed:
             self._torques.header.stamp = _time(stamp_ns)
             self._torques.effort = (
-                self._estimation.at_pose.joint_torques_n_m(contacts)
+                pose.joint_torques_n_m(contacts)
                 if contacts
                 else [wrench[0]] * len(self._torques.name)  # zero, or not known
             )
@@ -153,15 +157,45 @@ class EstimatorOutputs:
         for number, out in enumerate(self._segments_out, start=1):
             on_it = answer.on_segment(number, self._unknown_force) if out.subscribed else None
             if on_it is not None:
-                out.publish(self._wrench_in[number].write(stamp_ns, on_it))
+                out.publish(self._writers[number].write(stamp_ns, on_it))
+
+    def _publish_contact(self, answer: Answer, stamp_ns: int) -> None:
+        contact, region_m, estimate = answer.contact, answer.region_m, answer.estimate
+        frame_id, stamp = self._frames.segment(contact.segment), _time(stamp_ns)
+        if self._point_out.subscribed:
+            point = PointStamped()
+            point.header.frame_id, point.header.stamp = frame_id, stamp
+            point.point.x = contact.contact_m
+            self._point_out.publish(point)
+        if region_m is not None and self._region_out.subscribed:
+            region = PolygonStamped()
+            region.header.frame_id, region.header.stamp = frame_id, stamp
+            region.polygon.points = [Point32(x=at_m) for at_m in region_m]
+            self._region_out.publish(region)
+        if region_m and estimate and self._pose_out.subscribed:
+            std_m = (region_m[1] - region_m[0]) / (2.0 * NORMAL_95)
+            statics = self._estimation.at_pose
+            at = statics.contact_pose(contact, std_m, estimate.angle_std_deg)
+            message = PoseWithCovarianceStamped()
+            message.header.frame_id, message.header.stamp = self._frames.base, stamp
+            pose = message.pose.pose
+            pose.position = Point(**dict(zip("xyz", at.point_m, strict=True)))
+            pose.orientation = Quaternion(**dict(zip("xyzw", at.quaternion, strict=True)))
+            message.pose.covariance = at.covariance
+            self._pose_out.publish(message)
+        if self._direction_out.subscribed:
+            direction = Vector3Stamped()
+            direction.header.frame_id, direction.header.stamp = frame_id, stamp
+            direction.vector.y, direction.vector.z = contact.direction
+            self._direction_out.publish(direction)
 
     def _publish_display(self, answer: Answer, stamp_ns: int) -> None:
         if answer.probabilities and self._probabilities_out.subscribed:
-            put_probabilities(self._probabilities, answer.probabilities)
+            self._probabilities.data = array("d", answer.probabilities)
             self._probabilities_out.publish(self._probabilities)
-        if self._markers and self._markers_out and self._markers_out.subscribed:
-            self._markers.put(answer.contacts, self._frames, _time(stamp_ns))
-            self._markers_out.publish(self._markers.array)
+        if self._markers_out and self._markers_out.subscribed:
+            self._markers.put(answer.contacts, answer.region_m, _time(stamp_ns))
+            self._markers_out.publish(self._markers.message)
 
 
 class _Output:
@@ -179,6 +213,58 @@ class _Output:
 
     def _matched(self, event: QoSPublisherMatchedInfo) -> None:
         self.subscribed = event.current_count > 0
+
+
+class ContactMarkers:
+    """Fills one `message` again and again; each arrow ends at a contact point, as a push does.
+
+    A band along the axis shows where a single contact lies with a probability of 95 %.
+    """
+
+    def __init__(self, frames: Frames, most: int) -> None:
+        """At most `most` contacts are shown."""
+        self._frames = frames
+        arrows = [Marker(ns="contact", id=2 * n, type=Marker.ARROW) for n in range(most)]
+        spheres = [Marker(ns="contact", id=2 * n + 1, type=Marker.SPHERE) for n in range(most)]
+        self._pairs = list(zip(arrows, spheres, strict=True))
+        self._band = Marker(ns="region", id=0, type=Marker.CUBE)
+        markers = [one for pair in self._pairs for one in pair]
+        self.message = MarkerArray(markers=[*markers, self._band])
+        for marker in self.message.markers:
+            marker.pose.orientation.w = 1.0
+            marker.color.r, marker.color.g, marker.color.b, marker.color.a = _COLOUR
+        for arrow, sphere in self._pairs:
+            arrow.scale.x, arrow.scale.y, arrow.scale.z = _ARROW_DIAMETERS_M
+            sphere.scale.x = sphere.scale.y = sphere.scale.z = _SPHERE_DIAMETER_M
+            arrow.points = [Point(), Point()]
+        self._band.scale.y = self._band.scale.z = _BAND_WIDTH_M
+        self._band.color.a = _BAND_OPACITY
+
+    def put(
+        self, contacts: Sequence[Contact], region_m: tuple[float, float] | None, stamp: Time
+    ) -> None:
+        """Show contacts, and delete the markers of contacts that are gone."""
+        none = (NO_CONTACT,) * (len(self._pairs) - len(contacts))
+        for (arrow, sphere), contact in zip(self._pairs, (*contacts, *none), strict=True):
+            for marker in (arrow, sphere):
+                self._address(marker, contact, contact.segment > 0, stamp)
+            y, z = contact.direction
+            length = ARROW_M_PER_N * contact.magnitude_n
+            tail, tip = arrow.points
+            tail.x = tip.x = sphere.pose.position.x = contact.contact_m
+            tail.y, tail.z = -length * y, -length * z
+        contact = contacts[0] if contacts else NO_CONTACT
+        self._address(self._band, contact, region_m is not None, stamp)
+        if region_m is not None:
+            low_m, high_m = region_m
+            self._band.pose.position.x = 0.5 * (low_m + high_m)
+            self._band.scale.x = max(high_m - low_m, _SHORTEST_BAND_M)
+
+    def _address(self, marker: Marker, contact: Contact, shown: bool, stamp: Time) -> None:
+        marker.header.frame_id = (
+            self._frames.segment(contact.segment) if shown else self._frames.base
+        )
+        marker.header.stamp, marker.action = stamp, Marker.ADD if shown else Marker.DELETE
 
 
 def _time(stamp_ns: int) -> Time:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import faulthandler
 import gc
-import os
 import signal
 import sys
 import threading
@@ -12,55 +10,35 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import rclpy
 import rclpy.utilities
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
-from rclpy.time_source import CLOCK_TOPIC, TimeSource
-from rclpy.timer import Timer
+from rclpy.time_source import CLOCK_TOPIC
 
 from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.messages import Level, Status, diagnostic_statuses
+from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.qos import PUBLISHER
 from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.endpoints import WARN_EVERY_S, overridable
+from cablesense_ros.endpoints import overridable, steady_timer
 from cablesense_ros.parameters import declare_parameters, parameter_table, parameter_values
 from cablesense_ros.processes import handle_end_signals
 
-
-@cache
-def refuse_negative_clock() -> None:
-    """Leave the time as it is at a `/clock` before 1970, which rclpy would end the process for."""
-    take = TimeSource.clock_callback
-
-    def checked(source: TimeSource, message: Any) -> None:
-        try:
-            take(source, message)
-        except ValueError as error:
-            get_logger("clock").warning(
-                f"{CLOCK_TOPIC} is {message.clock.sec} s: refused, the time stays ({error})",
-                throttle_duration_sec=WARN_EVERY_S,
-            )
-
-    TimeSource.clock_callback = checked
-
-
 _WAKE_S = 0.2
-_DESTROYED_AFTER_S = 4.0  # launch ends with a signal that nobody can handle after five
+_STUCK_AFTER_S = 60  # a start that compiles takes 20 s on a slow machine
+_ENDED_WITHIN_S = 4  # launch ends with a signal that nobody can handle after five
+_EXITED_WITHIN_S = 20  # Python's own end, with the threads of the page
 _RCLError = rclpy_implementation.RCLError
+_InvalidHandle = rclpy_implementation.InvalidHandle
 
 
 def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
@@ -68,13 +46,18 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
 
     0 after a wanted end, however often Ctrl-C is pressed; 2 with one line on stderr when the node
     cannot start. A `ConfiguredNode` is configured and activated where its `autostart` asks for it.
+
+    Fast DDS 2.14 may never come back from a call, with Python's lock held, when another
+    participant is discovered at that moment (eProsima/Fast-DDS#6513). An alarm then ends the
+    process: one of launch's `respawn` takes its place. The process must end after this function.
     """
     prefer_quick_discovery()
-    refuse_negative_clock()
     wanted_end = Future()
-    given = None if args is None else list(args)
     try:
-        rclpy.init(args=given, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(
+            args=None if args is None else list(args),
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
     except (_RCLError, ValueError) as error:
         return _cannot_start(error)
     handle_end_signals(lambda *_: wanted_end.set_result(None))
@@ -94,23 +77,11 @@ def run_node(make_node: Callable[[], Node], args: Sequence[str] | None = None) -
     handle_end_signals(signal.SIG_IGN)  # the end is under way and must not be cut short
     if node is not None:
         with suppress(_RCLError):
-            _destroy(node)
-    rclpy.utilities.try_shutdown()
-    return code
-
-
-def _destroy(node: Node) -> None:
-    """Destroy a node; where that takes forever, the process ends with code 1.
-
-    Fast DDS 2.14 never comes back, at full load and with Python's lock held, when another
-    participant is discovered just then (eProsima/Fast-DDS#6513).
-    """
-    with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
-        faulthandler.dump_traceback_later(_DESTROYED_AFTER_S, exit=True, file=nowhere)
-        try:
             node.destroy_node()
-        finally:
-            faulthandler.cancel_dump_traceback_later()
+    rclpy.utilities.try_shutdown()
+    if node is not None:
+        signal.alarm(_EXITED_WITHIN_S)
+    return code
 
 
 def _spin(node: Node, wanted_end: Future) -> None:
@@ -124,8 +95,11 @@ def _spin(node: Node, wanted_end: Future) -> None:
     executor.add_node(node)
     try:
         while rclpy.utilities.ok() and not wanted_end.done():
-            executor.spin_until_future_complete(wanted_end, timeout_sec=_WAKE_S)
+            signal.alarm(_STUCK_AFTER_S)
+            with suppress(_InvalidHandle):  # an event of a subscription that is gone by now
+                executor.spin_until_future_complete(wanted_end, timeout_sec=_WAKE_S)
     finally:
+        signal.alarm(_ENDED_WITHIN_S)
         executor.shutdown()
 
 
@@ -136,13 +110,15 @@ def _cannot_start(error: Exception) -> int:
 
 @contextmanager
 def spun_node(name: str, namespace: str = "") -> Iterator[tuple[Node, EventsExecutor]]:
-    """A node in a process that has work of its own, and the executor for the caller to spin."""
+    """A node in a process that has other work, and the executor for the caller to spin."""
     prefer_quick_discovery()
     with ExitStack() as stack:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         stack.callback(rclpy.utilities.try_shutdown)
         node = Node(name, namespace=namespace or None)
-        stack.callback(_destroy, node)
+        stack.callback(signal.alarm, 0)
+        stack.callback(node.destroy_node)
+        stack.callback(signal.alarm, _ENDED_WITHIN_S)
         executor = EventsExecutor()
         stack.callback(executor.shutdown)
         executor.add_node(node)
@@ -151,7 +127,7 @@ def spun_node(name: str, namespace: str = "") -> Iterator[tuple[Node, EventsExec
 
 @contextmanager
 def node_in_thread(name: str) -> Iterator[Node]:
-    """A node in a process that has work of its own; its callbacks run in another thread."""
+    """A node in a process that has other work; its callbacks run in another thread."""
     end = Future()
     with spun_node(name) as (node, executor):
 
@@ -180,13 +156,11 @@ class ConfiguredNode(LifecycleNode, ABC):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self._entities = ExitStack()
-        self._while_active = ExitStack()
+        self._entities, self._while_active = ExitStack(), ExitStack()
         self._active = False
         self._identity = ""
-        self._ended = False
         declare_parameters(self, parameter_table(name), lambda: bool(self._identity))
-        publish_diagnostics(self, self._report, lambda: self._identity)
+        publish_diagnostics(self, self._statuses, lambda: self._identity)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Read files and create what the node has; on failure log why and stay unconfigured."""
@@ -219,7 +193,6 @@ class ConfiguredNode(LifecycleNode, ABC):
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop from any state, for good."""
         self._release()
-        self._ended = True
         return super().on_shutdown(state)
 
     def destroy_node(self) -> None:
@@ -260,12 +233,6 @@ class ConfiguredNode(LifecycleNode, ABC):
         with self._entities, self._while_active:
             self._identity = ""
 
-    def _report(self) -> list[Status]:
-        if self._ended:
-            text = "shut down: it cannot be configured again, end the process and start it anew"
-            return [Status("lifecycle", Level.WARN, text)]
-        return self._statuses()
-
     @abstractmethod
     def _statuses(self) -> list[Status]:
         """The node's diagnostics at present."""
@@ -274,17 +241,12 @@ class ConfiguredNode(LifecycleNode, ABC):
 _PERIOD_S, _CLOCK_LOGGED_EVERY_S = 1.0, 10.0
 
 
-def steady_timer(node: Node, period_s: float, act: Callable[[], None]) -> Timer:
-    """A timer that goes on where simulated time stops, as it may at any moment."""
-    return node.create_timer(period_s, act, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-
 def publish_diagnostics(
     node: Node, report: Callable[[], Sequence[Status]], identity: Callable[[], str]
 ) -> None:
     """Publish a node's statuses once a second; `identity` is the arm's, or empty.
 
-    Where simulated time is asked for and stands still, that is a status, and logged.
+    If simulated time is used and stands still, a status and the log say so.
     """
     publisher = node.create_publisher(
         DiagnosticArray, topics.DIAGNOSTICS, **overridable(PUBLISHER)
@@ -309,12 +271,20 @@ def publish_diagnostics(
 
 def diagnostic_array(node: Node, statuses: Sequence[Status], identity: str) -> DiagnosticArray:
     """Statuses of a node, not stamped, under its name and an arm's identity with the namespace."""
+    before = full_name(node, node.get_name())
     hardware_id = "/".join(filter(None, (node.get_namespace().strip("/"), identity)))
-    message = DiagnosticArray()
-    message.status = diagnostic_statuses(
-        statuses, full_name(node, node.get_name()), hardware_id, DiagnosticStatus, KeyValue
+    return DiagnosticArray(
+        status=[
+            DiagnosticStatus(
+                level=bytes([status.level]),
+                name=f"{before}: {status.name}",
+                message=status.message,
+                hardware_id=hardware_id,
+                values=[KeyValue(key=key, value=value) for key, value in status.values.items()],
+            )
+            for status in statuses
+        ]
     )
-    return message
 
 
 def full_name(node: Node, name: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -16,19 +15,15 @@ from std_srvs.srv import Trigger
 
 from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
+from cablesense_online.page.guard import exposure_warning
 from cablesense_online.page.live_arm import LiveArm
-from cablesense_online.page.page import Page, exposure_warning
+from cablesense_online.page.page import Page
 from cablesense_online.page.panel import Actions
 from cablesense_ros.arm_client import ArmClient
-from cablesense_ros.endpoints import of_node
-from cablesense_ros.node_process import full_name, run_node, steady_timer
+from cablesense_ros.endpoints import of_node, steady_timer
+from cablesense_ros.node_process import full_name, run_node
 from cablesense_ros.parameters import declare_parameters, parameter_table
 from cablesense_sim.arm import open_arm
-
-TOKEN = "CABLESENSE_PAGE_TOKEN"
-"""Environment variable: the page's token, for who serves the same address again."""
-CHOSEN = "arm: "
-"""Printed before the name of an arm that was chosen, for who started this node."""
 
 
 class PageNode(Node):
@@ -48,7 +43,7 @@ class PageNode(Node):
             estimator=full_name(self, estimator),
         )
         self._client = ArmClient(self, arm, self._live, estimator)
-        self._tare, self._undo_tare, self._breathe = (
+        tare, undo_tare, breathe = (
             self.create_client(Trigger, of_node(node, service))
             for node, service in (
                 (estimator, topics.TARE),
@@ -56,19 +51,18 @@ class PageNode(Node):
                 ("breather", topics.BREATHE),
             )
         )
-        push = self._noting("Not pushed", self._client.push)
-        command = self._noting("Not moved", self._client.command)
-        undo = partial(self._ask, self._undo_tare, "Tare undone", "Not undone")
-        breathe = partial(self._ask, self._breathe, "Breathing", "No breath")
-        arms = [name for name in given["arms"].split(",") if name]
         self._actions = Actions(
-            push, command, self._take_tare, undo, breathe, self._choose_arm, arms
+            push=self._noting("Not pushed", self._client.push),
+            command=self._noting("Not moved", self._client.command),
+            tare=partial(self._ask, tare, "Tared", "Not tared"),
+            undo_tare=partial(self._ask, undo_tare, "Tare undone", "Not undone"),
+            breathe=partial(self._ask, breathe, "Breathing", "No breath"),
         )
-        actions, token = self._actions if given["controls"] else None, os.environ.get(TOKEN, "")
-        self._page = Page(arm, actions, host=host, port=port, token=token)
+        controls = given["controls"]
+        self._page = Page(arm, self._actions if controls else None, host=host, port=port)
         if self._page.port != port:
             self.get_logger().warning(f"port {port} is busy; serving on {self._page.port} instead")
-        if warning := exposure_warning(host, self._page.port, given["controls"]):
+        if warning := exposure_warning(host, self._page.port, controls):
             self.get_logger().warning(warning)
         self.get_logger().info(f"page of arm {arm.identity} at {self._page.url}")
         print(f"page: {self._page.url}", flush=True)
@@ -96,34 +90,14 @@ class PageNode(Node):
 
         return try_to_act
 
-    def _choose_arm(self, name: str) -> None:
-        self._page.notify("Another arm", f"{name} starts; this page shows it in a few seconds")
-        print(f"{CHOSEN}{name}", flush=True)
-
-    def _take_tare(self) -> None:
-        """With a warning where the estimator takes a load that the page knows of for none."""
-        load = self._live.snapshot(time.monotonic()).true
-        caution = ""
-        if load is not None:
-            caution = (
-                f"{load.magnitude_n:.1f} N press on segment {load.segment}, and every estimate "
-                "lacks them from now on. Release the arm and tare again, or undo the tare."
-            )
-        self._ask(self._tare, "Tared", "Not tared", caution)
-
-    def _ask(self, client: Client, done: str, refused: str, caution: str = "") -> None:
-        """Call a service; its answer is shown under one of the titles, with success `caution`."""
+    def _ask(self, client: Client, done: str, refused: str) -> None:
+        """Call a service; its answer is shown under one of the titles."""
         if not client.service_is_ready():
             self._page.notify(refused, f"nothing answers {client.srv_name}")
             return
 
         def show(future: Any) -> None:
-            answer = future.result()
-            if answer is None:
-                return
-            if answer.success and caution:
-                self._page.notify(f"{done} under load", caution, warning=True)
-            else:
+            if (answer := future.result()) is not None:
                 self._page.notify(done if answer.success else refused, answer.message)
 
         client.call_async(Trigger.Request()).add_done_callback(show)

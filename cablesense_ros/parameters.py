@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from importlib.resources import files
 from typing import Any
 
@@ -28,6 +27,9 @@ class ParameterError(CableSenseError):
     """A parameter given at start that does not fit: names it and what would be valid."""
 
 
+_KINDS = {bool: "true or false", int: "a whole number", float: "a number with a decimal point"}
+
+
 @dataclass(frozen=True)
 class NodeParameter:
     """One parameter of a node, as `parameters.yaml` has it.
@@ -35,7 +37,7 @@ class NodeParameter:
     Attributes:
         name: as in YAML files and `ros2 param`.
         default: also fixes the type.
-        description: what it does, with its unit.
+        description: its effect, with the unit.
         bounds: least and greatest value of a number.
         choices: the texts that are allowed; empty for any.
         live: whether it may change while the node is at work; else the node reads it once.
@@ -51,31 +53,33 @@ class NodeParameter:
     def descriptor(self, lifecycle: bool) -> ParameterDescriptor:
         """The description that `ros2 param describe` shows."""
         read_only = not (self.live or lifecycle)
-        descriptor = ParameterDescriptor(description=self.description, read_only=read_only)
-        when = "at start" if read_only else "when the node is configured"
-        applies = "may change at any time" if self.live else f"read {when}"
-        constraints = [self.valid()] * bool(self.choices) + [applies]
-        descriptor.additional_constraints = "; ".join(constraints)
-        if self.bounds:
+        descriptor = ParameterDescriptor(
+            description=self.description,
+            read_only=read_only,
+            additional_constraints=self.valid() if self.choices else "",
+        )
+        if self.bounds and isinstance(self.default, float):
             low, high = self.bounds
-            if isinstance(self.default, float):
-                allowed = FloatingPointRange(from_value=low, to_value=high)
-                descriptor.floating_point_range = [allowed]
-            else:
-                descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+        elif self.bounds:
+            low, high = self.bounds
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
         return descriptor
 
     def valid(self) -> str:
-        """What would be right, for errors."""
+        """The valid values, for errors."""
         if self.choices:
             return f"one of {', '.join(self.choices)}"
-        kinds = {
-            bool: "true or false",
-            int: "a whole number",
-            float: "a number with a decimal point",
-        }
         within = " from {:g} to {:g}".format(*self.bounds) if self.bounds else ""
-        return f"{kinds.get(type(self.default), 'text')}{within}"
+        return f"{_KINDS.get(type(self.default), 'text')}{within}"
+
+    def allows(self, value: object) -> bool:
+        """Whether a value of its type is finite and among the choices.
+
+        NaN passes rclpy's own check of ranges, as it compares false with both ends.
+        """
+        finite = not isinstance(value, float) or math.isfinite(value)
+        return finite and (not self.choices or value in self.choices)
 
 
 def parameter_table(node: str) -> list[NodeParameter]:
@@ -106,11 +110,28 @@ def declare_parameters(
             value = node.declare_parameter(parameter.name, parameter.default, descriptor).value
         except ParameterException as error:
             raise ParameterError(f"parameter {parameter.name}: {error}; {must}") from error
-        not_finite = isinstance(value, float) and not math.isfinite(value)
-        if not_finite or (parameter.choices and value not in parameter.choices):
+        if not parameter.allows(value):
             raise ParameterError(f"parameter {parameter.name} is {value}; {must}")
     by_name = {parameter.name: parameter for parameter in table}
-    node.add_on_set_parameters_callback(partial(_refuse, by_name, node, configured))
+
+    def check(given: list[Parameter]) -> SetParametersResult:
+        for one in given:
+            parameter = by_name.get(one.name)
+            if parameter is None or one.value == node.get_parameter(one.name).value:
+                continue
+            reason = ""
+            if not parameter.allows(one.value):
+                reason = f"must be {parameter.valid()}, not {one.value}"
+            elif configured is not None and configured() and not parameter.live:
+                reason = (
+                    "is read when the node is configured, so a change now would have no effect; "
+                    "deactivate the node and clean it up first"
+                )
+            if reason:
+                return SetParametersResult(successful=False, reason=f"{one.name} {reason}")
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(check)
     return parameter_values(node)
 
 
@@ -121,28 +142,3 @@ def parameter_values(node: Node) -> dict[str, Any]:
     return given | {
         name.replace("_deg", "_rad"): math.radians(value) for name, value in degrees.items()
     }
-
-
-def _refuse(
-    table: Mapping[str, NodeParameter],
-    node: Node,
-    configured: Callable[[], bool] | None,
-    given: list[Parameter],
-) -> SetParametersResult:
-    """NaN passes rclpy's own check of ranges, as it compares false with both ends."""
-    for one in given:
-        reason, parameter = "", table.get(one.name)
-        if isinstance(one.value, float) and not math.isfinite(one.value):
-            reason = f"must be finite, not {one.value}"
-        elif parameter is None or one.value == node.get_parameter(one.name).value:
-            continue
-        elif parameter.choices and one.value not in parameter.choices:
-            reason = f"must be {parameter.valid()}, not {one.value}"
-        elif configured is not None and configured() and not parameter.live:
-            reason = (
-                "is read when the node is configured, so a change now would have no effect; "
-                "deactivate the node and clean it up first"
-            )
-        if reason:
-            return SetParametersResult(successful=False, reason=f"{one.name} {reason}")
-    return SetParametersResult(successful=True)

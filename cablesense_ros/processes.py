@@ -95,8 +95,7 @@ class Process:
     ) -> None:
         """Start it; its log is continued where the file exists."""
         self.name = name
-        self._command = list(command)
-        self._log = log
+        self._command, self._log = list(command), log
         self._environment = None if environment is None else dict(environment)
         self.start()
 
@@ -127,7 +126,7 @@ class Process:
 
     @property
     def log(self) -> str:
-        """All that it has printed so far."""
+        """Its whole output."""
         return self._log.read_text(encoding="utf-8", errors="replace")
 
     def check(self) -> None:
@@ -180,7 +179,7 @@ class Process:
         self.stop()
 
 
-class Processes:
+class Processes(dict[str, Process]):
     """Starts children on entry, ends every one of them on exit, whatever happened between."""
 
     def __init__(
@@ -191,11 +190,9 @@ class Processes:
         grace_s: float = GRACE_S,
     ) -> None:
         """`commands` by the children's names; each log is `<name>.log` in `log_dir`, new."""
-        self._commands = commands
-        self._log_dir = log_dir
-        self._environment = environment
-        self._grace_s = grace_s
-        self._children: dict[str, Process] = {}
+        super().__init__()
+        self._commands, self._log_dir = commands, log_dir
+        self._environment, self._grace_s = environment, grace_s
 
     def __enter__(self) -> Processes:
         self._log_dir.mkdir(parents=True, exist_ok=True)
@@ -203,7 +200,7 @@ class Processes:
             for name, command in self._commands.items():
                 log = self._log_dir / f"{name}.log"
                 log.unlink(missing_ok=True)
-                self._children[name] = Process(name, command, log, self._environment)
+                self[name] = Process(name, command, log, self._environment)
         except BaseException:
             self.__exit__()
             raise
@@ -211,23 +208,17 @@ class Processes:
 
     def __exit__(self, *_: object) -> None:
         with end_signals(signal.SIG_IGN):  # the end is carried through
-            for child in reversed(self._children.values()):
+            for child in reversed(self.values()):
                 child.signal(signal.SIGTERM)  # SIGINT may be ignored from birth: `nohup`, `&`
             deadline_s = time.monotonic() + self._grace_s
-            for child in self:
+            for child in self.values():
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     child.wait(max(0.0, deadline_s - time.monotonic()))
                 child.kill()
 
-    def __getitem__(self, name: str) -> Process:
-        return self._children[name]
-
-    def __iter__(self) -> Iterator[Process]:
-        return iter(self._children.values())
-
     def check(self) -> None:
         """Raise a `ProcessError` where a child has ended."""
-        for child in self:
+        for child in self.values():
             child.check()
 
     def wait_for_line(self, name: str, start: str, within_s: float) -> str:
@@ -261,9 +252,8 @@ def handle_end_signals(handler: Any) -> dict[signal.Signals, Any]:
 
     Gives the handlers before, by signal.
     """
-    numbers = [signal.SIGINT, signal.SIGTERM]
-    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-        numbers.append(signal.SIGHUP)
+    ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    numbers = [signal.SIGINT, signal.SIGTERM, *([] if ignored else [signal.SIGHUP])]
     return {number: signal.signal(number, handler) for number in numbers}
 
 

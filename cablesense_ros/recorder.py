@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,18 +26,6 @@ from cablesense_ros.node_process import spun_node
 from cablesense_ros.processes import end_signals
 from cablesense_sim.arm import Arm
 
-SILENT_AFTER_S = 3.0
-"""A topic without a message for this long from the start gets a hint."""
-
-_HINTS = {
-    topics.CABLE_TENSIONS: "is the arm's driver or the sim node running, in this ROS_DOMAIN_ID "
-    "and namespace?",
-    topics.JOINT_COMMANDS: "publish the command once more, also for a straight arm: samples "
-    "before the first command are of no use",
-    topics.JOURNAL: "is the estimator running? Without it nothing can be compared in a replay",
-}
-
-
 _COUNTED = (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS, topics.APPLIED_WRENCH, topics.WRENCH)
 
 
@@ -55,7 +43,6 @@ class Recorder:
         path: str | Path,
         wanted: Mapping[str, TopicType],
         arm: Arm | None,
-        say: Callable[[str], object],
         force: bool = False,
     ) -> None:
         """Listen.
@@ -65,22 +52,18 @@ class Recorder:
             path: of the file.
             wanted: what to record; topics whose message type is not installed are left out.
             arm: whose contract is checked, if any.
-            say: takes a line for people.
             force: whether to replace a file that is there already, at once.
 
         Raises:
             RecordingError: the file exists already, or cannot be written.
         """
-        self._file = TopicFile(path, growing=True, force=force)
-        self._node = node
-        self._wanted = wanted
-        self._say = say
+        self._file = TopicFile(path, force)
+        self._node, self._wanted = node, wanted
         self._contract = None if arm is None else BagRows(arm, keep=False)
         self._channels: dict[str, Any] = {}
         self._names: set[str] = set()
         self._started_s = self._flushed_s = time.monotonic()
         self._failure: RecordingError | None = None
-        self._hinted: set[str] = set()
         self.counts: Counter[str] = Counter()
         self._left_out: Counter[str] = Counter()
         self._log = RefusalLog(node, "left out")
@@ -91,22 +74,11 @@ class Recorder:
     @property
     def status(self) -> str:
         """One line: how long, and how much of what."""
-        elapsed_s = time.monotonic() - self._started_s
-        parts = [f"{elapsed_s:.0f} s"]
+        parts = [f"{time.monotonic() - self._started_s:.0f} s"]
         for topic in filter(self._wanted.__contains__, _COUNTED):
             left_out = f" ({n} left out)" if (n := self._left_out[topic]) else ""
             parts.append(f"{topic} {self.counts[topic] or 'nothing yet'}{left_out}")
         return " · ".join(parts)
-
-    def hint_at_silence(self) -> None:
-        """Print once for each silent topic what may help."""
-        if time.monotonic() - self._started_s < SILENT_AFTER_S:
-            return
-        for topic, hint in _HINTS.items():
-            silent = topic in self._wanted and not self.counts[topic]
-            if silent and topic not in self._hinted:
-                self._hinted.add(topic)
-                self._say(f"nothing on {topic} so far: {hint}")
 
     def flush(self) -> None:
         """To be called several times a second: what came goes out, also when nothing follows it.
@@ -116,13 +88,31 @@ class Recorder:
         """
         if self._failure is not None:
             raise self._failure
-        if time.monotonic() - self._flushed_s >= CHUNK_S:
+        now_s = time.monotonic()
+        if now_s - self._flushed_s >= CHUNK_S:
             self._file.flush()
-            self._flushed_s = time.monotonic()
-            if topics.SEGMENT_WRENCHES in self._wanted:
-                self._subscribe_to_segments()
+            self._flushed_s = now_s
+            self._subscribe_to_segments()
+
+    def close(self) -> None:
+        """Finish the file.
+
+        Raises:
+            RecordingError: nothing worth a file came, or it cannot be written.
+        """
+        if self.counts[topics.CABLE_TENSIONS]:
+            self._file.close()
+            return
+        self._file.discard()
+        took_s = time.monotonic() - self._started_s
+        raise RecordingError(
+            f"nothing on {topics.CABLE_TENSIONS} in {took_s:.0f} s, and so no file; is the arm's "
+            "driver or the sim node running, in this ROS_DOMAIN_ID and namespace?"
+        )
 
     def _subscribe_to_segments(self) -> None:
+        if topics.SEGMENT_WRENCHES not in self._wanted:
+            return
         of_this_arm = resolved(topics.SEGMENT_WRENCHES, self._node.get_namespace())
         for name, _ in self._node.get_topic_names_and_types():
             if name == of_this_arm.format(segment_of(name)) and name not in self._names:
@@ -141,22 +131,6 @@ class Recorder:
             subscribe_to_one(node, kind, name, of.requested, FollowedPublisher(), take, refuse)
         else:
             node.create_subscription(kind, name, take, **overridable(of.requested), raw=True)
-
-    def close(self) -> None:
-        """Finish the file.
-
-        Raises:
-            RecordingError: nothing worth a file came, or it cannot be written.
-        """
-        if self.counts[topics.CABLE_TENSIONS]:
-            self._file.close()
-            return
-        self._file.discard()
-        took_s = time.monotonic() - self._started_s
-        raise RecordingError(
-            f"nothing on {topics.CABLE_TENSIONS} in {took_s:.0f} s, and so no file; "
-            f"{_HINTS[topics.CABLE_TENSIONS]}"
-        )
 
     def _take(self, topic: str, name: str, kind: type, raw: bytes) -> None:
         if self._failure is not None:
@@ -208,15 +182,13 @@ def record_topics(
     Raises:
         RecordingError: the file exists, cannot be written, or no tensions came.
     """
-    say = partial(console.print, soft_wrap=True, markup=False, highlight=False)
     wanted_end = Future()
-
-    def end(*_: object) -> None:
-        wanted_end.set_result(None)
-
     topic_file_path(path, force)  # refused before a node starts
-    with end_signals(end), spun_node("recorder", namespace) as (node, executor):
-        recorder = Recorder(node, path, wanted, arm, say, force)
+    with (
+        end_signals(lambda *_: wanted_end.set_result(None)),
+        spun_node("recorder", namespace) as (node, executor),
+    ):
+        recorder = Recorder(node, path, wanted, arm, force)
         end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
         try:
             with console.status("waiting for the arm") as line:
@@ -224,8 +196,7 @@ def record_topics(
                     wake_s = min(_WAKE_S, left_s)
                     executor.spin_until_future_complete(wanted_end, timeout_sec=wake_s)
                     recorder.flush()
-                    recorder.hint_at_silence()
                     line.update(f"recording, Ctrl-C ends it: {recorder.status}")
         finally:
             recorder.close()
-        say(f"{path}: {recorder.status}")
+        console.print(f"{path}: {recorder.status}", soft_wrap=True, markup=False, highlight=False)

@@ -17,6 +17,7 @@ from cablesense_base import Array
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
     Level,
+    Load,
     NamedOrder,
     Status,
     cable_offsets_m,
@@ -28,15 +29,15 @@ from cablesense_msgs_py.messages import (
 from cablesense_msgs_py.qos import COMMAND, LATCHED, PUBLISHER
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.simulated_arm import LONGEST_LAG_S, SimulatedArm
-from cablesense_ros.endpoints import RefusalLog, overridable
+from cablesense_ros.endpoints import CommandInput, RefusalLog, overridable
 from cablesense_ros.node_process import publish_diagnostics, run_node
 from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
-from cablesense_ros.trajectory_input import TrajectoryInput
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.contact_location import touched_at
 from cablesense_sim.dynamics import moving_arm
 from cablesense_sim.effects.registry import sensings
-from cablesense_sim.kinematics import contact_points_m
+from cablesense_sim.loads import contact_of_wrench
 from cablesense_sim.model import urdf_xml
 
 TIMESTEP_S = 1e-3
@@ -92,20 +93,20 @@ class SimNode(Node):
         def on_offsets(message: JointState) -> None:
             self._simulated.offset(cable_offsets_m(message, cables))
 
-        mechanism = mechanism_of(arm)
+        mechanism, (reach_m, _) = mechanism_of(arm), touched_at(arm)
 
-        def contacts_m() -> Array:
-            return np.asarray(contact_points_m(mechanism, self._simulated.joint_angles_rad))
+        def contact_of(force_n: Array, torque_n_m: Array) -> tuple[int, float]:
+            pose = self._simulated.joint_angles_rad
+            return contact_of_wrench(mechanism, pose, reach_m, force_n, torque_n_m)
 
         def on_load(message: WrenchStamped) -> None:
-            load = read_load(message, frames, contacts_m)
+            load = read_load(message, frames, contact_of)
             self._simulated.push(load, time.monotonic())
 
         self._refuse = RefusalLog(
             self, "message refused, commands, offsets and loads stay as they were"
         )
-        self._refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND, on_command)
-        TrajectoryInput(
+        CommandInput(
             self, self._refuse, arm.joint_names, lambda: self._simulated.target_rad, on_command
         )
         self._refuse.subscribe(JointState, topics.CABLE_OFFSETS, COMMAND, on_offsets)
@@ -136,7 +137,7 @@ class SimNode(Node):
             level, message = Level.WARN, f"at {factor:.2f} of real time: the machine is too busy"
         if simulated.resets:
             level, message = Level.ERROR, "the simulation diverged; it was restarted without loads"
-        loads = (f"segment_{n}: {force_n:.1f}" for n, force_n in simulated.loads_n.items())
+        loads = map(_shown, simulated.loads)
         values = {
             "real time factor": f"{factor:.3f}",
             "time skipped (s)": f"{simulated.pacer.skipped_s:.3f}",
@@ -147,6 +148,11 @@ class SimNode(Node):
             "arm": self._arm.identity,
         }
         return [Status("simulation", level, message, values)]
+
+
+def _shown(load: Load) -> str:
+    at = "" if load.contact_m is None else f" at {load.contact_m:.3f} m"
+    return f"segment_{load.segment}: {np.linalg.norm(load.force_base_n):.1f}{at}"
 
 
 main = partial(run_node, SimNode)

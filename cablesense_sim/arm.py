@@ -116,6 +116,19 @@ class Sensors(FilePart):
         return self
 
 
+class Touch(FilePart):
+    """How the arm is touched: tensions do not follow from it, only what estimates state.
+
+    `radius_m` is that of the surface, from the axis. `friction` is the Coulomb coefficient there:
+    without it, contacts act on the axis. `reach_m` is the range on each segment that can be
+    touched, from its joint centre; by default from its guide plate to the next joint centre.
+    """
+
+    radius_m: Annotated[Number, Field(ge=0.0, le=1.0)] = 0.0
+    friction: Annotated[Number, Field(ge=0.0, le=2.0)] = 0.0
+    reach_m: tuple[Number, Number] | None = None
+
+
 class ListedEffect(FilePart):
     """Effects of the arm beyond the ideal: an effect's name, its place, and its parameters."""
 
@@ -133,6 +146,7 @@ class Arm(FilePart):
     cables: CableSet
     actuators: Actuators
     sensors: Sensors
+    touch: Touch = Field(default_factory=Touch)
     effects: list[ListedEffect] = Field(default_factory=list)
 
     @model_validator(mode="after")
@@ -162,6 +176,12 @@ class Arm(FilePart):
                     f"segments.contact_m = {contact} lies beyond the end of segment {n + 1}; "
                     f"it must be at most length_m = {length}"
                 )
+        reach = self.touch.reach_m
+        if reach is not None and not 0.0 <= reach[0] < reach[1] <= min(lengths):
+            raise ValueError(
+                f"touch.reach_m = {list(reach)}; it must be [nearest, farthest] from the joint "
+                f"centre, within the shortest segment's {min(lengths)} m"
+            )
         stiffness = self.cables.stiffness_n_m
         if stiffness is not None and self.actuators.kp_n_m <= stiffness:
             raise ValueError(
@@ -248,8 +268,8 @@ class Arm(FilePart):
 
     @property
     def identity(self) -> str:
-        """Name and the first 12 hex digits of the SHA-256 of the description."""
-        text = json.dumps(self.model_dump(mode="json"), sort_keys=True)
+        """Name and the first 12 hex digits of the SHA-256 of what its tensions follow from."""
+        text = json.dumps(self.model_dump(mode="json", exclude={"touch"}), sort_keys=True)
         return f"{self.name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 

@@ -15,10 +15,9 @@ def mechanism_of(arm: Arm) -> Mechanism:
     segment = np.repeat(np.arange(1, count + 1), each)
     radius, angle = arm.holes
     length = np.asarray(per_segment(arm.segments.length_m, count))
-    offset = arm.segments.plate_offset_m
+    offset, kp = arm.segments.plate_offset_m, arm.actuators.kp_n_m
     joint_x = offset + np.concatenate([[0.0], np.cumsum(length)[:-1]])
     straight = arm.cables.run_m + joint_x[segment - 1] + offset
-    kp = arm.actuators.kp_n_m
     if arm.cables.stiffness_n_m is not None:
         in_series = np.full(segment.shape, arm.cables.stiffness_n_m)
         cable_alone = 1.0 / (1.0 / in_series - 1.0 / kp)

@@ -83,9 +83,8 @@ class CableChains:
     ) -> Array | None:
         """The turn (P, 2N) of P arms' joints after which the torques on them are balanced.
 
-        All is linear in it but which nodes slip and which cables are slack, and these are sought
-        along with the turn, so that no search runs within another. None where no node sticks
-        rigidly: there is nothing to seek then.
+        It is sought along with the nodes that slip and the cables that are slack, so that no
+        search runs within another. None where no node sticks rigidly: there is nothing to seek.
 
         Args:
             lengths_m: (P, M, 1 + N) of the cables' pieces now.
@@ -98,7 +97,8 @@ class CableChains:
         if not self._any_rigid:
             return None
         given = (lengths_m, limit, by_turn_m, torque_n_m, slope_n_m)
-        return cable_law.balancing_turn(self._cables, *map(_contiguous, given))
+        contiguous = (np.ascontiguousarray(values, dtype=float) for values in given)
+        return cable_law.balancing_turn(self._cables, *contiguous)
 
     def _flat(self, values: Array) -> Array:
         """Values (..., K) of cables as (C, K) in one contiguous copy."""
@@ -137,7 +137,3 @@ def pulled_over_guides_n(near_n: Array, pulled_n: Array, ratio: Array, begins: A
                 near = min(max(free, near / ratio[row, k]), near * ratio[row, k])
             found[row, k] = near
     return found
-
-
-def _contiguous(values: Array) -> Array:
-    return np.ascontiguousarray(values, dtype=float)

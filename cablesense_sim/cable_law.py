@@ -14,17 +14,15 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_sim.compiled import compiled
 
-_MOST_STEPS = 40
-_CIRCLES_AFTER = 10
-_SWEEPS = 30
-_HALVINGS = 40
+_MOST_STEPS, _CIRCLES_AFTER = 40, 10
+_SWEEPS, _HALVINGS = 30, 40
 _ROUNDING = 1e-12
 _TURNS, _CUT_AFTER = 30, 8
 _CLOSE_RAD = 1e-8
 
 
 class Cables(NamedTuple):
-    """C cables of K pieces and K - 1 nodes, or one of them without the first axis.
+    """C cables of K pieces and K - 1 nodes.
 
     Attributes:
         stiffness_n_m: (C, K) of the pieces, zero beyond the end of a cable.
@@ -68,18 +66,17 @@ def pull(cables: Cables, lengths_m: Array, limit: Array) -> tuple[Array, Array]:
     rows, held = _empty_rows(pieces - 1), np.empty(pieces)
     right = np.empty((pieces - 1, pieces))
     for c in range(count):
-        cable = _one(cables, c)
-        if not _hold(cable, lengths_m[c], held):
+        if not _hold(cables, c, lengths_m[c], held):
             continue
-        _pass(cable, held, limit[c], rows)
-        _by_stretch(cable, rows, right)
-        _eliminate(cable, rows, right)
+        _pass(cables, c, held, limit[c], rows)
+        stiffness = cables.stiffness_n_m[c]
+        _by_stretch(stiffness, rows, right)
+        _eliminate(stiffness, rows, right)
+        _stretched(stiffness, held, cables.passed_m[c], tensions[c])
         for k in range(pieces):
-            stiffness = cable.stiffness_n_m[k]
-            tensions[c, k] = held[k] + stiffness * _gained(cable.passed_m, k)
             for column in range(pieces):
-                slope[c, k, column] = stiffness * _gained(right[:, column], k)
-            slope[c, k, k] += stiffness
+                slope[c, k, column] = stiffness[k] * _gained(right[:, column], k)
+            slope[c, k, k] += stiffness[k]
     return tensions, slope
 
 
@@ -89,19 +86,21 @@ def settle(cables: Cables, lengths_m: Array, limit: Array) -> None:
     count, pieces = lengths_m.shape
     rows, held = _empty_rows(pieces - 1), np.empty(pieces)
     for c in range(count):
-        cable = _one(cables, c)
-        if _hold(cable, lengths_m[c], held):
-            _pass(cable, held, limit[c], rows)
+        natural, passed = cables.natural_m[c], cables.passed_m[c]
+        if _hold(cables, c, lengths_m[c], held):
+            _pass(cables, c, held, limit[c], rows)
             for k in range(pieces):
-                cable.natural_m[k] -= _gained(cable.passed_m, k)
+                natural[k] -= _gained(passed, k)
             for k in range(pieces - 1):
-                bent = _bent(cable, k, cable.passed_m[k])[0] if cable.give_m[k] > 0.0 else 0.0
-                cable.share[k] = min(max(bent, -1.0), 1.0)
-            cable.passed_m[:] = 0.0
+                bent = _bent(cables, c, k, passed[k])[0] if cables.give_m[c, k] > 0.0 else 0.0
+                cables.share[c, k] = min(max(bent, -1.0), 1.0)
+            passed[:] = 0.0
         else:
-            stretch = (lengths_m[c] - cable.natural_m).sum()
-            cable.natural_m[:] = lengths_m[c] - _evenly(cable) * stretch
-            cable.share[:] = 0.0
+            stiffness = cables.stiffness_n_m[c]
+            compliance = np.where(stiffness > 0.0, 1.0 / stiffness, 0.0)
+            stretch = (lengths_m[c] - natural).sum()
+            natural[:] = lengths_m[c] - compliance / compliance.sum() * stretch
+            cables.share[c] = 0.0
 
 
 @compiled
@@ -121,36 +120,26 @@ def balancing_turn(
     turn = np.zeros(torque_n_m.shape)
     each = lengths_m.shape[1]
     for p in range(len(turn)):
-        first = p * each
-        own = Cables(
-            cables.stiffness_n_m[first : first + each],
-            cables.give_m[first : first + each],
-            cables.rounding[first : first + each],
-            cables.natural_m[first : first + each],
-            cables.share[first : first + each],
-            cables.slips[first : first + each],
-            cables.passed_m[first : first + each],
-        )
-        _balance(own, lengths_m[p], limit[p], by_turn_m[p], torque_n_m[p], slope_n_m[p], turn[p])
+        given = (lengths_m[p], limit[p], by_turn_m[p], torque_n_m[p], slope_n_m[p])
+        _balance(cables, p * each, given, turn[p])
     return turn
 
 
 @compiled
 def _balance(
-    cables: Cables,
-    lengths_m: Array,
-    limit: Array,
-    by_turn_m: Array,
-    torque_n_m: Array,
-    slope_n_m: Array,
-    turn: Array,
+    cables: Cables, first: int, given: tuple[Array, Array, Array, Array, Array], turn: Array
 ) -> None:
-    """The turn (2N,) of one arm, in place; NaN where its torques are."""
+    """The turn (2N,) of one arm, whose cables begin at `first`, in place; NaN where torques are.
+
+    All is linear in it but which nodes slip and which cables are slack: these are sought with it.
+    """
+    lengths_m, limit, by_turn_m, torque_n_m, slope_n_m = given
     count, pieces = lengths_m.shape
     nodes = pieces - 1
-    rigid = not (cables.give_m > 0.0).any()
-    stretch = lengths_m - cables.natural_m
-    tensions = cables.stiffness_n_m * stretch
+    own = slice(first, first + count)
+    rigid = not (cables.give_m[own] > 0.0).any()
+    stretch = lengths_m - cables.natural_m[own]
+    tensions = cables.stiffness_n_m[own] * stretch
     passed, room, taut = np.zeros((count, nodes)), np.empty(count), np.empty(count)
     rows, right = _empty_rows(nodes), np.empty((nodes, pieces + 1))
     passed_by = np.empty((count, nodes, 2 * nodes))
@@ -162,26 +151,25 @@ def _balance(
         missing = torque_n_m + slope_n_m @ turn
         whole = slope_n_m.copy()
         for c in range(count):
-            cable = _one(cables, c)
+            stiffness = cables.stiffness_n_m[first + c]
             taut[c] = 1.0 if stretch[c].sum() > 0.0 else 0.0
-            held = cable.stiffness_n_m * stretch[c] * taut[c]
+            held = stiffness * stretch[c] * taut[c]
             if not taut[c]:
-                cable.slips[:] = 0.0
-            _set_rows(cable, taut[c] > 0.0, passed[c], tensions[c], limit[c], rows)
-            _by_stretch(cable, rows, right)
+                cables.slips[first + c] = 0.0
+            _set_rows(cables, first + c, taut[c] > 0.0, passed[c], tensions[c], limit[c], rows)
+            _by_stretch(stiffness, rows, right)
             for k in range(nodes):
                 right[k, pieces] = held[k] - rows.ratio[k] * held[k + 1] + rows.offset_n[k]
-            _eliminate(cable, rows, right)
+            _eliminate(stiffness, rows, right)
             passed[c] = right[:, pieces]
-            for k in range(pieces):
-                tensions[c, k] = held[k] + cable.stiffness_n_m[k] * _gained(passed[c], k)
+            _stretched(stiffness, held, passed[c], tensions[c])
             for j in range(2 * nodes):
-                own = by_turn_m[c, j // 2, j % 2]
+                lever = by_turn_m[c, j // 2, j % 2]
                 for k in range(nodes):
-                    passed_by[c, k, j] = right[k, j // 2 + 1] * own
+                    passed_by[c, k, j] = right[k, j // 2 + 1] * lever
                 for k in range(pieces):
-                    longer = _gained(passed_by[c, :, j], k) + (own if k == j // 2 + 1 else 0.0)
-                    tensions_by[c, k, j] = cable.stiffness_n_m[k] * taut[c] * longer
+                    longer = _gained(passed_by[c, :, j], k) + (lever if k == j // 2 + 1 else 0.0)
+                    tensions_by[c, k, j] = stiffness[k] * taut[c] * longer
             for i in range(2 * nodes):
                 lever = by_turn_m[c, i // 2, i % 2]
                 missing[i] += lever * tensions[c, i // 2 + 1]
@@ -203,22 +191,9 @@ def _balance(
             tensions[c] += tensions_by[c] @ step
             changed |= (stretch[c].sum() > 0.0) != (taut[c] > 0.0)
             if taut[c]:
-                changed |= _slip(_one(cables, c), passed[c], tensions[c], limit[c], room[c])
+                changed |= _slip(cables, first + c, passed[c], tensions[c], limit[c], room[c])
         if not (changed or cut) and (rigid or np.abs(step).max() < _CLOSE_RAD):
             return
-
-
-@compiled
-def _one(cables: Cables, c: int) -> Cables:
-    return Cables(
-        cables.stiffness_n_m[c],
-        cables.give_m[c],
-        cables.rounding[c],
-        cables.natural_m[c],
-        cables.share[c],
-        cables.slips[c],
-        cables.passed_m[c],
-    )
 
 
 @compiled
@@ -235,139 +210,133 @@ def _gained(passed: Array, k: int) -> float:
 
 
 @compiled
-def _tensions(cable: Cables, held: Array, passed: Array, tensions: Array) -> None:
+def _stretched(stiffness: Array, held: Array, passed: Array, tensions: Array) -> None:
+    """Write the tensions that pieces have, which were `held` before cable passed."""
     for k in range(len(held)):
-        tensions[k] = held[k] + cable.stiffness_n_m[k] * _gained(passed, k)
+        tensions[k] = held[k] + stiffness[k] * _gained(passed, k)
 
 
 @compiled
-def _bent(cable: Cables, k: int, passed: float) -> tuple[float, float]:
+def _bent(cables: Cables, c: int, k: int, passed: float) -> tuple[float, float]:
     """Share that bristles would carry if they could carry any, and by how much it grows, 1/m.
 
     The remainder to the limit, u, falls as du/dx = -u^rounding / give (Dahl, A solid friction
     model, Aerospace Corp. TOR-0158, 1968); a bristle at rest is taken to be as stiff as it is on
     its way back.
     """
-    give, share = cable.give_m[k], cable.share[k]
-    if cable.rounding[k] == 0.0:
+    give, share, rounding = cables.give_m[c, k], cables.share[c, k], cables.rounding[c, k]
+    if rounding == 0.0:
         return share + passed / give, 1.0 / give
     if passed == 0.0:
-        return share, (1.0 + abs(share)) ** cable.rounding[k] / give
-    way, evenly = np.sign(passed), 1.0 - cable.rounding[k]
+        return share, (1.0 + abs(share)) ** rounding / give
+    way, evenly = np.sign(passed), 1.0 - rounding
     far = max(max(1.0 - way * share, 0.0) ** evenly - evenly * abs(passed) / give, -1.0)
     left = np.sign(far) * abs(far) ** (1.0 / evenly)
-    return way * (1.0 - left), max(left, 0.0) ** cable.rounding[k] / give
+    return way * (1.0 - left), max(left, 0.0) ** rounding / give
 
 
 @compiled
-def _slip_m(cable: Cables, k: int, way: float) -> float:
+def _slip_m(cables: Cables, c: int, k: int, way: float) -> float:
     """Cable that passes a node until its bristles slip a way; none where it sticks rigidly."""
-    evenly = 1.0 - cable.rounding[k]
-    return way * cable.give_m[k] * max(1.0 - way * cable.share[k], 0.0) ** evenly / evenly
+    evenly = 1.0 - cables.rounding[c, k]
+    left = max(1.0 - way * cables.share[c, k], 0.0)
+    return way * cables.give_m[c, k] * left**evenly / evenly
 
 
 @compiled
-def _pass(cable: Cables, held: Array, limit: Array, rows: _Rows) -> None:
+def _pass(cables: Cables, c: int, held: Array, limit: Array, rows: _Rows) -> None:
     """Finds what passes each node of a taut cable, and the rows that hold, in place.
 
     Newton's method on the rows: at a node that slips the ratio of tensions is the bound; at
     bristles that hold it is the share that they carry; elsewhere nothing passes. A node sticks
-    before it slips the other way. One cable in some thousands goes in circles; it is relaxed
+    before it slips the other way. One cable in some thousands alternates; it is relaxed
     before it goes on.
     """
-    passed, room = cable.passed_m, 0.0
+    stiffness, give, passed = cables.stiffness_n_m[c], cables.give_m[c], cables.passed_m[c]
     tensions, last = np.empty(len(held)), np.empty(len(passed))
-    _tensions(cable, held, passed, tensions)
-    for tension in held:
-        room = max(room, _ROUNDING * abs(tension))
+    _stretched(stiffness, held, passed, tensions)
+    room = _ROUNDING * np.abs(held).max()
     for step in range(1, _MOST_STEPS + 1):
         if step % _CIRCLES_AFTER == 0:
-            _relax(cable, held, limit, passed)
-            _tensions(cable, held, passed, tensions)
-            _slip_as_passed(cable, passed)
+            _relax(cables, c, held, limit)
+            _stretched(stiffness, held, passed, tensions)
+            for k in range(len(passed)):
+                bent = _bent(cables, c, k, passed[k])[0] if give[k] > 0.0 else passed[k]
+                slips = abs(bent) >= 1.0 or give[k] == 0.0
+                cables.slips[c, k] = np.sign(bent) if slips else 0.0
         last[:] = passed
-        _set_rows(cable, True, passed, tensions, limit, rows)
+        _set_rows(cables, c, True, passed, tensions, limit, rows)
         for k in range(len(passed)):
             passed[k] = held[k] - rows.ratio[k] * held[k + 1] + rows.offset_n[k]
-        _eliminate(cable, rows, passed.reshape(-1, 1))
+        _eliminate(stiffness, rows, passed.reshape(-1, 1))
         still = True
         for k in range(len(passed)):
             # the way back is as stiff as can be, and begins at rest
-            if cable.rounding[k] > 0.0 and cable.give_m[k] > 0.0 and passed[k] * last[k] < 0.0:
+            if cables.rounding[c, k] > 0.0 and give[k] > 0.0 and passed[k] * last[k] < 0.0:
                 passed[k] = 0.0
-            if cable.give_m[k] > 0.0 and abs(passed[k] - last[k]) > _ROUNDING:
+            if give[k] > 0.0 and abs(passed[k] - last[k]) > _ROUNDING:
                 still = False
-        _tensions(cable, held, passed, tensions)
-        if not _slip(cable, passed, tensions, limit, room) and still:
+        _stretched(stiffness, held, passed, tensions)
+        if not _slip(cables, c, passed, tensions, limit, room) and still:
             return
     for _ in range(_MOST_STEPS):
         last[:] = passed
-        _relax(cable, held, limit, passed)
+        _relax(cables, c, held, limit)
         if np.abs(passed - last).max() <= _ROUNDING:
             break
-    _tensions(cable, held, passed, tensions)
-    _set_rows(cable, True, passed, tensions, limit, rows)
+    _stretched(stiffness, held, passed, tensions)
+    _set_rows(cables, c, True, passed, tensions, limit, rows)
 
 
 @compiled
-def _slip(cable: Cables, passed: Array, tensions: Array, limit: Array, room: float) -> bool:
+def _slip(
+    cables: Cables, c: int, passed: Array, tensions: Array, limit: Array, room: float
+) -> bool:
     """Which way each node slips by a guess; whether that has changed."""
     changed = False
     for k in range(len(passed)):
-        if cable.stiffness_n_m[k + 1] == 0.0:
+        if cables.stiffness_n_m[c, k + 1] == 0.0:
             continue
-        slips = cable.slips[k]
-        if cable.give_m[k] > 0.0:
-            bent = _bent(cable, k, passed[k])[0]
+        slips = cables.slips[c, k]
+        if cables.give_m[c, k] > 0.0:
+            bent = _bent(cables, c, k, passed[k])[0]
             beyond, below, ahead = bent > 1.0 + _ROUNDING, bent < -1.0 - _ROUNDING, bent - slips
         else:
             near, far, over = tensions[k], tensions[k + 1], np.exp(limit[k])
             beyond, below, ahead = near > far * over + room, near * over < far - room, passed[k]
         if slips == 0.0:
-            cable.slips[k] = 1.0 if beyond else -1.0 if below else 0.0
+            cables.slips[c, k] = 1.0 if beyond else -1.0 if below else 0.0
         elif not slips * ahead >= 0.0:
-            cable.slips[k] = 0.0
-        changed |= cable.slips[k] != slips
+            cables.slips[c, k] = 0.0
+        changed |= cables.slips[c, k] != slips
     return changed
 
 
 @compiled
-def _slip_as_passed(cable: Cables, passed: Array) -> None:
-    """Set which way each node slips, by the length that has passed it."""
-    for k in range(len(passed)):
-        if cable.give_m[k] > 0.0:
-            bent = _bent(cable, k, passed[k])[0]
-            cable.slips[k] = np.sign(bent) if abs(bent) >= 1.0 else 0.0
-        else:
-            cable.slips[k] = np.sign(passed[k])
-
-
-@compiled
 def _set_rows(
-    cable: Cables, taut: bool, passed: Array, tensions: Array, limit: Array, rows: _Rows
+    cables: Cables, c: int, taut: bool, passed: Array, tensions: Array, limit: Array, rows: _Rows
 ) -> None:
     """The rows that hold, linear about a guess where bristles carry."""
+    rows.moves[:] = rows.steeper_n_m[:] = rows.offset_n[:] = 0.0
+    rows.ratio[:] = 1.0
     for k in range(len(passed)):
-        rows.moves[k], rows.ratio[k] = 0.0, 1.0
-        rows.steeper_n_m[k], rows.offset_n[k] = 0.0, 0.0
-        if not taut or cable.stiffness_n_m[k + 1] == 0.0:
+        if not taut or cables.stiffness_n_m[c, k + 1] == 0.0:
             continue
-        if cable.slips[k] != 0.0:
-            rows.moves[k], rows.ratio[k] = 1.0, np.exp(cable.slips[k] * limit[k])
-        elif cable.give_m[k] > 0.0:
-            bent, stiffer = _bent(cable, k, passed[k])
+        if cables.slips[c, k] != 0.0:
+            rows.moves[k], rows.ratio[k] = 1.0, np.exp(cables.slips[c, k] * limit[k])
+        elif cables.give_m[c, k] > 0.0:
+            bent, stiffer = _bent(cables, c, k, passed[k])
             share = min(max(bent, -1.0), 1.0)
             ratio = np.exp(share * limit[k])
             steeper = stiffer * ratio * limit[k] * max(tensions[k + 1], 0.0)
-            at = _slip_m(cable, k, share) if abs(bent) > 1.0 else passed[k]
+            at = _slip_m(cables, c, k, share) if abs(bent) > 1.0 else passed[k]
             rows.moves[k], rows.ratio[k] = 1.0, ratio
             rows.steeper_n_m[k], rows.offset_n[k] = steeper, steeper * at
 
 
 @compiled
-def _by_stretch(cable: Cables, rows: _Rows, right: Array) -> None:
+def _by_stretch(stiffness: Array, rows: _Rows, right: Array) -> None:
     """Right-hand sides for the derivative by the pieces' stretch, in the first K columns."""
-    stiffness = cable.stiffness_n_m
     right[:] = 0.0
     for k in range(len(right)):
         right[k, k] = stiffness[k]
@@ -375,38 +344,37 @@ def _by_stretch(cable: Cables, rows: _Rows, right: Array) -> None:
 
 
 @compiled
-def _eliminate(cable: Cables, rows: _Rows, right: Array) -> None:
+def _eliminate(stiffness: Array, rows: _Rows, right: Array) -> None:
     """Thomas's algorithm for several right-hand sides (K - 1, any), in place."""
-    stiffness, diagonal, last = cable.stiffness_n_m, rows.diagonal_n_m, len(right) - 1
+    diagonal, last, columns = rows.diagonal_n_m, len(right) - 1, range(right.shape[1])
     for k in range(last + 1):
         if rows.moves[k] == 0.0:
             diagonal[k] = 1.0
-            for column in range(right.shape[1]):
-                right[k, column] = 0.0
+            right[k] = 0.0
             continue
         diagonal[k] = stiffness[k] + rows.ratio[k] * stiffness[k + 1] + rows.steeper_n_m[k]
         if k > 0 and rows.moves[k - 1] > 0.0:
             part = stiffness[k] / diagonal[k - 1]
             diagonal[k] -= part * rows.ratio[k - 1] * stiffness[k]
-            for column in range(right.shape[1]):
+            for column in columns:
                 right[k, column] += part * right[k - 1, column]
     for k in range(last, -1, -1):
         if rows.moves[k] == 0.0:
             continue
         far = rows.ratio[k] * stiffness[k + 1]
-        for column in range(right.shape[1]):
+        for column in columns:
             if k < last:
                 right[k, column] += far * right[k + 1, column]
             right[k, column] /= diagonal[k]
 
 
 @compiled
-def _relax(cable: Cables, held: Array, limit: Array, passed: Array) -> None:
+def _relax(cables: Cables, c: int, held: Array, limit: Array) -> None:
     """Passed lengths nearer to the solution, node by node while the others stand, in place.
 
     This converges from any start, as the matrix is an M-matrix, but slowly.
     """
-    stiffness = cable.stiffness_n_m
+    stiffness, passed = cables.stiffness_n_m[c], cables.passed_m[c]
     for _ in range(_SWEEPS):
         for k in range(len(passed)):
             passed[k] = 0.0
@@ -414,12 +382,12 @@ def _relax(cable: Cables, held: Array, limit: Array, passed: Array) -> None:
                 continue
             near = held[k] + stiffness[k] * _gained(passed, k)
             far = held[k + 1] + stiffness[k + 1] * _gained(passed, k + 1)
-            low, high = _slip_m(cable, k, -1.0), _slip_m(cable, k, 1.0)
+            low, high = _slip_m(cables, c, k, -1.0), _slip_m(cables, c, k, 1.0)
             moved = 0.0
-            if cable.give_m[k] > 0.0:
+            if cables.give_m[c, k] > 0.0:
                 for _ in range(_HALVINGS):  # what passes if the node does not slip
                     moved = 0.5 * (low + high)
-                    share = min(max(_bent(cable, k, moved)[0], -1.0), 1.0)
+                    share = min(max(_bent(cables, c, k, moved)[0], -1.0), 1.0)
                     ratio = np.exp(share * limit[k])
                     if near - stiffness[k] * moved > ratio * (far + stiffness[k + 1] * moved):
                         low = moved
@@ -428,30 +396,23 @@ def _relax(cable: Cables, held: Array, limit: Array, passed: Array) -> None:
             for way in (1.0, -1.0):
                 ratio = np.exp(way * limit[k])
                 most = (near - ratio * far) / (stiffness[k] + ratio * stiffness[k + 1])
-                if way * (most - _slip_m(cable, k, way)) > 0.0:
+                if way * (most - _slip_m(cables, c, k, way)) > 0.0:
                     moved = most
             passed[k] = moved
 
 
 @compiled
-def _hold(cable: Cables, lengths_m: Array, held: Array) -> bool:
+def _hold(cables: Cables, c: int, lengths_m: Array, held: Array) -> bool:
     """Whether the cable is taut; tensions (K,) if nothing passed, in place.
 
     A slack cable loses its state of friction.
     """
+    stretch = lengths_m - cables.natural_m[c]
+    held[:] = cables.stiffness_n_m[c] * stretch
     whole = 0.0
-    for k in range(len(held)):
-        stretch = lengths_m[k] - cable.natural_m[k]
-        held[k] = cable.stiffness_n_m[k] * stretch
-        whole += stretch
+    for each in stretch:
+        whole += each
     if not whole > 0.0:
-        cable.slips[:] = 0.0
-        cable.passed_m[:] = 0.0
+        cables.slips[c] = 0.0
+        cables.passed_m[c] = 0.0
     return whole > 0.0
-
-
-@compiled
-def _evenly(cable: Cables) -> Array:
-    """Shares (K,) of a length that the pieces have where no friction is."""
-    compliance = np.where(cable.stiffness_n_m > 0.0, 1.0 / cable.stiffness_n_m, 0.0)
-    return compliance / compliance.sum()

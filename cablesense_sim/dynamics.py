@@ -49,7 +49,7 @@ def moving_arm(arm: Arm, timestep_s: float) -> ArmDynamics | RestToRestArm:
 
 
 class _CommandedArm(ABC):
-    """What both kinds of arm have: the description, the command that counts, and the loads.
+    """What both kinds of arm have: description, command and loads.
 
     Attributes:
         arm: the description it was built from.
@@ -62,6 +62,7 @@ class _CommandedArm(ABC):
         self._nominal = mechanism_of(arm)
         self.mechanism = amended(self._nominal, self._entries)
         self._forces_n = np.zeros((arm.segment_count, 3))
+        self._places_m = self.mechanism.contact_m.copy()
         self._command_rad = np.zeros(arm.joint_count)
         self._offset_m = np.zeros(arm.cable_count)
         self._actuations = actuations([self._entries])
@@ -70,6 +71,10 @@ class _CommandedArm(ABC):
     @abstractmethod
     def time_s(self) -> float:
         """Simulated time."""
+
+    @abstractmethod
+    def _hold(self, held_m: Array) -> None:
+        """Let the actuators hold cable lengths (M,), relative to the straight arm."""
 
     def command(self, joint_angles_rad: ArrayLike) -> None:
         """Let the actuators hold the cable lengths of these joint angles (2N,).
@@ -80,19 +85,12 @@ class _CommandedArm(ABC):
             EquilibriumError: wrong shape, not finite, or a bend at which guide plates would touch.
         """
         self._command_rad = self.checked_command(joint_angles_rad)
-        self._act()
+        self._hold(self._actuated_m(self._command_rad, self._actuations, self.time_s))
 
     def offset(self, lengths_m: Array) -> None:
         """Let the actuators hold cables longer by lengths (M,) than the command's."""
         self._offset_m = lengths_m
-        self._act()
-
-    def _act(self) -> None:
         self._hold(self._actuated_m(self._command_rad, self._actuations, self.time_s))
-
-    @abstractmethod
-    def _hold(self, held_m: Array) -> None:
-        """Let the actuators hold cable lengths (M,), relative to the straight arm."""
 
     def _actuated_m(
         self, command_rad: Array, through: Sequence[Actuation], time_s: float
@@ -112,18 +110,29 @@ class _CommandedArm(ABC):
         angles = straight if joint_angles_rad is None else joint_angles_rad
         return checked_command(self._nominal, angles)
 
-    def load(self, segment: int, force_base_n: ArrayLike) -> None:
-        """Push segment 1..N at its contact point with a force (3,) in base axes, N, from now on.
+    def load(self, segment: int, force_base_n: ArrayLike, contact_m: float | None = None) -> None:
+        """Push segment 1..N with a force (3,) in base axes, N, from now on.
+
+        It acts on the segment's axis, at `contact_m` from its joint centre, or at the contact
+        point if that is None; elsewhere, if one of the arm's effects says so of stated places.
 
         Raises:
-            LoadError: no such segment, or a force that is not three finite numbers.
+            LoadError: no such segment or place, or a force that is not three finite numbers.
         """
         force = np.asarray(force_base_n, dtype=float)
         if not 1 <= segment <= self.arm.segment_count:
             raise LoadError(f"no segment {segment}; this arm has 1 to {self.arm.segment_count}")
         if force.shape != (3,) or not np.isfinite(force).all():
             raise LoadError(f"a load is three finite force components in N, not {force!r}")
-        self._forces_n[segment - 1] = force
+        n = segment - 1
+        stated_m, length_m = self._nominal.contact_m[n], self._nominal.segment_length_m[n]
+        further_m = 0.0 if contact_m is None else contact_m - stated_m
+        if not 0.0 <= stated_m + further_m <= length_m:
+            raise LoadError(
+                f"a load at {contact_m} m is not on segment {segment}: from 0 to {length_m:g} m"
+            )
+        self._forces_n[n] = force
+        self._places_m[n] = self.mechanism.contact_m[n] + further_m
 
     @property
     def forces_n(self) -> Array:
@@ -161,7 +170,6 @@ class ArmDynamics(_CommandedArm):
         self._rigid = not np.isfinite(self.mechanism.actuator_stiffness_n_m)
         numbers = range(1, arm.segment_count + 1)
         self._segments = np.array([self.model.body(f"segment_{n}").id for n in numbers])
-        self._contacts = np.array([self.model.site(f"contact_{n}").id for n in numbers])
         self._joints = np.array([self.model.joint(name).qposadr[0] for name in arm.joint_names])
         self.reset()
 
@@ -226,7 +234,9 @@ class ArmDynamics(_CommandedArm):
 
     def _step(self) -> None:
         """MuJoCo takes forces at centres of mass; a force elsewhere brings its moment along."""
-        arm = self.data.site_xpos[self._contacts] - self.data.xipos[self._segments]
+        axis = self.data.xmat[self._segments].reshape(-1, 3, 3)[..., 0]
+        contact = self.data.xpos[self._segments] + self._places_m[:, None] * axis
+        arm = contact - self.data.xipos[self._segments]
         self.data.xfrc_applied[self._segments, :3] = self._forces_n
         self.data.xfrc_applied[self._segments, 3:] = np.cross(arm, self._forces_n)
         mujoco.mj_step(self.model, self.data)
@@ -299,7 +309,9 @@ class RestToRestArm(_CommandedArm):
             return
         self._rested_s = self._time_s
         try:
-            tensions = self._resting.step(self._time_s, self._held_m[None], self._forces_n)
+            tensions = self._resting.step(
+                self._time_s, self._held_m[None], self._forces_n, self._places_m
+            )
             self._tensions_n = tensions[0]
         except EquilibriumError:
             self._tensions_n = np.full(self.arm.cable_count, np.nan)

@@ -1,6 +1,6 @@
 """Static equilibrium: where the arm rests under a command and loads, and with which tensions.
 
-With the actuators holding the cable lengths of the commanded angles c, cable i carries T_i =
+While the actuators hold the cable lengths of the commanded angles c, cable i carries T_i =
 max(0, k_i s_i) with s_i = l_i(q) - l_i(c) + T0_i / k_i, and the arm rests where the potential
 
     V(q) = sum_i k_i max(0, s_i)^2 / 2  -  sum_n A_n · x_n(q)
@@ -14,6 +14,7 @@ need no special case. It is compiled, and imported when the first equilibrium is
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +22,9 @@ from numpy.typing import ArrayLike, NDArray
 from cablesense_base import Array, CableSenseError
 from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
+
+if TYPE_CHECKING:
+    from cablesense_sim.rest_pose import Balance
 
 RESIDUAL_LIMIT_N_M = 1e-7
 """Largest joint torque left unbalanced in a pose that counts as an equilibrium.
@@ -89,16 +93,18 @@ def solve_equilibrium(
     forces = forces.reshape(-1, mechanism.segment_count, 3)
     enough = max(0.01 * RESIDUAL_LIMIT_N_M, _rounding_n_m(mechanism))
     if held_m is None:
-        rest = kinematics.spans(mechanism, command).length_m.sum(-1)
+        rest = _spanned_m(mechanism, command)
     else:
         held = np.broadcast_to(np.asarray(held_m, float), (*leading, mechanism.cable_count))
-        straight = kinematics.spans(mechanism, np.zeros(mechanism.joint_count)).length_m.sum(-1)
+        straight = _spanned_m(mechanism, np.zeros(mechanism.joint_count))
         rest = straight + held.reshape(-1, mechanism.cable_count)
     rest = rest - mechanism.pretension_n / mechanism.stiffness_n_m
     start = command if start_rad is None else np.asarray(start_rad, float).reshape(command.shape)
     arms = kinematics.load_arms(mechanism, forces)
+    # contiguous, so that one kind of array is compiled for
+    given = (np.ascontiguousarray(each) for each in (rest, arms, start))
     angles, tensions, residual, iterations = search_rest(
-        mechanism, enough, _rounding_m(mechanism), rest, arms, start
+        mechanism, enough, _rounding_m(mechanism), *given
     )
     _require_rest(mechanism, command, forces, angles, residual)
     return Equilibrium(
@@ -111,9 +117,13 @@ def solve_equilibrium(
 
 def held_lengths_m(mechanism: Mechanism, command_rad: ArrayLike) -> Array:
     """Cable lengths (..., M) at commanded angles (..., 2N), relative to the straight arm."""
-    command = np.asarray(command_rad, dtype=float)
-    straight = kinematics.spans(mechanism, np.zeros(mechanism.joint_count)).length_m.sum(-1)
-    return np.asarray(kinematics.spans(mechanism, command).length_m.sum(-1) - straight)
+    straight = _spanned_m(mechanism, np.zeros(mechanism.joint_count))
+    return _spanned_m(mechanism, np.asarray(command_rad, dtype=float)) - straight
+
+
+def _spanned_m(mechanism: Mechanism, angles_rad: Array) -> Array:
+    """(..., M) sums of the cables' spans at joint angles (..., 2N)."""
+    return np.asarray(kinematics.spans(mechanism, angles_rad).length_m.sum(-1))
 
 
 def checked_command(mechanism: Mechanism, joint_angles_rad: ArrayLike) -> Array:
@@ -138,36 +148,43 @@ def checked_command(mechanism: Mechanism, joint_angles_rad: ArrayLike) -> Array:
     return command.copy()
 
 
+def balance_at(
+    mechanism: Mechanism, joint_angles_rad: Array, tensions_n: Array, forces_n: Array
+) -> Balance:
+    """The joint torques that poses (..., 2N) leave unbalanced, and their slope; see `Balance`.
+
+    They are the first and second derivative of the potential with these tensions (..., M) and
+    forces (..., N, 3), slack cables at zero tension.
+    """
+    from cablesense_sim import rest_pose
+
+    arms = kinematics.load_arms(mechanism, forces_n)
+    leading = np.broadcast_shapes(
+        joint_angles_rad.shape[:-1], tensions_n.shape[:-1], arms.shape[:-2]
+    )
+    angles, tensions, arms = (
+        np.array(np.broadcast_to(each, (*leading, *last)), float).reshape(-1, *last)
+        for each, last in (
+            (joint_angles_rad, joint_angles_rad.shape[-1:]),
+            (tensions_n, tensions_n.shape[-1:]),
+            (arms, arms.shape[-2:]),
+        )
+    )
+    pose = rest_pose.posed(rest_pose.plates_of(mechanism, len(angles)), angles)
+    stiffness = mechanism.stiffness_n_m * (tensions > 0.0)
+    spring = np.tile(np.repeat(mechanism.joint_stiffness_n_m_rad, 2), (len(angles), 1))
+    joints = np.ones(mechanism.segment_count)
+    along = tensions[..., None] * joints
+    by_span = stiffness[..., None, None] * np.ones((joints.size, joints.size))
+    found = rest_pose.balanced(pose, along, by_span, arms, spring * angles, spring)
+    return type(found)(*(part.reshape(*leading, *part.shape[1:]) for part in found))
+
+
 def stiffness_matrix_n_m(
     mechanism: Mechanism, joint_angles_rad: Array, tensions_n: Array, forces_n: Array
 ) -> Array:
     """Second derivative (..., 2N, 2N) of the potential: J' k J where taut, and geometry."""
-    from cablesense_sim.rest_search import hessians_n_m
-
-    arms = kinematics.load_arms(mechanism, forces_n)
-    count, segments = mechanism.joint_count, mechanism.segment_count
-    leading = np.broadcast_shapes(
-        joint_angles_rad.shape[:-1], tensions_n.shape[:-1], arms.shape[:-2]
-    )
-    flat = (
-        np.broadcast_to(joint_angles_rad, (*leading, count)).reshape(-1, count),
-        np.broadcast_to(tensions_n, (*leading, mechanism.cable_count)).reshape(
-            -1, mechanism.cable_count
-        ),
-        np.broadcast_to(arms, (*leading, segments, 3)).reshape(-1, segments, 3),
-    )
-    return hessians_n_m(mechanism, *flat).reshape(*leading, count, count)
-
-
-def potential_gradient_n_m(
-    mechanism: Mechanism, joint_angles_rad: Array, tensions_n: Array, forces_n: Array
-) -> Array:
-    """First derivative (..., 2N) of the potential: the joint torques left unbalanced."""
-    jacobian = kinematics.cable_jacobian_m(mechanism, joint_angles_rad)
-    arms = kinematics.load_arms(mechanism, forces_n)
-    loads = kinematics.axis_torques_n_m(kinematics.chain(mechanism, joint_angles_rad), arms)
-    spring = np.repeat(mechanism.joint_stiffness_n_m_rad, 2, axis=-1) * joint_angles_rad
-    return np.asarray((tensions_n[..., None, :] @ jacobian)[..., 0, :] + spring - loads)
+    return balance_at(mechanism, joint_angles_rad, tensions_n, forces_n).slope_n_m
 
 
 def tension_sensitivity(
@@ -207,18 +224,14 @@ def _rounding_n_m(mechanism: Mechanism) -> float:
 def _checked(
     mechanism: Mechanism, command_rad: ArrayLike, forces_n: ArrayLike | None
 ) -> tuple[Array, Array]:
+    """Commands (..., 2N) and forces (..., N, 3) of one batch."""
+    joints, loads = mechanism.joint_count, (mechanism.segment_count, 3)
     command = np.asarray(command_rad, dtype=float)
-    if command.shape[-1:] != (mechanism.joint_count,):
+    forces = np.zeros(loads) if forces_n is None else np.asarray(forces_n, dtype=float)
+    if command.shape[-1:] != (joints,) or forces.shape[-2:] != loads:
         raise EquilibriumError(
-            f"command has shape {command.shape}; its last axis must be {mechanism.joint_count} "
-            "joint angles"
-        )
-    expected = (*command.shape[:-1], mechanism.segment_count, 3)
-    forces = np.zeros(expected) if forces_n is None else np.asarray(forces_n, dtype=float)
-    if forces.shape[-2:] != expected[-2:]:
-        raise EquilibriumError(
-            f"forces have shape {forces.shape}; the last axes must be {expected[-2:]}, one "
-            "base-frame force per segment"
+            f"commands of shape {command.shape} and forces of shape {forces.shape}; their last "
+            f"axes must be {joints} joint angles, and {loads}: a base-frame force per segment"
         )
     try:
         leading = np.broadcast_shapes(command.shape[:-1], forces.shape[:-2])
@@ -226,21 +239,23 @@ def _checked(
         raise EquilibriumError(
             f"{command.shape[:-1]} commands do not go with {forces.shape[:-2]} sets of forces"
         ) from error
-    command = np.broadcast_to(command, (*leading, command.shape[-1]))
-    forces = np.broadcast_to(forces, (*leading, *expected[-2:]))
-    if not (np.isfinite(command).all() and np.isfinite(forces).all()):
+    largest = np.abs(command).max(initial=0.0), np.abs(forces).max(initial=0.0)
+    if not np.isfinite(largest).all():
         raise EquilibriumError("commands and forces must be finite; one holds NaN or infinity")
-    if (np.abs(command) > np.pi).any():
+    if largest[0] > np.pi:
         raise EquilibriumError(
-            f"a commanded joint angle of {np.abs(command).max():g} rad is more than half a turn; "
-            "commands are in rad, not in degrees"
+            f"a commanded joint angle of {largest[0]:g} rad is more than half a turn; commands "
+            "are in rad, not in degrees"
         )
-    if (np.abs(forces) > MAX_FORCE_N).any():
+    if largest[1] > MAX_FORCE_N:
         raise EquilibriumError(
-            f"a force component of {np.abs(forces).max():g} N is beyond any arm; give at most "
+            f"a force component of {largest[1]:g} N is beyond any arm; give at most "
             f"{MAX_FORCE_N:g} N"
         )
-    return command, forces
+    return (
+        np.broadcast_to(command, (*leading, joints)),
+        np.broadcast_to(forces, (*leading, *loads)),
+    )
 
 
 def _require_rest(

@@ -30,9 +30,6 @@ class CableSpans(NamedTuple):
     length_m: Array
     by_pitch: Array
     by_yaw: Array
-    by_pitch_pitch: Array
-    by_pitch_yaw: Array
-    by_yaw_yaw: Array
 
 
 class SegmentChain(NamedTuple):
@@ -50,7 +47,7 @@ class SegmentChain(NamedTuple):
 
 
 def spans(mechanism: Mechanism, joint_angles_rad: Array) -> CableSpans:
-    """Spans and their first and second derivatives at joint angles (..., 2N)."""
+    """Spans and their derivatives at joint angles (..., 2N)."""
     q = joint_angles_rad
     pitch, yaw = q[..., None, 0::2], q[..., None, 1::2]
     (y, z), (v, w) = mechanism.plate_holes_m
@@ -59,19 +56,14 @@ def spans(mechanism: Mechanism, joint_angles_rad: Array) -> CableSpans:
     cos_a, sin_a, cos_b, sin_b = np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
     x1, y1 = o * cos_b - v * sin_b, o * sin_b + v * cos_b
     p, q_ = o * cos_a + z * sin_a, o * sin_a - z * cos_a
-    x1p, wq, yy1 = x1 * p, w * q_, y * y1
-    squared = 2.0 * o * o + (y * y + z * z + v * v + w * w) + 2.0 * (x1p + wq - yy1)
+    squared = 2.0 * o * o + (y * y + z * z + v * v + w * w)
+    squared = squared + 2.0 * (x1 * p + w * q_ - y * y1)
     length = np.sqrt(np.maximum(squared, _TOUCHING_M**2))
     scale = passes / length
-    by_a = (w * p - x1 * q_) * scale
-    by_b = (-y1 * p - y * x1) * scale
     return CableSpans(
         length_m=length * passes,
-        by_pitch=by_a,
-        by_yaw=by_b,
-        by_pitch_pitch=(-x1p - wq) * scale - by_a * by_a * scale,
-        by_pitch_yaw=(y1 * q_) * scale - by_a * by_b * scale,
-        by_yaw_yaw=(yy1 - x1p) * scale - by_b * by_b * scale,
+        by_pitch=(w * p - x1 * q_) * scale,
+        by_yaw=(-y1 * p - y * x1) * scale,
     )
 
 
@@ -84,7 +76,9 @@ def cable_lengths_m(mechanism: Mechanism, joint_angles_rad: Array) -> Array:
 
 def cable_jacobian_m(mechanism: Mechanism, joint_angles_rad: Array) -> Array:
     """Derivative (..., M, 2N) of the cable lengths by the joint angles, m/rad."""
-    return interleave(spans(mechanism, joint_angles_rad))
+    span = spans(mechanism, joint_angles_rad)
+    both = np.stack([span.by_pitch, span.by_yaw], axis=-1)
+    return np.reshape(both, (*both.shape[:-2], 2 * both.shape[-2]))
 
 
 def bend_rad(joint_angles_rad: Array) -> Array:
@@ -92,12 +86,6 @@ def bend_rad(joint_angles_rad: Array) -> Array:
     q = joint_angles_rad
     cosine = np.cos(q[..., 0::2]) * np.cos(q[..., 1::2])
     return np.arccos(np.clip(cosine, -1.0, 1.0))
-
-
-def interleave(span: CableSpans) -> Array:
-    """The Jacobian (..., M, 2N) in the order of the joint angles: pitch, yaw, and so on."""
-    both = np.stack([span.by_pitch, span.by_yaw], axis=-1)
-    return np.reshape(both, (*both.shape[:-2], 2 * both.shape[-2]))
 
 
 def chain(mechanism: Mechanism, joint_angles_rad: Array) -> SegmentChain:
@@ -156,14 +144,6 @@ def load_arms(mechanism: Mechanism, forces_n: Array) -> Array:
     total = weight + forces_n
     beyond = np.cumsum(total[..., ::-1, :], axis=-2)[..., ::-1, :] - total
     return centre[..., None] * weight + reach[..., None] * forces_n + length[..., None] * beyond
-
-
-def axis_torques_n_m(pose: SegmentChain, load_arms_n_m: Array) -> Array:
-    """Joint torques (..., 2N) of generalised forces (..., N, 3) on the segments' axis vectors."""
-    moment = np.cross(pose.rotation[..., 0], load_arms_n_m)
-    distal = np.cumsum(moment[..., ::-1, :], axis=-2)[..., ::-1, :]
-    per_joint = np.repeat(distal, 2, axis=-2)
-    return np.sum(pose.joint_axis * per_joint, axis=-1)
 
 
 def contact_jacobians_m(mechanism: Mechanism, joint_angles_rad: Array) -> Array:

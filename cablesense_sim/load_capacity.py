@@ -1,24 +1,38 @@
-"""What an arm bears: how far it sags under its own weight, the greatest contact on each segment.
+"""The loads that an arm bears, and those that its friction hides.
 
 The arm supports a load if the straight arm has an equilibrium under it from every side, with no
 guide plates touching and no sensor at the end of its range.
+
+While a cable sticks at its first guide its run keeps its tension, and the sensor at the actuator
+reads no change. The change of force that readings show depends on pose and history. It is found by
+simulation: the arm rests under one force, then under another, each time from the same friction
+state (`cablesense_sim.quasi_static`).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cablesense_base import Array, CableSenseError
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.effects.registry import amended
-from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.effects.registry import actuations, amended
+from cablesense_sim.equilibrium import (
+    EquilibriumError,
+    checked_command,
+    held_lengths_m,
+    solve_equilibrium,
+)
 from cablesense_sim.kinematics import contact_points_m
-from cablesense_sim.loads import normal_force_n
+from cablesense_sim.loads import LoadError, normal_force_n
 from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.replay import reading_variance_n2
+
+if TYPE_CHECKING:
+    from cablesense_sim.quasi_static import QuasiStaticArm
 
 USUAL_CONTACT_N = 200.0
 """The strongest contact that networks learn unless the arm bears less: a person's firm push."""
@@ -27,16 +41,22 @@ SEARCHED_UP_TO_N = 2000.0
 """The search ends at this force."""
 
 _WORKING_SHARE = 2.0 / 3.0
-"""Of what the straight arm bears: a bent one bears less."""
+"""Share of the load of the straight arm: a bent one bears less."""
 
-_DIRECTIONS = 12
+DIRECTIONS = 12
+"""From which forces come: they divide the circle evenly from +z."""
 _SIDES = 4
 """Groups of directions that are looked at one after another."""
 
 _LEAST_N = 1e-3
 _HALVINGS = 6
-"""Fraction of the ratio of 2 between a supported force and one that is not: a hundredth is
-left."""
+"""Bisections between a supported force and twice that force; a hundredth remains."""
+
+SHOWS_AT_STD = 5.0
+"""A change shows when the vector of all readings has changed by this many standard deviations of
+one reading, noise and step. Without friction this is five standard deviations of the force."""
+_RESTS_ON_THE_WAY = 5
+_HALVINGS_OF_HIDDEN = 12
 
 
 class WeakArmError(CableSenseError):
@@ -44,7 +64,7 @@ class WeakArmError(CableSenseError):
 
 
 class LoadCapacity(NamedTuple):
-    """What the straight arm bears.
+    """The greatest loads of the straight arm.
 
     Attributes:
         sag_deg: the largest turn of a joint under the arm's own weight.
@@ -107,7 +127,7 @@ def _unloaded_rad(arm: Arm, mechanism: Mechanism) -> Array:
 def _greatest_n(arm: Arm, mechanism: Mechanism, most_n: float) -> Array:
     """(N,) at most `most_n`, all segments side by side, by doubling and then halving."""
     segments = np.arange(1, arm.segment_count + 1)[:, None]
-    angles_deg = np.arange(_DIRECTIONS) * (360.0 / _DIRECTIONS)
+    angles_deg = np.arange(DIRECTIONS) * (360.0 / DIRECTIONS)
     unit = normal_force_n(mechanism, np.zeros(arm.joint_count), segments, angles_deg, 1.0)
     highest_n = np.inf if arm.sensors.range_n is None else arm.sensors.range_n[1]
 
@@ -149,3 +169,85 @@ def _greatest_n(arm: Arm, mechanism: Mechanism, most_n: float) -> Array:
         enough = borne(middle, weak)
         low, high = np.where(enough, middle, low), np.where(weak & ~enough, middle, high)
     return low
+
+
+class HiddenForce(NamedTuple):
+    """Smallest changes of a contact force that show, N, each (N, `DIRECTIONS`), by segment.
+
+    A change is infinite if it does not show up to the size of the load. At the load, forces from
+    `load_n - falling_n` to `load_n + rising_n` read the same.
+
+    Attributes:
+        touching_n: a first push, on the arm as its commands left it.
+        rising_n, falling_n: more, or less, at the load, which has risen from zero.
+        released_n: a second push, after the load was applied and removed.
+    """
+
+    touching_n: Array
+    rising_n: Array
+    falling_n: Array
+    released_n: Array
+
+
+def hidden_force(arm: Arm, commands_rad: ArrayLike, load_n: float) -> HiddenForce:
+    """The forces that an arm's friction hides at the last of commands (R, 2N).
+
+    The arm starts straight and moves to each command in several rests. Loads up to `load_n` act at
+    the contact points, normal to their segment.
+
+    Raises:
+        LoadError: `load_n` is no positive number.
+        EquilibriumError: a command that the arm cannot take, or it finds no rest under the load.
+    """
+    if not (np.isfinite(load_n) and load_n > 0.0):
+        raise LoadError(f"load_n = {load_n:g}: must be a finite force above 0 N")
+    nominal, entries = mechanism_of(arm), entries_of(arm)
+    poses = [np.zeros(arm.joint_count)]
+    for command in np.atleast_2d(np.asarray(commands_rad, dtype=float)):
+        wanted = checked_command(nominal, command)
+        poses += list(np.linspace(poses[-1], wanted, _RESTS_ON_THE_WAY + 1)[1:])
+    shape = (arm.segment_count, DIRECTIONS)
+    segments = np.arange(1, arm.segment_count + 1)[:, None]
+    angles_deg = np.broadcast_to(np.arange(DIRECTIONS) * (360.0 / DIRECTIONS), shape)
+    pushes = normal_force_n(nominal, poses[-1], segments, angles_deg, 1.0)
+    pushes = pushes.reshape(-1, *pushes.shape[-2:])
+    from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
+
+    arms = QuasiStaticArm([amended(nominal, entries)] * len(pushes), [entries] * len(pushes))
+    actuators = actuations([entries])
+    for time_s, pose in enumerate(poses):
+        held = held_lengths_m(nominal, pose)[None]
+        for actuator in actuators:
+            held = actuator.step(time_s, held)
+        held = np.repeat(held, len(pushes), axis=0)
+        arms.step(time_s, held, 0.0 * pushes)
+
+    def rested_n(at: QuasiStaticArm, force_n: Array | float) -> Array:
+        forces = np.broadcast_to(force_n, len(pushes))[:, None, None] * pushes
+        return at.step(time_s, held, forces)
+
+    shows_n = SHOWS_AT_STD * np.sqrt(reading_variance_n2(arm.sensors))
+
+    def smallest_n(at_n: float, way: float) -> Array:
+        """The smallest change that shows, from the present friction state, under `at_n`."""
+        before = rested_n(arms.branched(), at_n)
+
+        def shown(change_n: Array) -> Array:
+            after = rested_n(arms.branched(), at_n + way * change_n)
+            return np.asarray(np.linalg.norm(after - before, axis=-1) >= shows_n)
+
+        high = np.full(len(pushes), load_n)
+        low, found = np.zeros_like(high), shown(high)
+        for _ in range(_HALVINGS_OF_HIDDEN):
+            middle = 0.5 * (low + high)
+            enough = shown(middle)
+            low, high = np.where(enough, low, middle), np.where(enough, middle, high)
+        return np.where(found, high, np.inf).reshape(shape)
+
+    touching = smallest_n(0.0, 1.0)
+    for share in np.arange(1, _RESTS_ON_THE_WAY + 1) / _RESTS_ON_THE_WAY:
+        rested_n(arms, share * load_n)
+    rising, falling = smallest_n(load_n, 1.0), smallest_n(load_n, -1.0)
+    for share in np.arange(_RESTS_ON_THE_WAY)[::-1] / _RESTS_ON_THE_WAY:
+        rested_n(arms, share * load_n)
+    return HiddenForce(touching, rising, falling, smallest_n(0.0, 1.0))

@@ -1,4 +1,4 @@
-"""Contact forces normal to a segment: from angle and magnitude to a base-frame force, and back."""
+"""Contact forces: their angle and magnitude, their components, and where on the arm they act."""
 
 from __future__ import annotations
 
@@ -8,6 +8,11 @@ from numpy.typing import ArrayLike
 from cablesense_base import Array, CableSenseError
 from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
+
+_OFF_LINE_M = 0.03
+"""An arm under load is elsewhere than where it is commanded, by less than this."""
+_AS_NEAR, _AS_NEAR_M = 3.0, 1e-3
+"""A second segment is as near to a line if it is so many times as far, or as close as this."""
 
 
 class LoadError(CableSenseError):
@@ -66,3 +71,43 @@ def normal_components_n(
     own = np.take_along_axis(rotation, np.broadcast_to(position, (*shape, 1, 1, 1)), axis=-3)
     local = (np.asarray(force_base_n, dtype=float)[..., None, :] @ own[..., 0, :, :])[..., 0, :]
     return local[..., 1], local[..., 2]
+
+
+def contact_of_wrench(
+    mechanism: Mechanism,
+    joint_angles_rad: Array,
+    reach_m: Array,
+    force_n: Array,
+    torque_n_m: Array,
+) -> tuple[int, float]:
+    """The segment, from 1, and the place from its joint centre, m, where a wrench acts on the arm.
+
+    It is the point of the axis, within the reach (N, 2) of each segment, that is nearest to the
+    line of action of a force (3,), base axes, whose torque (3,) is about the base frame's origin.
+
+    Raises:
+        LoadError: no force, or its line passes the axis too far away, or meets two segments, as
+            that of an axial force does.
+    """
+    size_n = float(np.linalg.norm(force_n))
+    if not size_n > 0.0:
+        raise LoadError(f"a wrench of force {force_n} N has no line on which it acts")
+    pose = kinematics.chain(mechanism, joint_angles_rad)
+    usual_m = mechanism.contact_m
+    points_m = pose.joint_m + usual_m[:, None] * pose.rotation[..., 0]
+    missing = (torque_n_m - np.cross(points_m, force_n)) / size_n
+    slope = np.cross(pose.rotation[..., 0], force_n) / size_n
+    further_m = (missing * slope).sum(-1) / np.maximum((slope * slope).sum(-1), 1e-12)
+    place_m = np.clip(usual_m + further_m, *reach_m.T)
+    off_m = np.linalg.norm(missing - (place_m - usual_m)[:, None] * slope, axis=-1)
+    nearest = int(np.argmin(off_m))
+    on_axis_m = pose.joint_m + place_m[:, None] * pose.rotation[..., 0]
+    apart_m = np.linalg.norm(on_axis_m - on_axis_m[nearest], axis=-1)
+    as_near = (off_m <= max(_AS_NEAR * off_m[nearest], _AS_NEAR_M)) & (apart_m > _OFF_LINE_M)
+    if not off_m[nearest] <= _OFF_LINE_M or as_near.any():
+        passes = ", ".join(f"{1e3 * each:.0f}" for each in off_m)
+        raise LoadError(
+            f"the force acts on a line that passes the axes of the segments {passes} mm away; "
+            f"it must meet one, by its torque about the base frame's origin"
+        )
+    return nearest + 1, float(place_m[nearest])

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_sim import kinematics, rest_pose
@@ -40,10 +40,10 @@ _WHOLE_STEPS = 6
 
 class _TrialPose(NamedTuple):
     angles_rad: Array
-    shape: Any  # a `rest_pose.Pose`
+    shape: rest_pose.Pose
     tensions_n: Array
     tensions_by_run_n_m: Array
-    balance: Any  # a `rest_pose.Balance`
+    balance: rest_pose.Balance
 
 
 class QuasiStaticArm:
@@ -89,21 +89,27 @@ class QuasiStaticArm:
             return np.zeros(len(self._each))
         return np.asarray(np.abs(self._last[2].balance.torque_n_m).max(-1))
 
-    def step(self, time_s: float, held_m: Array, forces_n: Array) -> Array:
+    def step(
+        self, time_s: float, held_m: Array, forces_n: Array, contact_m: Array | None = None
+    ) -> Array:
         """Tensions (P, M) at the actuators at the next rest.
 
         `held_m` (P, M) are the cable lengths that the actuators hold, relative to the straight
-        arm; `forces_n` (N, 3), or (P, N, 3) for each arm its own, act in base axes.
+        arm; `forces_n` (N, 3), or (P, N, 3) for each arm its own, act in base axes. They act at
+        `contact_m` (N,) or (P, N) on the axes, from the joint centres, or at the mechanisms'
+        contact points.
 
         Raises:
             EquilibriumError: an arm finds no rest; its `failed` names them all.
         """
         rest_m, longer_m = self._straight_m + held_m, np.zeros_like(held_m)
         forces = np.broadcast_to(forces_n, (len(self._each), *forces_n.shape[-2:]))
+        places = self._mechanism.contact_m if contact_m is None else contact_m
+        places = np.broadcast_to(places, forces.shape[:-1])
         if not self._begun:
             self._longer_m = longer_m
             self._hold(rest_m)
-            self._begin(time_s, held_m, forces)
+            self._begin(time_s, held_m, forces, places)
         for transmission in self._transmissions:
             longer = transmission.lengthening_m(time_s)
             if longer is not None:
@@ -111,17 +117,15 @@ class QuasiStaticArm:
         self._longer_m = longer_m
         rest_m = rest_m + longer_m
         self._hold(rest_m)
+        arms = kinematics.load_arms(replace(self._mechanism, contact_m=places), forces)
         with np.errstate(all="ignore"):  # an arm without a rest may go anywhere
-            return self._rested(time_s, rest_m, kinematics.load_arms(self._mechanism, forces))
-
-    def _rested(self, time_s: float, rest_m: Array, arms: Array) -> Array:
-        while True:
-            try:
-                pose = self._next(rest_m, arms)
-                self._require_room(pose.angles_rad)
-                break
-            except EquilibriumError as error:
-                self._lose(error)
+            while True:
+                try:
+                    pose = self._next(rest_m, arms)
+                    self._require_room(pose.angles_rad)
+                    break
+                except EquilibriumError as error:
+                    self._lose(error)
         self._angles_rad = pose.angles_rad
         shape = pose.shape
         rest = ArmRest(time_s, pose.angles_rad, shape.span_m, shape.bend_rad, pose.tensions_n)
@@ -191,12 +195,9 @@ class QuasiStaticArm:
         """The turn from a pose to rest as transmissions tell it, (P, 2N), if they do."""
         shape = pose.shape
         for transmission in self._transmissions:
+            slope = pose.balance.held_slope_n_m
             turn = transmission.balancing_turn_rad(
-                shape.span_m,
-                shape.bend_rad,
-                shape.by_turn_m,
-                uncabled_n_m,
-                pose.balance.held_slope_n_m,
+                shape.span_m, shape.bend_rad, shape.by_turn_m, uncabled_n_m, slope
             )
             if turn is not None:
                 return _shortened(np.where(np.isfinite(turn), turn, 0.0))
@@ -213,7 +214,7 @@ class QuasiStaticArm:
             angles = pose.angles_rad
         return pose
 
-    def _begin(self, time_s: float, held_m: Array, forces_n: Array) -> None:
+    def _begin(self, time_s: float, held_m: Array, forces_n: Array, contact_m: Array) -> None:
         """The state begins where an arm without history-dependent effects would rest."""
         self._angles_rad = np.zeros_like(self._angles_rad)
         tensions = np.broadcast_to(self._mechanism.pretension_n, held_m.shape).copy()
@@ -222,7 +223,8 @@ class QuasiStaticArm:
         for arms in sets:
             start, forces, held = self._angles_rad[arms], forces_n[arms], held_m[arms]
             try:
-                rest = solve_equilibrium(self._each[arms][0], start, forces, held_m=held)
+                touched = replace(self._each[arms][0], contact_m=contact_m[arms])
+                rest = solve_equilibrium(touched, start, forces, held_m=held)
             except EquilibriumError as error:
                 self._lose(EquilibriumError(str(error), np.arange(len(self._each))[arms]))
                 continue
@@ -246,13 +248,14 @@ class QuasiStaticArm:
             better = np.abs(ahead.balance.torque_n_m).max(-1) < np.abs(torque).max(-1)
             if not better.any():
                 break
-            pose = _chosen(better, ahead, pose)
-        step, driven = np.zeros_like(start), np.zeros(len(start))
-        fraction, near, far = (
-            np.ones_like(driven),
-            np.zeros_like(driven),
-            np.full_like(driven, np.inf),
-        )
+            if better.all():
+                pose = ahead
+            else:
+                angles = np.where(better[:, None], ahead.angles_rad, pose.angles_rad)
+                pose = self._pose(angles, rest_m, arms)
+        count = len(start)
+        step, driven = np.zeros_like(start), np.zeros(count)
+        fraction, near, far = np.ones(count), np.zeros(count), np.full(count, np.inf)
         for _ in range(_MOST_STEPS):
             torque = pose.balance.torque_n_m
             if np.abs(torque).max() <= _ENOUGH_N_M:
@@ -326,20 +329,6 @@ class QuasiStaticArm:
             np.broadcast_to((stiffness * stretch)[..., None], (*stretch.shape, count)),
             np.broadcast_to(stiffness[..., None, None], (*stretch.shape, count, count)),
         )
-
-
-def _chosen(which: NDArray[np.bool_], one: Any, other: Any) -> Any:
-    """A (nested) tuple of arrays (P, …) with the rows of one where `which` (P,), else other's."""
-    if which.all():
-        return one
-    return type(one)(
-        *(
-            _chosen(which, *parts)
-            if isinstance(parts[0], tuple)
-            else np.where(which.reshape(-1, *[1] * (parts[0].ndim - 1)), *parts)
-            for parts in zip(one, other, strict=True)
-        )
-    )
 
 
 def _step_rad(torque_n_m: Array, slope_n_m: Array) -> Array:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from cablesense_base import Array
 from cablesense_sim.arm import Arm, Sensors
@@ -25,7 +26,12 @@ from cablesense_sim.effects.registry import (
     sensings,
     transmissions,
 )
-from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
+from cablesense_sim.equilibrium import (
+    Equilibrium,
+    EquilibriumError,
+    held_lengths_m,
+    solve_equilibrium,
+)
 from cablesense_sim.mechanism import Mechanism
 
 _HARMONICS = 100
@@ -43,12 +49,29 @@ class Replay:
         forces_n: (R, N, 3) loads in base axes, as recorded.
     """
 
-    def __init__(self, nominal: Arm, time_s: Array, command_rad: Array, forces_n: Array) -> None:
-        """The actuators hold the cable lengths that the `nominal` arm has at the commands."""
+    def __init__(
+        self,
+        nominal: Arm,
+        time_s: Array,
+        command_rad: Array,
+        forces_n: Array,
+        places_m: Array | None = None,
+    ) -> None:
+        """The actuators hold the cable lengths that the `nominal` arm has at the commands.
+
+        Loads act at `places_m` (R, N) from their segments' joint centres, on the axes, as far as
+        the recording states it; where it is NaN or None, at the nominal `contact_m`. An effect
+        that moves contact points moves the loads by as much, wherever they act.
+        """
         self.time_s, self.command_rad, self.forces_n = time_s, command_rad, forces_n
         self._nominal = mechanism_of(nominal)
         self._held_m = held_lengths_m(self._nominal, command_rad)
-        flat = np.concatenate([command_rad, forces_n.reshape(len(forces_n), -1)], axis=1)
+        each_row = [command_rad, forces_n.reshape(len(forces_n), -1)]
+        self._beyond_m: Array | None = None
+        if places_m is not None:
+            self._beyond_m = np.nan_to_num(places_m - self._nominal.contact_m, nan=0.0)
+            each_row.append(self._beyond_m)
+        flat = np.concatenate(each_row, axis=1)
         _, self._first, self._same = np.unique(
             flat, axis=0, return_index=True, return_inverse=True
         )
@@ -70,7 +93,15 @@ class Replay:
 
         mechanisms, held, forces = self._moved(variants)
         arm = QuasiStaticArm(mechanisms, variants, some_may_fail=unborne_n is not None)
-        rests = zip(self.time_s, held.swapaxes(0, 1), forces.swapaxes(0, 1), strict=True)
+        places = np.stack([mechanism.contact_m for mechanism in mechanisms])
+        beyond = np.zeros(len(held[0])) if self._beyond_m is None else self._beyond_m[:, None]
+        rests = zip(
+            self.time_s,
+            held.swapaxes(0, 1),
+            forces.swapaxes(0, 1),
+            (places + each for each in beyond),
+            strict=True,
+        )
         tensions = np.stack([arm.step(*rest) for rest in rests], axis=1)
         return self._through(sensings(variants), tensions)
 
@@ -119,17 +150,14 @@ class Replay:
         first, same = self._first, self._same
         if not np.array_equal(held_m, held_m[first][same]):
             first = same = np.arange(len(held_m))
-        start = self.command_rad[first] if self._start_rad is None else self._start_rad[first]
-        command, forces, held = self.command_rad[first], forces_n[first], held_m[first]
         borne = np.ones(len(first), dtype=bool)
         try:
-            rest = solve_equilibrium(mechanism, command, forces, held_m=held, start_rad=start)
+            rest = self._rest(mechanism, first, held_m, forces_n)
         except EquilibriumError as error:
             if unborne_n is None or not error.failed.size:
                 raise
             borne[error.failed] = False
-            command, forces, held, start = (a[borne] for a in (command, forces, held, start))
-            rest = solve_equilibrium(mechanism, command, forces, held_m=held, start_rad=start)
+            rest = self._rest(mechanism, first[borne], held_m, forces_n)
         tensions = np.empty((len(first), mechanism.cable_count))
         tensions[borne] = rest.tensions_n
         if unborne_n is not None:
@@ -138,16 +166,38 @@ class Replay:
             self._start_rad = rest.joint_angles_rad[same]
         return np.asarray(tensions[same])
 
+    def _rest(
+        self, mechanism: Mechanism, rows: NDArray[np.int64], held_m: Array, forces_n: Array
+    ) -> Equilibrium:
+        start = self.command_rad if self._start_rad is None else self._start_rad
+        if self._beyond_m is not None:
+            places = mechanism.contact_m + self._beyond_m[rows]
+            mechanism = replace(mechanism, contact_m=places)
+        return solve_equilibrium(
+            mechanism,
+            self.command_rad[rows],
+            forces_n[rows],
+            held_m=held_m[rows],
+            start_rad=start[rows],
+        )
 
-def replay_arm(arm: Arm, time_s: Array, command_rad: Array, forces_n: Array) -> Array:
+
+def replay_arm(
+    arm: Arm,
+    time_s: Array,
+    command_rad: Array,
+    forces_n: Array,
+    places_m: Array | None = None,
+) -> Array:
     """Readings (R, M) of an arm with the effects that its file lists.
 
     Its actuators hold the lengths of the arm without them, as its controller knows no better.
+    The course is as in `Replay`.
 
     Raises:
         EquilibriumError: the arm finds no rest.
     """
-    replay = Replay(arm, time_s, command_rad, forces_n)
+    replay = Replay(arm, time_s, command_rad, forces_n, places_m)
     return replay.readings_n([entries_of(arm)])[0]
 
 

@@ -3,8 +3,7 @@
 The potential (see `equilibrium`) is continuously differentiable, and twice so between kinks, where
 a cable goes slack. Newton's method with exact second derivatives and a line search suits that
 (Nocedal and Wright, Numerical Optimization, 2006, sections 3.4 and 6.2), with two additions. Steps
-that cross a kink are cut from their far end, and a saddle of the potential is left. The formulas
-are those of `kinematics`, for one case at a time.
+that cross a kink are cut from their far end, and a saddle of the potential is left.
 """
 
 from __future__ import annotations
@@ -45,9 +44,10 @@ class _Springs(NamedTuple):
 
 
 class _Case(NamedTuple):
-    """The state of one pose, overwritten from step to step.
+    """One case at one pose, overwritten from step to step.
 
     Attributes:
+        rest_m, arms_n_m: (M,) and (N, 3) of the case, as `search_rest` takes them.
         tension_n: (M,).
         gradient_n_m, hessian_n_m: (2N,) and (2N, 2N) of the potential, of the latter the lower
             half.
@@ -56,6 +56,8 @@ class _Case(NamedTuple):
         second_m: (N, 3) second derivatives of one cable's spans.
     """
 
+    rest_m: Array
+    arms_n_m: Array
     tension_n: Array
     gradient_n_m: Array
     hessian_n_m: Array
@@ -86,36 +88,25 @@ def search_rest(
         arms_n_m: (B, N, 3) loads on the segments' axes, `kinematics.load_arms`.
         start_rad: (B, 2N) angles to begin at.
     """
-    return _searched(
-        _springs(mechanism),
-        enough_n_m,
-        rounding_m,
-        np.array(rest_m),
-        np.array(arms_n_m),
-        np.array(start_rad),
-    )
-
-
-def hessians_n_m(
-    mechanism: Mechanism, angles_rad: Array, tensions_n: Array, arms_n_m: Array
-) -> Array:
-    """Second derivatives (B, 2N, 2N) of the potential, at poses (B, 2N) with tensions (B, M)."""
-    given = (angles_rad, tensions_n, arms_n_m)
-    found = _hessians(_springs(mechanism), *(np.array(values, float) for values in given))
-    return np.tril(found) + np.swapaxes(np.tril(found, -1), -1, -2)
-
-
-def _springs(mechanism: Mechanism) -> _Springs:
-    return _Springs(
+    springs = _Springs(
         plates_of(mechanism, 1),
         np.array(mechanism.stiffness_n_m, float),
         np.repeat(mechanism.joint_stiffness_n_m_rad, 2).astype(float),
     )
+    given = np.array(rest_m), np.array(arms_n_m), np.array(start_rad)
+    return _searched(springs, enough_n_m, rounding_m, *given)
 
 
 @compiled
-def _empty_case(cables: int, joints: int) -> _Case:
-    return _Case(
+def _searched(
+    springs: _Springs, enough: float, rounding_m: float, rest: Array, arms: Array, angles: Array
+) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+    (count, cables), joints = rest.shape, arms.shape[1]
+    tensions, residual = np.zeros((count, cables)), np.full(count, np.inf)
+    iterations = np.zeros(count, np.int64)
+    case = _Case(
+        np.zeros(cables),
+        np.zeros((joints, 3)),
         np.zeros(cables),
         np.zeros(2 * joints),
         np.zeros((2 * joints, 2 * joints)),
@@ -124,18 +115,10 @@ def _empty_case(cables: int, joints: int) -> _Case:
         np.zeros((cables, 2 * joints)),
         np.zeros((joints, 3)),
     )
-
-
-@compiled
-def _searched(
-    springs: _Springs, enough: float, rounding_m: float, rest: Array, arms: Array, angles: Array
-) -> tuple[Array, Array, Array, NDArray[np.int64]]:
-    count, cables = rest.shape
-    tensions, residual = np.zeros((count, cables)), np.full(count, np.inf)
-    iterations = np.zeros(count, np.int64)
-    case = _empty_case(cables, arms.shape[1])
     for b in range(count):
-        potential = _look(springs, rest[b], arms[b], angles[b], case)
+        case.rest_m[:] = rest[b]
+        case.arms_n_m[:] = arms[b]
+        potential = _look(springs, angles[b], case)
         for iteration in range(_MAX_ITERATIONS + 1):
             turn, largest = -case.gradient_n_m, np.abs(case.gradient_n_m).max()
             stable = _solved(case.hessian_n_m.copy(), turn)
@@ -148,8 +131,7 @@ def _searched(
                 turn = escape_step(case.hessian_n_m, case.gradient_n_m)
             turn *= min(1.0, _LONGEST_TURN_RAD / max(np.abs(turn).max(), 1e-300))
             room = _ROUNDING * (abs(potential) + 1.0) + rounding_m * case.tension_n.sum()
-            start = potential
-            potential = _line_search(springs, rest[b], arms[b], angles[b], turn, start, room, case)
+            potential = _line_search(springs, angles[b], turn, potential, room, case)
             if not np.isfinite(potential):
                 break
     return angles, tensions, residual, iterations
@@ -157,14 +139,7 @@ def _searched(
 
 @compiled
 def _line_search(
-    springs: _Springs,
-    rest: Array,
-    arms: Array,
-    angles: Array,
-    turn: Array,
-    start: float,
-    room: float,
-    case: _Case,
+    springs: _Springs, angles: Array, turn: Array, start: float, room: float, case: _Case
 ) -> float:
     """Armijo backtracking: turns the angles, in place, and gives the potential there.
 
@@ -178,14 +153,14 @@ def _line_search(
     fraction = 1.0
     while True:
         angles[:] = before + fraction * turn
-        potential = _look(springs, rest, arms, angles, case)
+        potential = _look(springs, angles, case)
         if potential - start <= _ARMIJO * fraction * slope + room:
             return potential
         if not fraction > _SHORTEST_STEP:
             angles[:] = before
             return np.inf
         curvature = 0.0
-        for m in range(len(rest)):
+        for m in range(len(case.tension_n)):
             if case.tension_n[m] > 0.0:
                 curvature += springs.cable_n_m[m] * (case.jacobian_m[m] * turn).sum() ** 2
         excess = (case.gradient_n_m * turn).sum()
@@ -194,9 +169,9 @@ def _line_search(
 
 
 @compiled
-def _look(springs: _Springs, rest: Array, arms: Array, angles: Array, case: _Case) -> float:
+def _look(springs: _Springs, angles: Array, case: _Case) -> float:
     """The potential at a pose, and everything of the case."""
-    plates, joints = springs.plates, len(arms)
+    plates, joints, second = springs.plates, len(case.axis), case.second_m
     gradient, hessian = case.gradient_n_m, case.hessian_n_m
     cos, sin = np.cos(angles), np.sin(angles)
     potential = 0.0
@@ -205,71 +180,35 @@ def _look(springs: _Springs, rest: Array, arms: Array, angles: Array, case: _Cas
         gradient[k] = springs.joint_n_m_rad[k] * angles[k]
         hessian[k, k] = springs.joint_n_m_rad[k]
         potential += 0.5 * gradient[k] * angles[k]
-    for m in range(len(rest)):
-        stretch, passed, lever = -rest[m], 0, case.jacobian_m[m]
+    for m in range(len(case.tension_n)):
+        stretch, passed, lever = -case.rest_m[m], 0, case.jacobian_m[m]
         while passed < joints and plates.passes[m, passed]:
-            n, both = passed, slice(2 * passed, 2 * passed + 2)
-            holes = plates.holes_m[0, m, n]
+            both, holes = slice(2 * passed, 2 * passed + 2), plates.holes_m[0, m, passed]
             stretch += span_m(
-                plates.offset_m, holes, cos[both], sin[both], lever[both], case.second_m[n]
+                plates.offset_m, holes, cos[both], sin[both], lever[both], second[passed]
             )[0]
             passed += 1
-        tension = springs.cable_n_m[m] * max(stretch, 0.0)
+        stiffness = springs.cable_n_m[m]
+        tension = stiffness * max(stretch, 0.0)
         case.tension_n[m] = tension
         if tension == 0.0:
             continue
         potential += 0.5 * tension * stretch
         for k in range(2 * passed):
             gradient[k] += tension * lever[k]
-        _take_cable_slope(springs.cable_n_m[m], tension, passed, lever, case.second_m, hessian)
+            for j in range(k + 1):
+                hessian[k, j] += stiffness * lever[k] * lever[j]
+        for n in range(passed):
+            hessian[2 * n, 2 * n] += tension * second[n, 0]
+            hessian[2 * n + 1, 2 * n] += tension * second[n, 1]
+            hessian[2 * n + 1, 2 * n + 1] += tension * second[n, 2]
     turn_axes(cos, sin, case.axis, case.joint_axis)
-    take_load_torque(case.axis, case.joint_axis, arms, gradient)
-    take_load_slope(case.axis, case.joint_axis, arms, hessian)
+    take_load_torque(case.axis, case.joint_axis, case.arms_n_m, gradient)
+    take_load_slope(case.axis, case.joint_axis, case.arms_n_m, hessian)
     for n in range(joints):
         for i in range(3):
-            potential -= arms[n, i] * case.axis[n, i]
+            potential -= case.arms_n_m[n, i] * case.axis[n, i]
     return potential
-
-
-@compiled
-def _take_cable_slope(
-    stiffness: float, tension: float, passed: int, lever: Array, second: Array, hessian: Array
-) -> None:
-    """Adds a taut cable over the first `passed` joints to the lower half of a Hessian."""
-    for k in range(2 * passed):
-        for j in range(k + 1):
-            hessian[k, j] += stiffness * lever[k] * lever[j]
-    for n in range(passed):
-        hessian[2 * n, 2 * n] += tension * second[n, 0]
-        hessian[2 * n + 1, 2 * n] += tension * second[n, 1]
-        hessian[2 * n + 1, 2 * n + 1] += tension * second[n, 2]
-
-
-@compiled
-def _hessians(springs: _Springs, angles: Array, tensions: Array, arms: Array) -> Array:
-    """Second derivatives (B, 2N, 2N), of which the lower halves count."""
-    plates, joints = springs.plates, arms.shape[1]
-    found = np.zeros((len(angles), 2 * joints, 2 * joints))
-    case = _empty_case(tensions.shape[1], joints)
-    for b in range(len(angles)):
-        cos, sin = np.cos(angles[b]), np.sin(angles[b])
-        for k in range(2 * joints):
-            found[b, k, k] = springs.joint_n_m_rad[k]
-        for m in range(tensions.shape[1]):
-            passed, lever = 0, case.jacobian_m[m]
-            while passed < joints and plates.passes[m, passed]:
-                n, both = passed, slice(2 * passed, 2 * passed + 2)
-                holes = plates.holes_m[0, m, n]
-                span_m(plates.offset_m, holes, cos[both], sin[both], lever[both], case.second_m[n])
-                passed += 1
-            if tensions[b, m] > 0.0:
-                stiffness = springs.cable_n_m[m]
-                _take_cable_slope(
-                    stiffness, tensions[b, m], passed, lever, case.second_m, found[b]
-                )
-        turn_axes(cos, sin, case.axis, case.joint_axis)
-        take_load_slope(case.axis, case.joint_axis, arms[b], found[b])
-    return found
 
 
 @compiled

@@ -1,6 +1,6 @@
 """A controller that follows a push: the arm turns in the direction in which it is pushed.
 
-    python -m examples.follow_force         # beside `cablesense demo`, in the same ROS_DOMAIN_ID
+    python -m examples.follow_force         # with `cablesense demo`, in the same ROS_DOMAIN_ID
 
 Each contact above a threshold turns the joints by a fixed gain times the joint torques of the
 contact. The estimator gives no force while the arm moves fast, so the steps are small and slow.

@@ -34,7 +34,7 @@ class Arm:
     """An arm at rest, tared, with an estimator that reads it every 10 ms."""
 
     def __init__(self, name="cdsm", command=STRAIGHT, seed=0, model="", **changes):
-        loaded = loaded_model(name, model)
+        loaded = loaded_model(name, model or name)  # of contacts at the points of the arm file
         self.arm, self.rng, self.command = loaded.arm, np.random.default_rng(seed), command
         settings = SETTINGS.model_copy(update=changes)
         self.estimation = Estimation(self.arm, loaded.estimator, settings, 0.0)

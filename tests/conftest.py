@@ -12,7 +12,9 @@ from xdist.scheduler import LoadFileScheduling
 
 from cablesense_ros.discovery import free_domain
 
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup all that tests start would ignore it
+# under nohup, or behind a shell's &, all that tests start would ignore these
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+signal.signal(signal.SIGINT, signal.default_int_handler)
 os.environ["MPLBACKEND"] = "Agg"
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each other on a busy core
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"

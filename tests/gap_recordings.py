@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from cablesense_gap.recordings.recording import Recording
@@ -34,3 +36,14 @@ def small_recording(peak_n: float = 40.0) -> Recording:
         load_n=np.outer(load, [0.0, 0.0, -1.0]),
         tensions_n=np.full((rows, 12), 50.0),
     )
+
+
+PLACES_M = np.array([0.03, 0.065, 0.115])
+"""Near the joint, at the contact point of the arm file, and far out."""
+
+
+def placed_recording(peak_n: float = 40.0) -> Recording:
+    """`small_recording` with the loads of one trial after the other at three places in turn."""
+    made = small_recording(peak_n)
+    at_m = np.where(made.load_segment > 0, PLACES_M[made.trial % 3], np.nan)
+    return replace(made, load_at_m=at_m)

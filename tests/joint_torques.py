@@ -1,4 +1,4 @@
-"""Joint torques of weight and loads, as the kinematics has them in parts."""
+"""Joint torques of weight and loads in NumPy: the reference of the compiled ones."""
 
 import numpy as np
 
@@ -6,10 +6,17 @@ from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
 
 
+def axis_torques_n_m(pose: kinematics.SegmentChain, load_arms_n_m: np.ndarray) -> np.ndarray:
+    """Of generalised forces (..., N, 3) on the segments' axis vectors; (..., 2N)."""
+    moment = np.cross(pose.rotation[..., 0], load_arms_n_m)
+    distal = np.cumsum(moment[..., ::-1, :], axis=-2)[..., ::-1, :]
+    return (pose.joint_axis * np.repeat(distal, 2, axis=-2)).sum(axis=-1)
+
+
 def load_torques_n_m(mechanism: Mechanism, q: np.ndarray, forces_n: np.ndarray) -> np.ndarray:
     """Of gravity and of contact forces (..., N, 3), at joint angles (..., 2N)."""
     pose, arms = kinematics.chain(mechanism, q), kinematics.load_arms(mechanism, forces_n)
-    return kinematics.axis_torques_n_m(pose, arms)
+    return axis_torques_n_m(pose, arms)
 
 
 def gravity_torques_n_m(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:

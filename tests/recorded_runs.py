@@ -103,7 +103,7 @@ class MadeRun:
 
     def write(self, path, records=None, namespace="/", kinds=()):
         """Put records into a file; `kinds` replaces types of topics."""
-        file, channels = TopicFile(path, growing=False), {}
+        file, channels = TopicFile(path), {}
         for topic, log_ns, raw in self.records if records is None else records:
             if topic not in channels:
                 of = CONTRACT[of_contract(resolved(topic))]

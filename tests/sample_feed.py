@@ -52,15 +52,14 @@ class Feed:
     def __init__(self, estimator=None, **changes):
         self.estimator = estimator or AnyDifference()
         self.estimation = Estimation(ARM, self.estimator, SETTINGS.model_copy(update=changes), 0.0)
-        self.now_ns, self.stepped_ns = 10**18, 0
+        self.now_ns = 10**18
 
     @property
     def now_s(self):
-        return (self.now_ns - self.stepped_ns - 10**18) * 1e-9
+        return (self.now_ns - 10**18) * 1e-9
 
-    def sample(self, tensions=UNLOADED, names=ARM.cable_names, age_ns=0, raw=None, step_ns=0):
-        self.now_ns += 10_000_000 + step_ns
-        self.stepped_ns += step_ns
+    def sample(self, tensions=UNLOADED, names=ARM.cable_names, age_ns=0, raw=None):
+        self.now_ns += 10_000_000
         if raw is None:
             raw = message_bytes(tensions, self.now_ns - age_ns, names)
         return self.estimation.sample(raw, self.now_ns, self.now_s)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablesense_online.commissioning.sensor_check import expectation
-from cablesense_online.commissioning.sensor_statistics import TensionSeries
+from cablesense_online.commissioning.sensor_check import TensionSeries, expectation
 from cablesense_sim.arm import open_arm
 
 ARM = open_arm("cdsm")

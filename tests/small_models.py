@@ -6,9 +6,8 @@ from model_fixtures import metadata_for
 from onnx import TensorProto, helper
 
 from cablesense_sim.arm import open_arm
-from cablesense_training.inference.estimator import OUTPUTS
-from cablesense_training.inference.metadata import ModelFileError
-from cablesense_training.inference.session import ModelSession
+from cablesense_training.errors import ModelFileError
+from cablesense_training.inference.estimator import OUTPUTS, Estimator
 
 CDSM = open_arm("cdsm")
 FLOAT, DOUBLE = TensorProto.FLOAT, TensorProto.DOUBLE
@@ -65,10 +64,10 @@ def written(tmp_path, model):
     return path
 
 
-def refused(path, outputs=OUTPUTS, arm=None):
+def refused(path, kind=Estimator, arm=None):
     """The one line in which a file is refused; it names the file."""
     with pytest.raises(ModelFileError) as caught:
-        ModelSession.open(path, outputs, arm)
+        kind.load(path, arm)
     message = str(caught.value)
     assert str(path) in message
     assert "\n" not in message

@@ -7,12 +7,12 @@ from .data.parquet import write_dataset as write_dataset
 from .data.protocols import MultiContact as MultiContact
 from .data.protocols import SingleContact as SingleContact
 from .errors import DatasetError as DatasetError
+from .errors import ModelFileError as ModelFileError
 from .errors import TrainingError as TrainingError
 from .inference.estimator import Estimate as Estimate
 from .inference.estimator import Estimates as Estimates
 from .inference.estimator import Estimator as Estimator
 from .inference.estimator import MultiEstimator as MultiEstimator
-from .inference.metadata import ModelFileError as ModelFileError
 from .inference.metadata import find_model as find_model
 from .inference.temporal_estimator import TemporalEstimator as TemporalEstimator
 from .inference.temporal_estimator import open_estimator as open_estimator

@@ -17,17 +17,15 @@ from torch import Tensor, nn
 
 from cablesense_base.files import write_atomically
 from cablesense_training.errors import TrainingError
+from cablesense_training.inference.anywhere import BALANCE_OUTPUTS
 from cablesense_training.inference.estimator import MULTI_OUTPUTS, OUTPUTS
 from cablesense_training.inference.metadata import ModelMetadata
-from cablesense_training.inference.session import (
-    INTERVAL,
-    TAUT,
-    input_widths,
-    store_as_single,
-)
+from cablesense_training.inference.model_file import store_as_single
+from cablesense_training.inference.session import INTERVAL, TAUT, input_widths
 from cablesense_training.inference.temporal_estimator import TEMPORAL_OUTPUTS
-from cablesense_training.networks import MultiContactNetwork, Network
+from cablesense_training.networks.anywhere import AnywhereStatics
 from cablesense_training.networks.corrected import CorrectedClosedForm
+from cablesense_training.networks.layers import ContactNetwork
 from cablesense_training.networks.temporal import TemporalNetwork, Ticks
 
 OPSET = 20
@@ -37,10 +35,12 @@ AGREEMENT = 1e-5
 
 _TRIAL_ROWS = 64
 _TRACED_ROWS = 61
-"""A prime that is no other size in a network."""
+"""A prime of which no other size in a network is a multiple."""
 
 
-def export_model(network: Network | TemporalNetwork, path: Path, metadata: ModelMetadata) -> None:
+def export_model(
+    network: ContactNetwork | TemporalNetwork, path: Path, metadata: ModelMetadata
+) -> None:
     """Write a trained network as an ONNX file in float64 that answers as PyTorch does, checked.
 
     The file is written under another name and then renamed, so a failure leaves nothing behind.
@@ -63,23 +63,26 @@ def export_model(network: Network | TemporalNetwork, path: Path, metadata: Model
 class _Answers(nn.Module):
     """A network with answers in their units, and the names of these `outputs`."""
 
-    def __init__(self, network: Network | TemporalNetwork) -> None:
+    def __init__(self, network: ContactNetwork | TemporalNetwork) -> None:
         super().__init__()
         self.network = network
         self.outputs: Sequence[str] = OUTPUTS
         if isinstance(network, TemporalNetwork):
             self.outputs = (*TEMPORAL_OUTPUTS, INTERVAL)
-        elif isinstance(network, MultiContactNetwork):
+        elif network.several:
             self.outputs = MULTI_OUTPUTS
+        elif isinstance(network, AnywhereStatics):
+            self.outputs = (*BALANCE_OUTPUTS, TAUT)
         elif isinstance(network, CorrectedClosedForm):
             self.outputs = (*OUTPUTS, TAUT)
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         network = self.network
-        if isinstance(network, MultiContactNetwork):
-            several = network(*inputs)
-            contact = torch.sigmoid(several.contact_logits)
-            return contact, several.magnitude_n, several.magnitude_std_n
+        if isinstance(network, AnywhereStatics):
+            return tuple(network(*inputs))
+        if network.several:
+            logits, *forces = network(*inputs)
+            return torch.sigmoid(logits), *forces
         beside: list[Tensor] = []
         if isinstance(network, TemporalNetwork):
             output, *beside = network(Ticks(*inputs[:-1]), inputs[-1])
@@ -160,7 +163,8 @@ def _take_any_number_of_rows(graph: onnx.GraphProto) -> None:
     for constant in graph.initializer:
         values = onnx.numpy_helper.to_array(constant)
         if constant.name in shapes:
-            values = np.where(values == _TRACED_ROWS, -1, values)
+            several = (values > 0) & (values % _TRACED_ROWS == 0)
+            values = np.where(several, -1, values)
         elif values.shape[:1] == (_TRACED_ROWS,) and (values == values[:1]).all():
             values = values[:1]
         else:

@@ -1,8 +1,8 @@
 """Training: one loop for all networks, with Adam, the best weights kept and calibrated spread.
 
-`run_epochs` is the loop. An `Objective` is the data, samples or sequences: it holds the data,
-split into a part to train on and a held-out part, and knows its losses. `fit` trains on the
-samples of a dataset; `fit_sequences` in its own module on sequences in motion.
+An `Objective` has the data, samples or sequences, split into a part to train on and a held-out
+part, and knows their losses. `fit` trains on the samples of a dataset; `fit_sequences` in its own
+module on sequences in motion. The losses (4) to (8) are those of the paper.
 """
 
 from __future__ import annotations
@@ -10,54 +10,60 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import NORMAL_95
-from cablesense_training.losses import (
-    LossTerms,
-    MultiContactTarget,
-    SingleContactTarget,
-    multi_contact_loss,
-    multi_contact_ratios,
-    single_contact_loss,
-    single_contact_ratios,
+from cablesense_training.networks.layers import (
+    ContactNetwork,
+    MultiContactOutput,
+    SingleContactOutput,
 )
-from cablesense_training.networks import MultiContactNetwork, Network
-from cablesense_training.networks.temporal import TemporalNetwork
 
 ROWS_AT_ONCE = 8192
 """Samples that a network answers together outside training."""
-
 
 Parts = TypeVar("Parts", bound=NamedTuple)
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoopSettings:
-    """What every training run has; refused with a `TrainingError` when out of range.
+class FitSettings:
+    """How to train; refused with a `TrainingError` when out of range.
 
     Attributes:
         seed: of the validation split and the order of the batches.
         epochs: at most this many.
         batch_size: samples, or sequences, a step.
-        learning_rate: of Adam, at the start.
+        learning_rate: of Adam, at the start; along sequences it falls to nothing by a cosine.
         threads: of PyTorch; the result is the same for the same seed and the same number of
             threads.
+        decay, patience, tolerance: λ, Δ and ε of equation (15): when the validation loss has not
+            fallen below (1 - ε) of its best for Δ epochs, the learning rate is multiplied by λ
+            (`ReduceLROnPlateau`). Read literally, (15) would set the rate to zero whenever the
+            loss does improve; the text means this.
+        stop_patience: epochs without such an improvement after which training ends.
+        part_ticks: ticks of a sequence through which gradients flow; the state flows on through
+            all.
     """
 
     seed: int = 0
-    epochs: int
-    batch_size: int
-    learning_rate: float
+    epochs: int = 60
+    batch_size: int = 512
+    learning_rate: float = 2e-3
     threads: int = 2
+    decay: float = 0.5
+    patience: int = 2
+    tolerance: float = 1e-3
+    stop_patience: int = 12
+    part_ticks: int = 60
 
     def __post_init__(self) -> None:
         for name in ("epochs", "batch_size", "threads"):
@@ -67,25 +73,14 @@ class LoopSettings:
             raise TrainingError(f"learning_rate = {self.learning_rate:g}: must be in (0, 1]")
 
 
-@dataclass(frozen=True, kw_only=True)
-class FitSettings(LoopSettings):
-    """How to train on samples.
+class LossTerms(NamedTuple):
+    """The parts of a loss; `total` is equation (8); `spread` is trained separately."""
 
-    Attributes:
-        decay, patience, tolerance: λ, Δ and ε of equation (15): when the validation loss has not
-            fallen below (1 - ε) of its best for Δ epochs, the learning rate is multiplied by λ
-            (`ReduceLROnPlateau`). Read literally, (15) would set the rate to zero whenever the
-            loss does improve; the text means this.
-        stop_patience: epochs without such an improvement after which training ends.
-    """
-
-    epochs: int = 60
-    batch_size: int = 512
-    learning_rate: float = 2e-3
-    decay: float = 0.5
-    patience: int = 2
-    tolerance: float = 1e-3
-    stop_patience: int = 12
+    total: Tensor
+    contact: Tensor
+    direction: Tensor
+    magnitude: Tensor
+    spread: Tensor
 
 
 class EpochRecord(NamedTuple):
@@ -143,7 +138,6 @@ class Objective(ABC, Generic[Parts]):
     """Data and losses that a network is trained with.
 
     Attributes:
-        network: trained in place.
         training, held_out: the data.
         generator: of all that is drawn.
         optimiser: of the trainable parameters; None where there are none.
@@ -151,12 +145,12 @@ class Objective(ABC, Generic[Parts]):
         held_out_share: of the rows, to choose the best epoch and to calibrate.
     """
 
-    network: Network | TemporalNetwork
     optimiser: torch.optim.Optimizer | None = None
     largest_gradient = math.inf
     held_out_share = 0.1
 
-    def __init__(self, samples: Parts, rows: int, settings: LoopSettings) -> None:
+    def __init__(self, samples: Parts, rows: int, settings: FitSettings) -> None:
+        self.settings = settings
         self.generator = torch.Generator().manual_seed(settings.seed)
         order = torch.randperm(rows, generator=self.generator)
         count = max(1, round(self.held_out_share * rows))
@@ -164,12 +158,8 @@ class Objective(ABC, Generic[Parts]):
         self.held_out = take(samples, order[:count])
 
     @abstractmethod
-    def training_losses(self) -> Iterator[tuple[LossTerms, int]]:
-        """One pass over the training data: losses with their weights, a step after each."""
-
-    @abstractmethod
-    def held_out_losses(self) -> Iterator[tuple[LossTerms, int]]:
-        """Losses with their weights."""
+    def losses(self, training: bool) -> Iterator[tuple[LossTerms, int]]:
+        """Losses with their weights in one pass over the training data, or the held-out."""
 
     @abstractmethod
     def end_epoch(self, held_out_loss: float) -> bool:
@@ -179,61 +169,84 @@ class Objective(ABC, Generic[Parts]):
     def calibrate(self) -> None:
         """Make what the trained network states of its errors hold on the held-out data."""
 
+    def fit(self, network: torch.nn.Module, on_epoch: OnEpoch | None) -> FitHistory:
+        """Train in place, keep the weights of the best epoch, calibrate the stated deviations.
 
-def run_epochs(
-    objective: Objective[Any], settings: LoopSettings, on_epoch: OnEpoch | None
-) -> FitHistory:
-    """Train, keep the weights of the best epoch and calibrate the stated deviations.
-
-    Raises:
-        TrainingError: the loss is no longer finite.
-    """
-    start = time.perf_counter()
-    network, optimiser = objective.network, objective.optimiser
-    records: list[EpochRecord] = []
-    best, best_epoch = math.inf, 0
-    best_state: dict[str, Tensor] = {}
-    for epoch in range(1, settings.epochs + 1 if optimiser is not None else 1):
-        assert optimiser is not None
-        rate = float(optimiser.param_groups[0]["lr"])
-        network.train()
-        means = _train_epoch(objective, optimiser)
+        Raises:
+            TrainingError: the loss is no longer finite.
+        """
+        start = time.perf_counter()
+        records: list[EpochRecord] = []
+        best, best_epoch = math.inf, 0
+        best_state: dict[str, Tensor] = {}
+        for epoch in range(1, self.settings.epochs + 1 if self.optimiser is not None else 1):
+            assert self.optimiser is not None
+            rate = float(self.optimiser.param_groups[0]["lr"])
+            network.train()
+            sums, count = torch.zeros(len(LossTerms._fields)), 0
+            for terms, rows in self.losses(training=True):
+                self.optimiser.zero_grad(set_to_none=True)
+                (terms.total + terms.spread).backward()
+                if math.isfinite(self.largest_gradient):
+                    torch.nn.utils.clip_grad_norm_(network.parameters(), self.largest_gradient)
+                self.optimiser.step()
+                sums, count = sums + torch.stack(terms).detach() * rows, count + rows
+            network.eval()
+            with torch.no_grad():
+                losses = [(float(terms.total), n) for terms, n in self.losses(training=False)]
+            held_out = sum(loss * rows for loss, rows in losses) / sum(n for _, n in losses)
+            if not math.isfinite(held_out):
+                raise TrainingError(
+                    f"the loss is not finite in epoch {epoch}; lower the learning rate of {rate:g}"
+                )
+            records.append(EpochRecord(epoch, rate, held_out, *(sums / count).tolist()))
+            if on_epoch is not None:
+                on_epoch(records[-1])
+            if held_out < best:
+                best, best_epoch = held_out, epoch
+                best_state = {name: value.clone() for name, value in network.state_dict().items()}
+            if self.end_epoch(held_out):
+                break
+        if best_state:
+            network.load_state_dict(best_state)
         network.eval()
-        with torch.no_grad():
-            losses = [(float(terms.total), rows) for terms, rows in objective.held_out_losses()]
-        held_out = sum(loss * rows for loss, rows in losses) / sum(rows for _, rows in losses)
-        if not math.isfinite(held_out):
-            raise TrainingError(
-                f"the loss is not finite in epoch {epoch}; lower the learning rate of {rate:g}"
+        self.calibrate()
+        return FitHistory(tuple(records), best_epoch, time.perf_counter() - start)
+
+
+class PlateauObjective(Objective[Parts]):
+    """Shuffled batches, and a learning rate that falls where the loss no longer does."""
+
+    def __init__(self, network: torch.nn.Module, samples: Parts, settings: FitSettings) -> None:
+        super().__init__(samples, len(samples[0]), settings)
+        self._since_best = 0
+        if trainable := [part for part in network.parameters() if part.requires_grad]:
+            self.optimiser = torch.optim.Adam(trainable, lr=settings.learning_rate)
+            self._scheduler = torch.optim.lr_scheduler.ReduceLROnPlateau(
+                self.optimiser,
+                factor=settings.decay,
+                patience=settings.patience,
+                threshold=settings.tolerance,
             )
-        records.append(EpochRecord(epoch, rate, held_out, *means))
-        if on_epoch is not None:
-            on_epoch(records[-1])
-        if held_out < best:
-            best, best_epoch = held_out, epoch
-            best_state = {name: value.clone() for name, value in network.state_dict().items()}
-        if objective.end_epoch(held_out):
-            break
-    if best_state:
-        network.load_state_dict(best_state)
-    network.eval()
-    objective.calibrate()
-    return FitHistory(tuple(records), best_epoch, time.perf_counter() - start)
 
+    def batches(self, training: bool) -> Iterator[Parts]:
+        """The data in batches; those to train on in another order each time."""
+        samples = self.training if training else self.held_out
+        count = len(samples[0])
+        if training:
+            order = torch.randperm(count, generator=self.generator)
+            batches = order.split(self.settings.batch_size)
+        else:
+            batches = torch.arange(count).split(ROWS_AT_ONCE)
+        for rows in batches:
+            yield take(samples, rows)
 
-def _train_epoch(objective: Objective[Any], optimiser: torch.optim.Optimizer) -> list[float]:
-    """Means of the `LossTerms` of one pass over the training data, a step of Adam after each."""
-    sums, count = torch.zeros(len(LossTerms._fields)), 0
-    for terms, rows in objective.training_losses():
-        optimiser.zero_grad(set_to_none=True)
-        (terms.total + terms.spread).backward()
-        if math.isfinite(objective.largest_gradient):
-            parameters = objective.network.parameters()
-            torch.nn.utils.clip_grad_norm_(parameters, objective.largest_gradient)
-        optimiser.step()
-        sums, count = sums + torch.stack(terms).detach() * rows, count + rows
-    means: list[float] = (sums / count).tolist()
-    return means
+    def end_epoch(self, held_out_loss: float) -> bool:
+        """See the base class."""
+        best = self._scheduler.best
+        self._scheduler.step(held_out_loss)
+        self._since_best = 0 if self._scheduler.best < best else self._since_best + 1
+        return self._since_best >= self.settings.stop_patience
 
 
 @contextmanager
@@ -248,7 +261,7 @@ def torch_threads(count: int) -> Iterator[None]:
 
 
 def fit(
-    network: Network,
+    network: ContactNetwork,
     dataset: Dataset,
     settings: FitSettings | None = None,
     on_epoch: OnEpoch | None = None,
@@ -259,8 +272,7 @@ def fit(
     to the held-out errors.
 
     Args:
-        network: a single-contact network, or a multi-contact one; the dataset's labels are read
-            accordingly.
+        network: of one contact or of several; the dataset's labels are read accordingly.
         dataset: samples of the arm that the network is for.
         settings: how to train; the defaults suit 100,000 samples and two processor cores.
         on_epoch: called after every epoch.
@@ -271,7 +283,22 @@ def fit(
     """
     settings = settings or FitSettings()
     with torch_threads(settings.threads):
-        return run_epochs(_SampleObjective(network, dataset, settings), settings, on_epoch)
+        return _SampleObjective(network, dataset, settings).fit(network, on_epoch)
+
+
+class SingleContactTarget(NamedTuple):
+    """True contacts of B samples: segment (B,), 0 for none; angle (B,), deg; magnitude (B,), N."""
+
+    segment: Tensor
+    angle_deg: Tensor
+    magnitude_n: Tensor
+
+
+class MultiContactTarget(NamedTuple):
+    """True contacts of B samples: touched (B, N), 0 or 1; magnitudes (B, N), N, 0 elsewhere."""
+
+    touched: Tensor
+    magnitude_n: Tensor
 
 
 class _TrainingSamples(NamedTuple):
@@ -282,7 +309,12 @@ class _TrainingSamples(NamedTuple):
     target: SingleContactTarget | MultiContactTarget
 
 
-def _samples(network: Network, dataset: Dataset) -> _TrainingSamples:
+def require_fitting(network: ContactNetwork, dataset: Dataset) -> None:
+    """Refuse a dataset of an arm of another size, or one too small to hold any of it out.
+
+    Raises:
+        TrainingError: such a dataset.
+    """
     shape = (dataset.arm.cable_count, dataset.arm.segment_count)
     if shape != (network.cable_count, network.segment_count):
         raise TrainingError(
@@ -291,13 +323,17 @@ def _samples(network: Network, dataset: Dataset) -> _TrainingSamples:
         )
     if len(dataset) < 10:
         raise TrainingError(f"{len(dataset)} samples are too few to train on; give at least 10")
+
+
+def _samples(network: ContactNetwork, dataset: Dataset) -> _TrainingSamples:
+    require_fitting(network, dataset)
     dtype = next(network.parameters()).dtype
 
     def real(values: object) -> Tensor:
         return torch.as_tensor(values).to(dtype)
 
     target: SingleContactTarget | MultiContactTarget
-    if isinstance(network, MultiContactNetwork):
+    if network.several:
         target = MultiContactTarget(real(dataset.contacts), real(dataset.magnitudes_n))
     else:
         segment = torch.as_tensor(dataset.segment, dtype=torch.int64)
@@ -305,68 +341,102 @@ def _samples(network: Network, dataset: Dataset) -> _TrainingSamples:
     return _TrainingSamples(real(dataset.tension_difference_n), real(dataset.command_rad), target)
 
 
-class _SampleObjective(Objective[_TrainingSamples]):
-    """Losses (4) to (8) on shuffled batches; plateau scheduler and early stopping."""
+class _SampleObjective(PlateauObjective[_TrainingSamples]):
+    """Losses (4) to (8)."""
 
-    network: Network
-
-    def __init__(self, network: Network, dataset: Dataset, settings: FitSettings) -> None:
-        super().__init__(_samples(network, dataset), len(dataset), settings)
-        self.network, self._settings = network, settings
-        self._since_best = 0
-        several = isinstance(network, MultiContactNetwork)
-        self._loss: Callable[..., LossTerms] = (
-            multi_contact_loss if several else single_contact_loss
-        )
-        self._ratios: Callable[..., Tensor] = (
-            multi_contact_ratios if several else single_contact_ratios
-        )
+    def __init__(self, network: ContactNetwork, dataset: Dataset, settings: FitSettings) -> None:
+        super().__init__(network, _samples(network, dataset), settings)
+        self._network = network
         network.adapt(self.training.tension_difference_n, self.training.target.magnitude_n)
-        if trainable := [part for part in network.parameters() if part.requires_grad]:
-            self.optimiser = torch.optim.Adam(trainable, lr=settings.learning_rate)
-            self._scheduler = torch.optim.lr_scheduler.ReduceLROnPlateau(
-                self.optimiser,
-                factor=settings.decay,
-                patience=settings.patience,
-                threshold=settings.tolerance,
-            )
 
-    def training_losses(self) -> Iterator[tuple[LossTerms, int]]:
-        order = torch.randperm(len(self.training.tension_difference_n), generator=self.generator)
-        return self._losses(self.training, order.split(self._settings.batch_size))
-
-    def held_out_losses(self) -> Iterator[tuple[LossTerms, int]]:
-        return self._losses(self.held_out, self._held_out_batches())
-
-    def end_epoch(self, held_out_loss: float) -> bool:
-        best = self._scheduler.best
-        self._scheduler.step(held_out_loss)
-        self._since_best = 0 if self._scheduler.best < best else self._since_best + 1
-        return self._since_best >= self._settings.stop_patience
+    def losses(self, training: bool) -> Iterator[tuple[LossTerms, int]]:
+        loss = multi_contact_loss if self._network.several else single_contact_loss
+        scale_n = self._network.magnitude.std
+        for output, target in self._answers(training):
+            yield loss(output, target, scale_n), len(target.magnitude_n)
 
     @torch.no_grad()
     def calibrate(self) -> None:
-        answers = self._answers(self.held_out, self._held_out_batches())
-        ratios_of = torch.cat([self._ratios(output, target) for output, target in answers])
+        ratios = multi_contact_ratios if self._network.several else single_contact_ratios
+        every = torch.cat([ratios(*answer) for answer in self._answers(training=False)])
         # until 95 % of the errors lie within 1.96 stated deviations
-        for column, ratios in enumerate(ratios_of.unbind(1)):
-            if len(known := ratios[torch.isfinite(ratios)]):
-                self.network.spread.factor[column] *= torch.quantile(known, 0.95) / NORMAL_95
+        for column, ratio in enumerate(every.unbind(1)):
+            if len(known := ratio[torch.isfinite(ratio)]):
+                self._network.spread.factor[column] *= torch.quantile(known, 0.95) / NORMAL_95
 
-    def _held_out_batches(self) -> tuple[Tensor, ...]:
-        return torch.arange(len(self.held_out.tension_difference_n)).split(ROWS_AT_ONCE)
+    def _answers(self, training: bool) -> Iterator[tuple[Any, Any]]:
+        for batch in self.batches(training):
+            yield self._network(batch.tension_difference_n, batch.joint_command_rad), batch.target
 
-    def _answers(
-        self, samples: _TrainingSamples, batches: Iterable[Tensor]
-    ) -> Iterator[tuple[Any, Any]]:
-        """Outputs and targets, batch by batch."""
-        for rows in batches:
-            batch = take(samples, rows)
-            yield self.network(batch.tension_difference_n, batch.joint_command_rad), batch.target
 
-    def _losses(
-        self, samples: _TrainingSamples, batches: Iterable[Tensor]
-    ) -> Iterator[tuple[LossTerms, int]]:
-        for output, target in self._answers(samples, batches):
-            scale = self.network.magnitude.std
-            yield self._loss(output, target, scale), len(target.magnitude_n)
+def direction_of(angle_deg: Tensor) -> Tensor:
+    """(B, 2) (sin θ, cos θ) of angles (B,), equation (5)."""
+    angle = torch.deg2rad(angle_deg)
+    return torch.stack([torch.sin(angle), torch.cos(angle)], dim=-1)
+
+
+def angle_error_deg(direction: Tensor, angle_deg: Tensor) -> Tensor:
+    """Signed difference (B,), ±180 at most, of directions (B, 2), any length, from angles (B,)."""
+    true = direction_of(angle_deg)
+    sine = direction[:, 0] * true[:, 1] - direction[:, 1] * true[:, 0]
+    cosine = direction[:, 0] * true[:, 0] + direction[:, 1] * true[:, 1]
+    return torch.rad2deg(torch.atan2(sine, cosine))
+
+
+def gaussian_nll(error: Tensor, std: Tensor) -> Tensor:
+    """Negative log-likelihood, without its constant, of errors under a stated deviation."""
+    return 0.5 * (error / std) ** 2 + torch.log(std)
+
+
+def single_contact_loss(
+    output: SingleContactOutput, target: SingleContactTarget, magnitude_scale_n: Tensor
+) -> LossTerms:
+    """Equation (8) with α = β = γ = 1.
+
+    Cross-entropy (4), the squared error (6) of (sin θ, cos θ) and L1 on standardised magnitudes
+    (7), the last two over contacts. `magnitude_scale_n` is the standard deviation that
+    standardises the labels; their mean cancels in the difference.
+    """
+    touched = target.segment > 0
+    contact = functional.cross_entropy(output.contact_logits, target.segment)
+    off = output.direction - direction_of(target.angle_deg)
+    direction = _mean_where((off**2).sum(dim=-1), touched)
+    error_n = output.magnitude_n - target.magnitude_n
+    magnitude = _mean_where(error_n.abs() / magnitude_scale_n, touched)
+    angle_error = angle_error_deg(output.direction, target.angle_deg).detach()
+    spread = gaussian_nll(error_n.detach(), output.magnitude_std_n)
+    spread = spread + gaussian_nll(angle_error, output.angle_std_deg)
+    total = contact + direction + magnitude
+    return LossTerms(total, contact, direction, magnitude, _mean_where(spread, touched))
+
+
+def multi_contact_loss(
+    output: MultiContactOutput, target: MultiContactTarget, magnitude_scale_n: Tensor
+) -> LossTerms:
+    """Cross-entropy of each segment's contact and L1 on standardised magnitudes; no directions."""
+    contact = functional.binary_cross_entropy_with_logits(output.contact_logits, target.touched)
+    error_n = output.magnitude_n - target.magnitude_n
+    magnitude = (error_n.abs() / magnitude_scale_n).mean()
+    spread = gaussian_nll(error_n.detach(), output.magnitude_std_n)
+    spread = _mean_where(spread, target.touched > 0)
+    total = contact + magnitude
+    return LossTerms(total, contact, torch.zeros_like(total), magnitude, spread)
+
+
+def single_contact_ratios(output: SingleContactOutput, target: SingleContactTarget) -> Tensor:
+    """|error| / stated deviation (B, 2) of magnitude and angle; NaN where no contact was found."""
+    force = (output.magnitude_n - target.magnitude_n).abs() / output.magnitude_std_n
+    angle = angle_error_deg(output.direction, target.angle_deg).abs() / output.angle_std_deg
+    found = (target.segment > 0) & (output.contact_logits.argmax(-1) > 0)
+    return torch.stack([force, angle], dim=-1).where(found[:, None], math.nan)
+
+
+def multi_contact_ratios(output: MultiContactOutput, target: MultiContactTarget) -> Tensor:
+    """|error| / stated deviation (B, N) of magnitudes; NaN where no contact was found."""
+    ratio = (output.magnitude_n - target.magnitude_n).abs() / output.magnitude_std_n
+    return ratio.where((target.touched > 0) & (output.contact_logits > 0), math.nan)
+
+
+def _mean_where(values: Tensor, chosen: Tensor) -> Tensor:
+    """Mean over the chosen entries, 0 where there are none."""
+    return values.where(chosen, 0.0).sum() / chosen.sum().clamp(min=1)

@@ -11,7 +11,6 @@ it states, and the probability is found below which a contact is certain.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import torch
@@ -23,24 +22,20 @@ from cablesense_training.errors import TrainingError
 from cablesense_training.fit import (
     ROWS_AT_ONCE,
     FitHistory,
-    LoopSettings,
+    FitSettings,
+    LossTerms,
     Objective,
     OnEpoch,
+    SingleContactTarget,
+    angle_error_deg,
+    direction_of,
     each,
+    gaussian_nll,
     joined,
-    run_epochs,
     take,
     torch_threads,
 )
 from cablesense_training.inference.estimator import NORMAL_95
-from cablesense_training.losses import (
-    LossTerms,
-    SingleContactTarget,
-    angle_error_deg,
-    direction_of,
-    gaussian_nll,
-    pinball,
-)
 from cablesense_training.networks.layers import SingleContactOutput
 from cablesense_training.networks.temporal import (
     CorrectedAnswer,
@@ -78,12 +73,7 @@ class SequenceSamples(NamedTuple):
     @classmethod
     def of(cls, network: TemporalNetwork, sequences: Sequences) -> SequenceSamples:
         """The samples, for a network whose statics are those of the sequences' arm."""
-        ticks = Ticks(
-            torch.as_tensor(sequences.tension_difference_n),
-            torch.as_tensor(sequences.joint_command_rad),
-            torch.as_tensor(sequences.joint_speed_rad_s),
-            torch.as_tensor(sequences.joint_acceleration_rad_s2),
-        )
+        ticks = Ticks(*map(torch.as_tensor, sequences.inputs))
         target = SingleContactTarget(
             torch.as_tensor(sequences.segment),
             torch.as_tensor(sequences.angle_deg),
@@ -130,24 +120,10 @@ def _past(
     return torch.stack(past, dim=1)
 
 
-@dataclass(frozen=True, kw_only=True)
-class SequenceFitSettings(LoopSettings):
-    """How to train on sequences; the learning rate falls to nothing along a cosine.
-
-    Attributes:
-        part_ticks: ticks through which gradients flow; the state flows on through all.
-    """
-
-    epochs: int = 20
-    batch_size: int = 32
-    part_ticks: int = 60
-    learning_rate: float = 3e-3
-
-
 def fit_sequences(
     network: TemporalNetwork,
     sequences: Sequences,
-    settings: SequenceFitSettings,
+    settings: FitSettings,
     on_epoch: OnEpoch | None = None,
 ) -> FitHistory:
     """Train in place; the network keeps the weights of its best epoch, calibrated.
@@ -158,22 +134,20 @@ def fit_sequences(
     if len(sequences) < 4:
         raise TrainingError(f"{len(sequences)} sequences are too few to train on; give at least 4")
     with torch_threads(settings.threads):
-        return run_epochs(_SequenceObjective(network, sequences, settings), settings, on_epoch)
+        return _SequenceObjective(network, sequences, settings).fit(network, on_epoch)
 
 
 class _SequenceObjective(Objective[SequenceSamples]):
     """Truncated backpropagation through time: parts of sequences, the state carried on."""
 
-    network: TemporalNetwork
     largest_gradient = 1.0
     held_out_share = 0.2
 
     def __init__(
-        self, network: TemporalNetwork, sequences: Sequences, settings: SequenceFitSettings
+        self, network: TemporalNetwork, sequences: Sequences, settings: FitSettings
     ) -> None:
-        samples = SequenceSamples.of(network, sequences)
-        super().__init__(samples, len(sequences), settings)
-        self.network, self._settings = network, settings
+        super().__init__(SequenceSamples.of(network, sequences), len(sequences), settings)
+        self._network = network
         flat = each(self.training, lambda part: part.flatten(0, 1))
         network.adapt(flat.torque_n_m, flat.ticks, flat.torque_n_m - flat.true_torque_n_m)
         self.optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
@@ -181,22 +155,20 @@ class _SequenceObjective(Objective[SequenceSamples]):
             self.optimiser, settings.epochs
         )
 
-    def training_losses(self) -> Iterator[tuple[LossTerms, int]]:
-        generator = self.generator
-        order = torch.randperm(len(self.training.torque_n_m), generator=generator)
-        for rows in order.split(self._settings.batch_size):
-            state = torch.zeros(len(rows), self.network.hidden)
+    def losses(self, training: bool) -> Iterator[tuple[LossTerms, int]]:
+        if not training:
+            for answer, judged in self._held_out_answers():
+                yield self._terms(answer, judged), 1
+            return
+        order = torch.randperm(len(self.training.torque_n_m), generator=self.generator)
+        for rows in order.split(self.settings.batch_size):
+            state = torch.zeros(len(rows), self._network.hidden)
             for part in self._parts(take(self.training, rows)):
-                lost = torch.rand(len(rows), 1, generator=generator) < _RESET_SHARE
-                phase = int(torch.randint(_JUDGED_EVERY, (1,), generator=generator))
-                terms, state = self._terms(part, state.detach().masked_fill(lost, 0.0), phase)
-                yield terms, 1
-
-    def held_out_losses(self) -> Iterator[tuple[LossTerms, int]]:
-        state = torch.zeros(len(self.held_out.torque_n_m), self.network.hidden)
-        for part in self._parts(self.held_out):
-            terms, state = self._terms(part, state, 0)
-            yield terms, 1
+                lost = torch.rand(len(rows), 1, generator=self.generator) < _RESET_SHARE
+                phase = int(torch.randint(_JUDGED_EVERY, (1,), generator=self.generator))
+                known = state.detach().masked_fill(lost, 0.0)
+                answer, judged, state = self._answers(part, known, phase)
+                yield self._terms(answer, judged), 1
 
     def end_epoch(self, held_out_loss: float) -> bool:
         self._scheduler.step()
@@ -205,44 +177,28 @@ class _SequenceObjective(Objective[SequenceSamples]):
     def calibrate(self) -> None:
         rows = []
         count = len(self.held_out.torque_n_m)
-        state = torch.zeros(count, self.network.hidden)
         with torch.no_grad():
-            for part in self._parts(self.held_out):
-                answer, judged, state = self._answers(part, state, 0)
+            for answer, judged in self._held_out_answers():
                 sequence = torch.arange(count).repeat_interleave(len(answer.seen) // count)
                 rows.append(Answered(sequence, answer.seen, answer.output, judged.target))
-        fit_interval(self.network.interval, joined(rows), self.generator)
+        fit_interval(self._network.interval, joined(rows), self.generator)
 
     def _parts(self, samples: SequenceSamples) -> Iterator[SequenceSamples]:
-        size = self._settings.part_ticks
+        size = self.settings.part_ticks
         for start in range(0, samples.torque_n_m.shape[1], size):
             yield take(samples, (slice(None), slice(start, start + size)))
 
-    def _terms(self, part: SequenceSamples, state: Tensor, phase: int) -> tuple[LossTerms, Tensor]:
-        """The loss of the judged ticks, and the last state.
-
-        One newton of error weighs as much as a nat of the contact. The force is judged on the
-        segment that is truly touched: where another was chosen, its force holds nothing about what
-        to correct.
-        """
-        answer, judged, following = self._answers(part, state, phase)
-        target = judged.target
-        contact = functional.cross_entropy(answer.output.contact_logits, target.segment)
-        touched = torch.nonzero(target.segment > 0)[:, 0]
-        true_force = direction_of(target.angle_deg[touched]) * target.magnitude_n[touched, None]
-        force = answer.force_n[touched, target.segment[touched] - 1]
-        off_n = functional.huber_loss(force, true_force, reduction="sum") / max(1, len(touched))
-        scale = self.network.error.std.double()
-        error = self.network.in_joint_order(answer.torque_n_m) - judged.true_torque_n_m
-        spread = gaussian_nll(error / scale, answer.torque_std_n_m / scale).mean()
-        total = contact + off_n
-        return LossTerms(total, contact, torch.zeros_like(total), off_n, spread), following
+    def _held_out_answers(self) -> Iterator[tuple[CorrectedAnswer, SequenceSamples]]:
+        state = torch.zeros(len(self.held_out.torque_n_m), self._network.hidden)
+        for part in self._parts(self.held_out):
+            answer, judged, state = self._answers(part, state, 0)
+            yield answer, judged
 
     def _answers(
         self, part: SequenceSamples, state: Tensor, phase: int
     ) -> tuple[CorrectedAnswer, SequenceSamples, Tensor]:
         """Answers on the judged ticks, these ticks as flat rows, and the last state."""
-        network, single = self.network, each(part, torch.Tensor.float)
+        network, single = self._network, each(part, torch.Tensor.float)
         encoded = network.encode(single.torque_n_m, single.past, single.ticks)
         states, following = network.remember(encoded, state)
 
@@ -250,13 +206,28 @@ class _SequenceObjective(Objective[SequenceSamples]):
             return values[:, phase::_JUDGED_EVERY].flatten(0, 1)
 
         seen = each(part, judged)
-        answer = network.answer(
-            network.balance(seen.ticks),
-            judged(encoded),
-            judged(states),
-            seen.ticks.joint_speed_rad_s,
-        )
+        balance, speed_rad_s = network.balance(seen.ticks), seen.ticks.joint_speed_rad_s
+        answer = network.answer(balance, judged(encoded), judged(states), speed_rad_s)
         return answer, seen, following
+
+    def _terms(self, answer: CorrectedAnswer, judged: SequenceSamples) -> LossTerms:
+        """The loss of the judged ticks.
+
+        One newton of error weighs as much as a nat of the contact. The force is judged on the
+        segment that is truly touched: where another was chosen, its force holds nothing about what
+        to correct.
+        """
+        target = judged.target
+        contact = functional.cross_entropy(answer.output.contact_logits, target.segment)
+        touched = torch.nonzero(target.segment > 0)[:, 0]
+        true_force = direction_of(target.angle_deg[touched]) * target.magnitude_n[touched, None]
+        force = answer.force_n[touched, target.segment[touched] - 1]
+        off_n = functional.huber_loss(force, true_force, reduction="sum") / max(1, len(touched))
+        scale = self._network.error.std.double()
+        error = self._network.in_joint_order(answer.torque_n_m) - judged.true_torque_n_m
+        spread = gaussian_nll(error / scale, answer.torque_std_n_m / scale).mean()
+        total = contact + off_n
+        return LossTerms(total, contact, torch.zeros_like(total), off_n, spread)
 
 
 _EITHER_SIDE = 0.025
@@ -285,6 +256,14 @@ class Answered(NamedTuple):
     seen: Tensor
     output: SingleContactOutput
     target: SingleContactTarget
+
+
+def pinball(error: Tensor, quantile: float) -> Tensor:
+    """Loss of true less stated values that is least where the stated is that quantile.
+
+    Koenker and Bassett, Regression Quantiles, 1978.
+    """
+    return torch.maximum(quantile * error, (quantile - 1.0) * error)
 
 
 def fit_interval(interval: StatedInterval, answered: Answered, generator: torch.Generator) -> None:

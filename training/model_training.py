@@ -18,13 +18,14 @@ from cablesense_base.files import output_file
 from cablesense_base.installation import package_version
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import Arm
+from cablesense_sim.contact_location import TorqueBalance
 from cablesense_sim.load_capacity import contact_range_n
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset, generate
-from cablesense_training.data.motion_protocol import MotionProtocol
 from cablesense_training.data.protocols import protocol_from_options
-from cablesense_training.data.sequences import Sequences, draw_sequences
+from cablesense_training.data.sequences import MotionProtocol, Sequences, draw_sequences
 from cablesense_training.errors import TrainingError
+from cablesense_training.evaluation.anywhere import AnywhereMetrics, evaluate_anywhere
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
     ContactTruth,
@@ -32,24 +33,28 @@ from cablesense_training.evaluation.metrics import (
     SequenceMetrics,
     SingleContactMetrics,
     multi_contact_metrics,
-    sequence_answer,
+    sequence_estimates,
     sequence_metrics,
     single_contact_metrics,
 )
 from cablesense_training.export import export_model
 from cablesense_training.fit import ROWS_AT_ONCE, FitHistory, FitSettings, OnEpoch, fit
-from cablesense_training.fit_sequences import SequenceFitSettings, fit_sequences
+from cablesense_training.fit_anywhere import fit_anywhere
+from cablesense_training.fit_sequences import fit_sequences
+from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import NORMAL_95
 from cablesense_training.inference.history_simulation import HistorySimulation
 from cablesense_training.inference.metadata import (
+    BALANCE_UNITS,
     SEQUENCE_UNITS,
-    UNITS,
+    ModelKind,
     ModelMetadata,
     effect_versions,
 )
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
-from cablesense_training.networks import MultiContactNetwork, Network, SingleContactNetwork
+from cablesense_training.networks.anywhere import AnywhereStatics
 from cablesense_training.networks.corrected import CorrectedClosedForm
+from cablesense_training.networks.layers import ContactNetwork
 from cablesense_training.networks.temporal import TemporalNetwork
 from cablesense_training.recipes import build_network, recipe_for
 
@@ -77,6 +82,7 @@ class TrainingReport:
         single: errors of a single-contact network on samples.
         multi: errors of a multi-contact network, all contacts counted.
         multi_firm: the same, contacts below `WEAKEST_JUDGED_N` left out.
+        anywhere: errors of a network of contacts anywhere, one or two at once.
         motion: errors of a network for sequences.
         sequences, test_sequences: how many of them it was trained and tested on.
     """
@@ -88,6 +94,7 @@ class TrainingReport:
     single: SingleContactMetrics | None = None
     multi: MultiContactMetrics | None = None
     multi_firm: MultiContactMetrics | None = None
+    anywhere: AnywhereMetrics | None = None
     motion: SequenceMetrics | None = None
     sequences: int = 0
     test_sequences: int = 0
@@ -109,6 +116,8 @@ class TrainingReport:
                 plain[name] = asdict(metrics)
         if self.single is not None:
             plain["single"]["coverage95"] = self.single.coverage95
+        if self.anywhere is not None:
+            plain["anywhere"] = self.anywhere.as_json()
         if self.motion is not None:
             plain |= {"sequences": self.sequences, "test_sequences": self.test_sequences}
             plain |= asdict(self.motion)
@@ -161,12 +170,12 @@ def train_model(
     path: str | Path,
     network: str,
     data: Dataset | Sequences,
-    settings: FitSettings | SequenceFitSettings,
+    settings: FitSettings,
     *,
     command: str,
     test_samples: int | None = None,
     on_epoch: OnEpoch | None = None,
-    on_trained: Callable[[Network | TemporalNetwork], None] = lambda _: None,
+    on_trained: Callable[[ContactNetwork | TemporalNetwork], None] = lambda _: None,
 ) -> TrainingReport:
     """Train a network and write the model file; nothing is written when anything fails.
 
@@ -193,48 +202,51 @@ def train_model(
             f"network {network} is for protocol {recipe.learns_from}; the data follow {follows}"
             + (remedy if recipe.learns_from != "motion" else "")
         )
-    if not isinstance(settings, type(recipe.settings)):
-        wanted, given = type(recipe.settings).__name__, type(settings).__name__
-        raise TrainingError(f"network {network} is trained with {wanted}, not {given}")
     output_file(path, TrainingError, force=True)
     built = build_network(network, data.arm, settings.seed, data.protocol.tare_samples)
-    metadata = _metadata(network, built, data, settings.seed, command)
     parameters = sum(p.numel() for p in built.parameters() if p.requires_grad)
+    metadata = _metadata(network, built, data, settings.seed, command)
     test_seed = data.seed + TEST_SEED_OFFSET
     errors: dict[str, Any]
     if isinstance(built, TemporalNetwork):
         assert isinstance(data, Sequences)
-        assert isinstance(settings, SequenceFitSettings)
         history = fit_sequences(built, data, settings, on_epoch)
         on_trained(built)
         export_model(built, path, metadata)
         count = test_samples or max(1, round(TEST_SHARE_OF_SEQUENCES * data.protocol.sequences))
         motion = replace(data.protocol, sequences=count)
         test = draw_sequences(data.arm, motion, test_seed, workers=os.cpu_count() or 1)
-        answer = sequence_answer(TemporalEstimator.load(path, data.arm), test)
+        answer = ContactAnswer.of(sequence_estimates(TemporalEstimator.load(path), test))
         errors = {"motion": sequence_metrics(answer, test)}
         errors |= {"sequences": len(data), "test_sequences": len(test)}
     else:
         assert isinstance(data, Dataset)
-        assert isinstance(settings, FitSettings)
-        history = fit(built, data, settings, on_epoch)
+        if isinstance(built, AnywhereStatics):
+            history = fit_anywhere(built, data, settings, on_epoch)
+        else:
+            history = fit(built, data, settings, on_epoch)
         built.double()
         on_trained(built)
         protocol = replace(data.protocol, samples=test_samples or TEST_SAMPLES)
         tested = draw_dataset(recipe.drawn_on(data.arm), protocol, test_seed)
-        errors = _sample_errors(built, replace(tested, arm=data.arm))
-        export_model(built, path, metadata)
+        tested = replace(tested, arm=data.arm)
+        if isinstance(built, AnywhereStatics):
+            export_model(built, path, metadata)
+            errors = {"anywhere": evaluate_anywhere(AnywhereEstimator.load(path), tested)}
+        else:
+            errors = _sample_errors(built, tested)
+            export_model(built, path, metadata)
     return TrainingReport(path, network, parameters, history, **errors)
 
 
-def widened_by_history(arm: Arm, seed: int) -> Callable[[Network | TemporalNetwork], None]:
+def widened_by_history(arm: Arm, seed: int) -> Callable[[ContactNetwork | TemporalNetwork], None]:
     """For `train_model`: widens a network's intervals until they hold the forces of sequences.
 
     Behind a simulation of its history an arm is known as well as its friction tells, which no
     network learns from samples without history. Forces are those of fresh sequences.
     """
 
-    def widen(trained: Network | TemporalNetwork) -> None:
+    def widen(trained: ContactNetwork | TemporalNetwork) -> None:
         assert isinstance(trained, CorrectedClosedForm)
         protocol = MotionProtocol(sequences=_JUDGED_SEQUENCES)
         sequences = draw_sequences(arm, protocol, seed + TEST_SEED_OFFSET)
@@ -252,47 +264,48 @@ def widened_by_history(arm: Arm, seed: int) -> Callable[[Network | TemporalNetwo
     return widen
 
 
-def _sample_errors(network: Network, test: Dataset) -> dict[str, Any]:
+def _sample_errors(network: ContactNetwork, test: Dataset) -> dict[str, Any]:
     """The metrics of a `TrainingReport` on samples."""
-    if not isinstance(network, MultiContactNetwork):
-        answer, truth = single_contact_answer(network, test), ContactTruth.of(test)
-        return {"single": single_contact_metrics(truth, answer, test.arm.segment_count)}
+    if not network.several:
+        answer = contact_answer(network, test.tension_difference_n, test.command_rad)
+        metrics = single_contact_metrics(ContactTruth.of(test), answer, test.arm.segment_count)
+        return {"single": metrics}
     logits, magnitude_n, _ = _outputs(network, test.tension_difference_n, test.command_rad)
+    judged = test.contacts, test.magnitudes_n, logits > 0.0, magnitude_n
     return {
-        key: multi_contact_metrics(
-            test.contacts, test.magnitudes_n, logits > 0.0, magnitude_n, weakest_n
-        )
-        for key, weakest_n in (("multi", 0.0), ("multi_firm", WEAKEST_JUDGED_N))
+        "multi": multi_contact_metrics(*judged),
+        "multi_firm": multi_contact_metrics(*judged, WEAKEST_JUDGED_N),
     }
 
 
 def _metadata(
     name: str,
-    network: Network | TemporalNetwork,
+    network: ContactNetwork | TemporalNetwork,
     data: Dataset | Sequences,
     seed: int,
     command: str,
 ) -> ModelMetadata:
     arm, protocol = data.arm, data.protocol
     of_sequences: dict[str, Any] = {}
+    if isinstance(network, AnywhereStatics):
+        of_sequences["units"] = dict(BALANCE_UNITS)
     if isinstance(network, TemporalNetwork) and isinstance(protocol, MotionProtocol):
         of_sequences = {
             "memory": network.memory,
             "hidden": network.hidden,
             "tick_s": protocol.tick_s,
             "joint_speed_deg_s": protocol.joint_speed_deg_s,
+            "units": dict(SEQUENCE_UNITS),
         }
-    straight = not isinstance(protocol, MotionProtocol) and protocol.pose == "straight"
     return ModelMetadata(
-        kind="multi-contact" if isinstance(network, MultiContactNetwork) else "single-contact",
+        kind=_kind(network),
         network=name,
         arm=arm,
         arm_identity=arm.identity,
         cable_names=arm.cable_names,
         joint_names=arm.joint_names,
-        units=dict(SEQUENCE_UNITS if of_sequences else UNITS),
         pose_aware=network.pose_aware,
-        pose_range_deg=0.0 if straight else protocol.pose_range_deg,
+        pose_range_deg=0.0 if protocol.pose == "straight" else protocol.pose_range_deg,
         force_range_n=protocol.force_high_n,
         tare_samples=protocol.tare_samples,
         effect_versions=effect_versions(arm),
@@ -303,15 +316,16 @@ def _metadata(
     )
 
 
-def single_contact_answer(network: SingleContactNetwork, dataset: Dataset) -> ContactAnswer:
-    """Answers of a single-contact network on a dataset; angles in [0, 360)."""
-    return contact_answer(network, dataset.tension_difference_n, dataset.command_rad)
+def _kind(network: ContactNetwork | TemporalNetwork) -> ModelKind:
+    if isinstance(network, AnywhereStatics):
+        return "contact-anywhere"
+    return "multi-contact" if network.several else "single-contact"
 
 
 def contact_answer(
-    network: SingleContactNetwork, tension_difference_n: Array, command_rad: Array
+    network: ContactNetwork, tension_difference_n: Array, command_rad: Array
 ) -> ContactAnswer:
-    """Answers of a single-contact network on B samples, (B, M) and (B, 2N)."""
+    """A single-contact network's answers on B samples, (B, M) and (B, 2N); angles in [0, 360)."""
     logits, direction, magnitude_n, magnitude_std_n, angle_std_deg = _outputs(
         network, tension_difference_n, command_rad
     )
@@ -324,7 +338,16 @@ def contact_answer(
     )
 
 
-def _outputs(network: Network, tension_difference_n: Array, command_rad: Array) -> list[Array]:
+def balance_answer(
+    network: AnywhereStatics, tension_difference_n: Array, command_rad: Array
+) -> TorqueBalance:
+    """The balance of torques that a network of contacts anywhere finds in B samples."""
+    return TorqueBalance(*_outputs(network, tension_difference_n, command_rad)[:5])
+
+
+def _outputs(
+    network: ContactNetwork, tension_difference_n: Array, command_rad: Array
+) -> list[Array]:
     """The network's outputs for all samples, in float64."""
     dtype = next(network.parameters()).dtype
     tension = torch.as_tensor(tension_difference_n).to(dtype).split(ROWS_AT_ONCE)

@@ -3,36 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeVar
+from dataclasses import dataclass, field
+from typing import Literal
 
 import torch
 
 from cablesense_sim.arm import Arm
 from cablesense_training.errors import TrainingError
-from cablesense_training.fit import FitSettings, LoopSettings
-from cablesense_training.fit_sequences import SequenceFitSettings
+from cablesense_training.fit import FitSettings
 from cablesense_training.inference.history_simulation import without_history
 from cablesense_training.inference.metadata import HISTORY_SIMULATED
-from cablesense_training.networks import Network
+from cablesense_training.networks.anywhere import AnywhereStatics
 from cablesense_training.networks.corrected import (
     CorrectedClosedForm,
-    PlainClosedForm,
-    WithoutHistory,
-)
-from cablesense_training.networks.multi_contact import (
     MultiContactClosedForm,
-    TwoStageMultiContactNetwork,
+    closed_form_without_history,
+    plain_closed_form,
 )
-from cablesense_training.networks.single_contact import (
+from cablesense_training.networks.layers import ContactNetwork
+from cablesense_training.networks.learnt import (
     DecoupledNetwork,
     ScaleAwareNetwork,
     SharedBackboneNetwork,
+    TwoStageMultiContactNetwork,
     TwoStageNetwork,
 )
 from cablesense_training.networks.temporal import TemporalNetwork
-
-Settings = TypeVar("Settings", bound=LoopSettings)
 
 
 @dataclass(frozen=True)
@@ -47,48 +43,49 @@ class Recipe:
         drawn_on: the arm whose samples it learns from, where it is behind what undoes the rest.
     """
 
-    learns_from: Literal["single", "multi", "motion"]
-    build: Callable[[Arm, int], Network | TemporalNetwork]
+    learns_from: Literal["single", "multi", "anywhere", "motion"]
+    build: Callable[[Arm, int], ContactNetwork | TemporalNetwork]
     samples: int
-    settings: FitSettings | SequenceFitSettings
+    settings: FitSettings = field(default_factory=FitSettings)
     drawn_on: Callable[[Arm], Arm] = lambda arm: arm
 
 
-_PAPER = FitSettings()
-_IN_MOTION = SequenceFitSettings()
+_CORRECTED = FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4)
 
 RECIPES: dict[str, Recipe] = {
-    "closed-form": Recipe("single", PlainClosedForm.for_arm, 20_000, _PAPER),
-    "closed-form-corrected": Recipe(
-        "single",
-        CorrectedClosedForm.for_arm,
-        40_000,
-        FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4),
+    "anywhere": Recipe(
+        "anywhere",
+        AnywhereStatics.for_arm,
+        20_000,
+        FitSettings(epochs=40, batch_size=512, learning_rate=5e-3, stop_patience=8),
     ),
+    "closed-form": Recipe("single", plain_closed_form, 20_000),
+    "closed-form-corrected": Recipe("single", CorrectedClosedForm.for_arm, 40_000, _CORRECTED),
     HISTORY_SIMULATED: Recipe(
-        "single",
-        WithoutHistory.for_arm,
-        40_000,
-        FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4),
-        without_history,
+        "single", closed_form_without_history, 40_000, _CORRECTED, without_history
     ),
-    "decoupled": Recipe("single", DecoupledNetwork.for_arm, 100_000, _PAPER),
-    "shared-backbone": Recipe("single", SharedBackboneNetwork.for_arm, 100_000, _PAPER),
-    "two-stage": Recipe("single", TwoStageNetwork.for_arm, 100_000, _PAPER),
+    "decoupled": Recipe("single", DecoupledNetwork.for_arm, 100_000),
+    "shared-backbone": Recipe("single", SharedBackboneNetwork.for_arm, 100_000),
+    "two-stage": Recipe("single", TwoStageNetwork.for_arm, 100_000),
     "scale-aware": Recipe(
         "single",
         ScaleAwareNetwork.for_arm,
         300_000,
         FitSettings(epochs=45, batch_size=1024, tolerance=5e-3, decay=0.6),
     ),
-    "multi-contact": Recipe("multi", TwoStageMultiContactNetwork.for_arm, 100_000, _PAPER),
+    "multi-contact": Recipe("multi", TwoStageMultiContactNetwork.for_arm, 100_000),
     "multi-contact-closed-form": Recipe(
         "multi",
         MultiContactClosedForm.for_arm,
         50_000,
         FitSettings(epochs=20, batch_size=1024, learning_rate=1e-2),
     ),
-    "temporal": Recipe("motion", TemporalNetwork.for_arm, 256, _IN_MOTION),
+    "temporal": Recipe(
+        "motion",
+        TemporalNetwork.for_arm,
+        256,
+        FitSettings(epochs=20, batch_size=32, learning_rate=3e-3),
+    ),
 }
 
 
@@ -105,18 +102,9 @@ def recipe_for(name: str) -> Recipe:
 
 def build_network(
     name: str, arm: Arm, seed: int = 0, tare_samples: int = 50
-) -> Network | TemporalNetwork:
+) -> ContactNetwork | TemporalNetwork:
     """A network for an arm with the initial weights that the seed gives; see `recipe_for`."""
     recipe = recipe_for(name)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return recipe.build(arm, tare_samples)
-
-
-def adjusted(settings: Settings, **chosen: Any) -> Settings:
-    """A recipe's settings with what a caller chose otherwise; None leaves the recipe's value.
-
-    Raises:
-        TrainingError: a value out of range.
-    """
-    return replace(settings, **{k: value for k, value in chosen.items() if value is not None})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import chain, product
 
@@ -21,7 +21,7 @@ from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
 _SHAPE_STEP = 0.3
-"""Scaled, by which a shape is varied: well above the simulator's rounding, within its range."""
+"""Scaled change of a varied shape: well above the simulator's rounding, within its range."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,9 @@ class LinearEffect:
     """One effect in one place, linear in its scaled numbers.
 
     Attributes:
-        place: where.
         terms: its numbers.
         start: scaled values of the terms at which a fit starts.
-        columns: (K, R, C) what each varied number changes.
+        columns: (K, R, C) sensitivities to each varied number.
         precision: (K,) of the priors.
         varied: (K,) terms that the columns belong to.
     """
@@ -48,10 +47,6 @@ class LinearEffect:
     def effect(self) -> str:
         """Its name."""
         return self.terms[0].effect
-
-    def of_rows(self, rows: np.ndarray) -> LinearEffect:
-        """The same on some of the rows."""
-        return replace(self, columns=self.columns[:, rows])
 
 
 def linear_effects(
@@ -72,93 +67,81 @@ def linear_effects(
         base = problem.simulator.predict([known])[0]
     taken = {term.place for term in everything if term.effect == candidate.effect}
     offered = [place for place in candidate.places if place not in taken]
+    parameters = candidate.parameters
     first_values = [
-        p.starts or (p.typical if p.role == "size" else p.default,) for p in candidate.parameters
+        p.starts or (p.typical if p.role == "size" else p.default,) for p in parameters
     ]
-    names = [p.name for p in candidate.parameters]
-    combined = [dict(zip(names, starts, strict=True)) for starts in product(*first_values)]
-    absent = {p.name: 0.0 for p in candidate.parameters if p.role == "size"}
+    starts = [
+        dict(zip((p.name for p in parameters), values, strict=True))
+        for values in product(*first_values)
+    ]
+    absent = {p.name: 0.0 for p in parameters if p.role == "size"}
+    # a number that is varied is a size, or a shape that may be zero
+    varied = [p for p in parameters if p.role == "size" or not is_logarithmic(p)]
 
-    def variant(place: str, start: dict[str, float], probe: dict[str, float]) -> Assignment:
+    def variant(place: str, start: dict[str, float], varied: Parameter) -> Assignment:
         among = offered if candidate.history_dependent else (place,)
+        probe = _probe(candidate, start, varied)
         return known | {
             Term(candidate.effect, at, name): value
             for at in among
             for name, value in (start | absent | (probe if at == place else {})).items()
         }
 
-    probed = [(start, _probes(candidate, start)) for start in combined]
-    batches = [
-        [variant(place, start, probe) for _, probe in probes]
-        for start, probes in probed
-        for place in offered
-    ]
+    batches = [[variant(place, start, p) for p in varied] for start in starts for place in offered]
     if candidate.history_dependent:
         batches = [list(chain(*batches))]
     changes = (c for b in batches for c in problem.simulator.predict(b) - base)
     found = []
-    for start, probes in probed:
-        varied = [parameter for parameter, _ in probes]
-        for place in offered:
-            changed = np.array([next(changes) for _ in probes])
-            if np.isfinite(changed).all():
-                found.append(_linear_effect(candidate, place, start, varied, changed))
+    for start, place in product(starts, offered):
+        changed = np.array([next(changes) for _ in varied])
+        if np.isfinite(changed).all():
+            found.append(
+                LinearEffect(
+                    place=place,
+                    terms=candidate.terms(place),
+                    start=np.array(
+                        [0.0 if p.role == "size" else to_scaled(p, start[p.name])
+                         for p in parameters]
+                    ),
+                    columns=_columns(varied, start, changed),
+                    precision=np.array([prior_precision(p) for p in varied]),
+                    varied=tuple(Term(candidate.effect, place, p.name) for p in varied),
+                )
+            )  # fmt: skip
     return found
 
 
-def _probes(
-    candidate: Candidate, start: Mapping[str, float]
-) -> list[tuple[Parameter, dict[str, float]]]:
-    """Parameters that are taken as linear, each with values that show its change.
+def _probe(
+    candidate: Candidate, start: Mapping[str, float], varied: Parameter
+) -> dict[str, float]:
+    """Values that show the change by one number.
 
-    These are the sizes, and the shapes that may be zero. A shape has an effect only with a size,
-    so it is varied together with the first one.
+    A shape has an effect only with a size, so it is varied together with the first one.
     """
+    if varied.role == "size":
+        return {varied.name: start[varied.name]}
     first = next(p for p in candidate.parameters if p.role == "size")
-    found = []
-    for parameter in candidate.parameters:
-        if parameter.role == "size":
-            found.append((parameter, {parameter.name: start[parameter.name]}))
-        elif not is_logarithmic(parameter):
-            moved = to_scaled(parameter, start[parameter.name]) + _step(parameter, start)
-            there = {first.name: start[first.name], parameter.name: from_scaled(parameter, moved)}
-            found.append((parameter, there))
-    return found
+    moved = to_scaled(varied, start[varied.name]) + _step(varied, start)
+    return {first.name: start[first.name], varied.name: from_scaled(varied, moved)}
 
 
-def _step(parameter: Parameter, start: Mapping[str, float]) -> float:
-    ahead = to_scaled(parameter, start[parameter.name]) + _SHAPE_STEP
-    return _SHAPE_STEP if ahead * parameter.typical <= parameter.high else -_SHAPE_STEP
+def _step(shape: Parameter, start: Mapping[str, float]) -> float:
+    ahead = to_scaled(shape, start[shape.name]) + _SHAPE_STEP
+    return _SHAPE_STEP if ahead * shape.typical <= shape.high else -_SHAPE_STEP
 
 
-def _linear_effect(
-    candidate: Candidate,
-    place: str,
-    start: Mapping[str, float],
-    varied: Sequence[Parameter],
-    changes: Array,
-) -> LinearEffect:
+def _columns(varied: list[Parameter], start: Mapping[str, float], changes: Array) -> Array:
     """The mean change per unit of each number, up to the size that was simulated."""
     first = next(k for k, p in enumerate(varied) if p.role == "size")
     size = to_scaled(varied[first], start[varied[first].name])
-    columns = [
-        change / to_scaled(p, start[p.name])
-        if p.role == "size"
-        else (change - changes[first]) / (size * _step(p, start))
-        for p, change in zip(varied, changes, strict=True)
-    ]
-    return LinearEffect(
-        place,
-        candidate.terms(place),
-        np.array(
-            [
-                0.0 if p.role == "size" else to_scaled(p, start[p.name])
-                for p in candidate.parameters
-            ]
-        ),
-        np.array(columns),
-        np.array([prior_precision(p) for p in varied]),
-        tuple(Term(candidate.effect, place, p.name) for p in varied),
+    return np.array(
+        [
+            change / to_scaled(p, start[p.name])
+            if p.role == "size"
+            else (change - changes[first]) / (size * _step(p, start))
+            for p, change in zip(varied, changes, strict=True)
+        ]
     )
 
 
@@ -174,18 +157,15 @@ def own_columns(problem: Problem, fitted: Explanation) -> tuple[Explanation, lis
             base = base - to_scaled(ranges[term], value) * column
     sites = []
     for site in fitted.sites:
-        own = [
-            k
+        own = {
+            term: k
             for k, (term, value) in enumerate(fitted.values.items())
             if term[:2] == site and (value != 0.0 or ranges[term].low < 0.0)
-        ]
-        terms = tuple(term for k, term in enumerate(fitted.values) if k in own)
-        if terms:
+        }
+        if terms := tuple(own):
             precision = np.array([prior_precision(ranges[term]) for term in terms])
-            columns = fitted.columns[own]
-            sites.append(
-                LinearEffect(site[1], terms, np.zeros(len(own)), columns, precision, terms)
-            )
+            columns, none = fitted.columns[list(own.values())], np.zeros(len(own))
+            sites.append(LinearEffect(site[1], terms, none, columns, precision, terms))
     nothing = replace(
         fitted, effects=(), values={}, columns=fitted.columns[:0], without_tolerances=base
     )

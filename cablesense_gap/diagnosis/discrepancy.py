@@ -22,10 +22,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 
 _RIDGES = np.logspace(-3.0, 2.0, 6)
-"""From hardly any smoothing to nothing but smoothing, for standardised features."""
-
-_LONG_ROWS, _STRETCH_ROWS = 120, 50
-"""A longer trial is held out in stretches: no other trial has the poses of a sweep."""
+"""They range from hardly any smoothing to hardly any fit, for standardised features."""
 
 Indices = NDArray[np.int64]
 Rows = NDArray[np.bool_]
@@ -111,16 +108,14 @@ class Discrepancy:
     Attributes:
         held_out: (R, C) each stretch predicted by a fit without its fold.
         explained_share: of the mean square beyond the floor; zero or less where nothing repeats.
-        by_channel: (C,) the same of each channel; zero in a channel without an excess.
         alone: the share that each group of features explains without the others.
-        foremost: features by the strength of their linear relation to the residual.
+        foremost: the feature with the strongest linear relation to the residual.
     """
 
     held_out: Array
     explained_share: float
-    by_channel: tuple[float, ...]
     alone: Mapping[str, float]
-    foremost: tuple[str, ...]
+    foremost: str
 
 
 def discrepancy(
@@ -148,23 +143,20 @@ def discrepancy(
         fitted = held_out(kernel([members[g] for g in by]), y, row_fold[first], used[first])
         return fitted[part]
 
-    def share(prediction: Array, channels: slice = slice(None)) -> float:
+    def share(prediction: Array) -> float:
         """Share of the mean square beyond the floor."""
-        before, after = residual[used], (residual - prediction)[used]
-        removable = float((before[:, channels] ** 2).mean()) - floor**2
-        left = max(float((after[:, channels] ** 2).mean()) - floor**2, 0.0)
+        removable = float((residual[used] ** 2).mean()) - floor**2
+        left = max(float(((residual - prediction)[used] ** 2).mean()) - floor**2, 0.0)
         return 1.0 - left / removable if removable > 0.0 else 0.0
 
     whole, every = predicted(groups), _standardised(features.values, used)[used]
     straight = every.T @ (residual[used] - residual[used].mean(0))
     strength = (straight**2).sum(1) / np.maximum((every**2).sum(0), 1e-12)
-    order = np.argsort(-strength, kind="stable")[:5]
     return Discrepancy(
         held_out=whole,
         explained_share=share(whole),
-        by_channel=tuple(share(whole, slice(c, c + 1)) for c in range(residual.shape[1])),
         alone={group: share(predicted([group])) for group in groups},
-        foremost=tuple(features.names[k] for k in order if strength[k] > 0.0),
+        foremost=features.names[int(strength.argmax())],
     )
 
 
@@ -175,14 +167,18 @@ def _standardised(values: Array, used: Rows) -> Array:
 
 
 def _fold_of_rows(trial: Indices, fold: Indices) -> Indices:
-    """(R,) fold of each row from 0 on; each stretch of a long trial has its own fold."""
+    """(R,) fold of each row from 0 on.
+
+    A trial of more than 120 rows is held out in stretches of 50: no other trial has the poses of a
+    sweep.
+    """
     fold = np.unique(fold, return_inverse=True)[1]
     found = fold[trial]
     count = int(fold.max()) + 1
     for t in range(len(fold)):
         rows = np.flatnonzero(trial == t)
-        if len(rows) > _LONG_ROWS:
-            stretch = np.arange(len(rows)) // _STRETCH_ROWS
+        if len(rows) > 120:
+            stretch = np.arange(len(rows)) // 50
             found[rows] = (fold[t] + stretch) % count
     return np.asarray(found)
 

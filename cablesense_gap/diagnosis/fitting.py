@@ -15,6 +15,8 @@ from cablesense_gap.simulator import Candidate, Term
 
 _SCALES = (0.3, 1.0, 3.0)
 """In typical sizes: where a fit starts if linear columns say little about the size."""
+_STEPS_OF_PART = 3
+"""Of Gauss-Newton: a part of an explanation is near its best values already."""
 
 
 def fit(problem: Problem, proposal: Proposal) -> list[Explanation]:
@@ -53,16 +55,22 @@ def refitted(problem: Problem, explanation: Explanation) -> list[Explanation]:
 
 
 def _with_fewer_sites(problem: Problem, fitted: Explanation) -> list[Explanation]:
-    kept = _worthwhile(problem, fitted)
-    smaller = without(problem, fitted, kept) if len(kept) < len(fitted.values) else None
+    """The explanation, and one with the sites alone that are worth their penalty."""
+    nothing, sites = own_columns(problem, fitted)
+    kept = {sites[k].terms[0][:2] for k in Selection(problem, nothing, sites).kept()}
+    values = {term: v for term, v in fitted.values.items() if not kept or term[:2] in kept}
+    smaller = None
+    if len(values) < len(fitted.values):
+        smaller = refit_part(problem, fitted, values, _STEPS_OF_PART)
     return [fitted, smaller] if smaller else [fitted]
 
 
 def without(
-    problem: Problem, explanation: Explanation, kept: Mapping[Term, float]
+    problem: Problem, effects: Sequence[str], explanation: Explanation
 ) -> Explanation | None:
-    """An explanation with some of its values alone, fitted again."""
-    return refit_part(problem, explanation, kept, 3)
+    """An explanation without some of its effects, fitted again; None if it cannot be simulated."""
+    kept = {t: v for t, v in explanation.values.items() if t.effect not in effects}
+    return refit_part(problem, explanation, kept, _STEPS_OF_PART)
 
 
 def _start(problem: Problem, proposal: Proposal) -> tuple[dict[Term, float], dict[Term, float]]:
@@ -106,10 +114,3 @@ def _elsewhere(
             else shape.get((term.effect, term.parameter), value)
             for term, value in start.items()
         }
-
-
-def _worthwhile(problem: Problem, fitted: Explanation) -> dict[Term, float]:
-    """The values of those sites that are worth their penalty, linear about the fit."""
-    nothing, sites = own_columns(problem, fitted)
-    kept = {sites[k].terms[0][:2] for k in Selection(problem, nothing, sites).kept()}
-    return {term: value for term, value in fitted.values.items() if not kept or term[:2] in kept}

@@ -29,14 +29,9 @@ from cablesense_sim.effects.effect import Parameter
 MOST_STEPS = 8
 """Of Gauss-Newton; a fit that has not converged by then is no better than its rivals."""
 
-_STEP = 0.03
-"""Scaled, for derivatives: far above the rounding of the simulator, small enough to be linear."""
-
-_NEAR = 0.25
-"""Scaled: derivatives still serve at such a distance from where they were taken."""
-
-_CONVERGED = 5e-3
-"""Scaled step, and relative gain, that are too small to continue."""
+_STEP, _NEAR, _CONVERGED = 0.03, 0.25, 5e-3
+"""Scaled steps: for derivatives, far above the rounding of the simulator and small enough to be
+linear; to where derivatives still serve; and, also as a relative gain, too small to continue."""
 
 
 def refine(
@@ -111,13 +106,12 @@ class _Fit:
         self._low = np.array([to_scaled(p, p.low) for p in self._parameters])
         self._high = np.array([to_scaled(p, p.high) for p in self._parameters])
         self._lasting = np.flatnonzero([not p.fades for p in self._parameters])
+        self._shape = np.array([p.role == "shape" for p in self._parameters], dtype=bool)
         history = {c.effect for c in problem.simulator.candidates if c.history_dependent}
         effects = {term.effect for term in self._terms}
         self._slow = bool(effects & history)
         several = len(effects) > 2 and self._slow
-        self._without_history = np.array(
-            [several and t.effect not in history for t in self._terms]
-        )
+        self._static = np.array([several and t.effect not in history for t in self._terms], bool)
 
     def run(
         self,
@@ -129,8 +123,7 @@ class _Fit:
         point, left = self._best(np.clip(starts, self._low, self._high))
         if left > most_left:
             return None
-        shape = np.array([p.role == "shape" for p in self._parameters], dtype=bool)
-        self._expected = np.where(shape, point, 0.0)
+        self._expected = np.where(self._shape, point, 0.0)
         predicted, columns = start_at or self._linear(point)
         if not np.isfinite(predicted).all():
             return None
@@ -177,30 +170,26 @@ class _Fit:
         """The prediction (R, C) at one point, with its derivatives (K, R, C).
 
         Known derivatives by parameters that fade stay: they are many and matter in few rows.
-        With several effects, derivatives by those without history are taken without those with.
+        With several effects, derivatives by static effects are taken without the history-dependent
+        ones, which are expensive to simulate.
         """
         steps = np.where(point + _STEP <= self._high, _STEP, -_STEP)
         varied = np.arange(len(point)) if known is None else self._lasting
-        columns = None if known is None else known.copy()
-        predicted: Array = np.empty(0)
-        for plain in (True, False) if self._without_history.any() else (False,):
-            own = varied[self._without_history[varied] == plain]
+        columns = np.zeros((len(point), *self._problem.nominal.shape))
+        if known is not None:
+            columns[:] = known
+        about: Array = np.empty(0)
+        for static in (True, False) if self._static.any() else (False,):
+            own = varied[self._static[varied] == static]
             variants = [self._assignment(p) for p in (point, *(point + np.diag(steps)[own]))]
-            if plain:
-                kept = {
-                    t for t, alone in zip(self._terms, self._without_history, strict=True) if alone
-                }
+            if static:
+                kept = {self._terms[k] for k in np.flatnonzero(self._static)}
                 variants = [{t: v for t, v in each.items() if t in kept} for each in variants]
             about, *moved = self._problem.simulator.predict(variants)
-            found = (np.array(moved).reshape(len(own), *about.shape) - about) / steps[own].reshape(
-                -1, 1, 1
-            )
-            found[~np.isfinite(found).all(axis=(1, 2))] = 0.0
-            columns = np.zeros((len(point), *about.shape)) if columns is None else columns
-            columns[own] = found
-            predicted = about
-        assert columns is not None
-        return predicted, columns
+            change = np.array(moved).reshape(len(own), *about.shape) - about
+            change[~np.isfinite(change).all(axis=(1, 2))] = 0.0
+            columns[own] = change / steps[own].reshape(-1, 1, 1)
+        return about, columns
 
     def _assignment(self, point: Array) -> dict[Term, float]:
         numbers = zip(self._terms, self._parameters, point, strict=True)
@@ -263,44 +252,37 @@ class _Fit:
         problem, none = self._problem, self._tolerances
         every = np.concatenate([problem.tolerance_columns, columns])
         data, weight_ = self._products(predicted, every), weight(mean_square, problem.floor)
+        off = self._offset(point)
         # at a bound the one-step refits of the folds may not move either
         inside = (point > self._low) & (point < self._high)
         at = np.flatnonzero(np.concatenate([np.ones(none, dtype=bool), inside]))
-        part, precision, offset = data.columns(at), self._precision[at], self._offset(point)[at]
+        part, precision, offset = data.columns(at), self._precision[at], off[at]
         found = solve(part.gram.sum(0), part.moment.sum(0), precision, offset, weight_)
-        every, ours = every[at], int((at < none).sum())
+        every = every[at]
         held_out_effects, tolerated = predicted.copy(), np.zeros_like(predicted)
         without = fold_solutions(part, precision, offset, weight_, problem.fold)
         for k, coefficients in enumerate(without):
             rows = problem.fold[problem.trial] == k
-            tolerated[rows] = np.tensordot(coefficients[:ours], every[:ours, rows], axes=1)
-            held_out_effects[rows] += np.tensordot(coefficients[ours:], every[ours:, rows], axes=1)
+            tolerated[rows] = np.tensordot(coefficients[:none], every[:none, rows], axes=1)
+            held_out_effects[rows] += np.tensordot(coefficients[none:], every[none:, rows], axes=1)
         held_out = held_out_effects + tolerated
         covariance = np.zeros(2 * self._precision.shape)
         covariance[np.ix_(at, at)] = _covariance(part, found, precision, weight_)
         # a value at its bound gets the deviation that it would have with all values free
-        gram, moment, off = data.gram.sum(0), data.moment.sum(0), self._offset(point)
-        freed = solve(gram, moment, self._precision, off, weight_)
+        freed = solve(data.gram.sum(0), data.moment.sum(0), self._precision, off, weight_)
         spread = np.sqrt(_covariance(data, freed, self._precision, weight_).diagonal())
         spread[at] = np.sqrt(covariance.diagonal()[at])
         values = self._assignment(point)
-        units = [
-            unit_of(parameter, value)
-            for parameter, value in zip(self._parameters, values.values(), strict=True)
-        ]
-        tolerances = found[:none] * problem.tolerance_std
-        expected = [to_scaled(p, p.default) * (p.role == "shape") for p in self._parameters]
+        units = [unit_of(p, v) for p, v in zip(self._parameters, values.values(), strict=True)]
+        tolerances = dict(
+            zip(problem.tolerance_terms, found[:none] * problem.tolerance_std, strict=True)
+        )
+        acts = dict(zip(problem.tolerance_terms, problem.acting_tolerances, strict=True))
         return Explanation(
             effects=tuple(sorted({term.effect for term in self._terms})),
             values=values,
             deviations=dict(zip(self._terms, 1.96 * spread[none:] * units, strict=True)),
-            tolerances={
-                term: value
-                for term, value, acts in zip(
-                    problem.tolerance_terms, tolerances, problem.acting_tolerances, strict=True
-                )
-                if acts
-            },
+            tolerances={term: value for term, value in tolerances.items() if acts[term]},
             prediction=predicted + np.tensordot(found[:none], problem.tolerance_columns, axes=1),
             without_tolerances=predicted,
             columns=columns,
@@ -309,9 +291,8 @@ class _Fit:
             held_out_effects=held_out_effects,
             squares=problem.squares_by_trial(held_out)[0],
             count=data.count,
-            sizes=sum(p.role == "size" for p in self._parameters),
+            sizes=int((~self._shape).sum()),
             tolerance_chi2=float((found[:none] ** 2).sum()),
-            prior_distance=float(self._prior @ (point - np.array(expected)) ** 2),
         )
 
 

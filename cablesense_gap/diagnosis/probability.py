@@ -26,7 +26,7 @@ with tolerances as far as manufacturing allows.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 
@@ -53,28 +53,18 @@ static effect makes loading and unloading differ. Leaving one out must cost the 
 class ProbabilityCalibration:
     """The numbers of the formula above.
 
-    Attributes:
-        power: κ.
-        none: κ₀.
-        one: π_1.
-        two: π_2.
-        size: ν.
-        tolerance_chi2: τ.
-        unknown: π_unknown.
-        share: φ.
-        stand_in: γ.
-        floor_share: excess that no explanation can do without, as a share of the floor.
+    `floor_share` is the excess that no explanation can avoid, as a share of the floor.
     """
 
-    power: float
-    none: float
-    one: float
-    two: float
-    size: float
-    tolerance_chi2: float
-    unknown: float
-    share: float
-    stand_in: float
+    power: float  # κ
+    none: float  # κ₀
+    one: float  # π_1
+    two: float  # π_2
+    size: float  # ν
+    tolerance_chi2: float  # τ
+    unknown: float  # π_unknown
+    share: float  # φ
+    stand_in: float  # γ
     floor_share: float
 
 
@@ -129,12 +119,11 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
     first = ranked[0]
     if first.effects != UNKNOWN:
         return list(ranked)
+    fitted = {frozenset(h.effects): h for r in ranked if (h := r.explanation)}
     supported = [
         (problem.cost_of(each.explanation), k, ratios)
         for k, each in enumerate(ranked)
-        if each.explanation
-        and (ratios := _left_out_ratios(problem, ranked, each.explanation))
-        and _outweighs(problem, ranked, ratios, each)
+        if each.explanation and (ratios := _support(problem, fitted, each.explanation))
     ]
     if not supported:
         return list(ranked)
@@ -146,36 +135,32 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
     return [chosen, *rest, replace(first, probability=first.probability - exact)]
 
 
-def _outweighs(
-    problem: Problem, ranked: Sequence[Ranked], ratios: dict[str, float], one: Ranked
-) -> bool:
-    """Whether an explanation explains more than it leaves and needs each of its effects."""
-    left = {r.effects: r.explanation for r in ranked if r.explanation}
-    gap, rest = (
-        excess(left[effects].held_out_rmse ** 2, problem.floor)
-        for effects in (("none",), one.effects)
-    )
+def _support(
+    problem: Problem, fitted: Mapping[frozenset[str], Explanation], whole: Explanation
+) -> dict[str, float]:
+    """The factor by which the cost grows without each of the effects of an explanation.
+
+    Empty unless it explains more than it leaves and needs each of its effects.
+    """
     candidates = problem.simulator.candidates
     past = {c.effect for c in candidates if c.history_dependent or c.against_motion}
-    if past.isdisjoint(ratios):
-        enough = len(ratios) > 2 and rest <= _UNEXPLAINED * gap
-    else:
+    gap, rest = (excess(h.held_out_rmse**2, problem.floor) for h in (fitted[frozenset()], whole))
+    own = frozenset(whole.effects)
+    if own & past:
         enough = rest <= _OUTWEIGHED * gap
-    least = {effect: 1.0 / _OUTWEIGHED if effect in past else _SUPPORTED for effect in ratios}
-    return enough and all(ratio >= least[effect] for effect, ratio in ratios.items())
-
-
-def _left_out_ratios(
-    problem: Problem, ranked: Sequence[Ranked], whole: Explanation
-) -> dict[str, float]:
-    """The factor by which the cost grows without each of the effects."""
-    costs = [(set(h.effects), problem.cost_of(h)) for r in ranked if (h := r.explanation)]
-    own = set(whole.effects)
-    return {
-        effect: min(cost for effects, cost in costs if effects <= own - {effect})
-        / problem.cost_of(whole)
+    else:
+        enough = len(own) > 2 and rest <= _UNEXPLAINED * gap
+    costs = {effects: problem.cost_of(h) for effects, h in fitted.items()}
+    ratios = {
+        effect: min(cost for effects, cost in costs.items() if effects <= own - {effect})
+        / costs[own]
         for effect in whole.effects
     }
+    needed = (
+        ratio >= (1.0 / _OUTWEIGHED if effect in past else _SUPPORTED)
+        for effect, ratio in ratios.items()
+    )
+    return ratios if enough and all(needed) else {}
 
 
 def log_weights(
@@ -256,29 +241,29 @@ def _reason(problem: Problem, best: Ranked, rival: Ranked, unit: str) -> str:
     one, other = best.explanation, rival.explanation
     assert one is not None
     assert other is not None
+    floor = f"{problem.floor:.2g} {unit}"
     small, large = sorted((one, other), key=lambda explanation: len(explanation.effects))
     if set(small.effects) < set(large.effects):
         more = "+".join(name for name in large.effects if name not in small.effects)
         return (
-            f"Beside {'+'.join(small.effects)}, {more} takes what is left on trials that the fit "
-            f"has not seen from {small.held_out_rmse:.3g} to {large.held_out_rmse:.3g} {unit}, "
-            f"with a noise floor of {problem.floor:.2g} {unit}: too little to be sure that it is "
-            "there."
+            f"In addition to {'+'.join(small.effects)}, {more} reduces the residual on held-out "
+            f"trials from {small.held_out_rmse:.3g} to {large.held_out_rmse:.3g} {unit}, with a "
+            f"noise floor of {floor}: too little to be sure of it."
         )
     share = imitated_share(problem, one, other)
     change = _beyond_tolerances(problem, _change(problem, one), one)
     size = float(np.sqrt((change**2).sum() / (problem.used.sum() * problem.nominal.shape[1])))
     imitates = (
-        f"{'+'.join(rival.effects)}, with numbers of its own, imitates {100.0 * share:.0f} % of "
+        f"{'+'.join(rival.effects)}, with its own numbers, imitates {100.0 * share:.0f} % of "
         f"the {size:.2g} {unit} by which {'+'.join(best.effects)} changes the readings beyond "
         "tolerances"
     )
     if share >= PARALLEL:
-        return f"{imitates}: this recording shows both alike."
+        return f"{imitates}: this recording cannot distinguish them."
     return (
-        f"{imitates}, so they differ; yet they leave {one.held_out_rmse:.2g} and "
-        f"{other.held_out_rmse:.2g} {unit} on trials that they have not seen, too near each other "
-        f"to choose (the noise floor is {problem.floor:.2g} {unit})."
+        f"{imitates}, so they differ; but they leave {one.held_out_rmse:.2g} and "
+        f"{other.held_out_rmse:.2g} {unit} on held-out trials, too near each other to choose (the "
+        f"noise floor is {floor})."
     )
 
 

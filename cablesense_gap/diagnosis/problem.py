@@ -46,7 +46,6 @@ class Explanation:
         count: (T,) numbers in each trial.
         sizes: how many of the values are sizes.
         tolerance_chi2: sum of the squares of the tolerances, each in standard deviations.
-        prior_distance: of the values from their priors, in squared standard deviations.
     """
 
     effects: tuple[str, ...]
@@ -63,7 +62,6 @@ class Explanation:
     count: Array
     sizes: int
     tolerance_chi2: float
-    prior_distance: float
 
     @property
     def sites(self) -> list[tuple[str, str]]:

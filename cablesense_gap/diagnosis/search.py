@@ -8,7 +8,7 @@ something unexplained, first on a part of the rows if the problem has a sketch.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain, combinations
@@ -41,19 +41,6 @@ _RIVAL = 2.0
 _BETTER = 0.95
 """A cost above this share of another one is no better: other folds would change it as much."""
 
-_WORTH = 1.12
-"""An explanation is dropped if the cost of a part of its effects is not larger by this factor."""
-
-_SHOWN = 0.5
-"""Floors that an effect must explain: near the floor, ratios become large over nothing."""
-
-_FAR_OFF = 5.0
-"""Standard deviations. A tolerance so far off is not one; it imitates an effect."""
-
-_EXPLAINED, _RESOLVED, _BARELY = 1.5, 0.04, 1.25
-"""The search ends at this multiple of the least cost that can be resolved, at this share of the
-gap, or if tolerances alone leave at most this many floors."""
-
 
 def search(
     problem: Problem, progress: Progress = lambda *_: None, workers: int = 1
@@ -69,10 +56,13 @@ def search(
 
 
 class _Search:
+    """The explanations that were found, on all rows of a problem or on those of its sketch."""
+
     def __init__(
         self, problem: Problem, pool: WorkerPool, progress: Progress, none: Explanation
     ) -> None:
-        self._whole, self._pool, self._progress = problem, pool, progress
+        self._whole, self._problem, self._none = problem, problem, none
+        self._pool, self._progress = pool, progress
         candidates = problem.simulator.candidates
         self._cheap = [c for c in candidates if not c.history_dependent]
         self._expensive = [c for c in candidates if c.history_dependent]
@@ -80,16 +70,11 @@ class _Search:
         self._found: dict[tuple[str, ...], Explanation] = {}
         self._expanded: set[Explanation] = set()
         self._refined: dict[Explanation, Array] = {}
-        self._work_on(problem, none)
-
-    def _work_on(self, problem: Problem, none: Explanation) -> None:
-        """All rows, or those of the sketch."""
-        self._problem, self._none = problem, none
 
     def _map(self, function: Callable[..., Any], values: Iterable[Any]) -> Iterator[Any]:
         """Results of a function of the present problem and each value, from all processes."""
         on_sketch = self._problem is not self._whole
-        return self._pool.map(partial(_on_sketch if on_sketch else _on_whole, function), values)
+        return self._pool.map(partial(_called, function, on_sketch), values)
 
     def run(self) -> list[Explanation]:
         """The best explanation for every set of effects that is worth it."""
@@ -140,7 +125,7 @@ class _Search:
     ) -> list[LinearEffect]:
         """Columns of each candidate in each place, linear about an explanation."""
         found: list[LinearEffect] = []
-        linear = self._map(partial(_linear_about, about), candidates)
+        linear = self._map(partial(linear_effects, about=about), candidates)
         for k, (candidate, effects) in enumerate(zip(candidates, linear, strict=True)):
             self._progress(candidate.effect, done + 0.1 * k / len(candidates))
             found += effects
@@ -207,11 +192,8 @@ class _Search:
         self, explanation: Explanation, gone: Iterable[tuple[str, ...]]
     ) -> list[Explanation]:
         """The explanation without each of some sets of effects, fitted again."""
-        rests = [
-            (explanation, {t: v for t, v in explanation.values.items() if t.effect not in each})
-            for each in gone
-        ]
-        return [h for h in self._map(_without, rests) if h is not None]
+        rests = self._map(partial(without, explanation=explanation), gone)
+        return [h for h in rests if h is not None]
 
     def _exchange(
         self, explanation: Explanation, columns: Sequence[LinearEffect], most: int, out: int = 1
@@ -257,10 +239,9 @@ class _Search:
                 for c in self._cheap
                 if offered == {c.places} and c.effect not in explanation.effects
             ]
-        rough = sorted(
-            filter(None, self._map(_fitted_a_little, variants)), key=self._problem.judged
-        )
-        for fitted in self._map(refitted, rough[:_TRIED]):
+        rough = filter(None, self._map(partial(refit, most_steps=3), variants))
+        best = sorted(rough, key=self._problem.judged)[:_TRIED]
+        for fitted in self._map(refitted, best):
             self._keep_all(fitted)
 
     def _add_expensive(self) -> None:
@@ -272,7 +253,7 @@ class _Search:
         none, known, nominal = self._none, self._found, self._nominal
         reduced = {effects: sketch.explanation(h) for effects, h in known.items()}
         self._found = dict(reduced)
-        self._work_on(sketch.problem, sketch.explanation(none))
+        self._problem, self._none = sketch.problem, sketch.explanation(none)
         self._climb_with_expensive()
         self._compare()
         self._progress("judging history-dependent effects on all rows", 0.95)
@@ -285,7 +266,7 @@ class _Search:
             and not self._is_idle(h)
         ]
         self._found, self._nominal = known, nominal
-        self._work_on(self._whole, none)
+        self._problem, self._none = self._whole, none
         judged = [h for h in self._map(_on_all_rows, new) if h is not None]
         self._keep_all(judged)
         self._refined |= dict.fromkeys(judged, self._problem.tolerance_columns)
@@ -338,18 +319,19 @@ class _Search:
         fewer = [h for h in self._found.values() if set(h.effects) < set(explanation.effects)]
         cost = self._problem.cost_of(explanation)
         return any(
-            self._problem.cost_of(h) < _WORTH * cost or not self._shows(explanation, h)
+            self._problem.cost_of(h) < 1.12 * cost or not self._shows(explanation, h)
             for h in fewer
         )
 
     def _shows(self, explanation: Explanation, part: Explanation) -> bool:
-        """Whether an explanation explains more than a part of it by what readings can show.
+        """Whether an explanation explains clearly more than a part of it.
 
-        It does too if that part needs a tolerance far off instead.
+        The least is half a noise floor and more than chance. It also does if the part needs a
+        tolerance that is more than five standard deviations off: this one imitates an effect.
         """
         more = part.held_out_rmse**2 - explanation.held_out_rmse**2
-        strained = self._worst_tolerance(part) > max(_FAR_OFF, self._worst_tolerance(explanation))
-        shown = more > (_SHOWN * self._problem.floor) ** 2 and explanation.beats(part)
+        strained = self._worst_tolerance(part) > max(5.0, self._worst_tolerance(explanation))
+        shown = more > (0.5 * self._problem.floor) ** 2 and explanation.beats(part)
         return strained or shown
 
     def _worst_tolerance(self, explanation: Explanation) -> float:
@@ -359,15 +341,18 @@ class _Search:
         return max(off, default=0.0)
 
     def _is_explained(self, explanation: Explanation) -> bool:
-        """Whether its residual is the sensors' floor."""
-        return self._problem.cost_of(explanation) <= _EXPLAINED * excess(0.0, self._problem.floor)
+        """Whether its residual is near the least that can be resolved."""
+        return self._problem.cost_of(explanation) <= 1.5 * excess(0.0, self._problem.floor)
 
     def _is_resolved(self) -> bool:
-        """Whether so little is unexplained that no further effect is worth its time."""
+        """Whether so little is unexplained that no further effect is worth its time.
+
+        Tolerances alone leave little more than the floor, or an explanation leaves 4 % of the gap.
+        """
         floor, none = self._problem.floor, self._none.held_out_rmse
-        if none <= _BARELY * floor:
+        if none <= 1.25 * floor:
             return True
-        little = _RESOLVED * excess(none**2, floor)
+        little = 0.04 * excess(none**2, floor)
         return any(
             self._problem.cost_of(h) <= little or self._is_explained(h)
             for h in self._found.values()
@@ -386,29 +371,11 @@ def _that_fit(start: Explanation, columns: Sequence[LinearEffect]) -> list[Linea
     ]
 
 
-def _on_whole(function: Callable[..., Any], problem: Problem, value: Any) -> Any:
+def _called(function: Callable[..., Any], on_sketch: bool, problem: Problem, value: Any) -> Any:
+    if on_sketch:
+        assert problem.sketch is not None
+        problem = problem.sketch.problem
     return function(problem, value)
-
-
-def _on_sketch(function: Callable[..., Any], problem: Problem, value: Any) -> Any:
-    assert problem.sketch is not None
-    return function(problem.sketch.problem, value)
-
-
-def _linear_about(
-    about: Explanation | None, problem: Problem, candidate: Candidate
-) -> list[LinearEffect]:
-    return linear_effects(problem, candidate, about)
-
-
-def _without(
-    problem: Problem, some: tuple[Explanation, Mapping[Term, float]]
-) -> Explanation | None:
-    return without(problem, *some)
-
-
-def _fitted_a_little(problem: Problem, values: Mapping[Term, float]) -> Explanation | None:
-    return refit(problem, values, 3)
 
 
 def _on_all_rows(problem: Problem, found: tuple[Explanation, Array]) -> Explanation | None:

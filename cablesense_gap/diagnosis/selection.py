@@ -8,7 +8,7 @@ site that helps most is not always part of the best set.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -33,14 +33,6 @@ MOST_EFFECTS = 7
 _WIDTH = 6
 """Sets that are grown at once."""
 
-_HELPS = 1.02
-"""Sets are grown while a further site makes the cost smaller by this factor: many sites alike are
-worth their penalty only together."""
-
-_MOST_IN_TWOS = 40
-"""An effect with at most this many places is also added in two at once: of two cables that pull
-against each other, either alone may explain nothing."""
-
 
 @dataclass(frozen=True)
 class Proposal:
@@ -64,6 +56,10 @@ class Proposal:
     def effects(self) -> tuple[str, ...]:
         """All names, in alphabetical order."""
         return tuple(sorted({*self.beside.effects, *(e.effect for e in self.added)}))
+
+
+_Scored = tuple[float, list[int]]
+"""The cost with its penalty, and the chosen sites by their positions among the offered ones."""
 
 
 class Selection:
@@ -95,24 +91,26 @@ class Selection:
 
     def singles(self) -> list[Proposal]:
         """Each effect in its best places, the most promising first."""
+        return self._proposals(self._single_effects())
+
+    def _single_effects(self) -> list[_Scored]:
         sides: dict[tuple[str, bool], list[int]] = {}
         for k, linear in enumerate(self._offered):
             sides.setdefault((linear.effect, linear.place == WHOLE_ARM), []).append(k)
-        best: dict[str, tuple[float, list[int]]] = {}
+        best: dict[str, _Scored] = {}
         for (effect, _), own in sides.items():
             grown = self._grown(own, strict=True) or self._grown(own, strict=False)
             if grown and grown < best.get(effect, (np.inf, [])):
                 best[effect] = grown
-        return sorted((self._proposal(*each) for each in best.values()), key=_forecast)
+        return sorted(best.values(), key=lambda each: each[0])
 
     def additions(self) -> list[Proposal]:
         """For every set of effects that is promising their best places, most promising first."""
-        begun = {p.effects: p for p in self.singles()}
-        best = {effects: (p.forecast, self._indices(p)) for effects, p in begun.items()}
+        best = {self._effects(chosen): (s, chosen) for s, chosen in self._single_effects()}
         level = sorted(best.values())[:_WIDTH]
         least = np.inf
         for _ in range(2 * MOST_EFFECTS):
-            longer: dict[tuple[str, ...], tuple[float, list[int]]] = {}
+            longer: dict[tuple[str, ...], _Scored] = {}
             for _, chosen in level:
                 for score, extended in self._extended(chosen, range(len(self._offered))):
                     effects = self._effects(extended)
@@ -126,15 +124,12 @@ class Selection:
                 if score < best.get(effects, (np.inf, []))[0]:
                     best[effects] = score, chosen
             before, least = least, min((s / self._penalty(c) for s, c in level), default=np.inf)
-            if not level or _HELPS * least > before:
+            # a small gain suffices: many sites alike are worth their penalty only together
+            if not level or 1.02 * least > before:
                 break
-        return sorted((self._proposal(*each) for each in best.values()), key=_forecast)
+        return self._proposals(best.values())
 
-    def _indices(self, proposal: Proposal) -> list[int]:
-        at = {id(e): k for k, e in enumerate(self._offered)}
-        return [at[id(e)] for e in proposal.added]
-
-    def _grown(self, among: Sequence[int], *, strict: bool) -> tuple[float, list[int]] | None:
+    def _grown(self, among: Sequence[int], *, strict: bool) -> _Scored | None:
         """One effect's sites added while each, or two at once, is worth its penalty."""
         score, chosen = np.inf, list[int]()
         while True:
@@ -145,9 +140,7 @@ class Selection:
                 return (score, chosen) if chosen else None
             score, chosen = best
 
-    def _extended(
-        self, chosen: Sequence[int], among: Sequence[int]
-    ) -> Iterator[tuple[float, list[int]]]:
+    def _extended(self, chosen: Sequence[int], among: Sequence[int]) -> Iterator[_Scored]:
         """The chosen sites with one more, or two of one effect, each with a forecast."""
         first = np.concatenate([np.arange(self._base), *(self._owned[k] for k in chosen)])
         new = [k for k in among if self._fits(k, chosen)]
@@ -165,8 +158,9 @@ class Selection:
         for k in new:
             if self._offered[k].place != WHOLE_ARM:
                 by_effect.setdefault(self._offered[k].effect, []).append(k)
+        # of two cables that pull against each other, either alone may explain nothing
         for own in by_effect.values():
-            if len(own) <= _MOST_IN_TWOS:
+            if len(own) <= 40:
                 options += [
                     [a, b]
                     for a, b in combinations(own, 2)
@@ -207,10 +201,18 @@ class Selection:
             return np.inf
         return self._problem.cost(mean_square, chi2) * self._penalty(chosen)
 
-    def _proposal(self, score: float, chosen: Sequence[int]) -> Proposal:
-        coefficients = self._fitted(chosen)[0][self._base :]
-        added = tuple(self._offered[k] for k in chosen)
-        return Proposal(added, coefficients, self._about, score)
+    def _proposals(self, found: Iterable[_Scored]) -> list[Proposal]:
+        """The most promising first."""
+        proposals = [
+            Proposal(
+                added=tuple(self._offered[k] for k in chosen),
+                coefficients=self._fitted(chosen)[0][self._base :],
+                beside=self._about,
+                forecast=score,
+            )
+            for score, chosen in found
+        ]
+        return sorted(proposals, key=lambda proposal: proposal.forecast)
 
     def kept(self) -> list[int]:
         """Offered sites that are worth their penalty: one site or effect is removed at a time."""
@@ -244,7 +246,3 @@ class Selection:
         found = solve(part.gram.sum(0), part.moment.sum(0), precision, none, weight_)
         chi2 = float((found[: len(problem.tolerance_terms)] ** 2).sum())
         return found, mean_square, chi2
-
-
-def _forecast(proposal: Proposal) -> float:
-    return proposal.forecast

@@ -1,13 +1,9 @@
-"""Whether a recording's channels are those of the arm's cables, and what a check has found.
-
-Saturated, stuck and exchanged channels, tensions of another arm, in another unit, or of cables of
-another stiffness.
-"""
+"""Problems of a recording's channels: saturated, stuck or exchanged ones, those of another arm."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from itertools import pairwise
@@ -19,8 +15,6 @@ from scipy.optimize import linear_sum_assignment
 from cablesense_base import Array
 from cablesense_gap.recordings.recording import Recording, rows_named
 from cablesense_sim.arm import Arm
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.replay import reading_variance_n2
 
 _MOVED_FLOORS = 50.0
@@ -31,10 +25,6 @@ _LEAST_CORRELATION = 0.5
 """No effect turns the responses of half the cables further away from the prediction than this."""
 _SCALES = (0.2, 5.0)
 """No effect scales them by more."""
-_STIFFNESS_ROWS = 40
-_SOFTER = (0.3, 0.1, 0.03, 0.01)
-_STIFFER = (3.0, 10.0, 30.0, 100.0)
-_WORTH_FLOORS = 2.0
 _BETTER = 0.4
 """A channel belongs to another cable whose prediction leaves less than this of the residual."""
 
@@ -61,8 +51,8 @@ class Finding:
     text: str
 
 
-_refuse = partial(Finding, Severity.REFUSE)
-_warn = partial(Finding, Severity.WARN)
+refuse = partial(Finding, Severity.REFUSE)
+warn = partial(Finding, Severity.WARN)
 
 
 def channel_findings(
@@ -80,7 +70,7 @@ def channel_findings(
     findings = list(_at_range_ends(read, arm))
     if np.ptp(recording.command_rad, axis=0).any() or np.ptp(recording.load_n, axis=0).any():
         findings += [
-            _warn(
+            warn(
                 "stuck",
                 f"tension_{cable + 1}_n is {read[0, cable]:g} N in every row, whatever loads and "
                 "poses; see whether its sensor is connected",
@@ -118,53 +108,11 @@ def unborne_findings(unborne: NDArray[np.bool_], arm: Arm) -> list[Finding]:
     if not unborne.any():
         return []
     return [
-        _warn(
+        warn(
             "unborne",
             f"{rows_named(unborne)}: {arm.name} as its file describes it finds no rest under the "
             "recorded loads, though the real arm did; left out. Check the scale of the loads, or "
             "load the arm less",
-        )
-    ]
-
-
-def stiffness_findings(recording: Recording, arm: Arm, nominal_n: Array) -> list[Finding]:
-    """Whether the readings are those of an arm many times as stiff, or as soft, as the nominal.
-
-    `nominal_n` (R, M) is the nominal arm's prediction. Effects of the arm file are left out.
-    """
-    rows = np.unique(np.linspace(0, len(recording) - 1, _STIFFNESS_ROWS).astype(int))
-    few, mechanism = recording.rows(rows), mechanism_of(arm)
-
-    def left_n(predicted_n: Array) -> float:
-        residual = few.tensions_n - predicted_n
-        return float((residual - residual.mean(axis=0)).std())
-
-    own_n = left_n(nominal_n[rows])
-    if own_n < _WORTH_FLOORS * float(np.sqrt(reading_variance_n2(arm.sensors))):
-        return []
-    found: dict[float, float] = {}
-    for way in (_SOFTER, _STIFFER):
-        for factor in way:
-            other = replace(
-                mechanism,
-                stiffness_n_m=factor * mechanism.stiffness_n_m,
-                cable_stiffness_n_m=factor * mechanism.cable_stiffness_n_m,
-            )
-            try:
-                rest = solve_equilibrium(other, few.command_rad, few.forces_n)
-            except EquilibriumError:
-                break  # nor does a softer one
-            found[factor] = left_n(rest.tensions_n)
-    best = min(found, key=found.__getitem__, default=1.0)
-    if found.get(best, own_n) >= _BETTER * own_n:
-        return []
-    times = f"{best:g} times as stiff" if best > 1.0 else f"{1.0 / best:g} times as soft"
-    return [
-        _warn(
-            "stiffness",
-            f"the readings fit an arm whose cables are {times} as those of arm {arm.name} "
-            f"({found[best]:.2g} N are left, not {own_n:.2g} N); see the cables' stiffness in the "
-            "arm file",
         )
     ]
 
@@ -177,7 +125,7 @@ def _at_range_ends(read: Array, arm: Arm) -> Iterator[Finding]:
     for cable, values in enumerate(read.T, start=1):
         for end, limit in ((values <= low - tolerance, low), (values >= high - tolerance, high)):
             if end.any():
-                yield _warn(
+                yield warn(
                     "saturated",
                     f"tension_{cable}_n is at the end of the sensors' range, {limit:g} N, in "
                     f"{rows_named(end)}; load less, or widen the range",
@@ -201,7 +149,7 @@ def _stuck(
         longest = max(runs, key=lambda run: run.stop - run.start)
         trials = len(np.unique(recording.trial[longest]))
         if trials >= _STUCK_TRIALS and np.ptp(predicted[longest]) > moved_n:
-            yield _warn(
+            yield warn(
                 "stuck",
                 f"tension_{cable}_n stands still in rows {numbers[longest.start] + 1} to "
                 f"{numbers[longest.stop - 1] + 1}, while loads or poses change; see whether its "
@@ -215,7 +163,7 @@ def _stuck(
         if len(tops) >= _SATURATED_RUNS and np.ptp(at_top) > moved_n:
             highest = np.zeros(numbers[-1] + 1, dtype=bool)
             highest[numbers[values == values.max()]] = True
-            yield _warn(
+            yield warn(
                 "saturated",
                 f"tension_{cable}_n does not exceed {values.max():g} N in "
                 f"{rows_named(highest)}, while the load on it increases; load less, "
@@ -237,7 +185,7 @@ def _swapped(own: Array, predicted: Array, cables: NDArray[np.int64]) -> Iterato
         for i, j in zip(channel[moved & better], cable[moved & better], strict=True)
     ]
     if pairs and (better | ~moved).all():
-        yield _warn(
+        yield warn(
             "swapped",
             f"{', '.join(pairs)}, by all that loads and poses do to it; see whether the plugs or "
             "the columns are exchanged",
@@ -257,7 +205,7 @@ def _foreign(responses_n: list[tuple[Array, Array]], arm: Arm) -> list[Finding]:
         scale = np.median(product / power)
         if correlation < _LEAST_CORRELATION:
             found.append(
-                _refuse(
+                refuse(
                     "arm",
                     f"the tensions do not follow loads and poses as arm {arm.name} does "
                     f"(correlation {correlation:.2f}); give the arm file of this arm, and see "
@@ -266,7 +214,7 @@ def _foreign(responses_n: list[tuple[Array, Array]], arm: Arm) -> list[Finding]:
             )
         elif not _SCALES[0] <= scale <= _SCALES[1]:
             found.append(
-                _refuse(
+                refuse(
                     "unit",
                     f"the tensions answer {scale:.3g} times as much as those of arm {arm.name}; "
                     "they and the loads must be in N",

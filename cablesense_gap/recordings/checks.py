@@ -1,18 +1,24 @@
-"""A recording read by its path, and whether it can be used: shapes, numbers, time and labels."""
+"""A recording read by its path, and checked in its form: shapes, numbers, time and labels."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_gap.recordings.channels import Finding, Severity, channel_findings
+from cablesense_gap.recordings.channels import (
+    Finding,
+    Severity,
+    channel_findings,
+    refuse,
+    warn,
+)
 from cablesense_gap.recordings.csv_file import (
     LOAD,
+    LOAD_AT,
     LOAD_SEGMENT,
     TIME,
     command_columns,
@@ -33,12 +39,13 @@ GOOD_ROWS, GOOD_TRIALS = 200, 8
 _FASTEST_RAD_S = float(np.deg2rad(40.0))
 """Twice the speed at which arms approach a command; a faster command is a jump."""
 _GAP_INTERVALS = 10.0
-_MILLISECONDS = (700.0, 1400.0)
-"""Steps of time over those of the sensors, where milliseconds are taken for seconds."""
 _OTHER_RATE = 3.0
+_MILLISECONDS = (700.0, 1400.0)
+"""Ratios of the rows' interval to the sensors', where milliseconds are taken for seconds."""
 
-_refuse = partial(Finding, Severity.REFUSE)
-_warn = partial(Finding, Severity.WARN)
+
+def _rank(finding: Finding) -> bool:
+    return finding.severity is not Severity.REFUSE
 
 
 def refuse_unusable(recording: Recording, findings: Sequence[Finding]) -> None:
@@ -100,20 +107,16 @@ def check_recording(
     return sorted(found, key=_rank)
 
 
-def _rank(finding: Finding) -> bool:
-    return finding.severity is not Severity.REFUSE
-
-
 def _shapes(recording: Recording, arm: Arm) -> Iterator[Finding]:
     if len(recording) == 0:
-        yield _refuse("rows", "has no rows; it must have one per sample")
+        yield refuse("rows", "has no rows; it must have one per sample")
     for kind, values, wanted, has, right in (
         ("cables", recording.tensions_n, arm.cable_count, "tensions", "cables"),
         ("joints", recording.command_rad, arm.joint_count, "commanded angles", "joint angles"),
     ):
         if values.shape[1:] != (wanted,):
             count = values.shape[-1]
-            yield _refuse(kind, f"has {count} {has} a row; arm {arm.name} has {wanted} {right}")
+            yield refuse(kind, f"has {count} {has} a row; arm {arm.name} has {wanted} {right}")
 
 
 def _numbers(recording: Recording, arm: Arm) -> Iterator[Finding]:
@@ -122,7 +125,7 @@ def _numbers(recording: Recording, arm: Arm) -> Iterator[Finding]:
     columns = np.column_stack(numbers).T
     for name, values in zip([TIME, *joints, *LOAD, *cables], columns, strict=True):
         if (wrong := ~np.isfinite(values)).any():
-            yield _refuse(
+            yield refuse(
                 "numbers",
                 f"{name} is empty or not finite in {rows_named(wrong)}; every cell must be a "
                 "number: leave out rows that lack one",
@@ -133,7 +136,7 @@ def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
     steps, same_trial = np.diff(recording.time_s), np.diff(recording.trial) == 0
     back = np.append(False, steps <= 0.0)
     if back.any():
-        yield _refuse(
+        yield refuse(
             "time",
             f"{TIME} does not increase in {rows_named(back)}; each row must be later than "
             "the one before: sort the rows, and leave out those that stand twice",
@@ -144,15 +147,14 @@ def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
         usual = float(np.median(within))
         slower = usual * arm.sensors.rate_hz
         if _MILLISECONDS[0] <= slower <= _MILLISECONDS[1]:
-            yield _refuse(
+            yield refuse(
                 "milliseconds",
-                f"{TIME} goes in steps of {usual:g}, where the sensors of arm {arm.name} read "
-                f"every {1.0 / arm.sensors.rate_hz:g} s; times are in s, and these seem to be "
-                "milliseconds",
+                f"rows come every {usual:g} s, and the sensors of arm {arm.name} read every "
+                f"{1.0 / arm.sensors.rate_hz:g} s; {TIME} must be in s, not in milliseconds",
             )
             return
         if not 1.0 / _OTHER_RATE <= slower <= _OTHER_RATE:
-            yield _warn(
+            yield warn(
                 "rate",
                 f"rows come every {usual:.3g} s, where sensors.rate_hz = {arm.sensors.rate_hz:g} "
                 f"of arm {arm.name} says every {1.0 / arm.sensors.rate_hz:g} s; see whether "
@@ -160,7 +162,7 @@ def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
             )
         gap = np.append(False, (steps > _GAP_INTERVALS * usual) & same_trial)
         if gap.any():
-            yield _warn(
+            yield warn(
                 "gap",
                 f"{TIME} leaps over {steps[gap[1:]].max():.3g} s within a trial before "
                 f"{rows_named(gap)}, where {usual:.3g} s is usual; a break ends a trial",
@@ -168,7 +170,7 @@ def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
     starts = np.append(True, ~same_trial)
     numbers, counts = np.unique(recording.trial[starts], return_counts=True)
     if (counts > 1).any():
-        yield _warn(
+        yield warn(
             "trial",
             f"trial {numbers[counts > 1][0]} comes back after another one; a trial is one block "
             "of rows with one number",
@@ -180,28 +182,34 @@ def _labels(recording: Recording, arm: Arm) -> Iterator[Finding]:
     loaded = (recording.load_n != 0.0).any(axis=1)
     outside = (segment < 0) | (segment > arm.segment_count)
     if outside.any():
-        yield _refuse(
+        yield refuse(
             "segment",
             f"{LOAD_SEGMENT} is {segment[outside][0]} in {rows_named(outside)}; it must "
             f"be from 1 to {arm.segment_count}, or 0 without a load",
         )
     unnamed = loaded & (segment == 0)
     if unnamed.any():
-        yield _refuse(
+        yield refuse(
             "label",
             f"a load is given in {rows_named(unnamed)} with {LOAD_SEGMENT} 0; name the "
             "segment it acts on, or give 0 N",
         )
-    bare = ~loaded & (segment > 0)
-    if bare.any():
-        yield _warn(
-            "label",
-            f"{LOAD_SEGMENT} names a segment with a load of 0 N in {rows_named(bare)}; "
-            "0 is right there, unless a load was forgotten",
-        )
+    if recording.load_at_m is not None:
+        length_m = mechanism_of(arm).segment_length_m
+        own_m = length_m[np.clip(segment, 1, arm.segment_count) - 1]
+        at_m = recording.load_at_m
+        off = (segment > 0) & ((at_m < 0.0) | (at_m > own_m))
+        if off.any():
+            first = int(np.argmax(off))
+            yield refuse(
+                "place",
+                f"{LOAD_AT} is {at_m[first]:g} in {rows_named(off)}; on segment {segment[first]} "
+                f"it must be from 0 to {own_m[first]:g} m from the joint centre, or empty for "
+                "contact_m of the arm file",
+            )
     huge = (recording.load_n**2).sum(axis=1) > MAX_LOAD_N**2
     if huge.any():
-        yield _refuse(
+        yield refuse(
             "load", f"the load is over {MAX_LOAD_N:g} N in {rows_named(huge)}; loads are in N"
         )
 
@@ -210,7 +218,7 @@ def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
     command = recording.command_rad
     far = np.asarray((np.abs(command) > MAX_JOINT_ANGLE_RAD).any(axis=1))
     if far.any():
-        yield _refuse(
+        yield refuse(
             "degrees",
             f"a commanded angle is {np.abs(command).max():.4g} rad in {rows_named(far)}; angles "
             "are in rad, and these seem to be degrees",
@@ -219,7 +227,7 @@ def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
     limit = mechanism_of(arm).bend_limit_rad
     bent = np.asarray((kinematics.bend_rad(command) >= limit).any(axis=1))
     if bent.any():
-        yield _refuse(
+        yield refuse(
             "bend",
             f"the command bends a joint so far in {rows_named(bent)} that guide plates meet, at "
             f"{np.rad2deg(limit.min()):.1f} degrees; angles are in rad, of this arm's joints",
@@ -229,7 +237,7 @@ def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
     # over a break between trials the arm had all the time it needed
     jump = np.append(False, fast & (np.diff(recording.trial) == 0))
     if jump.any():
-        yield _warn(
+        yield warn(
             "jump",
             f"the command jumps in {rows_named(jump)}, and the arm follows later; send a move in "
             "small steps, or leave out the rows until the arm is there",
@@ -239,13 +247,13 @@ def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
 def _amount(recording: Recording) -> Iterator[Finding]:
     rows, trials = len(recording), len(np.unique(recording.trial))
     if rows < FEWEST_ROWS or trials < FEWEST_TRIALS:
-        yield _refuse(
+        yield refuse(
             "amount",
             f"has {rows} rows in {trials} trials; a diagnosis needs at least {FEWEST_ROWS} "
             f"rows in {FEWEST_TRIALS} trials, since it judges on trials it has not seen",
         )
     elif rows < GOOD_ROWS or trials < GOOD_TRIALS:
-        yield _warn(
+        yield warn(
             "amount",
             f"has only {rows} rows in {trials} trials; `cablesense gap protocol` lists what to "
             "record so that effects can be distinguished",

@@ -15,20 +15,26 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
 from cablesense_base.files import written_whole
-from cablesense_gap.recordings.recording import MAX_NUMBERS, Recording, RecordingError
+from cablesense_gap.recordings.recording import (
+    MAX_NUMBERS,
+    Recording,
+    RecordingError,
+    given_places,
+)
 from cablesense_sim.arm import Arm
 
 TIME: Final = "time_s"
 TRIAL: Final = "trial"
 LOAD_SEGMENT: Final = "load_segment"
 LOAD: Final = ("load_x_n", "load_y_n", "load_z_n")
+LOAD_AT: Final = "load_at_m"
+"""Optional: where on its segment a load acts; an empty cell is the arm file's `contact_m`."""
 CSV_ENDINGS: Final = (".csv", ".csv.gz")
 
 MAX_FILE_BYTES = 500_000_000
 """Days at 5 Hz; a larger file is not a recording of one protocol."""
 
-_TIME_DECIMALS, _LOAD_DECIMALS, _TENSION_DECIMALS = 6, 4, 4
-_COMMAND_DECIMALS = 6
+_DECIMALS = 6
 """A microradian changes the tension of a stiff cable by less than a sensor's step."""
 
 
@@ -43,7 +49,7 @@ def tension_columns(cable_count: int) -> list[str]:
 
 
 def all_columns(joint_count: int, cable_count: int) -> list[str]:
-    """Every column of an arm's recording, in the order of the file."""
+    """Every column that an arm's recording must have, in the order of the file."""
     labels = [TIME, TRIAL, *command_columns(joint_count), LOAD_SEGMENT, *LOAD]
     return labels + tension_columns(cable_count)
 
@@ -157,6 +163,7 @@ def read_csv(path: str | Path, arm: Arm) -> Recording:
         load_segment=whole(LOAD_SEGMENT),
         load_n=stacked(LOAD),
         tensions_n=stacked(tension_columns(arm.cable_count)),
+        load_at_m=given_places(values.get(LOAD_AT)),
     )
 
 
@@ -168,15 +175,20 @@ def write_csv(path: str | Path, recording: Recording) -> None:
     """
     joints = command_columns(recording.command_rad.shape[1])
     cables = tension_columns(recording.tensions_n.shape[1])
-    columns = {
-        **_texts([TIME], recording.time_s[:, None], _TIME_DECIMALS),
-        TRIAL: recording.trial,
-        **_texts(joints, recording.command_rad, _COMMAND_DECIMALS),
-        LOAD_SEGMENT: recording.load_segment,
-        **_texts(LOAD, recording.load_n, _LOAD_DECIMALS),
-        **_texts(cables, recording.tensions_n, _TENSION_DECIMALS),
-    }
-    write_table(path, columns, "%g")
+    stated = recording.load_at_m is not None
+    names = [TIME, TRIAL, *joints, LOAD_SEGMENT, *LOAD, *[LOAD_AT] * stated, *cables]
+    values = [
+        _rounded(recording.time_s[:, None]),
+        recording.trial[None],
+        _rounded(recording.command_rad),
+        recording.load_segment[None],
+        _rounded(recording.load_n),
+        _rounded(recording.tensions_n),
+    ]
+    if recording.load_at_m is not None:
+        values.insert(-1, _rounded(recording.load_at_m[:, None]))
+    columns = [column for several in values for column in several]
+    write_table(path, dict(zip(names, columns, strict=True)), "%.12g")
 
 
 def _check_header(path: Path, names: list[str], prefixes: Collection[str]) -> None:
@@ -206,10 +218,6 @@ def _check_columns(path: Path, found: Collection[str], wanted: list[str], arm: A
         )
 
 
-def _texts(names: Sequence[str], values: Array, decimals: int) -> dict[str, list[str]]:
-    """Columns (R, C) under their names, without -0."""
-    columns = (np.round(values, decimals) + 0.0).T.tolist()
-    return {
-        name: [f"{value:.{decimals}f}" for value in column]
-        for name, column in zip(names, columns, strict=True)
-    }
+def _rounded(values: Array) -> Array:
+    """Columns (C, R) of values (R, C), without -0."""
+    return np.asarray(np.round(values, _DECIMALS).T + 0.0)

@@ -1,4 +1,4 @@
-"""Recordings as rosbag2 MCAP: the contract's topics, read and written without a ROS installation.
+"""Recordings as rosbag2 MCAP: the contract's topics, read without a ROS installation.
 
 Each `cable_tensions` is one row, with the command and the load in force when it came.
 """
@@ -8,39 +8,51 @@ from __future__ import annotations
 import logging
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
-from cablesense_gap.recordings.mcap_messages import BagTypes, McapMessages, RawMessage, TopicFile
+from cablesense_gap.recordings.mcap_messages import BagTypes, McapMessages, RawMessage
 from cablesense_gap.recordings.recording import (
     MAX_NUMBERS,
     Recording,
     RecordingError,
     derive_trials,
+    given_places,
     numbers_a_row,
 )
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.messages import NamedOrder, cable_offsets_m, joint_command_rad, read_load
-from cablesense_msgs_py.qos import INPUTS, JOINT_STATE_TYPE, NUMBER_TYPE, WRENCH_TYPE, resolved
+from cablesense_msgs_py.messages import (
+    Load,
+    NamedOrder,
+    cable_offsets_m,
+    joint_command_rad,
+    read_load,
+)
+from cablesense_msgs_py.qos import INPUTS
 from cablesense_msgs_py.serialized import require_bounded
 from cablesense_msgs_py.topics import ContractError, Frames
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.kinematics import contact_points_m
+from cablesense_sim.contact_location import touched_at
+from cablesense_sim.loads import contact_of_wrench
 
 MAX_FILE_BYTES = 2_000_000_000
 """An hour at 1 kHz."""
 
 _LOG = logging.getLogger(__name__)
 _REQUIRED = (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS)
-_NO_LOAD = np.zeros(3)
+_NO_LOAD = Load(0, np.zeros(3))
 _LATEST_NS = 2**63 - 1
-_START_NS = 1_000_000_000
-"""Stamp of a written recording's time 0: a stamp of 0 would mean that there is none."""
+_OFF_POINT_M = 0.01
+"""An arm under load is elsewhere than where it is commanded, by less than this along its axis: a
+wrench so near a contact point is taken for one at it."""
+_PLACE_DECIMALS = 6
+"""Those of a place in a CSV file."""
 
 
 class BagRows:
@@ -54,18 +66,13 @@ class BagRows:
         self._keep = keep
         self._cables = NamedOrder(arm.cable_names, "cables")
         self._joints = NamedOrder(arm.joint_names, "joints")
-        self._taken: Counter[str] = Counter()
         self._command: Array | None = None
-        self._loads: dict[int, Array] = {}
+        self._loads: dict[int, Load] = {}
         self._trial = np.nan
         self._offset = False
         self._most_rows = MAX_NUMBERS // numbers_a_row(arm.joint_count, arm.cable_count)
         # plain arrays, as objects would take four times the memory
         self._times_ns, self._numbers = array("q"), array("d")
-
-    def taken(self, topic: str) -> int:
-        """How many messages of a topic have come, the last one included."""
-        return self._taken[topic]
 
     def take(self, topic: str, log_ns: int, message: Any) -> None:
         """One message of the topics of a recording, `log_ns` when it came.
@@ -74,7 +81,6 @@ class BagRows:
             ContractError: the message breaks the contract.
             RecordingError: tensions came while two segments were loaded.
         """
-        self._taken[topic] += 1
         if topic == topics.JOINT_COMMANDS:
             self._command = joint_command_rad(message, self._joints, self._command)
         elif topic == topics.CABLE_OFFSETS:
@@ -107,29 +113,34 @@ class BagRows:
         clock_ns = stamps_ns if stamps_ns.all() else logs_ns
         time_s: Array = (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9
         numbers = np.array(self._numbers).reshape(len(time_s), -1)
-        ends = np.cumsum([1, 1, 3, self._arm.joint_count])
-        trial, segment, load_n, command, tensions_n = np.split(numbers, ends, axis=1)
+        ends = np.cumsum([1, 1, 1, 3, self._arm.joint_count])
+        trial, segment, place, load_n, command, tensions_n = np.split(numbers, ends, axis=1)
+        at_m = given_places(np.round(place[:, 0], _PLACE_DECIMALS))
         segments, named = segment[:, 0].astype(np.int64), np.isfinite(trial[:, 0])
         if named.any():
             trials = np.where(named, trial[:, 0], trial[named][0, 0]).astype(np.int64)
         else:
-            trials = derive_trials(time_s, command, segments, load_n)
-        return Recording(path.stem, time_s, trials, command, segments, load_n, tensions_n)
+            trials = derive_trials(time_s, command, segments, load_n, at_m)
+        return Recording(path.stem, time_s, trials, command, segments, load_n, tensions_n, at_m)
 
     def _take_load(self, message: Any) -> None:
         name = message.header.frame_id
         prefix = name.removesuffix("base_link")
         if prefix == name:
             prefix = name.rpartition("segment_")[0]
-        load = read_load(message, Frames(self._arm.segment_count, prefix), self._contacts_m)
+        load = read_load(message, Frames(self._arm.segment_count, prefix), self._contact_of)
+        if load.contact_m is not None:
+            off_m = load.contact_m - mechanism_of(self._arm).contact_m[load.segment - 1]
+            load = replace(load, contact_m=None) if abs(off_m) <= _OFF_POINT_M else load
         self._loads.pop(load.segment, None)
         if load.force_base_n.any():
-            self._loads[load.segment] = load.force_base_n
+            self._loads[load.segment] = load
 
-    def _contacts_m(self) -> Array:
-        """(N, 3) at the present command."""
+    def _contact_of(self, force_n: Array, torque_n_m: Array) -> tuple[int, float]:
+        """Segment and place of a load at the present command."""
         command = np.zeros(self._arm.joint_count) if self._command is None else self._command
-        return np.asarray(contact_points_m(mechanism_of(self._arm), command))
+        reach_m, _ = touched_at(self._arm)
+        return contact_of_wrench(mechanism_of(self._arm), command, reach_m, force_n, torque_n_m)
 
     def _take_tensions(self, log_ns: int, message: Any, command: Array) -> None:
         if len(self._loads) > 1:
@@ -137,7 +148,8 @@ class BagRows:
                 f"segments {' and '.join(map(str, sorted(self._loads)))} are loaded at once; take "
                 "one load off (a zero force in its frame) before putting on the next"
             )
-        segment, force = next(iter(self._loads.items()), (0, _NO_LOAD))
+        load = next(iter(self._loads.values()), _NO_LOAD)
+        place_m = np.nan if load.contact_m is None else load.contact_m
         tensions = self._cables.pick(message.name, message.effort, "effort")
         if not self._keep or self._offset:
             return
@@ -147,7 +159,8 @@ class BagRows:
             )
         stamp_ns = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
         self._times_ns.extend((min(log_ns, _LATEST_NS), stamp_ns))
-        for numbers in ((self._trial, segment), force, command, tensions):
+        labels = self._trial, load.segment, place_m
+        for numbers in (labels, load.force_base_n, command, tensions):
             self._numbers.extend(numbers)
 
 
@@ -164,41 +177,14 @@ def read_mcap(path: str | Path, arm: Arm) -> Recording:
             the contract, loads on two segments at once.
     """
     path = Path(path)
-    rows = BagRows(arm)
+    rows, taken = BagRows(arm), Counter[str]()
     for topic, log_ns, message in _messages(path):
+        taken[topic] += 1
         try:
             rows.take(topic, log_ns, message)
         except CableSenseError as error:
-            raise RecordingError(
-                f"{path}: {topic}, message {rows.taken(topic)}: {error}"
-            ) from error
+            raise RecordingError(f"{path}: {topic}, message {taken[topic]}: {error}") from error
     return rows.recording(path)
-
-
-def write_mcap(path: str | Path, recording: Recording, arm: Arm) -> None:
-    """Write a recording as the topics of a running arm, messages only where something changes.
-
-    Raises:
-        RecordingError: not named .mcap, or the place cannot be written to.
-    """
-    with BagWriter(path) as bag:
-        last = 0
-        for row in range(len(recording)):
-            now_ns = _START_NS + round((recording.time_s[row] - recording.time_s[0]) * 1e9)
-            now, first = (now_ns, now_ns), row == 0
-            if first or recording.trial[row] != recording.trial[row - 1]:
-                bag.trial(now_ns, int(recording.trial[row]))
-            command = recording.command_rad[row]
-            if first or (command != recording.command_rad[row - 1]).any():
-                bag.joint_state(topics.JOINT_COMMANDS, *now, arm.joint_names, position=command)
-            segment, load = int(recording.load_segment[row]), recording.load_n[row]
-            if last and segment != last:
-                bag.load(*now, f"segment_{last}", (0.0, 0.0, 0.0))
-            if segment and (segment != last or (load != recording.load_n[row - 1]).any()):
-                bag.load(*now, f"segment_{segment}", load.tolist())
-            last = segment
-            tensions_n = recording.tensions_n[row]
-            bag.joint_state(topics.CABLE_TENSIONS, *now, arm.cable_names, effort=tensions_n)
 
 
 def is_bag(path: Path) -> bool:
@@ -292,55 +278,3 @@ def raw_messages(path: Path) -> Iterator[RawMessage]:
     with Reader(path) as reader:
         for connection, log_ns, data in reader.messages():
             yield RawMessage(connection.topic, connection.msgtype, log_ns, data)
-
-
-class BagWriter(TopicFile):
-    """A recording's topics as one .mcap file; it appears under its name when it is closed, whole.
-
-    Times are in ns: `log_ns` when a message came, `stamp_ns` of its header, 0 for none. A topic is
-    in the file once a message of it is written.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        """As `TopicFile`."""
-        super().__init__(path, growing=False)
-        self._channels: dict[str, Any] = {}
-
-    def joint_state(
-        self, topic: str, log_ns: int, stamp_ns: int, names: Sequence[str],
-        **fields: Sequence[float],
-    ) -> None:  # fmt: skip
-        """One `cable_tensions` (`effort`, N) or `joint_commands` (`position`, rad)."""
-        values = {name: np.asarray(value, dtype=np.float64) for name, value in fields.items()}
-        empty = {name: np.empty(0) for name in ("position", "velocity", "effort")}
-        message = self.store.types[JOINT_STATE_TYPE](
-            header=self._header(stamp_ns, "base_link"), name=list(names), **(empty | values)
-        )
-        self._put(topic, log_ns, message)
-
-    def load(
-        self, log_ns: int, stamp_ns: int, frame_id: str, force_n: Sequence[float],
-        torque_n_m: Sequence[float] = (0.0, 0.0, 0.0),
-    ) -> None:  # fmt: skip
-        """One `applied_wrench`; `force_n` (3,) in base axes."""
-        types = self.store.types
-        vector = types["geometry_msgs/msg/Vector3"]
-        force, torque = vector(*map(float, force_n)), vector(*map(float, torque_n_m))
-        wrench = types["geometry_msgs/msg/Wrench"](force=force, torque=torque)
-        message = types[WRENCH_TYPE](header=self._header(stamp_ns, frame_id), wrench=wrench)
-        self._put(topics.APPLIED_WRENCH, log_ns, message)
-
-    def trial(self, log_ns: int, number: int) -> None:
-        """One `trial`."""
-        self._put(topics.TRIAL, log_ns, self.store.types[NUMBER_TYPE](data=int(number)))
-
-    def _put(self, topic: str, log_ns: int, message: Any) -> None:
-        kind = INPUTS[topic].kind
-        if topic not in self._channels:
-            self._channels[topic] = self.add(resolved(topic), kind, INPUTS[topic].offered)
-        self.write(self._channels[topic], log_ns, bytes(self.store.serialize_cdr(message, kind)))
-
-    def _header(self, stamp_ns: int, frame_id: str) -> Any:
-        sec, nanosec = divmod(int(stamp_ns), 1_000_000_000)
-        stamp = self.store.types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
-        return self.store.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)

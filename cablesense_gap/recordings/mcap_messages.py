@@ -2,23 +2,22 @@
 
 A recorder that is killed leaves a file without its end. The part already written must still be
 readable: files are read record by record (https://mcap.dev/spec), not by the index at the end, and
-a chunk is closed every `CHUNK_S`. The library `mcap` reads records, and `rosbags` writes them. Our
-own code adds what they lack: `mcap` does not distinguish a file that breaks off from a damaged
-one, trusts every length and unpacks without bound, and no writer closes chunks by time.
+a chunk is closed every `CHUNK_S`. The library `mcap` reads records, and `rosbags` writes them. The
+rest is done here: `mcap` does not distinguish a file that breaks off from a damaged one, trusts
+every length and unpacks without bound, and no writer closes chunks by time.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-import stat
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, Self, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, cast
 
 import numpy as np
 
@@ -70,20 +69,14 @@ class McapMessages:
         """
         self.cut = ""
         try:
-            number = os.open(self._path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        except FileNotFoundError as error:
-            raise RecordingError(f"{self._path}: no such file") from error
-        except (OSError, ValueError) as error:
+            if not self._path.exists():
+                raise RecordingError(f"{self._path}: no such file")
+            if not self._path.is_file():  # to open a pipe would wait for ever
+                raise RecordingError(f"{self._path}: not a file")
+            with self._path.open("rb") as file:
+                yield from self._messages(file, self._path.stat().st_size)
+        except OSError as error:
             raise RecordingError(f"{self._path}: cannot be read ({error})") from error
-        status = os.fstat(number)
-        if not stat.S_ISREG(status.st_mode):
-            os.close(number)
-            raise RecordingError(f"{self._path}: not a file")
-        with open(number, "rb") as file:  # noqa: PTH123  (a number has no path)
-            try:
-                yield from self._messages(file, status.st_size)
-            except OSError as error:
-                raise RecordingError(f"{self._path}: cannot be read ({error})") from error
 
     def _messages(self, file: BinaryIO, size: int) -> Iterator[RawMessage]:
         from mcap.exceptions import McapError
@@ -220,16 +213,10 @@ def topic_file_path(path: str | Path, force: bool) -> Path:
 
 
 class TopicFile:
-    """One rosbag2 .mcap file being written; as a context, closed, or discarded after an error."""
+    """One rosbag2 .mcap file that grows under its name while it is written."""
 
-    def __init__(self, path: str | Path, growing: bool, force: bool = True) -> None:
-        """Open the file.
-
-        Args:
-            path: of the file; one that is there already is replaced when this one is whole, or at
-                once if it grows.
-            growing: whether it has its name from the start, or only when it is whole.
-            force: whether to replace one that is there already.
+    def __init__(self, path: str | Path, force: bool = True) -> None:
+        """Open the file; `force` replaces one that is there already.
 
         Raises:
             RecordingError: the name does not end in .mcap, or the file must not be written.
@@ -238,10 +225,9 @@ class TopicFile:
         from rosbags.typesys import Stores, get_typestore
 
         self._path = topic_file_path(path, force)
-        self._in_place = False
         self._beside = self._path.parent / f".{self._path.name}.{os.getpid()}.part"
         self._folder = self._beside / self._path.stem  # rosbags names the file for its folder
-        self.store = get_typestore(Stores.ROS2_JAZZY)
+        self._types = get_typestore(Stores.ROS2_JAZZY)
         self._writer = Writer(
             self._folder, version=_BAG_VERSION, storage_plugin=StoragePlugin.MCAP
         )
@@ -251,18 +237,17 @@ class TopicFile:
             with self._refusing():
                 self._writer.open()
                 self._storage.bio.flush()
-                if growing:
-                    self._written.replace(self._path)
-                    self._in_place = True
-                    shutil.rmtree(self._beside)  # nothing of it is to stay after a kill
+                (self._folder / f"{self._folder.name}.mcap").replace(self._path)
         except RecordingError:
-            self.discard()
+            self._writer.abort()
             raise
+        finally:
+            shutil.rmtree(self._beside, ignore_errors=True)
 
     def add(self, topic: str, kind: str, qos: Qos) -> Any:
         """A channel for a topic's full name and type, to be written to; `qos` as it is offered."""
         return self._writer.add_connection(
-            topic, kind, typestore=self.store, offered_qos_profiles=[_profile(qos)]
+            topic, kind, typestore=self._types, offered_qos_profiles=[_profile(qos)]
         )
 
     def write(self, channel: Any, log_ns: int, raw: bytes) -> None:
@@ -291,7 +276,7 @@ class TopicFile:
             self._storage.bio.flush()
 
     def close(self) -> None:
-        """Finish the file, and put it in its place where it is not there yet.
+        """Finish the file.
 
         Raises:
             RecordingError: it cannot be written.
@@ -300,8 +285,6 @@ class TopicFile:
             with self._refusing():
                 self._folder.mkdir(parents=True, exist_ok=True)  # for rosbags' metadata
                 self._writer.close()
-                if not self._in_place:
-                    self._written.replace(self._path)
         finally:
             shutil.rmtree(self._beside, ignore_errors=True)
 
@@ -309,17 +292,11 @@ class TopicFile:
         """Leave nothing of it behind."""
         with suppress(Exception):
             self._writer.abort()
-        shutil.rmtree(self._beside, ignore_errors=True)
-        if self._in_place:
-            self._path.unlink(missing_ok=True)
+        self._path.unlink(missing_ok=True)
 
     @property
     def _storage(self) -> McapWriter:
         return cast("McapWriter", self._writer.storage)
-
-    @property
-    def _written(self) -> Path:
-        return self._folder / f"{self._folder.name}.mcap"
 
     @contextmanager
     def _refusing(self) -> Iterator[None]:
@@ -328,15 +305,6 @@ class TopicFile:
         except OSError as error:
             why = error.strerror or error
             raise RecordingError(f"{self._path}: cannot be written ({why})") from error
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if error is None:
-            self.close()
-        else:
-            self.discard()
 
 
 def _profile(qos: Qos) -> Any:

@@ -4,7 +4,8 @@ Purpose of each part:
 
 - load cycles on every segment from several sides, straight and bent: scale and crosstalk of the
   sensors, stiffness, hole geometry, where the loads act, and the loop that friction opens between
-  loading and unloading;
+  loading and unloading; loads near the joint, in the middle and far out on each segment, whose
+  moments about the nearest joints differ while the force is the same;
 - slackening cycles: a cable gone slack shows its sensor's zero, and which one goes first shows
   how the others share pretension and weight; taut cables distinguish these less well;
 - pose sweeps: weight and level of the base against springs and friction of joints, and of guides;
@@ -19,7 +20,7 @@ Purpose of each part:
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import pairwise
 
@@ -27,9 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.recordings.recording import Recording, given_places
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.contact_location import touched_at
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.replay import reading_variance_n2
 
@@ -52,11 +54,13 @@ _TAUT_SHARE = 0.1
 _BEYOND_SLACK, _REST_MARGIN = 1.5, 1.3
 _RANGE_SHARE = 0.9
 _WORTH_FLOORS = 20.0
+_FROM_THE_ENDS = 1.0 / 6.0
+"""Near and far loads act this share of the reach from its ends, amid its outer thirds."""
 
 _STRAIGHT_SIDES = ("down", "to the left", "up and to the right")
 _SLACKENING_SIDES = ("down", "to the right")
-_LEVELS = (0.25, 0.5, 0.75, 1.0)
-_LEVEL_S = 1.0
+_NEAR, _MIDDLE, _FAR = range(3)
+_UP = (0.25, 0.5, 0.75, 1.0)
 _SPEED_RAD_S = float(np.deg2rad(5.0))
 _LARGEST_ANGLE_RAD = float(np.deg2rad(11.0))
 _SMALL_ANGLE_RAD = float(np.deg2rad(1.0))
@@ -77,6 +81,16 @@ class BlockKind(StrEnum):
     REVERSALS = "small reversals"
 
 
+_CYCLE = (0.0, *_UP, *_UP[::-1], 0.0)
+_LEVELS: dict[BlockKind, tuple[Sequence[float], float | Sequence[float]]] = {
+    BlockKind.LOAD_CYCLE: (_CYCLE, 1.0),
+    BlockKind.SLACKENING: (_CYCLE, 1.0),
+    BlockKind.STEP_LOAD: ([0.0, 1.0] * 3 + [0.0], 2.0),
+    BlockKind.HOLD: ((0.0, 1.0, 0.0), (1.0, _HOLD_S, _RELEASE_S)),
+}
+"""Levels of loads by the strongest, and how long each is held, s."""
+
+
 @dataclass(frozen=True)
 class Block:
     """One thing done to the arm without a break, recorded as one trial.
@@ -91,6 +105,7 @@ class Block:
         commands_rad: (K, 2N) commanded joint angles.
         segment: 1 to N where the load acts, 0 in a block without one.
         loads_n: (K, 3) the load, base frame.
+        at_m: where on the segment's axis it acts, from the joint centre; NaN without a load.
     """
 
     kind: BlockKind
@@ -99,6 +114,7 @@ class Block:
     commands_rad: Array
     segment: int
     loads_n: Array
+    at_m: float = np.nan
 
     @property
     def duration_s(self) -> float:
@@ -120,26 +136,51 @@ def standard_protocol(arm: Arm) -> tuple[Block, ...]:
     bent = reach_rad * _pattern(arm.joint_count)
     tip, segments = arm.segment_count, range(1, arm.segment_count + 1)
     first, second = "first bent pose", "second bent pose"
+    cycle, slackening, steps, hold = _LEVELS
+    places_m = load_places_m(arm)
+
+    def load(kind: BlockKind, command: Array, n: int, place: int, side: str, pose: str) -> Block:
+        return _load(arm, kind, command, (n, float(places_m[n - 1, place % 3])), side, pose)
+
     return (
         _rest(straight, "straight, at the start"),
-        *(_cycle(arm, straight, n, s, "straight") for n in segments for s in _STRAIGHT_SIDES),
-        *(_cycle(arm, straight, tip, s, "straight", slackening=True) for s in _SLACKENING_SIDES),
-        _steps(arm, straight, tip, "to the left", "straight"),
+        *(
+            load(cycle, straight, n, n + k, side, "straight")
+            for n in segments
+            for k, side in enumerate(_STRAIGHT_SIDES)
+        ),
+        *(
+            load(slackening, straight, tip, place, side, "straight")
+            for side, place in zip(_SLACKENING_SIDES, (_FAR, _NEAR), strict=True)
+        ),
+        load(steps, straight, tip, _MIDDLE, "to the left", "straight"),
         _rest(straight, "straight, in the middle"),
         *_single_sweeps(arm, reach_rad),
         _joint_sweep(arm.joint_count, reach_rad, 1.0),
         _reversals(straight, "straight"),
         _move(straight, bent, f"to the {first}"),
-        *(_cycle(arm, bent, n, "down and to the left", first, slackening=True) for n in segments),
-        _hold(arm, bent, tip, "down and to the right", first),
-        _steps(arm, bent, 1, "down", first),
+        *(load(slackening, bent, n, n, "down and to the left", first) for n in segments),
+        load(hold, bent, tip, _MIDDLE, "down and to the right", first),
+        load(steps, bent, 1, _MIDDLE, "down", first),
         _reversals(bent, first),
         _move(bent, -bent, f"to the {second}, the mirror of the first"),
-        *(_cycle(arm, -bent, n, "down and to the right", second, True) for n in segments),
+        *(load(slackening, -bent, n, n + 1, "down and to the right", second) for n in segments),
         _move(-bent, straight, "back to straight"),
         _joint_sweep(arm.joint_count, reach_rad, -1.0),
         _rest(straight, "straight, at the end"),
     )
+
+
+def load_places_m(arm: Arm) -> Array:
+    """(N, 3) where loads act on each segment: near its joint, at its contact point, and far out.
+
+    All are within the reach of `touched_at`, in whole mm, so that a person can measure them.
+    """
+    reach = touched_at(arm)[0]
+    inside = _FROM_THE_ENDS * (reach[:, 1] - reach[:, 0])
+    near, far = reach[:, 0] + inside, reach[:, 1] - inside
+    middle = np.clip(mechanism_of(arm).contact_m, near, far)
+    return np.asarray(np.round(np.stack([near, middle, far], axis=1), 3))
 
 
 def rows_of(blocks: Sequence[Block], rate_hz: float) -> Recording:
@@ -157,27 +198,34 @@ def rows_of(blocks: Sequence[Block], rate_hz: float) -> Recording:
 
     load_n = sampled([block.loads_n for block in blocks])
     segment = np.repeat([block.segment for block in blocks], counts)
+    loaded = (load_n != 0.0).any(axis=1)
+    at_m = np.where(loaded, np.repeat([block.at_m for block in blocks], counts), np.nan)
     return Recording(
         name="protocol",
         time_s=np.arange(sum(counts)) / rate_hz,
         trial=np.repeat(np.arange(len(blocks)), counts),
         command_rad=sampled([block.commands_rad for block in blocks]),
-        load_segment=np.where((load_n != 0.0).any(axis=1), segment, 0),
+        load_segment=np.where(loaded, segment, 0),
         load_n=load_n,
         tensions_n=np.empty((sum(counts), 0)),
+        load_at_m=given_places(at_m),
     )
 
 
-def bearable_load_n(arm: Arm, command_rad: Array, segment: int, direction: Array) -> float:
+def bearable_load_n(
+    arm: Arm, command_rad: Array, segment: int, direction: Array, at_m: float | None = None
+) -> float:
     """Largest force in N along `direction` (3,) on segment 1..N that leaves every cable taut.
 
-    At most `STRONGEST_N`, in steps of a thirtieth; less on a weak arm. If no visible force
-    (20 noise floors in some cable) leaves all cables taut, the result is the weakest visible one.
+    It acts `at_m` from the segment's joint centre, by default at its contact point. It is at most
+    `STRONGEST_N`, in steps of a thirtieth; less on a weak arm. If no visible force (20 noise
+    floors in some cable) leaves all cables taut, the result is the weakest visible one.
 
     Raises:
         EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.
     """
-    loads_n, tensions, readable = _increasing_loads(arm, command_rad, segment, direction, 1.0)
+    where = segment, at_m
+    loads_n, tensions, readable = _increasing_loads(arm, command_rad, where, direction, 1.0)
     unloaded = tensions[0]
     least = np.minimum(_TAUT_SHARE * mechanism_of(arm).pretension_n, 0.5 * unloaded)
     taut = _last_in_row((tensions >= least).all(axis=1) & readable)
@@ -187,18 +235,20 @@ def bearable_load_n(arm: Arm, command_rad: Array, segment: int, direction: Array
     return float(loads_n[max(taut, weakest)])
 
 
-def slackening_load_n(arm: Arm, command_rad: Array, segment: int, direction: Array) -> float:
+def slackening_load_n(
+    arm: Arm, command_rad: Array, segment: int, direction: Array, at_m: float | None = None
+) -> float:
     """A force in N along `direction` (3,) on segment 1..N that takes some cable slack, safely.
 
-    It is 1.5 times the weakest such force. The nominal arm still has an equilibrium at 1.3 times
-    the force, and no sensor is near the end of its range. If no load up to the strongest takes a
-    cable slack, the result is that of `bearable_load_n`.
+    It acts as in `bearable_load_n`. It is 1.5 times the weakest such force. The nominal arm still
+    has an equilibrium at 1.3 times the force, and no sensor is near the end of its range. If no
+    load up to the strongest takes a cable slack, the result is that of `bearable_load_n`.
 
     Raises:
         EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.
     """
     loads_n, tensions, readable = _increasing_loads(
-        arm, command_rad, segment, direction, _REST_MARGIN
+        arm, command_rad, (segment, at_m), direction, _REST_MARGIN
     )
     slack = (tensions <= 0.0).any(axis=1)
     weakest_n = float(loads_n[np.argmax(slack)])
@@ -208,12 +258,12 @@ def slackening_load_n(arm: Arm, command_rad: Array, segment: int, direction: Arr
     most_n = min(_LOAD_STEPS * step_n, _BEYOND_SLACK * weakest_n, safe_n, readable_n)
     wanted_n = most_n // step_n * step_n
     if not slack.any() or wanted_n <= weakest_n:
-        return bearable_load_n(arm, command_rad, segment, direction)
+        return bearable_load_n(arm, command_rad, segment, direction, at_m)
     return wanted_n
 
 
 def _increasing_loads(
-    arm: Arm, command_rad: Array, segment: int, direction: Array, share: float
+    arm: Arm, command_rad: Array, where: tuple[int, float | None], direction: Array, share: float
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Loads from 0 to a share of the strongest, N; as far as the arm finds rest, the tensions.
 
@@ -222,7 +272,9 @@ def _increasing_loads(
     5 times 10^k N. The strongest is at most three times the moment of the pretension about the
     axis, by the reach.
     """
-    mechanism = mechanism_of(arm)
+    mechanism, (segment, at_m) = mechanism_of(arm), where
+    if at_m is not None:
+        mechanism = replace(mechanism, contact_m=np.full(mechanism.segment_count, at_m))
     radius_m = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)
     moment_nm = float((mechanism.pretension_n * radius_m).sum())
     most_n = min(STRONGEST_N, 3.0 * moment_nm / float(mechanism.segment_length_m.sum()))
@@ -261,49 +313,31 @@ def _move(start: Array, end: Array, where: str) -> Block:
     return _unloaded(BlockKind.MOVE, does, [start, end, end], knots_s)
 
 
-def _cycle(
-    arm: Arm, command: Array, segment: int, side: str, pose: str, slackening: bool = False
+def _load(
+    arm: Arm, kind: BlockKind, command: Array, where: tuple[int, float], side: str, pose: str
 ) -> Block:
-    """Up in levels, the strongest twice as long, and down by the same levels."""
-    strength_n = slackening_load_n if slackening else bearable_load_n
-    peak_n = strength_n(arm, command, segment, np.asarray(DIRECTIONS[side]))
-    levels = ", ".join(f"{share * peak_n:.3g}" for share in _LEVELS)
-    end = "; a cable may go slack." if slackening else "."
-    does = f"{pose.capitalize()}: load segment {segment} {side}, {levels} N, and back{end}"
-    kind = BlockKind.SLACKENING if slackening else BlockKind.LOAD_CYCLE
-    shares = (0.0, *_LEVELS, *_LEVELS[::-1], 0.0)
-    return _loaded(kind, does, command, segment, side, peak_n * np.array(shares), _LEVEL_S)
-
-
-def _steps(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
-    peak_n = bearable_load_n(arm, command, segment, np.asarray(DIRECTIONS[side]))
-    does = (
-        f"{pose.capitalize()}: put {peak_n:.3g} N {side} on segment {segment} at once, take it "
-        "off at once, three times."
-    )
-    levels_n = np.array([0.0, peak_n] * 3 + [0.0])
-    return _loaded(BlockKind.STEP_LOAD, does, command, segment, side, levels_n, 2.0 * _LEVEL_S)
-
-
-def _hold(arm: Arm, command: Array, segment: int, side: str, pose: str) -> Block:
-    peak_n = bearable_load_n(arm, command, segment, np.asarray(DIRECTIONS[side]))
-    does = (
-        f"{pose.capitalize()}: hold {peak_n:.3g} N {side} on segment {segment} for {_HOLD_S:g} s, "
-        f"take it off, and wait {_RELEASE_S:g} s."
-    )
-    levels_n, each_s = np.array([0.0, peak_n, 0.0]), (_LEVEL_S, _HOLD_S, _RELEASE_S)
-    return _loaded(BlockKind.HOLD, does, command, segment, side, levels_n, each_s)
-
-
-def _loaded(
-    kind: BlockKind, does: str, command: Array, segment: int, side: str,
-    levels_n: Array, each_s: float | Sequence[float],
-) -> Block:  # fmt: skip
     """A load that holds each level for a while, and steps to the next."""
-    edges_s = np.append(0.0, np.cumsum(np.broadcast_to(each_s, len(levels_n))))
+    strength_n = slackening_load_n if kind is BlockKind.SLACKENING else bearable_load_n
+    segment, at_m = where
+    peak_n = strength_n(arm, command, segment, np.asarray(DIRECTIONS[side]), at_m)
+    shares, each_s = _LEVELS[kind]
+    levels = ", ".join(f"{share * peak_n:.3g}" for share in _UP)
+    place = f"segment {segment}, {1e3 * at_m:.0f} mm from its joint"
+    cycle = f"load {place}, {side}, {levels} N, and back"
+    does = {
+        BlockKind.LOAD_CYCLE: f"{cycle}.",
+        BlockKind.SLACKENING: f"{cycle}; a cable may go slack.",
+        BlockKind.STEP_LOAD: f"put {peak_n:.3g} N {side} on {place}, at once, take it off at "
+        "once, three times.",
+        BlockKind.HOLD: f"hold {peak_n:.3g} N {side} on {place}, for {_HOLD_S:g} s, take it off, "
+        f"and wait {_RELEASE_S:g} s.",
+    }[kind]
+    edges_s = np.append(0.0, np.cumsum(np.broadcast_to(each_s, len(shares))))
     knots_s = np.repeat(edges_s, 2)[1:-1]
-    loads = np.outer(np.repeat(levels_n, 2), DIRECTIONS[side])
-    return Block(kind, does, knots_s, np.tile(command, (len(knots_s), 1)), segment, loads)
+    loads_n = np.outer(np.repeat(peak_n * np.array(shares), 2), DIRECTIONS[side])
+    commands = np.tile(command, (len(knots_s), 1))
+    does = f"{pose.capitalize()}: {does}"
+    return Block(kind, does, knots_s, commands, segment, loads_n, at_m)
 
 
 def _single_sweeps(arm: Arm, reach_rad: float) -> Iterator[Block]:

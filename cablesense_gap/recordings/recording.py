@@ -4,8 +4,8 @@ A new trial begins at each of these rows:
 
 - after a gap in time;
 - where the command starts to move after standing still;
-- where a load starts after a rest without load, on another segment than the last load, or from
-  another side.
+- where a load starts after a rest without load, on another segment than the last load, at another
+  place of it, or from another side.
 
 The arm unloaded again belongs to the trial of the load before: it shows what the load left behind.
 """
@@ -28,6 +28,8 @@ _GAP_S = 1.0
 _GAP_INTERVALS = 5.0
 _SAME_SIDE_COSINE = 0.866
 """Loads within 30 degrees of each other come from one side."""
+SAME_PLACE_M = 0.002
+"""Loads within 2 mm of each other act at one place."""
 
 MAX_NUMBERS = 100_000_000
 """Size limit of a recording: an hour at 1 kHz of an arm with twelve cables, 0.8 GB in memory."""
@@ -48,9 +50,11 @@ class Recording:
         time_s: (R,) since the recording began.
         trial: (R,) blocks that belong together; they are held out whole.
         command_rad: (R, 2N) commanded joint angles, pitch then yaw of each joint, base first.
-        load_segment: (R,) 1 to N where a known load acts at the nominal contact point, else 0.
+        load_segment: (R,) 1 to N where a known load acts, else 0.
         load_n: (R, 3) that load, base frame.
         tensions_n: (R, M) as the sensors at the actuator ends read them.
+        load_at_m: (R,) where on its segment's axis the load acts, from the joint centre; NaN for
+            the arm file's `contact_m`. None where no row states a place.
     """
 
     name: str
@@ -60,6 +64,7 @@ class Recording:
     load_segment: NDArray[np.int64]
     load_n: Array
     tensions_n: Array
+    load_at_m: Array | None = None
 
     def __len__(self) -> int:
         """Number of rows R."""
@@ -68,19 +73,39 @@ class Recording:
     @property
     def forces_n(self) -> Array:
         """(R, N, 3) the load as one base-frame force per segment."""
+        return self._loaded[..., None] * self.load_n[:, None, :]
+
+    @property
+    def inputs(self) -> tuple[Array, Array, Array, Array | None]:
+        """Times, commands, loads and their places, as `cablesense_sim.replay.Replay` takes them.
+
+        Places are (R, N), NaN for the arm file's `contact_m`; None where no row states one.
+        """
+        at_m = self.load_at_m
+        places_m = None if at_m is None else np.where(self._loaded, at_m[:, None], np.nan)
+        return self.time_s, self.command_rad, self.forces_n, places_m
+
+    @property
+    def _loaded(self) -> NDArray[np.bool_]:
+        """(R, N) which segment the load acts on."""
         segments = np.arange(1, self.command_rad.shape[1] // 2 + 1)
-        loaded = self.load_segment[:, None] == segments
-        return loaded[..., None] * self.load_n[:, None, :]
+        return np.asarray(self.load_segment[:, None] == segments)
 
     def rows(self, chosen: NDArray[Any] | slice) -> Recording:
         """The chosen rows: a mask (R,), indices or a slice."""
         columns = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
-        return replace(self, **{name: column[chosen] for name, column in columns.items()})
+        given = {name: column for name, column in columns.items() if column is not None}
+        return replace(self, **{name: column[chosen] for name, column in given.items()})
 
 
 def numbers_a_row(joint_count: int, cable_count: int) -> int:
     """How many numbers a row of a recording has."""
-    return 6 + joint_count + cable_count
+    return 7 + joint_count + cable_count
+
+
+def given_places(load_at_m: Array | None) -> Array | None:
+    """Places (R,) of loads; None where all are NaN."""
+    return None if load_at_m is None or np.isnan(load_at_m).all() else load_at_m
 
 
 def rows_named(wrong: NDArray[Any]) -> str:
@@ -97,9 +122,13 @@ def rows_named(wrong: NDArray[Any]) -> str:
 
 
 def derive_trials(
-    time_s: Array, command_rad: Array, load_segment: NDArray[np.int64], load_n: Array
+    time_s: Array,
+    command_rad: Array,
+    load_segment: NDArray[np.int64],
+    load_n: Array,
+    load_at_m: Array | None = None,
 ) -> NDArray[np.int64]:
-    """Trial (R,) of each row, from 0, for times (R,), commands (R, 2N) and loads (R,), (R, 3)."""
+    """Trial (R,) of each row, from 0, of rows as in a `Recording`."""
     if len(time_s) == 0:
         return np.zeros(0, dtype=np.int64)
     intervals = np.diff(time_s)
@@ -113,7 +142,11 @@ def derive_trials(
     size = np.linalg.norm(load_n, axis=1)
     other_side = (load_n * load_n[last]).sum(axis=1) < _SAME_SIDE_COSINE * size * size[last]
     rested = time_s - last_s > _REST_S + 1e-6
-    begins = gap | moves | (loaded & (rested | (load_segment != load_segment[last]) | other_side))
+    other_place = load_segment != load_segment[last]
+    if load_at_m is not None:
+        same = np.isclose(load_at_m, load_at_m[last], rtol=0.0, atol=SAME_PLACE_M, equal_nan=True)
+        other_place |= ~same
+    begins = gap | moves | (loaded & (rested | other_place | other_side))
     begins[0] = False
     return np.cumsum(begins, dtype=np.int64)
 

@@ -61,8 +61,8 @@ def rows_to_use(recording: Recording) -> Rows:
 def rows_along_path(recording: Recording) -> Rows:
     """(K,) ascending rows that take an arm with friction along nearly the same path.
 
-    Kept are the first and the last row of each trial, turns, rows where commands and load go on in
-    another direction or stop, every third row of those that move and every tenth at rest.
+    It keeps the ends of each trial, turns, and rows where commands and load change direction or
+    stop. Of the others it keeps every third row in motion and every tenth at rest.
     """
     columns = np.array(list(_scaled(recording)))
     steps = np.diff(columns)
@@ -101,8 +101,11 @@ def _turns(recording: Recording) -> Rows:
 
 
 def _scaled(recording: Recording) -> Iterator[Array]:
-    """Each commanded angle and component of the load (R,), in units of the least turn."""
-    for values in (recording.command_rad, recording.load_n):
+    """Each commanded angle, component and place of the load (R,), in units of the least turn."""
+    varied = [recording.command_rad, recording.load_n]
+    if recording.load_at_m is not None:
+        varied.append(np.nan_to_num(recording.load_at_m, nan=0.0)[:, None])
+    for values in varied:
         largest = float(np.ptp(values, axis=0).max(initial=0.0))
         if largest > 0.0:
             yield from np.asarray(values.T / (_LEAST_TURN * largest))

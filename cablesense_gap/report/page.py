@@ -1,25 +1,30 @@
-"""The folder that a diagnosis leaves: verdict, amended arm and report."""
+"""The folder that a diagnosis leaves: verdict, amended arm, and the report with its pictures.
+
+Pictures are half as wide as the page, so that a phone shows them large enough to read.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import cycle, pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
+from cablesense_base import Array
 from cablesense_base.files import write_atomically
 from cablesense_gap.amended_arm import AMENDED_ARM, write_arm
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recorded_contacts import RecordedErrors
-from cablesense_gap.report.charts import common_content
-from cablesense_gap.report.pictures import (
-    arm_picture,
-    drawn_errors,
-    dumbbell_picture,
-    overlay_picture,
-    time_picture,
-)
 from cablesense_gap.report.style import (
+    AFTER,
+    BEFORE,
+    FLOOR,
+    INK,
+    LOADED,
+    OTHER,
     ReportError,
     as_uri,
     newtons,
@@ -31,6 +36,7 @@ from cablesense_gap.report.text import (
     FRICTION_HIDES,
     SURE,
     candidate_name,
+    common_content,
     earlier_sentence,
     effect_places,
     error_rows,
@@ -38,7 +44,7 @@ from cablesense_gap.report.text import (
     numbers,
     place_text,
 )
-from cablesense_gap.residuals import ALL, CABLE, EVERYWHERE, LOOP, REGIMES, SET, TRIAL, decompose
+from cablesense_gap.residuals import ALL, EVERYWHERE, TRIAL, decompose
 from cablesense_gap.verdict import (
     NONE,
     UNKNOWN,
@@ -47,11 +53,20 @@ from cablesense_gap.verdict import (
     listed,
     write_verdict,
 )
+from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
 
 DIAGNOSIS_FILES = ("verdict.json", AMENDED_ARM, "report.html")
 
 _WORST = 8
 """Parts of the remaining gap that are shown at first."""
+_WIDTH_IN = 5.1
+_CAUSES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
+"""Colours of causes in the picture of the arm; from the sixth on they repeat."""
+_MOST_CABLES, _MOST_COLUMNS = 24, 3
+_MOST_POINTS = 3000
+"""More than a picture has columns of pixels; longer recordings are drawn as their envelope."""
+_ROW_IN = 0.95
 
 
 def write_diagnosis(
@@ -100,9 +115,6 @@ def report_page(
             "arm": arm_picture(found.nominal, _marked(verdict)),
             "overlay": overlay_picture(found),
             "time": time_picture(found),
-            "cable": dumbbell_picture(before, after, found.after_label, (CABLE,)),
-            "set": dumbbell_picture(before, after, found.after_label, (SET,)),
-            "regime": dumbbell_picture(before, after, found.after_label, (*REGIMES, LOOP)),
             "estimator": as_uri(drawn_errors(models), "png") if models else "",
         }
     content = {
@@ -139,3 +151,178 @@ def _marked(verdict: Verdict) -> dict[str, tuple[str, ...]]:
         for name in verdict.effects
         if name != NONE
     }
+
+
+def time_picture(found: Diagnosis) -> str:
+    """Residuals as small multiples with one scale; of very many cables, the largest."""
+    import matplotlib.pyplot as plt
+
+    columns = min(found.nominal.cables.per_segment, _MOST_COLUMNS)
+    size = np.nanmean(found.before_n**2, axis=0)
+    cables = sorted(np.argsort(size)[-_MOST_CABLES:].tolist())
+    rows = -(-len(cables) // columns)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(_WIDTH_IN, _ROW_IN * rows + 0.9),
+        sharex=True, sharey=True, squeeze=False, layout="constrained",
+    )  # fmt: skip
+    # nearly all, so that one stray row hides nothing
+    both = np.abs(np.concatenate([found.before_n, found.after_n]))
+    known = both[np.isfinite(both)]
+    largest = float(np.quantile(known, 0.999)) if known.size else 1.0
+    reach_n = 1.08 * max(largest, 4.0 * found.verdict.gap.floor_n, 1e-3)
+    for panel, cable in zip(axes.flat, cables, strict=False):
+        _residual_panel(panel, found, cable)
+        panel.set_ylim(-reach_n, reach_n)
+        panel.locator_params(nbins=4)
+    for panel in axes.flat[len(cables) :]:
+        panel.set_visible(False)
+    figure.supylabel("residual, N", fontsize=9)
+    figure.supxlabel("time, s", fontsize=9)
+    _legend(figure, axes[0, 0])
+    return as_uri(figure, "png")
+
+
+def overlay_picture(found: Diagnosis) -> str:
+    """Tension measured and predicted of the cable with the largest gap, and its worst trial."""
+    import matplotlib.pyplot as plt
+
+    recording = found.recording
+    squares = np.nan_to_num(found.before_n**2)
+    cable = int(squares.sum(axis=0).argmax())
+    of_trial = np.bincount(recording.trial, squares[:, cable]) / np.maximum(
+        np.bincount(recording.trial), 1
+    )
+    trial = int(of_trial.argmax())
+    name = found.nominal.cable_names[cable].replace("_", " ")
+    figure, axes = plt.subplots(2, 1, figsize=(_WIDTH_IN, 4.4), layout="constrained")
+    for panel, rows, title in (
+        (axes[0], np.ones(len(recording), dtype=bool), f"{name}: the recording"),
+        (axes[1], recording.trial == trial, f"{name}: trial {trial}, where its gap is largest"),
+    ):
+        time_s, measured_n = recording.time_s[rows], recording.tensions_n[rows, cable]
+        lines = [(measured_n, INK, 2.4, "measured")]
+        lines.append((measured_n - found.before_n[rows, cable], BEFORE, 1.3, "nominal arm"))
+        if found.after_label:
+            lines.append((measured_n - found.after_n[rows, cable], AFTER, 1.0, found.after_label))
+        for values_n, colour, width, label in lines:
+            panel.plot(*_drawn(time_s, values_n), color=colour, lw=width, label=label)
+        panel.set_title(title, pad=3)
+        panel.set(xlabel="time, s", ylabel="tension, N", xlim=(time_s[0], time_s[-1]))
+        panel.grid(axis="y")
+    _legend(figure, axes[0])
+    return as_uri(figure, "png")
+
+
+def arm_picture(arm: Arm, marked: Mapping[str, Sequence[str]]) -> str:
+    """The straight arm from its right side and a guide plate, with places marked by cause.
+
+    `marked` has the places, as `cable_3`, of each cause; empty text if they are none.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib.patches import Rectangle
+
+    colours = dict(zip(marked, cycle(_CAUSES)))
+    of_place = {place: colours[cause] for cause, places in marked.items() for place in places}
+    if not of_place:
+        return ""
+    m = mechanism_of(arm)
+    figure, (side, plate) = plt.subplots(
+        1, 2, figsize=(_WIDTH_IN, 2.3), width_ratios=(2.6, 1.0), layout="constrained"
+    )
+    reach = 1.25 * float(np.hypot(m.hole_y_m, m.hole_z_m).max())
+    joint_m = m.plate_offset_m + np.concatenate([[0.0], np.cumsum(m.segment_length_m)])
+    for n, (begin, end) in enumerate(pairwise(joint_m), 1):
+        fill = of_place.get(f"segment_{n}", LOADED)
+        x, long = begin + m.plate_offset_m, end - begin - 2.0 * m.plate_offset_m
+        side.add_patch(Rectangle((x, -reach), long, 2.0 * reach, fc=fill, ec=OTHER, alpha=0.6))
+        side.text(x + 0.5 * long, -1.08 * reach, n, ha="center", va="top", size=8)
+        ring = of_place.get(f"joint_{n}")
+        side.plot(begin, 0.0, "o", ms=9 if ring else 4, color=ring or OTHER, zorder=4)
+        if ring:
+            side.text(begin, 1.08 * reach, f"joint {n}", ha="center", va="bottom", size=8)
+    side.vlines(0.0, -reach, reach, color=OTHER, lw=3)
+    for i, (n, y, z) in enumerate(zip(m.cable_segment, m.hole_y_m, m.hole_z_m, strict=True), 1):
+        colour = of_place.get(f"cable_{i}")
+        drawn: Any = {"color": colour or OTHER, "zorder": 3 if colour else 2}
+        end = joint_m[n - 1] + m.plate_offset_m
+        side.plot([-m.run_m, end], [z, z], lw=2.0 if colour else 0.6, **drawn)
+        plate.plot(y, z, "o", ms=8 if colour else 4, **drawn)
+        plate.text(1.24 * y, 1.24 * z, i, ha="center", va="center", size=8,
+                   weight="bold" if colour else "normal")  # fmt: skip
+    side.text(-m.run_m, -1.08 * reach, "actuators     segment", va="top", size=8)
+    plate.set_title("cables, from the tip", loc="center", size=8)
+    plate.set(xlim=(1.2 * reach, -1.2 * reach), ylim=(-1.2 * reach, 1.2 * reach))
+    plate.set_aspect("equal")
+    side.set_ylim(-1.5 * reach, 1.5 * reach)
+    for axes in (side, plate):
+        axes.axis("off")
+    for cause, places in marked.items():
+        if places:
+            side.plot([], [], "s", color=colours[cause], label=cause)
+    figure.legend(loc="outside upper center", ncols=3, fontsize=9)
+    return as_uri(figure)
+
+
+def _legend(figure: Any, axes: Any) -> None:
+    handles = axes.get_legend_handles_labels()
+    figure.legend(*handles, loc="outside upper right", ncols=4, fontsize=8, columnspacing=1.0)
+
+
+def _residual_panel(panel: Any, found: Diagnosis, cable: int) -> None:
+    from matplotlib.transforms import blended_transform_factory
+
+    recording, floor_n = found.recording, found.verdict.gap.floor_n
+    panel.fill_between(
+        recording.time_s, 0.0, 1.0, where=recording.load_segment > 0, step="mid",
+        color=LOADED, lw=0, label="a load acts",
+        transform=blended_transform_factory(panel.transData, panel.transAxes),
+    )  # fmt: skip
+    panel.axhspan(-2.0 * floor_n, 2.0 * floor_n, color=FLOOR, alpha=0.28, lw=0, label="±2 floors")
+    drawn = [(found.before_n, BEFORE, 1.4, "nominal arm")]
+    if found.after_label:
+        drawn.append((found.after_n, AFTER, 0.9, found.after_label))
+    for residual_n, colour, width, label in drawn:
+        panel.plot(
+            *_drawn(recording.time_s, residual_n[:, cable]), color=colour, lw=width, label=label
+        )
+    panel.set_title(found.nominal.cable_names[cable].replace("_", " "), pad=2)
+    panel.set_xlim(recording.time_s[0], recording.time_s[-1])
+    panel.grid(axis="y")
+
+
+def _drawn(time_s: Array, values_n: Array) -> tuple[Array, Array]:
+    if len(time_s) <= _MOST_POINTS:
+        return time_s, values_n
+    edges = np.linspace(0, len(time_s), _MOST_POINTS // 2 + 1).astype(int)[:-1]
+    low, high = np.fmin.reduceat(values_n, edges), np.fmax.reduceat(values_n, edges)
+    return np.repeat(time_s[edges], 2), np.stack([low, high], axis=-1).ravel()
+
+
+def drawn_errors(errors: Mapping[str, RecordedErrors]) -> Any:
+    """Estimated against true force of each model, side by side: a colour for each segment."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(
+        1, len(errors), figsize=(4.4 * len(errors), 4.2), squeeze=False, layout="constrained"
+    )
+    most = 1.05 * max(
+        max(each.truth.force_n.max(), each.answer.force_n.max()) for each in errors.values()
+    )
+    for place, (name, each) in zip(axes[0], errors.items(), strict=True):
+        place.plot([0.0, most], [0.0, most], color="0.7", lw=1)
+        right = each.answer.segment == each.truth.segment
+        for segment in np.unique(each.truth.segment):
+            rows = each.truth.segment == segment
+            colour = f"C{segment}" if segment else "0.4"
+            label = f"segment {segment}" if segment else "no load"
+            forces = each.truth.force_n, each.answer.force_n
+            place.plot(*(f[rows & right] for f in forces), ".", ms=4, c=colour, label=label)
+            place.plot(*(f[rows & ~right] for f in forces), "x", ms=5, c=colour)
+        accuracy, off_n = each.whole.contact_accuracy, each.whole.errors.magnitude_mae_n
+        place.set(
+            title=f"{name}\nright segment {accuracy:.1%}, force off by {off_n:.2f} N",
+            xlabel="true force, N (crosses: another segment, or none)",
+            ylabel="estimated force, N",
+        )
+        place.legend()
+    return figure

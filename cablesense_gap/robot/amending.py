@@ -1,36 +1,65 @@
-"""The amended model: an MJCF with what MJCF can say, and a JSON beside it with all else."""
+"""Effects applied to a robot, and the amended model that results.
+
+The amended model is an MJCF, with a JSON file for the effects that MJCF cannot express.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from functools import cache
+from itertools import groupby
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from cablesense_base.files import read_bounded_text, write_atomically
-from cablesense_gap.robot.catalogue import changed, in_model, known_effects
-from cablesense_gap.robot.effects.effect import PRESLIDING, SIDE
-from cablesense_gap.robot.model import Robot, RobotError, load_robot, read_spec
+from cablesense_gap.robot import effects
+from cablesense_gap.robot.effects.effect import PRESLIDING, SIDE, RobotEffect
+from cablesense_gap.robot.model import Change, Robot, RobotError, load_robot, read_spec
 from cablesense_gap.simulator import Assignment, Term
+from cablesense_sim.effects.registry import effects_in
 
 AMENDED_MODEL, BESIDE_MODEL = "amended_model.xml", "amended_model.json"
 """In the folder of a diagnosis."""
 _MAX_BYTES = 10_000_000
 
 
+@cache
+def known_effects() -> Mapping[str, RobotEffect]:
+    """Effects by name, tolerances included: those of the folder `effects`."""
+    found = effects_in(effects, RobotEffect)  # type: ignore[type-abstract]
+    return MappingProxyType(dict(sorted(found.items())))
+
+
+def changed(robot: Robot, lists: Sequence[Assignment]) -> Change:
+    """The robot with effects, one list after the other, each in the order of its names.
+
+    Numbers that a list does not give are zero.
+    """
+    change = robot.nominal()
+    for values in lists:
+        for (name, place), terms in groupby(sorted(values), key=lambda term: term[:2]):
+            effect = known_effects()[name]
+            numbers = defaultdict(float, {t.parameter: values[t] for t in terms})
+            effect.act(change, effect.places(robot).index(place), numbers)
+    return change
+
+
 def write_amended(folder: Path, robot: Robot, values: Assignment, beside: Assignment) -> None:
     """Write both files: the model with `values`, and what no MJCF can say of them.
 
-    `beside` are effects that the nominal model's own JSON has listed already.
+    `beside` are effects that the nominal model's JSON file lists already.
 
     Raises:
         RobotError: the place cannot be written to.
     """
-    write_atomically(folder / AMENDED_MODEL, amended_xml(robot, in_model(values)), RobotError)
+    write_atomically(folder / AMENDED_MODEL, amended_xml(robot, _in_model(values)), RobotError)
     left = dict(beside)
     for term, value in values.items():
-        if term not in in_model(values):  # what is found again comes on top
+        if term not in _in_model(values):  # what is found again comes on top
             known = 0.0 if term.parameter in (PRESLIDING, SIDE) else left.get(term, 0.0)
             left[term] = known + value
     listed: dict[tuple[str, str], dict[str, float]] = {}
@@ -74,7 +103,7 @@ def amended_xml(robot: Robot, values: Assignment) -> str:
 
 
 def load_amended(path: str | Path) -> tuple[Robot, dict[Term, float]]:
-    """A model with the effects of the JSON beside it; of a folder the amended model in it.
+    """A model and the effects in its JSON file; in a folder, the amended model.
 
     Raises:
         RobotError: as `load_robot`; a JSON that is none, or lists what cannot be.
@@ -114,3 +143,12 @@ def _checked(path: Path, robot: Robot, values: Mapping[Term, float]) -> dict[Ter
         if not np.isfinite(value):
             raise RobotError(f"{path}: {term} must be a finite number")
     return dict(values)
+
+
+def _in_model(values: Mapping[Term, float]) -> dict[Term, float]:
+    """Those of the values that an MJCF can say."""
+    return {
+        term: value
+        for term, value in values.items()
+        if known_effects()[term.effect].in_model and term.parameter != PRESLIDING
+    }

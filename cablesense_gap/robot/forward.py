@@ -1,8 +1,8 @@
-"""From measured states forward in time, over short windows: what the sensors read at their ends.
+"""Motion predicted forward in time from measured states, over short windows.
 
-MuJoCo's own step goes from a smoothed state on, with the recorded commands, or with the recorded
-torques, and with friction, limits, contacts and equalities as the model has them. What a window
-adds to coasting on is compared, of positions and of speeds.
+MuJoCo steps from a smoothed state, with the recorded commands or torques, and with friction,
+limits, contacts and equalities of the model. It compares the changes of position and speed
+in a window, minus those of motion at constant speed.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot import smoothing
+from cablesense_gap.robot.inverse import BacklashMotion
 from cablesense_gap.robot.model import Change, Robot, actuated, inverse_dynamics
-from cablesense_gap.robot.motion import LEAST_FLOOR, Motion, inner_rows
-from cablesense_gap.robot.play import BacklashMotion
+from cablesense_gap.robot.motion import LEAST_FLOOR, Motion, MotionComparison, inner_rows
 from cablesense_gap.robot.tendons import GuidedTendons
 
 _OF_MOTION, _OF_COMPARISON = 1.0, 0.5
 """Periods of these bandwidths, that a window takes at least and at most: shorter ones show what
 smoothing took of the motion, in longer ones what comes and goes averages out."""
 _MOST_STEPS = 8_000
-"""Of all windows together; those of a longer recording lie apart."""
+"""In all windows together; a longer recording has gaps between its windows."""
 _FEWEST = 15
 _OF_READING = ("zero", "encoder_scale", "coupling")
 _STATE, _CONTROL = mujoco.mjtState.mjSTATE_FULLPHYSICS, (
@@ -34,7 +34,7 @@ _STATE, _CONTROL = mujoco.mjtState.mjSTATE_FULLPHYSICS, (
 )  # fmt: skip
 
 
-class ForwardComparison:
+class ForwardComparison(MotionComparison):
     """Positions and speeds of all joints at the ends of windows, see `MotionComparison`."""
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
@@ -52,13 +52,14 @@ class ForwardComparison:
         inside = (np.arange(span * self._substeps) + 0.5) / self._substeps
         self._at = begins[:, None] + inside
         self._path = tuple(_at(each, self._at) for each in (position, speed, acceleration))
-        self._gaps, self._motion = BacklashMotion(robot, motion), motion
-        self._tendons: GuidedTendons | None = None
-        torques = [self._smoothed(np.nan_to_num(each.torque)) for each in motion.driven]
-        self._torque = np.concatenate(torques)
-        commands = [each.command for each in motion.driven if each.command is not None]
-        self._command = np.concatenate([*map(self._smoothed, commands)]) if commands else None
-        self.time_s = np.concatenate([each.time_s for each in motion.driven])[begins + span]
+        self._gaps, self._tendons = BacklashMotion(robot, motion), GuidedTendons(robot, motion)
+        self._motion = motion
+        torques = [self._smoothed(np.nan_to_num(each.torque)) for each in motion.trials]
+        self._torque, self._command = np.concatenate(torques), None
+        if motion.by_command:
+            commands = [self._smoothed(each.command) for each in motion.trials]
+            self._command = np.concatenate(commands)
+        self.time_s = np.concatenate([each.time_s for each in motion.trials])[begins + span]
         kinds = ("position", "velocity")
         self.names = self.columns = tuple(f"{k}.{j}" for k in kinds for j in robot.joints)
         self.units = (*robot.position_units, *(f"{unit}/s" for unit in robot.position_units))
@@ -111,7 +112,7 @@ class ForwardComparison:
         return self._beyond_coasting(position * true + change.zero, speed * true)
 
     def _of_play(self, change: Change) -> Array:
-        """(Q, S, J) torques that links need beside those of the measured motion, by backlash."""
+        """(Q, S, J) torques that links need in addition, because backlash changes their motion."""
         behind = [_at(each, self._at) for each in self._gaps.moved(change.play)]
         model = self._robot.varied(change)
         model.dof_armature[:], model.dof_damping[:] = 0.0, 0.0
@@ -126,10 +127,9 @@ class ForwardComparison:
 
     def _lost(self, change: Change) -> Array:
         """(Q, S, J) what guides take of the tendons' torques, along the measured motion."""
-        motion = self._motion
-        self._tendons = self._tendons or GuidedTendons(self._robot, motion)
-        lost = self._tendons.lost(change, np.nan_to_num(motion.torque), at_drive=True)
-        return np.stack([np.interp(self._at, motion.rows, own) for own in lost.T], axis=-1)
+        lost = self._tendons.lost(change, np.nan_to_num(self._motion.torque), at_drive=True)
+        rows = self._motion.rows
+        return np.stack([np.interp(self._at, rows, own) for own in lost.T], axis=-1)
 
     def _actuated(self, moved: tuple[Array, Array], command: Array) -> Array:
         """(Q, S, J) what actuators give at other positions than those that were read."""
@@ -171,7 +171,7 @@ class ForwardComparison:
         return position, speed
 
     def _beyond_coasting(self, position: Array, speed: Array) -> Array:
-        """(Q, C) what a window adds to going on at the speed of its beginning."""
+        """(Q, C) changes in a window, minus those at the constant speed of its beginning."""
         begun, at_speed = self._state
         return np.hstack([position - begun - self.span_s * at_speed, speed - at_speed])
 
@@ -218,10 +218,10 @@ def _span(motion: Motion) -> int:
 
 
 def _noise_and_least(motion: Motion, span_s: float) -> tuple[Array, Array]:
-    """(C,) what noise of positions and of torques, where measured, leaves; the least floor."""
+    """(C,) noise of the channels by positions and by measured torques; the least floor."""
     drift = smoothing.noise_of_drift(motion.noise.position, span_s, motion.smoothed_hz)
     noise = [*drift]
-    if motion.driven[0].command is None:
+    if not motion.by_command:
         by_torque = np.sqrt(0.5 * motion.noise.torque * span_s) / motion.inertia
         through = by_torque * span_s / np.sqrt(3.0), by_torque
         noise = [np.hypot(*each) for each in zip(drift, through, strict=True)]

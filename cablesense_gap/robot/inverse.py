@@ -6,22 +6,23 @@ Nothing is integrated, so nothing drifts.
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property, partial
 
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from cablesense_base import Array
+from cablesense_gap.robot import smoothing
 from cablesense_gap.robot.model import Change, Robot, inverse_dynamics
-from cablesense_gap.robot.motion import Motion, Trajectory
-from cablesense_gap.robot.play import BacklashMotion
+from cablesense_gap.robot.motion import Motion, MotionComparison, Recent, Trajectory
 from cablesense_gap.robot.tendons import GuidedTendons
 
-_CACHED = 48
 _OF_BODIES = ("mass_kg", "centre_m", "inertia_kg_m2")
 _OF_MOTION = ("gravity_m_s2", "zero", "encoder_scale", "coupling", "play")
-_LEAST_KG = 1e-9
+_LEAST_KG = _LEAST_KG_M2 = 1e-9
 _PLACES = np.array([*np.zeros((1, 3)), *np.eye(3), *-np.eye(3), *(1.0 - np.eye(3))])
 """Of point masses, m; their inertial parameters are independent."""
 
@@ -30,21 +31,24 @@ class InverseDynamics:
     """Torques that variants of a robot need for one motion."""
 
     def __init__(self, robot: Robot, motion: Trajectory) -> None:
-        """`motion` is what was measured, or is asked for."""
+        """`motion` is a measured or a planned one."""
         self._robot, self._motion = robot, motion
         self._nominal = robot.nominal()
         self._gaps = BacklashMotion(robot, motion) if isinstance(motion, Motion) else None
-        self._tendons: GuidedTendons | None = None
-        self._cached: dict[tuple[bytes, ...], Array] = {}
-        self._slides: dict[tuple[int, float], Array] = {}
-        self._own: Array | None = None
-        self._columns: dict[int, Array] = {}
+        self._tendons = GuidedTendons(robot, motion)
+        self._cached, self._slides, self._columns = Recent(), Recent(), Recent()
 
     def torques(self, change: Change) -> Array:
         """(R, J) as the drives' torques would be read."""
-        motion, nominal = self._motion, self._nominal
-        drive = self._drive(change)
-        behind = self._behind(change)
+        motion, nominal, true = self._motion, self._nominal, 1.0 + change.encoder_scale
+        drive = (
+            (motion.position - change.zero) / true,
+            motion.speed / true,
+            motion.acceleration / true,
+        )
+        behind: Array | Sequence[float] = (0.0, 0.0, 0.0)
+        if self._gaps is not None and change.play.any():
+            behind = self._gaps.moved(change.play, rows_alone=True)
         position, speed, acceleration = (
             each + each @ change.coupling.T + gap for each, gap in zip(drive, behind, strict=True)
         )
@@ -65,7 +69,6 @@ class InverseDynamics:
         loss = by_load * np.sign(transmitted)
         at_drive = transmitted * np.exp(loss) * np.cosh(loss) ** change.load_side
         if change.capstan_friction.any():
-            self._tendons = self._tendons or GuidedTendons(self._robot, motion)
             lost = self._tendons.lost(change, at_drive)
             at_drive = at_drive + lost + lost @ self._robot.geared
         at_drive = at_drive + dry
@@ -78,25 +81,8 @@ class InverseDynamics:
         found = np.zeros_like(self._motion.position)
         for j in np.flatnonzero(friction).tolist():
             key = j, float(presliding[j])
-            if key not in self._slides:
-                if len(self._slides) >= _CACHED:
-                    self._slides.pop(next(iter(self._slides)))
-                self._slides[key] = self._motion.slid(*key)
-            found[:, j] = friction[j] * self._slides[key]
+            found[:, j] = friction[j] * self._slides.of(key, partial(self._motion.slid, *key))
         return found
-
-    def _behind(self, change: Change) -> tuple[Array | float, ...]:
-        """Motion of joints relative to drives, as `_drive`; zero where none was measured."""
-        motion = self._motion
-        if self._gaps is None or not (isinstance(motion, Motion) and change.play.any()):
-            return 0.0, 0.0, 0.0
-        return tuple(each[motion.rows] for each in self._gaps.moved(change.play))
-
-    def _drive(self, change: Change) -> tuple[Array, Array, Array]:
-        """Position, speed and acceleration of the drives, of what encoders read."""
-        motion, true = self._motion, 1.0 + change.encoder_scale
-        position = (motion.position - change.zero) / true
-        return position, motion.speed / true, motion.acceleration / true
 
     def _rigid(self, change: Change, moved: tuple[Array, Array, Array]) -> Array:
         """Torques of the bodies, with the nominal model's springs, dampers and rotors."""
@@ -104,11 +90,7 @@ class InverseDynamics:
         if elsewhere == self._nominal.key(*_OF_MOTION):
             return self._by_inertia(change)
         key = (*elsewhere, *change.key(*_OF_BODIES))
-        if key not in self._cached:
-            if len(self._cached) >= _CACHED:
-                self._cached.pop(next(iter(self._cached)))
-            self._cached[key] = self._whole(change, moved)
-        return self._cached[key]
+        return self._cached.of(key, partial(self._whole, change, moved))
 
     def _whole(self, change: Change, moved: tuple[Array, Array, Array]) -> Array:
         nominal = self._nominal
@@ -120,18 +102,17 @@ class InverseDynamics:
         )
         return inverse_dynamics(self._robot.varied(held), *moved)
 
+    @cached_property
+    def _unchanged(self) -> Array:
+        motion = self._motion
+        return self._whole(self._nominal, (motion.position, motion.speed, motion.acceleration))
+
     def _by_inertia(self, change: Change) -> Array:
         """Linear in masses, first moments and inertias: exact, and quick."""
-        if self._own is None:
-            motion = self._motion
-            moved = motion.position, motion.speed, motion.acceleration
-            self._own = self._whole(self._nominal, moved)
-        torque, nominal = self._own, self._nominal
-        more = change.inertial_parameters() - nominal.inertial_parameters()
+        torque = self._unchanged
+        more = change.inertial_parameters() - self._nominal.inertial_parameters()
         for b in np.flatnonzero(more.any(axis=1)).tolist():
-            if b not in self._columns:
-                self._columns[b] = self._regressor(b)
-            torque = torque + self._columns[b] @ more[b]
+            torque = torque + self._columns.of((b,), partial(self._regressor, b)) @ more[b]
         return torque
 
     def _regressor(self, b: int) -> Array:
@@ -166,16 +147,12 @@ class InverseDynamics:
             found[rows] = CubicSpline(time_s, torque[rows])(at)
         return found
 
-    def __getstate__(self) -> dict[str, object]:
-        """Without what is worked out again."""
-        return {**self.__dict__, "_cached": {}, "_slides": {}, "_tendons": None}
 
-
-class InverseComparison:
+class InverseComparison(MotionComparison):
     """Torques of those joints that have one, see `MotionComparison`.
 
-    Where a joint is at rest, readings and predictions are zero alike; units are such that noise
-    alone has a root mean square of one over all rows.
+    Readings and predictions of a joint at rest are zero. Units are such that noise alone has a
+    root mean square of one over all rows.
     """
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
@@ -202,3 +179,61 @@ class InverseComparison:
 
     def _compared(self, torque: Array) -> Array:
         return self._motion.compared(torque)[:, self._joints]
+
+
+class BacklashMotion:
+    """Motion of joints relative to their drives, within the gaps that backlash leaves.
+
+    It follows from motion measured at the drives, and the model. A joint lies at that end of its
+    gap at which the drive gives the torque that the link needs. The link moves freely to the other
+    end when that torque changes its sign.
+    """
+
+    def __init__(self, robot: Robot, motion: Motion) -> None:
+        """`motion` is what was measured."""
+        self._robot, self._motion = robot, motion
+        self._known = Recent()
+
+    @cached_property
+    def _free_acceleration(self) -> tuple[Array, ...]:
+        """By trial, accelerations (T, J) of freely moving joints relative to their drives."""
+        model = copy.copy(self._robot.model)
+        inertia = np.maximum(self._motion.inertia - model.dof_armature, _LEAST_KG_M2)
+        model.dof_armature[:], model.dof_damping[:] = 0.0, 0.0
+        rate_hz = self._motion.rate_hz
+        return tuple(
+            -inverse_dynamics(model, path, *smoothing.derivatives(path, rate_hz)) / inertia
+            for path in self._motion.paths
+        )
+
+    def moved(self, play: Array, *, rows_alone: bool = False) -> Array:
+        """Positions, speeds and accelerations (3, ΣT, J) of joints from drives, smoothed alike.
+
+        With `rows_alone` those of the motion's R rows.
+        """
+        found = np.zeros((3, sum(map(len, self._motion.paths)), len(play)))
+        for j in np.flatnonzero(play).tolist():
+            key = j, float(play[j])
+            found[:, :, j] = self._known.of(key, partial(self._of_joint, *key))
+        return found[:, self._motion.rows] if rows_alone else found
+
+    def _of_joint(self, joint: int, play: float) -> Array:
+        motion, found = self._motion, []
+        for free in self._free_acceleration:
+            gap = _place_in_gap(free[:, joint], 0.5 * play, 1.0 / motion.rate_hz)[:, None]
+            smooth = smoothing.smoothed(gap, motion.rate_hz, motion.smoothed_hz)
+            moved = smooth, *smoothing.derivatives(smooth, motion.rate_hz)
+            found.append(np.hstack(moved).T)
+        return np.concatenate(found, 1)
+
+
+def _place_in_gap(acceleration: Array, reach: float, interval_s: float) -> Array:
+    """(T,) positions within ±`reach` of a joint that moves freely with an acceleration (T,)."""
+    place, speed, found = float(np.sign(acceleration[0])) * reach, 0.0, []
+    for each in acceleration.tolist():
+        speed += each * interval_s
+        place += speed * interval_s
+        if abs(place) >= reach:
+            place, speed = (reach if place > 0.0 else -reach), 0.0
+        found.append(place)
+    return np.array(found)

@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -25,11 +26,16 @@ _UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 _MAX_BYTES = 50_000_000
 _URDF = re.compile(r"<robot[\s>]")
 _SHAPES = re.compile(r"<(visual|collision)\b(?:[^>]*/>|.*?</\1>)", re.DOTALL)
+_ZERO_BY_JOINT = (
+    "play", "load_friction", "presliding", "load_presliding", "load_side", "zero",
+    "encoder_scale", "torque_scale", "torque_offset",
+)  # fmt: skip
+"""Arrays of `Change` that are zero for the robot as the model has it."""
 _FOR_PLACES = re.compile(r"[^A-Za-z0-9_\-/]")
 
 
 class RobotError(CableSenseError):
-    """A model that cannot be used: which file, what is wrong, what would be right."""
+    """A model that cannot be used: names the file, the fault and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +55,7 @@ class Robot:
         tendon_ids: (K,) their numbers in the model.
         geared: (J, J) by how much joint i moves with joint d, where an equality of the model ties
             it to that: a transmission, or a finger that mimics another.
-        left_out: what of the model no comparison honours, as sentences.
+        left_out: parts of the model that every comparison ignores, as sentences.
     """
 
     name: str
@@ -67,12 +73,12 @@ class Robot:
 
     @property
     def position_units(self) -> tuple[str, ...]:
-        """Of each joint's position, rad or m."""
+        """Unit of each joint's position, rad or m."""
         return tuple("rad" if unit == "N·m" else "m" for unit in self.torque_units)
 
     @property
     def reach_m(self) -> float:
-        """Of its longest link, roughly: no body's mass lies farther from its frame."""
+        """Rough length of its longest link: no body's mass lies farther from its frame."""
         longest = np.abs(self.model.body_pos[1:]).max(initial=0.0)
         return max(float(longest), float(np.abs(self.model.body_ipos).max()), _LEAST_REACH_M)
 
@@ -80,28 +86,21 @@ class Robot:
         """The robot as the model has it, for effects to change."""
         model, own, count = self.model, self.body_ids, len(self.joints)
         axes = np.array([_rotation(model.body_iquat[b]) for b in own])
+        zeros: dict[str, Any] = {name: np.zeros(count) for name in _ZERO_BY_JOINT}
         return Change(
             mass_kg=model.body_mass[own].copy(),
             centre_m=model.body_ipos[own].copy(),
             inertia_kg_m2=np.einsum("bij,bj,bkj->bik", axes, model.body_inertia[own], axes),
             gravity_m_s2=model.opt.gravity.copy(),
             armature=model.dof_armature.copy(),
-            play=np.zeros(count),
             damping=model.dof_damping.copy(),
             stiffness=model.jnt_stiffness.copy(),
             friction=model.dof_frictionloss.copy(),
-            load_friction=np.zeros(count),
-            presliding=np.zeros(count),
-            load_presliding=np.zeros(count),
-            load_side=np.zeros(count),
             capstan_friction=np.zeros(len(self.tendons)),
             capstan_presliding=np.zeros(len(self.tendons)),
-            zero=np.zeros(count),
-            encoder_scale=np.zeros(count),
             coupling=np.zeros((count, count)),
-            torque_scale=np.zeros(count),
-            torque_offset=np.zeros(count),
             reach_m=2.0 * self.reach_m,
+            **zeros,
         )
 
     def varied(self, change: Change) -> mujoco.MjModel:

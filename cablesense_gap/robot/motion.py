@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +14,27 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_gap.robot import smoothing
 from cablesense_gap.robot.effects.effect import Scale
+from cablesense_gap.robot.model import Change
 
 LEAST_FLOOR = 0.005
 """Of a joint's torque: no model of a machine is better."""
+_MOST_RECENT = 48
+
+
+class Recent(dict[tuple[Any, ...], Array]):
+    """Results of the last calls by their arguments; none is pickled."""
+
+    def of(self, key: tuple[Any, ...], made: Callable[[], Array]) -> Array:
+        """The result for a key, made where it is not known."""
+        if key not in self:
+            if len(self) >= _MOST_RECENT:
+                self.pop(next(iter(self)))
+            self[key] = made()
+        return self[key]
+
+    def __reduce__(self) -> tuple[type[Recent], tuple[()]]:
+        """An empty one."""
+        return Recent, ()
 
 
 @dataclass(frozen=True)
@@ -58,17 +79,18 @@ class Trajectory:
 
 
 @dataclass(frozen=True)
-class Driven:
-    """What drives one trial, (T, …) rows at one rate; without commands where torques are read."""
+class Trial:
+    """One trial at the recording's rate: T rows, each (T, …)."""
 
+    number: int
     time_s: Array
+    position: Array
     torque: Array
-    command: Array | None
+    command: Array
 
 
-@dataclass(frozen=True)
-class Noise:
-    """Densities (J,), by hertz."""
+class Noise(NamedTuple):
+    """Power densities (J,), by hertz."""
 
     position: Array
     torque: Array
@@ -81,10 +103,11 @@ class Motion(Trajectory):
     Attributes:
         torque: (R, J) of the drives; NaN for joints without.
         counts: (R, J) where the torque is compared: the joint moves, and its torque was measured.
-        floor: (J,) what noise of torques and positions leaves of any model in what is compared.
+        floor: (J,) noise of the compared torques, from torques and positions.
         scale: how large torques and motion are.
-        paths: by trial, the smoothed position (T, J) at the recording's rate.
-        rate_hz: of that.
+        trials: at the recording's rate, with smoothed positions; torques are the drives'.
+        by_command: whether these are what the model's actuators make of the commands.
+        rate_hz: of the recording.
         step: of its rows from one of the R to the next.
         smoothed_hz: bandwidth of the motion.
         compared_hz: bandwidth of the comparison.
@@ -92,8 +115,6 @@ class Motion(Trajectory):
         compared_trial, compared_time_s: (Q,) of those.
         forward: whether the comparison is to go forward in time.
         zeroed: whether encoders were set to zero where each trial begins.
-        driven: by trial, at the recording's rate: times, drives' torques (T, J), and, where these
-            are what the model's actuators make of them, commands (T, A).
         noise: of what was measured.
         inertia: (J,) that each joint feels alone.
     """
@@ -102,7 +123,8 @@ class Motion(Trajectory):
     counts: NDArray[np.bool_]
     floor: Array
     scale: Scale
-    paths: tuple[Array, ...]
+    trials: tuple[Trial, ...]
+    by_command: bool
     rate_hz: float
     step: int
     smoothed_hz: float
@@ -112,26 +134,30 @@ class Motion(Trajectory):
     compared_time_s: Array
     forward: bool
     zeroed: bool
-    driven: tuple[Driven, ...]
     noise: Noise
     inertia: Array
 
     @cached_property
+    def paths(self) -> list[Array]:
+        """By trial, the smoothed positions (T, J) at the recording's rate."""
+        return [trial.position for trial in self.trials]
+
+    @cached_property
+    def inner(self) -> list[NDArray[np.int64]]:
+        """By trial, the numbers of the motion's rows among those at the recording's rate."""
+        slices = [inner_rows(len(path), self.rate_hz, self.smoothed_hz) for path in self.paths]
+        return [np.arange(each.start, each.stop, self.step) for each in slices]
+
+    @property
     def rows(self) -> NDArray[np.int64]:
         """(R,) of its rows among those of all trials at the recording's rate."""
-        found, first = [], 0
-        for path in self.paths:
-            inner = inner_rows(len(path), self.rate_hz, self.smoothed_hz)
-            found.append(first + np.arange(inner.start, inner.stop, self.step))
-            first += len(path)
-        return np.concatenate(found)
+        first = np.cumsum([0, *map(len, self.paths)])
+        return np.concatenate([a + rows for a, rows in zip(first, self.inner, strict=False)])
 
     def slid_along(self, by_joint: Array, give: float) -> Array:
         """As of a trajectory; between rows a joint may turn round, so it goes the whole path."""
         found = []
-        for path, own in zip(self.paths, self._by_trial(by_joint), strict=True):
-            inner = inner_rows(len(path), self.rate_hz, self.smoothed_hz)
-            rows = np.arange(inner.start, inner.stop, self.step)
+        for path, rows, own in zip(self.paths, self.inner, self._by_trial(by_joint), strict=True):
             whole = np.stack([np.interp(np.arange(len(path)), rows, b) for b in own.T], axis=1)
             share = _dahl(_way(path, whole), give)
             found.append(smoothing.smoothed(share, self.rate_hz, self.smoothed_hz)[rows])
@@ -164,3 +190,30 @@ def _dahl(position: Array, presliding: float) -> Array:
         share = way + (share - way) * stay
         found.append(share)
     return np.array(found)
+
+
+class MotionComparison(ABC):
+    """Q rows of C channels that were measured, and that variants of a robot predict.
+
+    Attributes:
+        names, columns, units: of the channels, as verdicts and as tables call them.
+        floor: (C,) residual of a perfect model.
+        noise: (C,) the same, over all rows, of which some may not count for a channel.
+        readings: (Q, C) in those units.
+        trial, time_s: (Q,).
+        description: how it is compared, as a sentence.
+    """
+
+    names: tuple[str, ...]
+    columns: tuple[str, ...]
+    units: tuple[str, ...]
+    floor: Array
+    noise: Array
+    readings: Array
+    trial: NDArray[np.int64]
+    time_s: Array
+    description: str
+
+    @abstractmethod
+    def predicted(self, change: Change) -> Array:
+        """(Q, C) by a variant of the robot."""

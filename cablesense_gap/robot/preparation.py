@@ -2,15 +2,15 @@
 
 Smoothing has two stages. Positions and torques are smoothed lightly, as far as the noise of
 accelerations asks for, since a model's products of smoothed motion are not the smoothed products.
-Then what was measured and what a model predicts go through the same low-pass at the bandwidth in
-which they are compared. A joint at rest does not count, as dry friction may hold any torque there:
-its torques are taken out of both before that.
+Then measured and predicted torques go through the same low-pass at the bandwidth of the
+comparison. A joint at rest does not count, as dry friction may hold any torque there: its torques
+are removed from both before.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -22,11 +22,11 @@ from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot import smoothing
 from cablesense_gap.robot.effects.effect import Scale
 from cablesense_gap.robot.model import Robot, actuated
-from cablesense_gap.robot.motion import LEAST_FLOOR, Driven, Motion, Noise, Trajectory, inner_rows
+from cablesense_gap.robot.motion import LEAST_FLOOR, Motion, Noise, Trial, inner_rows
 from cablesense_gap.robot.recording import RobotRecording
 
 MOST_ROWS = 5000
-"""Rows at which a model is evaluated; a longer recording has them farther apart."""
+"""Rows at which a model is evaluated; a longer recording has them at longer intervals."""
 
 _ROWS_A_PERIOD = 3.0
 _LIGHTER = 4.0
@@ -34,7 +34,7 @@ _LIGHTER = 4.0
 _POWER_SHARE, _MOTION_SHARE, _HARMONICS = 0.95, 0.9, 2.0
 """Shares of the power of torques and of speeds; friction has harmonics of the motion."""
 _SLOW_SHARE = 0.02
-"""Of a joint's usual speed; slower is standing still, as far as friction is concerned."""
+"""Share of a joint's usual speed below which it stands still, as friction sees it."""
 _NOISE_DEVIATIONS = 3.0
 _LEAST_MOVING = 0.05
 _REST_S = 0.4
@@ -58,13 +58,13 @@ def prepared(
     Raises:
         RecordingError: it has neither torques nor commands, or its trials are too short.
     """
-    trials = _evenly_sampled(recording)
-    rate_hz = 1.0 / trials[0].interval_s
+    trials, interval_s = _evenly_sampled(recording)
+    rate_hz = 1.0 / interval_s
     most_hz = min(smoothing.MOST_HZ, rate_hz / smoothing.SAMPLES)
     by_command = not np.isfinite(recording.torque).any()
     if by_command:
         _check_commands(recording, robot)
-        trials = [replace(t, torque=_commanded(robot, t, most_hz)) for t in trials]
+        trials = [replace(t, torque=_commanded(robot, t, rate_hz, most_hz)) for t in trials]
     if bandwidth_hz is None:
         compared_hz = float(np.clip(_comparison_hz(trials, rate_hz), smoothing.LEAST_HZ, most_hz))
     elif 0.1 <= bandwidth_hz <= most_hz:
@@ -79,24 +79,16 @@ def prepared(
     smoothed_hz = _smoothing_hz(
         noise, inertia, trials, compared_hz, min(_LIGHTER * compared_hz, most_hz)
     )
-    step = max(
-        1,
-        round(rate_hz / (_ROWS_A_PERIOD * smoothed_hz)),
-        -(-sum(len(t.position) for t in trials) // MOST_ROWS),
-    )
-    speed_noise = np.sqrt(noise.position) * 2.0 * np.pi * smoothed_hz**1.5 / np.sqrt(3.0)
-    slow = _least_speed(trials, rate_hz, smoothed_hz, speed_noise)
-    parts = [_of_trial(t, rate_hz, smoothed_hz, slow, robot) for t in trials]
-    joined = {
-        f.name: np.concatenate([getattr(p, f.name)[::step] for p in parts])
-        for f in fields(_Smoothed)
-    }
+    sample_count = sum(len(t.time_s) for t in trials)
+    step = max(1, round(rate_hz / (_ROWS_A_PERIOD * smoothed_hz)), -(-sample_count // MOST_ROWS))
+    parts, smooth = _smoothed(trials, rate_hz, smoothed_hz, noise, robot)
+    joined = {name: np.concatenate([part[name][::step] for part in parts]) for name in parts[0]}
     moving, torque = joined.pop("moving"), joined["torque"]
     tied = robot.geared.any(axis=1)
     counts = (moving | (moving.mean(0) < _LEAST_MOVING)) & np.isfinite(torque) & ~tied
     rows_hz = rate_hz / step
-    passes, kept = _low_passes([len(p.position[::step]) for p in parts], rows_hz, compared_hz)
-    trial = np.unique(joined["trial"], return_inverse=True)[1]
+    passes, kept = _low_passes([len(p["time_s"][::step]) for p in parts], rows_hz, compared_hz)
+    joined["trial"] = trial = np.unique(joined["trial"], return_inverse=True)[1]
     if len(kept) < _FEWEST_ROWS:
         raise RecordingError(
             f"{recording.name}: {len(kept)} rows are left of it after smoothing; record trials "
@@ -108,13 +100,13 @@ def prepared(
         smoothing.noise_of_smoothed(torque_noise, compared_hz),
         inertia * smoothing.noise_of_acceleration(noise.position, compared_hz, smoothed_hz),
     )
-    joined["trial"] = trial
     return Motion(
         **joined,
         counts=counts,
         floor=np.maximum(floor, LEAST_FLOOR * scale.torque),
         scale=scale,
-        paths=tuple(smoothing.smoothed(t.position, rate_hz, smoothed_hz) for t in trials),
+        trials=tuple(smooth),
+        by_command=by_command,
         rate_hz=rate_hz,
         step=step,
         smoothed_hz=smoothed_hz,
@@ -124,39 +116,18 @@ def prepared(
         compared_time_s=joined["time_s"][kept],
         forward=by_command if forward is None else forward,
         zeroed=zeroed,
-        driven=tuple(
-            Driven(t.time_s, t.torque, t.command if by_command else None) for t in trials
-        ),
         noise=noise,
         inertia=inertia,
     )
 
 
-@dataclass(frozen=True)
-class _Trial:
-    number: int
-    time_s: Array
-    position: Array
-    torque: Array
-    command: Array
-    interval_s: float
-
-
-@dataclass(frozen=True)
-class _Smoothed(Trajectory):
-    """One trial, as `Motion`, at the recording's rate; and which joints move."""
-
-    torque: Array
-    moving: NDArray[np.bool_]
-
-
-def _evenly_sampled(recording: RobotRecording) -> list[_Trial]:
-    """Every trial at one rate, that of most rows."""
+def _evenly_sampled(recording: RobotRecording) -> tuple[list[Trial], float]:
+    """Every trial at one rate, that of most rows, and its interval, s."""
     same = np.diff(recording.trial) == 0
     interval_s = float(np.median(np.diff(recording.time_s)[same]))
     found = []
-    for t in np.unique(recording.trial):
-        rows = np.flatnonzero(recording.trial == t)
+    for number in np.unique(recording.trial).tolist():
+        rows = np.flatnonzero(recording.trial == number)
         own = recording.time_s[rows]
         count = int((own[-1] - own[0]) / interval_s + 0.5) + 1
         if count < _FEWEST_SAMPLES:
@@ -166,14 +137,12 @@ def _evenly_sampled(recording: RobotRecording) -> list[_Trial]:
             _interpolated(time_s, own, values[rows])
             for values in (recording.position, recording.torque, recording.command)
         )
-        found.append(
-            _Trial(int(t), time_s, position, _without_glitches(torque), command, interval_s)
-        )
+        found.append(Trial(number, time_s, position, _without_glitches(torque), command))
     if not found:
         raise RecordingError(
             f"{recording.name}: no trial has {_FEWEST_SAMPLES} rows; record longer ones"
         )
-    return found
+    return found, interval_s
 
 
 def _interpolated(at_s: Array, time_s: Array, values: Array) -> Array:
@@ -197,23 +166,22 @@ def _check_commands(recording: RobotRecording, robot: Robot) -> None:
         )
     if robot.model.na:
         raise RecordingError(
-            f"{recording.name}: has no torque.<joint>, and actuators of {robot.path.name} have a "
-            "state of their own, which nothing records; record torques"
+            f"{recording.name}: has no torque.<joint>, and actuators of {robot.path.name} have an "
+            "internal state, which is not recorded; record torques"
         )
 
 
-def _commanded(robot: Robot, trial: _Trial, most_hz: float) -> Array:
+def _commanded(robot: Robot, trial: Trial, rate_hz: float, most_hz: float) -> Array:
     """(T, J) what the actuators make of a trial's commands."""
-    rate_hz = 1.0 / trial.interval_s
     position = smoothing.smoothed(trial.position, rate_hz, most_hz)
     return actuated(robot, position, smoothing.derivatives(position, rate_hz)[0], trial.command)
 
 
-def _comparison_hz(trials: Sequence[_Trial], rate_hz: float) -> float:
+def _comparison_hz(trials: Sequence[Trial], rate_hz: float) -> float:
     """The frequency, Hz, up to which torques are compared: a multiple of that of the motion.
 
-    Where torques have their power below that, it is theirs; noise has no part in either. Above it
-    is what drives and controllers do against noise and resonances, which no motion shows.
+    If the torques have their power below that, their frequency counts. Both are found without the
+    noise. Beyond it, drives and controllers react to noise and resonances, which no motion shows.
     """
     moved = np.median(_frequency_below([t.position for t in trials], rate_hz, _MOTION_SHARE, 1))
     torques = _frequency_below([t.torque for t in trials], rate_hz, _POWER_SHARE, 0)
@@ -232,7 +200,7 @@ def _frequency_below(
     return frequency[(power < share * power[-1]).sum(0)]
 
 
-def _noise(trials: Sequence[_Trial], rate_hz: float) -> Noise:
+def _noise(trials: Sequence[Trial], rate_hz: float) -> Noise:
     """Median over the longer trials of what positions and torques have in the upper half."""
     longest = max(len(t.position) for t in trials)
     long = [t for t in trials if len(t.position) >= 0.5 * longest]
@@ -257,7 +225,7 @@ def _inertia(robot: Robot, position: Array) -> Array:
 
 
 def _smoothing_hz(
-    noise: Noise, inertia: Array, trials: Sequence[_Trial], compared_hz: float, most_hz: float
+    noise: Noise, inertia: Array, trials: Sequence[Trial], compared_hz: float, most_hz: float
 ) -> float:
     """The widest bandwidth of the motion, Hz, at which the noise of accelerations is small enough.
 
@@ -274,46 +242,40 @@ def _smoothing_hz(
     return good
 
 
-def _least_speed(
-    trials: Sequence[_Trial], rate_hz: float, smoothed_hz: float, noise: Array
-) -> Array:
-    """(J,) speeds below which the direction of motion is not known."""
-    squares = [
-        smoothing.derivatives(smoothing.smoothed(t.position, rate_hz, smoothed_hz), rate_hz)[0]
-        ** 2
-        for t in trials
-    ]
-    usual = np.sqrt(np.concatenate(squares).mean(0))
-    return np.maximum(np.maximum(_NOISE_DEVIATIONS * noise, _SLOW_SHARE * usual), 1e-9)
+def _smoothed(
+    trials: Sequence[Trial], rate_hz: float, smoothed_hz: float, noise: Noise, robot: Robot
+) -> tuple[list[dict[str, Array]], list[Trial]]:
+    """By trial, what `Motion` has of its inner rows and which joints move there; smooth trials.
 
+    Below a least speed the direction of motion is not known, and a joint does not move.
+    """
 
-def _of_trial(
-    trial: _Trial,
-    rate_hz: float,
-    smoothed_hz: float,
-    slow: Array,
-    robot: Robot,
-) -> _Smoothed:
     def filtered(signal: Array) -> Array:
         return smoothing.smoothed(signal, rate_hz, smoothed_hz)
 
-    position = filtered(trial.position)
-    speed, acceleration = smoothing.derivatives(position, rate_hz)
-    direction = filtered(np.clip(speed / slow, -1.0, 1.0))
-    torque = filtered(trial.torque)
-    inner = inner_rows(len(position), rate_hz, smoothed_hz)
-    return _Smoothed(
-        trial=np.full(len(position), trial.number)[inner],
-        time_s=trial.time_s[inner],
-        position=position[inner],
-        speed=speed[inner],
-        acceleration=acceleration[inner],
-        direction=direction[inner],
-        load=np.where(robot.geared.any(axis=1), np.nan_to_num(torque), 0.0)[inner],
-        command=filtered(trial.command)[inner],
-        torque=torque[inner],
-        moving=np.abs(speed[inner]) >= slow,
-    )
+    smooth = [replace(t, position=filtered(t.position)) for t in trials]
+    moved = [smoothing.derivatives(t.position, rate_hz) for t in smooth]
+    usual = np.sqrt(np.concatenate([speed**2 for speed, _ in moved]).mean(0))
+    speed_noise = np.sqrt(noise.position) * 2.0 * np.pi * smoothed_hz**1.5 / np.sqrt(3.0)
+    slow = np.maximum(np.maximum(_NOISE_DEVIATIONS * speed_noise, _SLOW_SHARE * usual), 1e-9)
+    parts = []
+    for trial, (speed, acceleration) in zip(smooth, moved, strict=True):
+        torque = filtered(trial.torque)
+        part = {
+            "trial": np.full(len(speed), trial.number),
+            "time_s": trial.time_s,
+            "position": trial.position,
+            "speed": speed,
+            "acceleration": acceleration,
+            "direction": filtered(np.clip(speed / slow, -1.0, 1.0)),
+            "load": np.where(robot.geared.any(axis=1), np.nan_to_num(torque), 0.0),
+            "command": filtered(trial.command),
+            "torque": torque,
+            "moving": np.abs(speed) >= slow,
+        }
+        inner = inner_rows(len(speed), rate_hz, smoothed_hz)
+        parts.append({name: values[inner] for name, values in part.items()})
+    return parts, smooth
 
 
 def _low_passes(
@@ -353,7 +315,10 @@ def _scale(joined: dict[str, Array], moving: NDArray[np.bool_]) -> Scale:
 
 
 def _noise_at_rest(
-    trials: Sequence[_Trial], parts: Sequence[_Smoothed], rate_hz: float, compared_hz: float
+    trials: Sequence[Trial],
+    parts: Sequence[dict[str, Array]],
+    rate_hz: float,
+    compared_hz: float,
 ) -> Array:
     """(J,) density of the torques' noise about the bandwidth, while all joints stand still.
 
@@ -363,8 +328,8 @@ def _noise_at_rest(
     least, found = int(_REST_S * rate_hz), []
     low_hz = max(compared_hz, 1.0 / _REST_S)
     for trial, part in zip(trials, parts, strict=True):
-        edge = (len(trial.position) - len(part.position)) // 2
-        still = ~part.moving.any(1)
+        still = part["moving"].max(1) == 0
+        edge = (len(trial.time_s) - len(still)) // 2
         ends = np.flatnonzero(np.diff(still.astype(int), prepend=0, append=0)) + edge
         found += [
             smoothing.noise_density(torque, rate_hz, low_hz, 2.0 * low_hz)

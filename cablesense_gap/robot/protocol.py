@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.recordings.csv_file import write_table
-from cablesense_gap.robot.catalogue import changed
+from cablesense_gap.robot.amending import changed
 from cablesense_gap.robot.inverse import InverseDynamics
 from cablesense_gap.robot.model import Robot
 from cablesense_gap.robot.motion import Trajectory

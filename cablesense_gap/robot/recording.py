@@ -23,15 +23,13 @@ FEWEST_TRIALS = 5
 """Fewer are cut into stretches, so that there is something to hold out."""
 
 _NUMBERS_TYPE = "std_msgs/msg/Float64MultiArray"
-_KINDS = ("position", "velocity", "torque", "command")
-_PREFIXES = ("time", "trial", *(f"{kind}." for kind in _KINDS))
+_PREFIXES = ("time", "trial", "position.", "torque.", "command.")
 _STILL_S = 0.5
 _STILL_SHARE = 0.01
 """A joint slower than this share of its largest speed is standing still."""
 _MOST_STRETCH_S = 20.0
 _LEAST_STRETCH_S = 1.0
 _MOST_RAD = 4.0 * np.pi
-_OTHER_UNIT = 10.0
 _MOST_INTERVAL_S = 1.0
 
 
@@ -73,18 +71,15 @@ def read_recording(path: str | Path, robot: Robot) -> RobotRecording:
     """
     path = Path(path)
     if is_bag(path):
-        files, tables = [path], [bag_table(path, robot)]
+        tables = {path: bag_table(path, robot)}
     else:
-        files = _files(path)
-        tables = [read_table(file, _PREFIXES) for file in files]
-    parts = [_part(file, table, robot) for file, table in zip(files, tables, strict=True)]
-    trials, notes = _trials(parts, tables)
+        tables = {file: read_table(file, _PREFIXES) for file in _files(path)}
+    parts = [_part(file, table, robot) for file, table in tables.items()]
+    trials, note = _trials(parts, list(tables.values()))
     name = path.name if path.is_dir() else csv_stem(path)
     every = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     _check(path, robot, every, trials)
-    for file, table, part in zip(files, tables, parts, strict=True):
-        _check_speeds(file, robot, table, part["position"])
-    return RobotRecording(name, trial=trials, notes=notes, **every)
+    return RobotRecording(name, trial=trials, notes=(note,), **every)
 
 
 def _files(path: Path) -> list[Path]:
@@ -115,87 +110,58 @@ def bag_table(path: Path, robot: Robot) -> dict[str, Array]:
     def wanted(raw: RawMessage) -> bool:
         return raw.kind in (JOINT_STATE_TYPE, NUMBER_TYPE, _NUMBERS_TYPE)
 
-    rows = _BagColumns(robot)
+    joints, actuators = robot.joints, robot.actuators
+    values, names = array("d"), set[str]()  # a plain array, as objects take four times the memory
+    states, trial, command = "", np.nan, np.full(len(actuators), np.nan)
     for raw, message in decoded(path, wanted):
-        rows.take(raw.topic, raw.log_ns, message)
-        if rows.numbers > MAX_NUMBERS:
-            raise RecordingError(f"{path}: more than {MAX_NUMBERS} numbers; split it")
-    return rows.table(path)
-
-
-class _BagColumns:
-    """The rows that messages of a robot make."""
-
-    def __init__(self, robot: Robot) -> None:
-        self._robot, self._names = robot, set[str]()
-        self._topic = ""
-        self._values = array("d")
-        self._command = np.full(len(robot.actuators), np.nan)
-        self._trial = np.nan
-
-    @property
-    def numbers(self) -> int:
-        """How many are kept."""
-        return len(self._values)
-
-    def take(self, topic: str, log_ns: int, message: Any) -> None:
-        """One message; those that are not of this robot are skipped."""
-        robot, commands = self._robot, "command" in topic
+        commands = "command" in raw.topic
         if hasattr(message, "data"):
-            if topic.rpartition("/")[2] == "trial" and np.ndim(message.data) == 0:
-                self._trial = float(message.data)
-            elif commands and np.shape(message.data) == self._command.shape:
-                self._command = np.asarray(message.data, dtype=float)
-            return
-        self._names |= set(message.name)
-        if commands and robot.actuators and set(robot.actuators) <= set(message.name):
+            if raw.topic.rpartition("/")[2] == "trial" and np.ndim(message.data) == 0:
+                trial = float(message.data)
+            elif commands and np.shape(message.data) == command.shape:
+                command = np.asarray(message.data, dtype=float)
+            continue
+        names |= set(message.name)
+        if commands and actuators and set(actuators) <= set(message.name):
             given = message.effort if len(message.effort) else message.position
-            command = _in_order(message.name, given, robot.actuators)
-            self._command = self._command if command is None else command
-            return
-        if not set(robot.joints) <= set(message.name):
-            return
-        position = _in_order(message.name, message.position, robot.joints)
-        self._topic = self._topic or (topic if position is not None else "")
-        if position is None or topic != self._topic:
-            return
-        torque = _in_order(message.name, message.effort, robot.joints)
-        torque = np.full(len(position), np.nan) if torque is None else torque
+            ordered = _in_order(message.name, given, actuators)
+            command = command if ordered is None else ordered
+            continue
+        position = _in_order(message.name, message.position, joints)
+        states = states or (raw.topic if position is not None else "")
+        if position is None or raw.topic != states:  # the first topic of the robot's states counts
+            continue
+        torque = _in_order(message.name, message.effort, joints)
+        torque = np.full(len(joints), np.nan) if torque is None else torque
         stamp_s = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-        self._values.extend((stamp_s or 1e-9 * log_ns, self._trial))
-        for values in (position, torque, self._command):
-            self._values.extend(values)
-
-    def table(self, path: Path) -> dict[str, Array]:
-        """All rows, time from the first."""
-        robot = self._robot
-        labels = ["time_s", "trial"]
-        labels += [f"{kind}.{joint}" for kind in ("position", "torque") for joint in robot.joints]
-        labels += [f"command.{name}" for name in robot.actuators]
-        values = np.array(self._values).reshape(-1, len(labels))
-        if not len(values):
-            there = some_of(sorted(self._names)) or "none"
-            raise RecordingError(
-                f"{path}: holds no {JOINT_STATE_TYPE} with the joints {some_of(robot.joints)}; it "
-                f"names {there}"
-            )
-        count = len(robot.joints)
-        _, torque, command = np.split(values[:, 2:], [count, 2 * count], axis=1)
-        if not np.isfinite(torque).any():  # commands drive the model, and are not known before
-            values = values[np.isfinite(command).all(axis=1).argmax() :]
-        table = dict(zip(labels, values.T, strict=True))
-        table["time_s"] = table["time_s"] - table["time_s"][0]
-        numbered = np.isfinite(table["trial"])
-        if numbered.any():
-            table["trial"] = np.where(numbered, table["trial"], np.nanmin(table["trial"]) - 1.0)
-        else:
-            del table["trial"]
-        return table
+        values.extend((stamp_s or 1e-9 * raw.log_ns, trial, *position, *torque, *command))
+        if len(values) > MAX_NUMBERS:
+            raise RecordingError(f"{path}: more than {MAX_NUMBERS} numbers; split it")
+    if not values:
+        raise RecordingError(
+            f"{path}: holds no {JOINT_STATE_TYPE} with the joints {some_of(joints)}; it names "
+            f"{some_of(sorted(names)) or 'none'}"
+        )
+    labels = ["time_s", "trial"]
+    labels += [f"{kind}.{joint}" for kind in ("position", "torque") for joint in joints]
+    labels += [f"command.{name}" for name in actuators]
+    rows = np.array(values).reshape(-1, len(labels))
+    _, torque, command = np.split(rows[:, 2:], [len(joints), 2 * len(joints)], axis=1)
+    if not np.isfinite(torque).any():  # commands drive the model, and are not known before
+        rows = rows[np.isfinite(command).all(axis=1).argmax() :]
+    table = dict(zip(labels, rows.T, strict=True))
+    table["time_s"] = table["time_s"] - table["time_s"][0]
+    numbered = np.isfinite(table["trial"])
+    if numbered.any():
+        table["trial"] = np.where(numbered, table["trial"], np.nanmin(table["trial"]) - 1.0)
+    else:
+        del table["trial"]
+    return table
 
 
 def _in_order(names: Sequence[str], values: Any, wanted: Sequence[str]) -> Array | None:
-    """Values of the wanted names; none unless there is one value for each name."""
-    if len(values) != len(names):
+    """Values of the wanted names; none unless all are there, with one value for each name."""
+    if len(values) != len(names) or not set(wanted) <= set(names):
         return None
     at = {name: k for k, name in enumerate(names)}
     return np.asarray(values, dtype=float)[[at[name] for name in wanted]]
@@ -210,77 +176,53 @@ def _part(path: Path, table: dict[str, Array], robot: Robot) -> dict[str, Array]
     rows = len(table["time_s"])
     if rows < 2:
         raise RecordingError(f"{path}: has {rows} rows; a recording of motion has thousands")
-    _refuse_other_names(path, table, robot)
-    _refuse_gaps(path, table, robot)
-
-    def stacked(kind: str, names: Sequence[str]) -> Array:
-        nothing = np.full(rows, np.nan)
-        return np.stack([table.get(f"{kind}.{name}", nothing) for name in names], axis=1)
-
-    return {
-        "time_s": table["time_s"],
-        "position": stacked("position", robot.joints),
-        "torque": stacked("torque", robot.joints),
-        "command": stacked("command", robot.actuators) if robot.actuators else np.empty((rows, 0)),
-    }
-
-
-def _check_speeds(path: Path, robot: Robot, table: dict[str, Array], position: Array) -> None:
-    """Speeds that are read must be those of the positions, in one unit of time and angle."""
-    for joint, own in zip(robot.joints, position.T, strict=True):
-        speed = table.get(f"velocity.{joint}")
-        if speed is None:
-            continue
-        way, moved = np.diff(own), 0.5 * (speed[1:] + speed[:-1]) * np.diff(table["time_s"])
-        far = np.abs(way) > 0.5 * np.quantile(np.abs(way), 0.95)
-        ratio = abs(float(np.median(moved[far] / way[far]))) if far.any() else 1.0
-        if ratio > _OTHER_UNIT or 0.0 < ratio < 1.0 / _OTHER_UNIT:
-            raise RecordingError(
-                f"{path}: velocity.{joint} is {ratio:.3g} times what position.{joint} and time_s "
-                "make; rad, rad/s and s are right (m and m/s of a slide)"
-            )
-
-
-def _refuse_other_names(path: Path, table: dict[str, Array], robot: Robot) -> None:
-    """Joints and actuators of another robot; joints without a position."""
-    split = (name.partition(".") for name in table)
-    named = [(kind, name) for kind, _, name in split if kind in _KINDS]
-    joints = {name for kind, name in named if kind in ("position", "velocity", "torque")}
-    missing = [j for j in robot.joints if ("position", j) not in named]
-    surplus = sorted(joints - set(robot.joints))
-    surplus += sorted({n for k, n in named if k == "command"} - set(robot.actuators))
-    if not missing and not surplus:
-        return
-    found = [f"misses position.{missing[0]}"] if len(missing) == 1 else []
-    found += [f"misses the positions of {some_of(missing)}"] if len(missing) > 1 else []
-    found += [f"has {some_of(surplus)}, which the model has not"] if surplus else []
-    raise RecordingError(
-        f"{path}: {' and '.join(found)}; {robot.path.name} has the joints "
-        f"{some_of(robot.joints, 12)}"
-        + (f" and the actuators {some_of(robot.actuators, 12)}" if robot.actuators else "")
-    )
-
-
-def _refuse_gaps(path: Path, table: dict[str, Array], robot: Robot) -> None:
-    """Cells without a finite number; torques and commands may be empty throughout."""
-    needed = ["time_s", "trial", *(f"position.{joint}" for joint in robot.joints)]
-    optional = [f"torque.{joint}" for joint in robot.joints]
-    optional += [f"command.{actuator}" for actuator in robot.actuators]
-    for name in (*needed, *optional):
-        gaps = np.flatnonzero(~np.isfinite(table.get(name, np.zeros(0))))
-        if gaps.size and (name in needed or not np.isnan(table[name]).all()):
-            remedy = "" if name in needed else ", or leave the column out"
+    position, torque = ([f"{kind}.{j}" for j in robot.joints] for kind in ("position", "torque"))
+    command = [f"command.{name}" for name in robot.actuators]
+    _refuse_other_names(path, table, robot, {*position, *torque, *command})
+    for name in filter(table.__contains__, ("time_s", "trial", *position, *torque, *command)):
+        gaps = np.flatnonzero(~np.isfinite(table[name]))
+        optional = name in (*torque, *command)
+        if gaps.size and not (optional and np.isnan(table[name]).all()):
+            remedy = ", or leave the column out" if optional else ""
             raise RecordingError(
                 f"{path}: row {gaps[0] + 1}, column {name}: empty or not finite; fill every "
                 f"row{remedy}"
             )
 
+    def stacked(labels: Sequence[str]) -> Array:
+        columns = [table.get(label, np.full(rows, np.nan)) for label in labels]
+        return np.ascontiguousarray(np.array(columns).reshape(len(labels), rows).T)
+
+    return {
+        "time_s": table["time_s"],
+        "position": stacked(position),
+        "torque": stacked(torque),
+        "command": stacked(command),
+    }
+
+
+def _refuse_other_names(
+    path: Path, table: dict[str, Array], robot: Robot, known: set[str]
+) -> None:
+    """Joints and actuators of another robot; joints without a position."""
+    missing = [j for j in robot.joints if f"position.{j}" not in table]
+    others = [name for name in table if "." in name and name not in known]
+    surplus = sorted({name.partition(".")[2] for name in others})
+    found = [f"misses the position of {some_of(missing)}"] if missing else []
+    found += [f"has {some_of(surplus)}, which the model has not"] if surplus else []
+    if found:
+        raise RecordingError(
+            f"{path}: {' and '.join(found)}; {robot.path.name} has the joints "
+            f"{some_of(robot.joints, 12)}"
+            + (f" and the actuators {some_of(robot.actuators, 12)}" if robot.actuators else "")
+        )
+
 
 def _trials(
     parts: Sequence[dict[str, Array]], tables: Sequence[dict[str, Array]]
-) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+) -> tuple[NDArray[np.int64], str]:
     """By column, by file, or by pauses; cut into stretches where there are too few."""
-    numbers: list[NDArray[np.int64]] = []
+    trials: list[NDArray[np.int64]] = []
     begin = 0
     how = "by their column" if all("trial" in table for table in tables) else "by file and pause"
     for part, table in zip(parts, tables, strict=True):
@@ -288,14 +230,13 @@ def _trials(
             own = np.unique(table["trial"], return_inverse=True)[1]
         else:
             own = _by_pauses(part["time_s"], part["position"])
-        numbers.append(begin + own.astype(np.int64))
-        begin = int(numbers[-1].max()) + 1
-    trial = np.concatenate(numbers)
-    count = int(trial.max()) + 1
-    if count < FEWEST_TRIALS:
+        trials.append(begin + own)
+        begin = int(trials[-1].max()) + 1
+    trial = np.concatenate(trials)
+    if begin < FEWEST_TRIALS:
         trial = _cut(np.concatenate([part["time_s"] for part in parts]), trial)
-        how += f", {count} in all, cut into {int(trial.max()) + 1} stretches"
-    return trial, (f"Trials {how}.",)
+        how += f", {begin} in all, cut into {int(trial.max()) + 1} stretches"
+    return trial, f"Trials {how}."
 
 
 def _by_pauses(time_s: Array, position: Array) -> NDArray[np.int64]:
@@ -333,11 +274,13 @@ def _cut(time_s: Array, trial: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _check(path: Path, robot: Robot, every: dict[str, Array], trial: NDArray[np.int64]) -> None:
-    interval = np.diff(every["time_s"])[np.diff(trial) == 0]
-    if (interval <= 0.0).any():
-        row = int(np.flatnonzero((np.diff(every["time_s"]) <= 0.0) & (np.diff(trial) == 0))[0]) + 2
-        raise RecordingError(f"{path}: row {row}: time stands still or runs back within a trial")
-    typical = float(np.median(interval))
+    interval, within = np.diff(every["time_s"]), np.diff(trial) == 0
+    back = np.flatnonzero((interval <= 0.0) & within)
+    if back.size:
+        raise RecordingError(
+            f"{path}: row {back[0] + 2}: time stands still or runs back within a trial"
+        )
+    typical = float(np.median(interval[within]))
     if typical > _MOST_INTERVAL_S:
         raise RecordingError(
             f"{path}: rows are {typical:g} s apart; time_s must be in seconds (milliseconds "

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from cablesense_base.files import write_atomically
-from cablesense_gap.report.charts import common_content
 from cablesense_gap.report.page import make_folder
 from cablesense_gap.report.style import (
     AFTER,
@@ -24,9 +23,8 @@ from cablesense_gap.report.style import (
     style,
     with_interval,
 )
-from cablesense_gap.report.text import headline
-from cablesense_gap.robot.amending import AMENDED_MODEL, BESIDE_MODEL, write_amended
-from cablesense_gap.robot.catalogue import known_effects
+from cablesense_gap.report.text import common_content, headline
+from cablesense_gap.robot.amending import AMENDED_MODEL, BESIDE_MODEL, known_effects, write_amended
 from cablesense_gap.robot.system import UNIT, RobotDiagnosis
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Verdict, listed, write_verdict
@@ -37,7 +35,9 @@ ROBOT_FILES = ("verdict.json", AMENDED_MODEL, BESIDE_MODEL, "report.html")
 def write_robot_diagnosis(
     folder: Path, found: RobotDiagnosis, beside: Mapping[Term, float]
 ) -> None:
-    """Write all files, each whole or not at all; `beside` are effects of the nominal model's JSON.
+    """Write all files, each whole or not at all.
+
+    `beside` are effects in the nominal model's JSON file.
 
     Raises:
         VerdictError: the folder cannot be made, or the verdict not be written.

@@ -1,4 +1,4 @@
-"""Positions smoothed with a stated bandwidth, speeds and accelerations of what is smoothed.
+"""Positions smoothed with a stated bandwidth; their speeds and accelerations.
 
 A Butterworth filter of third order, forwards and backwards: no lag, and a gain of
 1 / (1 + (f / bandwidth)^6), that of a smoothing spline with a penalty on the third derivative.
@@ -18,7 +18,7 @@ from cablesense_base import Array
 LEAST_HZ, MOST_HZ = 1.0, 20.0
 """Arms and their controllers are slower than this; faster ones state a bandwidth."""
 SAMPLES = 8.0
-"""Of a period at the bandwidth, at least: derivatives are then good to 1 %."""
+"""Least number in a period at the bandwidth: derivatives are then good to 1 %."""
 _SHARES = 40
 _WINDOW_S = 10.0
 
@@ -59,8 +59,8 @@ def noise_density(
 ) -> Array:
     """(J,) power by hertz of what signals (T, J) have above a frequency, its median.
 
-    Motion and what a drive does with it end somewhere below; what is there then is noise, and
-    where it is white the same density is hidden below.
+    Motion and its torques end below that frequency. The rest is noise; white noise has the same
+    density below.
     """
     count = min(len(signal), max(64, int(_SHARES * rate_hz / above_hz)))
     frequency, density = welch(signal, rate_hz, nperseg=count, axis=0, detrend="linear")
@@ -82,10 +82,10 @@ def noise_of_smoothed(density: Array, *bandwidths_hz: float) -> Array:
 
 
 def noise_of_drift(density: Array, over_s: float, bandwidth_hz: float) -> tuple[Array, Array]:
-    """What positions' white noise makes of free motion from smoothed states, after a time.
+    """The error that white noise of positions causes in free motion from a smoothed state.
 
-    Standard deviations of where free motion from the first state ends, less the last state:
-    position and speed.
+    Free motion starts at the first state and is compared with the last one. The result has the
+    standard deviations of position and speed.
     """
     frequency, through = _through([bandwidth_hz])
     w = 2.0 * np.pi * frequency

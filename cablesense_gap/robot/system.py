@@ -1,50 +1,121 @@
-"""A robot as a `System`, and its diagnosis from a recording to the amended model's values."""
+"""A robot as a `System`: its diagnosis, and what a model predicts of a recording."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.pipeline import FOLDS, System, Unlisted, diagnose_system
-from cablesense_gap.robot.model import Robot
-from cablesense_gap.robot.motion import Motion
+from cablesense_gap.recordings.csv_file import write_table
+from cablesense_gap.robot.amending import changed, known_effects
+from cablesense_gap.robot.effects.effect import RobotEffect
+from cablesense_gap.robot.forward import ForwardComparison
+from cablesense_gap.robot.inverse import InverseComparison
+from cablesense_gap.robot.model import Robot, RobotError
+from cablesense_gap.robot.motion import Motion, MotionComparison
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.protocol import next_experiment
 from cablesense_gap.robot.recording import RobotRecording
-from cablesense_gap.robot.simulator import MotionComparison, RobotSimulator
-from cablesense_gap.simulator import Assignment, Term
+from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_gap.verdict import ChannelGap, Verdict, Where
 
 UNIT = "floors"
-"""Each channel is in units of its own floor."""
+"""Each channel is given in units of its floor."""
 _FOLLOWS, _OTHER_UNIT = 0.8, 5.0
 """Least correlation of a channel with the model's, and the ratio of both that is doubtful."""
 _AT_ZERO = 0.002
 """Share of a joint's span within which its position counts as zero."""
 _FAR_OFF = 3.0
 """Standard deviations that one tolerance among many may be off."""
+_PROBED, _USUAL = 0.01, 0.1
+"""Error of a zero in rad or m: to find its influence, and as usual in a trial."""
+
+_Zeros = tuple[NDArray[np.bool_], Array, Array]
 
 
-class RobotSystem(RobotSimulator, System):
-    """A robot with its motion as it was measured; all rows count."""
+class RobotSystem(System):
+    """A robot with its motion as it was measured; all rows count.
 
-    unit = UNIT
+    Attributes: see `System`, and
+        comparison: the channels in rad, N·m and so on; `readings` are in units of their noise.
+    """
+
+    unit, floor, recording_name = UNIT, 1.0, ""
 
     def __init__(self, robot: Robot, motion: Motion, listed: Assignment) -> None:
-        """See `RobotSimulator`."""
-        super().__init__(robot, motion, listed)
-        self.trial = self.comparison.trial
-        self.name, self.recording_name, self.row_count = robot.name, "", len(self.trial)
-        self.compared = self.comparison.description
-        count = int(self.trial.max()) + 1
+        """`motion` is the measured one, `listed` are effects that the nominal robot has."""
+        self.robot, self.name, self._listed = robot, robot.name, dict(listed)
+        self.comparison: MotionComparison = (
+            ForwardComparison(robot, motion)
+            if motion.forward
+            else InverseComparison(robot, motion)
+        )
+        offered = [e for e in known_effects().values() if not (motion.zeroed and e.of_zeros)]
+        named = [self._candidate(e, motion) for e in offered if not e.tolerance]
+        self.candidates = tuple(candidate for candidate in named if candidate.places)
+        self.tolerances = tuple(self._candidate(e, motion) for e in offered if e.tolerance)
+        self.readings = self.comparison.readings / self.comparison.noise
+        self.trial, self.compared = self.comparison.trial, self.comparison.description
+        self.row_count, count = len(self.trial), int(self.trial.max()) + 1
         self.fold = np.arange(count) % min(FOLDS, count)
-        self.counted = np.ones(len(self.trial), dtype=bool)
+        self.counted = np.ones(self.row_count, dtype=bool)
         self._floor = motion.floor
+        self._zeros: tuple[_Zeros, ...] = ()
+        if motion.zeroed:
+            self._zeros = self._of_zeros()
+
+    def _candidate(self, effect: RobotEffect, motion: Motion) -> Candidate:
+        """As it is offered; forward in time most friction is MuJoCo's, which gives no way."""
+        parameters = effect.parameters(self.robot, motion.scale)
+        if motion.forward and not effect.presliding_forward:
+            parameters = tuple(p for p in parameters if p.role == "size")
+        return Candidate(
+            effect.name,
+            effect.places(self.robot),
+            parameters,
+            against_motion=effect.against_motion,
+        )
+
+    def predict(self, variants: Sequence[Assignment]) -> Array:
+        """Channels (P, Q, C)."""
+        return np.array([self._predicted(variant) for variant in variants])
+
+    def _predicted(self, variant: Assignment) -> Array:
+        try:
+            change = changed(self.robot, [self._listed, variant])
+            found = self.comparison.predicted(change) / self.comparison.noise
+        except RobotError:
+            return np.full(self.readings.shape, np.nan)
+        for rows, by_zeros, fitting in self._zeros:
+            zeros = fitting @ (self.readings - found)[rows].ravel()
+            found[rows] += (by_zeros @ zeros).reshape(-1, found.shape[1])
+        return found
+
+    def _of_zeros(self) -> tuple[_Zeros, ...]:
+        """By trial its rows, what zeros (J,) make of them, and the zeros that fit a residual."""
+        trial, joints = self.comparison.trial, self.robot.joints
+
+        def read(joint: int, off: float) -> Array:
+            change = changed(self.robot, [self._listed])
+            change.zero[joint] += off
+            return self.comparison.predicted(change) / self.comparison.noise
+
+        ends = [[read(k, off) for k in range(len(joints))] for off in (_PROBED, -_PROBED)]
+        by_zero = (np.array(ends[0]) - np.array(ends[1])) / (2.0 * _PROBED)
+        found: list[_Zeros] = []
+        for rows in (trial == number for number in np.unique(trial)):
+            own = by_zero[:, rows].reshape(len(joints), -1).T
+            known = own.T @ own + np.eye(len(joints)) / _USUAL**2
+            found.append((rows, own, np.asarray(np.linalg.solve(known, own.T))))
+        return tuple(found)
 
     def completed(self, problem: Problem, found: Sequence[Explanation]) -> list[Explanation]:
         """The same explanations; one tolerance far off weighs as much as all of them off."""
@@ -101,7 +172,7 @@ class RobotSystem(RobotSimulator, System):
 
 @dataclass(frozen=True)
 class RobotDiagnosis:
-    """A verdict, and what is compared, measured and predicted.
+    """A verdict, and the channels behind it as measured and predicted.
 
     Attributes:
         amended: effects of the verdict and tolerances, as fitted.
@@ -177,7 +248,7 @@ def diagnose(
 def _with_outliers(problem: Problem, explanation: Explanation) -> Explanation:
     """One tolerance far off counts as much as all of them off.
 
-    A robot has so many tolerances that one alone, for example a delay of many samples, would not
+    A robot has dozens of tolerances. A single one, for example a delay of many samples, would not
     show in the sum of their squares.
     """
     std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
@@ -209,3 +280,54 @@ def starts_at_zero(recording: RobotRecording) -> list[str]:
     if starts.sum() < 2 or not at_zero.all():
         return []
     return ["All trials start at zero; if encoders were set to zero there, say so with --zeroed."]
+
+
+class Prediction(NamedTuple):
+    """Measured and predicted, as compared.
+
+    Attributes:
+        predicted: (Q, C) in the comparison's units.
+        gaps: of each channel its name, unit, and root mean squares of measured less predicted
+            and of measured.
+    """
+
+    comparison: MotionComparison
+    predicted: Array
+    gaps: tuple[tuple[str, str, float, float], ...]
+
+
+def predicted(
+    recording: RobotRecording,
+    robot: Robot,
+    beside: Assignment,
+    bandwidth_hz: float | None = None,
+    forward: bool | None = None,
+    *,
+    zeroed: bool = False,
+) -> Prediction:
+    """The prediction of a model with the effects listed in addition; arguments as of `diagnose`.
+
+    Raises:
+        RecordingError: the recording cannot be compared.
+    """
+    motion = prepared(recording, robot, bandwidth_hz, forward, zeroed=zeroed)
+    system = RobotSystem(robot, motion, beside)
+    compared = system.comparison
+    found = system.predict([{}])[0] * compared.noise
+    sizes = [np.sqrt((each**2).mean(0)) for each in (compared.readings - found, compared.readings)]
+    gaps = zip(compared.names, compared.units, *(s.tolist() for s in sizes), strict=True)
+    return Prediction(compared, found, tuple(gaps))
+
+
+def write_prediction(path: Path, found: Prediction) -> None:
+    """Write measured and predicted channels as CSV; the file appears whole or not at all.
+
+    Raises:
+        RecordingError: the place cannot be written to.
+    """
+    compared = found.comparison
+    columns = {"time_s": compared.time_s, "trial": compared.trial}
+    for c, (name, column) in enumerate(zip(compared.names, compared.columns, strict=True)):
+        columns[column] = compared.readings[:, c]
+        columns[f"predicted.{name}"] = found.predicted[:, c]
+    write_table(path, columns, "%.6g")

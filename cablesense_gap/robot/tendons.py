@@ -1,25 +1,25 @@
-"""Tendons over guides: what friction takes of their pull, by the chain law of `cable_chain`.
+"""Friction of tendons over guides, by the chain law of `cable_chain`.
 
-Where tensions at the actuators are known, from commands, cables are elastic: what lies beyond a
-guide is stretched by the joints until it slips. From torques alone, where tensions are those that
-the joints need, they are rigid, and give by Dahl's law along the way that passes each guide.
+If commands give the tensions at the actuators, cables are elastic: joints stretch the piece beyond
+a guide until it slips. If tensions follow from torques alone, cables are rigid and give by Dahl's
+law along the length that passes each guide.
 """
 
 from __future__ import annotations
 
 import math
+from functools import cached_property
 
 import mujoco
 import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.robot.model import Change, Robot
-from cablesense_gap.robot.motion import Trajectory
+from cablesense_gap.robot.motion import Recent, Trajectory
 
 _LEAST_GIVE = 1e-4
-"""Of the way that passes a guide: how far cable gives at least."""
+"""Cable gives at least this share of the length that passes a guide."""
 _LEAST_M, _RIDGE, _LEAST_SHARE = 1e-9, 1e-9, 1e-6
-_CACHED = 48
 _SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
 
 
@@ -28,13 +28,19 @@ class GuidedTendons:
 
     def __init__(self, robot: Robot, motion: Trajectory) -> None:
         """Tensions are those that the actuators make of recorded commands, where there are any."""
-        model, data, rows = robot.model, mujoco.MjData(robot.model), len(motion.position)
-        self._motion, self._shares = motion, dict[tuple[int, float], Array]()
+        self._motion, self._robot, self._shares = motion, robot, Recent()
+        model = robot.model
         of_tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
         pulls = of_tendon & (model.actuator_trnid[:, 0] == robot.tendon_ids[:, None])
         self._pulls = np.where(pulls, -model.actuator_gear[:, 0], 0.0)
-        self._moment, force = np.zeros((rows, model.nu, model.nv)), np.empty((rows, model.nu))
-        guides = {t: _guides(model, t) for t in robot.tendon_ids.tolist()}
+
+    @cached_property
+    def _along(self) -> tuple[Array, Array | None, list[list[Array]]]:
+        """Moments (R, A, J) of actuators, tensions (R, K) if known, levers and wrap angles."""
+        model, motion = self._robot.model, self._motion
+        data, rows = mujoco.MjData(model), len(motion.position)
+        moments, force = np.zeros((rows, model.nu, model.nv)), np.empty((rows, model.nu))
+        guides = {t: _guides(model, t) for t in self._robot.tendon_ids.tolist()}
         paths: dict[int, list[tuple[Array, Array]]] = {t: [] for t in guides}
         for row, command in enumerate(np.nan_to_num(motion.command)):
             data.qpos[:], data.qvel[:] = motion.position[row], motion.speed[row]
@@ -44,26 +50,28 @@ class GuidedTendons:
             mujoco.mj_fwdActuation(model, data)
             force[row] = data.actuator_force
             moment = data.actuator_moment, data.moment_rownnz, data.moment_rowadr
-            mujoco.mju_sparse2dense(self._moment[row], *moment, data.moment_colind)
+            mujoco.mju_sparse2dense(moments[row], *moment, data.moment_colind)
             for t, own in guides.items():
                 paths[t].append(_followed(model, data, data.ten_wrapadr[t], own))
-        self._paths = [[np.array(each) for each in zip(*paths[t], strict=True)] for t in paths]
         known = np.isfinite(motion.command).all() and not model.na
-        self._tension_n = force @ self._pulls.T if known else None
+        return (
+            moments,
+            force @ self._pulls.T if known else None,
+            [[np.array(each) for each in zip(*paths[t], strict=True)] for t in paths],
+        )
 
     def lost(self, change: Change, torque: Array, *, at_drive: bool = False) -> Array:
         """(R, J) by how much the torques of the drives are more than what reaches the joints.
 
-        Where no commands were recorded, tensions are the least that give `torque` (R, J), at the
-        joints or `at_drive`; a tendon that pushes then stands for its counterpart, which pulls.
+        Without recorded commands, tensions are the smallest that give `torque` (R, J), at the
+        joints or `at_drive`. A tendon that pushes then represents its antagonist, which pulls.
         """
         used = np.flatnonzero(change.capstan_friction).tolist()
-        tension_n = self._tension_n
-        if tension_n is None:
-            tension_n = self._least_n(self._moment, torque)
+        moments, known_n, _ = self._along
+        tension_n = self._least_n(moments, torque) if known_n is None else known_n
         lost = {k: self._lost_m(k, change, np.sign(tension_n[:, k])) for k in used}
-        if self._tension_n is None and not at_drive:
-            left = self._moment - sum(self._pulls[k][:, None] * lost[k][:, None] for k in used)
+        if known_n is None and not at_drive:
+            left = moments - sum(self._pulls[k][:, None] * lost[k][:, None] for k in used)
             tension_n = self._least_n(left, torque)
         return np.asarray(sum(tension_n[:, k, None] * lost[k] for k in used))
 
@@ -81,31 +89,29 @@ class GuidedTendons:
 
         Cable passes a guide, towards the actuator, as all pieces beyond it become shorter.
         """
-        lever_m, turn_rad = self._paths[k]
+        _, known_n, paths = self._along
+        lever_m, turn_rad = paths[k]
         limit = change.capstan_friction[k] * turn_rad
         beyond = np.cumsum(lever_m[:, :0:-1], axis=1)[:, ::-1]
         way_m = (np.abs(beyond).max(0) * np.ptp(self._motion.position, axis=0)).sum(1)
         gives_m = np.maximum(change.capstan_presliding[k], _LEAST_GIVE * way_m + _LEAST_M)
-        if self._tension_n is None:
+        if known_n is None:
             left = self._left_rigid(k, sign, beyond, limit, gives_m)
         else:
-            left = self._left_elastic(k, sign, beyond, limit, gives_m.max())
+            left = self._left_elastic(known_n[:, k], sign, beyond, limit, gives_m.max())
         return np.einsum("rp,rpj->rj", left - 1.0, lever_m[:, 1:])
 
     def _left_elastic(
-        self, k: int, sign: Array, beyond: Array, limit: Array, give_m: float
+        self, known_n: Array, sign: Array, beyond: Array, limit: Array, give_m: float
     ) -> Array:
         """(R, P - 1) what elastic cable beyond each guide has of the tension at the actuator.
 
         It is so stiff that at its usual tension it goes from rest to slip within `give_m`.
         """
-        from cablesense_sim.cable_chain import (
-            pulled_over_guides_n,
-        )  # compiled: others need not wait
+        from cablesense_sim.cable_chain import pulled_over_guides_n  # slow to compile
 
-        assert self._tension_n is not None
         position, trial = self._motion.position, self._motion.trial
-        near_n = np.abs(self._tension_n[:, k])
+        near_n = np.abs(known_n)
         near_n = np.maximum(near_n, _LEAST_SHARE * near_n.max() + _LEAST_M)
         between, moved = 0.5 * (beyond[1:] + beyond[:-1]), np.diff(position, axis=0)
         longer = np.vstack([0.0 * limit[:1], np.einsum("rpj,rj->rp", between, moved)])
@@ -120,21 +126,20 @@ class GuidedTendons:
         """The same of rigid cable that slips the other way by Dahl's law."""
         from cablesense_sim.cable_chain import kept
 
-        key = k, float(gives_m.max())
-        if key not in self._shares:
-            if len(self._shares) >= _CACHED:
-                self._shares.pop(next(iter(self._shares)))
+        def shares() -> Array:
             found = np.zeros(limit.shape)
             for p in np.flatnonzero(np.abs(beyond).max((0, 2)) > _LEAST_M).tolist():
                 same = p and np.allclose(beyond[:, p], beyond[:, p - 1], rtol=0.0, atol=_LEAST_M)
                 slid = self._motion.slid_along
                 found[:, p] = found[:, p - 1] if same else slid(-beyond[:, p], gives_m[p])
-            self._shares[key] = found
-        return kept(self._shares[key] * sign[:, None], limit)
+            return found
+
+        share = self._shares.of((k, float(gives_m.max())), shares)
+        return kept(share * sign[:, None], limit)
 
 
 def _guides(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int]]:
-    """Of a tendon's ends and guides the geom, -1 of a site, and the body."""
+    """The geom (-1 for a site) and the body of each end and guide of a tendon."""
     own = slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
     return [
         (-1, int(model.site_bodyid[number]))
@@ -149,9 +154,9 @@ def _followed(
 ) -> tuple[Array, Array]:
     """Levers (P, J), m, of a tendon's straight pieces, and wrap angles (P - 1,) between them.
 
-    From its actuator on, the end nearer to the base; `at` is the first of its points in the data.
-    A piece has the number of the guide that it comes from; one that the tendon passes without
-    touching has neither.
+    They begin at its actuator, the end nearer to the base; `at` is the tendon's first point in the
+    data. A piece has the number of the guide where it begins. A guide that the tendon does not
+    touch has zeros.
     """
     place, met = data.wrap_xpos.reshape(-1, 3), data.wrap_obj.ravel()
     lever, turn = np.zeros((len(guides) - 1, model.nv)), np.zeros(len(guides) - 1)

@@ -1,10 +1,7 @@
-"""A CAN interface: opening, error state, clock, CANopen node control, and the count of faults.
+"""A CAN interface: opening, error state of the bus, CANopen node control, and the count of faults.
 
-`CanInterface` opens any interface of python-can. `BusState` follows the controller's error state
-by error frames, whose classes are those of SocketCAN (`linux/can/error.h`); python-can passes
-them on in a frame's id and data. Other interfaces send error frames with codes of their own, or
-none. `BusClock` turns bus timestamps into this machine's time. `FaultKind` is the table of faults
-between a sensor and a sample; `FaultLedger` counts them for diagnostics.
+Error frames have the classes of SocketCAN (`linux/can/error.h`), which python-can passes on in a
+frame's id and data. Other interfaces send error frames with other codes, or none.
 """
 
 from __future__ import annotations
@@ -13,7 +10,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from math import isfinite
 from threading import Lock
 from typing import Any
 
@@ -22,7 +18,7 @@ import can
 from cablesense_base import CableSenseError
 
 INTERFACES = ("socketcan", "slcan", "pcan", "kvaser", "virtual", "udp_multicast")
-"""Those that are tried or documented here; python-can's others may well work."""
+"""Interfaces that are tested or documented here; others of python-can may work too."""
 NMT_ID = 0x000
 START_REMOTE_NODE = 0x01
 HEARTBEAT_ID = 0x700
@@ -38,26 +34,10 @@ _CLASSES = {
     BUS_ERROR_CLASS: "bus error",
     RESTARTED_CLASS: "controller restarted",
 }
-_CONTROLLER_BITS = {
-    0x01: "receive buffer overflow",
-    0x02: "transmit buffer overflow",
-    0x04: "receive warning",
-    0x08: "transmit warning",
-    0x10: "receive passive",
-    0x20: "transmit passive",
-    0x40: "active again",
-}
-
-SAME_CLOCK_S = 0.05
-"""Timestamps that lag this machine's clock by no more are of that clock, as SocketCAN's are."""
-DRIFT = 200e-6
-"""The most by which two quartz clocks drift apart, with a margin."""
-JUMP_S = 2.0
-"""A lag that changes by more than this at once is a clock that was set, not a busy machine."""
 
 
 class CanInterfaceError(CableSenseError):
-    """A CAN interface that cannot be opened: names it, why, and what to look at."""
+    """A CAN interface that cannot be opened: names it, the reason and a remedy."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +55,7 @@ class CanInterface:
     bitrate_bit_s: int = 0
 
     def __post_init__(self) -> None:
-        """Raise CanInterfaceError where the kind is unknown to python-can, or no channel given."""
+        """Raise CanInterfaceError if python-can lacks the kind, or no channel is given."""
         if self.interface not in can.VALID_INTERFACES:
             raise CanInterfaceError(
                 f"interface {self.interface[:40]!r} is unknown to python-can; it must be one of "
@@ -93,25 +73,19 @@ class CanInterface:
 
     @property
     def stamps_frames(self) -> bool:
-        """Whether frames bear the time they were on the bus; over slcan it is when they are read.
-
-        (Lawicel's protocol has a stamp of 16 bits, which python-can does not ask for.)
-        """
+        """Whether frames have the time of the bus; over slcan they have the time of reading."""
         return self.interface != "slcan"
 
     @property
     def classes_errors(self) -> bool:
-        """Whether error frames bear SocketCAN's classes in their id.
-
-        Other drivers put codes of their own there. `virtual` passes on the emulator's frames.
-        """
+        """Whether error frames have SocketCAN's classes; `virtual` passes the emulator's on."""
         return self.interface in ("socketcan", "virtual")
 
     def open(self) -> can.BusABC:
-        """Open it.
+        """Open the interface.
 
         Raises:
-            CanInterfaceError: it is not there, busy, or its driver is not installed.
+            CanInterfaceError: it does not exist, is busy, or its driver is not installed.
         """
         options: dict[str, Any] = {"bitrate": self.bitrate_bit_s} if self.bitrate_bit_s else {}
         if self.interface == "slcan":
@@ -121,113 +95,127 @@ class CanInterface:
                 channel=self.channel, interface=self.interface, ignore_config=True, **options
             )
             if self.interface == "slcan":
-                bus.flush()  # type: ignore[attr-defined]  # frames from before opening are old
+                bus.flush()  # type: ignore[attr-defined]  # discards frames from before opening
             return bus
-        except Exception as error:  # each adapter's driver raises errors of its own
+        except Exception as error:  # each adapter's driver raises its own errors
             reason = " ".join(str(error).split())[:300] or type(error).__name__
             raise CanInterfaceError(f"{self.name} cannot be opened ({reason})") from error
 
 
-class BusCondition(Enum):
-    """The controller's error state (ISO 11898-1); the value is its name in diagnostics."""
+class FaultKind(Enum):
+    """A kind of fault between a sensor and a sample; its value is its name in diagnostics."""
 
-    ACTIVE = "error active"
-    WARNING = "error warning"
-    PASSIVE = "error passive"
-    OFF = "bus off"
+    MISSING_CHANNEL = "missing channel"
+    LATE_CHANNEL = "late channel"
+    COUNTER_GAP = "counter gap"
+    WRONG_LENGTH = "wrong length"
+    UNKNOWN_ID = "unknown id"
+    UNREADABLE = "unreadable frame"
+    ERROR_FRAME = "error frame"
+    BUS_OFF = "bus off"
+    OVER_RANGE = "over range"
+    UNDER_RANGE = "under range"
+    STUCK_VALUE = "stuck value"
+    NOT_FINITE = "not finite"
+    INVALID_STATUS = "invalid by its status"
+    FLOODED = "flooded bus"
+    SILENT_BUS = "silent bus"
+    INTERFACE_LOST = "interface lost"
+
+    @property
+    def withholds(self) -> bool:
+        """Whether the fault costs samples; otherwise it is only reported."""
+        kept = (FaultKind.COUNTER_GAP, FaultKind.UNKNOWN_ID, FaultKind.ERROR_FRAME)
+        return self not in (*kept, FaultKind.FLOODED)
 
 
-_CONDITIONS = (
-    (0x30, BusCondition.PASSIVE),
-    (0x0C, BusCondition.WARNING),
-    (0x40, BusCondition.ACTIVE),
-)
-"""By bits of a controller frame; the first that applies counts."""
+@dataclass(frozen=True)
+class FaultReport:
+    """Faults since the previous report.
+
+    Attributes:
+        places: how often each kind occurred at each place (a cable, an id, a message).
+        total: how often each kind has occurred in all.
+        last: the latest detail of each kind.
+    """
+
+    places: Mapping[FaultKind, Counter[str]]
+    total: Mapping[FaultKind, int]
+    last: Mapping[FaultKind, str]
+
+    @property
+    def recent(self) -> dict[FaultKind, int]:
+        """How often each kind occurred since the previous report."""
+        return {kind: counted.total() for kind, counted in self.places.items()}
+
+
+class FaultLedger:
+    """Counts faults. It is thread-safe."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._places: dict[FaultKind, Counter[str]] = {}
+        self._total: Counter[FaultKind] = Counter()
+        self._last: dict[FaultKind, str] = {}
+
+    def note(self, kind: FaultKind, place: str, detail: str = "") -> None:
+        """Count a fault of a cable, id, message or interface, and keep its detail."""
+        with self._lock:
+            self._places.setdefault(kind, Counter())[place] += 1
+            self._total[kind] += 1
+            self._last[kind] = detail or place
+
+    def report(self) -> FaultReport:
+        """The faults since the previous report."""
+        with self._lock:
+            places, self._places = self._places, {}
+            return FaultReport(places, dict(self._total), dict(self._last))
+
+
+ERROR_ACTIVE, BUS_OFF = "error active", "bus off"
+_CONDITIONS = {0x30: "error passive", 0x0C: "error warning", 0x40: ERROR_ACTIVE}
+"""Error state (ISO 11898-1) by the bits of a controller frame; the first that applies counts."""
 
 
 class BusState:
     """Follows the error state of the bus.
 
     Attributes:
-        condition: the present one.
-        recoveries: how often the controller came back from bus off.
+        condition: the present state. It stays active if error frames have no classes.
+        recoveries: how often the controller has come back from bus off.
     """
 
-    def __init__(self, place: str, classes: bool, ledger: FaultLedger) -> None:
-        """`place` names the interface; `classes` is whether its error frames bear classes.
-
-        Without classes error frames are counted, and the condition stays active.
-        """
-        self._place = place
-        self._classes = classes
-        self._ledger = ledger
-        self.condition = BusCondition.ACTIVE
+    def __init__(self, interface: CanInterface, ledger: FaultLedger) -> None:
+        self._interface, self._ledger = interface, ledger
+        self.condition = ERROR_ACTIVE
         self.recoveries = 0
 
     def error_frame(self, arbitration_id: int, data: bytes) -> None:
-        """Take an error frame in.
+        """Take an error frame.
 
-        A controller that is off the bus neither sends nor receives until it is restarted: by the
-        kernel after `restart-ms`, by an adapter's own rule, or by reopening it.
+        A controller in bus off neither sends nor receives until it is restarted: by the kernel
+        after `restart-ms`, by the adapter, or by reopening it.
         """
-        if not self._classes:
-            self._ledger.note(FaultKind.ERROR_FRAME, self._place, "an error frame without class")
-            return
-        bits = data[1] if arbitration_id & CONTROLLER_CLASS and len(data) > 1 else 0
-        parts = [part for bit, part in _CLASSES.items() if arbitration_id & bit]
-        parts += [part for bit, part in _CONTROLLER_BITS.items() if bits & bit]
-        text = ", ".join(parts) or f"error frame of class 0x{arbitration_id:X}"
-        if arbitration_id & BUS_OFF_CLASS:
-            if self.condition is not BusCondition.OFF:
-                self._ledger.note(FaultKind.BUS_OFF, self._place, text)
-            self.condition = BusCondition.OFF
-            return
-        self._ledger.note(FaultKind.ERROR_FRAME, self._place, text)
-        if arbitration_id & RESTARTED_CLASS:
+        classes = arbitration_id if self._interface.classes_errors else 0
+        named = [name for bit, name in _CLASSES.items() if classes & bit]
+        text = ", ".join(named) or f"error frame 0x{arbitration_id:X} of no known class"
+        if not classes & BUS_OFF_CLASS:
+            self._ledger.note(FaultKind.ERROR_FRAME, self._interface.name, text)
+        elif self.condition != BUS_OFF:
+            self._ledger.note(FaultKind.BUS_OFF, self._interface.name, text)
+            self.condition = BUS_OFF
+        if classes & RESTARTED_CLASS:
             self.data_frame()
-            self.condition = BusCondition.ACTIVE
-        if self.condition is not BusCondition.OFF:
-            for mask, condition in _CONDITIONS:
-                if bits & mask:
-                    self.condition = condition
-                    break
+            self.condition = ERROR_ACTIVE
+        if classes & CONTROLLER_CLASS and len(data) > 1 and self.condition != BUS_OFF:
+            found = [condition for bits, condition in _CONDITIONS.items() if data[1] & bits]
+            self.condition = found[0] if found else self.condition
 
     def data_frame(self) -> None:
-        """A data frame came, so the controller is on the bus."""
-        if self.condition is BusCondition.OFF:
+        """Note that a data frame arrived, so the controller is on the bus."""
+        if self.condition == BUS_OFF:
             self.recoveries += 1
-            self.condition = BusCondition.ACTIVE
-
-
-class BusClock:
-    """Gives every frame's time by this machine's clock.
-
-    Adapters stamp by this machine's clock, or by their own, which starts when they do. From the
-    latter the smallest lag of arrival behind stamp is taken off: it is the clocks' distance plus
-    the shortest delay, and follows their drift. Frames without a usable stamp count from arrival.
-    """
-
-    def __init__(self) -> None:
-        self._lag_s: float | None = None
-        self._last_now_s = 0.0
-
-    def time_s(self, stamp_s: float, now_s: float) -> float:
-        """The frame's time of its bus stamp and its arrival `now_s`, s since the epoch."""
-        if not isfinite(stamp_s) or stamp_s <= 0.0:
-            return now_s
-        lag_s = now_s - stamp_s
-        known_s = self._lag_s
-        if known_s is None or lag_s - known_s > JUMP_S:
-            self._lag_s = lag_s
-        else:
-            self._lag_s = min(lag_s, known_s + DRIFT * max(0.0, now_s - self._last_now_s))
-        self._last_now_s = now_s
-        same_clock = 0.0 <= self._lag_s <= SAME_CLOCK_S
-        return stamp_s if same_clock else stamp_s + self._lag_s
-
-    def restart(self) -> None:
-        """The interface was opened again, and its clock may have started anew."""
-        self._lag_s = None
+            self.condition = ERROR_ACTIVE
 
 
 def start_frames(nodes: Sequence[int]) -> list[can.Message]:
@@ -239,94 +227,10 @@ def start_frames(nodes: Sequence[int]) -> list[can.Message]:
 
 
 def booted_node(frame: can.Message, nodes: Sequence[int]) -> int | None:
-    """Which of the nodes has just got power, if the frame is its boot-up message.
+    """Which of the nodes sent this frame as its boot-up message, if any.
 
-    It then waits in the state pre-operational, and must be started again.
+    After power-up a node is in the state pre-operational and must be started again.
     """
     node = frame.arbitration_id - HEARTBEAT_ID
     plain = not (frame.is_extended_id or frame.is_remote_frame or frame.is_error_frame)
     return node if plain and node in nodes and bytes(frame.data) == b"\x00" else None
-
-
-PLACES_KEPT = 32
-"""Places counted by name for each kind; a bus full of unknown ids must not fill the memory."""
-ELSEWHERE = "elsewhere"
-
-
-class FaultKind(Enum):
-    """A kind of fault; its value is its name in diagnostics.
-
-    Attributes:
-        withholds: whether it costs samples; otherwise it is reported and the samples go on.
-        of_cable: whether it concerns one cable's channel; otherwise the whole bus.
-    """
-
-    #                  in diagnostics          withholds, of_cable
-    MISSING_CHANNEL = ("missing channel", True, True)
-    LATE_CHANNEL = ("late channel", True, True)
-    COUNTER_GAP = ("counter gap", False, False)
-    WRONG_LENGTH = ("wrong length", True, True)
-    UNKNOWN_ID = ("unknown id", False, False)
-    UNREADABLE = ("unreadable frame", True, True)
-    ERROR_FRAME = ("error frame", False, False)
-    BUS_OFF = ("bus off", True, False)
-    OVER_RANGE = ("over range", True, True)
-    UNDER_RANGE = ("under range", True, True)
-    STUCK_VALUE = ("stuck value", True, True)
-    NOT_FINITE = ("not finite", True, True)
-    INVALID_STATUS = ("invalid by its status", True, True)
-    FLOODED = ("flooded bus", False, False)
-    SILENT_BUS = ("silent bus", True, False)
-    INTERFACE_LOST = ("interface lost", True, False)
-
-    withholds: bool
-    of_cable: bool
-
-    def __new__(cls, text: str, withholds: bool, of_cable: bool) -> FaultKind:
-        """A row of the table."""
-        kind = object.__new__(cls)
-        kind._value_ = text
-        kind.withholds, kind.of_cable = withholds, of_cable
-        return kind
-
-
-@dataclass(frozen=True)
-class FaultReport:
-    """Faults since the report before.
-
-    Attributes:
-        recent: how many of each kind.
-        places: of these, how many at each place (a cable, an id, a message).
-        total: how many of each kind in all.
-        last: the latest detail of each kind.
-    """
-
-    recent: Mapping[FaultKind, int]
-    places: Mapping[FaultKind, Mapping[str, int]]
-    total: Mapping[FaultKind, int]
-    last: Mapping[FaultKind, str]
-
-
-class FaultLedger:
-    """Counts faults; safe to use from two threads."""
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self._places: dict[FaultKind, Counter[str]] = {}
-        self._total: Counter[FaultKind] = Counter()
-        self._last: dict[FaultKind, str] = {}
-
-    def note(self, kind: FaultKind, place: str, detail: str = "") -> None:
-        """Count a fault of a cable, id, message or interface; the latest detail is kept."""
-        with self._lock:
-            places = self._places.setdefault(kind, Counter())
-            places[place if place in places or len(places) < PLACES_KEPT else ELSEWHERE] += 1
-            self._total[kind] += 1
-            self._last[kind] = detail or place
-
-    def report(self) -> FaultReport:
-        """The faults since the report before; totals go on."""
-        with self._lock:
-            places, self._places = self._places, {}
-            recent = {kind: counted.total() for kind, counted in places.items()}
-            return FaultReport(recent, places, dict(self._total), dict(self._last))

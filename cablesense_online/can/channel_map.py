@@ -1,47 +1,52 @@
-"""The channel map: which signal of a DBC file is which cable, and which readings are valid.
+"""Channel map, DBC file and calibration: which signal is which cable, with its scale and zero.
 
-Maps are YAML files, bundled ones by name and any other by path; bounds on their numbers are those
-of any plausible amplifier, to catch a wrong unit. The DBC file beside a map (Vector's text format)
-is read by cantools; its sizes are bounded before, since cantools takes memory for every bit of a
-message before it compares a signal with its message.
+Maps are YAML files, the bundled ones opened by name and any other by path. cantools reads the DBC
+file (Vector's text format) that a map names. A calibration file replaces the scale and zero of
+some cables. It names the map, signals and units it was made for, so no other map takes it.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from datetime import datetime
+from math import isfinite
 from pathlib import Path
 from typing import Annotated
 
 import cantools
-from cantools.database.can import Database, Message, Signal
+import yaml
+from cantools.database.can import Database, Signal
 from pydantic import AfterValidator, Field, model_validator
 
 from cablesense_base import CableSenseError, some_of
-from cablesense_base.files import read_bounded_text
+from cablesense_base.files import read_bounded_text, write_atomically
 from cablesense_base.installation import BundledFiles
 from cablesense_base.plain_yaml import Count, FilePart, Number, read_plain
+from cablesense_msgs_py.messages import Level, Status
 
-MAX_CHANNELS = 256
 MAX_MAP_BYTES = 200_000
-"""A map is a page of text."""
+"""A map or calibration is a page of text."""
 _MAX_DBC_BYTES = 2_000_000
-"""A car's whole DBC file is a megabyte."""
-_MOST_BYTES = 1785
-"""Of the longest message that travels over CAN: that of J1939's transport protocol."""
-_MOST_SIGNAL_BITS = 64
-_LARGEST_FACTOR = 1e30
+"""The DBC file of a whole car has about a megabyte."""
+_SIZES = re.compile(r"(?m)^\s*(?:BO_[^:\n]*:\s*(\d+)|SG_[^:\n]*:\s*(\d+)\s*\|\s*(\d+))")
+_LARGEST_SIZE = 8 * 1785
+"""The bits of J1939's longest message. cantools takes memory for every bit that a line claims."""
+_CALIBRATION_HEAD = """\
+# Scale and zero of tension sensors, from known loads. Give it to the driver as -p calibration:=…
+# tension_n = scale_n_per_unit * (value - zero); every *_u95 is an expanded uncertainty (95 %).
+"""
 
 
 class ChannelMapError(CableSenseError):
-    """A channel map, DBC or calibration file that does not fit: names which, where, what would."""
+    """A channel map, DBC or calibration file that does not fit: names file, place and remedy."""
 
 
 def _not_zero(scale_n_per_unit: float) -> float:
     if scale_n_per_unit == 0.0:
         raise ValueError(
-            "= 0, so that every reading is 0 N; it must be the newtons of one unit of the signal "
-            "(negative if it falls under tension)"
+            "= 0, so every reading is 0 N; it must be the newtons of one unit of the signal "
+            "(negative if the signal falls under tension)"
         )
     return scale_n_per_unit
 
@@ -50,18 +55,24 @@ Mask = Annotated[Count, Field(ge=0, le=0xFFFF)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]{0,127}$")]
 """A DBC identifier."""
 Scale = Annotated[Number, Field(ge=-1e9, le=1e9), AfterValidator(_not_zero)]
+"""The bounds of scale and zero cover any plausible amplifier and reveal a wrong unit."""
 Zero = Annotated[Number, Field(ge=-1e12, le=1e12)]
 
 
-class Channel(FilePart):
-    """One cable's signal: `tension_n = scale_n_per_unit * (value - zero)`.
-
-    `value` and `zero` are in the unit that the DBC file gives the signal. `status` names a signal
-    of the same message, which `status_masks` of the map read.
-    """
+class SignalPlace(FilePart):
+    """A signal of the DBC file."""
 
     message: Name
     signal: Name
+
+
+class Channel(SignalPlace):
+    """The signal of one cable: `tension_n = scale_n_per_unit * (value - zero)`.
+
+    `value` and `zero` have the unit that the DBC file gives the signal. `status` names a signal
+    of the same message whose bits `status_masks` of the map interprets.
+    """
+
     status: Name | None = None
     scale_n_per_unit: Scale = 1.0
     zero: Zero = 0.0
@@ -75,15 +86,8 @@ class Channel(FilePart):
         return tension_n / self.scale_n_per_unit + self.zero
 
 
-class CounterSignal(FilePart):
-    """The signal that counts cycles, in a message that opens each cycle."""
-
-    message: Name
-    signal: Name
-
-
 class StatusMasks(FilePart):
-    """Bits of the status signals; a reading whose status has one of them set is invalid."""
+    """Bits of the status signals. A reading is invalid if its status has one of them set."""
 
     invalid: Mask = 0
     over_range: Mask = 0
@@ -94,8 +98,8 @@ class StuckLimits(FilePart):
     """When a reading that stays the same to the last bit counts as stuck.
 
     Attributes:
-        after_s: for so long it must have stayed the same,
-        others_moved_n: while half of the other channels moved by more than this.
+        after_s: minimum time for which it has stayed the same.
+        others_moved_n: minimum movement, in that time, of half of the other channels.
     """
 
     after_s: Annotated[Number, Field(ge=0.01, le=3600.0)]
@@ -103,40 +107,39 @@ class StuckLimits(FilePart):
 
 
 class ChannelMap(FilePart):
-    """The whole map; `channels` go by cable name.
+    """The whole map.
 
     Attributes:
-        dbc: file name, beside the map.
-        cycle_time_s: from one sample to the next.
-        skew_limit_s: from the first to the last frame of one sample.
-        flood_frames_s: rate of frames, of any id, from which on the bus counts as flooded.
-        range_n: lowest and highest tension; at or beyond either a reading is invalid.
-        counter: the message that opens a cycle and counts it, if the amplifier sends one.
+        dbc: path of the DBC file, relative to the map.
+        cycle_time_s: time from one sample to the next.
+        skew_limit_s: maximum time from the first to the last frame of one sample.
+        flood_frames_s: rate of frames, of any id, above which the bus counts as flooded.
+        range_n: lowest and highest tension; a reading at or beyond either is invalid.
+        counter: the signal that counts cycles, in the message that opens each; or none.
         nmt_start_nodes: CANopen nodes that send only after an NMT start (CiA 301).
+        channels: the signal of each cable, by the cable's name.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_\-]{1,64}$")]
-    dbc: Annotated[str, Field(max_length=128)]
+    dbc: str
     cycle_time_s: Annotated[Number, Field(ge=1e-4, le=1.0)]
     skew_limit_s: Annotated[Number, Field(gt=0.0, le=1.0)]
     flood_frames_s: Annotated[Number, Field(ge=1.0, le=1e6)]
     range_n: tuple[Number, Number]
     stuck: StuckLimits
     status_masks: StatusMasks = StatusMasks()
-    counter: CounterSignal | None = None
-    nmt_start_nodes: Annotated[
-        tuple[Annotated[Count, Field(ge=1, le=127)], ...], Field(max_length=127)
-    ] = ()
-    channels: Annotated[dict[Name, Channel], Field(min_length=1, max_length=MAX_CHANNELS)]
+    counter: SignalPlace | None = None
+    nmt_start_nodes: tuple[Annotated[Count, Field(ge=1, le=127)], ...] = ()
+    channels: Annotated[dict[Name, Channel], Field(min_length=1)]
 
     @property
     def cable_names(self) -> tuple[str, ...]:
-        """In the order of the map."""
+        """Names of the cables in the map's order."""
         return tuple(self.channels)
 
     @property
     def message_names(self) -> set[str]:
-        """Of the messages that make one sample, the counter's included."""
+        """Names of the messages that make one sample, including the counter's."""
         counter = {self.counter.message} if self.counter else set()
         return counter | {channel.message for channel in self.channels.values()}
 
@@ -149,41 +152,31 @@ class ChannelMap(FilePart):
         missing = [name for name in cable_names if name not in self.channels]
         unknown = [name for name in self.channels if name not in cable_names]
         if missing or unknown:
-            parts = [f"lacks {', '.join(missing)}"] if missing else []
-            parts += [f"has {', '.join(unknown)}, which the arm has not"] if unknown else []
             raise ChannelMapError(
-                f"map {self.name} {' and '.join(parts)}; the cables of this arm are "
-                f"{cable_names[0]} … {cable_names[-1]}, each with one channel"
+                f"map {self.name} lacks {', '.join(missing) or 'no cable'} and has "
+                f"{', '.join(unknown) or 'none'} that the arm has not; each cable needs a channel"
             )
         channels = {name: self.channels[name] for name in cable_names}
         return self.model_copy(update={"channels": channels})
 
     @model_validator(mode="after")
     def _is_possible(self) -> ChannelMap:
-        for wrong, text in (
-            (
-                not self.dbc.endswith(".dbc") or "/" in self.dbc or "\\" in self.dbc,
-                f"dbc = {self.dbc!r}; it must be the name of a .dbc file beside the map",
-            ),
-            (
-                self.skew_limit_s > self.cycle_time_s,
-                f"skew_limit_s = {self.skew_limit_s:g}; it must be at most cycle_time_s = "
-                f"{self.cycle_time_s:g}, or frames of two cycles would make one sample",
-            ),
-            (
-                self.range_n[0] >= self.range_n[1],
-                f"range_n = {list(self.range_n)}; it must be [lowest, highest] in N",
-            ),
-        ):
-            if wrong:
-                raise ValueError(f"gives {text}")
+        if self.skew_limit_s > self.cycle_time_s:
+            raise ValueError(
+                f"gives skew_limit_s = {self.skew_limit_s:g}; it must be at most cycle_time_s = "
+                f"{self.cycle_time_s:g}, or frames of two cycles would make one sample"
+            )
+        if self.range_n[0] >= self.range_n[1]:
+            raise ValueError(
+                f"gives range_n = {list(self.range_n)}; it must be [lowest, highest] in N"
+            )
         by_signal: dict[tuple[str, str], str] = {}
         for cable, channel in self.channels.items():
             other = by_signal.setdefault((channel.message, channel.signal), cable)
             if other != cable:
                 raise ValueError(
                     f"gives {other} and {cable} the same signal {channel.message}."
-                    f"{channel.signal}; every cable has a sensor of its own"
+                    f"{channel.signal}; every cable has its own sensor"
                 )
         return self
 
@@ -192,19 +185,19 @@ _BUNDLED = BundledFiles("channel map", "can", (".yaml", ".yml"), ChannelMapError
 
 
 def open_channel_map(name_or_path: str | Path) -> tuple[ChannelMap, Database]:
-    """A map by name (`cia404_amplifier`) or path (`my/map.yaml`), and the DBC file beside it.
+    """A map by name (`cia404_amplifier`) or path (`my/map.yaml`), with its DBC file.
 
     Raises:
-        ChannelMapError: neither a bundled map nor a file; either file cannot be read, is no YAML
-            or DBC, or has a key or value that cannot be true; or they do not fit.
+        ChannelMapError: a file is missing or unreadable, has an impossible key or value, or the
+            two do not fit each other.
     """
     path = _BUNDLED.find(name_or_path)
     text = read_bounded_text(path, MAX_MAP_BYTES, "a channel map", ChannelMapError)
     channel_map = read_plain(text, str(path), ChannelMap, ChannelMapError)
-    beside = path.parent / channel_map.dbc
-    text = read_bounded_text(beside, _MAX_DBC_BYTES, "a DBC file", ChannelMapError)
-    database = parse_database(text, source=str(beside))
-    check_fit(channel_map, database, source=str(beside))
+    dbc = path.parent / channel_map.dbc
+    text = read_bounded_text(dbc, _MAX_DBC_BYTES, "a DBC file", ChannelMapError)
+    database = parse_database(text, source=str(dbc))
+    check_fit(channel_map, database, source=str(dbc))
     return channel_map, database
 
 
@@ -212,16 +205,20 @@ def parse_database(text: str, source: str = "DBC file") -> Database:
     """Read DBC text; `source` names it in errors.
 
     Raises:
-        ChannelMapError: not DBC, or signals that overlap or leave their message.
+        ChannelMapError: not DBC, or signals that overlap or exceed their message.
     """
-    _require_bounded_sizes(text, source)
+    for found in _SIZES.finditer(text):
+        if any(len(size) > 5 or int(size) > _LARGEST_SIZE for size in found.groups("0")):
+            raise ChannelMapError(
+                f"{source}: {found[0].strip()[:60]!r} is larger than any message on a CAN bus"
+            )
     try:
         database = cantools.database.load_string(text, database_format="dbc", strict=True)
-    except Exception as error:  # the parser raises whatever a broken file trips it over
+    except Exception as error:  # the parser raises errors of many kinds
         line = " ".join(str(error).split())[:300] or type(error).__name__
         raise ChannelMapError(
-            f"{source}: not a DBC file that can be used ({line}); no signal may leave its message "
-            "or lie over another"
+            f"{source}: not a valid DBC file ({line}); no signal may exceed its message or "
+            "overlap another"
         ) from error
     if not isinstance(database, Database) or not database.messages:
         raise ChannelMapError(f"{source}: holds no messages; a DBC file has a BO_ line for each")
@@ -229,26 +226,21 @@ def parse_database(text: str, source: str = "DBC file") -> Database:
 
 
 def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC file") -> None:
-    """Check that every message and signal that the map names is there and can be read.
+    """Check that every message and signal that the map names exists and can be read.
 
     Raises:
-        ChannelMapError: names the cable, what it asks for, and what there is.
+        ChannelMapError: names the cable, the missing or unfit signal, and the existing ones.
     """
     for cable, channel in channel_map.channels.items():
         where = f"{source}: channel {cable}"
-        _signal_of(database, channel.message, channel.signal, where)
+        _signal_of(database, channel, where)
         if channel.status is not None:
-            status = _signal_of(database, channel.message, channel.status, where)
-            if status.is_float:
-                raise ChannelMapError(
-                    f"{where}: status {channel.status} is a floating value; it must be of whole "
-                    "bits"
-                )
+            at = SignalPlace(message=channel.message, signal=channel.status)
+            if _signal_of(database, at, where).is_float:
+                raise ChannelMapError(f"{where}: status {at.signal} must be a whole number")
     if channel_map.counter is not None:
         where = f"{source}: counter"
-        counter = _signal_of(
-            database, channel_map.counter.message, channel_map.counter.signal, where
-        )
+        counter = _signal_of(database, channel_map.counter, where)
         if counter.is_float or counter.is_signed or counter.length < 2:
             raise ChannelMapError(
                 f"{where}: {counter.name} must be an unsigned whole number of two bits or more, "
@@ -256,84 +248,160 @@ def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC fi
             )
 
 
-def signal_conversion(database: Database, channel: Channel) -> tuple[str, float, float]:
-    """Unit, factor and offset of a channel by the DBC file: `value = factor * bits + offset`.
+def signal_conversion(database: Database, place: SignalPlace) -> tuple[str, float, float]:
+    """Unit, factor and offset of a signal by the DBC file: `value = factor * bits + offset`.
 
     Raises:
         ChannelMapError: the database lacks its message or signal.
     """
-    signal = _signal_of(database, channel.message, channel.signal, "DBC file")
+    signal = _signal_of(database, place, "DBC file")
     return signal.unit or "", float(signal.scale), float(signal.offset)
 
 
-_TOKEN = re.compile(
-    r'"(?:\\"|[^"])*"|(?P<comment>//.*)|(?P<number>\d+)|(?P<sign>[:|@])|\w+|[^\s\w]'
-)
-_LIMITS = {
-    (":", None): (_MOST_BYTES, "a message of bytes"),
-    (":", "|"): (8 * _MOST_BYTES, "a signal from bit"),
-    ("|", "@"): (_MOST_SIGNAL_BITS, "a signal of bits"),
-}
-"""The most that a number between two signs may be, and what it is; None stands for no sign."""
-
-
-def _require_bounded_sizes(text: str, source: str) -> None:
-    """Refuse DBC text with messages or signals that no bus carries."""
-    sign: str | None = None
-    number: re.Match[str] | None = None
-    for token in _TOKEN.finditer(text):
-        if token["comment"]:
-            continue
-        if number is not None and (sign, token["sign"]) in _LIMITS:
-            most, what = _LIMITS[sign or "", token["sign"]]
-            if len(number[0]) > 9 or int(number[0]) > most:
-                line = text.count("\n", 0, number.start()) + 1
-                raise ChannelMapError(
-                    f"{source}: line {line}: {what} {number[0][:20]}; it must be at most {most}"
-                )
-        if token["number"] and number is None:
-            number = token
-        else:
-            sign, number = token["sign"], None
-
-
-def _message_of(database: Database, name: str, where: str) -> Message:
-    names = [message.name for message in database.messages]
-    if name not in names:
-        raise ChannelMapError(f"{where}: no message {name}; there are {some_of(names)}")
-    found = database.messages[names.index(name)]
-    number = (found.frame_id, found.is_extended_frame)
-    same = [
-        other.name
-        for other in database.messages
-        if other is not found
-        and (other.name == name or (other.frame_id, other.is_extended_frame) == number)
-    ]
-    if same:
+def _signal_of(database: Database, place: SignalPlace, where: str) -> Signal:
+    messages = {message.name: message for message in database.messages}
+    message = messages.get(place.message)
+    if message is None:
+        known = some_of(list(messages))
+        raise ChannelMapError(f"{where}: no message {place.message}; there are {known}")
+    if message.is_multiplexed() or message.is_fd or message.is_container:
         raise ChannelMapError(
-            f"{where}: {name} and {same[0]} have the same name or the same id; a frame is of one "
-            "message"
+            f"{where}: message {place.message} is multiplexed, a container or CAN FD; it must be "
+            "a plain message of at most 8 bytes"
         )
-    if found.is_multiplexed() or found.is_fd or found.is_container:
-        raise ChannelMapError(
-            f"{where}: message {name} is multiplexed, a container or of CAN FD; only plain "
-            "messages of at most 8 bytes are read"
-        )
-    return found
-
-
-def _signal_of(database: Database, message_name: str, name: str, where: str) -> Signal:
-    message = _message_of(database, message_name, where)
     signals = {signal.name: signal for signal in message.signals}
-    if name not in signals:
+    signal = signals.get(place.signal)
+    if signal is None:
+        known = some_of(list(signals)) or "none"
         raise ChannelMapError(
-            f"{where}: no signal {name} in message {message.name}; there are "
-            f"{some_of(list(signals)) or 'none'}"
+            f"{where}: no signal {place.signal} in message {place.message}; there are {known}"
         )
-    signal = signals[name]
-    if not all(abs(number) <= _LARGEST_FACTOR for number in (signal.scale, signal.offset)):
-        raise ChannelMapError(
-            f"{where}: factor or offset of {signal.name} is no number that a sensor has; "
-            f"both must be finite, at most {_LARGEST_FACTOR:g}"
-        )
+    if not (isfinite(signal.scale) and isfinite(signal.offset)):
+        raise ChannelMapError(f"{where}: factor or offset of {place.signal} is not finite")
     return signal
+
+
+class CalibratedSensor(SignalPlace):
+    """The sensor of one cable: `tension_n = scale_n_per_unit * (value - zero)`.
+
+    The optional fields record origin and expanded uncertainty (95 %).
+
+    Attributes:
+        signal_unit, signal_factor, signal_offset: its conversion in the DBC file at that time.
+        points, largest_force_n: number of known loads, and the largest.
+        tension_u95_n: largest uncertainty of a tension within the range of the loads.
+        nonlinearity_n: largest distance of a rising load's mean reading from the line.
+        hysteresis_n: largest difference of mean readings between falling and rising at one load;
+            none if the loads do not show it.
+        repeatability_n: largest range of readings at one load, reached from one side; or none.
+    """
+
+    signal_unit: str
+    signal_factor: Number
+    signal_offset: Number
+    scale_n_per_unit: Scale
+    zero: Zero
+    scale_u95_n_per_unit: Number | None = None
+    zero_u95: Number | None = None
+    tension_u95_n: Number | None = None
+    points: Count | None = None
+    largest_force_n: Number | None = None
+    nonlinearity_n: Number | None = None
+    hysteresis_n: Number | None = None
+    repeatability_n: Number | None = None
+
+
+class Calibration(FilePart):
+    """A calibration file.
+
+    Attributes:
+        map: name of the channel map it belongs to.
+        made: date and time of the calibration.
+        gravity_m_s2: the value that converted masses to forces, if there were masses.
+        common_relative_u: relative standard uncertainty that all loads shared.
+        uncalibrated: names of the cables that keep the map's scale and zero.
+        cables: the sensors of the other cables.
+    """
+
+    map: str
+    made: datetime
+    gravity_m_s2: Number | None = None
+    common_relative_u: Number | None = None
+    uncalibrated: tuple[Name, ...] = ()
+    cables: Annotated[dict[Name, CalibratedSensor], Field(min_length=1)]
+
+
+def calibrated(
+    channel_map: ChannelMap, database: Database, calibration: Calibration, source: str
+) -> ChannelMap:
+    """The map with the calibration's scales and zeros; `source` names the calibration in errors.
+
+    Raises:
+        ChannelMapError: it was made for another map, for other signals or units, or does not
+            name every cable of the map once, as calibrated or as uncalibrated.
+    """
+    if calibration.map != channel_map.name:
+        raise ChannelMapError(
+            f"{source}: was made for map {calibration.map}, not for {channel_map.name}; calibrate "
+            "with the map that the driver uses"
+        )
+    named = [*calibration.cables, *calibration.uncalibrated]
+    differing = {c for c in {*named, *channel_map.channels} if named.count(c) != 1}
+    differing |= set(named) - set(channel_map.channels)
+    if differing:
+        raise ChannelMapError(
+            f"{source}: {', '.join(sorted(differing))}: every cable of map {channel_map.name}, "
+            "and no other, must stand once under cables or uncalibrated"
+        )
+    channels = dict(channel_map.channels)
+    for cable, sensor in calibration.cables.items():
+        channel = channels[cable]
+        text = "{}.{} in {!r}, factor {:g}, offset {:g}"
+        now = (channel.message, channel.signal, *signal_conversion(database, channel))
+        then = (
+            *(sensor.message, sensor.signal, sensor.signal_unit),
+            *(sensor.signal_factor, sensor.signal_offset),
+        )
+        if then != now:
+            raise ChannelMapError(
+                f"{source}: {cable} was calibrated as {text.format(*then)}; map and DBC file now "
+                f"give it {text.format(*now)}; calibrate it again"
+            )
+        update = {"scale_n_per_unit": sensor.scale_n_per_unit, "zero": sensor.zero}
+        channels[cable] = channel.model_copy(update=update)
+    return channel_map.model_copy(update={"channels": channels})
+
+
+def load_calibration(path: str | Path) -> Calibration:
+    """Read a calibration.
+
+    Raises:
+        ChannelMapError: the file cannot be read, is not YAML, or has an impossible key or value.
+    """
+    text = read_bounded_text(path, MAX_MAP_BYTES, "a calibration", ChannelMapError)
+    return read_plain(text, str(path), Calibration, ChannelMapError)
+
+
+def write_calibration(path: str | Path, calibration: Calibration) -> None:
+    """Write a calibration.
+
+    Raises:
+        ChannelMapError: the file cannot be written.
+    """
+    content = calibration.model_dump(mode="json", exclude_none=True)
+    text = _CALIBRATION_HEAD + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
+    write_atomically(path, text, ChannelMapError)
+
+
+def calibration_status(calibration: Calibration | None) -> Status:
+    """The origin of scales and zeros, with the calibrated values, for diagnostics."""
+    if calibration is None:
+        return Status("calibration", Level.OK, "none given; those of the channel map")
+    values = {
+        cable: f"{sensor.scale_n_per_unit:.6g} N per unit from zero {sensor.zero:.6g}"
+        for cable, sensor in calibration.cables.items()
+    }
+    message, left = f"calibration of {calibration.made:%Y-%m-%d %H:%M}", calibration.uncalibrated
+    if left:
+        message += f", but the map's for {', '.join(left)}"
+    return Status("calibration", Level.WARN if left else Level.OK, message, values)

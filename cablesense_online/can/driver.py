@@ -1,7 +1,7 @@
-"""The CAN driver without ROS: a receiving thread, samples handed out, its diagnostics.
+"""The CAN driver without ROS: a receiving thread, its samples and its diagnostics.
 
-python-can's own Notifier thread ends for good at the first error, so the receive loop is our own:
-it opens the interface again when it is lost.
+python-can's Notifier thread ends at the first error, so the receive loop is our own: it opens the
+interface again when it is lost.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from cantools.database.can import Database
 from cablesense_base import CableSenseError, some_of
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.can.bus import (
-    BusCondition,
+    BUS_OFF,
+    ERROR_ACTIVE,
     CanInterface,
     FaultKind,
     FaultLedger,
@@ -28,20 +29,14 @@ from cablesense_online.can.bus import (
     start_frames,
 )
 from cablesense_online.can.channel_map import ChannelMap
-from cablesense_online.can.decoder import Sample
-from cablesense_online.can.tension_reader import TensionReader
+from cablesense_online.can.reader import Sample, TensionReader
 
 FIRST_BACK_OFF_S = 0.05
 LAST_BACK_OFF_S = 0.5
-"""Short enough that samples are there again within a second of the interface's return."""
+"""Short enough that samples come again within a second of the interface's return."""
 WAKE_S = 0.05
-WAITS_OF_SILENCE = 2
-"""The first wait may have ended in a pause of this process, with frames already there: only what
-the next one still does not find has not come."""
 REOPEN_AFTER_SILENCE_S = 2.0
-"""Adapters that lost power at times neither raise nor deliver; opening them anew sets them up."""
-UNREADABLE_IN_A_ROW = 10
-"""So many lines that are no frames, one after the other, are an adapter out of step."""
+"""Some adapters that lost power neither raise nor deliver; reopening sets them up again."""
 
 
 class CanDriver:
@@ -62,20 +57,19 @@ class CanDriver:
         on_sample: Callable[[Sample], None],
     ) -> None:
         """`on_sample` is called in the receiving thread."""
-        self._nodes = channel_map.nmt_start_nodes
+        self._map = channel_map
         self._interface = interface
         self._on_sample = on_sample
         self.ledger = FaultLedger()
         self._reader = TensionReader(channel_map, database, interface, self.ledger)
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
-        self._connected, self._any_frame, self._openings = False, False, 0
-        self._last_problem = ""
+        self._connected, self._openings, self._last_problem = False, 0, ""
         self._last_sample_s = self._report_s = monotonic()
         self._reported = np.zeros(3, dtype=int)
 
     def start(self) -> None:
-        """Begin to receive; an interface that is not there is waited for."""
+        """Begin to receive, as soon as the interface exists."""
         self._last_sample_s = self._report_s = monotonic()
         self._ended.clear()
         name = f"receive {self._interface.name}"
@@ -83,32 +77,36 @@ class CanDriver:
         self._thread.start()
 
     def stop(self) -> None:
-        """Receive no more, and close the interface; safe to call twice."""
+        """Stop receiving and close the interface; safe to call twice."""
         self._ended.set()
         if self._thread is not None:
             self._thread.join(timeout=5.0)
             self._thread = None
 
     def report(self, stale_after_s: float) -> tuple[list[Status], FaultReport]:
-        """The statuses `interface` and `samples`, and the faults, since the report before.
+        """The statuses `interface` and `samples`, and the faults, since the previous report.
 
-        Samples are stale after so long without one. Totals are since the driver was made.
+        Samples are stale after this time without one. Totals are since the driver was made.
         """
-        now_s, reader, faults = monotonic(), self._reader, self.ledger.report()
+        now_s, reader = monotonic(), self._reader
         counts = np.array([reader.frames, reader.samples, reader.withheld])
         frames, samples, withheld = (counts - self._reported).tolist()
         period_s = max(now_s - self._report_s, 1e-9)
         self._reported, self._report_s = counts, now_s
+        if frames > self._map.flood_frames_s * max(1.0, period_s):
+            detail = f"{frames} frames in {period_s:.1f} s; the map allows "
+            detail += f"{self._map.flood_frames_s:g} a second"
+            self.ledger.note(FaultKind.FLOODED, "bus", detail)
+        faults = self.ledger.report()
         interface = {
             "interface": self._interface.name,
             "frames (1/s)": f"{frames / period_s:.0f}",
             "frames in all": str(reader.frames),
-            "bus": reader.bus.condition.value,
+            "bus": reader.bus.condition,
             "recoveries from bus off": str(reader.bus.recoveries),
             "openings": str(self._openings),
+            "last problem": self._last_problem or "none",
         }
-        if self._last_problem:
-            interface["last problem"] = self._last_problem
         values = {
             "rate (Hz)": f"{samples / period_s:.1f}",
             "samples in all": str(reader.samples),
@@ -119,23 +117,21 @@ class CanDriver:
         reader.largest_skew_s = 0.0
         values |= {f"{kind.value} in all": str(faults.total.get(kind, 0)) for kind in FaultKind}
         values |= {f"last {kind.value}": detail for kind, detail in faults.last.items()}
-        silence_s = now_s - self._last_sample_s
-        statuses = [
+        silent_s = now_s - self._last_sample_s
+        verdict = _sample_verdict(faults, withheld, silent_s if silent_s > stale_after_s else 0.0)
+        return [
             Status("interface", *self._interface_verdict(frames), interface),
-            Status(
-                "samples", *_sample_verdict(faults, withheld, silence_s, stale_after_s), values
-            ),
-        ]
-        return statuses, faults
+            Status("samples", *verdict, values),
+        ], faults
 
     def _interface_verdict(self, frames: int) -> tuple[Level, str]:
         name, condition = self._interface.name, self._reader.bus.condition
         if not self._connected:
             return Level.ERROR, f"{name} is not open: {self._last_problem}"
-        if condition is BusCondition.OFF:
+        if condition == BUS_OFF:
             return Level.ERROR, "the controller is off the bus and waits to be restarted"
-        if condition is not BusCondition.ACTIVE:
-            return Level.WARN, f"the controller is {condition.value}"
+        if condition != ERROR_ACTIVE:
+            return Level.WARN, f"the controller is {condition}"
         if not frames:
             return Level.STALE, f"no frame on {name}"
         return Level.OK, f"receiving on {name}"
@@ -143,78 +139,69 @@ class CanDriver:
     def _run(self) -> None:
         back_off_s = FIRST_BACK_OFF_S
         while not self._ended.is_set():
-            self._any_frame = False
+            before = self._reader.frames
             try:
                 self._serve(self._interface.open())
-            except Exception as error:  # drivers raise errors of many kinds; it is tried again
+            except Exception as error:  # drivers raise errors of many kinds; we try again
                 text = " ".join(str(error).split())[:300] or type(error).__name__
                 if not isinstance(error, CableSenseError):
                     text = f"{self._interface.name}: {text}"
                 self._last_problem = text
                 self.ledger.note(FaultKind.INTERFACE_LOST, self._interface.name, text)
             self._connected = False
-            if self._any_frame:
+            if self._reader.frames > before:
                 back_off_s = FIRST_BACK_OFF_S
             self._ended.wait(back_off_s)
             back_off_s = min(2.0 * back_off_s, LAST_BACK_OFF_S)
 
     def _serve(self, bus: can.BusABC) -> None:
-        """Receive until the interface is lost."""
+        """Receive until the interface is lost or silent."""
         self._openings += 1
         try:
             self._reader.reopened()
-            for frame in start_frames(self._nodes):
+            for frame in start_frames(self._map.nmt_start_nodes):
                 bus.send(frame)
             self._connected = True
             self._receive(bus)
         finally:
-            with contextlib.suppress(Exception):  # closing what is gone may fail as well
+            with contextlib.suppress(Exception):  # closing a lost interface may fail as well
                 bus.shutdown()
 
     def _receive(self, bus: can.BusABC) -> None:
-        name, last_s, unreadable, in_vain = self._interface.name, monotonic(), 0, 0
+        name, last_s = self._interface.name, monotonic()
         while not self._ended.is_set():
+            frame = None
             try:
                 frame = bus.recv(WAKE_S)
             except (ValueError, IndexError) as error:  # slcan: a line that is no frame
-                unreadable += 1
                 self.ledger.note(FaultKind.UNREADABLE, name, f"{name}: {error}")
-                if unreadable >= UNREADABLE_IN_A_ROW:
-                    raise
-                continue
             now_s = monotonic()
             if frame is not None:
-                unreadable, in_vain, last_s, self._any_frame = 0, 0, now_s, True
+                last_s = now_s
                 self._take(frame, bus, now_s)
-                continue
-            in_vain += 1
-            if in_vain < WAITS_OF_SILENCE:
-                continue
-            self._reader.silence(now_s)
-            if now_s - last_s > REOPEN_AFTER_SILENCE_S:
-                detail = f"{name}: no frame for {REOPEN_AFTER_SILENCE_S:g} s; it is opened anew"
+            elif now_s - last_s > REOPEN_AFTER_SILENCE_S:
+                detail = f"{name}: no frame for {REOPEN_AFTER_SILENCE_S:g} s; it is reopened"
                 self.ledger.note(FaultKind.SILENT_BUS, name, detail)
                 break
 
     def _take(self, frame: can.Message, bus: can.BusABC, now_s: float) -> None:
-        node = booted_node(frame, self._nodes) if self._nodes else None
+        nodes = self._map.nmt_start_nodes
+        node = booted_node(frame, nodes) if nodes else None
         if node is not None:
             bus.send(start_frames([node])[0])
-        sample = self._reader.take(frame, time.time(), now_s)
+        sample = self._reader.take(frame, time.time())
         if sample is not None:
             self._last_sample_s = now_s
             self._on_sample(sample)
 
 
-def _sample_verdict(
-    faults: FaultReport, withheld: int, silence_s: float, stale_after_s: float
-) -> tuple[Level, str]:
+def _sample_verdict(faults: FaultReport, withheld: int, stale_s: float) -> tuple[Level, str]:
     text = "; ".join(
         f"{count} {kind.value} ({some_of(sorted(faults.places[kind]), most=4)})"
         for kind, count in faults.recent.items()
     )
-    if silence_s > stale_after_s:
-        return Level.STALE, f"no sample for {silence_s:.1f} s" + (f": {text}" if text else "")
+    if stale_s:
+        return Level.STALE, f"no sample for {stale_s:.1f} s" + (f": {text}" if text else "")
     if withheld:
         return Level.ERROR, f"{withheld} samples withheld: {text or 'not whole'}"
     if faults.recent:

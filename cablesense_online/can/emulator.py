@@ -1,186 +1,221 @@
-"""The amplifier emulator without ROS: cycles of frames played on a bus or a pseudo-terminal.
-
-`Emulator` plays an emulated amplifier on a sink that can be unplugged and plugged in again;
-`RecordingPlayer` gives the rows of a recording as they become due.
-"""
+"""Emulated amplifiers: tensions played as CAN frames by a channel map, with faults on request."""
 
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Sequence
+from math import isfinite
 
 import can
-from cantools.database.can import Database
+from cantools.database.can import Database, Message, Signal
 
-from cablesense_base import Array
-from cablesense_online.can.bus import FaultKind
-from cablesense_online.can.channel_map import ChannelMap
-from cablesense_online.can.emulated_amplifier import EmulatedAmplifier, PlannedFrame
-from cablesense_online.can.slcan import SlcanPort
+from cablesense_base import CableSenseError
+from cablesense_online.can.bus import (
+    BUS_ERROR_CLASS,
+    BUS_OFF_CLASS,
+    HEARTBEAT_ID,
+    NMT_ID,
+    RESTARTED_CLASS,
+    START_REMOTE_NODE,
+)
+from cablesense_online.can.channel_map import ChannelMap, ChannelMapError
 
-COMMAND_EVERY_S = 1.0
-PAUSE_S = 0.5
-"""Between the end of a recording and its next beginning."""
-
-
-class BusSink:
-    """A python-can bus as a sink.
-
-    Attributes:
-        dropped: frames that the bus did not take.
-    """
-
-    def __init__(self, bus: can.BusABC) -> None:
-        self._bus = bus
-        self.dropped = 0
-
-    def send(self, frames: Sequence[can.Message]) -> None:
-        """Send frames; a full transmit queue or a bus that is off drops them, counted."""
-        for frame in frames:
-            try:
-                self._bus.send(frame)
-            except can.CanError:
-                self.dropped += 1
-
-    def received(self) -> list[can.Message]:
-        """The frames that others have sent since the last call."""
-        frames = []
-        with contextlib.suppress(can.CanError):
-            while (frame := self._bus.recv(0.0)) is not None:
-                frames.append(frame)
-        return frames
-
-    def close(self) -> None:
-        """Shut the bus down."""
-        self._bus.shutdown()
+FAULTS_OF_CABLE = ("missing_channel", "wrong_length", "over_range", "stuck_value")
+FAULTS_OF_BUS = (
+    *("counter_gap", "unknown_id", "error_frame"),
+    *("bus_off", "silent_bus", "interface_lost"),
+)
+_GAP_CYCLES = 3
+_CYCLES_PER_GAP = 50
+_NODE_BITS = 0x7F
 
 
-FrameSink = BusSink | SlcanPort
-"""A destination of frames; its `dropped` counts those not passed on."""
-
-
-def play(
-    sink: FrameSink, planned: Sequence[PlannedFrame], sleep: Callable[[float], None] = time.sleep
-) -> None:
-    """Send planned frames, those without a wait between them together."""
-    together: list[can.Message] = []
-    for one in planned:
-        if one.wait_s > 0.0:
-            sink.send(together)
-            together = []
-            sleep(one.wait_s)
-        together.append(one.frame)
-    if together:
-        sink.send(together)
+class FaultRequestError(CableSenseError):
+    """A fault that cannot be emulated: lists those that can."""
 
 
 class Emulator:
-    """Plays tensions out as frames; shows a fault for as long as it is requested.
+    """Plays tensions as frames: the counter's first, then the others by ascending id.
+
+    Amplifiers of a map with `nmt_start_nodes` are silent until each node was started, as CANopen
+    requires (CiA 301).
 
     Attributes:
-        amplifier: what is emulated.
-        cycles: played so far.
-        fault: the present one as it was requested; empty for none.
+        cycles: number of cycles played.
+        dropped: number of frames that the bus did not take.
+        fault: the present fault as it was requested; empty for none.
     """
 
     def __init__(
-        self, channel_map: ChannelMap, database: Database, open_sink: Callable[[], FrameSink]
+        self, channel_map: ChannelMap, database: Database, open_bus: Callable[[], can.BusABC]
     ) -> None:
-        """`open_sink` is called now, and again after each loss of the interface.
+        """`open_bus` is called now, and again after each loss of the interface.
+
+        `channel_map` must fit `database` (`channel_map.check_fit`).
 
         Raises:
-            CableSenseError: what `open_sink` raises.
+            CableSenseError: what `open_bus` raises.
         """
-        self._open_sink = open_sink
-        self.amplifier = EmulatedAmplifier(channel_map, database)
-        self._sink: FrameSink | None = None
-        self.cycles = 0
+        self._map, self._open_bus = channel_map, open_bus
+        opens = channel_map.counter.message if channel_map.counter else None
+        self._messages = sorted(
+            map(database.get_message_by_name, channel_map.message_names),
+            key=lambda message: (message.name != opens, message.frame_id),
+        )
+        described = {message.frame_id for message in database.messages}
+        self._unknown_id = next(n for n in range(0x7FF, -1, -1) if n not in described)
+        self._count = self.cycles = self.dropped = 0
+        self._frozen_n: float | None = None
+        self._off = False
+        self._started: set[int] = set()
         self.fault = ""
+        self._bus: can.BusABC | None = None
         self._plug_in()
 
-    @property
-    def dropped(self) -> int:
-        """Frames that the sink did not pass on since it was opened."""
-        return self._sink.dropped if self._sink is not None else 0
+    def check_fault(self, text: str) -> tuple[str, str]:
+        """Kind and cable of the fault that a text requests (`missing_channel cable_5`).
 
-    def request(self, fault: str) -> None:
-        """Show a fault (`missing_channel cable_5`) from now on; an empty text ends it.
+        The cable is empty for faults of the whole bus, and both are for an empty text.
 
         Raises:
-            FaultRequestError: there is no such fault.
+            FaultRequestError: an unknown fault or cable, or a fault that this map cannot have.
+        """
+        kind, *cables = text.split() or [""]
+        names = self._map.cable_names
+        if kind in FAULTS_OF_CABLE:
+            if len(cables) != 1 or cables[0] not in names:
+                raise FaultRequestError(
+                    f"{kind} needs one cable of {names[0]} … {names[-1]}, as '{kind} {names[0]}'"
+                )
+            return kind, cables[0]
+        if kind and kind not in FAULTS_OF_BUS:
+            known = ", ".join((*FAULTS_OF_CABLE, *FAULTS_OF_BUS))
+            raise FaultRequestError(f"unknown fault {kind[:40]!r}; there are {known}")
+        if cables:
+            raise FaultRequestError(f"{kind} concerns the whole bus; leave the cable out")
+        if kind == "counter_gap" and self._map.counter is None:
+            raise FaultRequestError(f"map {self._map.name} has no cycle counter")
+        return kind, ""
+
+    def request(self, fault: str) -> None:
+        """Start a fault with the next cycle; an empty text ends it.
+
+        Raises:
+            FaultRequestError: as `check_fault`.
             CableSenseError: the interface cannot be opened again.
         """
-        self.amplifier.request(fault)
-        self.fault = fault.strip()
-        present = self.amplifier.fault
-        if present is not None and present.kind is FaultKind.INTERFACE_LOST:
+        kind, _ = self.check_fault(fault)
+        self.fault, self._frozen_n = fault.strip(), None
+        if kind == "interface_lost":
             self.close()
-        elif self._sink is None:
+        elif self._bus is None:
             self._plug_in()
 
     def cycle(self, tensions_n: Sequence[float]) -> None:
         """Play one cycle: (M,) tensions in the order of the map."""
         self.listen()
-        planned = self.amplifier.cycle(tensions_n)
-        if self._sink is not None:
-            play(self._sink, planned)
+        self._send(self.frames(tensions_n))
         self.cycles += 1
 
     def listen(self) -> None:
-        """Take frames that others sent, such as an NMT start."""
-        if self._sink is not None:
-            for frame in self._sink.received():
-                self.amplifier.take(frame)
+        """Take frames that others sent; only an NMT start has an effect."""
+        with contextlib.suppress(can.CanError):
+            while self._bus is not None and (frame := self._bus.recv(0.0)) is not None:
+                if frame.arbitration_id != NMT_ID or len(frame.data) != 2 or frame.is_error_frame:
+                    continue
+                command, node = frame.data
+                if command == START_REMOTE_NODE:
+                    nodes = set(self._map.nmt_start_nodes)
+                    self._started |= nodes if node == 0 else nodes & {node}
 
     def close(self) -> None:
         """Pull the interface; safe to call twice."""
-        sink, self._sink = self._sink, None
-        if sink is not None:
-            sink.close()
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            bus.shutdown()
+
+    def frames(self, tensions_n: Sequence[float]) -> list[can.Message]:
+        """The frames of the next cycle, with the present fault; (M,) in the order of the map.
+
+        A tension beyond the range of a signal's bits is sent as the last value in it, as real
+        converters do.
+
+        Raises:
+            ChannelMapError: a tension is not finite and its signal is a whole number.
+        """
+        kind, cable = self.check_fault(self.fault)
+        gap = kind == "counter_gap" and self._count % _CYCLES_PER_GAP == 0
+        self._count += 1 + (_GAP_CYCLES if gap else 0)
+        was_off, self._off = self._off, kind == "bus_off"
+        if self._off:
+            return [] if was_off else [_frame(BUS_OFF_CLASS, is_error_frame=True)]
+        first = [_frame(RESTARTED_CLASS, is_error_frame=True)] if was_off else []
+        if kind in ("silent_bus", "interface_lost"):
+            return first
+        values = dict(zip(self._map.cable_names, map(float, tensions_n), strict=True))
+        if kind == "over_range":
+            values[cable] = self._map.range_n[1] + 1.0
+        elif kind == "stuck_value":
+            values[cable] = self._frozen_n = (
+                values[cable] if self._frozen_n is None else self._frozen_n
+            )
+        faulty = self._map.channels[cable].message if cable else None
+        for message in self._messages:
+            if kind == "missing_channel" and message.name == faulty:
+                continue
+            node = message.frame_id & _NODE_BITS
+            if self._map.nmt_start_nodes and node not in self._started:
+                continue
+            data = message.encode(self._raw_values(message, values), scaling=False, strict=False)
+            if kind == "wrong_length" and message.name == faulty:
+                data = data[:-1]
+            first.append(_frame(message.frame_id, data, is_extended_id=message.is_extended_frame))
+        if kind == "unknown_id":
+            first.append(_frame(self._unknown_id))
+        elif kind == "error_frame":
+            first.append(_frame(BUS_ERROR_CLASS, is_error_frame=True))
+        return first
+
+    def _raw_values(self, message: Message, values: dict[str, float]) -> dict[str, float]:
+        """The raw values of a message's signals; others than readings and counter are 0."""
+        raw = {signal.name: 0.0 for signal in message.signals}
+        for cable, channel in self._map.channels.items():
+            if channel.message == message.name:
+                signal = message.get_signal_by_name(channel.signal)
+                raw[channel.signal] = _raw(signal, channel.value(values[cable]))
+        counter = self._map.counter
+        if counter is not None and counter.message == message.name:
+            bits = message.get_signal_by_name(counter.signal).length
+            raw[counter.signal] = self._count % (1 << bits)
+        return raw
 
     def _plug_in(self) -> None:
-        self._sink = self._open_sink()
-        self._sink.send(self.amplifier.power_up())
+        """Open the interface; CANopen nodes get power and send their boot-up messages."""
+        self._bus = self._open_bus()
+        self._started.clear()
+        self._send([_frame(HEARTBEAT_ID + node, b"\x00") for node in self._map.nmt_start_nodes])
+
+    def _send(self, frames: Sequence[can.Message]) -> None:
+        """Send frames. A full transmit queue or a bus that is off drops them."""
+        if (bus := self._bus) is None:
+            return
+        for frame in frames:
+            try:
+                bus.send(frame)
+            except can.CanError:
+                self.dropped += 1
 
 
-class RecordingPlayer:
-    """Gives rows as they become due; times are of one monotonic clock, s.
+def _raw(signal: Signal, value: float) -> float:
+    scaled = (value - signal.offset) / signal.scale
+    if signal.is_float:
+        return float(scaled)
+    if not isfinite(scaled):
+        raise ChannelMapError(f"signal {signal.name} is a whole number and cannot carry {value}")
+    lowest = -(1 << (signal.length - 1)) if signal.is_signed else 0
+    highest = (1 << (signal.length - signal.is_signed)) - 1
+    return max(lowest, min(highest, round(scaled)))
 
-    Attributes:
-        ended: whether the last row was given, and there is no next time.
-    """
 
-    def __init__(self, time_s: Array, tensions_n: Array, command_rad: Array, loop: bool) -> None:
-        """R rows: `time_s` (R,) ascending, `tensions_n` (R, M), `command_rad` (R, 2N)."""
-        self._time_s = time_s - time_s[0]
-        self._tensions_n = tensions_n
-        self._command_rad = command_rad
-        self._loop = loop
-        self._row = 0
-        self._began_s: float | None = None
-        self._command_s = 0.0
-        self.ended = False
-
-    def due(self, now_s: float) -> list[tuple[Array, Array | None]]:
-        """The rows due since the last call: (M,) tensions, and at times their command.
-
-        The command (2N,) comes with the first row of every turn, wherever it changes, and once
-        more every `COMMAND_EVERY_S`, for an estimator that was started later.
-        """
-        if self._began_s is None:
-            self._began_s = now_s
-        rows = []
-        while not self.ended and self._began_s + self._time_s[self._row] <= now_s:
-            row = self._row
-            command = self._command_rad[row]
-            new = row == 0 or (command != self._command_rad[row - 1]).any()
-            due = new or now_s - self._command_s >= COMMAND_EVERY_S
-            self._command_s = now_s if due else self._command_s
-            rows.append((self._tensions_n[row], command if due else None))
-            self._row += 1
-            if self._row == len(self._time_s):
-                self._row = 0
-                self._began_s += float(self._time_s[-1]) + PAUSE_S
-                self.ended = not self._loop
-        return rows
+def _frame(number: int, data: bytes = bytes(8), **form: bool) -> can.Message:
+    return can.Message(arbitration_id=number, data=data, **{"is_extended_id": False, **form})

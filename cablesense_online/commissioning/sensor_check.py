@@ -1,38 +1,44 @@
-"""Check of tension sensors: compare their statistics with the expected ones and report findings.
+"""Check of tension sensors: noise, step, drift, timing and pulls, against the expected values.
 
-The expected statistics come from the arm file or from options. If the recording has loads or
-moves, channels are also compared with the nominal arm's tensions.
+A series of readings comes from a recording or from the live topic. Noise and drift are computed at
+rest: static equilibrium in one pose without contact. The expected values come from the arm file or
+from options.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import detrend
 
-from cablesense_gap.recordings.channels import Severity, channel_findings
+from cablesense_base import Array
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.recordings.thinning import rows_to_use
-from cablesense_online.commissioning.sensor_statistics import (
-    PULLED_FLOORS,
-    ChannelStatistics,
-    PullResult,
-    PullVerdict,
-    TensionSeries,
-    TimingStatistics,
-    at_rest_without,
-    channel_statistics,
-    judge_pull,
-    timing_statistics,
-)
-from cablesense_online.commissioning.tables import Pull
-from cablesense_sim.arm import Arm, Sensors
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_online.commissioning import CommissioningError
+from cablesense_sim.arm import Sensors
 from cablesense_sim.replay import reading_variance_n2
 
+SETTLING_S = 1.0
+"""Time for oscillations to decay after a change of pose or load."""
+WINDOW_S = 1.0
+"""Deviations from a straight line within this window count as noise."""
+WINDOW_SAMPLES = 10
+"""Minimum number of samples per window."""
+STEP_SCATTER = 0.1
+"""Largest deviation from whole steps, as a share of a step, of quantised readings."""
+FEWEST_INTERVALS = 20
+"""With fewer intervals, neither rate nor noise can be estimated."""
+BEFORE_S = 1.0
+"""A pull is compared with the readings of this time before it."""
+FEWEST_SAMPLES = 3
+CLEARLY = 0.7
+"""If the second channel changes by more than this share of the first, a pull is unclear."""
+PULLED_FLOORS = 10.0
+"""A pull must change a reading by at least this many standard deviations."""
+MOVED_FLOORS = 20.0
+"""A channel that moves by this many standard deviations of a reading works."""
 RATE_TOLERANCE = 0.05
 JITTER_PERIODS = 0.5
 """With more than half a period, a sample can be mistaken for its neighbour."""
@@ -44,6 +50,216 @@ LEAST_FLOOR_N = 0.01
 """Floor for an arm file with ideal sensors; real sensors have at least this noise."""
 DRIFT_FLOORS = 4.0
 """A larger drift, in standard deviations of a reading, is soon estimated as a force."""
+
+
+@dataclass(frozen=True)
+class TensionSeries:
+    """R readings of M sensors in time order.
+
+    Attributes:
+        cable_names: (M,).
+        time_s: (R,) ascending.
+        block: (R,) number of the uninterrupted block that each row belongs to.
+        at_rest: (R,) whether the arm was at rest, always in the same pose and without contact.
+        tensions_n: (R, M).
+    """
+
+    cable_names: tuple[str, ...]
+    time_s: Array
+    block: NDArray[np.int64]
+    at_rest: NDArray[np.bool_]
+    tensions_n: Array
+
+
+def series_of(recording: Recording, cable_names: tuple[str, ...]) -> TensionSeries:
+    """A recording's readings; rest is its most frequent unloaded pose, after settling."""
+    at_rest, time_s = recording.load_segment == 0, recording.time_s
+    if at_rest.any():
+        _, pose = np.unique(recording.command_rad, axis=0, return_inverse=True)
+        pose = pose.reshape(-1)
+        at_rest &= pose == np.bincount(pose[at_rest]).argmax()
+    for start_s in time_s[1:][np.diff(at_rest.astype(int)) == 1].tolist():
+        at_rest &= (time_s < start_s) | (time_s >= start_s + SETTLING_S)
+    return TensionSeries(cable_names, time_s, recording.trial, at_rest, recording.tensions_n)
+
+
+@dataclass(frozen=True)
+class ChannelStatistics:
+    """Statistics of one sensor; none if there were too few readings at rest.
+
+    Attributes:
+        cable: its name.
+        mean_n: at rest, or of all readings if too few are at rest.
+        lowest_n, highest_n: of all readings.
+        noise_n: standard deviation at rest about a straight line, the median of windows of 1 s.
+        step_n: smallest step of the readings; none if they are not quantised.
+        drift_n: rise of a straight line through the readings at rest from first to last.
+    """
+
+    cable: str
+    mean_n: float
+    lowest_n: float
+    highest_n: float
+    noise_n: float | None
+    step_n: float | None
+    drift_n: float | None
+
+
+def channel_statistics(
+    series: TensionSeries, at_rest: NDArray[np.bool_], rate_hz: float
+) -> tuple[ChannelStatistics, ...]:
+    """Statistics of every sensor; `at_rest` (R,) marks the readings at rest."""
+    read_n, rest_n, rest_s = series.tensions_n, series.tensions_n[at_rest], series.time_s[at_rest]
+    enough = len(rest_n) >= WINDOW_SAMPLES
+    noise_n = drift_n = mean_n = read_n.mean(axis=0)
+    if enough:
+        size = min(max(WINDOW_SAMPLES, round(WINDOW_S * rate_hz)), len(rest_n))
+        windows = rest_n[: len(rest_n) // size * size].reshape(-1, size, rest_n.shape[1])
+        variance_n2 = (detrend(windows, axis=1) ** 2).sum(axis=1) / (size - 2)
+        noise_n = np.sqrt(np.median(variance_n2, axis=0))
+        since_s = rest_s - rest_s[0]
+        drift_n = np.polyfit(since_s, rest_n, 1)[0] * since_s[-1]
+        mean_n = rest_n.mean(axis=0)
+    return tuple(
+        ChannelStatistics(
+            cable=cable,
+            mean_n=float(mean_n[at]),
+            lowest_n=float(read_n[:, at].min()),
+            highest_n=float(read_n[:, at].max()),
+            noise_n=float(noise_n[at]) if enough else None,
+            step_n=quantisation_step_n(read_n[:, at]),
+            drift_n=float(drift_n[at]) if enough else None,
+        )
+        for at, cable in enumerate(series.cable_names)
+    )
+
+
+def quantisation_step_n(readings_n: Array) -> float | None:
+    """The quantisation step of (R,) readings with any offset; none if they are not quantised.
+
+    It can be a multiple of the true step if no two adjacent levels occur.
+    """
+    gaps = np.diff(np.unique(readings_n))
+    if len(gaps) < 2:
+        return None
+    whole = np.round(gaps / gaps.min())
+    step_n = float(gaps.sum() / whole.sum())
+    scatter = np.abs(gaps / step_n - whole)
+    return step_n if float(scatter.max()) < STEP_SCATTER else None
+
+
+@dataclass(frozen=True)
+class TimingStatistics:
+    """Timing of the samples' stamps, within blocks.
+
+    Attributes:
+        samples: number of samples.
+        rate_hz: one over the mean interval between samples, without intervals that span a loss.
+        jitter_s: 99 % quantile of the deviation of such intervals from the median.
+        lost: number of missing samples, from the length of the intervals.
+    """
+
+    samples: int
+    rate_hz: float
+    jitter_s: float
+    lost: int
+
+
+def timing_statistics(series: TensionSeries) -> TimingStatistics:
+    """The timing of a series.
+
+    Raises:
+        CommissioningError: too few samples.
+    """
+    interval_s = np.diff(series.time_s)[np.diff(series.block) == 0]
+    if len(interval_s) < FEWEST_INTERVALS:
+        raise CommissioningError(
+            f"only {len(series.time_s)} samples; at least {FEWEST_INTERVALS + 1} without a break "
+            "are needed, better ten seconds"
+        )
+    usual_s = float(np.median(interval_s))
+    whole = interval_s < 1.5 * usual_s
+    missing = np.round(interval_s[~whole] / usual_s) - 1.0
+    return TimingStatistics(
+        samples=len(series.time_s),
+        rate_hz=1.0 / float(interval_s[whole].mean()),
+        jitter_s=float(np.quantile(np.abs(interval_s[whole] - usual_s), 0.99)),
+        lost=int(missing.sum()),
+    )
+
+
+@dataclass(frozen=True)
+class Pull:
+    """Which cable was pulled, and when."""
+
+    cable: str
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True)
+class PullResult:
+    """A cable pulled by hand: which channel moved most, and the verdict.
+
+    A pull on one cable deflects the arm and so changes other readings too. The channel is
+    identified only if one reading changes clearly more, as it does if the cable is pulled sideways
+    between its sensor and the arm.
+
+    Attributes:
+        cable: the cable that was pulled.
+        moved: the channel whose reading changed most.
+        own_n, moved_n: change of the pulled cable's reading and of that one.
+        verdict: `right`, `swapped`, `dead`, `unclear` or `too weak`.
+    """
+
+    cable: str
+    own_n: float
+    moved: str
+    moved_n: float
+    verdict: str
+
+
+_OF_PULLS = {
+    "swapped": (True, "swapped", "exchange plugs, or the map"),
+    "dead": (True, "stuck", "it stood still, so check its plug and sensor"),
+    "unclear": (False, "pull", "another moved hardly less; pull it alone, at its sensor"),
+    "too weak": (False, "pull", "that is too little; pull harder, in the time given"),
+}
+"""Whether a verdict means wrong sensors, its kind for programs, and the remedy."""
+
+
+def judge_pull(series: TensionSeries, pull: Pull, floor_n: float) -> PullResult:
+    """The result of a pull; `floor_n` is the expected standard deviation at rest.
+
+    Raises:
+        CommissioningError: too few readings before or during the pull.
+    """
+    time_s, names = series.time_s, series.cable_names
+    before = (time_s >= pull.start_s - BEFORE_S) & (time_s < pull.start_s)
+    during = (time_s >= pull.start_s) & (time_s <= pull.end_s)
+    if min(before.sum(), during.sum()) < FEWEST_SAMPLES:
+        raise CommissioningError(
+            f"pull of {pull.cable} from {pull.start_s:g} to {pull.end_s:g} s: {before.sum()} "
+            f"readings in the second before and {during.sum()} in it; at least {FEWEST_SAMPLES} "
+            "of each are needed"
+        )
+    rest_n = np.median(series.tensions_n[before], axis=0)
+    # 95 % quantile, so that single outliers do not count
+    moved_n = np.quantile(np.abs(series.tensions_n[during] - rest_n), 0.95, axis=0)
+    second, first = np.argsort(moved_n)[-2:].tolist()
+    own = names.index(pull.cable)
+    rival = second if first == own else own
+    if moved_n[first] < PULLED_FLOORS * floor_n:
+        verdict = "too weak"
+    elif first != own and np.ptp(series.tensions_n[during, own]) == 0.0:
+        verdict = "dead"
+    elif moved_n[rival] > CLEARLY * moved_n[first]:
+        verdict = "unclear"
+    else:
+        verdict = "right" if first == own else "swapped"
+    return PullResult(
+        pull.cable, float(moved_n[own]), names[first], float(moved_n[first]), verdict
+    )
 
 
 @dataclass(frozen=True)
@@ -70,23 +286,17 @@ class SensorExpectation:
         return JITTER_PERIODS / self.rate_hz
 
 
-def expectation(
-    sensors: Sensors, rate_hz: float | None = None, drift_n: float | None = None
-) -> SensorExpectation:
-    """The expectation from an arm file; a given rate or drift takes precedence."""
+def expectation(sensors: Sensors, rate_hz: float | None = None) -> SensorExpectation:
+    """The expectation from an arm file; a given rate takes precedence."""
     floor_n = max(float(np.sqrt(reading_variance_n2(sensors))), LEAST_FLOOR_N)
     return SensorExpectation(
         rate_hz=sensors.rate_hz if rate_hz is None else rate_hz,
         floor_n=floor_n,
         noise_n=NOISE_FACTOR * floor_n,
         step_n=STEP_FACTOR * sensors.step_n,
-        drift_n=DRIFT_FLOORS * floor_n if drift_n is None else drift_n,
+        drift_n=DRIFT_FLOORS * floor_n,
         range_n=sensors.range_n,
     )
-
-
-MOVED_FLOORS = 20.0
-"""A channel that moves by this many standard deviations of a reading works."""
 
 
 @dataclass(frozen=True)
@@ -104,9 +314,6 @@ class SensorFinding:
     kind: str
     where: str
     text: str
-
-
-_Findings = Iterator[SensorFinding]
 
 
 @dataclass(frozen=True)
@@ -127,157 +334,82 @@ class SensorReport:
 def check_sensors(
     series: TensionSeries, expected: SensorExpectation, pulls: Sequence[Pull] = ()
 ) -> SensorReport:
-    """Check a series of readings; times of pulls do not count as rest.
+    """Check a series of readings; pulls, and the settling that follows, do not count as rest.
 
     Raises:
         CommissioningError: too few readings, overall or around a pull.
     """
     timing = timing_statistics(series)
     results = tuple(judge_pull(series, pull, expected.floor_n) for pull in pulls)
-    at_rest = at_rest_without(series, pulls)
-    channels = tuple(
-        channel_statistics(cable, series.time_s, readings_n, at_rest)
-        for cable, readings_n in zip(series.cable_names, series.tensions_n.T, strict=True)
-    )
-    findings = [SensorFinding(True, "samples", "all", line) for line in series.problems]
-    findings += _of_timing(timing, expected)
+    at_rest = series.at_rest.copy()
+    for pull in pulls:
+        settled_s = pull.end_s + SETTLING_S
+        at_rest &= (series.time_s < pull.start_s) | (series.time_s > settled_s)
+    channels = channel_statistics(series, at_rest, timing.rate_hz)
+    findings = list(_timing_findings(timing, expected))
+    moved_n = np.ptp(series.tensions_n, axis=0)
+    others_move = 2 * np.count_nonzero(moved_n > MOVED_FLOORS * expected.floor_n) >= len(moved_n)
     for channel in channels:
-        findings += _of_channel(channel, expected, alone=bool(at_rest.all()))
-    findings += _of_standstill(series, expected)
+        findings += _channel_findings(channel, expected, bool(at_rest.all()), bool(others_move))
     for result in results:
-        findings += _of_pull(result, expected)
+        if result.verdict in _OF_PULLS:
+            wrong, kind, remedy = _OF_PULLS[result.verdict]
+            text = f"was pulled: {result.moved} moved most ({result.moved_n:.1f} N), "
+            text += f"{result.cable} by {result.own_n:.1f} N: {remedy}"
+            findings.append(SensorFinding(wrong, kind, result.cable, text))
     findings.sort(key=lambda finding: not finding.wrong)
     return SensorReport(timing, channels, results, tuple(findings))
 
 
-def _of_timing(timing: TimingStatistics, expected: SensorExpectation) -> _Findings:
-    for exceeded, kind, text in (
-        (
-            abs(timing.rate_hz - expected.rate_hz) > RATE_TOLERANCE * expected.rate_hz,
-            "rate",
-            f"samples come at {timing.rate_hz:.1f} Hz; {expected.rate_hz:g} Hz would be right: "
-            "set the amplifier, or give --rate",
-        ),
-        (
-            timing.jitter_s > expected.jitter_s,
-            "jitter",
-            f"intervals differ by {1e3 * timing.jitter_s:.2f} ms; at most "
-            f"{1e3 * expected.jitter_s:.2f} ms would be right: check adapter and load of the "
-            "machine",
-        ),
-        (
-            timing.lost > LOST_SHARE * (timing.samples + timing.lost),
-            "lost",
-            f"{timing.lost} of {timing.samples + timing.lost} samples are missing; at most one "
-            "in a thousand would be right: the driver's diagnostics give the cause",
-        ),
-    ):
-        if exceeded:
-            yield SensorFinding(True, kind, "all", text)
+def _timing_findings(
+    timing: TimingStatistics, expected: SensorExpectation
+) -> Iterator[SensorFinding]:
+    if abs(timing.rate_hz - expected.rate_hz) > RATE_TOLERANCE * expected.rate_hz:
+        text = f"samples come at {timing.rate_hz:.1f} Hz, not at {expected.rate_hz:g} Hz"
+        yield SensorFinding(True, "rate", "all", f"{text}: set the amplifier, or give --rate")
+    if timing.jitter_s > expected.jitter_s:
+        text = f"intervals differ by {1e3 * timing.jitter_s:.2f} ms, by more than "
+        text += f"{1e3 * expected.jitter_s:.2f} ms: check adapter and load of the machine"
+        yield SensorFinding(True, "jitter", "all", text)
+    sent = timing.samples + timing.lost
+    if timing.lost > LOST_SHARE * sent:
+        text = f"{timing.lost} of {sent} samples are missing, more than one in a thousand: the "
+        yield SensorFinding(True, "lost", "all", text + "driver's diagnostics give the cause")
 
 
-def _of_channel(channel: ChannelStatistics, expected: SensorExpectation, alone: bool) -> _Findings:
+_LIMITED = {
+    "noise": ("varies at rest by", "check screen and ground, and that nothing moves the arm"),
+    "step": ("reads in steps of", "check the amplifier's range and the DBC file's factor"),
+    "drift": ("went at rest by", "let sensors warm up, leave the arm alone and check again"),
+}
+"""Meaning of a statistic above its limit, and the remedy."""
+
+
+def _channel_findings(
+    channel: ChannelStatistics, expected: SensorExpectation, alone: bool, others_move: bool
+) -> Iterator[SensorFinding]:
     """Drift is wrong only for an arm left `alone`: after motion, friction and creep cause it."""
-    wrong = partial(SensorFinding, True, where=channel.cable)
-    note = partial(SensorFinding, False, where=channel.cable)
+    cable = channel.cable
     if channel.noise_n is None:
         text = "too few readings at rest for noise and drift; leave the arm alone for ten seconds"
-        yield note("rest", text=text)
-    elif channel.noise_n > expected.noise_n:
-        text = (
-            f"varies by {channel.noise_n:.3f} N at rest; at most {expected.noise_n:.3f} N would "
-            "be right: check screen and ground, and that nothing moves the arm"
-        )
-        yield wrong("noise", text=text)
-    if expected.step_n and channel.step_n is not None and channel.step_n > expected.step_n:
-        text = (
-            f"reads in steps of {channel.step_n:.3f} N; at most {expected.step_n:.3f} N would be "
-            "right: check the amplifier's range and the DBC file's factor"
-        )
-        yield wrong("step", text=text)
+        yield SensorFinding(False, "rest", cable, text)
+    for kind, value_n, limit_n in (
+        ("noise", channel.noise_n, expected.noise_n),
+        ("step", channel.step_n, expected.step_n),
+        ("drift", channel.drift_n, expected.drift_n),
+    ):
+        if value_n is not None and limit_n and abs(value_n) > limit_n:
+            what, remedy = _LIMITED[kind]
+            text = f"{what} {value_n:.3f} N, more than {limit_n:.3f} N: {remedy}"
+            yield SensorFinding(alone or kind != "drift", kind, cable, text)
     low, high = expected.range_n or (float("-inf"), float("inf"))
     if channel.lowest_n <= low or channel.highest_n >= high:
-        text = (
-            f"reads {channel.lowest_n:.1f} to {channel.highest_n:.1f} N, to an end of its range; "
-            f"within {low:g} to {high:g} N would be right: check that it is connected"
+        text = f"reads {channel.lowest_n:.1f} to {channel.highest_n:.1f} N, to an end of its range"
+        text += f" {low:g} to {high:g} N: check that it is connected"
+        yield SensorFinding(True, "range", cable, text)
+    if channel.lowest_n == channel.highest_n:
+        text = f"stands at {channel.mean_n:.2f} N to the last bit"
+        moving, resting = " while others move; check plug and sensor", "; pull it to see it move"
+        yield SensorFinding(
+            others_move, "stuck", cable, text + (moving if others_move else resting)
         )
-        yield wrong("range", text=text)
-    if channel.drift_n is not None and abs(channel.drift_n) > expected.drift_n:
-        remedy = (
-            "let sensors warm up and cables creep, then check again"
-            if alone
-            else "friction and creep do that after loads, moves and pulls; check an arm left alone"
-        )
-        text = (
-            f"went by {channel.drift_n:+.2f} N at rest; at most {expected.drift_n:.2f} N would be "
-            f"right: {remedy}"
-        )
-        yield (wrong if alone else note)("drift", text=text)
-
-
-def _of_standstill(series: TensionSeries, expected: SensorExpectation) -> _Findings:
-    moved_n = np.ptp(series.tensions_n, axis=0)
-    others_moved = np.count_nonzero(moved_n > MOVED_FLOORS * expected.floor_n)
-    certain = bool(2 * others_moved >= len(moved_n))
-    remedy = (
-        " while others move; check plug and sensor"
-        if certain
-        else "; at rest that can be, so pull it by hand (--pull) to see it move"
-    )
-    for cable in np.flatnonzero(moved_n == 0.0):
-        text = f"stands at {series.tensions_n[0, cable]:.2f} N to the last bit{remedy}"
-        yield SensorFinding(certain, "stuck", series.cable_names[cable], text)
-
-
-def _of_pull(result: PullResult, expected: SensorExpectation) -> _Findings:
-    moved = f"{result.moved} moved most ({result.moved_n:.1f} N)"
-    wrong, kind, text = {
-        PullVerdict.RIGHT: (False, "", ""),
-        PullVerdict.SWAPPED: (
-            True,
-            "swapped",
-            f"was pulled, but {moved}, {result.cable} by {result.own_n:.1f} N; its own would be "
-            "right: exchange plugs, or the map",
-        ),
-        PullVerdict.DEAD: (
-            True,
-            "stuck",
-            f"was pulled and stood still, while {moved}; check its plug and sensor",
-        ),
-        PullVerdict.UNCLEAR: (
-            False,
-            "pull",
-            f"was pulled: {moved}, {result.second} hardly less ({result.second_n:.1f} N); pull "
-            "this cable alone, sideways, near its sensor",
-        ),
-        PullVerdict.TOO_WEAK: (
-            False,
-            "pull",
-            f"was pulled, but no channel moved by more than {result.moved_n:.2f} N; at least "
-            f"{PULLED_FLOORS * expected.floor_n:.1f} N is needed: pull harder, in the time given",
-        ),
-    }[result.verdict]
-    if kind:
-        yield SensorFinding(wrong, kind, result.cable, text)
-
-
-_KINDS = ("swapped", "stuck", "arm", "unit")
-"""Other kinds already appear in the statistics of the sensors."""
-
-
-def exercised_channel_findings(recording: Recording, arm: Arm) -> list[SensorFinding]:
-    """Swapped or dead channels and wrong units against the nominal arm; empty without motion.
-
-    Raises:
-        CableSenseError: the arm has no equilibrium under one of the loads.
-    """
-    if not (np.ptp(recording.command_rad, axis=0).any() or recording.load_n.any()):
-        return []
-    rows = rows_to_use(recording)
-    used = recording.rows(rows)
-    nominal = solve_equilibrium(mechanism_of(arm), used.command_rad, used.forces_n)
-    return [
-        SensorFinding(True, finding.kind, "all", finding.text)
-        for finding in channel_findings(recording, arm, nominal.tensions_n, rows)
-        if finding.kind in _KINDS or finding.severity is Severity.REFUSE
-    ]

@@ -1,4 +1,4 @@
-"""Who may speak to the page, and what is heard: checked before viser sees a request or a message.
+"""Checks of requests and messages to the page, before viser sees them.
 
 viser serves whoever reaches its port, with any `Origin` and `Host`: a website that somebody opens
 on this machine would have the controls of the arm. Here a request needs
@@ -7,8 +7,9 @@ on this machine would have the controls of the arm. Here a request needs
   browsers always send with a WebSocket, that is the page's own;
 - the page's token as the first part of its path, which viser's client hands on to its WebSocket.
 
-Of what a browser sends then, viser gets the camera and values of controls, each a finite number
-or a short text: no uploads, no requests to share the page, no other properties.
+From a browser that passes, viser gets the camera, values of controls, each a finite number or a
+short text, and clicks on the arm. Uploads, requests to share the page and other properties are
+dropped.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import socket
 from collections.abc import Callable
 from dataclasses import replace
 from http import HTTPStatus
-from typing import Any
+from typing import Annotated, Any
 from urllib.parse import urlsplit
 
 import msgspec
@@ -40,13 +41,45 @@ MOST_MESSAGE_BYTES = 16_384
 """Camera and values of controls take some hundred."""
 PING_EVERY_S, SILENT_S = 5.0, 10.0
 """A browser that does not answer for so long has left: its force is taken off."""
-_LONGEST_TEXT = 100
+_PORT_TRIES = 20
 
 Answer = Callable[[ServerConnection, Request], Response | None]
 
 
 class PageError(CableSenseError):
     """The page cannot be served."""
+
+
+def exposure_warning(host: str, port: int, controls: bool) -> str:
+    """A warning that others reach a page served on `host`; empty if this machine alone does."""
+    with contextlib.suppress(ValueError):  # a name other than localhost may lead anywhere
+        if host == "localhost" or ipaddress.ip_address(host).is_loopback:
+            return ""
+    what = "see and move the arm" if controls else "see the arm"
+    return (
+        f"the page is served on {host}, port {port}, without encryption: whoever is given its "
+        f"address, or listens in on the way, can {what}"
+    )
+
+
+def free_port(host: str, port: int) -> int:
+    """The first port from `port` on that can be bound on `host`.
+
+    Raises:
+        PageError: the host is not of this machine, or no port is free.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    problem = ""
+    for candidate in range(port, min(port + _PORT_TRIES, 65_536)):
+        try:
+            with socket.create_server((host, candidate), family=family):
+                return candidate
+        except OSError as error:
+            problem = str(error)
+    raise PageError(
+        f"the page cannot be served on {host}, ports {port} to {port + _PORT_TRIES - 1} "
+        f"({problem}); give another --host or --port"
+    )
 
 
 def guarded_server(host: str, port: int, token: str) -> viser.ViserServer:
@@ -132,23 +165,16 @@ def _is_here(asked: str, host: str) -> bool:
     return name in ("localhost", host.lower(), socket.gethostname().lower())
 
 
+class _Camera(msgspec.Struct, tag_field="type", tag="ViewerCameraMessage"):
+    """Where the browser looks from."""
+
+
+_Short = Annotated[str, msgspec.Meta(max_length=100)]
 _Vector = tuple[float, float, float]
 
 
-class _Camera(msgspec.Struct, tag_field="type", tag="ViewerCameraMessage"):
-    wxyz: tuple[float, float, float, float]
-    position: _Vector
-    fov: float
-    near: float
-    far: float
-    image_height: float
-    image_width: float
-    look_at: _Vector
-    up_direction: _Vector
-
-
 class _Value(msgspec.Struct, forbid_unknown_fields=True):
-    value: bool | float | str
+    value: bool | float | _Short
 
 
 class _Update(msgspec.Struct, tag_field="type", tag="GuiUpdateMessage"):
@@ -156,7 +182,19 @@ class _Update(msgspec.Struct, tag_field="type", tag="GuiUpdateMessage"):
     updates: _Value
 
 
-_MESSAGES = msgspec.msgpack.Decoder(_Camera | _Update)
+class _Click(msgspec.Struct, tag_field="type", tag="SceneNodeClickMessage"):
+    """The ray from the eye through a part of the scene."""
+
+    name: _Short
+    ray_origin: _Vector
+    ray_direction: _Vector
+    screen_pos: tuple[float, float]
+    instance_index: None
+    modifier: None
+    owner: _Short = ""
+
+
+_MESSAGES = msgspec.msgpack.Decoder(_Camera | _Update | _Click)
 
 
 class _BrowserConnection(ServerConnection):
@@ -176,7 +214,10 @@ def _is_of_use(message: str | bytes) -> bool:
         read = _MESSAGES.decode(message)
     except msgspec.MsgspecError:
         return False
-    if isinstance(read, _Camera):
-        return True
-    value = read.updates.value
-    return len(value) <= _LONGEST_TEXT if isinstance(value, str) else math.isfinite(value)
+    match read:
+        case _Update():
+            value = read.updates.value
+            return isinstance(value, str) or math.isfinite(value)
+        case _Click():
+            return all(map(math.isfinite, (*read.ray_origin, *read.ray_direction)))
+    return True

@@ -1,20 +1,21 @@
 """The state of a running arm as the page shows it.
 
-`LiveArm` collects the contract's messages (duck-typed: no ROS is needed here) and gives a
-`Snapshot` of the present.
+`LiveArm` takes the contract's messages (duck-typed: no ROS is needed here) and gives a `Snapshot`
+of the present.
 """
 
 from __future__ import annotations
 
 import math
 import threading
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
+    Contact,
     ForceState,
     Level,
     Load,
@@ -23,137 +24,52 @@ from cablesense_msgs_py.messages import (
     joint_command_rad,
     read_force_state,
     read_load,
+    read_region,
 )
-from cablesense_msgs_py.topics import CABLE_TENSIONS, Frames
+from cablesense_msgs_py.topics import Frames
+from cablesense_online.page.snapshot import (
+    ANSWERED,
+    IN_CONTACT,
+    ForceBounds,
+    KnownMoment,
+    PlaceInterval,
+    ShownContact,
+    ShownStatus,
+    Snapshot,
+    headline,
+)
 from cablesense_online.samples import FollowedPublisher
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.contact_location import touched_at
 from cablesense_sim.equilibrium import checked_command
 from cablesense_sim.joint_motion import JointMotion
-from cablesense_sim.kinematics import contact_points_m, segment_rotations
-from cablesense_sim.loads import normal_components_n, normal_force_n
-
-
-def _force_n(message: Any) -> Array:
-    force = message.wrench.force
-    return np.array([force.x, force.y, force.z])
-
-
-def _angle_deg(local_n: Array) -> float:
-    return float(np.rad2deg(np.arctan2(local_n[1], local_n[2])) % 360.0)
-
-
-@dataclass(frozen=True)
-class ShownContact:
-    """A single force on the arm, normal to its segment; true or estimated.
-
-    Attributes:
-        segment: 1 … N.
-        angle_deg: contact angle at the commanded pose, from the segment's +z towards its +y.
-        magnitude_n: newtons.
-        force_base_n: (3,) the same force in base axes.
-    """
-
-    segment: int
-    angle_deg: float
-    magnitude_n: float
-    force_base_n: Array
-
-
-@dataclass(frozen=True)
-class ShownStatus:
-    """The estimator's state: level, headline, and notes for a person."""
-
-    level: Level
-    headline: str
-    notes: tuple[str, ...] = ()
-
-
-class ForceBounds(NamedTuple):
-    """Ends of the stated 95 % intervals of force and contact angle.
-
-    The angle is between the two, from the first on with a growing angle; None where any may be.
-    """
-
-    low_n: float
-    high_n: float
-    angles_deg: tuple[float, float] | None = None
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """One moment of the arm; None is not known.
-
-    Attributes:
-        time_s: of the newest tensions, any steady clock.
-        joint_angles_rad: (2N,) measured or commanded.
-        tensions_n: (M,).
-        true: of the load that is really applied the part that can be felt, normal to its segment.
-        state: what is known of the force.
-        estimate: the estimated contact; None when nothing touches and when the force is unknown.
-        bounds: of the estimated force.
-        probabilities: (N + 1,) of no contact and of each segment.
-        status: of the estimator.
-        more_true, more_estimated: contacts beside these, on other segments, the strongest first.
-    """
-
-    time_s: float
-    joint_angles_rad: Array
-    tensions_n: Array | None
-    true: ShownContact | None
-    state: ForceState
-    estimate: ShownContact | None
-    bounds: ForceBounds | None
-    probabilities: Array | None
-    status: ShownStatus
-    more_true: tuple[ShownContact, ...] = ()
-    more_estimated: tuple[ShownContact, ...] = ()
-
-    @property
-    def all_true(self) -> tuple[ShownContact, ...]:
-        """Every true contact, the strongest first."""
-        return () if self.true is None else (self.true, *self.more_true)
-
-    @property
-    def all_estimated(self) -> tuple[ShownContact, ...]:
-        """Every estimated contact, the strongest first."""
-        return () if self.estimate is None else (self.estimate, *self.more_estimated)
-
-    @property
-    def answered(self) -> bool:
-        """Whether the estimator gave a contact, or that none can be seen."""
-        return self.state in _ANSWERED
-
+from cablesense_sim.kinematics import chain, segment_rotations
+from cablesense_sim.loads import LoadError, contact_of_wrench, normal_force_n
 
 STALE_S = 0.5
 """Tensions and estimates older than this are not shown as the present."""
 DIAGNOSTICS_STALE_S = 4.0
-_IN_CONTACT = (ForceState.CONTACT, ForceState.UNCONFIRMED)
-_ANSWERED = (*_IN_CONTACT, ForceState.FREE, ForceState.HIDDEN)
+_NOTHING_ESTIMATED = (ForceState.MOVING, ForceState.UNTARED)
+"""These are shown in grey; every other state is as severe as it says."""
 _LEAST_FELT_N = 1e-3
-_HARMLESS = frozenset({"cables", "cable_tensions"})
+_HARMLESS = ("cables", "cable_tensions")
 """Parts whose warnings lessen no trust: statics holds with slack cables, a lost sample is lost."""
-_HEADLINES = {
-    ForceState.FREE: "No contact",
-    ForceState.CONTACT: "Contact",
-    ForceState.UNCONFIRMED: "Unconfirmed contact",
-    ForceState.HIDDEN: "No contact seen",
-    ForceState.MOVING: "Moving: no estimate",
-    ForceState.UNTARED: "No tare: no estimate",
-    ForceState.REFUSED: "Readings refused: no estimate",
-    ForceState.IMPLAUSIBLE: "Readings fit no contact: no estimate",
-    ForceState.STALE: "Readings are out of date: no estimate",
-    ForceState.SILENT: "The estimator is silent",
-}
-_LEVELS = {ForceState.MOVING: Level.STALE, ForceState.UNTARED: Level.STALE}
-"""Grey, as nothing is estimated; every other state as severe as it says."""
+_MOST_NOTES = 3
+
+
+class _Wrench(NamedTuple):
+    """In the frame of a segment; 0 is none, where force and torque are zero or not a number."""
+
+    segment: int
+    force_n: Array
+    torque_n_m: Array
 
 
 class LiveArm:
-    """Collects messages and gives a Snapshot of the present; safe to call from several threads.
+    """Takes messages and gives a Snapshot of the present; safe to call from several threads.
 
-    Methods named `on_…` take a message and raise CableSenseError when it breaks the contract, or
-    commands what the arm cannot do. Times are of one monotonic clock, s.
+    Times are of one monotonic clock, s.
 
     Attributes:
         mechanism, frames: of the arm.
@@ -169,6 +85,7 @@ class LiveArm:
         estimator: str = "estimator",
     ) -> None:
         self.mechanism = mechanism_of(arm)
+        self._reach_m, _ = touched_at(arm)
         self.frames = Frames(arm.segment_count, frame_prefix)
         self.tension_publisher = FollowedPublisher()
         self._estimator = estimator
@@ -176,117 +93,122 @@ class LiveArm:
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._motion = JointMotion(np.zeros(arm.joint_count), joint_speed_rad_s)
         self._motion_s: float | None = None
-        self._tensions_s = self._estimate_s = -np.inf
+        self._came_s: dict[str, float] = {}  # time of the last message by topic
         self._tensions_n: Array | None = None
         self._joint_angles_rad: Array | None = None
-        self._loads: dict[int, Array] = {}
-        self._estimate: tuple[int, Array] | None = None
-        self._of_segments: dict[int, tuple[float, Array]] = {}
-        self._state, self._state_s = ForceState.SILENT, -np.inf
-        self._bounds_n = np.zeros((2, 3))
-        self._bounds_s = np.full(2, -np.inf)
         self._probabilities: Array | None = None
+        self._state = ForceState.SILENT
+        self._loads: dict[int, Load] = {}
+        self._wrenches: dict[str, _Wrench] = {}  # by topic
+        self._region: PlaceInterval | None = None
         self._health: dict[str, tuple[float, Level, str]] = {}
         self._lock = threading.Lock()
 
-    def on_tensions(self, message: Any, now_s: float) -> None:
-        """Takes a `cable_tensions` message."""
-        tensions = self._cables.arrange(message.name, message.effort, "effort")
-        with self._lock:
-            self._tensions_n, self._tensions_s = tensions, now_s
+    def take(self, topic: str, message: Any, now_s: float) -> None:
+        """Takes a message of a topic as `cablesense_msgs_py.topics` names it.
 
-    def on_joint_states(self, message: Any) -> None:
-        """Takes a `joint_states` message."""
-        self._joint_angles_rad = self._joints.arrange(message.name, message.position, "position")
-
-    def on_joint_commands(self, message: Any) -> None:
-        """Takes a `joint_commands` message: contact angles are counted at the commanded pose.
-
-        A breath leaves that as it is.
+        Raises:
+            CableSenseError: it breaks the contract, or commands what the arm cannot do.
         """
-        if breath_turn(message) is not None:
-            return
-        command = joint_command_rad(message, self._joints, self._motion.target_rad)
         with self._lock:
-            self._motion.go_to(checked_command(self.mechanism, command))
+            match topic:
+                case topics.CABLE_TENSIONS:
+                    self._tensions_n = self._cables.arrange(message.name, message.effort, "effort")
+                case topics.JOINT_STATES:
+                    self._joint_angles_rad = self._joints.arrange(
+                        message.name, message.position, "position"
+                    )
+                case topics.JOINT_COMMANDS if breath_turn(message) is None:
+                    # a breath leaves the pose at which contact angles are counted
+                    command = joint_command_rad(message, self._joints, self._motion.target_rad)
+                    self._motion.go_to(checked_command(self.mechanism, command))
+                case topics.APPLIED_WRENCH:
+                    load = read_load(message, self.frames, self._contact_of)
+                    self._loads[load.segment] = load
+                case topics.STATUS:
+                    self._state, _ = read_force_state(message)
+                case topics.CONTACT_PROBABILITIES:
+                    probabilities = np.asarray(message.data, dtype=float)
+                    if len(probabilities) == self.mechanism.segment_count + 1:
+                        self._probabilities = probabilities
+                case topics.CONTACT_REGION:
+                    self._region = PlaceInterval(*read_region(message, self.frames))
+                case topics.DIAGNOSTICS:
+                    self._take_diagnostics(message, now_s)
+                case _:
+                    self._wrenches[topic] = self._local_wrench(message)
+            self._came_s[topic] = now_s
 
-    def on_load(self, message: Any) -> None:
-        """Takes an `applied_wrench` message; it replaces the load on its segment."""
-        with self._lock:
-            command = self._motion.advance(0.0)
-        load = read_load(message, self.frames, lambda: contact_points_m(self.mechanism, command))
-        with self._lock:
-            self._loads[load.segment] = load.force_base_n
+    def _local_wrench(self, message: Any) -> _Wrench:
+        vectors = (message.wrench.force, message.wrench.torque)
+        force, torque = (np.array([each.x, each.y, each.z]) for each in vectors)
+        acts = np.abs([force, torque]).max() > 0.0
+        segment = self.frames.segment_number(message.header.frame_id) if acts else 0
+        return _Wrench(segment, force, torque)
 
-    def on_wrench(self, message: Any, now_s: float) -> None:
-        """Takes the estimator's `wrench`: a force in the axes of its segment, else none."""
-        local_n = _force_n(message)
-        estimate = None
-        if np.abs(local_n).max() > 0.0:  # not a number is no force
-            estimate = (self.frames.segment_number(message.header.frame_id), local_n)
-        with self._lock:
-            self._estimate, self._estimate_s = estimate, now_s
+    def _take_diagnostics(self, message: Any, now_s: float) -> None:
+        for status in message.status:
+            node, _, part = status.name.partition(": ")
+            if node.strip("/") == self._estimator and part:
+                level = Level(min(int.from_bytes(status.level, "little"), Level.STALE))
+                self._health[part] = now_s, level, status.message
 
-    def on_segment_wrench(self, message: Any, now_s: float) -> None:
-        """Takes one of the estimator's `wrenches`, of a model of several contacts."""
-        segment = self.frames.segment_number(message.header.frame_id)
-        with self._lock:
-            self._of_segments[segment] = now_s, _force_n(message)
+    def _contact_of(self, force_n: Array, torque_n_m: Array) -> tuple[int, float]:
+        pose = self._pose_rad
+        return contact_of_wrench(self.mechanism, pose, self._reach_m, force_n, torque_n_m)
 
-    def on_status(self, message: Any, now_s: float) -> None:
-        """Takes the estimator's `status`: what its wrench stands for."""
-        state, _ = read_force_state(message)
-        with self._lock:
-            self._state, self._state_s = state, now_s
-
-    def on_lower(self, message: Any, now_s: float) -> None:
-        """Takes the estimator's `wrench_lower`."""
-        self._bound(0, message, now_s)
-
-    def on_upper(self, message: Any, now_s: float) -> None:
-        """Takes the estimator's `wrench_upper`."""
-        self._bound(1, message, now_s)
-
-    def _bound(self, end: int, message: Any, now_s: float) -> None:
-        with self._lock:
-            self._bounds_n[end] = _force_n(message)
-            self._bounds_s[end] = now_s
-
-    def on_probabilities(self, message: Any) -> None:
-        """Takes the estimator's `contact_probabilities`; another length is not this arm's."""
-        probabilities = np.asarray(message.data, dtype=float)
-        if probabilities.shape == (self.mechanism.segment_count + 1,):
-            self._probabilities = probabilities
-
-    def on_diagnostics(self, message: Any, now_s: float) -> None:
-        """Takes a `/diagnostics` message and keeps the estimator's own statuses."""
-        with self._lock:
-            for status in message.status:
-                node, _, part = status.name.partition(": ")
-                if node.strip("/") == self._estimator and part:
-                    level = Level(min(int.from_bytes(status.level, "little"), Level.STALE))
-                    self._health[part] = (now_s, level, status.message)
+    @property
+    def _pose_rad(self) -> Array:
+        """(2N,) where the arm is measured to be, else where it is commanded."""
+        measured = self._joint_angles_rad
+        return self._motion.advance(0.0) if measured is None else measured
 
     def reports_ok(self, part: str) -> bool:
         """Whether the estimator's latest status of a part, such as `tare`, is OK."""
         latest = self._health.get(part)
         return latest is not None and latest[1] is Level.OK
 
-    def loads_of(
-        self, segment: int, angle_deg: float, magnitude_n: float, *, beside: bool = False
-    ) -> list[Load]:
-        """The loads that make this push the only one on the arm, or one `beside` the others.
+    def loads_of(self, contact: Contact, *, beside: bool = False) -> list[Load]:
+        """The loads that make this push the only one on the arm, or one more of several.
+
+        Segment 0 is no push.
 
         Raises:
-            LoadError: no such segment, or numbers that are not finite.
+            LoadError: no such segment or place, or numbers that are not finite.
         """
         with self._lock:
             command = self._motion.advance(0.0)
             others = {} if beside else self._loads
-            pushed = {number for number, force in others.items() if force.any()}
+            pushed = {number for number, load in others.items() if load.force_base_n.any()}
+        segment, angle_deg, magnitude_n, place_m, along_n, _ = contact
         forces = normal_force_n(self.mechanism, command, segment, angle_deg, magnitude_n)
         released = [Load(number, np.zeros(3)) for number in sorted(pushed - {segment})]
-        return [*released, Load(segment, forces[segment - 1])] if segment else released
+        if not segment:
+            return released
+        length_m = self.mechanism.segment_length_m[segment - 1]
+        if not (0.0 <= place_m <= length_m and math.isfinite(along_n)):
+            raise LoadError(
+                f"a push of {along_n} N along segment {segment}, at {place_m} m; both must be "
+                f"finite, and the place from 0 to {length_m:g} m"
+            )
+        axis = segment_rotations(self.mechanism, command)[segment - 1, :, 0]
+        return [*released, Load(segment, forces[segment - 1] + along_n * axis, place_m)]
+
+    def torque_n_m(self, load: Load) -> Array | None:
+        """(3,) of a load about the base frame's origin, by which it states its place.
+
+        None for a load that acts at the contact point of its segment, or has no place: an axial
+        one and one of zero.
+        """
+        n = load.segment - 1
+        with self._lock:
+            pose = chain(self.mechanism, self._pose_rad)
+        axis = pose.rotation[n, :, 0]
+        lateral_n = _norm(np.cross(axis, load.force_base_n))
+        usual_m = self.mechanism.contact_m[n]
+        if load.contact_m is None or load.contact_m == usual_m or lateral_n < _LEAST_FELT_N:
+            return None
+        return np.cross(pose.joint_m[n] + load.contact_m * axis, load.force_base_n)
 
     def snapshot(self, now_s: float) -> Snapshot:
         """The present state, as far as it is known."""
@@ -294,102 +216,134 @@ class LiveArm:
             elapsed_s = 0.0 if self._motion_s is None else now_s - self._motion_s
             self._motion_s = now_s
             command = self._motion.advance(elapsed_s)
-            fresh = now_s - self._state_s <= STALE_S
-            state = self._state if fresh else ForceState.SILENT
-            touched = state in _IN_CONTACT and now_s - self._estimate_s <= STALE_S
-            estimates = self._estimated(command, now_s) if touched else ()
-            true = self._true(command)
-            bounds = None
-            if state in _ANSWERED and (now_s - self._bounds_s <= STALE_S).all():
-                low, high = self._bounds_n
-                angles = (_angle_deg(low), _angle_deg(high)) if low.any() else None
-                low_n, high_n = np.linalg.norm(self._bounds_n, axis=1).tolist()
-                bounds = ForceBounds(low_n, high_n, angles)
-            status = self._status(state, estimates, bounds, now_s)
-            if now_s - self.tension_publisher.refused_s <= DIAGNOSTICS_STALE_S:
-                note = f"{CABLE_TENSIONS} has two publishers; those of one are shown"
-                status = ShownStatus(Level.ERROR, status.headline, (note, *status.notes))
-            measured = self._joint_angles_rad
+            state = self._state if self._fresh(topics.STATUS, now_s) else ForceState.SILENT
+            estimated = self._estimated(command, now_s) if state in IN_CONTACT else ()
+            moment = self._moment(now_s) if state in IN_CONTACT else None
+            bounds = self._bounds(now_s) if state in ANSWERED else None
+            located = state in IN_CONTACT and self._fresh(topics.CONTACT_REGION, now_s)
+            said = headline(state, estimated, bounds, moment)
             return Snapshot(
-                time_s=self._tensions_s if self._tensions_n is not None else now_s,
-                joint_angles_rad=command if measured is None else measured,
+                time_s=self._came_s.get(topics.CABLE_TENSIONS, now_s),
+                joint_angles_rad=self._pose_rad,
                 tensions_n=self._tensions_n,
-                true=next(iter(true), None),
+                true=self._true(command),
                 state=state,
-                estimate=next(iter(estimates), None),
+                estimated=estimated,
                 bounds=bounds,
                 probabilities=self._probabilities if state.known else None,
-                status=status,
-                more_true=true[1:],
-                more_estimated=estimates[1:],
+                status=self._status(state, said, now_s),
+                moment=moment,
+                region=self._region if located else None,
             )
+
+    def _fresh(self, topic: str, now_s: float) -> bool:
+        return now_s - self._came_s.get(topic, -math.inf) <= STALE_S
 
     def _true(self, command_rad: Array) -> tuple[ShownContact, ...]:
-        """Of the loads what can be felt of them."""
-        felt = [
-            (n, np.array([0.0, float(y), float(z)]))
-            for n, force in self._loads.items()
-            for y, z in [normal_components_n(self.mechanism, command_rad, n, force)]
-            if math.hypot(y, z) >= _LEAST_FELT_N
-        ]
-        return self._contacts(command_rad, felt)
+        rotations = segment_rotations(self.mechanism, command_rad)
+        felt = []
+        for n, load in self._loads.items():
+            usual_m = float(self.mechanism.contact_m[n - 1])
+            place_m = usual_m if load.contact_m is None else load.contact_m
+            if _norm(load.force_base_n) >= _LEAST_FELT_N:
+                felt.append((n, load.force_base_n @ rotations[n - 1], place_m))
+        return self._contacts(rotations, felt)
 
     def _estimated(self, command_rad: Array, now_s: float) -> tuple[ShownContact, ...]:
-        """Of each segment, from a model of several contacts; else the one contact."""
-        several = [
-            (n, local_n)
-            for n, (since_s, local_n) in self._of_segments.items()
-            if now_s - since_s <= STALE_S and np.abs(local_n).max() > 0.0
+        """Contacts of all segments, from a model of several contacts; else the one contact."""
+        numbers = range(1, self.mechanism.segment_count + 1)
+        several = [topics.SEGMENT_WRENCHES.format(number) for number in numbers]
+        found = self._forces(several, now_s) or self._forces([topics.WRENCH], now_s)
+        return self._contacts(segment_rotations(self.mechanism, command_rad), found)
+
+    def _forces(self, wrenches: list[str], now_s: float) -> list[tuple[int, Array, float]]:
+        """Segment, force and place of those wrenches that are fresh and push."""
+        present = [self._wrenches[topic] for topic in wrenches if self._fresh(topic, now_s)]
+        return [
+            (each.segment, each.force_n, self._place_m(each))
+            for each in present
+            if each.segment and each.force_n[1:].any()
         ]
-        one = [] if self._estimate is None else [self._estimate]
-        return self._contacts(command_rad, several or one)
+
+    def _place_m(self, wrench: _Wrench) -> float:
+        """Where on the axis a force acts, by its torque about the segment's origin."""
+        (_, y, z), (_, torque_y, torque_z) = wrench.force_n, wrench.torque_n_m
+        return float((y * torque_z - z * torque_y) / (y * y + z * z))
+
+    def _moment(self, now_s: float) -> KnownMoment | None:
+        if not self._fresh(topics.WRENCH, now_s):
+            return None
+        segment, force_n, (_, y, z) = self._wrenches[topics.WRENCH]
+        if not segment or force_n[1:].any():
+            return None
+        return KnownMoment(segment, _angle_deg(np.array([0.0, z, -y])), math.hypot(y, z))
 
     def _contacts(
-        self, command_rad: Array, forces: list[tuple[int, Array]]
+        self, rotations: Array, forces: list[tuple[int, Array, float]]
     ) -> tuple[ShownContact, ...]:
-        found = (self._contact(command_rad, *each) for each in forces)
-        return tuple(sorted(found, key=lambda contact: -contact.magnitude_n))
-
-    def _contact(self, command_rad: Array, segment: int, local_n: Array) -> ShownContact:
-        force = segment_rotations(self.mechanism, command_rad)[segment - 1] @ local_n
-        return ShownContact(segment, _angle_deg(local_n), float(np.linalg.norm(local_n)), force)
-
-    def _status(
-        self,
-        state: ForceState,
-        estimates: tuple[ShownContact, ...],
-        bounds: ForceBounds | None,
-        now_s: float,
-    ) -> ShownStatus:
-        """With the estimator's warnings as notes; where there are none, its first status."""
-        if self._tensions_n is None:
-            return ShownStatus(
-                Level.STALE, "Waiting for cable_tensions", ("nothing has come yet",)
+        """Contacts, the strongest first, from forces in the axes of their segments and places."""
+        contacts = [
+            ShownContact(
+                segment=n,
+                angle_deg=_angle_deg(local_n),
+                magnitude_n=_norm(local_n[1:]),
+                contact_m=place_m,
+                along_n=float(local_n[0]),
+                force_base_n=rotations[n - 1] @ local_n,
             )
-        if (age_s := now_s - self._tensions_s) > STALE_S:
-            return ShownStatus(Level.STALE, f"Tensions are stale, {age_s:.1f} s old")
-        if not np.isfinite(self._state_s):
-            return ShownStatus(Level.STALE, "Waiting for the estimator", ("nothing has come yet",))
-        present = [
-            (level, part, text)
-            for part, (since_s, level, text) in self._health.items()
-            if now_s - since_s <= DIAGNOSTICS_STALE_S
+            for n, local_n, place_m in forces
         ]
-        present.sort(key=lambda status: -status[0])
-        warnings = tuple(text for level, _, text in present if level is not Level.OK)
-        notes = warnings[:3] or tuple(text for _, _, text in present[:1])
-        headline = _HEADLINES[state]
-        if estimates:
-            numbers = " and ".join(str(n) for n in sorted(each.segment for each in estimates))
-            headline = f"{headline} on segment{'s' if len(estimates) > 1 else ''} {numbers}"
-        if state is ForceState.HIDDEN and bounds is not None:
-            headline = f"{headline}; up to {bounds.high_n:.1f} N may act"
-        level = _LEVELS.get(state, state.level)
-        if level is not Level.STALE:
-            doubts = (
-                each
-                for each, part, _ in present
-                if each is Level.ERROR or (each is Level.WARN and part not in _HARMLESS)
+        return tuple(sorted(contacts, key=lambda contact: -contact.magnitude_n))
+
+    def _bounds(self, now_s: float) -> ForceBounds | None:
+        ends = (topics.WRENCH_LOWER, topics.WRENCH_UPPER)
+        if not all(self._fresh(topic, now_s) for topic in ends):
+            return None
+        low, high = (self._wrenches[topic].force_n for topic in ends)
+        angles = (_angle_deg(low), _angle_deg(high)) if low.any() else None
+        return ForceBounds(_norm(low[1:]), _norm(high[1:]), angles)
+
+    def _status(self, state: ForceState, said: str, now_s: float) -> ShownStatus:
+        """The headline `said`, with the estimator's warnings, or else its first status."""
+        status = self._waiting(now_s)
+        if status is None:
+            present = sorted(
+                (
+                    (level, part, text)
+                    for part, (since_s, level, text) in self._health.items()
+                    if now_s - since_s <= DIAGNOSTICS_STALE_S
+                ),
+                key=lambda one: -one[0],
             )
-            level = max([level, *doubts])
-        return ShownStatus(level, headline, notes)
+            warnings = [text for level, _, text in present if level is not Level.OK]
+            notes = warnings[:_MOST_NOTES] or [text for _, _, text in present[:1]]
+            doubts = [
+                level
+                for level, part, _ in present
+                if level is Level.ERROR or (level is Level.WARN and part not in _HARMLESS)
+            ]
+            grey = state in _NOTHING_ESTIMATED
+            level = Level.STALE if grey else max([state.level, *doubts])
+            status = ShownStatus(level, said, tuple(notes))
+        if now_s - self.tension_publisher.refused_s <= DIAGNOSTICS_STALE_S:
+            note = f"{topics.CABLE_TENSIONS} has two publishers; those of one are shown"
+            status = ShownStatus(Level.ERROR, status.headline, (note, *status.notes))
+        return status
+
+    def _waiting(self, now_s: float) -> ShownStatus | None:
+        """The status until tensions and estimates come."""
+        if self._tensions_n is None:
+            return ShownStatus(Level.STALE, "Waiting for cable_tensions")
+        if (age_s := now_s - self._came_s[topics.CABLE_TENSIONS]) > STALE_S:
+            return ShownStatus(Level.STALE, f"Tensions are stale, {age_s:.1f} s old")
+        if topics.STATUS not in self._came_s:
+            return ShownStatus(Level.STALE, "Waiting for the estimator")
+        return None
+
+
+def _angle_deg(local_n: Array) -> float:
+    return float(np.rad2deg(np.arctan2(local_n[1], local_n[2])) % 360.0)
+
+
+def _norm(vector: Array) -> float:
+    return float(np.linalg.norm(vector))

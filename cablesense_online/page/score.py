@@ -1,20 +1,22 @@
-"""How good the estimates were so far: true against estimated contacts, the arm at rest."""
+"""Mean errors of the estimates: true against estimated contacts, the arm at rest."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import zip_longest
+from typing import NamedTuple
 
 import numpy as np
 
+from cablesense_base import Array
 from cablesense_msgs_py.messages import ForceState
-from cablesense_online.page.live_arm import ShownContact, Snapshot
+from cablesense_online.page.snapshot import Snapshot
 
 SETTLING_S = 1.0
 """A comparison waits this long after a change: the arm swings and the estimate follows."""
 STILL_N = 0.01
+STILL_M = 0.001
 STILL_RAD = 0.003
-"""Load and pose that change by less stand still."""
+"""Load, its place and pose that change by less stand still."""
 GUESS_DEG = 90.0
 """Direction error of a contact that was missed, or found on another segment: a guess's mean."""
 
@@ -24,32 +26,26 @@ def angle_error_deg(a_deg: float, b_deg: float) -> float:
     return abs((a_deg - b_deg + 180.0) % 360.0 - 180.0)
 
 
-@dataclass(frozen=True)
-class Errors:
-    """Mean errors over the `count` moments with an answer so far; None before the first.
+class Errors(NamedTuple):
+    """Mean errors over the moments `compared` with an answer; None before the first.
 
     Attributes:
-        count: of moments that were compared.
+        compared: number of moments.
         unanswered: share, 0 … 1, of the moments at rest in which the estimator gave no answer.
         segment_right: share, 0 … 1, of moments with the right segments, or rightly none.
+        place_mae_m: over contacts on the right segment whose place is estimated.
         angle_mae_deg: over contacts; `GUESS_DEG` for a miss.
-        magnitude_mae_n: over contacts, true or estimated. Where a true and an estimated one are on
-            different segments, all of the greater force is the error.
+        magnitude_mae_n: over contacts, true or estimated, but those of which the moment alone is
+            known. The error of a contact on a wrong segment is the greater of the true and the
+            estimated force.
     """
 
-    count: int
+    compared: int
     unanswered: float | None
     segment_right: float | None
+    place_mae_m: float | None
     angle_mae_deg: float | None
     magnitude_mae_n: float | None
-
-
-def _by_segment(snapshot: Snapshot) -> list[ShownContact]:
-    return sorted(snapshot.all_true, key=lambda contact: contact.segment)
-
-
-def _segments(snapshot: Snapshot) -> list[int]:
-    return [contact.segment for contact in _by_segment(snapshot)]
 
 
 class Score:
@@ -57,71 +53,71 @@ class Score:
 
     def __init__(self, settling_s: float = SETTLING_S) -> None:
         self._settling_s = settling_s
-        self._still: Snapshot | None = None
+        self._still: Array | None = None
         self._still_since_s = 0.0
         self.reset()
 
     def reset(self) -> None:
         """Discards every comparison."""
         self._count = self._right = self._unanswered = 0
-        self._touched, self._turned_deg = 0, 0.0
-        self._pressed, self._off_n = 0, 0.0
+        # number and sum of errors
+        self._aside, self._turned, self._off = np.zeros(2), np.zeros(2), np.zeros(2)
 
     def add(self, snapshot: Snapshot) -> bool:
         """Takes one moment; gives whether it counted: load and pose must have stood still."""
-        if self._changed(snapshot):
-            self._still_since_s = snapshot.time_s
+        self._watch(snapshot)
         if snapshot.time_s - self._still_since_s < self._settling_s:
             return False
         if snapshot.tensions_n is None or snapshot.state is ForceState.MOVING:
             return False
-        if not snapshot.state.known and snapshot.estimate is None:
+        if not snapshot.state.known and not snapshot.estimated:
             self._unanswered += 1
             return True
-        true = {each.segment: each for each in snapshot.all_true}
-        estimated = {each.segment: each for each in snapshot.all_estimated}
+        true = {each.segment: each for each in snapshot.true}
+        found = {each.segment: each for each in snapshot.estimated}
+        both = true.keys() & found.keys()
+        angles_deg = [(true[n].angle_deg, found[n].angle_deg) for n in both]
+        seen, moment = set(found), snapshot.moment
+        if moment is not None:
+            seen.add(moment.segment)
+        self._right += true.keys() == seen
+        if moment is not None and moment.segment in true:  # no place and no force to compare
+            angles_deg.append((true.pop(moment.segment).angle_deg, moment.angle_deg))
+        missed_n = [true[n].magnitude_n for n in true.keys() - both]
+        ghosts_n = [found[n].magnitude_n for n in found.keys() - both]
+        aside_m = [abs(true[n].contact_m - found[n].contact_m) for n in both]
+        turned_deg = [angle_error_deg(*pair) for pair in angles_deg]
+        turned_deg += [GUESS_DEG] * len(missed_n)
+        off_n = [abs(true[n].magnitude_n - found[n].magnitude_n) for n in both]
+        off_n += map(max, zip_longest(missed_n, ghosts_n, fillvalue=0.0))
         self._count += 1
-        self._right += true.keys() == estimated.keys()
-        self._touched += len(true)
-        for segment in true.keys() & estimated.keys():
-            right, answer = true.pop(segment), estimated.pop(segment)
-            self._pressed += 1
-            self._turned_deg += angle_error_deg(right.angle_deg, answer.angle_deg)
-            self._off_n += abs(right.magnitude_n - answer.magnitude_n)
-        self._turned_deg += GUESS_DEG * len(true)
-        for pair in zip_longest(true.values(), estimated.values()):
-            self._pressed += 1
-            self._off_n += max(each.magnitude_n for each in pair if each is not None)
+        self._aside += len(aside_m), sum(aside_m)
+        self._turned += len(turned_deg), sum(turned_deg)
+        self._off += len(off_n), sum(off_n)
         return True
 
-    def _changed(self, snapshot: Snapshot) -> bool:
-        """Whether load or pose differ from those since which the arm has stood still."""
-        still = self._still
-        if still is not None and _segments(still) == _segments(snapshot):
-            force_moved = max(
-                (
-                    float(np.abs(before.force_base_n - now.force_base_n).max())
-                    for before, now in zip(_by_segment(still), _by_segment(snapshot), strict=True)
-                ),
-                default=0.0,
-            )
-            pose_moved = float(np.abs(still.joint_angles_rad - snapshot.joint_angles_rad).max())
-            if force_moved < STILL_N and pose_moved < STILL_RAD:
-                return False
-        self._still = snapshot
-        return True
+    def _watch(self, snapshot: Snapshot) -> None:
+        """Notes since when load and pose have stood still."""
+        loads = np.zeros((len(snapshot.joint_angles_rad) // 2, 4))
+        for contact in snapshot.true:
+            force = contact.force_base_n / STILL_N
+            loads[contact.segment - 1] = *force, contact.contact_m / STILL_M
+        now = np.append(loads, snapshot.joint_angles_rad / STILL_RAD)
+        if self._still is None or np.abs(now - self._still).max() >= 1.0:
+            self._still, self._still_since_s = now, snapshot.time_s
 
     @property
     def errors(self) -> Errors:
-        """The errors so far."""
+        """The errors up to now."""
 
-        def share(total: float, count: int) -> float | None:
+        def mean(count: float, total: float) -> float | None:
             return total / count if count else None
 
         return Errors(
             self._count,
-            share(self._unanswered, self._count + self._unanswered),
-            share(self._right, self._count),
-            share(self._turned_deg, self._touched),
-            share(self._off_n, self._pressed),
+            mean(self._count + self._unanswered, self._unanswered),
+            mean(self._count, self._right),
+            mean(*self._aside),
+            mean(*self._turned),
+            mean(*self._off),
         )

@@ -1,19 +1,24 @@
-"""An arm with whatever is wrong with it, and the noise-free readings of its sensors."""
+"""An arm with whatever is wrong with its body, actuators and sensors, and its readings."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_plants.arm.body import NONE, Body, Creep, Nominal, PlantFriction, rigid_body
-from cablesense_plants.arm.geometry import cable_lengths_m
+from cablesense_plants.arm.body import Body, Creep, Nominal, PlantFriction, rigid_body
+from cablesense_plants.arm.friction import QuasiStaticPath
 from cablesense_plants.arm.protocol import Schedule
-from cablesense_plants.arm.quasi_static import QuasiStaticPath
-from cablesense_plants.arm.rest import follow_path
-from cablesense_plants.arm.sensing import SensorFaults
+from cablesense_plants.arm.statics import cable_lengths_m, follow_path
+from cablesense_plants.cases import NO_FAULT
 
+DriftShape = Literal["linear", "slow sine", "random walk", "warm-up"]
+Filter = Literal["first order", "moving average", "second order, critically damped"]
+
+_FINE = 10
+"""Samples of a filter between two readings."""
 _MASS_SHARE, _PRETENSION_N, _CONTACT_M, _HOLE_DEG, _ZERO_N = 0.005, 0.15, 0.0003, 0.05, 0.05
 """Standard deviations of manufacturing."""
 
@@ -26,18 +31,17 @@ class ActuatorFaults:
         play_m: (M,) lost motion on reversal, from end to end.
         play_start: (M,) where in the play each begins, -1 to 1.
         ratio: (M,) metres paid out for one that is commanded.
-        screw_m: (M,) amplitude of an error periodic in the length.
+        screw_m: (M,) amplitude of an error periodic in the length, of period `screw_pitch_m`.
         screw_phase_rad: (M,) its phase at the straight arm.
         slip_m: (M,) length that each clamp lets through at `slip_time_s`.
-        screw_pitch_m: period of the screws' error.
     """
 
-    play_m: Array = NONE
-    play_start: Array = NONE
-    ratio: Array = NONE + 1.0
-    screw_m: Array = NONE
-    screw_phase_rad: Array = NONE
-    slip_m: Array = NONE
+    play_m: Array = NO_FAULT
+    play_start: Array = NO_FAULT
+    ratio: Array = NO_FAULT + 1.0
+    screw_m: Array = NO_FAULT
+    screw_phase_rad: Array = NO_FAULT
+    slip_m: Array = NO_FAULT
     screw_pitch_m: float = 0.004
     slip_time_s: float = np.inf
 
@@ -56,8 +60,146 @@ class ActuatorFaults:
 
 
 @dataclass(frozen=True)
+class Dropouts:
+    """Channels that repeat their last value for a while.
+
+    Attributes:
+        share: (M,) of the rows in which a channel does.
+        mean_rows: how long a dropout lasts on average.
+        seed: of when they come.
+    """
+
+    share: Array = NO_FAULT
+    mean_rows: float = 20.0
+    seed: int = 0
+
+    def repeated_n(self, signal_n: Array) -> Array:
+        """(R, M) signals, through each dropout the last value before it."""
+        if not self.share.any():
+            return signal_n
+        rng = np.random.default_rng(self.seed)
+        rows = len(signal_n)
+        last = np.tile(np.arange(rows)[:, None], (1, len(self.share)))
+        for channel in np.flatnonzero(self.share):
+            gap = self.mean_rows * (1.0 / self.share[channel] - 1.0)
+            at = 1.0 + rng.exponential(gap)
+            while at < rows:
+                end = at + 1.0 + rng.exponential(self.mean_rows)
+                last[int(at) : int(end), channel] = int(at) - 1
+                at = end + 1.0 + rng.exponential(gap)
+        return np.take_along_axis(signal_n, last, axis=0)
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Drift of zeros, of one shape and different sizes.
+
+    Attributes:
+        size_n: (M,) how far each goes within a recording, either way.
+        time_s: period of a sine, time constant of a warm-up.
+        phase_rad: of the sine.
+        seed: of the walk.
+    """
+
+    size_n: Array = NO_FAULT
+    shape: DriftShape = "linear"
+    time_s: float = 100.0
+    phase_rad: float = 0.0
+    seed: int = 0
+
+    def zeros_n(self, time_s: Array) -> Array:
+        """Zeros (R, M) at times (R,); (R, 1) where none drifts."""
+        since = (time_s - time_s[0])[:, None]
+        if not self.size_n.any():
+            return np.zeros_like(since)
+        if self.shape == "linear":
+            shape = since / since[-1]
+        elif self.shape == "slow sine":
+            shape = np.sin(2.0 * np.pi * since / self.time_s + self.phase_rad)
+        elif self.shape == "warm-up":
+            shape = 1.0 - np.exp(-since / self.time_s)
+        else:
+            rng = np.random.default_rng(self.seed)
+            walk = np.cumsum(rng.standard_normal((len(time_s), len(self.size_n))), axis=0)
+            shape = (walk - walk[0]) / np.abs(walk - walk[0]).max(axis=0)
+        return shape * self.size_n
+
+
+@dataclass(frozen=True)
+class SensorFaults:
+    """Faults of M sensors, in the order in which a signal meets them; by default none.
+
+    Attributes:
+        bow_from_n: tension at which the nonlinearity is zero.
+        gain: (M,) reading by tension.
+        bow_per_n: (M,) nonlinearity: change of the gain with each newton above `bow_from_n`.
+        ceiling_n: (M,) where a soft saturation sets in.
+        leak: (M, M) share of the column's signal in the row's.
+        lag_s: (M,) time constant, or half the window of an average.
+        offset_n: (M,) zero errors.
+        hum_n: (M,) amplitude of an interference of `hum_hz`.
+        hum_phase_rad: (M,) its phase.
+    """
+
+    bow_from_n: float
+    gain: Array = NO_FAULT + 1.0
+    bow_per_n: Array = NO_FAULT
+    ceiling_n: Array = NO_FAULT + np.inf
+    leak: Array = NO_FAULT
+    lag_s: Array = NO_FAULT
+    lag_filter: Filter = "first order"
+    offset_n: Array = NO_FAULT
+    drift: Drift = Drift()
+    hum_n: Array = NO_FAULT
+    hum_hz: float = 0.3
+    hum_phase_rad: Array = NO_FAULT
+    dropouts: Dropouts = Dropouts()
+
+    def signals_n(self, tension_n: Array, time_s: Array) -> Array:
+        """(R, M) noise-free readings of tensions (R, M) at times (R,)."""
+        signal = tension_n * (self.gain + self.bow_per_n * (tension_n - self.bow_from_n))
+        over = np.maximum(signal - self.ceiling_n, 0.0)
+        signal = np.where(over > 0.0, self.ceiling_n + over / (1.0 + over / 10.0), signal)
+        if self.leak.any():
+            signal = signal + signal @ self.leak.T
+        signal = self._lagged(signal, time_s)
+        hum = np.sin(2.0 * np.pi * self.hum_hz * time_s[:, None] + self.hum_phase_rad)
+        signal = signal + self.offset_n + self.drift.zeros_n(time_s) + self.hum_n * hum
+        return self.dropouts.repeated_n(signal)
+
+    def _lagged(self, signal_n: Array, time_s: Array) -> Array:
+        """Each column through its filter, settled at the first value before."""
+        from scipy.signal import lfilter
+
+        steps = len(time_s) - 1
+        fine_s = np.interp(np.arange(steps * _FINE + 1) / _FINE, np.arange(steps + 1), time_s)
+        period_s = float(fine_s[1] - fine_s[0])
+        late = signal_n.copy()
+        for column in np.flatnonzero(self.lag_s):
+            fine = np.interp(fine_s, time_s, signal_n[:, column])
+            if self.lag_filter == "moving average":
+                fine = _averaged(fine, max(1.0, 2.0 * self.lag_s[column] / period_s))
+            else:
+                order = 1 if self.lag_filter == "first order" else 2
+                kept = np.exp(-period_s / (self.lag_s[column] / order))
+                for _stage in range(order):
+                    fine, _ = lfilter([1.0 - kept], [1.0, -kept], fine, zi=[kept * fine[0]])
+            late[:, column] = fine[::_FINE]
+        return late
+
+
+def _averaged(signal: Array, window: float) -> Array:
+    """Mean over the last `window` samples, which need not be a whole number."""
+    whole = int(np.ceil(window))
+    total = np.concatenate([[0.0], np.cumsum(np.pad(signal, (whole, 0), mode="edge"))])
+    ends = whole + np.arange(1, len(signal) + 1)
+    starts = np.interp(ends - window, np.arange(len(total)), total)
+    return (total[ends] - starts) / window
+
+
+@dataclass(frozen=True)
 class RealArm:
-    """An arm with whatever is wrong with it.
+    """An arm with whatever is wrong with it; by default nothing.
 
     Attributes:
         nominal: the arm as drawn, by which its actuators are commanded.
@@ -87,13 +229,27 @@ class RealArm:
         before = len(history.time_s)
         command = np.concatenate([history.command_rad, schedule.command_rad])
         time_s = np.concatenate([history.time_s, schedule.time_s])
-        loads = np.concatenate([history.forces_n, schedule.forces_n]) @ self.load_turn.T
+        drawn = [self.point_loads_n(each) for each in (history, schedule)]
+        loads = np.concatenate(drawn) @ self.load_turn.T
         paid_out = self.actuation.paid_out_m(self.held_m(command), time_s)
         if self.history_dependent:
             tension = self._path_tensions_n(command, paid_out, loads, time_s)
         else:
             tension = follow_path(self.body, command, paid_out, loads).tensions_n
         return self.sensing.signals_n(np.maximum(tension[before:], 0.0), schedule.time_s)
+
+    def point_loads_n(self, schedule: Schedule) -> Array:
+        """(R, 4N, 3) the loads at the points of `Body.contact_at_m`, as they are written down.
+
+        A load between two points acts on both by the law of the lever: force and moment are the
+        same, and each half of a segment has points at both of its ends.
+        """
+        middle_m = 0.5 * self.nominal.length_m
+        share = np.nan_to_num(schedule.load_at_m)[:, None] / middle_m
+        lever = [np.clip(1.0 - np.abs(share - k), 0.0, 1.0) for k in range(3)]
+        stated = np.isfinite(schedule.load_at_m)[:, None]
+        shares = [~stated, *(stated * each for each in lever)]
+        return np.concatenate([each[..., None] * schedule.forces_n for each in shares], axis=1)
 
     def held_m(self, command_rad: Array) -> Array:
         """(R, M) cable paid out by commands (R, 2N) as drawn, minus that of the straight arm."""
@@ -107,8 +263,7 @@ class RealArm:
         stepped = SteppedArms(self, command[:1], paid_out[:1], loads[:1])
         tension = np.empty_like(paid_out)
         tension[0] = stepped.tensions_n[0]
-        friction = self.friction
-        timeless = not self.creep.compliance_m_n.any() and friction.joint_breakaway == 1.0
+        timeless = not self.creep.compliance_m_n.any() and self.friction.joint_breakaway == 1.0
         for row in range(1, len(tension)):
             still = np.array_equal(paid_out[row], paid_out[row - 1])
             if not (timeless and still and np.array_equal(loads[row], loads[row - 1])):
@@ -132,7 +287,8 @@ class SteppedArms:
         Args:
             held_m: (B, M) cable that the actuators have paid out, less that of the straight arm:
                 `RealArm.held_m` of the commands, and offsets.
-            forces_n: (B, N, 3) at the segments' contact points, in base axes.
+            forces_n: (B, N, 3) at the segments' contact points, in base axes; (B, 4N, 3) at the
+                points of `Body.contact_at_m`.
             period_s: since the last rests, for creep and what depends on the joints' speed.
 
         Raises:
@@ -165,7 +321,7 @@ def with_tolerances(arm: RealArm, rng: np.random.Generator) -> RealArm:
     body, cables = arm.body, arm.body.cable_count
     masses = body.mass_kg * (1.0 + _MASS_SHARE * rng.standard_normal(len(body.mass_kg)))
     contact = body.contact_at_m.copy()
-    contact[:, 0] += _CONTACT_M * rng.standard_normal(len(contact))
+    contact[..., 0] += _CONTACT_M * rng.standard_normal(contact.shape[1])
     pretension = body.pretension_n + _PRETENSION_N * rng.standard_normal(cables)
     by_rad = np.deg2rad(_HOLE_DEG) * rng.standard_normal(cables)
     zeros = arm.sensing.offset_n + _ZERO_N * rng.standard_normal(cables)

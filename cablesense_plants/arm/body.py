@@ -15,14 +15,11 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_base.files import read_bounded_text
 from cablesense_base.plain_yaml import parse_plain_mapping
-from cablesense_plants.cases import PlantError
+from cablesense_plants.cases import NO_FAULT, PlantError
 
 Ints = NDArray[np.int64]
 
 _MAX_FILE_BYTES = 200_000
-
-NONE: Any = np.float64(0.0)
-"""No fault of any cable, joint, actuator or sensor."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +32,7 @@ class Nominal:
         mass_kg: (N,) of each segment.
         plate_offset_m: from a guide plate to its joint's centre; joint 1 is that far from x = 0.
         contact_m: (N,) from a segment's joint centre to its contact point, on the axis.
+        reach_m: (N, 2) from there to where a segment can be touched, nearest and farthest.
         per_segment: cables that end on a segment.
         radius_m: (M,) of a cable's guide holes about the axis.
         hole_angle_rad: (M,) from +z towards +y.
@@ -50,6 +48,7 @@ class Nominal:
     mass_kg: Array
     plate_offset_m: float
     contact_m: Array
+    reach_m: Array
     per_segment: int
     radius_m: Array
     hole_angle_rad: Array
@@ -69,6 +68,11 @@ class Nominal:
     def floor_n(self) -> float:
         """Root mean square error of one reading: noise, and rounding over one step."""
         return float(np.sqrt(self.noise_std_n**2 + self.step_n**2 / 12.0))
+
+    def read_n(self, signal_n: Array, rng: np.random.Generator) -> Array:
+        """Readings of signals: noise, then whole steps."""
+        noisy = signal_n + self.noise_std_n * rng.standard_normal(signal_n.shape)
+        return np.round(noisy / self.step_n) * self.step_n if self.step_n > 0.0 else noisy
 
 
 def read_nominal(path: str | Path) -> Nominal:
@@ -116,12 +120,17 @@ def _nominal(text: Any) -> Nominal:
         )
         for name in names
     }
+    length_m = by_segment(segments["length_m"])
+    reach_m = (text.get("touch") or {}).get("reach_m")
+    if reach_m is None:
+        reach_m = np.stack([np.full(count, numbers["plate_offset_m"]), length_m], axis=1)
     return Nominal(
         gravity_m_s2=np.array(text["gravity_m_s2"], dtype=float).reshape(3),
         segment_count=count,
-        length_m=by_segment(segments["length_m"]),
+        length_m=length_m,
         mass_kg=by_segment(segments["mass_kg"]),
         contact_m=by_segment(segments["contact_m"]),
+        reach_m=np.broadcast_to(np.asarray(reach_m, dtype=float), (count, 2)),
         per_segment=per_segment,
         radius_m=by_segment(cables["routing_radius_m"])[segment],
         hole_angle_rad=np.deg2rad(angles.astype(float)),
@@ -173,8 +182,9 @@ class Body:
         mass_kg: (K,) point masses.
         mass_joint: (K,) the joint whose frame carries each.
         mass_at_m: (K, 3) where in that frame.
-        contact_joint: (N,) the joint whose frame carries the contact point of each segment.
-        contact_at_m: (N, 3) where in that frame.
+        contact_joint: (4, N) the joints whose frames carry the points of each segment where
+            forces can act: its contact point, its joint centre, its middle and its end.
+        contact_at_m: (4, N, 3) where in these frames.
         tip_at_m: (3,) the arm's end in the last frame.
         stiffness_n_m: (M,) at the pretension.
         pretension_n: (M,) straight and weightless.
@@ -201,13 +211,20 @@ class Body:
     stiffness_n_m: Array
     pretension_n: Array
     driven: Ints
-    spring_nm_rad: Array = NONE
-    hardening_nm_rad3: Array = NONE
-    cogging_nm: Array = NONE
+    spring_nm_rad: Array = NO_FAULT
+    hardening_nm_rad3: Array = NO_FAULT
+    cogging_nm: Array = NO_FAULT
     cogging_per_turn: float = 60.0
     exponent: float = 1.0
     cable_contacts: tuple[CableContact, ...] = ()
     tip_springs: tuple[TipSpring, ...] = ()
+
+    @property
+    def inside_m(self) -> Array:
+        """(J - 1, M, 3) the straight pieces of cable inside the segments between joints."""
+        pieces = self.before_m[1:] - self.after_m[:-1]
+        pieces[..., 0] += self.spacing_m[1:, None]
+        return pieces
 
     @property
     def joint_count(self) -> int:
@@ -229,6 +246,8 @@ def rigid_body(nominal: Nominal) -> Body:
     before, after = np.tile(holes, (n, 1, 1)), np.tile(holes, (n, 1, 1))
     before[..., 0], after[..., 0] = -offset, offset
     on_axis, joints = np.array([1.0, 0.0, 0.0]), np.arange(n)
+    length = nominal.length_m
+    points_m = np.stack([nominal.contact_m, 0.0 * length, 0.5 * length, length])
     return Body(
         gravity_m_s2=nominal.gravity_m_s2,
         spacing_m=np.append(offset, nominal.length_m[:-1]),
@@ -239,8 +258,8 @@ def rigid_body(nominal: Nominal) -> Body:
         mass_kg=nominal.mass_kg,
         mass_joint=joints,
         mass_at_m=0.5 * nominal.length_m[:, None] * on_axis,
-        contact_joint=joints,
-        contact_at_m=nominal.contact_m[:, None] * on_axis,
+        contact_joint=np.tile(joints, (4, 1)),
+        contact_at_m=points_m[..., None] * on_axis,
         tip_at_m=nominal.length_m[-1] * on_axis,
         stiffness_n_m=np.full(m, nominal.stiffness_n_m),
         pretension_n=np.full(m, nominal.pretension_n),
@@ -257,7 +276,7 @@ class PlantFriction:
         breakaway: the same of a cable that sticks, by that of one that slides.
         pulley_rad: constant wrap on a pulley at the actuator, behind the sensor.
         reach_m: sliding over which bristles take up the cables' friction; 0 sticks rigidly.
-        rounded: whether bristles yield gradually, see `chains.friction_state`.
+        rounded: whether bristles yield gradually, see `friction.friction_state`.
         actuator_share: part of a cable's compliance before the pulley, as its actuator's; above 0.
         joint_nm: (J, 2) torque of the joints' friction while they turn.
         joint_reach_rad: angle over which the joints' friction builds up.
@@ -266,13 +285,13 @@ class PlantFriction:
         speed_rad_s: over which that decays.
     """
 
-    coefficient: Array = NONE
+    coefficient: Array = NO_FAULT
     breakaway: float = 1.0
     pulley_rad: float = 0.0
     reach_m: float = 0.0
     rounded: bool = False
     actuator_share: float = 0.3
-    joint_nm: Array = NONE
+    joint_nm: Array = NO_FAULT
     joint_reach_rad: float = 2e-4
     joint_rounded: bool = False
     joint_breakaway: float = 1.0

@@ -1,29 +1,72 @@
-"""The effects that verdicts have names for, drawn in the forms that physics offers."""
+"""Draws of changes of an arm, and the effects that verdicts have names for.
+
+Each effect is drawn in the forms that physics offers.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from typing import Any, get_args
 
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_plants.arm.arm import RealArm, turned
-from cablesense_plants.arm.body import Creep
-from cablesense_plants.arm.change import (
-    ArmChange,
-    ArmDraw,
-    Draws,
-    added,
-    grown,
-    marked,
-    places,
-    scaled,
-    sets,
-    sized,
-)
-from cablesense_plants.arm.sensing import Drift, DriftShape, Filter
+from cablesense_plants.arm.arm import Drift, DriftShape, Filter, RealArm, turned
+from cablesense_plants.arm.body import Creep, Nominal
+from cablesense_plants.cases import Draw, Draws, HiddenChange, Law, added, grown, scaled, sets
+
+ArmChange = HiddenChange[RealArm]
+
+
+@dataclass(frozen=True)
+class ArmDraw(Draw):
+    """Random draws of changes of an arm as drawn; its M cables count from 0."""
+
+    nominal: Nominal
+
+    def segment(self) -> int:
+        """A segment or its joint, from 0."""
+        return int(self.rng.integers(self.nominal.segment_count))
+
+    def some(self, count: int, least: int, most: int) -> list[int]:
+        """Between `least` and `most` of the positions below `count`, ascending."""
+        number = int(self.rng.integers(least, min(most, count) + 1))
+        return sorted(int(i) for i in self.rng.choice(count, number, replace=False))
+
+    def cables(self, least: int, most: int) -> list[int]:
+        """Between `least` and `most` of the cables, ascending."""
+        return self.some(self.nominal.cable_count, least, most)
+
+    def weights(self, chosen: list[int], signed: bool = False) -> Array:
+        """(M,) of 0, and of numbers between 0.5 and 1 at the chosen; one is 1 or -1."""
+        weights = np.zeros(self.nominal.cable_count)
+        drawn = self.rng.uniform(0.5, 1.0, len(chosen))
+        drawn /= drawn.max()
+        weights[chosen] = drawn * self.rng.choice([-1.0, 1.0], len(drawn)) if signed else drawn
+        return weights
+
+
+def sized(value: Any, name: str) -> Law:
+    """A value, or a tuple of one where there was a tuple, with one field times the size."""
+
+    def law(old: Any, size: float) -> Any:
+        new = replace(value, **{name: size * getattr(value, name)})
+        return (new,) if isinstance(old, tuple) else new
+
+    return law
+
+
+def places(kind: str, marks: Array) -> tuple[str, ...]:
+    """Names of the places, counted from 0, where marks are not 0; none where they are all."""
+    return () if marks.all() else tuple(f"{kind}_{i + 1}" for i in np.flatnonzero(marks))
+
+
+def marked(positions: Any, count: int, value: float = 1.0) -> Array:
+    """(count,) of 0, and of a value at the positions."""
+    marks = np.zeros(count)
+    marks[positions] = value
+    return marks
+
 
 _CREEP_TIMES = {
     "one time": np.array([1.0]),
@@ -31,6 +74,8 @@ _CREEP_TIMES = {
     "logarithmic": np.logspace(-1.5, 1.5, 8),
 }
 _DRAWS = Draws()
+LISTED = _DRAWS.by_name
+"""By the name of the effect."""
 
 
 @_DRAWS.of_size("m", 1e-6, 1e-3)
@@ -41,7 +86,7 @@ def actuator_backlash(draw: ArmDraw) -> ArmChange:
     share = draw.weights(chosen)
     share = share if uneven else np.sign(share)
     start = draw.rng.uniform(-1.0, 1.0, len(share))
-    loose = sets("actuation", play_m=(scaled, share), play_start=start)
+    loose = sets("actuation", play_m=scaled(share), play_start=start)
     return ArmChange(loose, "uneven play" if uneven else "equal play", places("cable", share))
 
 
@@ -53,37 +98,36 @@ def base_tilt(draw: ArmDraw) -> ArmChange:
     axis = {"roll": (1.0, 0.0), "pitch": (0.0, 1.0)}.get(form, (np.cos(angle), np.sin(angle)))
     sign = draw.sign()
     x, y = sign * float(axis[0]), sign * float(axis[1])
-    tilted = sets("body", gravity_m_s2=(_tilted, (x, y, 0.0)))
-    return ArmChange(tilted, form, details={"about_x": x, "about_y": y})
+
+    def tilted(gravity: Array, size: float) -> Array:
+        return np.asarray(_rotation(size, np.array((x, y, 0.0))).inv().apply(gravity))
+
+    return ArmChange(sets("body", gravity_m_s2=tilted), form, details={"about_x": x, "about_y": y})
 
 
-def _tilted(gravity: Array, size: float, axis: tuple[float, float, float]) -> Array:
+def _rotation(size_deg: float, axis: Array) -> Any:
+    """Turns about axes (..., 3)."""
     from scipy.spatial.transform import Rotation
 
-    base = Rotation.from_rotvec(np.deg2rad(size) * np.array(axis))
-    return np.asarray(base.inv().apply(gravity), dtype=float)
+    return Rotation.from_rotvec(np.deg2rad(size_deg) * axis)
 
 
 @_DRAWS.of_size("of the elastic stretch", 0.01, 1.5)
 def cable_creep(draw: ArmDraw) -> ArmChange:
     """Kelvin-Voigt elements in series: one, three or many times, new cables or settled ones."""
     form = draw.one_of(_CREEP_TIMES)
-    time_s = draw.log_uniform(8.0, 80.0)
+    time_s = _log_uniform(draw, 8.0, 80.0)
     settled = float(draw.rng.choice([0.0, 1.0, draw.rng.uniform()]))
     cables, where = _all_or_segment(draw)
     times = np.clip(time_s * _CREEP_TIMES[form], 1.0, 2000.0)
-    return ArmChange(
-        partial(_creeping, cables=cables, time_s=times, settled=settled),
-        f"{form}, {'new' if settled == 0.0 else 'settled' if settled == 1.0 else 'used'}",
-        where,
-        {"time_s": time_s, "settled": settled},
-    )
 
+    def creeping(arm: RealArm, size: float) -> RealArm:
+        total = size * cables / arm.body.stiffness_n_m
+        compliance = np.tile(total / len(times), (len(times), 1))
+        return replace(arm, creep=Creep(compliance, times, settled))
 
-def _creeping(arm: RealArm, size: float, cables: Array, time_s: Array, settled: float) -> RealArm:
-    total = size * cables / arm.body.stiffness_n_m
-    compliance = np.tile(total / len(time_s), (len(time_s), 1))
-    return replace(arm, creep=Creep(compliance, time_s, settled))
+    state = "new" if settled == 0.0 else "settled" if settled == 1.0 else "used"
+    return ArmChange(creeping, f"{form}, {state}", where, {"time_s": time_s, "settled": settled})
 
 
 @_DRAWS.of_size("of the nominal", 0.01, 1.5)
@@ -91,8 +135,8 @@ def cable_stiffness(draw: ArmDraw) -> ArmChange:
     """Softer or harder cables, all or those that end on a segment."""
     cables, where = _all_or_segment(draw)
     if draw.chance(0.5):
-        return ArmChange(sets("body", stiffness_n_m=(grown, -cables)), "softer", where, most=0.5)
-    return ArmChange(sets("body", stiffness_n_m=(grown, cables)), "harder", where)
+        return ArmChange(sets("body", stiffness_n_m=grown(-cables)), "softer", where, most=0.5)
+    return ArmChange(sets("body", stiffness_n_m=grown(cables)), "harder", where)
 
 
 @_DRAWS.of_size("1", 0.003, 0.4)
@@ -109,16 +153,13 @@ def capstan_friction(draw: ArmDraw) -> ArmChange:
     numbers = {
         "breakaway": draw.uniform(1.15, 1.5) if onset == "breakaway" else 1.0,
         "pulley_rad": draw.uniform(0.3, 1.6) if pulley else 0.0,
-        "reach_m": draw.log_uniform(1e-5, 1e-4) if "bristles" in onset else 0.0,
+        "reach_m": _log_uniform(draw, 1e-5, 1e-4) if "bristles" in onset else 0.0,
         "actuator_share": draw.uniform(0.1, 0.4),
     }
-    return ArmChange(
-        sets(
-            "friction", coefficient=(scaled, share), rounded=onset == "rounded bristles", **numbers
-        ),
-        f"{onset}, {'uneven' if uneven else 'even'}, {'with' if pulley else 'no'} pulley",
-        details=numbers,
-    )
+    rounded = onset == "rounded bristles"
+    rough = sets("friction", coefficient=scaled(share), rounded=rounded, **numbers)
+    form = f"{onset}, {'uneven' if uneven else 'even'}, {'with' if pulley else 'no'} pulley"
+    return ArmChange(rough, form, details=numbers)
 
 
 @_DRAWS.of_size("m", 0.0005, 0.05)
@@ -127,12 +168,9 @@ def contact_offset(draw: ArmDraw) -> ArmChange:
     one = draw.chance(0.6)
     segment = draw.segment()
     shift = marked(segment if one else slice(None), draw.nominal.segment_count, draw.sign())
-    return ArmChange(
-        sets("body", contact_at_m=(added, np.outer(shift, [1.0, 0.0, 0.0]))),
-        "one segment" if one else "all segments",
-        places("segment", shift),
-        {"toward_tip": float(shift[segment])},
-    )
+    moved = sets("body", contact_at_m=added(np.outer(shift, [1.0, 0.0, 0.0])))
+    form, toward_tip = "one segment" if one else "all segments", float(shift[segment])
+    return ArmChange(moved, form, places("segment", shift), {"toward_tip": toward_tip})
 
 
 @_DRAWS.of_size("N m/rad", 0.05, 80.0)
@@ -141,12 +179,10 @@ def joint_elasticity(draw: ArmDraw) -> ArmChange:
     chosen: Any = draw.segment() if draw.chance(0.6) else slice(None)
     hardening = float(draw.rng.choice([0.0, draw.rng.uniform(3.0, 15.0)]))
     share = _both_axes(chosen, draw)
-    return ArmChange(
-        sets("body", spring_nm_rad=(scaled, share), hardening_nm_rad3=(scaled, hardening * share)),
-        "hardening" if hardening else "linear",
-        places("joint", share[:, 0]),
-        {"hardening_rad2": hardening},
-    )
+    cubic = scaled(hardening * share)
+    sprung = sets("body", spring_nm_rad=scaled(share), hardening_nm_rad3=cubic)
+    form = "hardening" if hardening else "linear"
+    return ArmChange(sprung, form, places("joint", share[:, 0]), {"hardening_rad2": hardening})
 
 
 @_DRAWS.of_size("N m", 0.005, 2.0)
@@ -159,7 +195,7 @@ def joint_friction(draw: ArmDraw) -> ArmChange:
     reach_rad = draw.uniform(5e-4, 3e-3) if rounded else 1e-4
     breakaway = draw.uniform(1.2, 1.8) if form == "Stribeck" else 1.0
     rough = sets(
-        "friction", joint_nm=(scaled, share), joint_rounded=rounded, joint_reach_rad=reach_rad,
+        "friction", joint_nm=scaled(share), joint_rounded=rounded, joint_reach_rad=reach_rad,
         joint_breakaway=breakaway,
     )  # fmt: skip
     return ArmChange(rough, form, places("joint", share[:, 0]))
@@ -171,22 +207,20 @@ def load_cell(draw: ArmDraw) -> ArmChange:
     form = draw.one_of(["axes", "scale", "axes and scale"])
     axis = np.array([1.0, 0.0, 0.0]) * draw.sign() + draw.rng.uniform(-0.4, 0.4, 3)
     sign = draw.sign()
+
+    def wrong_scale(arm: RealArm, size: float) -> RealArm:
+        return replace(arm, load_turn=(1.0 + sign * size) * arm.load_turn)
+
     if form == "scale":
-        return ArmChange(partial(_load_scaled, sign=sign), form, unit="1", least=0.003, most=0.5)
+        return ArmChange(wrong_scale, form, unit="1", least=0.003, most=0.5)
     per_deg = sign * draw.uniform(0.005, 0.02) if form == "axes and scale" else 0.0
-    turned_ = partial(_load_turned, axis=axis / np.linalg.norm(axis), per_deg=per_deg)
-    return ArmChange(turned_, form, details={"scale_per_deg": per_deg}, least=0.3, most=25.0)
+    axis = axis / np.linalg.norm(axis)
 
+    def wrong_axes(arm: RealArm, size: float) -> RealArm:
+        turn = _rotation(size, axis).as_matrix()
+        return replace(arm, load_turn=(1.0 + size * per_deg) * turn @ arm.load_turn)
 
-def _load_turned(arm: RealArm, size: float, axis: Array, per_deg: float) -> RealArm:
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_rotvec(np.deg2rad(size) * axis).as_matrix()
-    return replace(arm, load_turn=(1.0 + size * per_deg) * turn @ arm.load_turn)
-
-
-def _load_scaled(arm: RealArm, size: float, sign: float) -> RealArm:
-    return replace(arm, load_turn=(1.0 + sign * size) * arm.load_turn)
+    return ArmChange(wrong_axes, form, details={"scale_per_deg": per_deg}, least=0.3, most=25.0)
 
 
 @_DRAWS.of_size("kg", 0.005, 4.0)
@@ -194,16 +228,15 @@ def payload(draw: ArmDraw) -> ArmChange:
     """A mass on a segment's axis, anywhere along it."""
     segment = draw.segment()
     at_m = draw.uniform(0.0, float(draw.nominal.length_m[segment]))
-    loaded = partial(_loaded, segment=segment, at_m=at_m)
+
+    def loaded(arm: RealArm, size: float) -> RealArm:
+        body = arm.body
+        joint = np.append(body.mass_joint, body.driven[segment])
+        at = np.vstack([body.mass_at_m, [at_m, 0.0, 0.0]])
+        mass = np.append(body.mass_kg, size)
+        return replace(arm, body=replace(body, mass_kg=mass, mass_joint=joint, mass_at_m=at))
+
     return ArmChange(loaded, "point mass", (f"segment_{segment + 1}",), {"at_m": at_m})
-
-
-def _loaded(arm: RealArm, size: float, segment: int, at_m: float) -> RealArm:
-    body = arm.body
-    joint = np.append(body.mass_joint, body.driven[segment])
-    at = np.vstack([body.mass_at_m, [at_m, 0.0, 0.0]])
-    mass = np.append(body.mass_kg, size)
-    return replace(arm, body=replace(body, mass_kg=mass, mass_joint=joint, mass_at_m=at))
 
 
 @_DRAWS.of_size("N", 0.3, 30.0)
@@ -215,13 +248,12 @@ def pretension_error(draw: ArmDraw) -> ArmChange:
     if alike:
         share = np.where(share != 0.0, draw.sign(), 0.0)
     least = 0.1 * draw.nominal.pretension_n
-    tensioned = sets("body", pretension_n=(_added_above, share, least))
     form = "all by the same" if alike else "each by its own"
-    return ArmChange(tensioned, form, places("cable", share))
-
-
-def _added_above(old: Array, size: float, share: Array, least: float) -> Array:
-    return np.maximum(old + size * share, least)
+    return ArmChange(
+        sets("body", pretension_n=lambda old, size: np.maximum(old + size * share, least)),
+        form,
+        places("cable", share),
+    )
 
 
 @_DRAWS.of_size("deg", 0.1, 15.0)
@@ -243,10 +275,14 @@ def routing_geometry(draw: ArmDraw) -> ArmChange:
         before[:, own] = after[:, own] = sign
     of = "plates of the segment" if carried else "cables that end on the segment"
     where = (f"segment_{segment + 1}",)
+    law = _further_out if radius else _turned_deg
+    moved = sets(
+        "body",
+        before_m=lambda old, size: law(old, size, before),
+        after_m=lambda old, size: law(old, size, after),
+    )
     if radius:
-        moved = sets("body", before_m=(_further_out, before), after_m=(_further_out, after))
         return ArmChange(moved, f"radius, {of}", where, unit="m", least=5e-5, most=0.012)
-    moved = sets("body", before_m=(_turned_deg, before), after_m=(_turned_deg, after))
     return ArmChange(moved, f"angle, {of}", where)
 
 
@@ -274,7 +310,7 @@ def sensor_crosstalk(draw: ArmDraw) -> ArmChange:
     leak = (np.eye(count, k=1) + np.eye(count, k=-1)) * source
     leak = leak * float(draw.rng.choice([-1.0, 1.0], p=[0.2, 0.8]))
     form = "one channel into its neighbours" if one else "all channels into their neighbours"
-    return ArmChange(sets("sensing", leak=(scaled, leak)), form, places("cable", source))
+    return ArmChange(sets("sensing", leak=scaled(leak)), form, places("cable", source))
 
 
 @_DRAWS.of_size("N", 0.1, 40.0)
@@ -286,7 +322,7 @@ def sensor_drift(draw: ArmDraw) -> ArmChange:
     share = draw.weights(chosen, signed=True)
     phase_rad = draw.uniform(0.0, 2.0 * np.pi)
     drift = Drift(share, shape, time_s, phase_rad, int(draw.rng.integers(2**31)))
-    drifting = sets("sensing", drift=(sized, drift, "size_n"))
+    drifting = sets("sensing", drift=sized(drift, "size_n"))
     return ArmChange(drifting, shape, places("cable", share), {"time_s": time_s})
 
 
@@ -294,9 +330,8 @@ def sensor_drift(draw: ArmDraw) -> ArmChange:
 def sensor_gain(draw: ArmDraw) -> ArmChange:
     """Wrong scale on one to four sensors."""
     share = draw.weights(draw.cables(1, 4), signed=True)
-    return ArmChange(
-        sets("sensing", gain=(grown, share)), "each by its own", places("cable", share)
-    )
+    wrong = sets("sensing", gain=grown(share))
+    return ArmChange(wrong, "each by its own", places("cable", share))
 
 
 @_DRAWS.of_size("s", 0.01, 8.0)
@@ -305,7 +340,7 @@ def sensor_lag(draw: ArmDraw) -> ArmChange:
     chosen: Any = slice(None) if draw.chance(0.4) else draw.cables(1, 4)
     late = marked(chosen, draw.nominal.cable_count)
     kind = draw.one_of(get_args(Filter))
-    lagging = sets("sensing", lag_s=(scaled, late), lag_filter=kind)
+    lagging = sets("sensing", lag_s=scaled(late), lag_filter=kind)
     return ArmChange(lagging, kind, places("cable", late))
 
 
@@ -313,8 +348,13 @@ def sensor_lag(draw: ArmDraw) -> ArmChange:
 def sensor_offset(draw: ArmDraw) -> ArmChange:
     """Zero errors on one to four sensors."""
     share = draw.weights(draw.cables(1, 4), signed=True)
-    shifted = sets("sensing", offset_n=(added, share))
+    shifted = sets("sensing", offset_n=added(share))
     return ArmChange(shifted, "each by its own", places("cable", share))
+
+
+def _log_uniform(draw: ArmDraw, low: float, high: float) -> float:
+    """A number between two, alike in its logarithm."""
+    return float(np.exp(draw.rng.uniform(*np.log([low, high]))))
 
 
 def _all_or_segment(draw: ArmDraw) -> tuple[Array, tuple[str, ...]]:
@@ -330,7 +370,3 @@ def _all_or_segment(draw: ArmDraw) -> tuple[Array, tuple[str, ...]]:
 def _both_axes(chosen: Any, draw: ArmDraw) -> Array:
     """(N, 2) of 1 for both axes of the chosen joints."""
     return np.repeat(marked(chosen, draw.nominal.segment_count)[:, None], 2, axis=1)
-
-
-LISTED = _DRAWS.by_name
-"""By the name of the effect."""

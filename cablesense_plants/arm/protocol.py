@@ -1,8 +1,9 @@
-"""What is done to a plant while it is recorded: trials of rests, loads, poses and holds."""
+"""The protocol of a recording: trials of rests, loads, poses and holds."""
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Sequence
+from itertools import cycle, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,7 @@ class Schedule(NamedTuple):
         command_rad: (R, 2N) joint angles.
         load_segment: (R,) 1 to N, 0 without a load.
         load_n: (R, 3) base frame.
+        load_at_m: (R,) from the segment's joint centre, on its axis; NaN for its contact point.
     """
 
     time_s: Array
@@ -38,6 +40,7 @@ class Schedule(NamedTuple):
     command_rad: Array
     load_segment: Ints
     load_n: Array
+    load_at_m: Array
 
     @property
     def forces_n(self) -> Array:
@@ -51,7 +54,11 @@ class Schedule(NamedTuple):
 
 
 def draw_schedule(nominal: Nominal, rng: np.random.Generator) -> Schedule:
-    """The trials, 25 for four segments, with loads, orders and poses of this recording's own."""
+    """The trials, 25 for four segments, with loads, orders and poses of this recording's own.
+
+    The loads on a segment act in turn near its joint, at its contact point and far out, in an
+    order of their own.
+    """
     count = nominal.segment_count
     angles, segments = 2 * count, range(1, count + 1)
     straight = np.zeros(angles)
@@ -71,7 +78,17 @@ def draw_schedule(nominal: Nominal, rng: np.random.Generator) -> Schedule:
     trials.append(_moving(np.outer(ease[::-1] - ease[0], pose)))
     order = rng.permutation(segments)
     trials += [_still(straight, int(segment), _oblique_n(rng), _CYCLE) for segment in order]
-    return _schedule(nominal, trials)
+    return _schedule(nominal, trials, _places_m(nominal, [trial[1] for trial in trials], rng))
+
+
+def _places_m(nominal: Nominal, segments: Sequence[int], rng: np.random.Generator) -> Array:
+    """(T,) where the loads of trials on these segments act; NaN without a load."""
+    near, far = nominal.reach_m.T
+    inside = (far - near) / 6.0
+    at_m = np.stack([near + inside, nominal.contact_m, far - inside], axis=1)
+    orders = rng.spawn(1)[0].permuted(np.tile(np.arange(3), (len(at_m), 1)), axis=1)
+    turns = [cycle(order) for order in orders]
+    return np.array([at_m[n - 1, next(turns[n - 1])] if n else np.nan for n in segments])
 
 
 def draw_history(nominal: Nominal, rng: np.random.Generator) -> Schedule:
@@ -106,19 +123,21 @@ def _moving(commands: Array) -> _Trial:
     return commands, 0, np.zeros((len(commands), 3))
 
 
-def _schedule(nominal: Nominal, trials: list[_Trial]) -> Schedule:
-    """Loads are scaled by what the cables can hold at the arm's reach."""
+def _schedule(nominal: Nominal, trials: list[_Trial], places_m: Array | None = None) -> Schedule:
+    """Loads are scaled by what the cables can hold at the arm's reach; `places_m` (T,) of each."""
     moment_nm = nominal.pretension_n * nominal.radius_m.mean() * nominal.cable_count
     strength = moment_nm / nominal.length_m.sum() / (50.0 * 0.05 * 12 / (4 * 0.13))
     commands, segments, loads = zip(*trials, strict=True)
     rows = [len(command) for command in commands]
     load = np.round(strength * np.concatenate(loads), 3) + 0.0  # no -0.0
+    places_m = np.full(len(rows), np.nan) if places_m is None else np.round(places_m, 3)
     done = Schedule(
         time_s=1.0 / _ROWS_HZ * np.arange(sum(rows), dtype=float),
         trial=np.repeat(np.arange(len(rows)), rows),
         command_rad=np.round(np.concatenate(commands), 6) + 0.0,
         load_segment=np.where((load != 0.0).any(axis=1), np.repeat(segments, rows), 0),
         load_n=load,
+        load_at_m=_where_loaded(load, np.repeat(places_m, rows)),
     )
     return done if nominal.rate_hz == _ROWS_HZ else _sampled(done, nominal.rate_hz)
 
@@ -140,13 +159,19 @@ def _sampled(done: Schedule, rate_hz: float) -> Schedule:
 
     load = between(done.load_n, 3)
     segment = np.maximum(done.load_segment[before], done.load_segment[after])
+    at_m = np.fmax(done.load_at_m[before], done.load_at_m[after])
     return Schedule(
         time_s=time_s,
         trial=done.trial[np.where(share[:, 0] > 0.0, after, before)],
         command_rad=between(done.command_rad, 6),
         load_segment=np.where((load != 0.0).any(axis=1), segment, 0),
         load_n=load,
+        load_at_m=_where_loaded(load, at_m),
     )
+
+
+def _where_loaded(load_n: Array, at_m: Array) -> Array:
+    return np.where((load_n != 0.0).any(axis=1), at_m, np.nan)
 
 
 def _sweep(angles: int, rng: np.random.Generator) -> Array:

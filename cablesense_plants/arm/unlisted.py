@@ -7,29 +7,21 @@ from dataclasses import replace
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_plants.arm.arm import RealArm
+from cablesense_plants.arm.arm import Dropouts, RealArm
 from cablesense_plants.arm.body import Body, CableContact, TipSpring
-from cablesense_plants.arm.change import (
-    ArmChange,
-    ArmDraw,
-    Draws,
-    added,
-    marked,
-    scaled,
-    sets,
-    sized,
-)
-from cablesense_plants.arm.sensing import Dropouts
-from cablesense_plants.cases import UNKNOWN
+from cablesense_plants.arm.listed import ArmChange, ArmDraw, marked, sized
+from cablesense_plants.cases import UNKNOWN, Draws, added, scaled, sets
 
 _DRAWS = Draws(UNKNOWN)
+UNLISTED = _DRAWS.by_name
+"""By the form of the change."""
 
 
 @_DRAWS.of_size("1", 5e-4, 0.3)
 def actuator_ratio(draw: ArmDraw) -> ArmChange:
     """Actuators that pay out more or less than the command."""
     share = draw.weights(draw.cables(1, 3), signed=True)
-    return ArmChange(sets("actuation", ratio=(added, share)))
+    return ArmChange(sets("actuation", ratio=added(share)))
 
 
 @_DRAWS.of_size("m", 5e-6, 2e-3)
@@ -37,13 +29,13 @@ def clamp_slip(draw: ArmDraw) -> ArmChange:
     """A clamp or two that let cable through at one moment of the recording."""
     share = draw.weights(draw.cables(1, 2))
     time_s = draw.uniform(60.0, 220.0)
-    return ArmChange(sets("actuation", slip_m=(scaled, share), slip_time_s=time_s))
+    return ArmChange(sets("actuation", slip_m=scaled(share), slip_time_s=time_s))
 
 
 @_DRAWS.of_size("of the exponent", 0.01, 3.0)
 def hardening_cables(draw: ArmDraw) -> ArmChange:
     """Cables stiffer the more they carry, as drawn at the pretension."""
-    return ArmChange(sets("body", exponent=(added, 1.0)))
+    return ArmChange(sets("body", exponent=added(1.0)))
 
 
 @_DRAWS.of_size("m", 2e-6, 1e-3)
@@ -53,7 +45,7 @@ def screw_error(draw: ArmDraw) -> ArmChange:
     pitch_m = draw.uniform(0.002, 0.006)
     phase = draw.rng.uniform(0.0, 2.0 * np.pi, len(share))
     screw = {"screw_pitch_m": pitch_m, "screw_phase_rad": phase}
-    return ArmChange(sets("actuation", screw_m=(scaled, share), **screw))
+    return ArmChange(sets("actuation", screw_m=scaled(share), **screw))
 
 
 @_DRAWS.of_size("m/rad^2", 1e-3, 1.0)
@@ -66,17 +58,17 @@ def snagging_cables(draw: ArmDraw) -> ArmChange:
     sign = draw.sign()
     toward = (sign, 0.0) if pitch else (0.0, sign)
     contact = CableContact(joint, toward, pair, 1.0, draw.uniform(0.0, 0.06))
-    return ArmChange(sets("body", cable_contacts=(sized, contact, "depth_m_rad2")))
+    return ArmChange(sets("body", cable_contacts=sized(contact, "depth_m_rad2")))
 
 
 @_DRAWS.of_size("rad/(N m)", 1e-4, 0.05)
 def limber_segments(draw: ArmDraw) -> ArmChange:
     """Segments that bend in their middle under load."""
-    return ArmChange(_limber)
 
+    def limber(arm: RealArm, size: float) -> RealArm:
+        return replace(arm, body=_with_middles(arm.body, 1.0 / size))
 
-def _limber(arm: RealArm, size: float) -> RealArm:
-    return replace(arm, body=_with_middles(arm.body, 1.0 / size))
+    return ArmChange(limber)
 
 
 def _with_middles(body: Body, stiffness_nm_rad: float) -> Body:
@@ -95,6 +87,7 @@ def _with_middles(body: Body, stiffness_nm_rad: float) -> Body:
     passes = np.repeat(body.passes, 2, axis=0)
     passes[1::2] = np.append(body.passes[1:], np.zeros((1, body.cable_count), dtype=bool), axis=0)
     back = np.outer(half, [1.0, 0.0, 0.0])
+    behind = np.array([1, 0, 1, 1])[:, None]  # the joint centre alone stays before the middle
     return replace(
         body,
         spacing_m=spacing,
@@ -104,8 +97,8 @@ def _with_middles(body: Body, stiffness_nm_rad: float) -> Body:
         skew=np.repeat(body.skew, 2, axis=0),
         mass_joint=2 * body.mass_joint + 1,
         mass_at_m=body.mass_at_m - back[body.mass_joint],
-        contact_joint=2 * body.contact_joint + 1,
-        contact_at_m=body.contact_at_m - back[body.contact_joint],
+        contact_joint=2 * body.contact_joint + behind,
+        contact_at_m=body.contact_at_m - behind[..., None] * back[body.contact_joint],
         tip_at_m=body.tip_at_m - back[-1],
         spring_nm_rad=np.tile([[0.0, 0.0], [stiffness_nm_rad] * 2], (body.joint_count, 1)),
         driven=2 * body.driven,
@@ -117,7 +110,7 @@ def link_length(draw: ArmDraw) -> ArmChange:
     """A segment that is longer or shorter than drawn, so that the next joint is elsewhere."""
     count = draw.nominal.segment_count
     share = marked(int(draw.rng.integers(1, count)), count, draw.sign())
-    return ArmChange(sets("body", spacing_m=(added, share)))
+    return ArmChange(sets("body", spacing_m=added(share)))
 
 
 @_DRAWS.of_size("deg", 1.0, 30.0)
@@ -127,14 +120,13 @@ def skewed_axes(draw: ArmDraw) -> ArmChange:
     chosen = draw.some(len(axes), 1, 2)
     directions = draw.rng.standard_normal((len(chosen), 3))
     axes[chosen] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    return ArmChange(sets("body", skew=(_rotations, axes)))
 
+    def turned(_old: Array, size_deg: float) -> Array:
+        from scipy.spatial.transform import Rotation
 
-def _rotations(_old: Array, size_deg: float, axis: Array) -> Array:
-    """(..., 3, 3) turns about axes (..., 3)."""
-    from scipy.spatial.transform import Rotation
+        return np.asarray(Rotation.from_rotvec(np.deg2rad(size_deg) * axes).as_matrix())
 
-    return np.asarray(Rotation.from_rotvec(np.deg2rad(size_deg) * axis).as_matrix(), dtype=float)
+    return ArmChange(sets("body", skew=turned))
 
 
 @_DRAWS.of_size("N m", 0.005, 3.0)
@@ -143,7 +135,7 @@ def cogging(draw: ArmDraw) -> ArmChange:
     share = np.zeros((draw.nominal.segment_count, 2))
     share[draw.some(len(share), 1, 2)] = 1.0
     per_turn = draw.uniform(40.0, 90.0)
-    return ArmChange(sets("body", cogging_nm=(scaled, share), cogging_per_turn=per_turn))
+    return ArmChange(sets("body", cogging_nm=scaled(share), cogging_per_turn=per_turn))
 
 
 @_DRAWS.of_size("N/m", 0.3, 300.0)
@@ -152,7 +144,7 @@ def tether(draw: ArmDraw) -> ArmChange:
     angle, away_m = draw.uniform(0.0, 2.0 * np.pi), draw.uniform(0.1, 0.4)
     x = _reach_m(draw) + draw.uniform(-0.2, 0.1)
     spring = TipSpring((x, float(away_m * np.sin(angle)), float(away_m * np.cos(angle))), 1.0)
-    return ArmChange(sets("body", tip_springs=(sized, spring, "stiffness_n_m")))
+    return ArmChange(sets("body", tip_springs=sized(spring, "stiffness_n_m")))
 
 
 @_DRAWS.of_size("N/m", 5.0, 2e4)
@@ -161,7 +153,7 @@ def wall(draw: ArmDraw) -> ArmChange:
     angle, away_m = draw.uniform(0.0, 2.0 * np.pi), draw.uniform(0.003, 0.03)
     normal = (0.0, float(np.sin(angle)), float(np.cos(angle)))
     spring = TipSpring((_reach_m(draw), away_m * normal[1], away_m * normal[2]), 1.0, normal)
-    return ArmChange(sets("body", tip_springs=(sized, spring, "stiffness_n_m")))
+    return ArmChange(sets("body", tip_springs=sized(spring, "stiffness_n_m")))
 
 
 def _reach_m(draw: ArmDraw) -> float:
@@ -172,19 +164,19 @@ def _reach_m(draw: ArmDraw) -> float:
 def sensor_bow(draw: ArmDraw) -> ArmChange:
     """Sensors whose scale changes with the tension."""
     bow = _all_or_some(draw) * draw.sign()
-    return ArmChange(sets("sensing", bow_per_n=(scaled, bow)))
+    return ArmChange(sets("sensing", bow_per_n=scaled(bow)))
 
 
 @_DRAWS.of_size("N")
 def sensor_ceiling(draw: ArmDraw) -> ArmChange:
     """Sensors or amplifiers that saturate; the size is how far below five times the pretension."""
-    full_n = 5.0 * draw.nominal.pretension_n
-    ceiling = sets("sensing", ceiling_n=(_ceiling, _all_or_some(draw), full_n))
-    return ArmChange(ceiling, least=0.12 * full_n, most=0.78 * full_n)
+    full_n, sensors = 5.0 * draw.nominal.pretension_n, _all_or_some(draw)
 
+    def ceiling(old: Array, size: float) -> Array:
+        return np.where(sensors > 0.0, full_n - size, old)
 
-def _ceiling(old: Array, size: float, sensors: Array, full_n: float) -> Array:
-    return np.where(sensors > 0.0, full_n - size, old)
+    limited = sets("sensing", ceiling_n=ceiling)
+    return ArmChange(limited, least=0.12 * full_n, most=0.78 * full_n)
 
 
 def _all_or_some(draw: ArmDraw) -> Array:
@@ -198,7 +190,7 @@ def sensor_dropouts(draw: ArmDraw) -> ArmChange:
     """Channels that now and then repeat their last value for a while."""
     share = draw.weights(draw.cables(1, 6))
     dropouts = Dropouts(share, draw.uniform(8.0, 40.0), int(draw.rng.integers(2**31)))
-    return ArmChange(sets("sensing", dropouts=(sized, dropouts, "share")))
+    return ArmChange(sets("sensing", dropouts=sized(dropouts, "share")))
 
 
 @_DRAWS.of_size("N", 0.1, 15.0)
@@ -207,8 +199,4 @@ def sensor_hum(draw: ArmDraw) -> ArmChange:
     share = draw.weights(draw.cables(3, 8))
     hz = draw.uniform(0.15, 0.9)
     phase_rad = np.full(len(share), draw.uniform(0.0, 2.0 * np.pi))
-    return ArmChange(sets("sensing", hum_n=(scaled, share), hum_hz=hz, hum_phase_rad=phase_rad))
-
-
-UNLISTED = _DRAWS.by_name
-"""By the form of the change."""
+    return ArmChange(sets("sensing", hum_n=scaled(share), hum_hz=hz, hum_phase_rad=phase_rad))

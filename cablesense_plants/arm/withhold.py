@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil
@@ -18,10 +19,8 @@ from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
 from cablesense_plants.arm.arm import RealArm, ideal_arm, with_tolerances
 from cablesense_plants.arm.body import Nominal
-from cablesense_plants.arm.change import ArmChange
-from cablesense_plants.arm.listed import LISTED
+from cablesense_plants.arm.listed import LISTED, ArmChange, ArmDraw
 from cablesense_plants.arm.protocol import Schedule, draw_history, draw_schedule
-from cablesense_plants.arm.sensing import read_n
 from cablesense_plants.arm.unlisted import UNLISTED
 from cablesense_plants.cases import (
     NONE,
@@ -63,7 +62,7 @@ def withhold(
 ) -> Iterator[ArmAnswer]:
     """Write `case_001.csv` … into a folder and, at the end, the answers; yields them as they come.
 
-    With `second`, the folder `second/` beside them gets another recording of each arm, with other
+    With `second`, the folder `second/` in it gets another recording of each arm, with other
     commands, loads and past. The same seed makes the same files, whatever the number of processes.
 
     Raises:
@@ -122,27 +121,26 @@ def make_case(
     """Case `index` (from 1) of the set of a seed; an arm that finds no rest is drawn anew."""
     for attempt in range(_REDRAWS):
         rng = np.random.default_rng([seed, index, attempt])
-        try:
+        with suppress(PlantError) if attempt + 1 < _REDRAWS else nullcontext():
             return record_case(rng, index, nominal, kind, second=second)
-        except PlantError:
-            if attempt == _REDRAWS - 1:
-                raise
     raise AssertionError
 
 
 def _write_recording(path: Path, rate_hz: float, done: Schedule, tensions_n: Array) -> None:
-    """One row a sample, columns named with their units."""
+    """One row a sample, columns named with their units; a cell without a number is empty."""
     angles, cables = done.command_rad.shape[1], tensions_n.shape[1]
     header = ["time_s", "trial", *(f"q{i + 1}_cmd_rad" for i in range(angles)), "load_segment"]
-    header += ["load_x_n", "load_y_n", "load_z_n", *(f"tension_{i + 1}_n" for i in range(cables))]
+    header += ["load_x_n", "load_y_n", "load_z_n", "load_at_m"]
+    header += [f"tension_{i + 1}_n" for i in range(cables)]
     time_decimals = 2 if 100.0 % rate_hz == 0.0 else 6  # microseconds, where 10 ms are too coarse
-    decimals = [time_decimals, 0, *[6] * angles, 0, *[3] * 3, *[4] * cables]
+    decimals = [time_decimals, 0, *[6] * angles, 0, *[3] * 4, *[4] * cables]
     table = np.column_stack([*done, tensions_n])
     for column, places in zip(table.T, decimals, strict=True):
         column[:] = np.round(column, places) + 0.0  # no -0.00
-    formats = [f"%.{places}f" for places in decimals]
+    texts = [np.char.mod(f"%.{n}f", column) for column, n in zip(table.T, decimals, strict=True)]
+    cells = np.column_stack([np.where(text == "nan", "", text) for text in texts])
     with plant_file(path) as beside:
-        np.savetxt(beside, table, formats, ",", header=",".join(header), comments="")
+        np.savetxt(beside, cells, "%s", ",", header=",".join(header), comments="")
 
 
 @dataclass(frozen=True)
@@ -153,7 +151,7 @@ class ArmAnswer:
         recording: its name.
         effects: names joined by `+` in alphabetical order, `none` or `unknown`.
         where: places joined by spaces; empty for the whole arm.
-        form: what it physically is, joined by ` + `.
+        form: the physical forms, joined by ` + `.
         sizes: of each, with units, as JSON.
         gap_n: root mean square of what the hidden changes make of the noise-free readings.
         gap_over_floor: the same by the error of one reading.
@@ -175,7 +173,7 @@ class ArmAnswer:
 
 @dataclass(frozen=True)
 class CaseRecording:
-    """What is handed out of a case, and what is kept back.
+    """The recording of a case, and its answer.
 
     Attributes:
         second: another recording of the same arm.
@@ -190,15 +188,11 @@ class CaseRecording:
 def record_case(
     rng: np.random.Generator, index: int, nominal: Nominal, kind: str, *, second: bool = False
 ) -> CaseRecording:
-    """Draw an arm, its hidden changes and its protocol, and record it.
+    """Draw an arm, its hidden changes and its protocol, and record it, all from one `rng`.
 
-    Args:
-        rng: all of the case comes from it.
-        index: number in the name, `case_001`.
-        nominal: the arm as drawn.
-        kind: `none`, `unknown`, the name of an effect inside or outside the list, or several
-            inside it joined by `+`.
-        second: whether the same arm is recorded a second time.
+    `index` is the number in the name, `case_001`. `kind` is `none`, `unknown`, the name of an
+    effect inside or outside the list, or several inside it joined by `+`. With `second` the same
+    arm is recorded a second time.
 
     Raises:
         PlantError: a kind that is none of those, or an arm that finds no rest in some row.
@@ -218,7 +212,7 @@ def record_case(
     changes = []
     for name in sorted(names):
         for _ in range(_CHANGE_REDRAWS):
-            change = draws[name](rng, nominal)
+            change = draws[name](ArmDraw(rng, nominal))
             plain = len(names) > 1 or change.effect == UNKNOWN
             bounds = _PLAIN if plain else _FLOORS[str(rng.choice(list(_FLOORS), p=_SHARES))]
             wanted_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(bounds))))
@@ -254,12 +248,12 @@ def record_case(
         scatter_gap_n=gap_n(plain_n, ideal_arm(nominal).signals_n(*done)),
         each_gap_n=" ".join(f"{value:.4f}" for value in each),
     )
-    sensors = nominal.noise_std_n, nominal.step_n, noise_rng
-    recorded = CaseRecording(done[0], read_n(signals, *sensors), answer)
+    recorded = CaseRecording(done[0], nominal.read_n(signals, noise_rng), answer)
     if not second:
         return recorded
     again = draw_schedule(nominal, noise_rng), draw_history(nominal, noise_rng)
-    return replace(recorded, second=(again[0], read_n(arm.signals_n(*again), *sensors)))
+    more_n = nominal.read_n(arm.signals_n(*again), noise_rng)
+    return replace(recorded, second=(again[0], more_n))
 
 
 def size_for(

@@ -10,17 +10,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from cablesense_base import Array
 from cablesense_plants.cases import NONE, UNKNOWN, PlantError, different, in_turn, plant_file
 from cablesense_plants.robot.causes import (
+    Drawing,
     RobotChange,
     RobotDraw,
     of_tendons,
     pools,
     with_tolerances,
 )
-from cablesense_plants.robot.hidden import RealRobot, RobotKind, stacked
-from cablesense_plants.robot.kinds import GUIDED, KINDS
 from cablesense_plants.robot.motion import (
     Reference,
     prescribed_n_m,
@@ -29,8 +27,8 @@ from cablesense_plants.robot.motion import (
     stacked_references,
     written,
 )
+from cablesense_plants.robot.robots import GUIDED, KINDS, RealRobot, RobotKind, stacked
 
-Drawing = Callable[[RobotDraw], RobotChange]
 _OF_LINKS = ("link_centre", "link_mass", "payload")
 _NONE_SHARE, _UNKNOWN_SHARE, _SEVERAL_SHARE = 0.2, 0.2, 0.2
 _FLOORS = (6.0, 40.0)
@@ -51,7 +49,7 @@ class RobotAnswer:
         robot: the name of its model.
         effects: names joined by `+` in alphabetical order, `none` or `unknown`.
         where: places joined by spaces.
-        form: what it physically is, joined by ` + `.
+        form: the physical forms, joined by ` + `.
         sizes: of each, with units, as JSON.
         gap_over_floor: of the robot as asked to move, with all that is hidden, to the one with
             tolerances alone.
@@ -129,14 +127,23 @@ def draw_case(
     nominal, joints, links = kind.nominal()
     asked = reference(kind, rng), reference(kind, rng)
     plain = with_tolerances(nominal, kind, rng)
-    without = _read(kind, plain, asked[0])
-    scatter = _gap(kind, without, _read(kind, nominal, asked[0]))
+    without = prescribed_n_m(kind, plain, asked[0])
+
+    def gap_of(robot: RealRobot) -> float:
+        """To the robot with tolerances alone, as asked to move, in noise of one sample."""
+        off = (prescribed_n_m(kind, robot, asked[0]) - without) / kind.noise_n_m
+        return float(np.sqrt((off**2).mean()))
+
+    scatter = gap_of(nominal)
     draw = RobotDraw(rng, kind, nominal, joints, links)
     causes: list[tuple[RobotChange, float, float]] = []
     for name in names:
         taken = [c for c, *_ in causes]
         pool = next(pool for pool in known if name in pool)
-        causes.append(_sized(draw, name, pool, taken, plain, asked[0], without, scatter))
+        least = max(_FLOORS[0], _TOLERANCES * scatter)
+        causes.append(
+            _sized(draw, name, pool, taken, least, lambda c, size: gap_of(c.apply(plain, size)))
+        )
     causes.sort(key=lambda each: each[0].effect)
     robot = plain
     for cause, size, _ in causes:
@@ -154,7 +161,7 @@ def draw_case(
         where=" ".join(sorted(places)),
         form=" + ".join(c.form for c, *_ in causes),
         sizes=json.dumps(sizes),
-        gap_over_floor=round(_gap(kind, _read(kind, robot, asked[0]), without), 2),
+        gap_over_floor=round(gap_of(robot), 2),
         scatter_over_floor=round(scatter, 2),
         each_gap_n=" ".join(f"{gap:.2f}" for *_, gap in causes),
     )
@@ -167,12 +174,10 @@ def _sized(
     name: str,
     pool: Mapping[str, Drawing],
     taken: list[RobotChange],
-    plain: RealRobot,
-    asked: Reference,
-    without: Array,
-    scatter: float,
+    least: float,
+    gap_of: Callable[[RobotChange, float], float],
 ) -> tuple[RobotChange, float, float]:
-    """A cause, a size that makes about the gap wanted, and that gap."""
+    """A cause, a size that makes about the gap wanted, at least `least`, and that gap."""
     known = {cause.effect for cause in taken}
     others = [n for n in pool if n not in known and _can_show(draw, n)]
     for attempt in range(_REDRAWS):
@@ -184,9 +189,8 @@ def _sized(
             other.effect in _OF_LINKS and other.where == cause.where for other in taken
         ):
             continue  # three names for one thing
-        least = max(_FLOORS[0], _TOLERANCES * scatter)
         wanted = float(np.exp(draw.rng.uniform(*np.log((least, max(_FLOORS[1], 2.0 * least))))))
-        size, gap = _size_for(draw.kind, cause, plain, asked, without, wanted)
+        size, gap = _size_for(cause, wanted, gap_of)
         if gap >= _VISIBLE * least and size >= cause.least:
             return cause, size, gap
     raise PlantError(f"{draw.kind.name}: no {name} shows")
@@ -199,31 +203,18 @@ def _can_show(draw: RobotDraw, name: str) -> bool:
 
 
 def _size_for(
-    kind: RobotKind,
-    cause: RobotChange,
-    plain: RealRobot,
-    asked: Reference,
-    without: Array,
-    wanted: float,
+    cause: RobotChange, wanted: float, gap_of: Callable[[RobotChange, float], float]
 ) -> tuple[float, float]:
     """Scales the size by the ratio of wanted to actual gap, within the cause's bounds."""
     size, best, found = 0.1 * cause.most, 0.0, 0.0
     for _ in range(_TRIES):
-        gap = _gap(kind, _read(kind, cause.apply(plain, size), asked), without)
-        if not best or abs(np.log(max(gap, 1e-9) / wanted)) < abs(np.log(found / wanted)):
-            best, found = size, max(gap, 1e-9)
-        if abs(np.log(max(gap, 1e-9) / wanted)) < 0.1:
+        gap = max(gap_of(cause, size), 1e-9)
+        if not best or abs(np.log(gap / wanted)) < abs(np.log(found / wanted)):
+            best, found = size, gap
+        if abs(np.log(gap / wanted)) < 0.1:
             break
-        size = float(np.clip(size * wanted / max(gap, 1e-9), size / 20.0, cause.most))
+        size = float(np.clip(size * wanted / gap, size / 20.0, cause.most))
     return best, found
-
-
-def _read(kind: RobotKind, robot: RealRobot, asked: Reference) -> Array:
-    return prescribed_n_m(kind, robot, asked)
-
-
-def _gap(kind: RobotKind, first: Array, second: Array) -> float:
-    return float(np.sqrt((((first - second) / kind.noise_n_m) ** 2).mean()))
 
 
 def record(cases: list[RobotCase], folder: Path) -> None:

@@ -1,16 +1,16 @@
 """Rigid bodies in a row, joined by hinges: the torques of a motion, and the motion of torques.
 
 Newton's and Euler's equations from the base to the tip and back, written in base axes, where both
-recursions are cumulative sums (Luh, Walker and Paul, J. Dyn. Sys. 102, 1980). MuJoCo has no part
-in it: of an MJCF, this reads the few attributes that these models use.
+recursions are cumulative sums (Luh, Walker and Paul, J. Dyn. Sys. 102, 1980). MuJoCo reads the
+files of the models and has no other part in it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from xml.etree import ElementTree
 
+import mujoco
 import numpy as np
 
 from cablesense_base import Array
@@ -55,16 +55,7 @@ class LinkChain:
         pose = _ChainPose(self, angle)
         bias = pose.torques_n_m(speed, np.zeros_like(speed), self.gravity_m_s2)
         inertia = pose.mass_matrix() + extra_inertia
-        return np.asarray(
-            np.linalg.solve(inertia, (torque_n_m - bias)[..., None])[..., 0], dtype=float
-        )
-
-    def energy_j(self, angle: Array, speed: Array) -> Array:
-        """(B,) kinetic and potential."""
-        pose = _ChainPose(self, angle)
-        kinetic = 0.5 * np.einsum("...i,...ij,...j->...", speed, pose.mass_matrix(), speed)
-        fall = np.einsum("...ni,...i->...n", pose.centre_m, self.gravity_m_s2)
-        return np.asarray(kinetic - (self.mass_kg * fall).sum(-1))
+        return np.asarray(np.linalg.solve(inertia, (torque_n_m - bias)[..., None])[..., 0])
 
     def with_mass(self, link: int, mass_kg: float, place_m: Array) -> LinkChain:
         """A point mass fixed to a link, at a place in its axes; of one robot."""
@@ -138,37 +129,22 @@ def read_chain(path: str | Path) -> tuple[LinkChain, dict[str, Array], list[str]
     Gives also `damping`, `armature` and `stiffness` by joint (N,), and the joints' and the
     links' names.
     """
-    body = ElementTree.parse(path).getroot().find("worldbody/body")
-    links, joints = [], []
-    while body is not None:
-        links.append(body)
-        joints.append(_child(body, "joint"))
-        body = body.find("body")
-    inertials = [_child(link, "inertial") for link in links]
-    axis = np.array([_numbers(joint, "axis") for joint in joints])
+    model = mujoco.MjModel.from_xml_path(str(path))
     chain = LinkChain(
-        axis=axis / np.linalg.norm(axis, axis=1, keepdims=True),
-        origin_m=np.array([_numbers(link, "pos", "0 0 0") for link in links]),
-        mass_kg=np.array([_numbers(each, "mass")[0] for each in inertials]),
-        centre_m=np.array([_numbers(each, "pos") for each in inertials]),
-        inertia_kg_m2=np.array([np.diag(_numbers(each, "diaginertia")) for each in inertials]),
+        axis=model.jnt_axis,
+        origin_m=model.body_pos[1:],
+        mass_kg=model.body_mass[1:],
+        centre_m=model.body_ipos[1:],
+        inertia_kg_m2=model.body_inertia[1:, :, None] * np.eye(3),
         gravity_m_s2=np.array(GRAVITY_M_S2),
     )
-    kinds = ("damping", "armature", "stiffness")
-    sizes = {kind: np.array([_numbers(j, kind, "0")[0] for j in joints]) for kind in kinds}
-    return chain, sizes, [j.attrib["name"] for j in joints], [k.attrib["name"] for k in links]
-
-
-def _child(element: ElementTree.Element, name: str) -> ElementTree.Element:
-    found = element.find(name)
-    if found is None:
-        raise ValueError(f"{element.attrib.get('name')}: has no {name}")
-    return found
-
-
-def _numbers(element: ElementTree.Element, name: str, default: str | None = None) -> Array:
-    text = element.attrib[name] if default is None else element.attrib.get(name, default)
-    return np.array(text.split(), dtype=float)
+    sizes = {
+        "damping": model.dof_damping,
+        "armature": model.dof_armature,
+        "stiffness": model.jnt_stiffness,
+    }
+    joints = [model.joint(n).name for n in range(model.njnt)]
+    return chain, sizes, joints, [model.body(n + 1).name for n in range(model.njnt)]
 
 
 def _rotations(axis: Array, angle: Array) -> Array:

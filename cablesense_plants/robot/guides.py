@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
+import mujoco
 import numpy as np
 
 from cablesense_base import Array
@@ -26,13 +26,11 @@ class TendonGuides:
     """Of K tendons, P points each, of a robot whose N joints all turn about y.
 
     Attributes:
-        names: of the tendons.
         link: (K, P) which each point is on, 0 the base's.
         place_m: (K, P, 2) there, x and z.
         origin_m: (N, 2) of each joint on the link before.
     """
 
-    names: tuple[str, ...]
     link: Array
     place_m: Array
     origin_m: Array
@@ -97,7 +95,7 @@ class Rubbing:
 
 
 def _settled(tension_n: Array, most: Array) -> Array:
-    """Tensions (C, P - 1) after which none are apart by more than `most` (C, P - 2)."""
+    """Tensions (C, P - 1) of which neighbours differ by a factor of `most` (C, P - 2) at most."""
     pieces, low = tension_n.T.copy(), 1.0 / most.T
     for _ in range(_SWEEPS):
         before = pieces.copy()
@@ -133,31 +131,14 @@ def pulls_n(moment_m: Array, torque_n_m: Array) -> Array:
 
 def read_guides(path: str | Path) -> TendonGuides:
     """The tendons of one of these MJCFs; short ones have points more on their first piece."""
-    root = ElementTree.parse(path).getroot()
-    places: dict[str, tuple[int, Array]] = {}
-    origins, number, part = [], 0, root.find("worldbody")
-    while part is not None:
-        if number:
-            origins.append(_pair(part.attrib.get("pos", "0 0 0")))
-        places |= {
-            s.attrib["name"]: (number, _pair(s.attrib["pos"])) for s in part.findall("site")
-        }
-        number, part = number + 1, part.find("body")
-    tendons = root.findall("tendon/spatial")
-    paths = [[places[s.attrib["site"]] for s in t.findall("site")] for t in tendons]
-    most = max(map(len, paths))
-    for own in paths:
-        (link, first), (_, second) = own[:2]
-        missing = most - len(own)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    most, links, places = int(model.tendon_num.max()), [], []
+    for first, count in zip(model.tendon_adr, model.tendon_num, strict=True):
+        sites = model.wrap_objid[first : first + count]
+        link, place = model.site_bodyid[sites].tolist(), list(model.site_pos[sites][:, [0, 2]])
+        missing = most - count
         between = (np.arange(missing) + 1.0) / (missing + 1.0)
-        own[1:1] = [(link, first + share * (second - first)) for share in between]
-    return TendonGuides(
-        names=tuple(t.attrib["name"] for t in tendons),
-        link=np.array([[link for link, _ in own] for own in paths]),
-        place_m=np.array([[place for _, place in own] for own in paths]),
-        origin_m=np.array(origins),
-    )
-
-
-def _pair(text: str) -> Array:
-    return np.array(text.split(), dtype=float)[[0, 2]]
+        links.append([link[0]] * missing + link)
+        place[1:1] = [place[0] + share * (place[1] - place[0]) for share in between]
+        places.append(place)
+    return TendonGuides(np.array(links), np.array(places), model.body_pos[1:][:, [0, 2]])

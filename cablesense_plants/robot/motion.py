@@ -1,4 +1,4 @@
-"""What robots are made to do, what they then do, and what is written down of it."""
+"""References of robots, their motion under control, and its recording."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from scipy.ndimage import gaussian_filter1d
 
 from cablesense_base import Array
 from cablesense_plants.robot.guides import Rubbing, pulls_n
-from cablesense_plants.robot.hidden import RealRobot, RobotKind, stacked
+from cablesense_plants.robot.robots import RealRobot, RobotKind, stacked
 
 STEP_S = 1e-3
 """Step of the simulation and of the robots' controller."""
-TRIALS = ("sines", "points", "sines", "slow", "points", "sines")
 _STEPS_OF_PLAY = 5
 """Within one step, where teeth touch and part."""
 _TAPER = 0.16
@@ -26,7 +25,7 @@ _FILTER_S = 0.0016
 _VELOCITY_S = 0.004
 _STRIDE = 8
 _PASSING_ROWS = 2.5
-"""That a joint takes from tooth to tooth, as what is hidden is sized."""
+"""Rows in which a joint passes from tooth to tooth, where a cause is sized."""
 
 
 class Reference(NamedTuple):
@@ -46,14 +45,7 @@ def reference(kind: RobotKind, rng: np.random.Generator) -> Reference:
     """All trials of one recording, (T, N); each begins and ends at rest at home."""
     steps = round(kind.trial_s / STEP_S)
     time_s = _times_s(steps)
-    trials = []
-    for what in TRIALS:
-        if what == "points":
-            trials.append(_points(kind, rng, time_s))
-        elif what == "sines":
-            trials.append(_sines(kind, rng, time_s))
-        else:
-            trials.append(_slow(kind, rng, time_s))
+    trials = [draw_trial(kind, rng, time_s) for draw_trial in _TRIALS]
     angle = kind.home_rad + np.concatenate(trials) * kind.reach_rad
     speed = np.gradient(angle, STEP_S, axis=0)
     return Reference(angle, speed, np.gradient(speed, STEP_S, axis=0))
@@ -89,6 +81,10 @@ def _slow(kind: RobotKind, rng: np.random.Generator, time_s: Array) -> Array:
     return np.asarray(0.9 * np.sin(2.0 * np.pi * turns * share) * _smooth(edge))
 
 
+_TRIALS = (_sines, _points, _sines, _slow, _points, _sines)
+"""The trials of a recording, in their order."""
+
+
 def _smooth(share: Array) -> Array:
     """From 0 to 1 without a jump of acceleration."""
     s = np.clip(share, 0.0, 1.0)
@@ -103,8 +99,8 @@ def stacked_references(references: list[Reference]) -> Reference:
 def prescribed_n_m(kind: RobotKind, robot: RealRobot, asked: Reference) -> Array:
     """Torques (T', N) that sensors would read if one robot followed its reference exactly.
 
-    Every eighth step. To size what is hidden: quick, without a controller, friction without its
-    past.
+    Every eighth step. It serves to size hidden causes: quick, without a controller, friction
+    without its past.
     """
     asked = Reference(*(part[::_STRIDE, None, :] for part in asked))
     time_s = _times_s(len(asked.angle), _STRIDE)
@@ -213,7 +209,7 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: Reference) -> DrivenMoti
         passed = robots.flank_n_m(motor - angle[:, 1:], motor_speed - speed[:, 1:])
         free = np.where(loose, torque - passed, 0.0) / np.where(loose, robots.armature, 1.0)
         torque = np.where(loose, passed, torque)
-        base = -robots.base_stiffness * angle[:, 0] - base_damping * speed[:, 0]
+        base = -robots.base_stiffness[:, 0] * angle[:, 0] - base_damping * speed[:, 0]
         joint = _times(np.swapaxes(back, 1, 2), torque) - robots.spring_n_m(angle[:, 1:])
         whole = np.concatenate([base[:, None], joint], 1)
         return chain.accelerations(angle, speed, whole, extra), free
@@ -236,13 +232,9 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: Reference) -> DrivenMoti
             now = angle, speed, rotor, rotor_speed
             first, turned = acceleration(*now, held)
             middle, half = speed + 0.5 * step_s * first, rotor_speed + 0.5 * step_s * turned
-            between = (
-                angle + 0.5 * step_s * speed,
-                middle,
-                rotor + 0.5 * step_s * rotor_speed,
-                half,
-            )
-            then, turned = acceleration(*between, held)
+            angle_between = angle + 0.5 * step_s * speed
+            rotor_between = rotor + 0.5 * step_s * rotor_speed
+            then, turned = acceleration(angle_between, middle, rotor_between, half, held)
             angle, speed = angle + step_s * middle, speed + step_s * then
             rotor, rotor_speed = rotor + step_s * half, rotor_speed + step_s * turned
     if not np.isfinite(angle).all():
@@ -253,7 +245,7 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: Reference) -> DrivenMoti
 def written(
     kind: RobotKind, robots: RealRobot, motion: DrivenMotion, seeds: list[int]
 ) -> list[dict[str, Array]]:
-    """The recording of each robot: columns (T, …) by what they are."""
+    """The recording of each robot: columns (T, …) by name."""
     time_s = _times_s(len(motion.motor))
     read = robots.read_n_m(motion.drive_n_m, time_s)
     angle = (1.0 + robots.encoder_scale) * motion.motor + robots.zero

@@ -6,29 +6,23 @@ message; 130 Ctrl-C, 143 SIGTERM, 129 a terminal that hung up.
 
 from __future__ import annotations
 
-import math
-import os
+import gc
 import signal
 import sys
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
-from traceback import clear_frames
-from typing import Annotated, Any, NoReturn, TextIO
+from typing import Annotated
 
 import typer
 
 from cablesense_base import CableSenseError
-from cablesense_base.files import OutputError
-from cablesense_ros.cli.arm_file import urdf
 from cablesense_ros.cli.dataset import dataset
 from cablesense_ros.cli.evaluate import evaluate
 from cablesense_ros.cli.gap import gap
-from cablesense_ros.cli.info import info
+from cablesense_ros.cli.info import info, urdf
 from cablesense_ros.cli.paper import paper
 from cablesense_ros.cli.runs import demo, record, replay
 from cablesense_ros.cli.sensors import sensors
 from cablesense_ros.cli.train import train
+from cablesense_ros.processes import handle_end_signals
 
 app = typer.Typer(
     name="cablesense",
@@ -63,110 +57,39 @@ def options(
     """Options before the verb."""
 
 
-_END_S = 5.0
-"""More than an end takes; a signal after it asks again."""
-_END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-
 def main() -> None:
     """Runs the command and ends the process with its exit code.
 
     Signals that end it leave through the `with` statements: worker processes end, and no part of
     a file stays behind.
     """
-    for number in _END_SIGNALS:
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as by nohup
-            signal.signal(number, _on_end_signal)
+    handle_end_signals(_on_end_signal)
+    line, code = _run()
+    # generators that frames of the error held end here, and with them pools and part files
+    gc.collect()
+    if line:
+        print(f"cablesense: {' '.join(line.split())}", file=sys.stderr)
+    sys.exit(code)
+
+
+def _run() -> tuple[str, int]:
+    """Runs the command; gives the line for standard error, and the exit code."""
     try:
-        if sys.stdout is None or sys.stderr is None:
-            raise OutputError("standard output or error is closed; send both to a file")
-        out = _CheckedStream(sys.stdout, "standard output")
-        err = _CheckedStream(sys.stderr, "standard error")
-        with redirect_stdout(out), redirect_stderr(err):
-            try:
-                with _released():
-                    app()
-            finally:
-                out.flush()
+        app()
     except CableSenseError as error:
-        _end(" ".join(str(error).split()), getattr(error, "exit_code", 2))
+        return str(error), getattr(error, "exit_code", 2)
     except ModuleNotFoundError as error:
-        _end(
-            f"this needs the Python package {error.name}, which is not installed; in a "
-            "checkout run `make setup`, or pip install '.[train,gap]'",
-            2,
-        )
+        remedy = "in a checkout run `make setup`, or pip install '.[train,gap]'"
+        return f"this needs the Python package {error.name}, which is not installed; {remedy}", 2
+    except OSError as error:
+        return str(error), 2
+    except SystemExit as end:
+        return "", end.code if isinstance(end.code, int) else 0
     except KeyboardInterrupt:
-        _end("interrupted", 130)
-
-
-_last_end_s = -math.inf
+        return "interrupted", 130
+    return "", 0
 
 
 def _on_end_signal(number: int, _: object) -> None:
-    global _last_end_s
-    now_s = time.monotonic()
-    if now_s - _last_end_s < _END_S:  # the end is under way and must not be cut short
-        return
-    _last_end_s = now_s
+    handle_end_signals(signal.SIG_IGN)  # the end is under way and must not be cut short
     raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
-
-
-@contextmanager
-def _released() -> Iterator[None]:
-    """An error ends the generators that its frames hold, and with them pools and part files.
-
-    Else they would end with the interpreter, which first waits for the pools' tasks.
-    """
-    try:
-        yield
-    except BaseException as error:
-        each: BaseException | None = error
-        while each is not None:
-            clear_frames(each.__traceback__)
-            each = each.__context__
-        raise
-
-
-class _CheckedStream:
-    """A standard stream whose failure is an error of the family.
-
-    Left to themselves, rich and typer end the process at a closed pipe without a word.
-    """
-
-    def __init__(self, stream: TextIO, name: str) -> None:
-        self._stream, self._name = stream, name
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-    def write(self, text: str) -> int:
-        with self._refusing():
-            return self._stream.write(text)
-
-    def flush(self) -> None:
-        with self._refusing():
-            self._stream.flush()
-
-    @contextmanager
-    def _refusing(self) -> Iterator[None]:
-        try:
-            yield
-        except (OSError, UnicodeEncodeError) as error:
-            why = error.strerror if isinstance(error, OSError) else error
-            raise OutputError(
-                f"{self._name} cannot be written ({why}); send it where there is space, or to a "
-                "program that reads all of it"
-            ) from error
-
-
-def _end(line: str, code: int) -> NoReturn:
-    """Ends the process with one line of error; what cannot be written is not tried again."""
-    with suppress(OSError):
-        print(f"cablesense: {line}", file=sys.stderr)
-    for stream in filter(None, (sys.stdout, sys.stderr)):
-        try:
-            stream.flush()
-        except OSError:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-    sys.exit(code)

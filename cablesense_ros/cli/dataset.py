@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from cablesense_base.files import output_file
 from cablesense_ros.cli.options import (
@@ -21,8 +19,8 @@ from cablesense_ros.cli.options import (
     RandomiseOption,
     command_line,
     refuse_given,
-    titled_table,
 )
+from cablesense_ros.cli.results import print_result
 
 
 def dataset(
@@ -32,9 +30,10 @@ def dataset(
     protocol: Annotated[
         str,
         typer.Option(
-            metavar="single|multi",
+            metavar="single|multi|anywhere",
             help="single: at most one contact, every segment, direction and force covered evenly. "
-            "multi: none to all segments touched at once.",
+            "multi: none to all segments touched at once. anywhere: none, one or two, anywhere "
+            "along the segments, with a force along them too.",
         ),
     ] = "single",
     samples: Annotated[int, typer.Option(help="How many samples.")] = 5000,
@@ -55,6 +54,19 @@ def dataset(
     max_contacts: Annotated[
         int | None,
         typer.Option(help="multi: most contacts at once.", show_default="all segments"),
+    ] = None,
+    two_contacts_fraction: Annotated[
+        float | None,
+        typer.Option(
+            help="anywhere: share of touched samples with two contacts.", show_default="0.15"
+        ),
+    ] = None,
+    axial_share: Annotated[
+        float | None,
+        typer.Option(
+            help="anywhere: largest force along the segment, as a share of that normal to it.",
+            show_default="0.3",
+        ),
     ] = None,
     noise: Annotated[
         bool, typer.Option(help="Apply the arm file's sensor noise and step, or read exactly.")
@@ -100,6 +112,8 @@ def dataset(
         "force_high_n": force_high_n,
         "no_contact_fraction": no_contact_fraction,
         "max_contacts": max_contacts,
+        "two_contacts_fraction": two_contacts_fraction,
+        "axial_share": axial_share,
         "randomise": randomise,
     }
     arm_file = find_arm(arm)
@@ -121,22 +135,7 @@ def dataset(
         show_progress=not json_output,
     )
     took_s = time.perf_counter() - started
-    statistics = asdict(summary)
-    weakest_n, strongest_n = statistics.pop("weakest_n"), statistics.pop("strongest_n")
-    if json_output:
-        statistics = {"out": str(out), "arm": description.identity, **statistics}
-        statistics["force_range_n"] = [weakest_n, strongest_n]
-        statistics |= {"seconds": took_s, "rows_per_second": summary.rows / took_s}
-        typer.echo(json.dumps(statistics))
-        return
-    segments = enumerate(summary.contacts_per_segment, start=1)
-    rows = [
-        ("samples", f"{summary.rows:,}"),
-        ("without contact", f"{summary.contact_free:,}"),
-        *((f"contacts on segment {number}", f"{count:,}") for number, count in segments),
-        ("contact forces", f"{weakest_n:.3g} to {strongest_n:.4g} N"),
-        ("with slack cables", f"{summary.slack_rows:,}"),
-        ("drawn again (beyond the arm)", f"{summary.redrawn_rows:,}"),
-        ("rate", f"{summary.rows / took_s:,.0f} samples/s, {took_s:.1f} s"),
-    ]
-    Console().print(titled_table(f"{out}, arm {description.identity}", rows=rows))
+    statistics = {"out": str(out), "arm": description.identity, **asdict(summary)}
+    statistics["force_range_n"] = [statistics.pop("weakest_n"), statistics.pop("strongest_n")]
+    statistics |= {"seconds": took_s, "rows_per_second": summary.rows / took_s}
+    print_result("Dataset", statistics, json_output)

@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from cablesense_base.files import output_file, write_atomically
 from cablesense_ros.cli.options import (
-    ERRORS,
     ForceOption,
     JsonOption,
     OptionError,
     WorkersOption,
-    error_cells,
-    print_json,
     refuse_given,
-    titled_table,
 )
+from cablesense_ros.cli.results import print_result
 
 if TYPE_CHECKING:
-    from cablesense_training.evaluation.metrics import SingleContactMetrics
-    from cablesense_training.evaluation.noise_bound import NoiseBound
+    from cablesense_training.data.dataset import Dataset
+    from cablesense_training.data.protocols import Protocol
+    from cablesense_training.inference.metadata import ModelMetadata
 
 
 def evaluate(
@@ -41,8 +37,9 @@ def evaluate(
     model: Annotated[
         list[str] | None,
         typer.Option(
-            help="Evaluate this single-contact model (a path, or a bundled name) alone, "
-            "on its own arm. With --recording repeatable: before and after an adaptation."
+            help="Evaluate this model of one contact, or of contacts anywhere (a path, or a "
+            "bundled name) alone, on its own arm. With --recording repeatable: before and after "
+            "an adaptation."
         ),
     ] = None,
     recording: Annotated[
@@ -90,24 +87,20 @@ def evaluate(
             refuse_given(context, ["force"], "without --picture")
         else:
             output_file(picture, force=force, inputs=(recording, *models))
-        content, tables = _recorded(recording, models, picture)
+        title, content = _recorded(recording, models, picture)
     elif table2:
         unused = ("samples", "seed", "workers")
         refuse_given(context, unused, "with --table2, which draws no samples")
-        content, tables = _table2("".join(models))
+        title, content = _table2("".join(models))
     elif models:
-        content, tables = _one_model(models[0], samples, seed, workers)
+        title, content = _one_model(models[0], samples, seed, workers)
     else:
-        content, tables = _comparison(samples, seed, workers)
-    if json_output:
-        print_json(content)
-    else:
-        for table in tables:
-            Console().print(table)
+        title, content = _comparison(samples, seed, workers)
+    print_result(title, content, json_output)
 
 
-Result = tuple[dict[str, Any], list[Table]]
-"""For programs, and for people."""
+Result = tuple[str, dict[str, Any]]
+"""A title, and figures as plain values."""
 
 
 def _table2(model: str) -> Result:
@@ -130,28 +123,14 @@ def _table2(model: str) -> Result:
         }
         for a in answers
     ]
-    table = titled_table(
-        "Loads hung on the physical arm (the paper's Table II)",
-        *("true segment", "estimated", "off from down", "true force", "estimated force", "error"),
-        rows=[
-            (
-                str(a.load.segment),
-                str(a.segment) if a.segment else "none",
-                f"{a.angle_error_deg:+.1f}°",
-                f"{a.load.weight_n:.2f} N",
-                f"{a.magnitude_n:.2f} N",
-                f"{a.magnitude_error:+.1%}",
-            )
-            for a in answers
-        ],
-    )
-    return {"model": estimator.metadata.network, "rows": content}, [table]
+    title = "Loads hung on the physical arm (the paper's Table II)"
+    return title, {"model": estimator.metadata.network, "rows": content}
 
 
 def _recorded(recording: Path, models: list[str], picture: Path | None) -> Result:
     from cablesense_gap.recorded_contacts import recorded_errors
     from cablesense_gap.recordings.checks import read_recording
-    from cablesense_gap.report.pictures import drawn_errors
+    from cablesense_gap.report.page import drawn_errors
     from cablesense_gap.report.style import image_bytes, style
     from cablesense_training.inference.metadata import find_model
     from cablesense_training.inference.temporal_estimator import open_estimator
@@ -165,90 +144,69 @@ def _recorded(recording: Path, models: list[str], picture: Path | None) -> Resul
         with style():
             image = image_bytes(drawn_errors(found), "png")
         write_atomically(picture, image, OptionError)
-    headings = ("", "rows", *ERRORS)
-    tables = []
-    for name, each in found.items():
-        parts = [("all loads", each.whole.errors)]
-        parts += [(f"segment {n}", part.errors) for n, part in each.by_segment.items()]
-        parts += [
-            (f"{part.low_n:g} to {part.high_n:g} N", part.errors)
-            for part in each.whole.bins
-            if part.errors.contacts
-        ]
-        rows = [(what, f"{e.contacts:,}", *error_cells(e)) for what, e in parts]
-        if not math.isnan(each.false_n):
-            free = (each.truth.segment == 0).sum()
-            rows.append(
-                ("released", f"{free:,}", "", "", f"{each.false_n:.3f} N estimated", "", "")
-            )
-        title = f"{name} on {recording.name}, arm {opened[name].metadata.arm_identity}"
-        tables.append(titled_table(title, *headings, right=headings[1:], rows=rows))
-    return {name: each.as_json() for name, each in found.items()}, tables
+    return f"Known loads of {recording.name}", {n: each.as_json() for n, each in found.items()}
 
 
 def _one_model(model: str, samples: int, seed: int, workers: int) -> Result:
-    from cablesense_training.data.generation import draw_dataset
     from cablesense_training.data.protocols import SingleContact
     from cablesense_training.evaluation.comparison import evaluate_estimator, metrics_json
     from cablesense_training.evaluation.noise_bound import noise_bound
     from cablesense_training.inference.estimator import Estimator
-    from cablesense_training.inference.metadata import find_model
+    from cablesense_training.inference.metadata import ANYWHERE, find_model
+    from cablesense_training.inference.model_file import read_model
 
-    estimator = Estimator.load(find_model(model))
-    described = estimator.metadata
-    protocol = SingleContact(
+    path = find_model(model)
+    if read_model(path)[1].kind == ANYWHERE:
+        return _anywhere(path, samples, seed, workers)
+    estimator = Estimator.load(path)
+    dataset, title = _fresh_samples(estimator.metadata, SingleContact, samples, seed, workers)
+    metrics = evaluate_estimator(estimator, dataset).metrics
+    return (
+        title,
+        {"single": metrics_json(metrics), "bound": asdict(noise_bound(dataset))},
+    )
+
+
+def _fresh_samples(
+    described: ModelMetadata, kind: type[Protocol], samples: int, seed: int, workers: int
+) -> tuple[Dataset, str]:
+    """Samples like those of a model's training, and a title for their results."""
+    from cablesense_training.data.generation import draw_dataset
+
+    protocol = kind(
         samples=samples,
         pose="random" if described.pose_range_deg > 0 else "straight",
         pose_range_deg=described.pose_range_deg,
         force_high_n=described.force_range_n,
         tare_samples=described.tare_samples,
     )
-    dataset = draw_dataset(described.arm, protocol, seed, workers=workers)
-    metrics = evaluate_estimator(estimator, dataset).metrics
-    bound = noise_bound(dataset)
     title = f"{described.network} on {described.arm_identity}, {samples} fresh samples"
+    return draw_dataset(described.arm, protocol, seed, workers=workers), title
+
+
+def _anywhere(path: Path, samples: int, seed: int, workers: int) -> Result:
+    from cablesense_training.data.protocols import AnywhereContact
+    from cablesense_training.evaluation.anywhere import anywhere_metrics, evaluate_anywhere
+    from cablesense_training.evaluation.anywhere_baselines import commanded_profile
+    from cablesense_training.inference.anywhere import AnywhereEstimator
+
+    estimator = AnywhereEstimator.load(path)
+    dataset, title = _fresh_samples(estimator.metadata, AnywhereContact, samples, seed, workers)
+    profile = anywhere_metrics(dataset, commanded_profile(dataset)).as_json()
     return (
-        {"single": metrics_json(metrics), "bound": asdict(bound)},
-        [_errors_table(title, {described.network: metrics}, bound)],
+        title,
+        {
+            "anywhere": evaluate_anywhere(estimator, dataset).as_json(),
+            "commanded_profile": profile,
+        },
     )
 
 
 def _comparison(samples: int, seed: int, workers: int) -> Result:
-    from cablesense_training.evaluation.comparison import SHIPPED, as_json, compare
+    from cablesense_training.evaluation.comparison import compare
 
     with Console(stderr=True).status("Evaluating …") as status:
         comparison = compare(
             seed, samples, workers, lambda name: status.update(f"Evaluating {name} …")
         )
-    labels = {SHIPPED: "shipped model"}
-    tables = [
-        _errors_table(
-            evaluation.setting.replace("_", " "),
-            {labels.get(n, n.replace("_", " ")): m for n, m in evaluation.models.items()},
-            evaluation.bound,
-        )
-        for evaluation in comparison.settings
-    ]
-    rows = [
-        (
-            name.replace("_", " "),
-            f"{multi.recognition_accuracy:.2%}",
-            f"{multi.macro_f1:.4f}",
-            ", ".join(f"{value:.2f}" for value in multi.magnitude_mae_n) + " N",
-        )
-        for name, multi in comparison.multi.items()
-    ]
-    headings = ("estimator", "recognised", "macro F1", "force MAE by segment")
-    several = titled_table("several contacts", *headings, rows=rows)
-    return as_json(comparison), [*tables, several]
-
-
-def _errors_table(title: str, models: dict[str, SingleContactMetrics], bound: NoiseBound) -> Table:
-    """Errors of models on the same samples, and of the noise bound."""
-    rows = [
-        (name, f"{metrics.contact_accuracy:.2%}", *error_cells(metrics.errors)[1:])
-        for name, metrics in models.items()
-    ]
-    mae, rmse = f"{bound.magnitude_mae_n:.3f} N", f"{bound.magnitude_rmse_n:.3f} N"
-    rows.append(("noise bound", "", f"{bound.direction_mae_deg:.3f}°", mae, rmse, ""))
-    return titled_table(title, "estimator", *ERRORS, rows=rows)
+    return "Bundled models, their peers, and the noise bound", comparison.as_json()

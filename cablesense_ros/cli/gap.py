@@ -1,40 +1,61 @@
-"""`cablesense gap …`: a recording of the real arm against the simulated one."""
+"""`cablesense gap …`: a recording of the real arm, or another robot, against its simulation."""
 
 from __future__ import annotations
 
+import shlex
+import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 
-from cablesense_base.files import output_file, output_folder
-from cablesense_ros.cli.adapt import adapt
-from cablesense_ros.cli.blind import score, withhold
-from cablesense_ros.cli.gap_robot import (
-    BandwidthOption,
-    ComparisonOptions,
-    ForwardOption,
-    ModelOption,
-    ZeroedOption,
-    diagnose_robot,
-    predict_robot,
-    print_robot_protocol,
-)
+from cablesense_base import CableSenseError
+from cablesense_base.files import output_file, output_folder, write_atomically
+from cablesense_ros.cli.gap_cases import score, withhold
+from cablesense_ros.cli.gap_recordings import protocol, record
 from cablesense_ros.cli.options import (
-    DurationOption,
     ForceOption,
     JsonOption,
+    ModelOption,
     NominalArmOption,
+    OptionError,
     RecordingArgument,
-    RecordingFile,
     WorkersOption,
     diagnosis_progress,
-    print_json,
     refuse_given,
-    titled_table,
 )
+from cablesense_ros.cli.results import print_json
+
+if TYPE_CHECKING:
+    from cablesense_gap.adaptation import Adaptation
+
+BandwidthOption = Annotated[
+    float | None,
+    typer.Option(
+        help="With --model: hertz up to which motion and torques are compared.",
+        show_default="as wide as noise lets it be",
+    ),
+]
+ForwardOption = Annotated[
+    bool | None,
+    typer.Option(
+        "--forward/--inverse",
+        help="With --model: compare motion, forward in time over short windows, or the torques "
+        "that motion needs.",
+        show_default="forward where commands and no torques are recorded",
+    ),
+]
+ZeroedOption = Annotated[
+    bool,
+    typer.Option(
+        "--zeroed",
+        help="With --model: encoders were set to zero where each trial begins, wherever that was.",
+    ),
+]
+OF_ROBOTS = ("bandwidth", "forward", "zeroed")
+ADAPTED_MODEL = "estimator.onnx"
 
 
 def diagnose(
@@ -62,12 +83,35 @@ def diagnose(
     Examples: [bold]cablesense gap diagnose recording.csv --arm my_arm.yaml --out diagnosis[/bold],
     [bold]cablesense gap diagnose recording.csv --model robot.xml --out diagnosis[/bold]
     """
-    if model is not None:
+    console = Console(stderr=json_output)
+    if model is None:
+        refuse_given(context, OF_ROBOTS, "without --model")
+        verdict, lines = _diagnosed_arm(recording, out, arm, workers, force, console)
+    else:
+        from cablesense_gap.robot import amending, report, system
+        from cablesense_gap.robot.recording import read_recording
+
         refuse_given(context, ["arm"], "with --model")
-        comparison = ComparisonOptions(bandwidth, forward, zeroed)
-        diagnose_robot(recording, model, out, comparison, workers, force, json_output)
+        robot, beside = amending.load_amended(model)
+        output_folder(out, report.ROBOT_FILES, force=force, inputs=(recording, robot.path))
+        recorded = read_recording(recording, robot)
+        with diagnosis_progress(console) as (show, _):
+            found = system.diagnose(
+                recorded, robot, beside, bandwidth, show, workers, forward, zeroed=zeroed
+            )
+        report.write_robot_diagnosis(out, found, beside)
+        verdict, lines = found.verdict, [*found.findings, report.robot_headline(found.verdict)]
+    if json_output:
+        print_json(verdict.model_dump(mode="json", exclude_none=True))
         return
-    refuse_given(context, ["bandwidth", "forward", "zeroed"], "without --model")
+    for line in (*lines, f"Report: {out / 'report.html'}"):
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
+
+
+def _diagnosed_arm(
+    recording: Path, out: Path, arm: str, workers: int, force: bool, console: Console
+) -> tuple[Any, list[str]]:
+    """The verdict, and lines for people."""
     from cablesense_gap.arm_system import diagnose as make
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
@@ -78,19 +122,13 @@ def diagnose(
     output_folder(out, DIAGNOSIS_FILES, force=force, inputs=(recording, arm_file))
     nominal = load_arm(arm_file)
     recorded = read_recording(recording, nominal)
-    console = Console(stderr=json_output)
-    with diagnosis_progress(console) as progress:
-        found = make(recorded, nominal, progress.show, workers, progress.warn)
+    with diagnosis_progress(console) as (show, warn):
+        found = make(recorded, nominal, show, workers, warn)
     write_diagnosis(out, found)
-    if json_output:
-        print_json(found.verdict.model_dump(mode="json", exclude_none=True))
-        return
-    console.print(headline(found.verdict), soft_wrap=True)
-    for earlier in found.verdict.earlier:
-        console.print(earlier_sentence(earlier), soft_wrap=True, highlight=False)
+    lines = [headline(found.verdict), *map(earlier_sentence, found.verdict.earlier)]
     if len(found.recording) < len(recorded):
-        console.print(f"Used: {len(found.recording):,} of {len(recorded):,} rows")
-    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
+        lines.append(f"Used: {len(found.recording):,} of {len(recorded):,} rows")
+    return found.verdict, lines
 
 
 def predict(
@@ -125,13 +163,39 @@ def predict(
 
     Example: [bold]cablesense gap predict new.csv --arm diagnosis --out new_predicted.csv[/bold]
     """
-    if model is not None:
+    console = Console(stderr=json_output)
+    if model is None:
+        refuse_given(context, OF_ROBOTS, "without --model")
+        figures, lines = _predicted_arm(recording, out, arm, settle, force, console)
+    else:
+        from cablesense_gap.robot.amending import load_amended
+        from cablesense_gap.robot.recording import read_recording
+        from cablesense_gap.robot.system import predicted, write_prediction
+
         refuse_given(context, ["arm", "settle"], "with --model")
-        comparison = ComparisonOptions(bandwidth, forward, zeroed)
-        predict_robot(recording, model, out, comparison, force, json_output)
+        robot, beside = load_amended(model)
+        output_file(out, force=force, inputs=(recording, robot.path))
+        recorded = read_recording(recording, robot)
+        found = predicted(recorded, robot, beside, bandwidth, forward, zeroed=zeroed)
+        write_prediction(out, found)
+        gaps = {name: gap for name, _, gap, _ in found.gaps}
+        figures = {"rows": len(found.predicted), "gap": gaps}
+        sizes = ", ".join(
+            f"{name} {gap:.3g} of {size:.3g} {unit}" for name, unit, gap, size in found.gaps
+        )
+        lines = [f"{found.comparison.description} Gap, of the measured values (RMS): {sizes}"]
+    if json_output:
+        print_json({"out": str(out), **figures})
         return
-    refuse_given(context, ["bandwidth", "forward", "zeroed"], "without --model")
-    from cablesense_base import CableSenseError
+    first, *others = lines
+    for line in (f"{out}: {first}", *others):
+        console.print(line, soft_wrap=True)
+
+
+def _predicted_arm(
+    recording: Path, out: Path, arm: str, settle: int, force: bool, console: Console
+) -> tuple[dict[str, Any], list[str]]:
+    """Figures, and lines for people."""
     from cablesense_gap.amended_arm import find_amended
     from cablesense_gap.arm_simulator import counted_rows, settled
     from cablesense_gap.recordings.checks import read_recording
@@ -143,130 +207,123 @@ def predict(
     output_file(out, force=force, inputs=(recording, arm_file))
     described = load_arm(arm_file)
     recorded = read_recording(recording, described)
-    if settle >= len(recorded):
+    rows = len(recorded)
+    if settle >= rows:
         raise CableSenseError(
-            f"--settle {settle}: {recording} has {len(recorded)} rows; leave some to predict"
+            f"--settle {settle}: {recording} has {rows} rows; leave some to predict"
         )
-    console = Console(stderr=json_output)
     with console.status("predicting"):
         described = settled(described, recorded, settle)
-        tensions_n = replay_arm(
-            described, recorded.time_s, recorded.command_rad, recorded.forces_n
-        )
+        tensions_n = replay_arm(described, *recorded.inputs)
     write_csv(out, replace(recorded, tensions_n=tensions_n))
     counted = counted_rows(described, recorded, tensions_n)
     counted[:settle] = False
-    rows, judged = len(recorded), int(counted.sum())
+    judged = int(counted.sum())
     difference_n = (recorded.tensions_n - tensions_n)[counted]
     gap_n = float((difference_n**2).mean() ** 0.5) if judged else None
-    if json_output:
-        sizes = {"rows": rows, "settled": settle, "rows_counted": judged, "gap_n": gap_n}
-        print_json({"out": str(out), **sizes})
-        return
-    size = "no row counts" if gap_n is None else f"{gap_n:.3f} N (RMS) from what was read"
-    console.print(f"{out}: {rows} rows, {size}", soft_wrap=True)
+    size = "no row counts" if gap_n is None else f"{gap_n:.3f} N (RMS) from the readings"
+    lines = [f"{rows} rows, {size}"]
     if settle:
-        console.print(f"Not counted: the first {settle}, that the state was estimated from")
+        lines.append(f"Not counted: the first {settle}, that the state was estimated from")
     if other := rows - settle - judged:
-        console.print(
+        lines.append(
             f"Not counted: {other} rows, where cables are slack and several rests are possible"
         )
+    return {"rows": rows, "settled": settle, "rows_counted": judged, "gap_n": gap_n}, lines
 
 
-def protocol(
-    context: typer.Context,
-    arm: NominalArmOption = "cdsm_lab",
-    model: ModelOption = None,
+def adapt(
+    recording: RecordingArgument,
     out: Annotated[
-        Path | None,
-        typer.Option(help="Also write commands and loads as rows of a recording, .csv."),
-    ] = None,
-    force: ForceOption = False,
-) -> None:
-    """Print which poses, loads and holds to record, so that effects can be distinguished.
-
-    Loads leave every cable of the nominal arm taut. Each block is one trial; take longer where
-    hands need it, and keep the order.
-
-    Example: cablesense gap protocol --arm my_arm.yaml --out protocol.csv
-    """
-    if model is not None:
-        refuse_given(context, ["arm"], "with --model")
-        if out is None:
-            refuse_given(context, ["force"], "without --out")
-        print_robot_protocol(model, out, force)
-        return
-    from cablesense_gap.recordings.protocol import rows_of, standard_protocol
-    from cablesense_sim.arm import find_arm, load_arm
-
-    arm_file = find_arm(arm)
-    if out is None:
-        refuse_given(context, ["force"], "without --out")
-    else:
-        output_file(out, force=force, inputs=(arm_file,))
-    description = load_arm(arm_file)
-    blocks = standard_protocol(description)
-    headings = ("trial", "at, s", "takes, s", "what", "what to do")
-    table = titled_table(f"Protocol for arm {description.name}", *headings, right=headings[:3])
-    table.columns[3].no_wrap = True
-    at_s = 0.0
-    for number, block in enumerate(blocks):
-        times = (f"{at_s:.0f}", f"{block.duration_s:.0f}")
-        table.add_row(str(number), *times, str(block.kind), block.does)
-        at_s += block.duration_s
-    console = Console()
-    console.print(table)
-    console.print(
-        "Sides as seen along the arm from its base. Record with: cablesense gap record "
-        "--out recording.mcap",
-        style="dim",
-    )
-    if out is not None:
-        from cablesense_gap.recordings.csv_file import write_csv
-
-        rows = rows_of(blocks, description.sensors.rate_hz)
-        write_csv(out, rows)
-        console.print(f"{out}: {len(rows):,} rows, {rows.time_s[-1]:.0f} s")
-
-
-def record(
-    out: RecordingFile,
-    duration: DurationOption = None,
-    arm: Annotated[
+        Path,
+        typer.Option(help="Folder for what `gap diagnose` writes, and for estimator.onnx."),
+    ],
+    arm: NominalArmOption = "cdsm_lab",
+    model: Annotated[
         str | None,
         typer.Option(
-            help="A bundled arm's name, or an arm file: what does not fit it is left out, and the "
-            "recording is checked at the end."
+            help="The estimator in use: a path, or a bundled name.",
+            show_default="the bundled one of contacts anywhere, or of the arm's name",
         ),
     ] = None,
+    workers: WorkersOption = 2,
     force: ForceOption = False,
+    json_output: JsonOption = False,
 ) -> None:
-    """Record tensions, commands and known loads from running nodes, as rosbag2 MCAP.
+    """Diagnose a recording, and train the force estimator on the arm as it is found to be.
 
-    Start it before the first command of the protocol. Ctrl-C ends it; the file is whole then.
+    A fifth of the trials are withheld from diagnosis and training; on their loads both
+    estimators are judged. Writes what `gap diagnose` writes, with these errors, and the model
+    that the estimator node takes. The model in use is kept if the new one is no better.
 
-    Example: cablesense gap record --arm my_arm.yaml --out recording.mcap
+    Example: [bold]cablesense gap adapt recording.mcap --arm my_arm.yaml --model my_arm.onnx
+    --out adapted[/bold]
     """
-    from cablesense_msgs_py.qos import INPUTS
-    from cablesense_ros.recorder import record_topics
-    from cablesense_sim.arm import open_arm
+    from cablesense_gap.adaptation import adapt as make
+    from cablesense_gap.amended_arm import AMENDED_ARM
+    from cablesense_gap.recordings.checks import read_recording
+    from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
+    from cablesense_gap.report.text import FRICTION_HIDES, headline
+    from cablesense_online.misfit_limit import put_simulated_limit
+    from cablesense_sim.arm import find_arm, load_arm
+    from cablesense_training.inference.metadata import bundled_models, default_model, find_model
 
-    description = None if arm is None else open_arm(arm)
-    console = Console()
-    record_topics(out, INPUTS, duration, description, console, force=force)
-    if description is None:
+    arm_file = find_arm(arm)
+    nominal = load_arm(arm_file)
+    if model is None and nominal.name not in bundled_models():
+        raise OptionError(
+            f"no model is bundled for arm {nominal.name}: give the one in use with --model, or "
+            f"make one with `cablesense train --arm {arm} --out {nominal.name}.onnx`"
+        )
+    first = find_model(model or default_model(nominal.name))
+    written = (*DIAGNOSIS_FILES, ADAPTED_MODEL)
+    output_folder(out, written, force=force, inputs=(recording, arm_file, first))
+    recorded = read_recording(recording, nominal)
+    command = ["cablesense", "gap", "adapt", recording.name, "--arm", arm, "--out", out.name]
+    console = Console(stderr=json_output)
+    with tempfile.TemporaryDirectory() as folder, diagnosis_progress(console) as (show, warn):
+        second = Path(folder) / ADAPTED_MODEL
+        found = make(recorded, nominal, first, second, shlex.join(command), show, workers, warn)
+        if found.better:
+            put_simulated_limit(second)
+        models = {"before": found.before} | ({"after": found.after} if found.after else {})
+        write_diagnosis(out, found.diagnosis, models)
+        adapted = out / ADAPTED_MODEL
+        if found.better:
+            write_atomically(adapted, second.read_bytes(), OptionError)
+        else:  # one of an earlier run is for another arm
+            adapted.unlink(missing_ok=True)
+    verdict = found.diagnosis.verdict
+    if json_output:
+        use, plain = adapted if found.better else first, verdict.model_dump(mode="json")
+        print_json({"model": str(use), "better": found.better, "verdict": plain})
         return
-    from cablesense_gap.recordings.checks import check_recording, read_recording
-    from cablesense_gap.recordings.thinning import rows_to_use
-    from cablesense_sim.build import mechanism_of
-    from cablesense_sim.equilibrium import solve_equilibrium
+    lines = [headline(verdict), _outcome(found, first), f"Report: {out / 'report.html'}"]
+    if "capstan_friction" in verdict.effects:
+        lines.append(FRICTION_HIDES)
+    if found.better:
+        run = f"ros2 run cablesense_ros estimator --ros-args -p arm:={out / AMENDED_ARM}"
+        lines.append(f"Run it: {run} -p model:={adapted}")
+    for line in lines:
+        console.print(line, soft_wrap=True, highlight=False)
 
-    recording = read_recording(out, description)
-    rows = rows_to_use(recording)
-    used = recording.rows(rows)
-    nominal = solve_equilibrium(mechanism_of(description), used.command_rad, used.forces_n)
-    for finding in check_recording(recording, description, nominal.tensions_n, rows):
-        console.print(f"{finding.severity}: {finding.text}", soft_wrap=True, markup=False)
+
+def _outcome(found: Adaptation, first: Path) -> str:
+    """The errors before and after in a sentence, and which model to use."""
+    if found.after is None:
+        return f"Nothing was found that an estimator could be trained on: keep {first}."
+    before, after = (
+        f"force off by {errors.magnitude_mae_n:.2f} N, direction by "
+        f"{errors.direction_mae_deg:.1f}°, segment right {errors.contact_accuracy:.1%}"
+        for errors in (found.before.whole.errors, found.after.whole.errors)
+    )
+    errors = (
+        f"on {found.before.whole.errors.contacts} loaded rows of {len(found.trials)} trials that "
+        f"neither diagnosis nor training had: {after}; before: {before}"
+    )
+    if found.better:
+        return f"The estimator is corrected, {errors}."
+    return f"The second estimator is no better, {errors}. Keep {first}."
 
 
 gap = typer.Typer(

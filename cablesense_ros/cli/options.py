@@ -1,27 +1,29 @@
-"""What several verbs do with their options and results."""
+"""Options that several verbs share, their refusal, and progress."""
 
 from __future__ import annotations
 
-import json
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from cablesense_base import CableSenseError
-
-if TYPE_CHECKING:
-    from cablesense_training.evaluation.metrics import ErrorMetrics
 
 ArmOption = Annotated[str, typer.Option(help="Arm file: the name of a bundled one, or a path.")]
 NominalArmOption = Annotated[
     str, typer.Option(help="Nominal arm: a path, or the name of a bundled one.")
+]
+ModelOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="In place of --arm: MJCF or URDF of any robot with hinges and slides on a fixed "
+        "base, or the folder of its diagnosis."
+    ),
 ]
 RecordingArgument = Annotated[
     Path, typer.Argument(help="A .csv file, a .mcap file or a rosbag2 folder.")
@@ -51,10 +53,6 @@ RandomiseOption = Annotated[
 ]
 
 
-ERRORS = ("contact", "direction MAE", "force MAE", "force RMSE", "95 % holds")
-"""Headings of errors; `error_cells` has what stands below them."""
-
-
 class OptionError(CableSenseError):
     """Options that do not go together."""
 
@@ -80,38 +78,20 @@ def refuse_given(context: typer.Context, names: Iterable[str], why: str) -> None
         raise OptionError(f"{', '.join(given)} {have} no effect {why}; leave it out")
 
 
-def error_cells(errors: ErrorMetrics) -> tuple[str, ...]:
-    """The errors of single contacts as every verb prints them."""
-    return (
-        f"{errors.contact_accuracy:.2%}",
-        f"{errors.direction_mae_deg:.3f}°",
-        f"{errors.magnitude_mae_n:.3f} N",
-        f"{errors.magnitude_rmse_n:.3f} N",
-        f"{errors.magnitude_coverage95:.1%}",
-    )
-
-
-def print_json(content: Any) -> None:
-    """Print a result for machines."""
-    print(json.dumps(content, indent=2))
-
-
 def task_bars(console: Console) -> Progress:
     """Bars of tasks with their descriptions and the time that they have taken."""
     columns = (TextColumn("{task.description:36}"), BarColumn(), TimeElapsedColumn())
     return Progress(*columns, console=console)
 
 
-class DiagnosisProgress(NamedTuple):
-    """What a diagnosis calls: with what it does and the share done, and with each finding."""
-
-    show: Callable[[str, float], None]
-    warn: Callable[[str], None]
-
-
 @contextmanager
-def diagnosis_progress(console: Console) -> Iterator[DiagnosisProgress]:
-    """A bar for a diagnosis; findings are printed above it."""
+def diagnosis_progress(
+    console: Console,
+) -> Iterator[tuple[Callable[[str, float], None], Callable[[str], None]]]:
+    """A bar for a diagnosis; findings are printed above it.
+
+    Gives what to call with what the diagnosis does and the share done, and with each finding.
+    """
     with task_bars(console) as progress:
         task = progress.add_task("reading", total=1.0)
 
@@ -121,7 +101,7 @@ def diagnosis_progress(console: Console) -> Iterator[DiagnosisProgress]:
         def warn(finding: str) -> None:
             progress.console.print(f"warning: {finding}", soft_wrap=True, markup=False)
 
-        yield DiagnosisProgress(show, warn)
+        yield show, warn
 
 
 def command_line(verb: str, options: Mapping[str, Any]) -> str:
@@ -140,20 +120,3 @@ def command_line(verb: str, options: Mapping[str, Any]) -> str:
         elif value is not None:
             parts += [f"--{option}", f"{value}"]
     return shlex.join(parts)
-
-
-def titled_table(
-    title: str,
-    *headings: str,
-    right: Iterable[str] = (),
-    rows: Iterable[Sequence[str]] = (),
-) -> Table:
-    """A table, its title and columns to the left; those in `right` to the right."""
-    table = Table(
-        title=title, title_justify="left", header_style="bold", show_header=bool(headings)
-    )
-    for heading in headings:
-        table.add_column(heading, justify="right" if heading in right else "left")
-    for row in rows:
-        table.add_row(*row)
-    return table

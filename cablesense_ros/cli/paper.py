@@ -12,7 +12,8 @@ import typer
 from rich.progress import TaskID
 
 from cablesense_base.installation import examples_parent
-from cablesense_ros.cli.options import ForceOption, JsonOption, print_json, task_bars
+from cablesense_ros.cli.options import ForceOption, JsonOption, task_bars
+from cablesense_ros.cli.results import print_json
 
 
 def _study_names() -> str:
@@ -45,11 +46,11 @@ def paper(
     force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:
-    """Repeat the paper's experiments here, and show each result beside the paper's.
+    """Repeat the paper's experiments here, and compare each result with the paper's.
 
     Every study runs on this project's own simulation. The report states for each number that the
     paper gives whether ours agrees, and why it does or does not. Open DIR/report.html in any
-    browser; it needs nothing beside it. The report lists a study that fails, the others still
+    browser; it needs no other file. The report lists a study that fails, the others still
     run, and the command ends with 1.
 
     Examples: [bold]cablesense paper --out paper --quick[/bold],

@@ -15,6 +15,7 @@ from cablesense_ros.cli.options import (
     RecordingFile,
     refuse_given,
 )
+from cablesense_ros.cli.results import print_json
 from cablesense_ros.demo.run import (
     DEMO_FILES,
     DEMO_FOLDER,
@@ -86,7 +87,7 @@ def demo(
         bool, typer.Option("--json", help="With --headless: print the report as JSON.")
     ] = False,
 ) -> None:
-    """Watch an arm being pushed, and the force estimated from its cables beside the true one.
+    """Watch an arm being pushed, with the force estimated from its cables and the true one.
 
     Starts the simulated arm, the estimator and a page in the browser where you can push the arm
     and move its joints. Ctrl-C ends all of it. With --headless it needs no browser: a script of
@@ -141,7 +142,7 @@ def replay(
         Path | None, typer.Option(help="Write the estimates to this .csv file.")
     ] = None,
     force: ForceOption = False,
-    json: JsonOption = False,
+    json_output: JsonOption = False,
 ) -> None:
     """Give a recording's estimates again, and compare them with the recorded ones bit by bit.
 
@@ -151,10 +152,8 @@ def replay(
     Example: cablesense replay run.mcap
     """
     from dataclasses import asdict
-    from json import dumps
 
-    from cablesense_online.recorded_run import RecordedRun
-    from cablesense_online.replay import comparison_lines, replay_in_process
+    from cablesense_online.replay import RecordedRun, replay_in_process
 
     if estimates is None:
         refuse_given(context, ["force"], "without --estimates")
@@ -162,10 +161,11 @@ def replay(
         output_file(estimates, force=force, inputs=(recording, arm, model))
     run = RecordedRun(recording)
     comparison = replay_in_process(run, arm, model, estimates)
-    if json:
-        typer.echo(dumps(asdict(comparison) | {"cut": run.cut}))
+    if json_output:
+        print_json(asdict(comparison) | {"cut": run.cut})
     else:
-        for line in comparison_lines(comparison, run.cut):
-            typer.echo(line)
+        if run.cut:
+            typer.echo(f"the file {run.cut}")
+        typer.echo("\n".join(comparison.lines))
     if not (comparison.same or arm or model):
         raise typer.Exit(1)

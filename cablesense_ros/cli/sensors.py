@@ -6,7 +6,6 @@ with uncertainty from known loads.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,15 +16,14 @@ from cablesense_base.files import output_file
 from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
-    print_json,
+    OptionError,
     refuse_given,
-    titled_table,
 )
+from cablesense_ros.cli.results import print_json, titled_table
 
 if TYPE_CHECKING:
-    from cablesense_online.commissioning.sensor_calibration import SensorCalibration
+    from cablesense_online.can.channel_map import Calibration
     from cablesense_online.commissioning.sensor_check import SensorExpectation, SensorReport
-    from cablesense_online.commissioning.tables import KnownLoad
 
 
 def calibrate(
@@ -59,14 +57,6 @@ def calibrate(
             help="Local gravity, m/s²; without it 9.80665, with its variation over the Earth.",
         ),
     ] = None,
-    reference_uncertainty: Annotated[
-        float,
-        typer.Option(
-            min=0.0,
-            max=10.0,
-            help="Standard uncertainty that all loads share (gauge, set of weights), percent.",
-        ),
-    ] = 0.0,
     force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:
@@ -79,19 +69,22 @@ def calibrate(
     """
     from datetime import UTC, datetime
 
+    import numpy as np
     from rich.console import Console
 
     from cablesense_gap.recordings.checks import read_recording
-    from cablesense_online.can.calibration import calibrated, load_calibration, write_calibration
-    from cablesense_online.can.channel_map import open_channel_map
-    from cablesense_online.commissioning.sensor_calibration import (
-        calibrate_sensor,
-        calibration_point,
-        calibration_record,
+    from cablesense_online.can.channel_map import (
+        Calibration,
+        calibrated,
+        load_calibration,
+        open_channel_map,
+        write_calibration,
     )
-    from cablesense_online.commissioning.tables import (
+    from cablesense_online.commissioning.sensor_calibration import (
         GRAVITY_RELATIVE_U,
         STANDARD_GRAVITY_M_S2,
+        calibrate_sensor,
+        raw_reading,
         read_known_loads,
     )
     from cablesense_sim.arm import open_arm
@@ -108,50 +101,46 @@ def calibrate(
         as_recorded = as_recorded.arranged(of_arm.cable_names)
     else:
         refuse_given(context, ["arm"], "without --recording")
-    gravity_m_s2 = STANDARD_GRAVITY_M_S2 if gravity is None else gravity
-    known = read_known_loads(loads, described.cable_names, gravity_m_s2)
-    weighed = any(load.by_mass for of_cable in known.values() for load in of_cable)
+    known = read_known_loads(loads, described.cable_names)
+    weighed = any(load.mass_kg is not None for of_cable in known.values() for load in of_cable)
     if not weighed:
         refuse_given(context, ["gravity"], "on loads that are all given as forces")
-    gravity_u = GRAVITY_RELATIVE_U if weighed and gravity is None else 0.0
-    common_relative_u = float((gravity_u**2 + (reference_uncertainty / 100.0) ** 2) ** 0.5)
-    points = {
-        cable: [calibration_point(load, as_recorded, recorded) for load in of_cable]
-        for cable, of_cable in known.items()
-    }
-    found = {
-        cable: calibrate_sensor(cable, of_cable, common_relative_u)
-        for cable, of_cable in points.items()
-    }
-    made = datetime.now(UTC).replace(microsecond=0)
-    used_m_s2 = gravity_m_s2 if weighed else None
-    calibration = calibration_record(
-        found, described, database, made, used_m_s2, common_relative_u
+    gravity_m_s2 = STANDARD_GRAVITY_M_S2 if gravity is None else gravity
+    common_relative_u = GRAVITY_RELATIVE_U if weighed and gravity is None else 0.0
+    cables = {}
+    for cable, of_cable in known.items():
+        force_n = np.array([load.applied_n(gravity_m_s2) for load in of_cable])
+        raw = np.array([raw_reading(load, as_recorded, recorded) for load in of_cable])
+        channel = described.channels[cable]
+        cables[cable] = calibrate_sensor(cable, channel, database, force_n, raw, common_relative_u)
+    calibration = Calibration(
+        map=described.name,
+        made=datetime.now(UTC).replace(microsecond=0),
+        gravity_m_s2=gravity_m_s2 if weighed else None,
+        common_relative_u=common_relative_u,
+        uncalibrated=tuple(cable for cable in described.channels if cable not in cables),
+        cables=cables,
     )
     write_calibration(out, calibration)
     if json_output:
         print(calibration.model_dump_json(indent=2))
         return
     console = Console()
-    console.print(_table(found, known))
-    if gravity_u:
+    console.print(_calibration_table(calibration))
+    if common_relative_u:
         console.print("Give --gravity: without it, masses are forces to 0.3 % only.")
     if calibration.uncalibrated:
         console.print(f"Not calibrated: {', '.join(calibration.uncalibrated)}", soft_wrap=True)
     console.print(f"{out}: give it to can_driver as -p calibration:={out}", soft_wrap=True)
 
 
-def _table(
-    found: Mapping[str, SensorCalibration], known: Mapping[str, Sequence[KnownLoad]]
-) -> Table:
+def _calibration_table(calibration: Calibration) -> Table:
     headings = (
         *("loads", "up to", "scale, N/unit", "zero, unit", "tension ±"),
-        *("nonlinearity", "hysteresis", "repeatability", "furthest off, line"),
+        *("nonlinearity", "hysteresis", "repeatability"),
     )
-    table = titled_table("± is 95 %; all else in N", "cable", *headings, right=headings)
-    for cable, sensor in found.items():
-        line = known[cable][sensor.largest_residual_at].where.rpartition(" ")[2]
-        table.add_row(
+    rows = [
+        (
             cable,
             str(sensor.points),
             f"{sensor.largest_force_n:.1f}",
@@ -161,9 +150,11 @@ def _table(
             _newtons(sensor.nonlinearity_n),
             _newtons(sensor.hysteresis_n),
             _newtons(sensor.repeatability_n),
-            f"{sensor.largest_residual_n:+.3f}, {line}",
         )
-    return table
+        for cable, sensor in calibration.cables.items()
+    ]
+    title = "± is 95 %; all else in N"
+    return titled_table(title, "cable", *headings, right=headings, rows=rows)
 
 
 def _newtons(value: float | None, form: str = ".3f", missing: str = "not shown") -> str:
@@ -194,22 +185,9 @@ def check(
             "exchanged plugs."
         ),
     ] = None,
-    pulls: Annotated[
-        Path | None,
-        typer.Option(help="Of a recording: CSV with cable, start_s, end_s of pulls by hand."),
-    ] = None,
     rate: Annotated[
         float | None,
         typer.Option(min=0.1, max=10_000.0, help="Right rate, Hz.", show_default="the arm file's"),
-    ] = None,
-    drift_limit: Annotated[
-        float | None,
-        typer.Option(
-            min=0.001,
-            max=1000.0,
-            help="Most drift at rest that is right, N.",
-            show_default="four standard deviations of a reading",
-        ),
     ] = None,
     namespace: Annotated[str, typer.Option(help="Live: of the arm's nodes.")] = "",
     json_output: JsonOption = False,
@@ -221,46 +199,36 @@ def check(
     Examples: cablesense sensors check recording.mcap --arm my_arm.yaml,
     cablesense sensors check --pull all
     """
-    from dataclasses import asdict, replace
+    from dataclasses import asdict
 
     from rich.console import Console
 
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_online.commissioning.sensor_check import (
         check_sensors,
-        exercised_channel_findings,
         expectation,
+        series_of,
     )
-    from cablesense_online.commissioning.sensor_statistics import series_of
-    from cablesense_online.commissioning.tables import CommissioningError, read_pulls
     from cablesense_sim.arm import open_arm
 
     described = open_arm(arm)
     names = described.cable_names
-    expected = expectation(described.sensors, rate, drift_limit)
+    expected = expectation(described.sensors, rate)
     if recording is None:
         from cablesense_ros.tension_capture import capture_tensions
 
-        if pulls is not None:
-            raise CommissioningError("--pulls is for a recording; live it is --pull all")
         pulled = names if pull == "all" else tuple(pull.split(",")) if pull else ()
         unknown = [cable for cable in pulled if cable not in names]
         if unknown:
-            raise CommissioningError(
+            raise OptionError(
                 f"--pull: no cable {unknown[0][:40]!r}; there are {', '.join(names)}"
             )
         prompts = Console(stderr=True)
-        series, made = capture_tensions(names, seconds, pulled, prompts.print, namespace)
-        report = check_sensors(series, expected, made)
+        series, pulls = capture_tensions(names, seconds, pulled, prompts.print, namespace)
+        report = check_sensors(series, expected, pulls)
     else:
-        if pull is not None:
-            raise CommissioningError("--pull is for a live arm; of a recording it is --pulls FILE")
-        refuse_given(context, ["seconds", "namespace"], "on a recording")
-        recorded = read_recording(recording, described)
-        made = [] if pulls is None else read_pulls(pulls, names)
-        report = check_sensors(series_of(recorded, names), expected, made)
-        found = exercised_channel_findings(recorded, described)
-        report = replace(report, findings=(*found, *report.findings))
+        refuse_given(context, ["pull", "seconds", "namespace"], "on a recording")
+        report = check_sensors(series_of(read_recording(recording, described), names), expected)
     if json_output:
         print_json({"usable": report.usable, "expected": asdict(expected), **asdict(report)})
     else:

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from cablesense_base.files import output_file
 from cablesense_base.progress import progress_bar
 from cablesense_ros.cli.options import (
-    ERRORS,
     ArmOption,
     ForceOption,
     JsonOption,
@@ -22,13 +17,9 @@ from cablesense_ros.cli.options import (
     PoseRangeOption,
     RandomiseOption,
     command_line,
-    error_cells,
     refuse_given,
-    titled_table,
 )
-
-if TYPE_CHECKING:
-    from cablesense_training.model_training import TrainingReport
+from cablesense_ros.cli.results import print_result
 
 
 def train(
@@ -37,14 +28,16 @@ def train(
     network: Annotated[
         str,
         typer.Option(
-            help="closed-form-corrected: statics and a small network, knows the pose, the most "
-            "accurate; closed-form: statics alone. From tensions alone: scale-aware, or the "
-            "paper's decoupled, shared-backbone and two-stage. Several contacts at once: "
-            "multi-contact-closed-form, or the paper's multi-contact. In motion and under "
-            "friction: temporal, which is history-dependent. For an arm file with friction, "
-            "creep, backlash or lagging sensors whose numbers are known: history-simulated."
+            help="anywhere: statics of one contact or two at any place, with a force in three "
+            "dimensions. At the contact points of the arm file: closed-form-corrected: statics "
+            "and a small network, knows the pose, the most accurate; closed-form: statics alone. "
+            "From tensions alone: scale-aware, or the paper's decoupled, shared-backbone and "
+            "two-stage. Several contacts at once: multi-contact-closed-form, or the paper's "
+            "multi-contact. In motion and under friction: temporal, which is history-dependent. "
+            "For an arm file with friction, creep, backlash or lagging sensors whose numbers are "
+            "known: history-simulated."
         ),
-    ] = "closed-form-corrected",
+    ] = "anywhere",
     data: Annotated[
         Path | None,
         typer.Option(help="Train on this file of cablesense dataset, not on fresh samples."),
@@ -77,7 +70,7 @@ def train(
         float | None, typer.Option(help="Adam's, at the start.", show_default="the network's own")
     ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, help="Of samples, initial weights and their order.")
+        int, typer.Option(min=0, help="Seed of samples, initial weights and their order.")
     ] = 0,
     threads: Annotated[
         int, typer.Option(help="Processor threads; another number changes the last digits.")
@@ -95,6 +88,7 @@ def train(
     Example: cablesense train --arm my_arm.yaml --out my_arm.onnx
     """
     import os
+    from dataclasses import replace
 
     from cablesense_online.misfit_limit import put_simulated_limit
     from cablesense_sim.arm import find_arm, load_arm
@@ -106,7 +100,7 @@ def train(
         train_model,
         widened_by_history,
     )
-    from cablesense_training.recipes import adjusted, recipe_for
+    from cablesense_training.recipes import recipe_for
 
     if data is not None:
         drawing = ("samples", "pose", "pose_range_deg", "force_high_n", "randomise")
@@ -116,7 +110,8 @@ def train(
     recipe = recipe_for(network)
     in_motion = recipe.learns_from == "motion"
     chosen = {"epochs": epochs, "batch_size": batch_size, "learning_rate": learning_rate}
-    settings = adjusted(recipe.settings, seed=seed, threads=threads, **chosen)
+    given: dict[str, Any] = {k: value for k, value in chosen.items() if value is not None}
+    settings = replace(recipe.settings, seed=seed, threads=threads, **given)
     drawn = {
         "samples": recipe.samples if samples is None else samples,
         "pose": pose,
@@ -147,15 +142,7 @@ def train(
     with progress_bar(settings.epochs, shown=not json_output, what="epochs") as advance:
 
         def on_epoch(record: EpochRecord) -> None:
-            parts = ", ".join(
-                f"{part} {getattr(record, part):.4f}"
-                for part in ("contact", "direction", "magnitude")
-            )
-            advance(
-                1,
-                f"loss {record.total:.4f} ({parts}), held out {record.validation:.4f}, "
-                f"rate {record.learning_rate:.1e}",
-            )
+            advance(1, f"loss {record.total:.4f}, held out {record.validation:.4f}")
 
         report = train_model(
             out,
@@ -166,66 +153,6 @@ def train(
             on_epoch=on_epoch,
             on_trained=after,
         )
-    if report.single is not None:
+    if report.single is not None or report.anywhere is not None:
         put_simulated_limit(out)
-    if json_output:
-        typer.echo(json.dumps(report.as_json()))
-    else:
-        for table in _tables(report, description.identity):
-            Console().print(table)
-
-
-def _tables(report: TrainingReport, arm_identity: str) -> Iterator[Table]:
-    """The report on one page; for single contacts the errors by force, too."""
-    metrics = report.as_json()
-    rows = [
-        ("parameters", f"{report.parameters:,}"),
-        ("size", f"{metrics['bytes'] / 1000:,.0f} kB"),
-        ("epochs (best)", f"{metrics['epochs']} ({report.history.best_epoch})"),
-        ("training time", f"{report.history.seconds:.0f} s"),
-    ]
-    if (single := report.single) is not None:
-        rows += [
-            ("test samples", f"{single.samples:,}"),
-            (ERRORS[0], f"{single.contact_accuracy:.2%}"),
-            *zip(ERRORS[1:], error_cells(single.errors)[1:], strict=True),
-        ]
-    for multi, which in ((report.multi, "all contacts"), (report.multi_firm, "from 5 N")):
-        if multi is not None:
-            by_segment = ", ".join(f"{error:.2f}" for error in multi.magnitude_mae_n)
-            rows += [
-                (f"{which}: recognised", f"{multi.recognition_accuracy:.2%}"),
-                (f"{which}: macro F1", f"{multi.macro_f1:.4f}"),
-                (f"{which}: force MAE by segment", f"{by_segment} N"),
-            ]
-    yield titled_table(f"{report.path}: {report.network}, arm {arm_identity}", rows=rows)
-    if single is not None:
-        headings = ("", "rows", *ERRORS)
-        bins = [
-            (
-                f"{part.low_n:g} to {part.high_n:g} N",
-                f"{part.errors.contacts:,}",
-                *error_cells(part.errors),
-            )
-            for part in single.bins
-            if part.errors.contacts
-        ]
-        yield titled_table("by force", *headings, right=headings, rows=bins)
-    if (motion := report.motion) is not None:
-        columns = ("", "ticks", "contact", "direction MAE", "force MAE", "false force")
-        ticks = [
-            (
-                name,
-                f"{part.samples:,}",
-                f"{part.contact_accuracy:.2%}",
-                f"{part.errors.direction_mae_deg:.3f}°",
-                f"{part.errors.magnitude_mae_n:.3f} N",
-                f"{false_n:.3f} N",
-            )
-            for name, part, false_n in (
-                ("in motion", motion.moving, motion.false_force_moving_n),
-                ("at rest", motion.rest, motion.false_force_rest_n),
-                ("all", motion.every, motion.false_force_n),
-            )
-        ]
-        yield titled_table("by motion", *columns, right=columns, rows=ticks)
+    print_result(f"{network}, arm {description.identity}", report.as_json(), json_output)

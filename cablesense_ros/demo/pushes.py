@@ -1,32 +1,34 @@
-"""The demo of the estimator: scripted pushes on the simulated arm, true against estimated."""
+"""Scripted pushes on the simulated arm, played and compared with the estimates of them."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from rich.table import Table
 
 from cablesense_base import Array, CableSenseError
-from cablesense_online.page.live_arm import LiveArm, ShownContact, Snapshot
+from cablesense_msgs_py.messages import NO_CONTACT, Contact
+from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.page.score import angle_error_deg
+from cablesense_online.page.snapshot import KnownMoment, ShownContact, Snapshot
 from cablesense_ros.arm_client import ArmClient, record
 from cablesense_sim.load_capacity import USUAL_CONTACT_N
 
 PUSH_S = 3.0
-"""How long each push is held; the pause before it is as long as what is left of its share."""
+"""Each push is held this long. A pause before it fills its slot."""
 SHORTEST_SLOT_S = 4.0
 MOVE_S = 3.0
-"""What a move of the joints may take until the arm rests again."""
+"""A move of the joints may take this long until the arm rests again."""
 WEAKEST, STRONGEST = 0.025, 0.6
 """Pushes, as shares of the strongest contact that the arm's networks learn."""
+MOST_ALONG = 0.2
+"""Largest axial part, as a share of the normal force: below the friction of most surfaces."""
 POSE_LIMIT_DEG = 8.0
-JOINT_SPEED_RAD_S = float(np.deg2rad(20.0))
 SETTLING_S = 1.0
 """The first second of a push does not count: the arm swings and the estimate follows."""
 
@@ -41,28 +43,33 @@ class ScriptedPush:
 
     Attributes:
         start_s, end_s: since the start of the script.
-        segment: 1 … N.
-        angle_deg: from the segment's +z towards its +y, at the commanded pose.
-        magnitude_n: newtons.
+        contact: what pushes where, at the commanded pose.
         command_rad: (2N,) joint angles commanded at `move_s`, before the push.
         move_s: since the start of the script.
     """
 
     start_s: float
     end_s: float
-    segment: int
-    angle_deg: float
-    magnitude_n: float
+    contact: Contact
     command_rad: Array
     move_s: float
 
 
 def make_script(
-    segment_count: int, duration_s: float, seed: int, range_n: float = USUAL_CONTACT_N
+    reach_m: Array,
+    duration_s: float,
+    seed: int,
+    range_n: float = USUAL_CONTACT_N,
+    most_along: float = MOST_ALONG,
 ) -> list[ScriptedPush]:
-    """Pushes on one segment after another: at the straight arm first, then at random poses.
+    """Pushes on one segment after another, the last first: the straight arm, then random poses.
 
-    `range_n` is the strongest contact to expect of the arm.
+    Args:
+        reach_m: (N, 2) where on each segment they act, from its joint centre.
+        duration_s: of the whole.
+        seed: of everything random.
+        range_n: the strongest contact to expect of the arm.
+        most_along: largest axial part, as a share of the normal force.
 
     Raises:
         ScriptError: the duration is too short for one push.
@@ -71,50 +78,44 @@ def make_script(
         raise ScriptError(
             f"duration is {duration_s:g} s; one push takes {SHORTEST_SLOT_S:g} s at least"
         )
-    rng = np.random.default_rng(seed)
+    rng, segment_count = np.random.default_rng(seed), len(reach_m)
     straight_count = max(1, int(0.5 * duration_s / SHORTEST_SLOT_S))
     posed_count = int((duration_s - straight_count * SHORTEST_SLOT_S) / (SHORTEST_SLOT_S + MOVE_S))
     script = []
     now_s = 0.0
     for number in range(straight_count + posed_count):
-        posed = number >= straight_count
         command = np.zeros(2 * segment_count)
-        slot_s = SHORTEST_SLOT_S
-        if posed:
+        end_s = now_s + SHORTEST_SLOT_S
+        if number >= straight_count:
             command = np.deg2rad(rng.uniform(-POSE_LIMIT_DEG, POSE_LIMIT_DEG, 2 * segment_count))
-            slot_s += MOVE_S
-        magnitude = range_n * WEAKEST * (STRONGEST / WEAKEST) ** rng.random()
+            end_s += MOVE_S
+        magnitude_n = range_n * WEAKEST * (STRONGEST / WEAKEST) ** rng.random()
+        segment = segment_count - number % segment_count
+        contact = Contact(
+            segment=segment,
+            angle_deg=float(rng.uniform(0.0, 360.0)),
+            magnitude_n=float(f"{magnitude_n:.3g}"),
+            contact_m=float(rng.uniform(*reach_m[segment - 1])),
+            along_n=float(magnitude_n * rng.uniform(-most_along, most_along)),
+        )
         script.append(
             ScriptedPush(
-                start_s=now_s + slot_s - PUSH_S,
-                end_s=now_s + slot_s,
-                segment=1 + number % segment_count,
-                angle_deg=float(rng.uniform(0.0, 360.0)),
-                magnitude_n=float(f"{magnitude:.3g}"),
+                start_s=end_s - PUSH_S,
+                end_s=end_s,
+                contact=contact,
                 command_rad=command,
                 move_s=now_s,
             )
         )
-        now_s += slot_s
+        now_s = end_s
     return script
 
 
-@dataclass(frozen=True)
-class PushRecord:
-    """K moments.
-
-    Attributes:
-        times_s: (K,) since the start.
-        snapshots: (K,) what was known.
-    """
+class PushRecord(NamedTuple):
+    """Snapshots at K moments, and their times (K,) since the start of the script."""
 
     times_s: Array
     snapshots: Sequence[Snapshot]
-
-    @property
-    def estimated(self) -> np.ndarray:
-        """(K,) whether an estimate was there, be it of no contact."""
-        return np.array([one.answered for one in self.snapshots])
 
 
 def play_script(
@@ -128,20 +129,18 @@ def play_script(
 
     Args:
         client: pushes and commands the arm.
-        live: what is known of it.
+        live: gives the snapshots.
         script: what to do when.
         check: called at every step; raises to end the play.
         progress: takes the seconds since the start, as `completed`.
     """
     due: deque[tuple[float, Callable[[], None]]] = deque()
-    pose = np.zeros_like(script[0].command_rad)
     for push in script:
-        if not np.array_equal(push.command_rad, pose):
-            pose = push.command_rad
-            due.append((push.move_s, partial(client.command, pose)))
-        press = partial(client.push, push.segment, push.angle_deg, push.magnitude_n)
+        press = partial(client.push, push.contact)
+        if push.command_rad.any():
+            due.append((push.move_s, partial(client.command, push.command_rad)))
         due.append((push.start_s, press))
-        due.append((push.end_s, partial(client.push, push.segment, 0.0, 0.0)))
+        due.append((push.end_s, partial(client.push, NO_CONTACT)))
 
     def moment(now_s: float) -> Snapshot:
         while due and due[0][0] <= now_s:
@@ -149,9 +148,13 @@ def play_script(
         progress(completed=now_s)
         return live.snapshot(time.monotonic())
 
-    times, snapshots = record(moment, script[-1].end_s, check)
-    client.push(script[-1].segment, 0.0, 0.0)
-    return PushRecord(times, snapshots)
+    played = record(moment, script[-1].end_s, check)
+    client.push(NO_CONTACT)
+    return PushRecord(*played)
+
+
+Seen = ShownContact | KnownMoment
+"""An estimated contact: its force and place, or the moment alone."""
 
 
 @dataclass(frozen=True)
@@ -165,119 +168,104 @@ class PushResult:
     """
 
     push: ScriptedPush
-    estimate: ShownContact | None
+    estimate: Seen | None
     sample_count: int
 
     @property
     def segment_right(self) -> bool:
-        """Whether the push was found on the segment where it was."""
-        return self.estimate is not None and self.estimate.segment == self.push.segment
+        """Whether the push was found on the segment where it was; without it are no errors."""
+        found = self.estimate
+        return found is not None and found.segment == self.push.contact.segment
 
     @property
     def angle_error_deg(self) -> float | None:
-        """Error of the direction, where the segment is right."""
-        if self.estimate is None or not self.segment_right:
+        """Of the direction."""
+        found = self.estimate if self.segment_right else None
+        if found is None:
             return None
-        return angle_error_deg(self.estimate.angle_deg, self.push.angle_deg)
+        return angle_error_deg(found.angle_deg, self.push.contact.angle_deg)
+
+    @property
+    def place_error_mm(self) -> float | None:
+        """Estimated minus true place; None where the moment alone is known."""
+        found = self._located
+        return None if found is None else 1e3 * (found.contact_m - self.push.contact.contact_m)
 
     @property
     def magnitude_error_n(self) -> float | None:
-        """Estimated minus true force, where the segment is right."""
-        if self.estimate is None or not self.segment_right:
+        """Estimated minus true normal force; None where the moment alone is known."""
+        found = self._located
+        return None if found is None else found.magnitude_n - self.push.contact.magnitude_n
+
+    @property
+    def moment_error_n_m(self) -> float | None:
+        """Estimated minus true moment about the joint, where that alone is known."""
+        found, true = self.estimate, self.push.contact
+        if not self.segment_right or not isinstance(found, KnownMoment):
             return None
-        return self.estimate.magnitude_n - self.push.magnitude_n
+        return found.moment_n_m - true.contact_m * true.magnitude_n
+
+    @property
+    def _located(self) -> ShownContact | None:
+        found = self.estimate
+        return found if self.segment_right and isinstance(found, ShownContact) else None
 
 
-def push_results(script: Sequence[ScriptedPush], record: PushRecord) -> list[PushResult]:
+def seen(now: Snapshot) -> Seen | None:
+    """The estimate of the strongest contact."""
+    return now.moment or next(iter(now.estimated), None)
+
+
+def push_results(script: Sequence[ScriptedPush], played: PushRecord) -> list[PushResult]:
     """The result of every push."""
     results = []
     for push in script:
-        since, until = push.start_s + SETTLING_S, push.end_s - 0.1
-        steady = (record.times_s >= since) & (record.times_s < until)
-        at = np.flatnonzero(steady & record.estimated).tolist()
-        contacts = [record.snapshots[i].estimate for i in at]
-        results.append(PushResult(push, _median(contacts), len(at)))
+        steady = (played.times_s >= push.start_s + SETTLING_S) & (
+            played.times_s < push.end_s - 0.1
+        )
+        moments = [played.snapshots[i] for i in np.flatnonzero(steady).tolist()]
+        found = [seen(now) for now in moments if now.answered]
+        results.append(PushResult(push, _median(found), len(found)))
     return results
 
 
-def _median(contacts: Sequence[ShownContact | None]) -> ShownContact | None:
-    """Of those on the segment that most are on; None where most are of no contact."""
-    segments = [contact.segment if contact else 0 for contact in contacts]
-    usual = max(set(segments), key=segments.count, default=0)
-    if usual == 0:
+def _median(found: Sequence[Seen | None]) -> Seen | None:
+    """The median of the most frequent kind on its segment; None where that is no contact."""
+    kinds = [(type(each), each.segment if each else 0) for each in found]
+    usual = max(set(kinds), key=kinds.count, default=None)
+    same = [each for each, kind in zip(found, kinds, strict=True) if each and kind == usual]
+    if not same:
         return None
-    same = [contact for contact in contacts if contact is not None and contact.segment == usual]
-    angles = np.deg2rad([contact.angle_deg for contact in same])
-    angle = np.rad2deg(np.arctan2(np.median(np.sin(angles)), np.median(np.cos(angles)))) % 360.0
-    force = np.median([contact.force_base_n for contact in same], axis=0)
+    turn = np.exp(1j * np.deg2rad([each.angle_deg for each in same]))
+    middle = np.median(turn.real) + 1j * np.median(turn.imag)
+    segment, angle_deg = same[0].segment, float(np.angle(middle, deg=True) % 360.0)
+    moments = [each.moment_n_m for each in same if isinstance(each, KnownMoment)]
+    if moments:
+        return KnownMoment(segment, angle_deg, float(np.median(moments)))
+    contacts = [each for each in same if isinstance(each, ShownContact)]
     return ShownContact(
-        usual, float(angle), float(np.median([c.magnitude_n for c in same])), force
+        segment,
+        angle_deg,
+        float(np.median([each.magnitude_n for each in contacts])),
+        float(np.median([each.contact_m for each in contacts])),
+        float(np.median([each.along_n for each in contacts])),
+        np.median([each.force_base_n for each in contacts], axis=0),
     )
 
 
 def summary(results: Sequence[PushResult]) -> dict[str, Any]:
-    """Mean errors over all pushes; None where none was found on its segment."""
-    angles = [r.angle_error_deg for r in results if r.angle_error_deg is not None]
-    forces = [abs(r.magnitude_error_n) for r in results if r.magnitude_error_n is not None]
+    """Mean errors over the pushes found on their segment; None where there are none."""
+
+    def mean(errors: Iterable[float | None]) -> float | None:
+        known = [abs(error) for error in errors if error is not None]
+        return float(np.mean(known)) if known else None
+
     return {
         "pushes": len(results),
-        "estimated": sum(1 for r in results if r.sample_count),
-        "segment_right": sum(1 for r in results if r.segment_right),
-        "direction_mae_deg": float(np.mean(angles)) if angles else None,
-        "magnitude_mae_n": float(np.mean(forces)) if forces else None,
+        "estimated": sum(result.sample_count > 0 for result in results),
+        "segment_right": sum(result.segment_right for result in results),
+        "place_mae_mm": mean(result.place_error_mm for result in results),
+        "direction_mae_deg": mean(result.angle_error_deg for result in results),
+        "magnitude_mae_n": mean(result.magnitude_error_n for result in results),
+        "moment_mae_n_m": mean(result.moment_error_n_m for result in results),
     }
-
-
-def metrics(results: Sequence[PushResult]) -> dict[str, Any]:
-    """Everything that the table shows, as plain values."""
-
-    def plain(contact: ScriptedPush | ShownContact) -> dict[str, float]:
-        return {name: getattr(contact, name) for name in ("segment", "angle_deg", "magnitude_n")}
-
-    return {
-        "summary": summary(results),
-        "pushes": [
-            {
-                "true": plain(r.push),
-                "estimated": plain(r.estimate) if r.estimate else None,
-                "samples": r.sample_count,
-            }
-            for r in results
-        ],
-    }
-
-
-def results_table(results: Sequence[PushResult]) -> Table:
-    """One row for each push, mean errors in the footer."""
-    mean = summary(results)
-    right = f"{mean['segment_right']} of {mean['pushes']} right"
-    table = Table(title="True against estimated", show_footer=True, title_justify="left")
-    table.add_column("pose", footer="mean")
-    for name, footer in (("true", ""), ("estimated", right)):
-        table.add_column(
-            f"{name} segment,\ndirection, force", footer, justify="right", no_wrap=True
-        )
-    for name, value, unit in (
-        ("direction", mean["direction_mae_deg"], "°"),
-        ("force", mean["magnitude_mae_n"], " N"),
-    ):
-        table.add_column(f"{name}\nerror", justify="right", footer=_number(value, ".2f", unit))
-    for r in results:
-        missing = "no contact" if r.sample_count else "no estimate"
-        found = _contact(r.estimate) if r.estimate else missing
-        table.add_row(
-            "bent" if r.push.command_rad.any() else "straight",
-            _contact(r.push),
-            f"[{'green' if r.segment_right else 'red'}]{found}[/]",
-            _number(r.angle_error_deg, ".2f", "°"),
-            _number(r.magnitude_error_n, "+.2f", " N"),
-        )
-    return table
-
-
-def _contact(contact: ScriptedPush | ShownContact) -> str:
-    return f"{contact.segment} {contact.angle_deg:6.1f}° {contact.magnitude_n:6.1f} N"
-
-
-def _number(value: float | None, form: str, unit: str) -> str:
-    return "–" if value is None else f"{value:{form}}{unit}"

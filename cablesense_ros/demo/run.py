@@ -9,7 +9,7 @@ import sys
 import time
 import webbrowser
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -20,7 +20,6 @@ import numpy as np
 from rich.console import Console
 
 from cablesense_base import CableSenseError
-from cablesense_base.installation import config_path
 from cablesense_msgs_py import topics
 from cablesense_ros.discovery import own_graph
 from cablesense_ros.processes import Processes, node_command
@@ -28,22 +27,23 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.load_capacity import contact_range_n
 
 if TYPE_CHECKING:
+    from cablesense_online.models import LoadedModel
     from cablesense_online.page.live_arm import LiveArm
     from cablesense_ros.demo.pushes import PushRecord, ScriptedPush
 
 _MAP = "twelve_channel_amplifier"
 """The amplifier that the emulator poses as."""
 _BITRATE_BIT_S = 1_000_000
-_START_S = 60.0
-"""Slow machines import for tens of seconds the first time."""
-_BREATH_REST_S = 1.0
-"""A move of the demo has nearly ended then."""
-
-Commands = dict[str, list[str]]
+_START_S = 120.0
+"""Slow machines import and compile for a minute the first time."""
+_JOINT_SPEED_RAD_S = math.radians(20.0)
+"""That of the nodes."""
+_REST_S = 1.0
+"""The rest between turns of a breath: a move of the demo has nearly ended then."""
 
 
 class Source(StrEnum):
-    """Where the demo's tensions come from."""
+    """The source of the demo's tensions."""
 
     SIM = "sim"
     CAN = "can"
@@ -57,7 +57,7 @@ class DemoError(CableSenseError):
 
 DEMO_FOLDER = Path("out/demo")
 DEMO_FILES = ("demo.png", "logs/*.log")
-"""Of a demo, in its folder."""
+"""The files of a demo in its folder."""
 
 
 @dataclass(frozen=True)
@@ -85,40 +85,23 @@ class DemoOptions:
 def run_live(options: DemoOptions) -> None:
     """Serve the page until it is interrupted.
 
-    Whoever commands on the page may choose another arm; all nodes then start again with it.
-
     Raises:
         CableSenseError: a file is wrong, or a node ended or did not start.
     """
-    from cablesense_online.page.page import new_token
-    from cablesense_ros.page_node import TOKEN
+    from cablesense_online.page.guard import exposure_warning
 
-    os.environ[TOKEN] = new_token()  # one address for all arms
-    while options.arm:
-        _check_files(options)
-        arm = _served(options)
-        options = replace(options, arm=arm, model="", open_page=False)
-
-
-def _served(options: DemoOptions) -> str:
-    """Serve the page of one arm until another is chosen; gives that."""
-    from cablesense_ros.page_node import CHOSEN
-
+    _check_files(options)
     with _nodes(options, live=True) as processes:
-        *names, last = (process.name for process in processes)
-        print(f"Starting {', '.join(names)} and {last} …", flush=True)
+        print(f"Starting {', '.join(processes)} …", flush=True)
         url = processes.wait_for_line("page", "page: ", _START_S)
         port = urlsplit(url).port or 0
-        busy = "" if port == options.port else f" (port {options.port} is busy)"
-        from cablesense_online.page.page import exposure_warning
-
-        warning = exposure_warning(options.host, port, controls=True)
-        if warning:
+        if warning := exposure_warning(options.host, port, controls=True):
             print(f"Warning: {warning}.", flush=True)
+        busy = "" if port == options.port else f" (port {options.port} is busy)"
         print(f"CableSense demo: open {url} in a browser{busy}; Ctrl-C ends it.", flush=True)
         if options.open_page:
             _open_in_browser(url)
-        return processes.wait_for_line("page", CHOSEN, math.inf)
+        processes.wait_until(lambda: None, math.inf, "the demo ended")
 
 
 def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> None:
@@ -128,25 +111,33 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
         CableSenseError: a file is wrong, a node ended, or no estimates came.
     """
     from cablesense_online.page.live_arm import LiveArm
-    from cablesense_ros.demo import pushes
-    from cablesense_ros.demo.pictures import draw_pushes
+    from cablesense_ros.demo import report
+    from cablesense_ros.demo.pushes import MOST_ALONG, make_script, push_results
+    from cablesense_sim.build import mechanism_of
+    from cablesense_sim.contact_location import touched_at
+    from cablesense_training.inference.metadata import ANYWHERE
 
-    arm = _check_files(options)
+    model = _check_files(options)
+    arm = model.arm
     os.environ.update(own_graph())  # before rclpy starts: this process joins the same domain
     console = Console(stderr=as_json)
+    if model.estimator.metadata.kind == ANYWHERE:
+        reach_m, most_along = touched_at(arm)[0], MOST_ALONG
+    else:  # it estimates contacts at these points alone
+        reach_m, most_along = np.repeat(mechanism_of(arm).contact_m[:, None], 2, axis=1), 0.0
     range_n = contact_range_n(arm)
-    script = pushes.make_script(arm.segment_count, duration_s, options.seed, range_n)
-    live = LiveArm(arm, joint_speed_rad_s=pushes.JOINT_SPEED_RAD_S)
-    record = _played(options, arm, script, live, console)
-    results = pushes.push_results(script, record)
+    script = make_script(reach_m, duration_s, options.seed, range_n, most_along)
+    live = LiveArm(arm, joint_speed_rad_s=_JOINT_SPEED_RAD_S)
+    played = _played(options, arm, script, live, console)
+    results = push_results(script, played)
     picture = options.out / "demo.png"
     with console.status("Drawing the picture …"):
-        draw_pushes(picture, live.mechanism, record, results)
+        report.draw_pushes(picture, played, results, arm.segment_count)
     if as_json:
-        found = {"arm": arm.identity, **pushes.metrics(results), "picture": str(picture)}
+        found = {"arm": arm.identity, **report.metrics(results), "picture": str(picture)}
         print(json.dumps(found, indent=2))
     else:
-        console.print(pushes.results_table(results))
+        console.print(report.results_table(results))
         console.print(f"picture: {picture}", soft_wrap=True)
     if silent := sum(not result.sample_count for result in results):
         raise DemoError(
@@ -161,7 +152,7 @@ def _played(
     live: LiveArm,
     console: Console,
 ) -> PushRecord:
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress
 
     from cablesense_ros.arm_client import ArmClient
     from cablesense_ros.demo.pushes import play_script
@@ -178,36 +169,26 @@ def _played(
             client.command(script[0].command_rad)
             wait(estimated, otherwise="no estimate came")
             wait(lambda: live.reports_ok("tare"), otherwise="the estimator took no tare")
-        done = TextColumn("{task.completed:.0f} of {task.total:.0f} s")
-        columns = TextColumn("pushing the arm"), BarColumn(), done, TimeRemainingColumn()
-        with Progress(*columns, console=console, transient=True) as bar:
-            task = bar.add_task("", total=script[-1].end_s)
+        with Progress(console=console, transient=True) as bar:
+            task = bar.add_task("pushing the arm", total=script[-1].end_s)
             return play_script(client, live, script, processes.check, partial(bar.update, task))
 
 
-def _check_files(options: DemoOptions) -> Arm:
+def _check_files(options: DemoOptions) -> LoadedModel:
     """Read arm and model before anything starts: a wrong file is one line, not a silent node."""
     from cablesense_online.models import load_model
 
-    arm = load_model(options.arm, options.model).arm
-    if options.breathe:
-        from cablesense_online.breathing import breath_circle
-
-        breath_circle(arm, np.zeros(arm.joint_count))
-    if options.source is Source.CAN:
-        from cablesense_online.can.channel_map import open_channel_map
-
-        open_channel_map(_MAP)[0].arranged(arm.cable_names)
+    model = load_model(options.arm, options.model)
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CableSenseError(
             f"the folder {options.out} cannot be made ({error.strerror}); give another --out"
         ) from error
-    return arm
+    return model
 
 
-def node_commands(options: DemoOptions, live: bool) -> Commands:
+def node_commands(options: DemoOptions, live: bool) -> dict[str, list[str]]:
     """The command lines of all nodes but this process's own, by name.
 
     Args:
@@ -232,28 +213,12 @@ def node_commands(options: DemoOptions, live: bool) -> Commands:
     estimator = arm | {"model": options.model, "await_breath": options.breathe}
     commands["estimator"] = node_command("estimator", estimator)
     if options.breathe:
-        breathing = {
-            "over": topics.CABLE_OFFSETS,
-            "continuous": True,
-            "await_command": False,
-            "rest_s": _BREATH_REST_S,
-        }
-        commands["breather"] = node_command("breather", arm | breathing)
+        breathing = {"over": topics.CABLE_OFFSETS, "continuous": True, "await_command": False}
+        commands["breather"] = node_command("breather", arm | breathing | {"rest_s": _REST_S})
     if live:
         page = {"host": options.host, "port": options.port, "home_at_start": True}
-        choice = {"arms": ",".join(_arms(options))}
-        commands["page"] = node_command("page", arm | page | choice)
+        commands["page"] = node_command("page", arm | page)
     return commands
-
-
-def _arms(options: DemoOptions) -> list[str]:
-    """The arms to choose from, the present one first; none where options fit not every arm."""
-    if options.breathe or options.source is not Source.SIM:
-        return []
-    arms, models = (
-        {path.stem for path in config_path(kind).iterdir()} for kind in ("arms", "models")
-    )
-    return [options.arm, *sorted(arms & models - {options.arm})]
 
 
 def _nodes(options: DemoOptions, live: bool) -> Processes:
@@ -261,7 +226,7 @@ def _nodes(options: DemoOptions, live: bool) -> Processes:
 
 
 def _open_in_browser(url: str) -> None:
-    """Where there is a screen; elsewhere a browser of the terminal would take that."""
+    """Open the page where there is a screen: a text browser would take the terminal."""
     screens = (os.environ.get("DISPLAY"), os.environ.get("WAYLAND_DISPLAY"))
     if sys.platform != "linux" or any(screens):
         webbrowser.open(url)

@@ -7,20 +7,13 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 
-WANTED = ("page",)
-"""Arguments of `estimator.launch.py` that are true here; it declares all others."""
-
 
 def generate_launch_description() -> LaunchDescription:
     """What to start, and when."""
     file = Path(get_package_share_directory("cablesense_ros")) / "launch" / "estimator.launch.py"
-    choices = ["true", "false"]
-    arguments = [
-        DeclareLaunchArgument(
-            name, default_value="true", choices=choices, description=f"start the {name}"
-        )
-        for name in WANTED
-    ]
+    page = DeclareLaunchArgument(
+        "page", default_value="true", choices=["true", "false"], description="start the page"
+    )
     return LaunchDescription(
-        [*arguments, IncludeLaunchDescription(PythonLaunchDescriptionSource(str(file)))]
+        [page, IncludeLaunchDescription(PythonLaunchDescriptionSource(str(file)))]
     )

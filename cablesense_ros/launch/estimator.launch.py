@@ -3,7 +3,6 @@
 `demo.launch.py` is this file with other defaults.
 """
 
-import sys
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -28,7 +27,6 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.model import urdf_xml
 
 PACKAGE = "cablesense_ros"
-FILES = ("estimator.launch.py", "demo.launch.py")
 SWITCH = ("true", "false")
 EMULATED_BIT_S = 1_000_000
 ARGUMENTS = {
@@ -37,7 +35,7 @@ ARGUMENTS = {
                "where cable_tensions come from: the sim, a CAN bus, or the sim through one"),
     "arm": ("cdsm", None, "arm file: the name of a bundled one, or a path"),
     "model": ("", None, "model file: the name of a bundled one, or a path; empty: the arm's own"),
-    "params_file": ("", None, "parameters of the nodes, YAML; arguments go before what it has"),
+    "params_file": ("", None, "parameters of the nodes, YAML; arguments take precedence"),
     "auto_tare": ("true", SWITCH, "the first readings of the unloaded arm are its tare"),
     "state_file": ("", None, "keeps the estimator's tare and command over a kill"),
     "respawn": ("false", SWITCH, "a node that ends is started again, and activates itself"),
@@ -183,13 +181,7 @@ def start(context: LaunchContext) -> list:
 
 
 def refuse_what_has_no_effect(given: dict[str, str]) -> None:
-    """Raise for an argument of the command line that is unknown, or that would change nothing."""
-    if {Path(word).name for word in sys.argv} & set(FILES):  # else another launch file includes us
-        words = [word.partition(":=")[0] for word in sys.argv if ":=" in word]
-        if unknown := [word for word in words if word not in ARGUMENTS]:
-            raise RuntimeError(
-                f"no argument is named {', '.join(unknown)}; there are {', '.join(ARGUMENTS)}"
-            )
+    """Raise for an argument that would change nothing."""
     source = given["source"]
     for name, sources in SOURCES.items():
         if source not in sources and given[name] != ARGUMENTS[name][0]:
@@ -198,10 +190,6 @@ def refuse_what_has_no_effect(given: dict[str, str]) -> None:
             )
     if given["params_file"] and not Path(given["params_file"]).is_file():
         raise RuntimeError(f"params_file: there is no file {given['params_file']}")
-    if not given["bitrate_bit_s"].isdecimal():
-        raise RuntimeError(f"bitrate_bit_s is {given['bitrate_bit_s']!r}; it is a whole number")
-    if given["rviz"] == "true" and given["frame_prefix"]:
-        raise RuntimeError("rviz shows one arm whose frames have no prefix; set TF Prefix in it")
 
 
 def on_exit(event: ProcessExited, _: LaunchContext) -> list[OpaqueFunction]:
@@ -210,7 +198,7 @@ def on_exit(event: ProcessExited, _: LaunchContext) -> list[OpaqueFunction]:
 
 
 def failure(reason: str) -> OpaqueFunction:
-    """Ends the launch with an error, as no event of its own does."""
+    """Ends the launch with an error, which no event of launch does."""
 
     def fail(_: LaunchContext) -> None:
         raise RuntimeError(f"{reason}; see its log above")

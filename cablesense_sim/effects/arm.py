@@ -64,7 +64,7 @@ class CableStiffness(Effect):
 
 
 class ContactOffset(Effect):
-    """Contact points further along one segment's axis, or along every segment's."""
+    """Loads further along one segment's axis, or along every segment's, than is stated of them."""
 
     name = "contact_offset"
     acts_on = "arm"
@@ -73,7 +73,14 @@ class ContactOffset(Effect):
     sites = ("arm", "segment")
     advice = "Measure where the load was applied, from the segment's joint centre."
     parameters = (
-        Parameter("offset_m", "m", -0.1, 0.1, 0.01, "of the contact point, away from the base"),
+        Parameter(
+            "offset_m",
+            "m",
+            -0.1,
+            0.1,
+            0.01,
+            "away from the base, from the place stated",
+        ),
     )
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:

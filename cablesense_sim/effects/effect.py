@@ -162,32 +162,25 @@ def own_cables(place: str, mechanism: Mechanism) -> NDArray[np.bool_]:
     return mechanism.cable_segment == int(place.rsplit("_", 1)[1])
 
 
-class Actuation:
-    """Base: passes the command on. Holds its own state, for P arms side by side."""
+class _Signal:
+    """Something that passes values on; holds its own state, for P arms side by side."""
 
-    def step(self, time_s: float, held_m: Array) -> Array:
-        """Lengths (P, M) really held, given those commanded, at the next moment."""
-        return held_m
+    def step(self, time_s: float, values: Array) -> Array:
+        """Values (P, M) behind it, given those before it, at the next moment."""
+        return values
 
-    def along(self, time_s: Array, held_m: Array) -> Array:
+    def along(self, time_s: Array, values: Array) -> Array:
         """The same (P, R, M) at R moments one after another."""
-        return _one_by_one(self.step, time_s, held_m)
+        rows = [self.step(t, values[:, row]) for row, t in enumerate(time_s)]
+        return np.stack(rows, axis=1)
 
 
-class Sensing:
-    """Base: a perfect sensor. Holds its own state, for P arms side by side."""
-
-    def step(self, time_s: float, tensions_n: Array) -> Array:
-        """Readings (P, M) of tensions (P, M) at the next moment."""
-        return tensions_n
-
-    def along(self, time_s: Array, tensions_n: Array) -> Array:
-        """The same (P, R, M) at R moments one after another."""
-        return _one_by_one(self.step, time_s, tensions_n)
+class Actuation(_Signal):
+    """Base: from the commanded cable lengths to those really held; passes them on."""
 
 
-def _one_by_one(step: Callable[[float, Array], Array], time_s: Array, values: Array) -> Array:
-    return np.stack([step(t, values[:, row]) for row, t in enumerate(time_s)], axis=1)
+class Sensing(_Signal):
+    """Base: from tensions to readings; a perfect sensor."""
 
 
 class Instant(Sensing):
@@ -199,11 +192,11 @@ class Instant(Sensing):
     def __init__(self, reading_n: Callable[[float | Array, Array], Array]) -> None:
         self._reading_n = reading_n
 
-    def step(self, time_s: float, tensions_n: Array) -> Array:
-        return self._reading_n(time_s, tensions_n)
+    def step(self, time_s: float, values: Array) -> Array:
+        return self._reading_n(time_s, values)
 
-    def along(self, time_s: Array, tensions_n: Array) -> Array:
-        return np.moveaxis(self._reading_n(time_s, np.moveaxis(tensions_n, 1, 0)), 0, 1)
+    def along(self, time_s: Array, values: Array) -> Array:
+        return np.moveaxis(self._reading_n(time_s, np.moveaxis(values, 1, 0)), 0, 1)
 
 
 def shifted(place: str, offset_n: Array) -> Sensing:

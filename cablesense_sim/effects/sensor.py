@@ -178,22 +178,22 @@ class _Lagging(Sensing):
         self._filtered_n: Array | None = None
         self._time_s = 0.0
 
-    def step(self, time_s: float, tensions_n: Array) -> Array:
-        return self.along(np.array([time_s]), tensions_n[:, None])[:, 0]
+    def step(self, time_s: float, values: Array) -> Array:
+        return self.along(np.array([time_s]), values[:, None])[:, 0]
 
-    def along(self, time_s: Array, tensions_n: Array) -> Array:
+    def along(self, time_s: Array, values: Array) -> Array:
         if self._filtered_n is None:
-            self._filtered_n = self._reading_n = tensions_n[:, 0]
+            self._filtered_n = self._reading_n = values[:, 0]
         passed = np.maximum(np.diff(time_s, prepend=self._time_s), 0.0)
         lags = (lag[:, None] for lag in self._lags)
         first, second, across = (share[..., None] for share in lag_shares(passed, *lags))
-        filtered = _low_passed(first, (1.0 - first) * tensions_n, self._filtered_n)
+        filtered = _low_passed(first, (1.0 - first) * values, self._filtered_n)
         before = np.concatenate([self._filtered_n[:, None], filtered[:, :-1]], axis=1)
-        added = (1.0 - second) * tensions_n + across * (before - tensions_n)
+        added = (1.0 - second) * values + across * (before - values)
         reading = _low_passed(second, added, self._reading_n)
         self._filtered_n, self._reading_n = filtered[:, -1], reading[:, -1]
         self._time_s = float(time_s[-1])
-        return np.where(chosen(self._place, tensions_n.shape[-1]), reading, tensions_n)
+        return np.where(chosen(self._place, values.shape[-1]), reading, values)
 
 
 def _low_passed(kept: Array, added: Array, start: Array) -> Array:

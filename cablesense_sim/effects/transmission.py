@@ -143,53 +143,6 @@ class _Guides(Transmission):
         return np.minimum(limit, _LOCKED)
 
 
-class _DryContact:
-    """Contacts that carry a share between -1 and 1 of their limit, and keep it at rest.
-
-    A share moves with the contact until it slips. One part of the contact is sharp: it yields
-    evenly over `give` and then slips at once (Prandtl 1928). The other part is rounded: it
-    approaches its limit as exp(-moved / give) (Dahl, A solid friction model, Aerospace Corp.
-    TOR-0158, 1968).
-    """
-
-    def __init__(self, give: Array, rounded: Array, start: Array) -> None:
-        """Contacts that carry the share `start` at their first equilibrium.
-
-        Args:
-            give: (P, 1), in the unit of the positions (P, K) that `share` and `settle` take.
-            rounded: (P, 1), of the contact, from 0 to 1.
-            start: (P, K), from -1 to 1.
-        """
-        self._give, self._rounded = give, rounded
-        self._sharp = self._round = start
-        self._at: Array | None = None
-
-    def share(self, at: Array) -> tuple[Array, Array]:
-        """The share (P, K) at new positions, and its derivative by them."""
-        if self._at is None:  # it yields nothing until the first rest is found
-            return self._sharp, np.zeros_like(at)
-        sharp, round_, free, full = self._moved(at - self._at)
-        sharp_slope = np.abs(free) < 1.0
-        round_slope = np.where(at == self._at, 1.0, np.abs(full - round_))
-        return (
-            (1.0 - self._rounded) * sharp + self._rounded * round_,
-            ((1.0 - self._rounded) * sharp_slope + self._rounded * round_slope) / self._give,
-        )
-
-    def settle(self, at: Array) -> None:
-        """Stay at these positions."""
-        if self._at is not None:
-            self._sharp, self._round, *_ = self._moved(at - self._at)
-        self._at = at
-
-    def _moved(self, by: Array) -> tuple[Array, Array, Array, Array]:
-        moved = by / self._give
-        free = self._sharp + moved
-        full = np.sign(moved)
-        round_ = full - (full - self._round) * np.exp(-np.abs(moved))
-        return np.clip(free, -1.0, 1.0), np.where(moved == 0.0, self._round, round_), free, full
-
-
 class JointFriction(Effect):
     """Coulomb friction in both axes of a joint, which gives a little before it breaks away.
 
@@ -218,25 +171,44 @@ class JointFriction(Effect):
 
 
 class _DryJoints(Transmission):
+    """Axes that carry a share between -1 and 1 of their limit, and keep it at rest.
+
+    A share moves with the joint until it slips. One part of the contact is sharp: it yields evenly
+    over `give_rad` and then slips at once (Prandtl 1928). The other part is rounded: it approaches
+    its limit as exp(-moved / give) (Dahl, as above).
+    """
+
     def __init__(self, place: str, values: Values) -> None:
         self._place, self._values = place, values
+        self._give, self._rounded = values["give_rad"][:, None], values["rounded"][:, None]
+        self._at: Array | None = None
 
     def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
         here = np.repeat(chosen(self._place, mechanism.segment_count), 2)
         self._limit_n_m = self._values["torque_n_m"][:, None] * here
         start = np.stack([self._values["start_pitch"], self._values["start_yaw"]], axis=-1)
-        self._contact = _DryContact(
-            self._values["give_rad"][:, None],
-            self._values["rounded"][:, None],
-            np.tile(start, mechanism.segment_count),
-        )
+        self._sharp = self._round = np.tile(start, mechanism.segment_count)
 
     def joint_torque_n_m(self, angles_rad: Array) -> tuple[Array, Array]:
-        share, slope = self._contact.share(angles_rad)
+        if self._at is None:  # it yields nothing until the first rest is found
+            return self._limit_n_m * self._sharp, np.zeros_like(angles_rad)
+        sharp, round_, free, full = self._moved(angles_rad - self._at)
+        round_slope = np.where(angles_rad == self._at, 1.0, np.abs(full - round_))
+        even = 1.0 - self._rounded
+        share = even * sharp + self._rounded * round_
+        slope = (even * (np.abs(free) < 1.0) + self._rounded * round_slope) / self._give
         return self._limit_n_m * share, self._limit_n_m * slope
 
     def settle(self, rest: ArmRest) -> None:
-        self._contact.settle(rest.angles_rad)
+        if self._at is not None:
+            self._sharp, self._round, *_ = self._moved(rest.angles_rad - self._at)
+        self._at = rest.angles_rad
+
+    def _moved(self, by_rad: Array) -> tuple[Array, Array, Array, Array]:
+        moved = by_rad / self._give
+        free, full = self._sharp + moved, np.sign(moved)
+        round_ = full - (full - self._round) * np.exp(-np.abs(moved))
+        return np.clip(free, -1.0, 1.0), np.where(moved == 0.0, self._round, round_), free, full
 
 
 class CableCreep(Effect):

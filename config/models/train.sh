@@ -7,9 +7,12 @@ train() { ${CABLESENSE:-cablesense} train --force --threads 1 "$@"; }
 here=config/models
 mkdir -p $here/peers
 
-train --arm cdsm --out $here/cdsm.onnx
-train --arm cdsm_lab --out $here/cdsm_lab.onnx
-train --arm cdsm_table2 --out $here/cdsm_table2.onnx
+for arm in cdsm cdsm_lab; do
+    train --arm $arm --network anywhere --out $here/${arm}_anywhere.onnx
+done
+for arm in cdsm cdsm_lab cdsm_table2; do
+    train --arm $arm --network closed-form-corrected --out $here/$arm.onnx
+done
 train --arm cdsm --network scale-aware --out $here/cdsm_tensions_only.onnx
 train --arm cdsm --network multi-contact-closed-form --pose straight --out $here/cdsm_multi.onnx
 

@@ -12,7 +12,7 @@ from cablesense_sim import kinematics
 from cablesense_sim.joint_motion import move_duration_s
 from cablesense_sim.mechanism import Mechanism
 from examples.admittance.law import AdmittanceLaw, AdmittanceSettings, ContactForce
-from examples.admittance.trust import Confirmation, ContactState, EstimateWatch
+from examples.admittance.trust import FORCE_KNOWN, Confirmation, ContactState, EstimateWatch
 
 FEWEST_SAMPLES = 3  # of a measurement, however slow the sensors are
 OWN_COMMANDS_KEPT = 16
@@ -68,7 +68,7 @@ class AdmittanceController:
         is 0. `clock_ns` is the present time of the clock that `stamp_ns` is of.
         """
         age_s = (clock_ns - stamp_ns) * 1e-9
-        fresh = self.watch.received(force, age_s, now_s) and force.known
+        fresh = self.watch.received(force, age_s, now_s) and force in FORCE_KNOWN
         stopped = self.watch.update(now_s) is ContactState.STOPPED
         if not fresh or stopped or self._waits_for(now_s):
             self._samples.clear()
@@ -96,7 +96,7 @@ class AdmittanceController:
         return self.command_rad
 
     def verdict(self, now_s: float) -> tuple[Level, str]:
-        """What the controller does, for diagnostics."""
+        """The state of the controller, for diagnostics."""
         if self.watch.state is ContactState.STOPPED:
             return Level.ERROR, f"stopped: {self.watch.reason}"
         if waits := self._waits_for(now_s):

@@ -10,12 +10,13 @@ from cablesense_base import Array
 from cablesense_msgs_py.messages import ForceState
 from examples.admittance.law import AdmittanceSettings, ContactForce
 
-NO_FAULT = (ForceState.MOVING, ForceState.HIDDEN)  # without a force, but as expected
+FORCE_KNOWN = (ForceState.FREE, ForceState.CONTACT)
+NO_FAULT = (ForceState.MOVING, ForceState.HIDDEN, ForceState.MOMENT)  # no force, but as expected
 SAME_CONTACT_N = 5.0  # a force that changes by more, and by more than itself, is a new contact
 
 
 class ContactState(Enum):
-    """What is known of contacts at this moment."""
+    """The knowledge of contacts at this moment."""
 
     STOPPED = "stopped"
     UNKNOWN = "unknown"
@@ -27,7 +28,7 @@ class EstimateWatch:
     """Follows the states that the estimator publishes; times are monotonic, s.
 
     Attributes:
-        state: what is known of contacts.
+        state: the knowledge of contacts.
         reason: why `state` is `STOPPED`.
     """
 
@@ -45,7 +46,7 @@ class EstimateWatch:
         if abs(age_s) > self._stale_after_s:
             return False
         self._force, self._fresh_s = force, now_s
-        if force.known or force in NO_FAULT:
+        if force in FORCE_KNOWN or force in NO_FAULT:
             self._sound_s = now_s
         return True
 
@@ -58,19 +59,19 @@ class EstimateWatch:
         return now_s - self._fresh_s <= self._stale_after_s
 
     def update(self, now_s: float) -> ContactState:
-        """Decide what is known now; call it at least every 20 ms."""
+        """Decide the state now; call it at least every 20 ms."""
         fault, self._refusal = self._refusal or self._fault(now_s), ""
         if fault:
             self.state, self.reason, self._back_since_s = ContactState.STOPPED, fault, None
         elif self.state is ContactState.STOPPED:
-            if not (self._force.known or self._force is ForceState.HIDDEN):
+            if self._force not in (*FORCE_KNOWN, ForceState.HIDDEN, ForceState.MOMENT):
                 self._back_since_s = None
             elif self._back_since_s is None:
                 self._back_since_s = now_s
             elif now_s - self._back_since_s >= self._resume_after_s:
                 self.state, self.reason = ContactState.UNKNOWN, ""
         if self.state is not ContactState.STOPPED:
-            known = self._force.known
+            known = self._force in FORCE_KNOWN
             self.state = ContactState(self._force.value) if known else ContactState.UNKNOWN
         return self.state
 

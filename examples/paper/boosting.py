@@ -20,7 +20,7 @@ from cablesense_training.evaluation.metrics import ContactAnswer, angle_differen
 from cablesense_training.inference.estimator import NORMAL_95
 
 _SEED, _HELD_OUT = 0, 0.1
-"""Of the share of the samples that the stated deviations are taken from."""
+"""The share of the samples that the stated deviations are taken from."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class BoostingSettings:
 
     @property
     def options(self) -> dict[str, Any]:
-        """What scikit-learn's models of boosted trees take."""
+        """The options of scikit-learn's models of boosted trees."""
         return {
             "max_iter": self.rounds,
             "max_leaf_nodes": self.leaves,

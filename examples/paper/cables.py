@@ -1,22 +1,9 @@
-"""The three tendons of Fig. 3 as MuJoCo models of a cable 1 m long: fixed, driven, or bent.
-
-`fixed_and_driven`, `driven_at_both_ends` and `around_a_cylinder` are the models; `rendered_scenes`
-has MuJoCo render them without a screen. A renderer that finds no OpenGL can take its whole process
-with it, and the kind of OpenGL is chosen when MuJoCo is loaded. So a picture is made by a process
-of its own: this module, run.
-"""
+"""The three tendons of Fig. 3 as MuJoCo models of a cable 1 m long: fixed, driven, or bent."""
 
 from __future__ import annotations
 
-import io
-import os
-import subprocess
-import sys
-from typing import Any
-
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_sim.model import ACTUATOR_MASS_KG
@@ -40,25 +27,13 @@ _MJCF = """
   <option gravity="0 0 0" timestep="0.001" integrator="discrete">
     <flag contact="disable" autoreset="disable"/>
   </option>
-  <visual>
-    <global offwidth="1280" offheight="960"/>
-    <headlight ambient="0.45 0.45 0.45" diffuse="0.55 0.55 0.55"/>
-  </visual>
-  <asset>
-    <texture type="skybox" builtin="flat" rgb1="1 1 1" rgb2="1 1 1" width="32" height="192"/>
-  </asset>
-  <default>
-    <geom type="box" size="0.024 0.04 0.04" mass="0" contype="0" conaffinity="0"
-          rgba="0.30 0.33 0.38 1"/>
-    <tendon width="0.005" rgba="0.84 0.37 0 1"/>
-    <default class="drive"><geom rgba="0 0.45 0.70 1"/></default>
-  </default>
+  <default><geom type="box" size="0.024 0.04 0.04" mass="0"/></default>
   <worldbody>{bodies}</worldbody>
   <tendon>{tendons}</tendon>
   <actuator>{servos}</actuator>
 </mujoco>
 """
-"""Blocks and cables are larger than life, to be seen; neither has a part in the mechanics."""
+"""Blocks mark the ends, and have no part in the mechanics."""
 
 
 def fixed_and_driven(kp_n_m: float, kv_n_s_m: float, bias_m: float | None = None) -> mujoco.MjSpec:
@@ -99,22 +74,21 @@ def around_a_cylinder(wrap_rad: float) -> mujoco.MjSpec:
     spring_m = (0.0, half_m - PRETENSION_N * half_m / AXIAL_RIGIDITY_N)
     inertia = 1e-3 * radius_m**2
     bodies = f"""
-      <geom name="cylinder" type="cylinder" fromto="0 -0.03 0 0 0.03 0" size="{radius_m}"
-            rgba="0.72 0.75 0.79 1"/>
+      <geom name="cylinder" type="cylinder" fromto="0 -0.03 0 0 0.03 0" size="{radius_m}"/>
       <body name="ring">
         <inertial pos="0 0 0" mass="0.001" diaginertia="{inertia} {inertia} {inertia}"/>
         <joint name="ring" type="hinge" axis="0 1 0"/>
         <site name="top" pos="0 0 {radius_m * _ON_SURFACE}"/>
       </body>
       <body name="drive" mocap="true" pos="{_end_m(wrap_rad, 1.0)}">
-        <geom class="drive"/><site name="drive"/>
+        <geom/><site name="drive"/>
       </body>
       <geom pos="{_end_m(wrap_rad, -1.0)}"/>
       <site name="anchor" pos="{_end_m(wrap_rad, -1.0)}"/>"""
     tendons = ""
     for name, side, end in (("near", 1.0, "drive"), ("far", -1.0, "anchor")):
         x_m, z_m = _at_m(side * 0.25 * wrap_rad, 1.3 * radius_m)
-        bodies += f'<site name="{name}_side" pos="{x_m} 0 {z_m}" rgba="0 0 0 0"/>'
+        bodies += f'<site name="{name}_side" pos="{x_m} 0 {z_m}"/>'
         path = f'{_site(end)}<geom geom="cylinder" sidesite="{name}_side"/>{_site("top")}'
         tendons += _tendon(name, AXIAL_RIGIDITY_N / half_m, spring_m, path)
     return _spec(bodies, tendons)
@@ -126,7 +100,7 @@ def drive_direction(wrap_rad: float) -> Array:
 
 
 def _end_m(wrap_rad: float, side: float) -> str:
-    """Where half the cable ends that leaves the cylinder half the wrap angle from its top."""
+    """The end of the half cable that leaves the cylinder half the wrap angle from its top."""
     straight_m = 0.5 * (LENGTH_M - CYLINDER_RADIUS_M * wrap_rad)
     x_m, z_m = _at_m(side * 0.5 * wrap_rad, CYLINDER_RADIUS_M)
     along = drive_direction(wrap_rad)
@@ -134,7 +108,7 @@ def _end_m(wrap_rad: float, side: float) -> str:
 
 
 def _at_m(from_top_rad: float, radius_m: float) -> tuple[float, float]:
-    """Of a place on or over the cylinder: x and z."""
+    """X and z of a place on or over the cylinder."""
     return float(radius_m * np.sin(from_top_rad)), float(radius_m * np.cos(from_top_rad))
 
 
@@ -148,7 +122,7 @@ def _driven(name: str, x_m: float, way: int) -> str:
       <body name="{name}" pos="{x_m} 0 0">
         <inertial pos="0 0 0" mass="{ACTUATOR_MASS_KG}" diaginertia="1e-4 1e-4 1e-4"/>
         <joint name="{name}" type="slide" axis="{way} 0 0"/>
-        <geom class="drive"/><site name="{name}"/>
+        <geom/><site name="{name}"/>
       </body>"""
 
 
@@ -163,70 +137,3 @@ def _tendon(name: str, stiffness_n_m: float, spring_m: tuple[float, float], path
 
 def _site(name: str) -> str:
     return f'<site site="{name}"/>'
-
-
-_SCENES: Any = {
-    "fixed and driven": (lambda: fixed_and_driven(1e8, 1e4), (0.5, 0.0, 0.0)),
-    "driven at both ends": (lambda: driven_at_both_ends(1e8, 1e4), (0.5, 0.0, 0.0)),
-    "around a cylinder": (lambda: around_a_cylinder(np.pi * 2.0 / 3.0), (0.0, 0.0, -0.1)),
-}
-"""Model and centre in m of each scene."""
-
-SCENES = tuple(_SCENES)
-
-
-def scene(name: str) -> tuple[Any, Any]:
-    """Model and data of a scene, ready to be drawn."""
-    model = _SCENES[name][0]().compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    return model, data
-
-
-def camera(name: str) -> Any:
-    """From the side and a little from above."""
-    view = mujoco.MjvCamera()
-    view.lookat[:] = _SCENES[name][1]
-    view.distance, view.azimuth, view.elevation = 0.85, 83.0, -14.0
-    return view
-
-
-BACKENDS = ("egl", "osmesa")
-"""Kinds of OpenGL that need no screen, by MuJoCo's names (`MUJOCO_GL`)."""
-
-_LONGEST_S = 60.0
-
-Pixels = NDArray[np.uint8]
-
-
-def rendered_scenes(names: tuple[str, ...], width: int, height: int) -> tuple[list[Pixels], str]:
-    """Pictures (height, width, 3), and the kind of OpenGL; none and "" where there is none.
-
-    A kind that the environment names in `MUJOCO_GL` is tried first.
-    """
-    asked = os.environ.get("MUJOCO_GL", "")
-    command = [sys.executable, __file__, str(width), str(height), *names]
-    for backend in sorted(BACKENDS, key=lambda kind: kind != asked):
-        environment = {**os.environ, "MUJOCO_GL": backend}
-        try:
-            done = subprocess.run(
-                command, env=environment, capture_output=True, check=True, timeout=_LONGEST_S
-            )
-        except subprocess.SubprocessError:
-            continue
-        with np.load(io.BytesIO(done.stdout)) as saved:
-            return [saved[name] for name in names], backend
-    return [], ""
-
-
-if __name__ == "__main__":
-    width_px, height_px, *wanted = sys.argv[1:]
-    rendered = {}
-    for each in wanted:
-        its_model, its_data = scene(each)
-        with mujoco.Renderer(its_model, int(height_px), int(width_px)) as renderer:
-            renderer.update_scene(its_data, camera(each))
-            rendered[each] = renderer.render()
-    archive = io.BytesIO()
-    np.savez(archive, **rendered)
-    sys.stdout.buffer.write(archive.getvalue())

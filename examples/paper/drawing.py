@@ -5,7 +5,7 @@ Colours are Okabe and Ito's; series differ in dashes or marks too, for grey prin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -20,7 +20,7 @@ PURPLE, SKY, BLACK, GREY = "#CC79A7", "#56B4E9", "#1C2126", "#9AA3AD"
 SERIES = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY)
 DASHES = ("-", "--", "-.", ":")
 DOTTED: Any = (0, (1, 1))
-"""Of lines that stand for a bound."""
+"""The dashes of a bound's line."""
 
 
 def panels(
@@ -44,36 +44,6 @@ def one_panel(height_in: float, *, width: float = 1.0, grid: str = "both") -> tu
     return figure, every[0, 0]
 
 
-def panel_grid(
-    draw: Callable[..., None],
-    cells: Mapping[str, Sequence[tuple[Any, ...] | None]],
-    columns: Sequence[str],
-    labels: tuple[str, str],
-    height_in: float,
-    **options: Any,
-) -> tuple[Any, Any]:
-    """A figure and its axes, each panel drawn by ``draw(axes, *cell)``; a missing cell states so.
-
-    `cells` are the rows by name, `labels` those of x, below, and of y, at the left.
-    """
-    figure, every = panels(len(cells), len(columns), height_in, **options)
-    for row, (name, contents) in zip(every, cells.items(), strict=True):
-        for axes, content in zip(row, contents, strict=True):
-            if content is None:
-                axes.axis("off")
-                axes.text(
-                    0.5, 0.5, "none", color=GREY, ha="center", va="center",
-                    transform=axes.transAxes,
-                )  # fmt: skip
-            else:
-                draw(axes, *content)
-        row[0].set_ylabel(f"{name}\n{labels[1]}")
-    for top, bottom, column in zip(every[0], every[-1], columns, strict=True):
-        top.set_title("\n".join(filter(None, (column, top.get_title("left")))))
-        bottom.set_xlabel(labels[0])
-    return figure, every
-
-
 def plot_by_cable(axes: Any, time_s: Array, values: Array, **style: Any) -> None:
     """One line a cable for values (T, M): colour by segment, dashes within, for sets of three."""
     for i, line in enumerate(values.T):
@@ -88,25 +58,38 @@ def plain_ticks(axis: Any, scale: float = 1.0) -> None:
     axis.set_major_formatter(lambda value, _: f"{value * scale:g}")
 
 
-def draw_confusion(axes: Any, counts: ArrayLike, names: Sequence[str], title: str = "") -> None:
-    """A matrix of counts, true classes down, answered ones across, in percent of each row.
+def confusion_grid(
+    rows: Mapping[str, Sequence[ArrayLike]],
+    columns: Sequence[str],
+    names: Sequence[str],
+    row_in: float,
+) -> Any:
+    """A figure of confusion matrices, the rows by name.
 
-    A cell that never occurred stays empty; one that did has its share to two digits.
+    Counts of true classes stand down, of answered ones across, in percent of each row. A cell that
+    never occurred stays empty; one that did has its share to two digits.
     """
-    table = np.asarray(counts, dtype=float)
-    share = 100.0 * table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)
-    axes.imshow(share, cmap="Blues", vmin=0.0, vmax=120.0)
-    for row, column in np.argwhere(table > 0):
-        value = share[row, column]
-        axes.text(
-            column, row, shown_share(value), ha="center", va="center", fontsize=7.6,
-            color="white" if value > 60.0 else BLACK,
-        )  # fmt: skip
-    axes.set_xticks(range(len(names)), names)
-    axes.set_yticks(range(len(names)), names)
-    axes.tick_params(length=0)
-    axes.spines[:].set_visible(False)
-    axes.set_title(title)
+    figure, every = panels(len(rows), len(columns), row_in * len(rows) + 0.3, grid="")
+    for line, (label, matrices) in zip(every, rows.items(), strict=True):
+        for axes, counts in zip(line, matrices, strict=True):
+            table = np.asarray(counts, dtype=float)
+            share = 100.0 * table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)
+            axes.imshow(share, cmap="Blues", vmin=0.0, vmax=120.0)
+            for row, column in np.argwhere(table > 0):
+                value = share[row, column]
+                axes.text(
+                    column, row, shown_share(value), ha="center", va="center", fontsize=7.6,
+                    color="white" if value > 60.0 else BLACK,
+                )  # fmt: skip
+            axes.set_xticks(range(len(names)), names)
+            axes.set_yticks(range(len(names)), names)
+            axes.tick_params(length=0)
+            axes.spines[:].set_visible(False)
+        line[0].set_ylabel(f"{label}\ntrue")
+    for top, bottom, column in zip(every[0], every[-1], columns, strict=True):
+        top.set_title(column)
+        bottom.set_xlabel("answered")
+    return figure
 
 
 def shown_share(percent: float) -> str:
@@ -116,12 +99,3 @@ def shown_share(percent: float) -> str:
     if percent >= 10.0:
         return f"{min(percent, 99.9):.1f}"
     return f"{percent:.1f}" if percent >= 1.0 else f"{percent:.2f}"
-
-
-def draw_predicted(
-    axes: Any, true_n: Array, predicted_n: Array, largest_n: float, note: str, colour: str
-) -> None:
-    """Predicted against actual force in N, beside the line of equality."""
-    axes.plot([0.0, largest_n], [0.0, largest_n], color=GREY, lw=1.0)
-    axes.plot(true_n, predicted_n, ".", color=colour, ms=2.5)
-    axes.text(0.04, 0.96, note, transform=axes.transAxes, va="top", fontsize=8.5)

@@ -58,7 +58,7 @@ def write_report(folder: Path, outcomes: Sequence[StudyOutcome], quick: bool) ->
 
 
 def _as_json(outcome: StudyOutcome, quick: bool) -> dict[str, Any]:
-    """What the page shows of a study, pictures by file name."""
+    """The content of a study's page, pictures by file name."""
     study, result = outcome.study, outcome.result
     about: dict[str, Any] = {
         "name": study.name,
@@ -75,7 +75,7 @@ def _as_json(outcome: StudyOutcome, quick: bool) -> dict[str, Any]:
 
 
 def paper_page(outcomes: Sequence[StudyOutcome], quick: bool) -> str:
-    """The report as an HTML page that needs nothing beside it."""
+    """The report as a self-contained HTML page."""
     comparisons = [c for one in outcomes if one.result for c in one.result.comparisons]
     content = {
         "quick": quick,

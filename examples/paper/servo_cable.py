@@ -73,7 +73,7 @@ INTEGRATORS = {
 
 
 def positions_at_rest_m(kp_n_m: float, commands_m: Array) -> Array:
-    """Where both servos come to rest (C, 2) under commands (C, 2)."""
+    """The positions (C, 2) of both servos at rest under commands (C, 2)."""
     model = _compiled(kp_n_m)
     data = mujoco.MjData(model)
     positions = np.empty_like(commands_m)

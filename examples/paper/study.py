@@ -94,16 +94,10 @@ class SmallTable:
 
 @dataclass(frozen=True)
 class PaperComparison:
-    """One result of ours beside its reference.
+    """One result of ours and its reference, both numbers or text.
 
-    Attributes:
-        what: the quantity.
-        ours: the result of the study, a number or text.
-        theirs: what it should equal.
-        unit: of both; empty for text.
-        agreement: whether they agree.
-        why: one sentence on the agreement or the difference.
-        source: of the reference: the paper, a closed form, or another part of this project.
+    `why` is one sentence on the agreement or the difference; `source` is that of the reference:
+    the paper, a closed form, or another part of this project.
     """
 
     what: str
@@ -117,13 +111,7 @@ class PaperComparison:
 
 @dataclass(frozen=True)
 class StudyResult:
-    """The result of a study.
-
-    Attributes:
-        lead: the result in one to three sentences.
-        pictures, tables, comparisons: in the order of the page.
-        notes: paragraphs on what was assumed where the paper is silent.
-    """
+    """The result of a study: a lead of one to three sentences, and what follows on the page."""
 
     lead: str
     pictures: tuple[Picture, ...] = ()
@@ -137,8 +125,6 @@ class Study:
     """One study of the paper, repeated.
 
     Attributes:
-        name: of its text, and on the command line.
-        title: its subject, in a few words.
         place: where the paper has it, as in `Fig. 5, II-D`.
         order: its place in the report; smaller comes first.
         quick: what the quick mode reduces, as half a sentence; empty where nothing.

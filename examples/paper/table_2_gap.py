@@ -1,4 +1,4 @@
-"""What makes the gap between Table II's physical rows and this project's simulation of them.
+"""The causes of the gap between Table II's physical rows and this project's simulation.
 
 54 measured changes of tension: nine cables, 1 and 2 kg on each of three segments. Explanations are
 fitted to some rows and judged on others.
@@ -13,13 +13,12 @@ sharper: a cable that goes slack shows in one row or two, which no other row sho
 from __future__ import annotations
 
 import time
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from cablesense_base import Array
@@ -46,13 +45,6 @@ from examples.paper.tension_changes import (
 
 ARM = "cdsm_table2"
 STEP_N = 0.1813
-FOLDS = {
-    "one row": np.arange(6),
-    "one load point": np.array([0, 1, 2, 0, 1, 2]),
-    "one load level": np.array([0, 0, 0, 1, 1, 1]),
-}
-"""Rows held out together; the table has three load points with 1 kg, then with 2 kg."""
-
 KINDS = ("one listed effect", "two listed effects", "something unlisted")
 """Of causes that are rehearsed."""
 
@@ -63,7 +55,7 @@ PRIOR_UNLISTED = 0.2
 """Share of causes outside the library that one expects beforehand."""
 
 _INDEPENDENT = 5.4
-"""What the 54 numbers count for among explanations that all leave most: a tenth, as the search has
+"""The weight of the 54 numbers among explanations that all leave most: a tenth, as the search has
 it (`diagnosis.linear_fit.CORRELATION`)."""
 
 _SEED = 1
@@ -91,21 +83,16 @@ class Rehearsal(BaseModel):
         count: tables of each kind.
         unexplained: of each kind, those of which listed effects leave as large a share of the gap
             as of the measured one, or larger.
-        named: with one listed effect, those where the number that leaves least on held-out rows
-            belongs to the true effect.
-        mistaken: true effect, the one named, and how often, where they differ.
     """
 
     model_config = ConfigDict(frozen=True)
 
     count: int
     unexplained: dict[str, int]
-    named: int
-    mistaken: tuple[tuple[str, str, int], ...] = ()
 
     @property
     def probability(self) -> float:
-        """That a table is unlisted, given that it is left unexplained."""
+        """The probability that the cause of an unexplained table is unlisted."""
         one, two, unlisted = (self.unexplained[kind] for kind in KINDS)
         # by Laplace's rule, so that what never occurred is not impossible
         by_listed = (one + two + 1) / (2 * self.count + 2)
@@ -150,11 +137,9 @@ def diagnose_table(
 ) -> TableDiagnosis:
     """Everything from the table to the verdict.
 
-    Args:
-        tables: of each kind that are simulated and diagnosed for the probability; 0 takes the
-            counts that ship with the package.
-        progress: receives the share that is done.
-        workers: processes that diagnose the simulated tables.
+    So many `tables` of each kind are simulated and diagnosed for the probability, in some
+    processes; 0 takes the counts that ship with the package. `progress` receives the share that
+    is done.
 
     Raises:
         PaperError: the verdict is no longer `unknown`, so that the text does not hold.
@@ -221,7 +206,7 @@ def _scans(simulator: ChangeSimulator, nominal: Array) -> tuple[list[Scan], dict
 def judge(simulator: ChangeSimulator, scans: Sequence[Scan], changes_n: Array) -> Judged:
     """Fit everything to a table (K, M); rows are held out one by one."""
     rows = np.arange(len(changes_n))
-    singles = tuple(explain(found, changes_n, rows) for found in scans)
+    singles = tuple(explain(found, changes_n) for found in scans)
     problem = prepare(simulator, changes_n, rows, rows, np.ones(len(rows), dtype=bool))
     explanations = tuple(search(problem))
     gap = np.sqrt(((changes_n - problem.nominal) ** 2).mean())
@@ -232,17 +217,11 @@ def judge(simulator: ChangeSimulator, scans: Sequence[Scan], changes_n: Array) -
     return Judged(singles, explanations, float(min(left) / gap))
 
 
-def best_of_each(
-    scans: Sequence[Scan], changes_n: Array, fold: NDArray[np.int64]
-) -> list[Explained]:
-    """The best number of each effect, the best first, with some of `FOLDS`.
-
-    One value at all cables counts beside those at one.
-    """
+def best_of_each(singles: Sequence[Explained]) -> list[Explained]:
+    """The best number of each effect, best first; one value at all cables counts separately."""
     every = defaultdict(list)
-    for found in scans:
-        several = len(found.number.terms) > 1
-        every[found.number.effect, several].append(explain(found, changes_n, fold))
+    for single in singles:
+        every[single.number.effect, len(single.number.terms) > 1].append(single)
     best = [min(group, key=lambda e: round(e.held_out_rmse, 3)) for group in every.values()]
     return sorted(best, key=lambda e: e.held_out_rmse)
 
@@ -311,47 +290,37 @@ def rehearse(
     `progress` receives the share that is done. The counts are the same for any number of workers.
     """
     unexplained = dict.fromkeys(KINDS, 0)
-    mistaken: Counter[tuple[str, str]] = Counter()
     cases = [(seed, kind, k) for kind in KINDS for k in range(count)]
     with WorkerPool(workers, simulator, scans) as pool:
         found = zip(cases, pool.map(_rehearsed, cases), strict=True)
-        for done, ((_, kind, _), (effects, best, least_left)) in enumerate(found, start=1):
+        for done, ((_, kind, _), least_left) in enumerate(found, start=1):
             unexplained[kind] += least_left >= measured.least_left
-            if kind == KINDS[0] and best not in effects:
-                mistaken[effects[0], best] += 1
             progress(done / len(cases))
-    return Rehearsal(
-        count=count,
-        unexplained=unexplained,
-        named=count - mistaken.total(),
-        mistaken=tuple((*names, times) for names, times in sorted(mistaken.items())),
-    )
+    return Rehearsal(count=count, unexplained=unexplained)
 
 
 def _rehearsed(
     simulator: ChangeSimulator, scans: Sequence[Scan], case: tuple[int, str, int]
-) -> tuple[list[str], str, float]:
-    """Of a simulated table: its true effects, whose number leaves least, and what they leave."""
+) -> float:
+    """The least share of the gap that an explanation leaves of a simulated table."""
     seed, kind, k = case
     rng = np.random.default_rng([seed, KINDS.index(kind), k])
-    effects, changes_n = _drawn_table(simulator, scans, kind, rng)
+    changes_n = _drawn_table(simulator, scans, kind, rng)
     while not np.isfinite(changes_n).all():  # two effects with which no arm is at rest
-        effects, changes_n = _drawn_table(simulator, scans, kind, rng)
-    judged = judge(simulator, scans, changes_n)
-    best = min(judged.singles, key=lambda s: s.held_out_rmse).number.effect
-    return effects, best, judged.least_left
+        changes_n = _drawn_table(simulator, scans, kind, rng)
+    return judge(simulator, scans, changes_n).least_left
 
 
 def _drawn_table(
     simulator: ChangeSimulator, scans: Sequence[Scan], kind: str, rng: np.random.Generator
-) -> tuple[list[str], Array]:
+) -> Array:
     nominal = simulator.predict([{}])[0]
     variant: Assignment = {
         term: float(rng.normal(0.0, parameter.typical))
         for term, parameter in parameters_of(simulator.tolerances).items()
     }
     if kind == KINDS[2]:
-        return [], simulator.measured(variant, rng, _unlisted(nominal.shape, rng))
+        return simulator.measured(variant, rng, _unlisted(nominal.shape, rng))
     effects: list[str] = []
     while len(effects) < 1 + KINDS.index(kind):
         effect = str(rng.choice(sorted({s.number.effect for s in scans} - set(effects))))
@@ -359,7 +328,7 @@ def _drawn_table(
         if drawn is not None:
             effects.append(effect)
             variant = {**variant, **drawn}
-    return effects, simulator.measured(variant, rng)
+    return simulator.measured(variant, rng)
 
 
 def _of_effect(

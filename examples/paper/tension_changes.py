@@ -1,7 +1,7 @@
 """Changes of the tensions under loads hung on the arm, and explanations of them by one number.
 
-A change is a loaded reading less the unloaded one just before it. What is the same in both, such
-as a sensor's zero or the arm's own weight, is not in it.
+A change is a loaded reading minus the unloaded one just before it. Effects that are the same in
+both, such as a sensor's zero or the arm's own weight, cancel.
 
 A handful of readings bears explanations with one number and no more. Its range is gone through
 value by value, so that an effect that only acts from some size on, such as a cable that goes
@@ -28,10 +28,10 @@ from cablesense_sim.kinematics import cable_jacobian_m
 from cablesense_sim.replay import difference_variance_n2, read_tensions_n
 
 VALUES = 81
-"""Of a number that are tried over its range."""
+"""The number of values that are tried over a range."""
 
 _AS_GOOD = 1.001
-"""Of values that leave no more than this times the least, the one nearest zero is taken."""
+"""The value nearest zero is taken among those that leave no more than this times the least."""
 
 
 @dataclass(frozen=True)
@@ -107,25 +107,17 @@ def _changes_n(readings_n: Array) -> Array:
     return np.asarray(readings_n[..., 1::2, :] - readings_n[..., 0::2, :])
 
 
-def moments_n_m(arm: Arm, changes_n: Array) -> Array:
-    """Moments (K, 2N) about the joint axes that changes (K, M) carry on the straight arm, N·m."""
-    return np.asarray(changes_n @ _straight_jacobian_m(arm))
-
-
 def internal_n(arm: Arm, changes_n: Array) -> Array:
     """The part (K, M) of changes (K, M) that carries no moment on the straight arm, N.
 
     At rest with taut cables, J(q)ᵀ ΔT is the change of the joint moments, whatever the stiffness
-    of the cables. What lies in the range of J carries moments; what is orthogonal to it bends
+    of the cables. The part in the range of J carries moments; the part orthogonal to it bends
     nothing. With three cables a segment that is one number a segment: all its cables tighter or
     slacker by the same.
     """
-    basis, _ = np.linalg.qr(_straight_jacobian_m(arm))
+    straight = np.zeros(2 * arm.segment_count)
+    basis, _ = np.linalg.qr(cable_jacobian_m(mechanism_of(arm), straight))
     return np.asarray(changes_n - changes_n @ basis @ basis.T)
-
-
-def _straight_jacobian_m(arm: Arm) -> Array:
-    return np.asarray(cable_jacobian_m(mechanism_of(arm), np.zeros(2 * arm.segment_count)))
 
 
 @dataclass(frozen=True)
@@ -155,7 +147,7 @@ class OneNumber:
 
 @dataclass(frozen=True)
 class Scan:
-    """What a simulator predicts, (V, R, C), for values (V,) over the range of one number."""
+    """Predictions (V, R, C) of a simulator for values (V,) over the range of one number."""
 
     number: OneNumber
     values: Array
@@ -177,8 +169,8 @@ class Explained:
     Attributes:
         number: which.
         value: that fits all rows best.
-        rmse: what it leaves of them.
-        squares: (R,) sum of squares left in each row by the value that fits the other folds best.
+        rmse: the error that it leaves in them.
+        squares: (R,) sum of squares left in each row by the value that fits the others best.
         held_out_rmse: the same over all rows.
     """
 
@@ -214,14 +206,16 @@ def scan(simulator: Simulator, number: OneNumber) -> Scan:
     return Scan(number, values[usable], predicted[usable])
 
 
-def explain(found: Scan, readings: Array, fold: NDArray[np.int64]) -> Explained:
-    """The value that fits best, and what values leave on rows that they were not fitted to.
-
-    `fold` (R,) 0 to F - 1 states which rows are held out together.
-    """
+def explain(found: Scan, readings: Array) -> Explained:
+    """The value that fits best, and what values leave of rows that they were not fitted to."""
     squares = found.squares(readings)
     best = _choice(squares.sum(-1), found.values)
-    held_out = held_out_of_best([found], readings, fold)
+    held_out = np.array(
+        [
+            squares[_choice(np.delete(squares, row, axis=1).sum(-1), found.values), row]
+            for row in range(len(readings))
+        ]
+    )
     return Explained(
         found.number,
         value=float(found.values[best]),
@@ -231,19 +225,7 @@ def explain(found: Scan, readings: Array, fold: NDArray[np.int64]) -> Explained:
     )
 
 
-def held_out_of_best(scans: Sequence[Scan], readings: Array, fold: NDArray[np.int64]) -> Array:
-    """(R,) squares left where the number itself, not only its value, was chosen on other folds."""
-    every = [found.squares(readings) for found in scans]
-    left = np.empty(len(readings))
-    for k in range(int(fold.max()) + 1):
-        out = fold == k
-        seen = [squares[:, ~out].sum(-1) for squares in every]
-        best = int(np.argmin([squares.min() for squares in seen]))
-        left[out] = every[best][_choice(seen[best], scans[best].values)][out]
-    return left
-
-
 def _choice(squares: Array, values: Array) -> int:
-    """Where a number changes nothing, or no more from some value on, less of it is the better."""
+    """The smallest value is chosen among those that explain equally well."""
     good = np.flatnonzero(squares <= _AS_GOOD * squares.min())
     return int(good[np.argmin(np.abs(values[good]))])

@@ -22,16 +22,6 @@ def scaled(shared: list[float], factor: float, power: int) -> tuple[float, int]:
     return factor * sum(shared) ** power, os.getpid()
 
 
-def fail(shared: str, task: int) -> int:
-    if task == 1:
-        raise ValueError("the second task fails")
-    return task
-
-
-def end_process(code: int) -> None:
-    os._exit(code)
-
-
 @pytest.mark.slow  # processes start
 @pytest.mark.parametrize(("workers", "most_pending"), [(0, None), (1, 1), (2, None), (2, 3)])
 def test_results_come_in_the_order_of_the_tasks(workers, most_pending):
@@ -45,22 +35,12 @@ def test_results_come_in_the_order_of_the_tasks(workers, most_pending):
 
 
 @pytest.mark.slow  # processes start
-@pytest.mark.parametrize("workers", [1, 2])
-def test_an_error_of_a_task_is_raised_at_its_turn(workers):
-    with WorkerPool(workers, "shared") as pool:
-        results = pool.map(fail, range(3))
-        assert next(results) == 0
-        with pytest.raises(ValueError, match="the second task"):
-            next(results)
-
-
-@pytest.mark.slow  # processes start
 def test_a_lost_process_is_reported_in_one_line():
     with (
         WorkerPool(2, refusal=LostError) as pool,
         pytest.raises(LostError, match="try fewer workers"),
     ):
-        list(pool.map(end_process, range(2)))
+        list(pool.map(os._exit, range(2)))
 
 
 def work(folder: str, fails: bool) -> None:
@@ -83,47 +63,30 @@ if __name__ == "__main__":
 """Two tasks; the one waits for ever, and so does the other, or it fails."""
 
 
-def started_owner(tmp_path: Path, does: str) -> subprocess.Popen[bytes]:
+@pytest.mark.slow  # processes start
+@pytest.mark.parametrize("does", ["fails", "waits"])
+def test_workers_and_their_files_end_with_a_task_that_fails_or_an_owner_that_is_killed(
+    tmp_path, does
+):
     (tmp_path / "owner.py").write_text(OWNER)
     path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
-    return subprocess.Popen(
-        [sys.executable, tmp_path / "owner.py", tmp_path, does],
-        env=os.environ | {"PYTHONPATH": path},
-        stderr=subprocess.DEVNULL,
-    )
+    command = [sys.executable, tmp_path / "owner.py", tmp_path, does]
+    environment = os.environ | {"PYTHONPATH": path}
+    with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as owner:
+        until(lambda: len(list(tmp_path.glob("*.pid"))) == 2, "two workers at work")
+        if does == "waits":
+            owner.kill()
+        assert owner.wait(60.0) == (1 if does == "fails" else -signal.SIGKILL)
+    processes = [Path(f"/proc/{path.stem}") for path in tmp_path.glob("*.pid")]
+    until(lambda: not any(process.exists() for process in processes), "the end of the workers")
+    assert not [each for each in tmp_path.iterdir() if each.is_dir()]
 
 
-def workers_of(folder: Path) -> list[int]:
-    """Once two are at work."""
+def until(condition, what):
     deadline_s = time.monotonic() + 60.0
-    while len(found := list(folder.glob("*.pid"))) < 2:
-        assert time.monotonic() < deadline_s
+    while not condition():
+        assert time.monotonic() < deadline_s, what
         time.sleep(0.05)
-    return [int(path.stem) for path in found]
-
-
-def assert_gone(pids: list[int]) -> None:
-    deadline_s = time.monotonic() + 20.0
-    while left := [pid for pid in pids if Path(f"/proc/{pid}").exists()]:
-        assert time.monotonic() < deadline_s, f"processes {left} live on"
-        time.sleep(0.05)
-
-
-@pytest.mark.slow  # processes start
-def test_an_error_ends_the_tasks_under_way_and_their_files(tmp_path):
-    with started_owner(tmp_path, "fails") as owner:
-        assert owner.wait(60.0) == 1
-    assert_gone(workers_of(tmp_path))
-    assert not [each for each in tmp_path.iterdir() if each.is_dir()]
-
-
-@pytest.mark.slow  # processes start
-def test_workers_end_with_an_owner_that_is_killed(tmp_path):
-    with started_owner(tmp_path, "waits") as owner:
-        workers = workers_of(tmp_path)
-        owner.send_signal(signal.SIGKILL)
-    assert_gone(workers)
-    assert not [each for each in tmp_path.iterdir() if each.is_dir()]
 
 
 def large(_: str, task: int) -> bytes:

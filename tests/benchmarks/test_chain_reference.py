@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
-from friction_law import Course, random_history, searched, tensions_by_law, timed
+from friction_law import CableCourse, random_history, searched, tensions_by_law, timed
 
-Way = Callable[..., Course]
+Way = Callable[..., CableCourse]
 
 K = np.array([2e5, 5e5, 3e5])
 GRIP = np.array([0.3, 0.2])

@@ -18,7 +18,7 @@ BAD = """
 import ctypes, os, sys
 sys.path.insert(0, {folder!r})
 import fuzz
-from fuzz_mutation import FalseAnswerError, Outcome, Target
+from fuzz_mutation import FalseAnswerError, ItemOutcome, Target
 fuzz.ITEM_LIMIT_S, fuzz.GROWTH_LIMIT_MB = 1.0, 200.0
 def make(seed):
     def run(item):
@@ -28,7 +28,7 @@ def make(seed):
         if item == 9: raise KeyError(item)
         if item == 11: raise FalseAnswerError("a force from nothing")
         if item == 13: os._exit(2)
-        return Outcome(refused=1)
+        return ItemOutcome(refused=1)
     return run
 fuzz.targets = lambda: {{"bad": Target("files", make, 16, 16)}}
 sys.exit(fuzz.main())

@@ -70,21 +70,13 @@ def started(folder: Path, *arguments: str) -> subprocess.Popen[str]:
     )
 
 
-@pytest.mark.parametrize("number", CODES, ids=lambda number: number.name)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP], ids=lambda number: number.name)
 def test_a_dataset_ends_at_once_and_leaves_nothing(tmp_path, number):
     with started(tmp_path, *DATASET) as process:
         pids = at_work(process)
         until(lambda: list((tmp_path / "out").iterdir()), "a part of the file")
         ended(process, number, pids)
     assert not list((tmp_path / "out").iterdir())
-
-
-def test_recordings_that_are_whole_stay(tmp_path):
-    verb = ("gap", "withhold", "--count", "500", "--workers", "2", "--out", "out")
-    with started(tmp_path, *verb) as process:
-        pids = at_work(process)
-        ended(process, signal.SIGTERM, pids)
-    assert all(path.suffix == ".csv" for path in (tmp_path / "out").iterdir())
 
 
 def test_a_diagnosis_ends_at_once(tmp_path):

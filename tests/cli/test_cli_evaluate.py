@@ -45,13 +45,6 @@ def test_table2_as_json_has_six_rows_of_true_and_estimated(table2_model):
         assert row["magnitude_error"] == pytest.approx(error)
 
 
-def test_table2_as_a_table_names_the_loads(table2_model):
-    text = _run("--table2", "--model", table2_model)
-    assert text.count("9.81 N") == 3
-    assert text.count("19.62 N") == 3
-    assert "physical arm" in text
-
-
 @pytest.mark.slow
 def test_one_model_is_evaluated_on_its_own_arm():
     path = find_model("cdsm")
@@ -63,9 +56,7 @@ def test_one_model_is_evaluated_on_its_own_arm():
     assert 0.7 * bound < error < 2.0 * bound
     again = json.loads(_run("--model", path, "--samples", 200, "--seed", 1, "--json"))
     assert again == content
-    text = _run("--model", path, "--samples", 200)
-    assert "noise bound" in text
-    assert "closed-form-corrected" in text
+    assert "closed-form-corrected" in _run("--model", path, "--samples", 200)
 
 
 @pytest.mark.parametrize(
@@ -86,30 +77,17 @@ def test_a_refusal_is_one_line_and_exit_code_two(arguments, remedy, command):
     assert result.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("arguments", [["--samples", "5"], ["--seed", "-1"], ["--workers", "0"]])
-def test_numbers_out_of_range_are_refused(arguments):
-    result = CliRunner().invoke(app, ["evaluate", *arguments])
-    assert result.exit_code == 2
-    assert arguments[0] in result.output
-
-
-def test_a_model_of_several_contacts_is_refused():
-    result = CliRunner().invoke(app, ["evaluate", "--model", "cdsm_multi"])
-    assert result.exit_code != 0
-    assert "multi-contact" in str(result.exception)
-
-
 def test_a_recording_is_judged_by_segment_and_force_with_several_models(tmp_path):
     recorded = small_recording()
-    true_n = replay_arm(LAB, recorded.time_s, recorded.command_rad, recorded.forces_n)
+    true_n = replay_arm(LAB, *recorded.inputs)
     file, picture = tmp_path / "loads.csv", tmp_path / "errors.png"
     write_csv(file, replace(recorded, tensions_n=true_n))
     models = ("--model", "cdsm_lab", "--model", "peers/cdsm_lab_closed_form")
     content = json.loads(_run("--recording", file, *models, "--json"))
     assert list(content) == list(models[1::2])
     shown = _run("--recording", file, *models[:2], "--picture", picture)
-    for words in ("segment 4", "10 to 50", "released"):
-        assert words in shown
+    assert "by_segment" in shown
+    assert "false_force_n" in shown
     assert picture.exists()
 
 
@@ -118,7 +96,7 @@ def test_a_model_with_memory_is_judged_along_the_recording_and_one_of_several_co
     tmp_path,
 ):
     recorded, arm = small_recording(), open_arm("cdsm")
-    ideal_n = replay_arm(arm, recorded.time_s, recorded.command_rad, recorded.forces_n)
+    ideal_n = replay_arm(arm, *recorded.inputs)
     read_n = read_tensions_n(ideal_n, arm.sensors, np.random.default_rng(0))
     write_csv(tmp_path / "loads.csv", replace(recorded, tensions_n=read_n))
     arguments = ("--recording", tmp_path / "loads.csv", "--model")

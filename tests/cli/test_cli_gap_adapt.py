@@ -41,7 +41,7 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
 
     monkeypatch.setattr(adaptation, "diagnose", diagnose)
     monkeypatch.setattr(adaptation, "train_for", train)
-    true_n = replay_arm(LAB, PROTOCOL.time_s, PROTOCOL.command_rad, PROTOCOL.forces_n)
+    true_n = replay_arm(LAB, *PROTOCOL.inputs)
     write_csv(tmp_path / "new.csv", replace(PROTOCOL, tensions_n=true_n))
     return "new.csv"
 
@@ -71,7 +71,7 @@ def test_a_second_model_that_is_no_better_is_not_left_behind(command, recorded, 
     done = command("gap", "adapt", recorded, "--out", "adapted", "--force", "--json")
     assert done.returncode == 0
     said = json.loads(done.stdout)
-    assert (said["better"], said["model"]) == (False, str(find_model("cdsm_lab")))
+    assert (said["better"], said["model"]) == (False, str(find_model("cdsm_lab_anywhere")))
     assert not (tmp_path / "adapted" / "estimator.onnx").exists()
     assert "keep the first" in (tmp_path / "adapted" / "report.html").read_text()
 

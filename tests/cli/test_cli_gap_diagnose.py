@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -17,29 +15,22 @@ from cablesense_gap.verdict import read_verdict
 from cablesense_sim.arm import Arm, load_arm
 from cablesense_sim.replay import read_tensions_n, replay_arm
 
-COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()", "gap"]
 PROTOCOL = small_recording(peak_n=25.0)
 SHORT = PROTOCOL.rows(np.flatnonzero(np.arange(len(PROTOCOL)) % 4 == 0))
 
 
-def run(*arguments, cwd):
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=300
-    )
-
-
 def recorded(arm: Arm, protocol: Recording = SHORT) -> Recording:
-    ideal = replay_arm(arm, protocol.time_s, protocol.command_rad, protocol.forces_n)
+    ideal = replay_arm(arm, *protocol.inputs)
     readings = read_tensions_n(ideal, arm.sensors, np.random.default_rng(4))
     return replace(protocol, tensions_n=readings)
 
 
-@pytest.mark.slow  # the full library, from which to choose, in a process of its own
-def test_a_recording_becomes_a_folder_that_predicts(tmp_path):
+@pytest.mark.slow  # the full library, from which to choose
+def test_a_recording_becomes_a_folder_that_predicts(command, tmp_path):
     payload = {"effect": "payload", "at": "segment_3", "parameters": {"mass_kg": 0.5}}
     heavy = LAB.model_validate({**LAB.model_dump(), "effects": [payload]})
     write_csv(tmp_path / "new.csv", recorded(heavy))
-    done = run("diagnose", "new.csv", "--arm", "cdsm_lab", "--out", "found", cwd=tmp_path)
+    done = command("gap", "diagnose", "new.csv", "--out", "found", "--workers", 1)
     assert done.returncode == 0, done.stderr
     assert "found/report.html" in done.stdout
     folder = tmp_path / "found"
@@ -53,9 +44,8 @@ def test_a_recording_becomes_a_folder_that_predicts(tmp_path):
     # the same rows count for the report, the verdict and the prediction
     sizes = {}
     for arm in ("cdsm_lab", "found"):
-        done = run(
-            "predict", "new.csv", "--arm", arm, "--out", f"{arm}.csv", "--json", cwd=tmp_path
-        )
+        verb = ("gap", "predict", "new.csv", "--arm", arm, "--out", f"{arm}.csv", "--json")
+        done = command(*verb)
         sizes[arm] = json.loads(done.stdout)
         assert sizes[arm]["rows_counted"] == verdict.rows_counted
     gap = verdict.gap
@@ -67,7 +57,7 @@ def test_a_recording_becomes_a_folder_that_predicts(tmp_path):
         PROTOCOL, command_rad=-0.7 * PROTOCOL.command_rad, load_n=0.6 * PROTOCOL.load_n
     )
     real, after, before = (
-        replay_arm(arm, unseen.time_s, unseen.command_rad, unseen.forces_n)
+        replay_arm(arm, *unseen.inputs)
         for arm in (heavy, load_arm(folder / "amended_arm.yaml"), LAB)
     )
     assert ((after - real) ** 2).mean() < 0.05 * ((before - real) ** 2).mean()

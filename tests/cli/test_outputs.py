@@ -28,13 +28,9 @@ def folder(tmp_path, monkeypatch):
     [
         ("dataset --workers 0 --out a.parquet", "a.parquet"),
         ("train --data none.parquet --out a.onnx", "a.onnx"),
-        ("train --data none.parquet", "model.onnx"),
         ("gap diagnose none.csv --out .", "report.html"),
-        ("gap diagnose none.csv --out found", "found/verdict.json"),
         ("gap diagnose none.csv --out found", "found/amended_arm.yaml"),
-        ("gap predict none.csv --out a.csv", "a.csv"),
         ("gap withhold --count 1 --only rust --out cases", "cases/case_060.csv"),
-        ("gap withhold --count 1 --only rust --out cases", "cases/answers/answers.csv"),
         ("gap withhold --count 1 --only rust --out cases --answers a.csv", "a.csv"),
         ("sensors calibrate none.csv --out a.yaml", "a.yaml"),
         ("replay none.mcap --estimates a.csv", "a.csv"),
@@ -53,14 +49,9 @@ def test_what_exists_is_replaced_only_by_force(folder, command, file):
 @pytest.mark.parametrize(
     ("command", "read"),
     [
-        ("dataset --arm a.yaml --out OUT", "a.yaml"),
         ("train --data a.parquet --out OUT", "a.parquet"),
-        ("train --arm a.yaml --out OUT", "a.yaml"),
         ("gap predict a.csv --out OUT", "a.csv"),
-        ("gap predict none.csv --arm a.yaml --out OUT", "a.yaml"),
-        ("gap protocol --arm a.yaml --out OUT", "a.yaml"),
         ("gap withhold --count 1 --arm a.yaml --answers OUT --out b", "a.yaml"),
-        ("sensors calibrate a.csv --out OUT", "a.csv"),
         ("urdf a.yaml --out OUT", "a.yaml"),
         ("sensors calibrate none.csv --map a.yaml --out OUT", "a.yaml"),
         ("replay a.mcap --estimates OUT", "a.mcap"),

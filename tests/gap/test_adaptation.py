@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Collection
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,17 +14,18 @@ from gap_recordings import LAB, small_recording
 from verdict_cases import verdict_of
 
 from cablesense_gap import adaptation
-from cablesense_gap.adaptation import AdaptationError, adapt, kept_apart, train_for
+from cablesense_gap.adaptation import AdaptationError, adapt, train_for, withheld_trials
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import Share
 from cablesense_sim.arm import Arm, ListedEffect
 from cablesense_sim.replay import read_tensions_n, replay_arm
+from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.temporal_estimator import open_estimator
 
 PROTOCOL = small_recording()
-SHIPPED = find_model("cdsm_lab")
+SHIPPED, ANYWHERE = find_model("cdsm_lab"), find_model("cdsm_lab_anywhere")
 OFFSETS = [
     ListedEffect(effect="contact_offset", at=f"segment_{n}", parameters={"offset_m": -0.02})
     for n in range(1, 5)
@@ -38,9 +40,14 @@ def having(*effects: ListedEffect) -> Arm:
 
 
 def recorded(arm: Arm) -> Recording:
-    true_n = replay_arm(arm, PROTOCOL.time_s, PROTOCOL.command_rad, PROTOCOL.forces_n)
+    true_n = replay_arm(arm, *PROTOCOL.inputs)
     readings = read_tensions_n(true_n, LAB.sensors, np.random.default_rng(0))
     return replace(PROTOCOL, tensions_n=readings)
+
+
+@cache
+def healthy() -> Recording:
+    return recorded(LAB)
 
 
 @pytest.fixture
@@ -66,8 +73,8 @@ def diagnosed_as(monkeypatch: pytest.MonkeyPatch):
     return put
 
 
-def test_the_trials_kept_apart_have_loads_and_leave_each_segment_to_learn_from():
-    apart = kept_apart(PROTOCOL)
+def test_the_trials_withheld_trials_have_loads_and_leave_each_segment_to_learn_from():
+    apart = withheld_trials(PROTOCOL, LAB)
     numbers = np.unique(PROTOCOL.trial)
     assert 0 < len(apart) <= len(numbers) / 3
     seen = ~np.isin(PROTOCOL.trial, apart)
@@ -75,11 +82,11 @@ def test_the_trials_kept_apart_have_loads_and_leave_each_segment_to_learn_from()
     assert PROTOCOL.load_segment[~seen].any()
 
 
-def test_loads_of_one_fold_are_not_all_kept_apart(monkeypatch: pytest.MonkeyPatch):
+def test_loads_of_one_fold_are_not_all_withheld_trials(monkeypatch: pytest.MonkeyPatch):
     numbers = np.unique(PROTOCOL.trial)
     loaded = [bool(PROTOCOL.load_segment[PROTOCOL.trial == n].any()) for n in numbers]
     monkeypatch.setattr(adaptation, "folds_of", lambda _: np.where(loaded, 0, 1))
-    assert kept_apart(PROTOCOL) == (numbers[loaded][-1],)
+    assert withheld_trials(PROTOCOL, LAB) == (numbers[loaded][-1],)
 
 
 def test_a_recording_without_loads_is_refused():
@@ -87,18 +94,26 @@ def test_a_recording_without_loads_is_refused():
         PROTOCOL, load_segment=np.zeros_like(PROTOCOL.load_segment), load_n=0.0 * PROTOCOL.load_n
     )
     with pytest.raises(AdaptationError, match="small: 0 trials have a load"):
-        kept_apart(idle)
+        withheld_trials(idle, LAB)
 
 
 @pytest.mark.slow  # trains, and exports the model
-def test_an_arm_that_differs_gets_an_estimator_that_knows_it(tmp_path: Path, diagnosed_as):
-    hidden = (*OFFSETS, GAIN, LAG)
+@pytest.mark.parametrize(
+    ("first", "hidden"),
+    [(SHIPPED, (*OFFSETS, GAIN, LAG)), (ANYWHERE, (*OFFSETS, GAIN))],
+    ids=["at points, with a history", "anywhere"],
+)
+def test_an_arm_that_differs_gets_an_estimator_that_knows_it(
+    tmp_path: Path, diagnosed_as, first: Path, hidden: tuple[ListedEffect, ...]
+):
     asked = diagnosed_as(*hidden)
     second = tmp_path / "second.onnx"
     recording = recorded(having(*hidden))
-    found = adapt(recording, LAB, SHIPPED, second, "by a test")
+    found = adapt(recording, LAB, first, second, "by a test")
     assert found.better
-    assert asked == [found.trials] == [kept_apart(recording)]
+    anywhere = first == ANYWHERE
+    assert isinstance(open_estimator(second), AnywhereEstimator) is anywhere
+    assert asked == [found.trials] == [withheld_trials(recording, LAB)]
     before, after = (each.whole.errors.magnitude_mae_n for each in (found.before, found.after))
     assert after < 0.1 * before
     assert found.diagnosis.verdict.estimator.use == "after"
@@ -111,9 +126,7 @@ def test_a_model_that_finds_no_load_of_the_recording_is_trained_to_its_end(
     for name, value in (("_SAMPLES", 256), ("_EPOCHS", 1), ("_TEST_SAMPLES", 64)):
         monkeypatch.setattr(adaptation, name, value)
     loaded = PROTOCOL.load_segment > 0
-    elsewhere = replace(
-        recorded(LAB), load_segment=np.where(loaded, PROTOCOL.load_segment % 4 + 1, 0)
-    )
+    elsewhere = replace(healthy(), load_segment=np.where(loaded, PROTOCOL.load_segment % 4 + 1, 0))
     second = tmp_path / "second.onnx"
     train_for(having(GAIN), open_estimator(SHIPPED), elsewhere, second, "by a test")
     assert open_estimator(second).metadata.arm.effects
@@ -121,7 +134,7 @@ def test_a_model_that_finds_no_load_of_the_recording_is_trained_to_its_end(
 
 def test_where_nothing_is_found_nothing_is_trained(tmp_path: Path, diagnosed_as):
     diagnosed_as()
-    found = adapt(recorded(LAB), LAB, SHIPPED, tmp_path / "second.onnx", "by a test")
+    found = adapt(healthy(), LAB, SHIPPED, tmp_path / "second.onnx", "by a test")
     assert (found.better, found.after) == (False, None)
     assert found.diagnosis.verdict.estimator.use == "before"
     assert not list(tmp_path.iterdir())
@@ -136,6 +149,6 @@ def test_a_second_estimator_that_is_no_better_is_not_used(
         "train_for",
         lambda arm, first, recording, path, *_: shutil.copy(SHIPPED, path),
     )
-    found = adapt(recorded(LAB), LAB, SHIPPED, tmp_path / "second.onnx", "by a test")
+    found = adapt(healthy(), LAB, SHIPPED, tmp_path / "second.onnx", "by a test")
     assert not found.better
     assert found.after is not None

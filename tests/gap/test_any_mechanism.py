@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -48,12 +47,10 @@ WITHIN = {
 SINGLES = [
     {FRICTION: 0.08},
     {SHARE: 0.6, TIME_S: 4.0},
-    {SHARE: 0.9, TIME_S: 15.0},
     {WEIGHT_GAIN: -0.04},
     {GAIN: 0.04},
     {ZERO_N: 1.3},
     {SOFT: 0.5},
-    {MASS_KG: 0.25},
     {MASS_KG: -0.8},
 ]
 DOUBLES = [
@@ -72,14 +69,6 @@ def judged(simulator: Pulley, readings: np.ndarray) -> list[Ranked]:
     return posterior(search(problem), problem.floor, bundled_calibration())
 
 
-@cache
-def cogging() -> list[Ranked]:
-    """A winch that pulls harder and softer as its teeth pass: in nobody's list."""
-    simulator, readings = recorded({})
-    teeth = np.sin(2.0 * np.pi * work().wound_m / 0.012)
-    return judged(simulator, readings + np.outer(1.5 * teeth, [1.0, 0.0, 0.0]) / NOISE)
-
-
 @pytest.mark.parametrize("truth", SINGLES + DOUBLES, ids=named)
 def test_what_was_planted_is_found_with_right_numbers(truth: dict[Term, float]) -> None:
     simulator, readings = recorded(truth)
@@ -94,19 +83,20 @@ def test_what_was_planted_is_found_with_right_numbers(truth: dict[Term, float]) 
     assert best.explanation.held_out_rmse < 1.2 * simulator.floor
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_what_a_workshop_leaves_is_no_effect(seed: int) -> None:
     best = judged(*recorded({}, seed))[0]
     assert best.effects == ("none",)
 
 
-def test_what_nobody_listed_is_unknown() -> None:
-    assert cogging()[0].effects == ("unknown",)
-    assert cogging()[0].probability > 0.5
-
-
-def test_no_listed_effect_removes_what_nobody_listed() -> None:
-    left = {b.effects: b.explanation.held_out_rmse for b in cogging() if b.explanation}
+def test_an_unlisted_cause_is_unknown_and_no_listed_effect_removes_it() -> None:
+    """A winch that pulls harder and softer as its teeth pass."""
+    simulator, readings = recorded({})
+    teeth = np.sin(2.0 * np.pi * work().wound_m / 0.012)
+    ranked = judged(simulator, readings + np.outer(1.5 * teeth, [1.0, 0.0, 0.0]) / NOISE)
+    assert ranked[0].effects == ("unknown",)
+    assert ranked[0].probability > 0.5
+    left = {b.effects: b.explanation.held_out_rmse for b in ranked if b.explanation}
     assert min(left.values()) > 0.8 * left["none",]
 
 
@@ -164,7 +154,7 @@ def test_the_engine_needs_nothing_of_the_arm() -> None:
     assert not {"mujoco", "rclpy", "torch", "cablesense_gap.arm_simulator"} & set(loaded)
 
 
-# The mechanism itself, against what can be said of it without its code.
+# The mechanism itself, against closed forms.
 
 
 def straight(wound_m: np.ndarray, load_n: float = 0.0) -> Work:
@@ -194,14 +184,6 @@ def test_creep_sinks_to_its_share_of_the_stretch() -> None:
     assert 0.1 - height[-1] == pytest.approx(stretch, rel=1e-6)
 
 
-def test_a_term_is_called_by_effect_place_and_parameter():
-    assert str(Term("sensor_gain", "cable_3", "gain")) == "sensor_gain.cable_3.gain"
-
-
 def test_a_candidate_has_all_its_numbers_in_each_place():
     tilt = Candidate("tilt", ("arm", "base"), (size("roll"), size("pitch")))
-    assert tilt.terms("base") == (Term("tilt", "base", "roll"), Term("tilt", "base", "pitch"))
-
-
-def test_what_is_not_said_to_depend_on_history_does_not():
-    assert not Candidate("tilt", ("arm",), (size("roll"),)).history_dependent
+    assert [str(term) for term in tilt.terms("base")] == ["tilt.base.roll", "tilt.base.pitch"]

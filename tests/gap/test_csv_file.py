@@ -32,6 +32,12 @@ def recording(arm=LAB, rows=5, seed=0):
     )
 
 
+def with_places(sent):
+    """At three places of the loaded segments; every fourth is left to the arm file."""
+    at_m = np.array([0.03, 0.065, 0.11, np.nan])[np.arange(len(sent)) % 4]
+    return replace(sent, load_at_m=np.where(sent.load_segment > 0, at_m, np.nan))
+
+
 def lines_of(path):
     return path.read_text(encoding="utf-8").splitlines()
 
@@ -66,16 +72,27 @@ def test_what_is_written_is_read_back(arm, rows, seed, tmp_path_factory):
     np.testing.assert_array_equal(got.load_segment, sent.load_segment)
     np.testing.assert_allclose(got.time_s, sent.time_s, atol=0.51e-6)
     np.testing.assert_allclose(got.command_rad, sent.command_rad, atol=0.51e-6)
-    np.testing.assert_allclose(got.load_n, sent.load_n, atol=0.51e-4)
-    np.testing.assert_allclose(got.tensions_n, sent.tensions_n, atol=0.51e-4)
+    np.testing.assert_allclose(got.load_n, sent.load_n, atol=0.51e-6)
+    np.testing.assert_allclose(got.tensions_n, sent.tensions_n, atol=0.51e-6)
+    assert got.load_at_m is None
     assert [p.name for p in path.parent.iterdir()] == ["made.csv"]
 
 
-def test_tensions_have_four_decimals_and_no_minus_zero(tmp_path):
-    sent = recording()
-    write_csv(tmp_path / "a.csv", replace(sent, tensions_n=np.full_like(sent.tensions_n, -1e-7)))
-    assert lines_of(tmp_path / "a.csv")[1].endswith(",0.0000,0.0000")
-    assert "-0.0000," not in (tmp_path / "a.csv").read_text(encoding="utf-8")
+def test_places_of_loads_are_read_back_and_an_empty_column_is_none(tmp_path):
+    sent = with_places(recording(rows=12))
+    write_csv(tmp_path / "a.csv", sent)
+    np.testing.assert_array_equal(read_csv(tmp_path / "a.csv", LAB).load_at_m, sent.load_at_m)
+    write_csv(tmp_path / "b.csv", replace(sent, load_at_m=np.full(12, np.nan)))
+    got = read_csv(tmp_path / "b.csv", LAB)
+    assert "load_at_m" in lines_of(tmp_path / "b.csv")[0]
+    assert got.load_at_m is None
+
+
+def test_tensions_have_six_decimals_and_no_minus_zero(tmp_path):
+    sent, tensions_n = recording(), np.full((5, 12), -1e-7)
+    tensions_n[:, 10] = 123.4567894
+    write_csv(tmp_path / "a.csv", replace(sent, tensions_n=tensions_n))
+    assert lines_of(tmp_path / "a.csv")[1].endswith(",0,123.456789,0")
 
 
 def test_columns_are_found_by_name_and_unknown_ones_left_out(tmp_path):
@@ -84,7 +101,7 @@ def test_columns_are_found_by_name_and_unknown_ones_left_out(tmp_path):
         return [turned[0] + ",note", *(line + ",hung by hand" for line in turned[1:])]
 
     got = read_csv(written(tmp_path, reversed_with_note), LAB)
-    np.testing.assert_allclose(got.tensions_n, recording().tensions_n, atol=1e-4)
+    np.testing.assert_allclose(got.tensions_n, recording().tensions_n, atol=1e-6)
 
 
 def test_an_empty_cell_is_left_to_the_checks(tmp_path):
@@ -107,6 +124,10 @@ def test_an_empty_cell_is_left_to_the_checks(tmp_path):
         (in_cell(2, "trial", "9" * 400), "column trial: inf is no whole number"),
         (in_cell(4, "trial", "1.5"), "row 4, column trial: 1.5 is no whole number"),
         (in_cell(1, "load_segment", ""), "row 1, column load_segment: nan is no whole number"),
+        (
+            lambda lines: [lines[0] + ",load_at_m", *(f"{x},middle" for x in lines[1:])],
+            "row 1, column load_at_m: 'middle' is no number",
+        ),
         (lambda lines: [], "cannot be read as CSV text"),
     ],
 )
@@ -141,11 +162,6 @@ def test_no_file_a_folder_bytes_and_too_large_a_file_are_refused(tmp_path, monke
 def test_a_place_that_cannot_be_written_to_is_said(tmp_path):
     with pytest.raises(RecordingError, match="cannot be written"):
         write_csv(tmp_path / "none" / "a.csv", recording())
-
-
-def test_commas_at_the_ends_of_lines_change_nothing(tmp_path):
-    path = written(tmp_path, lambda lines: [lines[0], *(line + "," for line in lines[1:])])
-    np.testing.assert_allclose(read_csv(path, LAB).tensions_n, recording().tensions_n, atol=1e-4)
 
 
 def test_a_packed_file_is_read_and_too_many_numbers_are_refused(tmp_path, monkeypatch):

@@ -13,11 +13,13 @@ from cablesense_gap.recordings.protocol import (
     STRONGEST_N,
     BlockKind,
     bearable_load_n,
+    load_places_m,
     rows_of,
     standard_protocol,
 )
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.contact_location import touched_at
 from cablesense_sim.equilibrium import solve_equilibrium
 
 ARMS = {name: open_arm(name) for name in ("cdsm_lab", "cdsm", "cdsm_table2")}
@@ -26,8 +28,12 @@ BLOCKS = standard_protocol(LAB)
 
 
 def tensions_of(rows, mechanism, **changes):
-    mechanism = replace(mechanism, **changes)
-    return solve_equilibrium(mechanism, rows.command_rad, rows.forces_n).tensions_n
+    """Of rows with loads at their places, of which a change of `contact_m` moves all."""
+    changed = replace(mechanism, **changes)
+    moved_m = changed.contact_m - mechanism.contact_m
+    places_m = np.nan_to_num(rows.inputs[3], nan=0.0) + moved_m
+    touched = replace(changed, contact_m=places_m)
+    return solve_equilibrium(touched, rows.command_rad, rows.forces_n).tensions_n
 
 
 def in_kind(arm, kind):
@@ -49,23 +55,30 @@ def test_no_cable_goes_slack_but_where_it_is_meant_to(arm):
     assert np.linalg.norm(rows.load_n, axis=1).max() <= STRONGEST_N + 1e-9
 
 
-def test_rest_comes_at_the_start_in_the_middle_and_at_the_end():
-    at = [i for i, block in enumerate(BLOCKS) if block.kind is BlockKind.REST]
-    assert (at[0], at[-1]) == (0, len(BLOCKS) - 1)
-    assert len(at) >= 3
-    rows = rows_of(BLOCKS, LAB.sensors.rate_hz)
-    for i in at:
-        chosen = rows.trial == i
-        assert not rows.command_rad[chosen].any()
-        assert not rows.load_segment[chosen].any()
-
-
 def test_blocks_follow_on_without_a_jump_of_the_command():
     for before, after in pairwise(BLOCKS):
         np.testing.assert_allclose(before.commands_rad[-1], after.commands_rad[0], atol=1e-12)
         assert not before.loads_n[-1].any()
     speed = np.abs(np.diff(rows_of(BLOCKS, 100.0).command_rad, axis=0)) * 100.0
     assert np.rad2deg(speed.max()) < 20.0  # the speed of the simulated arm
+
+
+@pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
+def test_every_segment_is_loaded_at_three_places_within_reach(arm):
+    blocks = [b for b in standard_protocol(arm) if b.kind is BlockKind.LOAD_CYCLE]
+    reach_m, _ = touched_at(arm)
+    for n in range(1, arm.segment_count + 1):
+        places = sorted({b.at_m for b in blocks if b.segment == n})
+        assert len(places) == 3
+        assert reach_m[n - 1, 0] < places[0] < places[1] < places[2] < reach_m[n - 1, 1]
+        assert places[1] == mechanism_of(arm).contact_m[n - 1]
+    rows = rows_of(blocks, 2.0)
+    np.testing.assert_array_equal(np.isfinite(rows.load_at_m), rows.load_segment > 0)
+
+
+def test_places_keep_within_what_an_arm_file_says_can_be_touched():
+    short = variant({"touch.reach_m": [0.04, 0.07]}, "cdsm_lab")
+    np.testing.assert_allclose(load_places_m(short), [[0.045, 0.065, 0.065]] * 4)
 
 
 def test_a_bearable_load_is_the_strongest_that_leaves_all_taut():
@@ -91,12 +104,14 @@ def test_a_weak_arm_gets_loads_in_finer_steps():
     fine = weak.model_copy(
         update={"sensors": weak.sensors.model_copy(update={"noise_std_n": 0.001, "step_n": 0.001})}
     )
-    loads = {
-        float(np.linalg.norm(block.loads_n, axis=1).max())
+    peaks = [
+        (block.at_m, float(np.linalg.norm(block.loads_n, axis=1).max()))
         for block in standard_protocol(fine)
         if block.kind is BlockKind.LOAD_CYCLE
-    }
-    assert 0.0 < max(loads) < 6.0
+    ]
+    loads = {load for _, load in peaks}
+    assert 0.0 < max(load for at_m, load in peaks if at_m >= 0.065) < 6.0
+    assert max(loads) <= 6.0 + 1e-9  # near a joint it bears as much as is ever tried on it
     assert any(load % 2.0 for load in loads)  # the steps of a strong arm are too coarse for it
 
 
@@ -149,13 +164,3 @@ def test_static_effects_can_be_told_apart_by_it_and_not_by_rest_alone():
     still = sensitivities(resting)
     assert separation(still, "gain_3") < 1e-6
     assert separation(still, "payload_3") < 1e-6
-
-
-@pytest.mark.slow
-def test_slackening_cycles_tell_a_tilted_base_from_zeros_and_pretension():
-    rows = rows_of(BLOCKS, 1.0)
-    slackening = [i for i, block in enumerate(BLOCKS) if block.kind is BlockKind.SLACKENING]
-    taut = ~np.isin(rows.trial, slackening)
-    without = rows.rows(taut)
-    assert separation(sensitivities(rows), "tilt_1") > 0.2
-    assert separation(sensitivities(without), "tilt_1") < 0.03

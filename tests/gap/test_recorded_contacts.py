@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from cablesense_gap.recorded_contacts import recorded_errors, tares_n, with_acting_loads
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_sim.replay import read_tensions_n, replay_arm
+from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
@@ -22,7 +23,7 @@ from cablesense_training.inference.temporal_estimator import TemporalEstimator
 def recording() -> Recording:
     """As the laboratory's arm would read it."""
     made = small_recording()
-    true_n = replay_arm(LAB, made.time_s, made.command_rad, made.forces_n)
+    true_n = replay_arm(LAB, *made.inputs)
     readings = read_tensions_n(true_n, LAB.sensors, np.random.default_rng(0))
     return replace(made, tensions_n=readings)
 
@@ -83,6 +84,36 @@ def test_loads_without_a_tare_are_refused(recording: Recording, estimator: Estim
         recorded_errors(loaded, estimator)
 
 
+def test_a_model_is_judged_on_loads_where_it_expects_contacts(
+    recording: Recording, estimator: Estimator
+) -> None:
+    """The same readings; only what is stated of the place of trial 1 differs."""
+    loaded, first = recording.load_segment > 0, recording.trial == 1
+    middle = replace(recording, load_at_m=np.where(loaded, 0.065, np.nan))
+    far = replace(recording, load_at_m=np.where(first & loaded, 0.11, np.nan))
+    whole, others = recorded_errors(middle, estimator), recorded_errors(far, estimator)
+    assert whole.whole.errors == recorded_errors(recording, estimator).whole.errors
+    one_cycle = np.count_nonzero(CYCLE)
+    assert others.whole.errors.contacts == whole.whole.errors.contacts - one_cycle
+    with pytest.raises(RecordingError, match="no load at a contact point"):
+        recorded_errors(far, estimator, [1])
+
+
+@pytest.mark.parametrize("at_m", [0.04, 0.1])
+def test_a_model_of_contacts_anywhere_is_judged_on_loads_anywhere(at_m: float) -> None:
+    """On segment 1, where the moment alone is known, by the force that it means at the place."""
+    made = small_recording()
+    made = replace(made, load_at_m=np.where(made.load_segment > 0, at_m, np.nan))
+    true_n = replay_arm(LAB, *made.inputs)
+    readings = read_tensions_n(true_n, LAB.sensors, np.random.default_rng(0))
+    anywhere = AnywhereEstimator.load(find_model("cdsm_lab_anywhere"))
+    found = recorded_errors(replace(made, tensions_n=readings), anywhere)
+    assert set(found.by_segment) == {1, 2, 3, 4}
+    for each in found.by_segment.values():
+        assert each.contact_accuracy > 0.95
+        assert each.errors.magnitude_mae_n < 0.5
+
+
 def test_some_trials_are_judged_alone(recording: Recording, estimator: Estimator) -> None:
     found = recorded_errors(recording, estimator, [1, 6])
     assert set(found.by_segment) == {1, 2}
@@ -93,7 +124,7 @@ def test_a_history_dependent_model_answers_along_the_recording(recording: Record
     """Made for another arm of the same form; the recording is that one's."""
     estimator = TemporalEstimator.load(find_model("cdsm_moving"))
     arm = estimator.metadata.arm
-    true_n = replay_arm(arm, recording.time_s, recording.command_rad, recording.forces_n)
+    true_n = replay_arm(arm, *recording.inputs)
     found = recorded_errors(replace(recording, tensions_n=true_n), estimator, [1, 2])
     assert found.whole.contact_accuracy > 0.9
     assert found.whole.errors.magnitude_mae_n < 1.0

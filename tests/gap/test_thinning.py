@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from gap_recordings import small_recording
@@ -26,6 +28,15 @@ def recording(command, load_z_n, trial=None) -> Recording:
         load_n=load_n,
         tensions_n=np.zeros((rows, 12)),
     )
+
+
+def test_a_load_that_goes_to_another_place_is_kept_on_both_sides():
+    """Of a load that is pushed along the segment at the same force, only the place changes."""
+    made = recording(np.zeros(20_000), np.full(20_000, 9.0))
+    at_m = np.where(np.arange(20_000) < 12_345, 0.03, 0.11)
+    kept = rows_to_use(replace(made, load_at_m=at_m))
+    assert {12_344, 12_345} <= set(kept)
+    assert {12_344, 12_345} <= set(rows_along_path(replace(made, load_at_m=at_m)))
 
 
 def test_a_recording_by_the_protocol_is_used_whole():

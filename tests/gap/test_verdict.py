@@ -100,22 +100,25 @@ def test_what_cannot_be_is_refused_in_one_line(
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "NaN", '{"effects": ["none"]}'])
-def test_what_is_no_verdict_is_refused(tmp_path: Path, text: str) -> None:
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "JSON"),
+        (b"{", "JSON"),
+        (b"[]", "verdict.json"),
+        (b'{"effects": ["none"]}', "where|probability"),
+        (b"\xff\xfe\x00", "as text"),
+        (None, "No such file"),
+    ],
+)
+def test_other_files_are_refused(tmp_path: Path, content: bytes | None, says: str) -> None:
     path = tmp_path / "verdict.json"
-    path.write_text(text)
-    with pytest.raises(VerdictError):
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(VerdictError, match=says):
         read_verdict(path)
-
-
-def test_places_that_cannot_be_read_or_written_are_told(tmp_path: Path) -> None:
-    with pytest.raises(VerdictError, match="No such file"):
-        read_verdict(tmp_path / "verdict.json")
     with pytest.raises(VerdictError, match="cannot be written"):
         write_verdict(tmp_path / "nowhere" / "verdict.json", VERDICT)
-    (tmp_path / "bytes.json").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(VerdictError, match="as text"):
-        read_verdict(tmp_path / "bytes.json")
 
 
 def test_the_removed_share_counts_what_can_be_removed() -> None:

@@ -1,6 +1,5 @@
 """Serialized messages: read, written and stamped as rclpy does it, and refused in one line."""
 
-import math
 import struct
 from contextlib import suppress
 
@@ -88,20 +87,6 @@ def test_arbitrary_bytes_give_an_answer_or_the_error(raw):
         EffortReader().read(raw)
 
 
-@given(st.integers(0, 115), st.integers(0, 255))
-def test_a_changed_byte_gives_an_answer_or_the_error(position, value):
-    raw = bytearray(serialized(["cable_1", "cable_22", "c"], [1.0, 2.0, 3.0]))
-    raw[position % len(raw)] = value
-    with suppress(ContractError):
-        EffortReader().read(bytes(raw))
-
-
-def test_not_finite_values_are_read_as_they_are():
-    values = EffortReader().read(serialized(["a", "b"], [math.nan, math.inf])).values
-    assert math.isnan(values[0])
-    assert values[1] == math.inf
-
-
 @pytest.mark.parametrize(
     ("raw", "complaint"),
     [
@@ -117,13 +102,6 @@ def test_other_bytes_are_refused_with_the_reason(raw, complaint):
         EffortReader().read(raw)
 
 
-def test_a_text_that_is_not_closed_is_refused():
-    raw = serialized(["a"], [1.0], frame="base_link")
-    for text in (b"base_link\0", b"a\0"):
-        with pytest.raises(ContractError, match="do not end with a NUL"):
-            EffortReader().read(raw.replace(text, text[:-1] + b"x"))
-
-
 geometry_msgs = pytest.importorskip("geometry_msgs.msg")
 
 
@@ -133,12 +111,16 @@ VECTOR = st.tuples(*[st.floats(allow_nan=False)] * 3)
 @given(
     st.text(st.characters(codec="ascii", min_codepoint=1)), VECTOR, VECTOR, st.integers(0, 2**60)
 )
-def test_rclpy_reads_the_same(frame, force, torque, stamp_ns):
-    raw = WrenchWriter(frame).write(stamp_ns, force + torque)
+def test_rclpy_reads_the_same(frame, force, torque, written_ns):
+    raw = WrenchWriter(frame).write(written_ns, force + torque)
     message = serialization.deserialize_message(raw, geometry_msgs.WrenchStamped)
     wrench = message.wrench
     assert message.header.frame_id == frame
-    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp_ns
+    assert (
+        message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        == written_ns
+        == stamp_ns(raw)
+    )
     assert (wrench.force.x, wrench.force.y, wrench.force.z) == force
     assert (wrench.torque.x, wrench.torque.y, wrench.torque.z) == torque
 
@@ -156,25 +138,10 @@ def test_another_stamp_and_the_same_rest(old, new, order, rest):
     assert restamped(moved, old) == raw
 
 
-def test_as_rclpy_writes_it():
-    serialization = pytest.importorskip("rclpy.serialization")
-    messages = pytest.importorskip("geometry_msgs.msg")
-    message = messages.WrenchStamped()
-    message.header.stamp.sec, message.header.stamp.nanosec = 1234, 567
-    assert stamp_ns(serialization.serialize_message(message)) == 1234 * 10**9 + 567
-
-
-@pytest.mark.parametrize("raw", [b"", b"\0\1\0\0", b"\0\3" + bytes(20)])
-def test_other_bytes_are_refused(raw):
-    with pytest.raises(ContractError, match="no message with a stamp"):
-        stamp_ns(raw)
-
-
 @pytest.mark.parametrize("field", ["name", "position", "effort"])
-def test_a_message_that_is_too_long_is_refused_unread_and_not_kept(field):
-    reader, count = EffortReader(), MAX_MESSAGE_BYTES // 8 + 1
+def test_a_message_that_is_too_long_is_refused_unread(field):
+    count = MAX_MESSAGE_BYTES // 8 + 1
     values = ["joint"] * count if field == "name" else [0.0] * count
     message = sensor_msgs.JointState(**{field: values})
     with pytest.raises(ContractError, match=f"bytes; .* at most {MAX_MESSAGE_BYTES}"):
-        reader.read(serialization.serialize_message(message))
-    assert not reader._known
+        EffortReader().read(serialization.serialize_message(message))

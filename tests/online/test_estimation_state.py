@@ -15,7 +15,6 @@ from sample_feed import (
 
 from cablesense_base import CableSenseError
 from cablesense_msgs_py.messages import BREATH_END, NO_CONTACT
-from cablesense_msgs_py.topics import ContractError
 from cablesense_online.state import Event, EventKind
 from cablesense_online.tare import UnloadedTensions
 from cablesense_training.inference.estimator import Estimate
@@ -79,7 +78,7 @@ def live_run(seed, count=120):
 
 @pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1), begin=st.integers(0, 119))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=4, deadline=None)
 def test_the_last_state_and_the_samples_are_enough_from_anywhere(seed, begin):
     run = live_run(seed)
     states = [answer.state for *_, answer in run[: begin + 1] if answer.state is not None]
@@ -167,11 +166,3 @@ def test_another_arm_carries_the_tare_over_by_its_own_model():
     np.testing.assert_allclose(
         gone, predict_n(np.full(8, 0.01)) - predict_n(np.zeros(8)), atol=1e-9
     )
-
-
-def test_a_state_of_an_arm_with_other_joints_is_refused():
-    feed = Feed()
-    state = feed.sample().state
-    wrong = state.gate.model_copy(update={"command_rad": np.zeros(7)})
-    with pytest.raises(ContractError, match=r"gate.command_rad has 7 numbers"):
-        feed.estimation.restore(state.model_copy(update={"gate": wrong}))

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import torch
 from sample_feed import ARM, MECHANISM, UNLOADED, Feed
+from scipy.spatial.transform import Rotation
 
 from cablesense_msgs_py.messages import Contact, ForceState
-from cablesense_online.force_fit import LARGEST_MISFIT, ContactStatics, ForceFits
+from cablesense_online.contact_statics import ContactStatics
+from cablesense_online.force_fit import LARGEST_MISFIT, ForceFits
 from cablesense_online.models import load_model
 from cablesense_online.tare import UnloadedTensions
 from cablesense_sim import kinematics
@@ -43,6 +45,21 @@ def test_joint_torques_do_the_work_of_the_forces():
     more, less = (kinematics.contact_points_m(MECHANISM, POSE + s * step) for s in (1, -1))
     work = np.einsum("knx,nx->k", more - less, forces_n(POSE)) / 2e-6
     np.testing.assert_allclose(torques, work, atol=1e-6)
+
+
+def test_a_contact_pose_is_where_the_force_acts_and_points_along_it():
+    contact = CONTACTS[0]
+    at = ContactStatics(MECHANISM).at(POSE).contact_pose(contact, 2e-3, 3.0)
+    points = kinematics.contact_points_m(MECHANISM, POSE)
+    np.testing.assert_allclose(at.point_m, points[contact.segment - 1], atol=1e-12)
+    along_force, _, along_segment = Rotation.from_quat(at.quaternion).as_matrix().T
+    force_n = normal_force_n(MECHANISM, POSE, *contact[:3])[contact.segment - 1]
+    np.testing.assert_allclose(30.0 * along_force, force_n, atol=1e-9)
+    covariance = np.reshape(at.covariance, (6, 6))
+    place, turn = covariance[:3, :3], covariance[3:, 3:]
+    np.testing.assert_allclose(place, np.outer(along_segment, along_segment) * 4e-6, atol=1e-15)
+    assert np.trace(turn) == pytest.approx(np.deg2rad(3.0) ** 2)
+    assert not covariance[:3, 3:].any()
 
 
 def test_directions_on_several_segments_follow_from_the_tensions():

@@ -12,19 +12,31 @@ from page_visitor import SUBPROTOCOL, Visitor
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
 
+from cablesense_msgs_py.messages import NO_CONTACT, Contact
 from cablesense_online.page import guard
-from cablesense_online.page.guard import MOST_CLIENTS, MOST_MESSAGE_BYTES, PageError
+from cablesense_online.page.guard import (
+    MOST_CLIENTS,
+    MOST_MESSAGE_BYTES,
+    PageError,
+    exposure_warning,
+    free_port,
+)
 from cablesense_online.page.page import Page
 from cablesense_online.page.panel import Actions, joint_limit_deg
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.contact_location import reach_m
 from cablesense_sim.equilibrium import checked_command
 from cablesense_sim.load_capacity import USUAL_CONTACT_N as FORCE_LIMIT_N
 
 pytestmark = pytest.mark.slow
 
-
 ARM = open_arm("cdsm")
+LIMIT_DEG = joint_limit_deg(mechanism_of(ARM))
+SLIDERS = ("force, N", "angle, °", "place, mm", "along, N", "joint 3 yaw, °")
+FIRST_CONTACT = Contact(4, 215.0, 60.0, 0.065, 0.0)
+FIRST_PUSH = ("push", FIRST_CONTACT, False)
+NEAREST_M, FARTHEST_M = reach_m(mechanism_of(ARM))[3]
 
 
 def eventually(condition, what):
@@ -34,24 +46,18 @@ def eventually(condition, what):
         time.sleep(0.01)
 
 
-class Asked(list):
-    """What the page asked the nodes for, in order."""
-
-    @property
-    def actions(self):
-        return Actions(
-            lambda *push: self.append(("push", *push)),
-            lambda command_rad: self.append(("command", *np.rad2deg(command_rad))),
-            lambda: self.append(("tare",)),
-            lambda: self.append(("undo",)),
-            lambda: self.append(("breathe",)),
-        )
-
-
 @pytest.fixture(scope="module")
 def served():
-    asked = Asked()
-    page = Page(ARM, asked.actions, port=18_180)
+    """A page, and what it asked the nodes for, in order."""
+    asked = []
+    actions = Actions(
+        lambda *push: asked.append(("push", *push)),
+        lambda command_rad: asked.append(("command", *np.rad2deg(command_rad))),
+        lambda: asked.append(("tare",)),
+        lambda: asked.append(("undo",)),
+        lambda: asked.append(("breathe",)),
+    )
+    page = Page(ARM, actions, port=18_180)
     yield page, asked
     page.close()
 
@@ -103,57 +109,53 @@ def get(page, path=None, **headers):
     return answer.status, text
 
 
-FOREIGN = {"Origin": "http://evil.example"}
-REBOUND = {"Host": "evil.example:18180", "Origin": "http://evil.example:18180"}
-NEIGHBOUR = {"Origin": "http://127.0.0.1:9999"}
-
-
-@pytest.mark.parametrize("headers", [FOREIGN, REBOUND, NEIGHBOUR, {"Origin": "null"}])
-def test_another_website_gets_neither_page_nor_websocket(page, headers):
+def refused_socket(page, status, path=None, **headers):
+    """The page refuses a WebSocket."""
     url = urlsplit(page.url)
-    assert get(page, **headers)[0] == 403
-    netloc = headers.get("Host", url.netloc)
-    with pytest.raises(InvalidStatus, match="403"):
+    with pytest.raises(InvalidStatus, match=str(status)):
         connect(
-            f"ws://{netloc}{url.path}",
+            f"ws://{headers.get('Host', url.netloc)}{url.path if path is None else path}",
             sock=socket.create_connection(("127.0.0.1", url.port)),
-            origin=headers["Origin"],
+            origin=headers.get("Origin"),
             subprotocols=[SUBPROTOCOL],
         )
 
 
-def test_a_websocket_without_an_origin_is_refused(page):
-    with pytest.raises(InvalidStatus, match="403"):
-        connect(page.url.replace("http", "ws"), subprotocols=[SUBPROTOCOL])
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "http://evil.example"},
+        {"Host": "evil.example:18180", "Origin": "http://evil.example:18180"},  # DNS rebinding
+        {"Origin": "http://127.0.0.1:9999"},
+        {"Origin": "null"},
+    ],
+)
+def test_another_website_gets_neither_page_nor_websocket(page, headers):
+    assert get(page, **headers)[0] == 403
+    refused_socket(page, 403, **headers)
 
 
-@pytest.mark.parametrize("path", ["/", "/index.html", "/" + "A" * 22 + "/", "/%00/", "//"])
-def test_without_the_token_nothing_is_served(page, path):
-    status, text = get(page, path)
-    assert status == 403
-    assert "the whole address" in text
-    url = urlsplit(page.url)
-    with pytest.raises(InvalidStatus, match="403"):
-        connect(
-            f"ws://{url.netloc}{path}",
-            origin=f"http://{url.netloc}",
-            subprotocols=[SUBPROTOCOL],
-        )
+def test_a_websocket_needs_an_origin_and_the_token_and_so_does_the_page(page):
+    refused_socket(page, 403)
+    for path in ("/", "/index.html", "/" + "A" * 22 + "/", "/%00/", "//"):
+        status, text = get(page, path)
+        assert (status, "the whole address" in text) == (403, True)
+        refused_socket(page, 403, path, Origin=f"http://{urlsplit(page.url).netloc}")
+    other = Page(ARM, None, port=page.port)
+    assert other.port > page.port
+    assert urlsplit(other.url).path != urlsplit(page.url).path
+    visitor = Visitor(other.url)
+    eventually(lambda: other._server.get_clients(), "the visitor")
+    assert set(visitor.read(0.3).controls) == {"Reset the errors"}, "nobody commands"
+    visitor.close()
+    other.close()
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:18180", "localhost:18180", "[::1]:9000", "10.0.0.7"])
 def test_the_user_gets_the_page_by_its_address_or_through_a_tunnel(page, host):
     status, text = get(page, Host=host)
-    assert status == 200
-    assert "<html" in text
+    assert (status, "<html" in text) == (200, True)
     assert get(page, Host=host, Origin=f"http://{host}")[0] == 200
-
-
-def test_every_page_has_a_token_of_its_own(page):
-    other = Page(ARM, None, port=page.port + 1)
-    assert len(urlsplit(other.url).path) == 24
-    assert urlsplit(other.url).path != urlsplit(page.url).path
-    other.close()
 
 
 def test_a_viser_that_cannot_be_guarded_is_not_served(monkeypatch):
@@ -172,91 +174,71 @@ def test_a_viser_that_cannot_be_guarded_is_not_served(monkeypatch):
     assert stopped
 
 
-def test_a_message_beyond_the_limit_ends_the_connection(commander):
+def test_too_long_a_message_and_too_many_browsers_are_refused(page, visit, commander):
+    for _ in range(MOST_CLIENTS - 1):
+        visit()
+    assert get(page)[0] == 503
     commander.send({"type": "GuiUpdateMessage", "uuid": "a" * MOST_MESSAGE_BYTES, "updates": {}})
     with pytest.raises(ConnectionClosedError) as closed:
         commander.read(10.0)
     assert closed.value.rcvd.code == 1009
 
 
-def test_more_browsers_than_the_limit_are_refused(page, visit):
-    for _ in range(MOST_CLIENTS):
-        visit()
-    with pytest.raises(InvalidStatus, match="503"):
-        visit()
-    assert get(page)[0] == 503
-
-
-def test_nothing_is_uploaded_and_the_page_is_not_shared(monkeypatch, page, asked, commander):
-    shared = []
-    monkeypatch.setattr(page._server, "request_share_url", lambda: shared.append(True))
-    commander.send({"type": "ShareUrlRequest"})
-    slider = {"transfer_uuid": "1", "source_component_uuid": commander.controls["force, N"]}
-    upload = {"filename": "a", "mime_type": "", "part_count": 3, "size_bytes": 30_000}
-    commander.send({"type": "FileTransferStartUpload", **slider, **upload})
-    for part in range(3):
-        content = {"part_index": part, "content": bytes(10_000)}
-        commander.send({"type": "FileTransferPart", **slider, **content})
-    commander.put("Tare", True)
-    eventually(lambda: asked, "the tare")
-    assert commander.read(0.3).acknowledged == 0
-    assert not shared
-
-
-LIMIT_DEG = joint_limit_deg(mechanism_of(ARM))
-
-
 @pytest.mark.parametrize(
-    ("value", "force_n", "angle_deg", "joint_deg"),
+    ("value", "contact", "joint_deg"),
     [
-        (1e6, FORCE_LIMIT_N, 355.0, LIMIT_DEG),
-        (-1e6, 0.0, 0.0, -LIMIT_DEG),
-        (1e300, FORCE_LIMIT_N, 355.0, LIMIT_DEG),
-        (7, 7.0, 7.0, 7.0),
-        (True, 1.0, 1.0, 1.0),
+        (1e300, Contact(4, 355.0, FORCE_LIMIT_N, FARTHEST_M, 0.5 * FORCE_LIMIT_N), LIMIT_DEG),
+        (-1e6, Contact(4, 0.0, 0.0, NEAREST_M, -0.5 * FORCE_LIMIT_N), -LIMIT_DEG),
+        (7, Contact(4, 7.0, 7.0, NEAREST_M, 7.0), 7.0),
+        (True, Contact(4, 1.0, 1.0, NEAREST_M, 1.0), 1.0),
     ],
 )
 def test_values_are_brought_into_range_whatever_a_browser_sends(
-    asked, commander, value, force_n, angle_deg, joint_deg
+    asked, commander, value, contact, joint_deg
 ):
     commander.put("Push", True)
     eventually(lambda: asked, "the first push")
-    for label in ("force, N", "angle, °", "joint 3 yaw, °"):
+    for label in SLIDERS:
         commander.put(label, value)
-    eventually(lambda: ("push", 4, angle_deg, force_n, False) in asked, "the push")
+    eventually(lambda: ("push", contact, False) in asked, "the push")
     eventually(lambda: [one for one in asked if one[0] == "command"], "the command")
     (command,) = (one for one in asked if one[0] == "command")
     np.testing.assert_allclose(command[1:], [0.0] * 5 + [joint_deg] + [0.0] * 2)
-    pushes = np.array([one[2:4] for one in asked if one[0] == "push"])
-    assert ((pushes >= 0.0) & (pushes <= [355.0, FORCE_LIMIT_N])).all()
+    pushes = np.array([one[1][:5] for one in asked if one[0] == "push"])
+    least = 4, 0.0, 0.0, NEAREST_M, -0.5 * FORCE_LIMIT_N
+    most = 4, 355.0, FORCE_LIMIT_N, FARTHEST_M, 0.5 * FORCE_LIMIT_N
+    assert ((pushes >= least) & (pushes <= most)).all()
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, "much", "", None, [1.0], {"a": 1}, b"1"])
-def test_what_is_no_number_does_nothing(asked, commander, value):
+def test_a_browser_sends_values_of_controls_and_nothing_else(monkeypatch, page, asked, commander):
+    shared = []
+    monkeypatch.setattr(page._server, "request_share_url", lambda: shared.append(True))
     commander.put("Push", True)
     eventually(lambda: asked, "the first push")
-    for label in ("force, N", "angle, °", "joint 3 yaw, °", "segment"):
-        commander.put(label, value)
-    commander.read(0.2)
-    commander.put("Tare", True)
-    eventually(lambda: ("tare",) in asked, "the tare")
-    assert asked == [("push", 4, 215.0, 60.0, False), ("tare",)]
-
-
-def test_a_browser_changes_values_and_nothing_else_of_a_control(asked, commander):
+    for value in (np.nan, np.inf, "much", "", None, [1.0], {"a": 1}, b"1", "4" * 101):
+        for label in (*SLIDERS, "segment"):
+            commander.put(label, value)
     uuid = commander.controls["Tare"]
     for updates in ({"update_cb": []}, {"removed": True}, {"value": True, "removed": True}, 3):
         commander.send({"type": "GuiUpdateMessage", "uuid": uuid, "updates": updates})
+    commander.send({"type": "ShareUrlRequest"})
+    of = {"transfer_uuid": "1", "source_component_uuid": commander.controls["force, N"]}
+    upload = {"filename": "a", "mime_type": "", "part_count": 1, "size_bytes": 10_000}
+    commander.send({"type": "FileTransferStartUpload", **of, **upload})
+    commander.send({"type": "FileTransferPart", **of, "part_index": 0, "content": bytes(10_000)})
     commander.socket.send(b"\xc1")
     commander.socket.send("text")
     commander.put("Tare", True)
-    eventually(lambda: asked == [("tare",)], "one tare")
+    eventually(lambda: ("tare",) in asked, "the tare")
+    assert asked == [FIRST_PUSH, ("tare",)]
+    assert commander.read(0.3).acknowledged == 0
+    assert not shared
 
 
 def test_one_commands_and_the_next_takes_over_when_they_leave(asked, visit, commander):
     assert commander.reads("You command the arm</b>, nobody else watches")
     watcher = visit()
-    eventually(lambda: watcher.reads("commands the arm</b>; you are visitor"), "who commands")
+    eventually(lambda: watcher.reads("Another visitor commands the arm"), "who commands")
     eventually(lambda: commander.reads("one other watches"), "that somebody watches")
     assert "Push" not in watcher.controls
     commander.put("Home", True)
@@ -268,25 +250,60 @@ def test_one_commands_and_the_next_takes_over_when_they_leave(asked, visit, comm
     commander.put("joint 1 pitch, °", 5.0)
     commander.put("Push", True)
     eventually(lambda: len(asked) == 2, "what the first asked for")
-    assert sorted(asked) == [("command", 5.0, *[0.0] * 7), ("push", 4, 215.0, 60.0, False)]
+    assert sorted(asked) == [("command", 5.0, *[0.0] * 7), FIRST_PUSH]
     watcher.controls.clear()
     asked.clear()
     commander.close()
     eventually(lambda: "Tare" in watcher.read().controls, "the controls")
-    assert asked == [("push", 1, 0.0, 0.0, False)]
+    assert asked == [("push", NO_CONTACT, False)]
     assert watcher.reads("You command the arm</b>, nobody else watches")
     watcher.put("joint 2 yaw, °", 12.0)
     eventually(lambda: len(asked) == 2, "what the second asked for")
     np.testing.assert_allclose(asked[1][1:], [5.0, 0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.0])
 
 
-def test_a_page_without_controls_has_nobody_who_commands():
-    page = Page(ARM, None, port=18_200)
-    visitor = Visitor(page.url)
-    eventually(lambda: page._server.get_clients(), "the visitor")
-    assert set(visitor.read(0.3).controls) == {"Reset the errors"}
-    visitor.close()
-    page.close()
+def click(segment, at_m, **changed):
+    """On a segment of the straight arm, from beside it."""
+    mechanism = mechanism_of(ARM)
+    x_m = mechanism.joint_position_straight_m[segment - 1] + at_m
+    return {
+        "type": "SceneNodeClickMessage",
+        "name": f"/arm/segment_{segment}/body",
+        "instance_index": None,
+        "ray_origin": (float(x_m), -2.0, 0.0),
+        "ray_direction": (0.0, 1.0, 0.0),
+        "screen_pos": (0.5, 0.5),
+        "modifier": None,
+        "owner": "",
+        **changed,
+    }
+
+
+def test_a_click_on_the_arm_chooses_segment_and_place_for_the_one_who_commands(
+    asked, visit, commander
+):
+    watcher = visit()
+    eventually(lambda: watcher.reads("Another visitor commands the arm"), "who commands")
+    commander.put("Push", True)
+    eventually(lambda: asked == [FIRST_PUSH], "the first push")
+    watcher.send(click(1, 0.05))
+    for wrong in (
+        {"ray_origin": (np.nan, 0.0, 0.0)},
+        {"ray_direction": (0.0, 0.0, np.inf)},
+        {"ray_direction": (1.0, 0.0, 0.0)},  # along the axis
+        {"ray_origin": (1.0, 2.0)},
+        {"name": "x" * 101},
+        {"name": "/arm/segment_9/body"},
+        {"modifier": "shift"},
+    ):
+        commander.send(click(2, 0.05, **wrong))
+    commander.send(click(2, 0.1))
+    eventually(lambda: len(asked) > 1, "the push there")
+    commander.send(click(3, 5.0))
+    eventually(lambda: len(asked) > 2, "the push beyond")
+    there = FIRST_CONTACT._replace(segment=2, contact_m=0.1)
+    end = FIRST_CONTACT._replace(segment=3, contact_m=FARTHEST_M)
+    assert asked == [FIRST_PUSH, ("push", there, False), ("push", end, False)]
 
 
 @pytest.mark.parametrize("offset_m", [0.002, 0.010, 0.015, 0.060])
@@ -295,3 +312,21 @@ def test_sliders_keep_within_what_the_guide_plates_allow(offset_m):
     limit_deg = joint_limit_deg(mechanism)
     assert 0.0 < limit_deg <= 20.0
     checked_command(mechanism, np.deg2rad(np.full(8, limit_deg)))
+
+
+def test_a_host_that_is_not_of_this_machine_has_a_remedy():
+    with pytest.raises(PageError, match="another --host or --port"):
+        free_port("203.0.113.7", 8080)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.8.0.1", "localhost", "::1"])
+def test_loopback_is_no_exposure(host):
+    assert exposure_warning(host, 8080, controls=True) == ""
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "::", "robot", "", "127.0.0.1.x"])
+def test_any_other_host_is_one_line_of_warning(host):
+    line = exposure_warning(host, 8080, controls=True)
+    assert line.endswith("given its address, or listens in on the way, can see and move the arm")
+    assert len(line.splitlines()) == 1
+    assert "move" not in exposure_warning(host, 8080, controls=False)

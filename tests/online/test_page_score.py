@@ -6,21 +6,25 @@ import numpy as np
 import pytest
 
 from cablesense_msgs_py.messages import ForceState, Level
-from cablesense_online.page.live_arm import ShownContact, ShownStatus, Snapshot
 from cablesense_online.page.score import GUESS_DEG, Score, angle_error_deg
-
-FINE = ShownStatus(Level.OK, "fine")
-
-
-def contact(segment=2, angle=350.0, newtons=40.0):
-    return ShownContact(segment, angle, newtons, np.array([0.0, 0.0, newtons]))
+from cablesense_online.page.snapshot import KnownMoment, ShownContact, ShownStatus, Snapshot
 
 
-def moment(time_s, true, estimate, pose=0.0, state=None):
-    state = state or (ForceState.CONTACT if estimate else ForceState.FREE)
-    return Snapshot(
-        time_s, np.full(8, pose), np.full(12, 50.0), true, state, estimate, None, None, FINE
-    )
+def contact(segment=2, angle=350.0, newtons=40.0, place_m=0.08):
+    return ShownContact(segment, angle, newtons, place_m, 0.0, np.array([0.0, 0.0, newtons]))
+
+
+def moment(time_s, true, estimated, pose=0.0, state=None):
+    state = state or (ForceState.CONTACT if estimated else ForceState.FREE)
+    pose, tensions, fine = np.full(8, pose), np.full(12, 50.0), ShownStatus(Level.OK, "fine")
+    return Snapshot(time_s, pose, tensions, tuple(true), state, tuple(estimated), None, None, fine)
+
+
+def scored(*moments):
+    score = Score(settling_s=0.0)
+    for one in moments:
+        score.add(one)
+    return score.errors
 
 
 def test_angles_wrap_around():
@@ -30,80 +34,72 @@ def test_angles_wrap_around():
 
 def test_errors_are_means_over_steady_moments():
     score = Score(settling_s=1.0)
-    true, estimate = contact(angle=350.0, newtons=40.0), contact(angle=4.0, newtons=41.0)
+    true, estimate = [contact(angle=350.0)], [contact(angle=4.0, newtons=41.0, place_m=0.083)]
     for time_s in np.arange(0.0, 3.0, 0.1):
         score.add(moment(time_s, true, estimate))
-    errors = score.errors
-    assert errors.segment_right == 1.0
-    assert errors.angle_mae_deg == pytest.approx(14.0)
-    assert errors.magnitude_mae_n == pytest.approx(1.0)
-    assert errors.count == 20
+    assert score.errors == pytest.approx((20, 0.0, 1.0, 0.003, 14.0, 1.0))
+    score.reset()
+    assert score.errors == (0, None, None, None, None, None)
 
 
 def test_several_contacts_are_compared_segment_by_segment():
-    score = Score(settling_s=0.0)
-    whole = dataclasses.replace(
-        moment(0.0, contact(4, newtons=30.0), contact(4, newtons=31.0)),
-        more_true=(contact(2, newtons=10.0),),
-        more_estimated=(contact(2, newtons=12.0),),
-    )
-    score.add(whole)
-    assert score.errors.segment_right == 1.0
-    assert score.errors.magnitude_mae_n == pytest.approx(1.5)
-    score.add(dataclasses.replace(whole, more_estimated=()))
-    assert score.errors.segment_right == 0.5
-    assert score.errors.magnitude_mae_n == pytest.approx((1.0 + 2.0 + 1.0 + 10.0) / 4)
-    assert score.errors.angle_mae_deg == pytest.approx(GUESS_DEG / 4)
+    true = [contact(4, newtons=30.0), contact(2, newtons=10.0)]
+    both = moment(0.0, true, [contact(4, newtons=31.0), contact(2, newtons=12.0)])
+    assert scored(both).magnitude_mae_n == pytest.approx(1.5)
+    missed = dataclasses.replace(both, estimated=both.estimated[:1])
+    errors = scored(both, missed)
+    assert errors.segment_right == 0.5
+    assert errors.magnitude_mae_n == pytest.approx((1.0 + 2.0 + 1.0 + 10.0) / 4)
+    assert errors.angle_mae_deg == pytest.approx(GUESS_DEG / 4)
 
 
 @pytest.mark.parametrize(
-    ("true", "estimate", "angle_deg", "force_n"),
+    ("true", "estimated", "angle_deg", "force_n"),
     [
-        (contact(2), contact(3, newtons=70.0), GUESS_DEG, 70.0),
-        (contact(2), None, GUESS_DEG, 40.0),
-        (None, contact(3, newtons=7.0), None, 7.0),
+        ([contact(2)], [contact(3, newtons=70.0)], GUESS_DEG, 70.0),
+        ([contact(2)], [], GUESS_DEG, 40.0),
+        ([], [contact(3, newtons=7.0)], None, 7.0),
     ],
 )
 def test_misses_and_wrong_segments_count_with_all_of_their_force(
-    true, estimate, angle_deg, force_n
+    true, estimated, angle_deg, force_n
 ):
-    score = Score(settling_s=0.0)
-    score.add(moment(0.0, true, estimate))
-    assert score.errors.segment_right == 0.0
-    assert score.errors.angle_mae_deg == angle_deg
-    assert score.errors.magnitude_mae_n == force_n
-    score.add(moment(0.1, contact(2), contact(2)))
-    assert score.errors.segment_right == 0.5
-    assert score.errors.magnitude_mae_n == 0.5 * force_n
+    wrong = moment(0.0, true, estimated)
+    assert scored(wrong)[2:] == (0.0, None, angle_deg, force_n)
+    errors = scored(wrong, moment(0.1, [contact(2)], [contact(2)]))
+    assert (errors.segment_right, errors.magnitude_mae_n) == (0.5, 0.5 * force_n)
+
+
+def test_of_a_known_moment_segment_and_direction_count_and_neither_place_nor_force():
+    state, seen = ForceState.MOMENT, KnownMoment(2, 352.0, 3.2)
+    now = dataclasses.replace(moment(0.0, [contact(2)], [], state=state), moment=seen)
+    assert scored(now) == pytest.approx((1, 0.0, 1.0, None, 2.0, None))
+    elsewhere = dataclasses.replace(now, moment=seen._replace(segment=1))
+    assert scored(elsewhere)[2:] == (0.0, None, GUESS_DEG, 40.0)
 
 
 def test_silence_about_nothing_is_right_and_is_no_error_of_a_force():
-    score = Score(settling_s=0.0)
-    score.add(moment(0.0, None, None))
-    assert score.errors.segment_right == 1.0
-    assert score.errors.angle_mae_deg is score.errors.magnitude_mae_n is None
+    assert scored(moment(0.0, [], []))[2:] == (1.0, None, None, None)
 
 
-@pytest.mark.parametrize("change", ["load", "pose"])
-def test_a_change_starts_the_settling_anew(change):
+def test_a_change_of_load_or_pose_starts_the_settling_anew():
     score = Score(settling_s=1.0)
-    before = moment(0.0, contact(), contact())
+    before = moment(0.0, [contact()], [contact()])
     score.add(before)
     assert score.add(dataclasses.replace(before, time_s=1.5))
-    after = (
-        moment(1.6, contact(newtons=60.0), contact())
-        if change == "load"
-        else moment(1.6, contact(), contact(), pose=0.05)
-    )
-    assert not score.add(after)
-    assert not score.add(dataclasses.replace(after, time_s=2.5))
-    assert score.add(dataclasses.replace(after, time_s=2.7))
+    for since_s, changed in (
+        (2.0, moment(2.0, [contact(newtons=60.0)], [contact()])),
+        (4.0, moment(4.0, [contact(newtons=60.0)], [contact()], pose=0.05)),
+        (6.0, moment(6.0, [contact(newtons=60.0, place_m=0.09)], [contact()], pose=0.05)),
+    ):
+        assert not score.add(changed)
+        assert not score.add(dataclasses.replace(changed, time_s=since_s + 0.9))
+        assert score.add(dataclasses.replace(changed, time_s=since_s + 1.1))
 
 
 def test_moments_without_an_answer_are_counted_apart_and_those_in_motion_not_at_all():
-    score = Score(settling_s=0.0)
-    for state in (ForceState.HIDDEN, ForceState.SILENT, ForceState.MOVING, ForceState.REFUSED):
-        score.add(moment(0.0, contact(), None, state=state))
-    assert score.errors.segment_right is None
-    score.add(moment(0.0, contact(), contact()))
-    assert (score.errors.unanswered, score.errors.count) == (0.75, 1)
+    states = (ForceState.HIDDEN, ForceState.SILENT, ForceState.MOVING, ForceState.REFUSED)
+    silent = [moment(0.0, [contact()], [], state=state) for state in states]
+    assert scored(*silent).segment_right is None
+    errors = scored(*silent, moment(0.0, [contact()], [contact()]))
+    assert (errors.unanswered, errors.compared) == (0.75, 1)

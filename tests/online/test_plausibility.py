@@ -1,19 +1,24 @@
-"""A force only from readings that fit it: what faults leave is withheld, and contacts are not."""
+"""A force only from readings that fit it: faults are withheld, contacts are not; the limit."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from arm_at_rest import BENT, PERIOD_NS, STRAIGHT, Arm, push
+from arm_at_rest import BENT, PERIOD_NS, STRAIGHT, Arm, loaded_model, push
 
+from cablesense_base.installation import config_path
 from cablesense_msgs_py.messages import NO_CONTACT, ForceState, Level
+from cablesense_online import misfit_limit
+from cablesense_online.misfit_limit import put_simulated_limit, simulated_misfits
+from cablesense_online.models import LoadedModel
 from cablesense_online.plausibility import LEAST_WITHHELD_S, WITHHELD_S
 from cablesense_online.samples import ProblemKind
 from cablesense_online.state import EventKind
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.replay import read_tensions_n
+from cablesense_training.inference.metadata import MisfitLimit
+from cablesense_training.inference.model_file import replace_misfit_limit
 
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
 
@@ -61,12 +66,11 @@ def dead(reading, _):
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
 @pytest.mark.parametrize(
     "fault",
-    [scaled(2.0), scaled(1.1), swapped, reads(2.0), reads(19_999.0), dead],
-    ids=["scale 2", "scale 1.1", "exchanged", "2 N", "19,999 N", "all zero"],
+    [scaled(1.1), swapped, reads(2.0), dead],
+    ids=["scale 1.1", "exchanged", "2 N", "all zero"],
 )
-@pytest.mark.parametrize("command", [BENT], ids=["bent"])
-def test_one_faulty_channel_of_an_untouched_arm_gives_no_force(name, fault, command):
-    arm = Arm(name, command)
+def test_one_faulty_channel_of_an_untouched_arm_gives_no_force(name, fault):
+    arm = Arm(name, BENT)
     for cable in range(12):
         reading = arm.reading()
         before = reading.copy()
@@ -84,13 +88,12 @@ def test_one_faulty_channel_of_an_untouched_arm_gives_no_force(name, fault, comm
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
-@pytest.mark.parametrize("command", [STRAIGHT, BENT], ids=["straight", "bent"])
-def test_contacts_pass_slack_cables_or_not(name, command):
-    arm = Arm(name, command)
+def test_contacts_pass_slack_cables_or_not(name):
+    arm = Arm(name, BENT)
     for segment in range(1, 5):
         for angle_deg in (20.0, 110.0, 200.0, 290.0):
-            for magnitude_n in (1.0, 30.0, 190.0):
-                forces = push(arm.arm, command, segment, angle_deg, magnitude_n)
+            for magnitude_n in (1.0, 190.0):
+                forces = push(arm.arm, BENT, segment, angle_deg, magnitude_n)
                 answer = arm.sample(arm.reading(forces))
                 assert answer.problem is None
     assert arm.estimation.check.slack
@@ -137,9 +140,8 @@ def test_contacts_pass_where_rest_changes_at_once(name, command_deg, segment, fo
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["cdsm_lab"])
-def test_a_broken_cable_makes_no_wrong_force(name):
-    checked, unchecked = (Arm(name, BENT, largest_misfit=limit) for limit in (2.3, 0.0))
+def test_a_broken_cable_makes_no_wrong_force():
+    checked, unchecked = (Arm("cdsm_lab", BENT, largest_misfit=limit) for limit in (2.3, 0.0))
     wrong_n = {checked: [], unchecked: []}
     sound = mechanism_of(checked.arm)
     for cable in range(12):
@@ -198,12 +200,11 @@ def test_a_reading_of_zero_under_load_is_no_slack_cable():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("command", [STRAIGHT], ids=["straight"])
-def test_what_passes_and_is_wrong_is_reported_as_unconfirmed(command):
+def test_what_passes_and_is_wrong_is_reported_as_unconfirmed():
     """With one cable of segment 1 slack, the other two carry the two components of a force."""
-    arm, hidden = Arm(command=command), 0
+    arm, hidden = Arm(), 0
     for angle_deg in (0.0, 100.0, 230.0):
-        forces = push(arm.arm, command, 1, angle_deg, 170.0)
+        forces = push(arm.arm, STRAIGHT, 1, angle_deg, 170.0)
         for cable in range(12):
             for scale in (0.0, 0.5, 0.9, 1.1):
                 reading = arm.reading(forces)
@@ -235,9 +236,8 @@ def test_averages_show_what_single_readings_of_a_fault_hide():
     assert arm.sample(arm.reading(push(arm.arm, arm.command, 3, 0.0, 30.0))).force.known
 
 
-@pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
-def test_averages_of_healthy_contacts_fit(name):
-    arm = Arm(name, command=BENT)
+def test_averages_of_healthy_contacts_fit():
+    arm = Arm("cdsm_lab", command=BENT)
     for segment, angle_deg, size_n in ((1, 0.0, 40.0), (2, 100.0, 120.0), (4, 250.0, 180.0)):
         forces = push(arm.arm, BENT, segment, angle_deg, size_n)
         states = {arm.sample(arm.reading(forces)).force for _ in range(60)}
@@ -264,24 +264,6 @@ def test_forces_return_once_readings_have_fitted_as_long_as_they_did_not(faulty_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("magnitude_n", [5.0, 100.0])
-def test_a_push_that_comes_at_once_is_estimated_right_as_soon_as_a_stiff_arm_rests(magnitude_n):
-    arm = Arm()
-    dynamics = ArmDynamics(arm.arm)
-    dynamics.load(3, push(arm.arm, STRAIGHT, 3, 110.0, magnitude_n)[2])
-    contacts = []
-    for _ in range(20):
-        dynamics.advance(PERIOD_NS * 1e-9)
-        true = dynamics.tensions_n
-        reading = np.maximum(read_tensions_n(true, arm.arm.sensors, arm.rng), 0.0)
-        contacts.append(arm.sample(reading).contact)
-    assert all(contact.segment == 3 for contact in contacts[10:])
-    for contact in contacts:
-        assert contact.segment in (0, 3)
-        assert contact.magnitude_n == pytest.approx(magnitude_n, abs=1.0) or not contact.segment
-
-
-@pytest.mark.slow
 def test_the_last_state_is_enough_also_after_a_misfit():
     arm = Arm()
     run = []
@@ -293,7 +275,7 @@ def test_the_last_state_is_enough_also_after_a_misfit():
     kinds = {event.kind for state in states for event in state.events}
     assert EventKind.MISFIT in kinds
     assert len(states) < 20
-    for begin in (45, 70, 151, 165, 230):
+    for begin in (45, 151, 165):
         other = Arm().estimation
         other.restore([a.state for a, *_ in run[: begin + 1] if a.state is not None][-1])
         for answer, raw, now_ns in run[begin:]:
@@ -304,7 +286,7 @@ def test_the_last_state_is_enough_also_after_a_misfit():
             assert str(again.problem is None) == str(answer.problem is None)
 
 
-@pytest.mark.parametrize("fault", [scaled(1.3), reads(0.0), reads(60.0), swapped])
+@pytest.mark.parametrize("fault", [scaled(1.3), reads(0.0), swapped])
 def test_a_fault_makes_no_wrong_forces_on_several_segments_that_are_vouched_for(fault):
     arm, told = Arm(model="cdsm_multi"), {1: (75.0, 25.0), 3: (300.0, 30.0)}
     forces = sum(push(arm.arm, STRAIGHT, segment, *load) for segment, load in told.items())
@@ -336,3 +318,62 @@ def test_what_is_not_checked_is_reported_as_such(changes, why):
     reading[3] *= 2.0
     assert arm.sample(reading).problem is None
     assert why in arm.estimation.plausibility.status().message
+
+
+OTHER = MisfitLimit(largest_misfit=7.5, false_alarm_rate=0.25, samples=40, above=10)
+
+
+def copied(tmp_path, name="cdsm"):
+    path = tmp_path / f"{name}.onnx"
+    path.write_bytes(config_path(f"models/{name}.onnx").read_bytes())
+    return path
+
+
+def test_a_limit_changes_nothing_else_of_a_file_and_a_parameter_overrides_it(tmp_path):
+    path = copied(tmp_path)
+    origin = LoadedModel.open(path).origin
+    replace_misfit_limit(path, None)
+    without = path.read_bytes()
+    replace_misfit_limit(path, OTHER)
+    assert path.read_bytes().startswith(without)
+    assert LoadedModel.open(path).origin == origin
+    assert LoadedModel.open(path).largest_misfit(-1.0) == 7.5
+    assert LoadedModel.open(path).largest_misfit(3.0) == 3.0
+    assert LoadedModel.open(path).largest_misfit(0.0) == 0.0
+    replace_misfit_limit(path, None)
+    assert path.read_bytes() == without
+    assert LoadedModel.open(path).largest_misfit(-1.0) == 2.3
+
+
+@pytest.mark.parametrize(
+    ("stated", "largest", "origin"),
+    [
+        (OTHER, -1.0, "of the model file: above it are 10 of 40 simulated healthy samples"),
+        (OTHER, 3.0, "of the parameter largest_misfit"),
+        (None, -1.0, "by default: the model file states none"),
+    ],
+)
+def test_diagnostics_state_where_the_limit_comes_from(tmp_path, stated, largest, origin):
+    path = copied(tmp_path)
+    replace_misfit_limit(path, stated)
+    largest = LoadedModel.open(path).largest_misfit(largest)
+    arm = Arm(model=str(path), largest_misfit=largest)
+    values = arm.estimation.plausibility.status().values
+    assert values["largest misfit that passes"] == f"{largest:g}"
+    assert values["this limit is"].startswith(origin)
+
+
+@pytest.mark.slow
+def test_fresh_healthy_samples_are_as_rarely_above_the_limit_as_it_states(tmp_path, monkeypatch):
+    monkeypatch.setattr(misfit_limit, "POSES", 2)
+    limit = put_simulated_limit(copied(tmp_path, "cdsm_lab"))
+    monkeypatch.setattr(misfit_limit, "POSES", 1)
+    fresh = np.fromiter(simulated_misfits(loaded_model("cdsm_lab", ""), seed=1), float)
+    spare = 3.0 * np.sqrt(max(limit.above, 1) * misfit_limit.READINGS)  # of a contact all are
+    assert (fresh > limit.largest_misfit).sum() <= limit.above + spare
+    assert np.median(fresh) == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.slow
+def test_a_model_with_memory_gets_none(tmp_path):
+    assert put_simulated_limit(copied(tmp_path, "cdsm_moving")) is None

@@ -1,32 +1,35 @@
-"""Good sensors pass; every fault is a finding that names its cable and the remedy."""
+"""Statistics of readings; good sensors pass, and every fault is a finding at its cable."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from gap_recordings import LAB, small_recording
+from gap_recordings import small_recording
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from sensor_series import ARM, EXPECTED, RATE_HZ, STEP_N, good_tensions_n, series
 
-from cablesense_gap.recordings import thinning
+from cablesense_online.commissioning import CommissioningError
 from cablesense_online.commissioning.sensor_check import (
     LEAST_FLOOR_N,
+    SETTLING_S,
+    Pull,
+    channel_statistics,
     check_sensors,
-    exercised_channel_findings,
     expectation,
+    judge_pull,
+    quantisation_step_n,
+    series_of,
+    timing_statistics,
 )
-from cablesense_online.commissioning.tables import Pull, TimeWindow
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.equilibrium import solve_equilibrium
 
 
 def wrong(report):
     return {(finding.kind, finding.where) for finding in report.findings if finding.wrong}
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_good_sensors_are_usable(seed):
-    report = check_sensors(series(good_tensions_n(seed=seed)), EXPECTED)
+def test_good_sensors_are_usable():
+    report = check_sensors(series(good_tensions_n()), EXPECTED)
     assert report.usable, report.findings
     assert len(report.channels) == 12
     assert report.timing.rate_hz == pytest.approx(RATE_HZ)
@@ -63,7 +66,7 @@ def test_drift_of_an_arm_that_was_moved_in_between_is_a_note():
     report = check_sensors(series(tensions_n, at_rest=~moved), EXPECTED)
     assert report.usable
     assert [(finding.kind, finding.where) for finding in report.findings] == [("drift", "cable_5")]
-    pulled = check_sensors(series(tensions_n), EXPECTED, [Pull("cable_5", TimeWindow(3.0, 4.0))])
+    pulled = check_sensors(series(tensions_n), EXPECTED, [Pull("cable_5", 3.0, 4.0)])
     assert pulled.usable
 
 
@@ -105,24 +108,15 @@ def test_rate_jitter_and_loss_are_of_all():
 def test_pulls_show_a_swap_and_are_no_rest():
     tensions_n = good_tensions_n()
     tensions_n[400:600, 6] += 25.0
-    right = check_sensors(series(tensions_n), EXPECTED, [Pull("cable_7", TimeWindow(3.5, 6.5))])
+    right = check_sensors(series(tensions_n), EXPECTED, [Pull("cable_7", 3.5, 6.5)])
     assert right.usable, right.findings
-    swapped = check_sensors(series(tensions_n), EXPECTED, [Pull("cable_2", TimeWindow(3.5, 6.5))])
+    other = [Pull("cable_2", 3.5, 6.5)]
+    swapped = check_sensors(series(tensions_n), EXPECTED, other)
     assert wrong(swapped) == {("swapped", "cable_2")}
     assert "cable_7 moved most (25" in swapped.findings[0].text
-
-
-def test_a_pull_that_shows_nothing_is_noted_and_not_wrong():
-    weak = check_sensors(
-        series(good_tensions_n()), EXPECTED, [Pull("cable_2", TimeWindow(3.5, 6.5))]
-    )
+    weak = check_sensors(series(good_tensions_n()), EXPECTED, other)
     assert weak.usable
     assert weak.findings[0].kind == "pull"
-
-
-def test_problems_of_the_coming_are_wrong():
-    spoiled = replace(series(good_tensions_n()), problems=("3 samples were not finite",))
-    assert wrong(check_sensors(spoiled, EXPECTED)) == {("samples", "all")}
 
 
 def test_bounds_are_the_arm_files():
@@ -131,45 +125,137 @@ def test_bounds_are_the_arm_files():
     assert expected.floor_n == pytest.approx((0.05**2 + 0.1813**2 / 12) ** 0.5)
     assert expected.noise_n == pytest.approx(2.0 * expected.floor_n)
     assert expected.jitter_s == pytest.approx(0.5 / expected.rate_hz)
-    given = expectation(ARM.sensors, 1000.0, 0.5)
-    assert (given.rate_hz, given.drift_n) == (1000.0, 0.5)
-
-
-def test_ideal_sensors_of_a_file_leave_room_for_real_ones():
+    assert expectation(ARM.sensors, 1000.0).rate_hz == 1000.0
     ideal = ARM.sensors.model_copy(update={"noise_std_n": 0.0, "step_n": 0.0})
     assert expectation(ideal).floor_n == LEAST_FLOOR_N
 
 
-@pytest.fixture(scope="module")
-def recording():
-    made = small_recording()
-    nominal = solve_equilibrium(mechanism_of(LAB), made.command_rad, made.forces_n)
-    draw = np.random.default_rng(0)
-    return replace(
-        made, tensions_n=nominal.tensions_n + draw.normal(0.0, 0.05, nominal.tensions_n.shape)
-    )
+TIME_S = np.arange(2000) / 100.0
+REST = np.ones(2000, dtype=bool)
 
 
-def test_correct_channels_and_an_arm_at_rest_give_no_findings(recording):
-    assert exercised_channel_findings(recording, LAB) == []
-    assert exercised_channel_findings(recording.rows(slice(0, 20)), LAB) == []
+def figures_of(readings_n, at_rest=REST):
+    made = series(np.repeat(readings_n[:, None], 12, axis=1), TIME_S)
+    return channel_statistics(made, at_rest, 100.0)[3]
 
 
-def test_an_exchange_is_found(recording):
-    swapped_n = recording.tensions_n.copy()
-    swapped_n[:, [1, 6]] = swapped_n[:, [6, 1]]
-    (finding,) = exercised_channel_findings(replace(recording, tensions_n=swapped_n), LAB)
-    assert finding.wrong
-    assert finding.kind == "swapped"
-    assert "tension_2_n reads cable_7" in finding.text
+def noise_n(deviation_n, seed=0):
+    return np.random.default_rng(seed).normal(0.0, deviation_n, 2000)
 
 
-def test_a_long_recording_is_thinned_out_and_rows_are_those_of_the_file(recording, monkeypatch):
-    monkeypatch.setattr(thinning, "MOST_ROWS", len(recording) // 2)
-    dead_n = recording.tensions_n.copy()
-    dead_n[100:, 4] = 50.0
-    (finding,) = exercised_channel_findings(replace(recording, tensions_n=dead_n), LAB)
-    assert finding.kind == "stuck"
-    first, last = map(int, re.findall(r"rows (\d+) to (\d+)", finding.text)[0])
-    assert 100 < first < 110
-    assert last == len(recording)
+def test_noise_is_estimated_beside_drift():
+    figures = figures_of(50.0 + 0.1 * TIME_S + noise_n(0.2))
+    assert figures.noise_n == pytest.approx(0.2, rel=0.05)
+    assert figures.drift_n == pytest.approx(2.0, rel=0.05)
+    assert figures.mean_n == pytest.approx(51.0, abs=0.05)
+
+
+def test_only_what_was_read_at_rest_counts_as_noise():
+    moving = 50.0 + noise_n(0.1) + np.where(TIME_S > 10.0, 40.0 * np.sin(20.0 * TIME_S), 0.0)
+    figures = figures_of(moving, TIME_S <= 10.0)
+    assert figures.noise_n == pytest.approx(0.1, rel=0.1)
+    assert figures.highest_n > 85.0
+    assert figures.mean_n == pytest.approx(50.0, abs=0.05)
+
+
+def test_without_rest_noise_and_drift_are_unknown():
+    figures = figures_of(50.0 + noise_n(0.1), ~REST)
+    assert (figures.noise_n, figures.drift_n) == (None, None)
+
+
+@given(st.floats(1e-4, 1.0), st.floats(-100.0, 100.0), st.floats(1.0, 50.0))
+def test_the_step_of_quantised_readings_is_found(step_n, start_n, spread_steps):
+    true_n = np.random.default_rng(0).normal(0.0, spread_steps * step_n, 2000)
+    read_n = start_n + step_n * np.round(true_n / step_n)
+    assert quantisation_step_n(read_n) == pytest.approx(step_n, rel=1e-3)
+
+
+def test_the_step_survives_rounding_in_a_file():
+    true_n = 50.0 + 40.0 * np.sin(TIME_S)
+    read_n = np.round(0.1813 * np.round(true_n / 0.1813), 4)
+    assert quantisation_step_n(read_n) == pytest.approx(0.1813, abs=1e-3)
+
+
+def test_readings_on_no_steps_have_none():
+    assert quantisation_step_n(50.0 + noise_n(0.2)) is None
+    assert quantisation_step_n(np.full(100, 3.0)) is None
+
+
+def at(time_s):
+    return series(np.zeros((len(time_s), 12)), np.asarray(time_s))
+
+
+@settings(max_examples=30)
+@given(st.floats(1.0, 2000.0), st.sets(st.integers(1, 98), max_size=20))
+def test_missing_samples_are_counted_and_do_not_lower_the_rate(rate_hz, missing):
+    time_s = np.delete(np.arange(100) / rate_hz, sorted(missing))
+    figures = timing_statistics(at(time_s))
+    assert figures.rate_hz == pytest.approx(rate_hz, rel=1e-6)
+    assert figures.lost == len(missing)
+    assert figures.jitter_s < 1e-6 / rate_hz
+
+
+def test_jitter_is_what_intervals_differ_by():
+    time_s = np.arange(1000) / 100.0
+    time_s[1::2] += 0.002
+    assert timing_statistics(at(time_s)).jitter_s == pytest.approx(0.004, abs=1e-4)
+
+
+def test_a_wanted_break_is_no_loss():
+    time_s = np.concatenate([np.arange(50), 500.0 + np.arange(50)]) / 100.0
+    broken = replace(at(time_s), block=np.repeat([0, 1], 50))
+    assert timing_statistics(broken).lost == 0
+    assert timing_statistics(at(time_s)).lost == 450
+
+
+def test_a_handful_of_samples_is_refused():
+    with pytest.raises(CommissioningError, match="only 10 samples; at least 21"):
+        timing_statistics(at(np.arange(10.0)))
+
+
+def test_rest_is_the_usual_pose_without_a_load_once_settled():
+    recording = small_recording()
+    found = series_of(recording, ARM.cable_names)
+    assert found.at_rest[:20].all()
+    assert not found.at_rest[recording.load_segment > 0].any()
+    assert not found.at_rest[recording.command_rad.any(axis=1)].any()
+    unloading = np.flatnonzero(np.diff((recording.load_segment > 0).astype(int)) == -1)[0] + 1
+    settled = recording.time_s > recording.time_s[unloading] + SETTLING_S
+    assert not found.at_rest[unloading]
+    assert found.at_rest[settled].any()
+
+
+WINDOW = (4.0, 7.0)
+
+
+def judged(moves_n, dead=None, window=WINDOW):
+    """What a pull of cable_3 shows that moves channels (from 0) by so much."""
+    tensions_n = good_tensions_n()
+    pulled = slice(int(4.5 * RATE_HZ), int(6.5 * RATE_HZ))
+    for channel, move_n in moves_n.items():
+        tensions_n[pulled, channel] += move_n
+    if dead is not None:
+        tensions_n[:, dead] = 50.0
+    return judge_pull(series(tensions_n), Pull("cable_3", *window), EXPECTED.floor_n)
+
+
+@pytest.mark.parametrize(
+    ("moves_n", "dead", "verdict"),
+    [
+        ({2: 20.0, 4: -9.0}, None, "right"),
+        ({4: 20.0, 2: -9.0}, None, "swapped"),
+        ({4: 20.0}, None, "swapped"),
+        ({4: 20.0}, 2, "dead"),
+        ({2: 20.0, 4: -18.0}, None, "unclear"),
+        ({4: 20.0, 2: 18.0}, None, "unclear"),
+        ({2: 0.3}, None, "too weak"),
+    ],
+)
+def test_what_a_pull_shows(moves_n, dead, verdict):
+    assert judged(moves_n, dead).verdict == verdict
+
+
+@pytest.mark.parametrize("window", [(0.0, 2.0), (50.0, 60.0)])
+def test_a_pull_without_readings_around_it_is_refused(window):
+    with pytest.raises(CommissioningError, match="pull of cable_3 from"):
+        judged({}, window=window)

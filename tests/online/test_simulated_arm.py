@@ -34,8 +34,8 @@ def simulated(load_timeout_s=0.0):
     return SimulatedArm(ArmDynamics(ARM), 1e-3, np.radians(20.0), load_timeout_s, now_s=0.0)
 
 
-def run(arm, start_s, end_s):
-    for now in np.arange(start_s, end_s, 0.01):
+def run(arm, start_s, end_s, step_s=0.01):
+    for now in np.arange(start_s, end_s, step_s):
         arm.advance_to(now)
 
 
@@ -51,18 +51,18 @@ def test_a_push_holds_until_it_is_taken_away():
     forces[2] = PUSH.force_base_n
     expected = solve_equilibrium(MECHANISM, np.zeros(8), forces).tensions_n
     np.testing.assert_allclose(tensions(arm), expected, atol=1e-3)
-    assert arm.loads_n == {3: pytest.approx(30.0)}
+    assert arm.loads == [PUSH]
     arm.push(Load(3, np.zeros(3)), 1.0)
-    assert arm.loads_n == {}
+    assert not arm.loads
 
 
 def test_a_load_lapses_after_its_time():
     arm = simulated(load_timeout_s=0.3)
     arm.push(PUSH, 0.0)
     run(arm, 0.0, 0.25)
-    assert arm.loads_n
+    assert arm.loads
     run(arm, 0.25, 0.8)
-    assert not arm.loads_n
+    assert not arm.loads
     unloaded = solve_equilibrium(MECHANISM, np.zeros(8)).tensions_n
     np.testing.assert_allclose(tensions(arm), unloaded, atol=1e-3)
 
@@ -85,19 +85,20 @@ def test_a_command_is_reached_without_a_jerk():
 def test_offset_cables_are_longer_than_the_command_has_them(effects):
     arm = variant({"effects": effects})
     simulated_arm = SimulatedArm(moving_arm(arm, 1e-3), 1e-3, np.radians(20.0), 0.0, now_s=0.0)
+    step_s = 0.1 if effects else 0.01  # with friction each step is one from rest to rest
     # as far as cables go when joint 2 bends, so that the arm moves and none goes slack
     bend = np.zeros(8)
     bend[2] = np.radians(0.2)
     offset = held_lengths_m(MECHANISM, bend)
     simulated_arm.offset(offset)
-    run(simulated_arm, 0.0, 1.0)
+    run(simulated_arm, 0.0, 1.0, step_s)
     there = simulated_arm.reading_n(ARM.sensors, None)
     rest = solve_equilibrium(MECHANISM, np.zeros(8), held_m=offset)
     np.testing.assert_allclose(simulated_arm.joint_angles_rad, rest.joint_angles_rad, atol=5e-5)
     if not effects:
         np.testing.assert_allclose(there, rest.tensions_n, atol=1e-3)
     simulated_arm.offset(np.zeros(12))
-    run(simulated_arm, 1.0, 2.0)
+    run(simulated_arm, 1.0, 2.0, step_s)
     back = solve_equilibrium(MECHANISM, np.zeros(8)).joint_angles_rad
     np.testing.assert_allclose(simulated_arm.joint_angles_rad, back, atol=5e-5)
 
@@ -122,7 +123,52 @@ def test_dynamics_that_diverge_restart_without_loads():
     for arm in (diverging, sticking):
         arm.advance_to(0.05)
         assert arm.resets == 1
-        assert not arm.loads_n
+        assert not arm.loads
+
+
+@pytest.mark.parametrize("effects", [[], [FRICTION]])
+def test_loads_anywhere_turn_the_arm_as_on_an_arm_that_is_touched_there(effects):
+    """With friction too: its arm is compared with another one of other contact points."""
+    forces_n, places_m = np.array([[8.0, 20.0, -5.0], [-6.0, 0.0, 25.0]]), [0.03, 0.12]
+    touched = {"effects": effects, "segments.contact_m": [0.065, places_m[0], 0.065, places_m[1]]}
+    there, anywhere = (
+        SimulatedArm(moving_arm(variant(given), 1e-3), 1e-3, np.radians(20.0), 0.0, now_s=0.0)
+        for given in (touched, {"effects": effects})
+    )
+    for segment, force_n, place_m in zip((2, 4), forces_n, places_m, strict=True):
+        there.push(Load(segment, force_n), 0.0)
+        anywhere.push(Load(segment, force_n, place_m), 0.0)
+    for arm in (there, anywhere):
+        run(arm, 0.0, 0.5, 0.1 if effects else 0.01)
+    np.testing.assert_allclose(tensions(anywhere), tensions(there), atol=1e-6)
+    if not effects:
+        loads = np.zeros((4, 3))
+        loads[[1, 3]] = forces_n
+        run(anywhere, 0.5, 1.0)
+        mechanism = mechanism_of(variant(touched))
+        expected = solve_equilibrium(mechanism, np.zeros(8), loads).tensions_n
+        np.testing.assert_allclose(tensions(anywhere), expected, atol=1e-3)
+
+
+def test_an_arm_whose_loads_act_elsewhere_than_stated_moves_every_place():
+    offset = {"effect": "contact_offset", "at": "segment_3", "parameters": {"offset_m": 0.02}}
+    off, plain = (
+        SimulatedArm(moving_arm(variant({"effects": each}), 1e-3), 1e-3, 0.35, 0.0, now_s=0.0)
+        for each in ([offset], [])
+    )
+    off.push(Load(3, PUSH.force_base_n, 0.05), 0.0)
+    plain.push(Load(3, PUSH.force_base_n, 0.07), 0.0)
+    for arm in (off, plain):
+        run(arm, 0.0, 0.2)
+    np.testing.assert_allclose(tensions(off), tensions(plain), atol=1e-9)
+
+
+def test_a_place_that_is_not_on_the_segment_is_refused():
+    arm = simulated()
+    for place_m in (-0.01, 0.2, np.nan):
+        with pytest.raises(CableSenseError, match="not on segment 3"):
+            arm.push(Load(3, PUSH.force_base_n, place_m), 0.0)
+    assert not arm.loads
 
 
 @given(st.lists(st.floats(0.0, 10.0), max_size=50))
@@ -137,12 +183,11 @@ def test_the_pacer_keeps_pace_and_skips_beyond_the_longest_lag(waits):
     assert pacer.real_time_factor(now) == pytest.approx(1e-3 * steps / now if now else 1.0)
 
 
-PERIOD_S = 0.1
-PUSH_EFFECTS_IN_TIME = np.array([0.0, 12.0, -6.0])
+PERIOD_S = 0.35
 BENT = bent(3, most_deg=4.0)
 
 
-def listed(name: str) -> dict[str, object]:
+def listed(name):
     """An effect of its typical size in the middle of its places."""
     effect = known_effects()[name]
     places = effect.places(4, 12)
@@ -152,34 +197,27 @@ def listed(name: str) -> dict[str, object]:
     return {"effect": name, "at": places[len(places) // 2], "parameters": values}
 
 
-def put_through(arm) -> tuple[list[np.ndarray], ...]:
-    """Bent, then pushed: times, set-points, loads and readings, each tenth of a second."""
-    moving = moving_arm(arm, 1e-3)
-    simulated = SimulatedArm(
-        moving, 1e-3, np.radians(20.0), 0.0, 0.0,
-        sensings=sensings([entries_of(arm)]), longest_lag_s=1.0,
-    )  # fmt: skip
-    sequence: tuple[list[np.ndarray], ...] = ([], [], [], [])
-    simulated.go_to(BENT)
-    for row in range(26):
-        if row == 15:
-            simulated.push(Load(2, PUSH_EFFECTS_IN_TIME), PERIOD_S * row)
-        simulated.advance_to(PERIOD_S * row)
-        reading = simulated.reading_n(arm.sensors, None)
-        for kept, value in zip(
-            sequence, (PERIOD_S * row, moving.command_rad, moving.forces_n, reading), strict=True
-        ):
-            kept.append(np.array(value))
-    return sequence
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(known_effects()))
-def test_at_rest_the_node_reads_what_the_replay_reads(name: str) -> None:
+def test_at_rest_the_node_reads_what_the_replay_reads(name):
+    """Bent, then pushed: times, set-points, loads and readings, now and then."""
+    plain = variant({"segments.joint_damping_n_m_s": 3.0}, "cdsm_lab")
     arm = variant({"effects": [listed(name)], "segments.joint_damping_n_m_s": 3.0}, "cdsm_lab")
-    times, commands, loads, readings = (np.array(part) for part in put_through(arm))
+    moving, effects = moving_arm(arm, 1e-3), sensings([entries_of(arm)])
+    simulated = SimulatedArm(
+        moving, 1e-3, np.radians(20.0), 0.0, 0.0, sensings=effects, longest_lag_s=1.0
+    )
+    simulated.go_to(BENT)
+    rows = []
+    for time_s in PERIOD_S * np.arange(9):
+        if len(rows) == 5:
+            simulated.push(Load(2, np.array([0.0, 12.0, -6.0])), time_s)
+        simulated.advance_to(time_s)
+        reading = simulated.reading_n(arm.sensors, None)
+        rows.append((time_s, moving.command_rad.copy(), moving.forces_n.copy(), reading))
+    times, commands, loads, readings = map(np.array, zip(*rows, strict=True))
     if known_effects()[name].acts_on == "load":  # of recordings; simulated loads act as they are
-        arm = variant({"segments.joint_damping_n_m_s": 3.0}, "cdsm_lab")
+        arm = plain
     expected = replay_arm(arm, times, commands, loads)
-    for at_rest in (14, -1):
+    for at_rest in (4, -1):
         np.testing.assert_allclose(readings[at_rest], expected[at_rest], atol=1e-3)

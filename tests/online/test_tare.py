@@ -1,19 +1,26 @@
-"""The unloaded state: measured at one command, carried to others, taken only at rest, undone."""
+"""The unloaded state: measured at one command, carried to others, undone, and its drift."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from arm_at_rest import BENT, PERIOD_NS, STRAIGHT, Arm
 from arm_variants import variant
+from estimation_settings import estimation_settings
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from cablesense_msgs_py.messages import Level
 from cablesense_online.tare import (
+    DriftWatch,
     TareError,
     Tares,
     UnloadedTensions,
     tare_undone_line,
 )
 from cablesense_sim.arm import open_arm
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.equilibrium import solve_equilibrium
+
+pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
 
 NOW_NS = 1_700_000_000_000_000_000
 ZERO = np.zeros(1)
@@ -24,8 +31,11 @@ def predict(command_rad):
     return 50.0 + 100.0 * np.array([1.0, -0.5, 0.2]) * command_rad[0]
 
 
-def model(samples=4):
-    return Tares(predict, np.zeros(1), samples, steady_n=0.5)
+def model(samples=4, predict_n=predict, incomplete="", **changes):
+    """Of a stand-in arm with one joint and three cables."""
+    plain = {"tare_samples": samples, "tare_steady_n": 0.5, "auto_tare": False}
+    stand_in = SimpleNamespace(predict_n=predict_n, incomplete=incomplete)
+    return Tares(stand_in, estimation_settings(**plain | changes), ZERO)
 
 
 def feed(tare, readings_n, count=4):
@@ -63,7 +73,7 @@ def test_too_few_or_unsteady_readings_are_refused():
     tare = model()
     feed(tare, predict([0.0]), 3)
     tare.command(np.array([0.1]))
-    assert not tare.ready
+    assert tare.refusal()
     with pytest.raises(TareError, match="only 0 of 4"):
         tare.take(ZERO, NOW_NS)
     for push in (0.0, 2.0, 4.0, 6.0):
@@ -73,10 +83,8 @@ def test_too_few_or_unsteady_readings_are_refused():
     assert tare.present is None
 
 
-def judging(automatic=False, complete=True):
-    return Tares(
-        predict, np.zeros(1), 4, 0.5, deviation_n=1.5, complete=complete, automatic=automatic
-    )
+def judging(automatic=False, incomplete=""):
+    return model(incomplete=incomplete, tare_deviation_n=1.5, auto_tare=automatic)
 
 
 def test_readings_far_from_the_model_are_refused_with_the_figure_unless_forced():
@@ -90,21 +98,8 @@ def test_readings_far_from_the_model_are_refused_with_the_figure_unless_forced()
     assert (status.level, "2.0 N from the arm file" in status.message) == (Level.WARN, True)
 
 
-def test_an_automatic_tare_waits_and_gives_the_figure():
-    tares = judging(automatic=True)
-    feed(tares, predict([0.0]) + OFFSET, 3)
-    assert tares.awaited == ""
-    feed(tares, predict([0.0]) + OFFSET)
-    assert "cable_3 lies +2.0 N" in tares.awaited
-    assert "auto_tare waits: cable_3 lies +2.0 N" in tares.status().message
-    feed(tares, predict([0.0]))
-    assert tares.ready
-    tares.take(ZERO, NOW_NS, by_itself=True)
-    assert not tares.automatic
-
-
 def test_an_arm_whose_file_lists_more_than_the_model_has_is_not_judged_by_it():
-    tares = judging(complete=False)
+    tares = judging(incomplete="of effects")
     feed(tares, predict([0.0]) + OFFSET)
     assert tares.take(ZERO, NOW_NS).offset_n == pytest.approx(2.0)
     assert tares.status().level is Level.OK
@@ -133,30 +128,19 @@ def test_a_first_command_elsewhere_drops_the_automatic_tare(by_itself, first, an
     assert dropped or tares.present is tare
 
 
-def test_a_dropped_tare_is_not_come_back_to():
-    tares = judging()
-    feed(tares, predict([0.0]))
-    tares.take(ZERO, NOW_NS, by_itself=True)
-    requested = tares.take(ZERO, NOW_NS)
-    assert not tares.command(np.array([0.1]), first=True)
-    assert tares.present is requested
-    assert tares.undo() is None
-
-
 CABLES = ("cable_1", "cable_2")
-EARLY_NS = 1_700_000_000_000_000_000
-LATE_NS = EARLY_NS + 3_600_000_000_000
+LATE_NS = NOW_NS + 3_600_000_000_000
 
 
 @pytest.fixture
 def tares():
-    made = Tares(lambda _: np.array([50.0, 60.0]), np.zeros(1), 1, steady_n=1.0)
+    made = model(1, lambda _: np.array([50.0, 60.0]))
     made.add((50.25, 58.5))
     return made
 
 
 def test_log_and_diagnostics_have_times_and_values_of_the_tare_in_force(tares):
-    first = tares.take(ZERO, EARLY_NS)
+    first = tares.take(ZERO, NOW_NS)
     line = first.described(CABLES)
     assert "at 2023-11-14 22:13:20 UTC" in line
     assert "cable_1 50.25 (+0.25), cable_2 58.50 (-1.50)" in line
@@ -177,30 +161,90 @@ def test_log_and_diagnostics_have_times_and_values_of_the_tare_in_force(tares):
 
 
 ARM = open_arm("cdsm")
-BENT = np.deg2rad([8.0, -5.0, 3.0, 0.0, -9.0, 4.0, 2.0, 7.0])
 
 
-def test_a_payload_pulls_like_its_weight():
-    payload = {"effect": "payload", "at": "segment_2", "parameters": {"mass_kg": 0.4}}
-    force = np.zeros((4, 3))
-    force[1, 2] = -0.4 * 9.81
-    expected = solve_equilibrium(mechanism_of(ARM), BENT, force).tensions_n
-    assert np.abs(expected - UnloadedTensions(ARM).predict_n(BENT)).max() > 1.0
-    found = UnloadedTensions(variant({"effects": [payload]})).predict_n(BENT)
-    np.testing.assert_allclose(found, expected, atol=0.05)
+STD_N = 0.07
+ALL = "all"
 
 
-def test_actuators_hold_the_lengths_of_the_arm_as_it_was_drawn():
-    """Holes further out ask for another length at a bent pose, which no actuator knows of."""
-    parameters = {"cables_radius_m": 1e-4}
-    holes = {"effect": "routing_geometry", "at": "segment_2", "parameters": parameters}
-    unloaded = UnloadedTensions(variant({"effects": [holes]}))
-    as_known = solve_equilibrium(unloaded.mechanism, BENT).tensions_n
-    change = unloaded.predict_n(BENT) - as_known
-    # joints bent by some 0.1 rad, times 0.1 mm, on stiff cables
-    assert np.abs(change[3:6]).max() > 1.0
-    np.testing.assert_allclose(
-        unloaded.predict_n(np.zeros(8)),
-        solve_equilibrium(unloaded.mechanism, np.zeros(8)).tensions_n,
-        atol=1e-6,
-    )
+def watch(limit_n=0.1, incomplete=""):
+    """Of the arm `cdsm` with sensors of this noise alone."""
+    sensors = ARM.sensors.model_copy(update={"noise_std_n": STD_N, "step_n": 0.0})
+    arm = ARM.model_copy(update={"sensors": sensors})
+    stand_in = SimpleNamespace(arm=arm, incomplete=incomplete)
+    return DriftWatch(stand_in, estimation_settings(tare_samples=50, tare_drift_n=limit_n))
+
+
+def watched(drift, differences_n, rate_hz=100.0, begin_s=0.0):
+    for i, difference_n in enumerate(differences_n):
+        drift.add(difference_n, round((begin_s + i / rate_hz) * 1e9), touched=False)
+    return drift
+
+
+def noise(count, seed=0):
+    return np.random.default_rng(seed).normal(0.0, STD_N, (count, 12))
+
+
+@given(st.lists(st.floats(-3.0, 3.0), min_size=12, max_size=12), st.integers(0, 2**32 - 1))
+@settings(max_examples=10, deadline=None)
+def test_its_size_is_found_and_only_what_exceeds_the_limit_is_warned_of(offsets, seed):
+    drift = watched(watch(), np.array(offsets) + noise(160, seed))
+    np.testing.assert_allclose(drift.drift_n, offsets, atol=0.06)
+    largest_n = np.abs(drift.drift_n).max()
+    assert (drift.status().level is Level.WARN) == (largest_n >= drift.limit_n)
+    assert largest_n <= np.abs(offsets).max() + 0.04
+
+
+@pytest.mark.parametrize("rate_hz", [5.0, 1000.0])
+def test_noise_alone_is_no_drift(rate_hz):
+    for seed in range(2):
+        drift = watched(watch(), noise(3000, seed), rate_hz)
+        assert drift.status().level is Level.OK
+
+
+def test_a_contact_is_no_drift_and_single_false_ones_do_not_hide_it():
+    drift = watch()
+    for i, difference_n in enumerate(0.5 + noise(400)):
+        drift.add(difference_n, i * 10_000_000, touched=True)
+    assert drift.status().level is Level.OK
+    for i, difference_n in enumerate(0.5 + noise(400)):
+        drift.add(difference_n, (400 + i) * 10_000_000, touched=i % 3 == 0)
+    assert drift.status().level is Level.WARN
+
+
+def test_it_stands_in_a_contact_and_goes_with_a_fresh_tare():
+    drift = watched(watch(), 0.5 + noise(200))
+    drift.interrupt()
+    status = drift.status()
+    assert status.level is Level.WARN
+    assert "most cables" in status.message
+    assert "1970-01-01 00:00:00 UTC" in status.message
+    assert "call ~/tare" in status.message
+    drift.tared()
+    assert drift.status().level is Level.OK
+
+
+def drifted(arm, cable, drift_n):
+    reading = arm.reading()
+    reading[slice(None) if cable is ALL else cable] += drift_n
+    return arm.sample(reading)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("model", "command", "cable"),
+    [("cdsm", STRAIGHT, 5), ("cdsm", BENT, ALL), ("cdsm_moving", BENT, 5)],
+)
+def test_a_slow_drift_of_an_untouched_arm_is_warned_of_before_it_makes_forces(
+    model, command, cable
+):
+    arm = Arm("cdsm", command, model=model, tare_drift_n=0.1)
+    for drift_n in np.arange(0.0, 0.3, 0.02 * PERIOD_NS * 1e-9):
+        assert drifted(arm, cable, drift_n).contact.magnitude_n < 0.5
+        if arm.estimation.drift.status().level is Level.WARN:
+            break
+    assert 0.05 < drift_n < 0.2
+    which = "most cables" if cable is ALL else f"(cable_{cable + 1})"
+    assert which in arm.estimation.drift.status().message
+    for faster_n in np.arange(drift_n, 6.0, 0.02) if not model.endswith("moving") else ():
+        assert drifted(arm, cable, faster_n).contact.magnitude_n < 1.0

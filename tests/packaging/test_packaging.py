@@ -50,11 +50,6 @@ def test_every_direct_requirement_says_what_it_is_for(direct: list[Requirement])
         assert re.search(rf'^ +"{name}\b[^"]*",  # \w', declared, re.MULTILINE), requirement.name
 
 
-def test_the_training_library_is_exact(direct: list[Requirement]) -> None:
-    (torch,) = [requirement for requirement in direct if requirement.name == "torch"]
-    assert str(torch.specifier) == "==2.13.0"
-
-
 @pytest.mark.slow
 def test_the_notice_names_every_copyleft_or_unstated_licence_of_what_is_installed() -> None:
     done = subprocess.run(
@@ -86,11 +81,6 @@ def test_the_ros_manifest_is_sound_and_agrees_with_the_distribution() -> None:
     assert package.licenses == [ours.metadata["License"]]
 
 
-def test_every_program_exists() -> None:
-    for program in distribution("cablesense_ros").entry_points:
-        assert callable(program.load()), program
-
-
 @pytest.mark.slow
 def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
     source = tmp_path / "source"
@@ -116,7 +106,7 @@ def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
         assert f"cablesense_gap/{data}" in names
     for data in ("__init__.py", "paper/paper.html", "paper/studies/friction.yaml"):
         assert any(n.endswith(f"share/cablesense_ros/examples/{data}") for n in names)
-    assert {"cablesense_ros/parameters.yaml", "cablesense_online/page/panel.css"} <= set(names)
+    assert {"cablesense_ros/parameters.yaml", "cablesense_online/page/panel.html"} <= set(names)
     for folder in CHECKOUT.glob("training/*/__init__.py"):
         assert f"cablesense_training/{folder.parent.name}/__init__.py" in names
     assert any(n.endswith("share/cablesense_ros/config/arms/cdsm.yaml") for n in names)
@@ -126,32 +116,19 @@ def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("python", "remedy"),
-    [("", "found neither; name one"), ("false", "make PYTHON=")],
+    [
+        ("", "Python 3.11 or 3.12, and found neither; name one"),
+        ("false", "make PYTHON="),
+        ("no_ensurepip", "apt-get install python3-venv"),
+    ],
 )
 def test_a_set_up_without_a_fitting_python_says_what_to_do(
     tmp_path: Path, python: str, remedy: str
 ) -> None:
-    venv = tmp_path / "venv"
-    done = subprocess.run(
-        ["make", f"PYTHON={python}", f"VENV={venv}", f"{venv}/bin/python"],
-        cwd=CHECKOUT,
-        capture_output=True,
-        check=False,
-        text=True,
-    )
-    said = [line for line in done.stderr.splitlines() if not line.startswith("make")]
-    assert done.returncode != 0
-    assert len(said) == 1
-    assert "Python 3.11 or 3.12" in said[0]
-    assert remedy in said[0]
-    assert not venv.exists()
-
-
-def test_a_python_that_cannot_make_environments_says_what_to_install(tmp_path: Path) -> None:
-    python = tmp_path / "python3"
-    python.write_text('#!/bin/sh\ncase "$2" in *ensurepip*) exit 1 ;; esac\n')
-    python.chmod(0o755)
-    venv = tmp_path / "venv"
+    venv, script = tmp_path / "venv", tmp_path / "no_ensurepip"
+    script.write_text('#!/bin/sh\ncase "$2" in *ensurepip*) exit 1 ;; esac\n')
+    script.chmod(0o755)
+    python = str(script) if python == script.name else python
     done = subprocess.run(
         ["make", f"PYTHON={python}", f"VENV={venv}", f"{venv}/bin/python"],
         cwd=CHECKOUT,
@@ -160,5 +137,6 @@ def test_a_python_that_cannot_make_environments_says_what_to_install(tmp_path: P
         text=True,
     )
     assert done.returncode != 0
-    assert done.stderr.splitlines()[0].endswith("apt-get install python3-venv")
+    (said,) = [line for line in done.stderr.splitlines() if not line.startswith("make")]
+    assert remedy in said
     assert not venv.exists()

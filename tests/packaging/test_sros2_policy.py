@@ -1,9 +1,7 @@
 """The policy for a shared network: of the contract alone, with an enclave for every node."""
 
-import json
 import re
-import subprocess
-import sys
+from importlib import import_module
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -11,6 +9,7 @@ import pytest
 
 from cablesense_base.installation import config_path
 from cablesense_msgs_py import topics
+from cablesense_ros.processes import node_command
 
 POLICY = ET.parse(config_path("sros2/policy.xml")).getroot()
 PROFILES = {
@@ -82,27 +81,12 @@ def test_only_the_page_and_an_operator_may_tare():
     assert asks == {"page", "operator"}
 
 
-LOOKS = """
-import json, os, sys
-import rclpy
-rclpy.init(args=sys.argv)
-module, name = sys.argv[1].rsplit(":", 1)
-node = getattr(__import__(module, fromlist=[name]), name)()
-getattr(node, "autostart", lambda: None)()
-me = (node.get_name(), node.get_namespace())
-seen = {}
-for kind in ("publisher", "subscriber", "service", "client"):
-    look = getattr(node, f"get_{kind}_names_and_types_by_node")
-    seen[kind] = [topic for topic, _ in look(*me)]
-print(json.dumps(seen), flush=True)
-os._exit(0)
-"""
 NODES = {
-    "sim": ("SimNode", []),
-    "breather": ("BreatherNode", []),
-    "estimator": ("EstimatorNode", []),
-    "page": ("PageNode", ["-p", "port:=18100"]),
-    "can_driver": ("CanDriverNode", ["-p", "interface:=virtual", "-p", "channel:=policy"]),
+    "sim": ("SimNode", {}),
+    "breather": ("BreatherNode", {}),
+    "estimator": ("EstimatorNode", {}),
+    "page": ("PageNode", {"port": 18100}),
+    "can_driver": ("CanDriverNode", {"interface": "virtual", "channel": "policy"}),
 }
 RIGHTS = {
     "publisher": ("topics", "publish"),
@@ -114,21 +98,21 @@ RIGHTS = {
 
 @pytest.mark.ros
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.parametrize("name", NODES)
 def test_a_live_node_asks_for_nothing_that_the_policy_does_not_give(name):
-    pytest.importorskip("rclpy")
-    kind, arguments = NODES[name]
-    where = f"cablesense_ros.{name}_node:{kind}"
-    done = subprocess.run(
-        [sys.executable, "-c", LOOKS, where, "--ros-args", *arguments],
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
-    assert done.returncode == 0, done.stderr[-1500:]
-    seen = json.loads(done.stdout.splitlines()[-1])
-    for entity, (what, right) in RIGHTS.items():
-        given = names(PROFILES[name], what, right)
-        nodes = f"{name}|estimator|breather"
-        asked = {in_contract(topic.removeprefix("/"), nodes) for topic in seen[entity]}
-        assert asked <= given, asked - given
+    rclpy = pytest.importorskip("rclpy")
+    kind, parameters = NODES[name]
+    rclpy.init(args=node_command(name, parameters)[3:])
+    node = getattr(import_module(f"cablesense_ros.{name}_node"), kind)()
+    try:
+        getattr(node, "autostart", lambda: None)()
+        for entity, (what, right) in RIGHTS.items():
+            look = getattr(node, f"get_{entity}_names_and_types_by_node")
+            seen = [topic for topic, _ in look(node.get_name(), node.get_namespace())]
+            nodes = f"{name}|estimator|breather"
+            asked = {in_contract(topic.removeprefix("/"), nodes) for topic in seen}
+            assert asked <= names(PROFILES[name], what, right), entity
+    finally:
+        node.destroy_node()
+        rclpy.utilities.try_shutdown()

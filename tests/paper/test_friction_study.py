@@ -18,40 +18,10 @@ from examples.paper.study import PAPER, Agreement
 MU, WRAP_RAD = 0.2, np.pi
 
 
-def pulled(law, high_m=8e-6, coefficient=0.2, wrap_rad=np.pi, rest=300, then=()):
-    """Tensions in a pull of a second, some steps of rest and a path thereafter."""
-    path = high_m * np.clip(np.arange(1000 + rest) / 1000, 0.0, 1.0)
-    return stepped_tensions_n(np.append(path, then), law, coefficient, wrap_rad)
-
-
 @given(st.floats(1.0, 1e3), st.floats(0.0, 6.0))
 def test_the_limit_is_equation_2(near_n, friction_rad):
     far_n = near_n * np.exp(-friction_rad)
     assert capstan_limit_n(near_n, far_n, friction_rad) == pytest.approx(near_n - far_n)
-
-
-@pytest.mark.parametrize("coefficient", [0.05, 0.3, 0.6])
-@pytest.mark.parametrize("wrap_rad", [0.5, np.pi, 4.5])
-def test_in_slip_the_capstan_leaves_exp_of_minus_mu_theta(coefficient, wrap_rad):
-    enough_m = 5.0 * 50.0 * np.expm1(coefficient * wrap_rad) / 2e7
-    near, far = pulled(Friction.CAPSTAN, enough_m, coefficient, wrap_rad)[-1]
-    assert far / near == pytest.approx(np.exp(-coefficient * wrap_rad), rel=1e-6)
-
-
-@pytest.mark.parametrize("law", [Friction.YIELDING, Friction.CAPSTAN])
-def test_what_yields_holds_for_ever(law):
-    tensions = pulled(law, rest=5300)
-    np.testing.assert_allclose(tensions[-1], tensions[1299], rtol=1e-6)
-
-
-def test_frictionloss_lets_go_at_once_as_it_comes_and_in_seconds_when_hardened():
-    soft = pulled(Friction.FRICTIONLOSS)
-    assert abs(soft[-1, 0] - soft[-1, 1]) < 0.01
-    hard = pulled(Friction.HARDENED, rest=10_000)
-    held_n = hard[:, 0] - hard[:, 1]
-    limit_n = float(capstan_limit_n(50.0, 50.0, 0.2 * np.pi))
-    assert held_n[999] == pytest.approx(limit_n, rel=1e-3)
-    assert held_n[-1] < 0.2 * limit_n
 
 
 @pytest.mark.parametrize("coefficient", [0.0, 0.1, 0.5])

@@ -22,7 +22,8 @@ SCHEDULE = type(WHOLE)._make(column[ROWS] for column in WHOLE)
 
 
 def plant_n(friction: PlantFriction) -> np.ndarray:
-    arm, loads = replace(ideal_arm(NOMINAL), friction=friction), SCHEDULE.forces_n
+    arm = replace(ideal_arm(NOMINAL), friction=friction)
+    loads = arm.point_loads_n(SCHEDULE)
     held = arm.held_m(SCHEDULE.command_rad)
     stepped = SteppedArms(arm, SCHEDULE.command_rad[:1], held[:1], loads[:1])
     return np.concatenate(

@@ -1,7 +1,6 @@
 """Cases and sets of them: schedules, what is hidden, how much of it, and the answers."""
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +9,8 @@ from arm_variants import five_by_four_text
 from plant_arm import NOMINAL
 
 from cablesense_plants.arm.arm import ideal_arm
-from cablesense_plants.arm.body import PlantError, read_nominal
-from cablesense_plants.arm.listed import LISTED
+from cablesense_plants.arm.body import read_nominal
+from cablesense_plants.arm.listed import LISTED, ArmDraw
 from cablesense_plants.arm.protocol import draw_history, draw_schedule
 from cablesense_plants.arm.unlisted import UNLISTED
 from cablesense_plants.arm.withhold import (
@@ -23,7 +22,7 @@ from cablesense_plants.arm.withhold import (
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_recording_has_its_25_trials(seed: int) -> None:
     schedule = draw_schedule(NOMINAL, np.random.default_rng(seed))
     rows = np.bincount(schedule.trial)
@@ -37,6 +36,11 @@ def test_a_recording_has_its_25_trials(seed: int) -> None:
     straight = (schedule.trial >= 1) & (schedule.trial <= 12)
     assert not schedule.command_rad[straight].any()
     assert not schedule.load_n[:, 0].any()
+    at_m = NOMINAL.contact_m[0]
+    for segment in range(1, 5):
+        places = np.unique(schedule.load_at_m[schedule.load_segment == segment])
+        np.testing.assert_allclose(places, [0.034, at_m, 0.111])
+    np.testing.assert_array_equal(np.isnan(schedule.load_at_m), schedule.load_segment == 0)
     for trial in range(25):  # every trial but the sweeps begins and ends where the last ended
         own = schedule.load_segment[schedule.trial == trial]
         assert len(set(own) - {0}) <= 1
@@ -60,7 +64,7 @@ HISTORY_DEPENDENT = {"cable_creep", "capstan_friction", "joint_friction"}
     [pytest.param(n, marks=pytest.mark.slow if n in HISTORY_DEPENDENT else ()) for n in EVERY],
 )
 def test_every_change_shows_and_grows_with_its_size(name: str) -> None:
-    change = EVERY[name](np.random.default_rng(5), NOMINAL)
+    change = EVERY[name](ArmDraw(np.random.default_rng(5), NOMINAL))
     assert change.effect == (name if name in LISTED else "unknown")
     assert change.unit
     for place in change.where:
@@ -88,13 +92,7 @@ def test_two_hidden_changes_are_visible_and_in_the_answer() -> None:
     assert answer.gap_over_floor == pytest.approx(answer.gap_n / 0.0724, rel=0.01)
 
 
-@pytest.mark.parametrize("kind", ["paylod", "payload+wall", "none+payload"])
-def test_unknown_kinds_are_refused(kind: str) -> None:
-    with pytest.raises(PlantError, match="no effect"):
-        record_case(np.random.default_rng(0), 1, NOMINAL, kind)
-
-
-@pytest.mark.parametrize("count", [1, 2, 5, 14, 60, 97, 300])
+@pytest.mark.parametrize("count", [1, 5, 97])
 def test_a_fifth_hides_nothing_and_a_fifth_something_unlisted(count: int) -> None:
     kinds = draw_kinds(np.random.default_rng(count), count)
     assert len(kinds) == count
@@ -110,23 +108,17 @@ def test_a_fifth_hides_nothing_and_a_fifth_something_unlisted(count: int) -> Non
         assert {first, second} <= set(LISTED)
 
 
-@pytest.mark.parametrize("name", ["routing_geometry", "sensor_crosstalk"])
-def test_an_arm_of_five_segments_with_four_cables_is_recorded(name: str, tmp_path: Path) -> None:
+def test_an_arm_of_five_segments_with_four_cables_is_recorded(tmp_path: Path) -> None:
     arm_file = tmp_path / "arm.yaml"
     arm_file.write_text(five_by_four_text())
-    nominal = read_nominal(arm_file)
-    rng = np.random.default_rng(3)
+    nominal, rng = read_nominal(arm_file), np.random.default_rng(3)
     schedule, history = draw_schedule(nominal, rng), draw_history(nominal, rng)
     assert set(schedule.load_segment) == set(range(6))
     # as much more as 20 cables on 0.65 m bear than 12 on 0.52 m
     assert np.linalg.norm(schedule.load_n, axis=1).max() < 75.0 * 4 / 3
-    change = LISTED[name](rng, nominal)
-    assert all(1 <= int(n) <= 20 for n in re.findall(r"cable_(\d+)", " ".join(change.where)))
-    rows = schedule.rows(slice(None, None, 40))
-    arm = ideal_arm(nominal)
-    without = arm.signals_n(rows, history)
-    signals = change.apply(arm, float(np.sqrt(change.least * change.most))).signals_n(
-        rows, history
-    )
-    assert signals.shape == (len(rows.time_s), 20)
-    assert gap_n(signals, without) > 0.1
+    change = LISTED["sensor_crosstalk"](ArmDraw(rng, nominal))
+    assert all(1 <= int(place.split("_")[1]) <= 20 for place in change.where)
+    rows, arm = schedule.rows(slice(None, None, 40)), ideal_arm(nominal)
+    changed = change.apply(arm, float(np.sqrt(change.least * change.most)))
+    gap = gap_n(changed.signals_n(rows, history), arm.signals_n(rows, history))
+    assert gap > 0.1

@@ -10,13 +10,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from plant_arm import NOMINAL
 
-from cablesense_plants.arm.arm import ActuatorFaults, ideal_arm, with_tolerances
-from cablesense_plants.arm.sensing import (
+from cablesense_plants.arm.arm import (
+    ActuatorFaults,
     Drift,
     DriftShape,
     Filter,
     SensorFaults,
-    read_n,
+    ideal_arm,
+    with_tolerances,
 )
 
 IDEAL = ActuatorFaults()
@@ -35,13 +36,6 @@ def test_play_lags_by_half_at_most_and_moves_only_when_taken_up(
     moved = np.diff(given_m, axis=0) != 0.0
     at_end = np.abs(np.abs(given_m - wanted) - 0.5 * play)[1:] <= 1e-12
     assert (at_end | ~moved).all()
-
-
-def test_a_reversal_loses_the_whole_play() -> None:
-    loose = replace(IDEAL, play_m=np.full(3, 2e-3), play_start=np.full(3, -1.0))
-    wanted = np.array([0.0, 5e-3, 4e-3, 3e-3, 2e-3])[:, None] * np.ones(3)
-    given_m = loose.paid_out_m(wanted, TIME_S[:5])
-    np.testing.assert_allclose(given_m[:, 0], [-1e-3, 4e-3, 4e-3, 4e-3, 3e-3])
 
 
 LONG_S = 0.2 * np.arange(600)
@@ -63,15 +57,6 @@ def test_a_lagging_sensor_arrives_and_was_settled_before(kind: str) -> None:
     assert (np.diff(late, axis=0) >= -1e-9).all()
 
 
-@pytest.mark.parametrize("kind", get_args(Filter))
-def test_a_ramp_is_followed_late_by_the_lag(kind: str) -> None:
-    """Whatever the filter, a steady rise lags by its mean delay."""
-    ramp = LONG_S[:, None] * np.ones(3)
-    late = sensors(lag_s=np.array([1.0, 0.4, 3.0]), lag_filter=kind).signals_n(ramp, LONG_S)
-    behind = LONG_S[-1] - late[-1]
-    np.testing.assert_allclose(behind, [1.0, 0.4, 3.0], atol=0.02)
-
-
 @pytest.mark.parametrize("shape", get_args(DriftShape))
 def test_zeros_drift_within_their_size(shape: str) -> None:
     drift = Drift(np.array([1.5, 0.0, -0.5]), shape, 60.0, 0.7, 4)
@@ -85,7 +70,7 @@ def test_zeros_drift_within_their_size(shape: str) -> None:
 def test_readings_have_noise_and_whole_steps() -> None:
     rng = np.random.default_rng(0)
     signal = rng.uniform(10.0, 90.0, (50_000, 3))
-    readings = read_n(signal, 0.05, 0.1813, rng)
+    readings = NOMINAL.read_n(signal, rng)
     steps = readings / 0.1813
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
     spread = np.sqrt(0.05**2 + 0.1813**2 / 12.0)
@@ -93,7 +78,7 @@ def test_readings_have_noise_and_whole_steps() -> None:
 
 
 DRAWN = ideal_arm(NOMINAL)
-ARMS = [with_tolerances(DRAWN, np.random.default_rng(seed)) for seed in range(300)]
+ARMS = [with_tolerances(DRAWN, np.random.default_rng(seed)) for seed in range(200)]
 
 
 def angles_deg(holes: np.ndarray) -> np.ndarray:
@@ -103,7 +88,7 @@ def angles_deg(holes: np.ndarray) -> np.ndarray:
 def test_tolerances_have_their_standard_deviations() -> None:
     masses = np.array([arm.body.mass_kg / 0.5 - 1.0 for arm in ARMS])
     pretensions = np.array([arm.body.pretension_n - 50.0 for arm in ARMS])
-    contacts = np.array([arm.body.contact_at_m[:, 0] - 0.065 for arm in ARMS])
+    contacts = np.array([arm.body.contact_at_m[0, :, 0] - 0.065 for arm in ARMS])
     zeros = np.array([arm.sensing.offset_n for arm in ARMS])
     holes = np.array([angles_deg(arm.body.after_m) for arm in ARMS])
     turned = (holes - angles_deg(DRAWN.body.after_m) + 180.0) % 360.0 - 180.0

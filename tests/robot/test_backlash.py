@@ -1,19 +1,14 @@
 """Play between a drive and its joint, planted as teeth that are stiff springs."""
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 import pytest
 
-from cablesense_gap.robot import withholding
-from cablesense_gap.robot.catalogue import changed
+from cablesense_gap.robot.amending import changed
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.protocol import standard_protocol
 from cablesense_gap.robot.recording import read_recording
-from cablesense_gap.robot.simulator import RobotSimulator
-from cablesense_gap.robot.system import diagnose
+from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Term
 
 ROTOR, INERTIA, WEIGHT = 0.005, 0.05, 1.2  # kg·m², kg·m², N·m
@@ -67,7 +62,7 @@ def recording(tmp_path_factory):
 @pytest.mark.parametrize("forward", [False, True])
 def test_play_shows_in_torques_and_in_motion(recording, forward):
     read, robot = recording
-    simulator = RobotSimulator(robot, prepared(read, robot, forward=forward), {})
+    simulator = RobotSystem(robot, prepared(read, robot, forward=forward), {})
     compared, left = simulator.comparison, []
     for play in (0.0, 0.5 * PLAY_RAD, PLAY_RAD, 2.0 * PLAY_RAD):
         change = changed(robot, [{Term("backlash", "hinge", "play_rad"): play}])
@@ -75,21 +70,6 @@ def test_play_shows_in_torques_and_in_motion(recording, forward):
         left.append(np.sqrt((off**2).mean()))
     assert left[2] == min(left)
     assert left[2] < 0.35 * left[0]
-
-
-@pytest.mark.slow  # steps teeth through time
-def test_hidden_play_is_between_a_drive_and_the_tooth_that_bears(tmp_path, monkeypatch):
-    (tmp_path / "hinge.xml").write_text(XML)
-    robot = load_robot(tmp_path / "hinge.xml")
-    slow = next(b for b in standard_protocol(robot) if b.kind == "slow sweep")
-    through = replace(slow, position=slow.position[300:900])  # from one side to the other
-    monkeypatch.setattr(withholding, "standard_protocol", lambda _: [through])
-    list(withholding.withhold(tmp_path, tmp_path / "answers.csv", robot, 1, 0, ["backlash"]))
-    table = pd.read_csv(tmp_path / "case_001.csv")
-    torque = table["torque.hinge"]
-    ahead = table["position.hinge"] - np.arcsin(np.clip(torque / WEIGHT, -1.0, 1.0))
-    bears = [ahead[(torque * side > 0.1) & (torque * side < 0.5)] for side in (1.0, -1.0)]
-    assert 0.02 - 0.005 < bears[0].median() - bears[1].median() < 0.05 + 0.005  # of such size
 
 
 @pytest.mark.slow

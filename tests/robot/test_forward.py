@@ -8,13 +8,12 @@ import pytest
 from two_link import recorded, write_model
 
 from cablesense_gap.recordings.recording import RecordingError
-from cablesense_gap.robot.catalogue import changed, known_effects
+from cablesense_gap.robot.amending import changed, known_effects
 from cablesense_gap.robot.effects.effect import Scale
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import read_recording
-from cablesense_gap.robot.simulator import RobotSimulator
-from cablesense_gap.robot.system import beyond_range, diagnose
+from cablesense_gap.robot.system import RobotSystem, beyond_range, diagnose
 from cablesense_gap.simulator import Term
 
 
@@ -33,7 +32,7 @@ def commanded(tmp_path, robot, **planted):
 
 
 def compared(recording, robot, forward=None):
-    return RobotSimulator(robot, prepared(recording, robot, forward=forward), {}).comparison
+    return RobotSystem(robot, prepared(recording, robot, forward=forward), {}).comparison
 
 
 def test_without_torques_the_way_is_forward_and_the_closed_form_moves_alike(tmp_path, robot):
@@ -163,5 +162,5 @@ def test_actuators_with_a_state_need_torques(tmp_path, robot):
         )
     )
     lagging = load_robot(path)
-    with pytest.raises(RecordingError, match="have a state of their own"):
+    with pytest.raises(RecordingError, match="have an internal state"):
         prepared(commanded(tmp_path, lagging), lagging)

@@ -4,19 +4,10 @@ from functools import partial
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy")
-
-from ros_graph import Graph, NodeProcess, force
+from ros_graph import Graph, force
 from sensor_msgs.msg import JointState
 
 from cablesense_sim.arm import open_arm
-
-pytestmark = [
-    pytest.mark.ros,
-    pytest.mark.slow,
-    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
-]
 
 
 @pytest.fixture
@@ -27,31 +18,13 @@ def graph():
 
 
 @pytest.fixture(params=["joint_commands", "cable_offsets"])
-def arm(request, graph):
+def arm(request, graph, start):
     """Sim, estimator and breather, which have found each other."""
-    settings = {"arm": "cdsm_friction"}
-    nodes = [
-        NodeProcess("cablesense_ros.sim_node", **settings, seed=1),
-        NodeProcess(
-            "cablesense_ros.estimator_node",
-            **settings,
-            model="cdsm",
-            await_breath=True,
-            stale_after_s=1.0,
-        ),
-        NodeProcess(
-            "cablesense_ros.breather_node",
-            **settings,
-            over=request.param,
-            await_command=False,
-            rest_s=0.0,
-            turn_s=1.5,
-        ),
-    ]
-    yield nodes
-    for node in nodes:
-        assert node.stop() == 0, node.log
-        assert "Traceback" not in node.log
+    arm = {"arm": "cdsm_friction"}
+    start("sim", **arm, seed=1)
+    start("estimator", **arm, model="cdsm", await_breath=True, stale_after_s=1.0)
+    breath = {"over": request.param, "await_command": False, "rest_s": 0.0, "turn_s": 1.5}
+    start("breather", **arm, **breath)
 
 
 def status(graph, name):
@@ -105,29 +78,18 @@ def test_after_a_breath_forces_are_those_without_friction(graph, arm):
     assert np.linalg.norm(force(breathed(graph))) < 0.5
 
 
-def test_a_breather_that_is_killed_is_missed_and_wrong_offsets_are_refused(graph):
-    nodes = [
-        NodeProcess("cablesense_ros.sim_node"),
-        NodeProcess("cablesense_ros.estimator_node"),
-        NodeProcess(
-            "cablesense_ros.breather_node",
-            amplitude_deg=0.1,
-            await_command=False,
-            continuous=True,
-            turn_s=1.5,
-        ),
-    ]
+def test_a_breather_that_is_killed_is_missed_and_wrong_offsets_are_refused(graph, start):
+    sim, estimator = start("sim"), start("estimator")
+    breath = {"amplitude_deg": 0.1, "await_command": False, "continuous": True, "turn_s": 1.5}
+    breather = start("breather", **breath)
     graph.until(lambda: "breathing" in status(graph, "estimator: breathing"), "a breath")
-    nodes[2].kill()
+    breather.kill()
     graph.until(lambda: "fell silent" in status(graph, "estimator: breathing"), "the report")
-    graph.until(lambda: "fell silent" in nodes[1].log, "the warning")
+    graph.until(lambda: "fell silent" in estimator.log, "the warning")
     offsets = graph.node.create_publisher(JointState, "/cable_offsets", 10)
     graph.until(lambda: offsets.get_subscription_count() >= 2, "arm and estimator")
     names = list(open_arm("cdsm").cable_names)
     for wrong in ([float("nan")] * 12, [1.0] * 12, [0.0] * 3):
         offsets.publish(JointState(name=names, position=wrong))
     graph.until(lambda: "refused" in status(graph, "estimator: joint_commands"), "the refusal")
-    graph.until(lambda: "offsets" in nodes[0].log, "the arm's refusal")
-    for node in nodes[:2]:
-        assert node.stop() == 0, node.log
-        assert "Traceback" not in node.log
+    graph.until(lambda: "offsets" in sim.log, "the arm's refusal")

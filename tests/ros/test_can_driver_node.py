@@ -10,10 +10,13 @@ from lifecycle_msgs.msg import Transition
 from ros_graph import NodeProcess
 from sensor_msgs.msg import JointState
 
-from cablesense_online.can.calibration import CalibratedSensor, Calibration, write_calibration
-from cablesense_online.can.channel_map import signal_conversion
-from cablesense_online.can.emulated_amplifier import EmulatedAmplifier
-from cablesense_online.can.emulator import play
+from cablesense_online.can.channel_map import (
+    CalibratedSensor,
+    Calibration,
+    signal_conversion,
+    write_calibration,
+)
+from cablesense_online.can.emulator import Emulator
 from cablesense_online.can.slcan import SlcanPort
 from cablesense_sim.arm import open_arm
 
@@ -31,33 +34,55 @@ ARM = open_arm("cdsm")
 TENSIONS_N = np.linspace(40.0, 62.0, 12)
 
 
-class Adapter:
+class Adapter(Emulator):
     """An amplifier behind an adapter that can be pulled."""
 
     def __init__(self, link):
+        super().__init__(PACKED, PACKED_DATABASE, lambda: SlcanPort(str(link)))
         self.link = str(link)
-        self.amplifier = EmulatedAmplifier(PACKED, PACKED_DATABASE)
-        self.port = SlcanPort(self.link)
 
     def send(self, tensions_n=TENSIONS_N):
-        play(self.port, self.amplifier.cycle(tensions_n))
+        self.cycle(tensions_n)
         time.sleep(0.005)
-
-    def request(self, text):
-        self.amplifier.request(text)
 
 
 @pytest.fixture(scope="module")
 def adapter(tmp_path_factory):
     adapter = Adapter(tmp_path_factory.mktemp("can") / "adapter")
     yield adapter
-    adapter.port.close()
+    adapter.close()
 
 
 @pytest.fixture(scope="module")
-def driver(adapter):
-    process = NodeProcess(DRIVER, interface="slcan", channel=adapter.link, bitrate_bit_s=1_000_000)
+def driver(adapter, tmp_path_factory):
+    """With a calibration of cable_2, in place of the scale and zero of the map."""
+    channel = PACKED.channels["cable_2"]
+    unit, factor, offset = signal_conversion(PACKED_DATABASE, channel)
+    sensor = CalibratedSensor(
+        message=channel.message,
+        signal=channel.signal,
+        signal_unit=unit,
+        signal_factor=factor,
+        signal_offset=offset,
+        scale_n_per_unit=2.0,
+        zero=10.0,
+    )
+    others = [cable for cable in PACKED.channels if cable != "cable_2"]
+    made = datetime(2026, 3, 1, tzinfo=UTC)
+    path = tmp_path_factory.mktemp("calibration") / "calibration.yaml"
+    write_calibration(
+        path,
+        Calibration(map=PACKED.name, made=made, uncalibrated=others, cables={"cable_2": sensor}),
+    )
+    process = NodeProcess(
+        DRIVER,
+        interface="slcan",
+        channel=adapter.link,
+        bitrate_bit_s=1_000_000,
+        calibration=path,
+    )
     yield process
+    assert "calibration of 2026-03-01" in process.log
     assert process.stop() == 0, process.log
     assert "Traceback" not in process.log
 
@@ -89,7 +114,9 @@ def test_tensions_are_published_as_the_sim_does(graph, adapter, driver):
     assert message.header.frame_id == "base_link"
     assert not message.position
     assert not message.velocity
-    np.testing.assert_allclose(message.effort, TENSIONS_N, atol=0.051)
+    calibrated_n = TENSIONS_N.copy()
+    calibrated_n[1] = 2.0 * (TENSIONS_N[1] - 10.0)
+    np.testing.assert_allclose(message.effort, calibrated_n, atol=0.11)
     stamp_s = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
     assert abs(time.time() - stamp_s) < 1.0
     (info,) = graph.node.get_publishers_info_by_topic("/cable_tensions")
@@ -116,31 +143,6 @@ def test_diagnostics_give_the_state_and_the_arm(graph, adapter, driver):
     assert "receiving on slcan" in status(graph, "interface").message
 
 
-def test_no_message_is_made_of_a_sample_with_a_missing_channel(graph, adapter, driver):
-    adapter.request("missing_channel cable_6")
-    for _ in range(5):
-        adapter.send()
-    graph.spin(0.3)
-    graph.tensions.clear()
-
-    def shown():
-        adapter.send()
-        return "missing channel (cable_5, cable_6, cable_7, cable_8)" in reported(graph, "samples")
-
-    graph.until(shown, "the missing channels in diagnostics")
-    assert graph.tensions == []
-    adapter.request("")
-    tensions_come(graph, adapter)
-
-
-def test_an_adapter_that_is_pulled_is_reported_and_taken_again(graph, adapter, driver):
-    adapter.port.close()
-    graph.until(lambda: "is not open" in reported(graph, "interface"), "the loss in diagnostics")
-    assert driver.alive
-    adapter.port = SlcanPort(adapter.link)
-    tensions_come(graph, adapter, count=5)
-
-
 def test_a_lifecycle_manager_brings_it_up_and_down_and_up_again(graph):
     name = "/managed/can_driver"
     process = NodeProcess(
@@ -153,39 +155,3 @@ def test_a_lifecycle_manager_brings_it_up_and_down_and_up_again(graph):
         assert graph.change_state(name, Transition.TRANSITION_CLEANUP)
     assert process.stop() == 0, process.log
     assert "Traceback" not in process.log
-
-
-def test_a_calibration_takes_the_place_of_the_maps_scale_and_zero(graph, tmp_path):
-    channel = PACKED.channels["cable_2"]
-    unit, factor, offset = signal_conversion(PACKED_DATABASE, channel)
-    sensor = CalibratedSensor(
-        message=channel.message,
-        signal=channel.signal,
-        signal_unit=unit,
-        signal_factor=factor,
-        signal_offset=offset,
-        scale_n_per_unit=2.0,
-        zero=10.0,
-    )
-    others = [cable for cable in PACKED.channels if cable != "cable_2"]
-    made = datetime(2026, 3, 1, tzinfo=UTC)
-    path = tmp_path / "calibration.yaml"
-    write_calibration(
-        path,
-        Calibration(map=PACKED.name, made=made, uncalibrated=others, cables={"cable_2": sensor}),
-    )
-    own = Adapter(tmp_path / "adapter")
-    process = NodeProcess(
-        DRIVER,
-        interface="slcan",
-        channel=own.link,
-        bitrate_bit_s=1_000_000,
-        calibration=path,
-    )
-    tensions_come(graph, own)
-    found = np.array(graph.tensions[-1].effort)
-    np.testing.assert_allclose(found[1], 2.0 * (TENSIONS_N[1] - 10.0), atol=0.11)
-    np.testing.assert_allclose(found[2:], TENSIONS_N[2:], atol=0.051)
-    assert "calibration of 2026-03-01" in process.log
-    assert process.stop() == 0, process.log
-    own.port.close()

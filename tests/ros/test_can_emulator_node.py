@@ -7,7 +7,6 @@ from rclpy.parameter import Parameter
 from ros_graph import Graph, NodeProcess
 from sensor_msgs.msg import JointState
 
-from cablesense_online.can.bus import CanInterface
 from cablesense_sim.arm import open_arm
 
 rclpy = pytest.importorskip("rclpy")
@@ -121,41 +120,3 @@ def test_an_emulator_that_is_killed_and_comes_back_is_read_again(graph, emulator
     graph.tensions.clear()
     emulator.start()
     feed(graph, lambda: len(graph.tensions) >= 5, "tensions again")
-
-
-def test_a_recording_is_played_with_its_commands_again_and_again(graph, tmp_path):
-    from cablesense_gap.recordings.csv_file import write_csv
-    from cablesense_gap.recordings.recording import Recording
-
-    rows = 20
-    recording = Recording(
-        name="short",
-        time_s=np.arange(rows) * 0.05,
-        trial=np.zeros(rows, dtype=np.int64),
-        command_rad=np.zeros((rows, 8)),
-        load_segment=np.zeros(rows, dtype=np.int64),
-        load_n=np.zeros((rows, 3)),
-        tensions_n=TENSIONS_N + np.zeros((rows, 1)),
-    )
-    write_csv(tmp_path / "short.csv", recording)
-    commands = []
-    taken = graph.node.create_subscription(
-        JointState, "/played/joint_commands", commands.append, 10
-    )
-    played = NodeProcess(
-        EMULATOR,
-        namespace="/played",
-        channel=tmp_path / "adapter",
-        recording=tmp_path / "short.csv",
-        loop=True,
-    )
-    port = CanInterface("slcan", str(tmp_path / "adapter"), 1_000_000)
-    graph.until(lambda: commands, "the command of the recording")
-    with port.open() as bus:
-        frames = [bus.recv(10.0) for _ in range(30)]
-    assert None not in frames
-    count = len(commands)
-    graph.until(lambda: len(commands) > count, "the recording's beginning again")
-    assert list(commands[-1].position) == [0.0] * 8
-    assert played.stop() == 0, played.log
-    graph.node.destroy_subscription(taken)

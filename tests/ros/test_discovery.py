@@ -1,38 +1,24 @@
-"""Nodes find each other soon, unless the user has profiles of their own."""
+"""Nodes find each other soon, and on this machine alone where that is asked for."""
 
 import os
+import socket
+import struct
 import subprocess
 import sys
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
 from cablesense_ros.discovery import PROFILES, RANGE, TRANSPORTS, own_graph, prefer_quick_discovery
+from cablesense_ros.processes import Process, node_command, wait_until
 
 FAST_DDS = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
 NAMESPACE = {"dds": "http://www.eprosima.com"}
-TALKER = """
-import sys
-from cablesense_ros.discovery import prefer_quick_discovery
-if sys.argv[1] == "prefers":
-    prefer_quick_discovery()
-import rclpy
-from std_msgs.msg import String
-sent, taken = ("question", "reply") if sys.argv[2] == "asks" else ("reply", "question")
-rclpy.init()
-node = rclpy.create_node(sys.argv[2])
-out = node.create_publisher(String, sent, 10)
-received = []
-node.create_subscription(String, taken, received.append, 10)
-while sent == "reply" or not received:
-    if sent == "question" or received:
-        out.publish(String())
-    rclpy.spin_once(node, timeout_sec=0.1)
-"""
-"""Asks until a reply comes, or replies for ever once it was asked."""
+FIRST_DDS_PORT, PORTS_OF_A_DOMAIN = 7400, 250
 
 
-def parsed(environment):
+def profile_of(environment):
     (path,) = {environment[name] for name in PROFILES}
     return ElementTree.parse(path)
 
@@ -41,11 +27,9 @@ def parsed(environment):
 def test_the_bundled_profiles_announce_soon_and_repeat_soon(given):
     environment = {**FAST_DDS, **given}
     prefer_quick_discovery(environment)
-    discovery = parsed(environment).find(".//dds:discovery_config", NAMESPACE)
-    announced = discovery.find("dds:leaseAnnouncement", NAMESPACE)
-    assert int(announced.find("dds:sec", NAMESPACE).text) == 0
-    heartbeat = parsed(environment).find(".//dds:heartbeatPeriod", NAMESPACE)
-    assert int(heartbeat.find("dds:sec", NAMESPACE).text) == 0
+    profile = profile_of(environment)
+    for period in (".//dds:discovery_config/dds:leaseAnnouncement", ".//dds:heartbeatPeriod"):
+        assert int(profile.find(f"{period}/dds:sec", NAMESPACE).text) == 0
 
 
 @pytest.mark.parametrize(
@@ -57,12 +41,10 @@ def test_this_machine_alone_is_loopback_udp_and_nothing_else(given):
     prefer_quick_discovery(environment)
     assert environment[RANGE] == "SYSTEM_DEFAULT"
     assert "ROS_LOCALHOST_ONLY" not in environment
-    profile = parsed(environment)
-    kinds = [
-        kind.text for kind in profile.findall(".//dds:transport_descriptor/dds:type", NAMESPACE)
-    ]
+    profile = profile_of(environment)
+    kinds = profile.findall(".//dds:transport_descriptor/dds:type", NAMESPACE)
     allowed = profile.findall(".//dds:interfaceWhiteList/dds:address", NAMESPACE)
-    assert kinds == ["UDPv4"]
+    assert [kind.text for kind in kinds] == ["UDPv4"]
     assert [address.text for address in allowed] == ["127.0.0.1"]
     assert profile.find(".//dds:useBuiltinTransports", NAMESPACE).text == "false"
 
@@ -72,70 +54,78 @@ def test_this_machine_alone_is_loopback_udp_and_nothing_else(given):
     [
         {"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp", RANGE: "LOCALHOST"},
         {**FAST_DDS, "ROS_DISTRO": "kilted", RANGE: "LOCALHOST"},
+        {PROFILES[0]: "/etc/mine.xml"},
     ],
 )
-def test_others_find_their_settings_untouched(given):
+def test_settings_of_others_stay_untouched(given):
     environment = dict(given)
     prefer_quick_discovery(environment)
     assert environment == given
 
 
-def test_shared_memory_on_this_machine_alone_for_who_asks_for_it():
-    environment = {**FAST_DDS, RANGE: "LOCALHOST", TRANSPORTS: "DEFAULT"}
-    prefer_quick_discovery(environment)
-    assert environment[RANGE] == "LOCALHOST"
-    assert environment[TRANSPORTS] == "DEFAULT"
-
-
-def test_a_profile_of_the_user_stays():
-    for name in PROFILES:
-        environment = {name: "/etc/mine.xml"}
-        prefer_quick_discovery(environment)
-        assert environment == {name: "/etc/mine.xml"}
-
-
-def test_an_empty_setting_is_none():
+@pytest.mark.parametrize("wanted", [{}, {RANGE: "LOCALHOST"}])
+def test_no_shared_memory_unless_the_user_wants_it(wanted):
     environment = {**FAST_DDS, PROFILES[0]: ""}
     prefer_quick_discovery(environment)
-    assert environment[PROFILES[0]].endswith("quick_discovery.xml")
-
-
-def test_no_shared_memory_unless_the_user_wants_it():
-    environment = dict(FAST_DDS)
-    prefer_quick_discovery(environment)
     assert environment[TRANSPORTS] == "UDPv4"
-    environment = {**FAST_DDS, TRANSPORTS: "DEFAULT"}
+    environment = {**FAST_DDS, TRANSPORTS: "DEFAULT", **wanted}
     prefer_quick_discovery(environment)
     assert environment[TRANSPORTS] == "DEFAULT"
+    assert environment.get(RANGE) == wanted.get(RANGE)
 
 
 def test_a_graph_of_its_own_has_a_domain_that_no_other_process_has():
     code = "from cablesense_ros.discovery import own_graph; print(own_graph()['ROS_DOMAIN_ID'])"
     environment = {name: value for name, value in os.environ.items() if name != "ROS_DOMAIN_ID"}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-    )
+    command = [sys.executable, "-W", "always::ResourceWarning", "-c", code]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     assert int(done.stdout) != int(os.environ["ROS_DOMAIN_ID"])
+    assert "ResourceWarning" not in done.stderr
     assert own_graph()["ROS_DOMAIN_ID"] == os.environ["ROS_DOMAIN_ID"]
 
 
-def test_the_domains_lock_file_causes_no_warning_at_exit():
-    code = "from cablesense_ros.discovery import free_domain; free_domain()"
-    command = [sys.executable, "-W", "always::ResourceWarning", "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "ResourceWarning" not in done.stderr
-
-
-@pytest.mark.ros
-@pytest.mark.parametrize(("asker", "replier"), [("prefers", "plain"), ("plain", "prefers")])
-@pytest.mark.parametrize("given", [{RANGE: "LOCALHOST"}, {}])
-def test_who_prefers_it_and_who_does_not_hear_each_other(given, asker, replier):
-    pytest.importorskip("rclpy")
-    environment = {name: value for name, value in os.environ.items() if name != RANGE}
-    environment |= given
-    talker = [sys.executable, "-c", TALKER]
-    with subprocess.Popen([*talker, replier, "replies"], env=environment) as other:
+def bound(pid):
+    """(kind, address, port) of every socket of a process that waits for others."""
+    inodes = set()
+    for link in Path(f"/proc/{pid}/fd").iterdir():
         try:
-            subprocess.run([*talker, asker, "asks"], env=environment, timeout=20.0, check=True)
-        finally:
-            other.kill()
+            inodes.add(str(link.readlink()).removeprefix("socket:[").removesuffix("]"))
+        except OSError:  # closed in the meantime
+            continue
+    found = set()
+    for kind in ("tcp", "tcp6", "udp", "udp6"):
+        for line in Path(f"/proc/{pid}/net/{kind}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[9] in inodes and (kind.startswith("udp") or fields[3] == "0A"):
+                number, port = fields[1].split(":")
+                packed = b"".join(
+                    struct.pack("<I", int(number[i : i + 8], 16)) for i in range(0, len(number), 8)
+                )
+                family = socket.AF_INET if len(packed) == 4 else socket.AF_INET6
+                found.add((kind, socket.inet_ntop(family, packed), int(port, 16)))
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="looks in Linux's /proc")
+@pytest.mark.parametrize(
+    ("name", "parameters"), [("page", {"port": 18080}), ("sim", {}), ("estimator", {})]
+)
+def test_nodes_of_the_demo_wait_on_loopback_alone(name, parameters, monkeypatch, tmp_path):
+    for variable in (RANGE, *PROFILES):
+        monkeypatch.delenv(variable, raising=False)
+    environment = own_graph()
+    first = FIRST_DDS_PORT + PORTS_OF_A_DOMAIN * int(environment["ROS_DOMAIN_ID"])
+    ready = {"page": "page: ", "sim": "cables at", "estimator": "configured"}[name]
+    with Process(name, node_command(name, parameters), tmp_path / "log", environment) as node:
+        wait_until(lambda: ready in node.log, 60.0, f"{name} is not ready", node.check)
+        found = bound(node.pid)
+    assert len([kind for kind, _, _ in found if kind.startswith("tcp")]) == (name == "page")
+    assert any(first <= port < first + PORTS_OF_A_DOMAIN for _, _, port in found)
+    assert {address for _, address, _ in found} <= {"127.0.0.1", "::1"}
+
+
+def test_the_page_says_when_it_is_open_to_the_network(tmp_path):
+    command = node_command("page", {"port": 18090, "host": "0.0.0.0"})
+    with Process("page", command, tmp_path / "log", own_graph()) as node:
+        wait_until(lambda: "page: " in node.log, 60.0, "no page", node.check)
+        assert node.log.count("without encryption") == 1

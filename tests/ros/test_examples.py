@@ -4,20 +4,11 @@ import time
 
 import numpy as np
 import pytest
-
-pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
-
 from rclpy.qos import qos_profile_sensor_data
-from ros_graph import NodeProcess
 from sensor_msgs.msg import JointState
 
 from examples.admittance.__main__ import metrics, play
 
-pytestmark = [
-    pytest.mark.ros,
-    pytest.mark.slow,
-    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
-]
 CONTROLLER = "examples.admittance.controller_node"
 HEALTHY = "healthy_tensions"
 
@@ -45,7 +36,7 @@ def test_metrics_are_those_of_the_contact():
 
 
 @pytest.mark.timeout(180)
-def test_a_failing_channel_moves_no_arm_and_a_killed_estimator_stops_it(graph):
+def test_a_failing_channel_moves_no_arm_and_a_killed_estimator_stops_it(graph, start):
     """The sim's tensions pass through this process, where a channel fails."""
     exchanged, commands = False, []
 
@@ -57,9 +48,9 @@ def test_a_failing_channel_moves_no_arm_and_a_killed_estimator_stops_it(graph):
     out = graph.node.create_publisher(JointState, "/cable_tensions", 10)
     graph.node.create_subscription(JointState, f"/{HEALTHY}", pass_on, qos_profile_sensor_data)
     graph.node.create_subscription(JointState, "/joint_commands", commands.append, 100)
-    estimator = NodeProcess("cablesense_ros.estimator_node")
-    sim = NodeProcess("cablesense_ros.sim_node", remaps={"cable_tensions": HEALTHY})
-    controller = NodeProcess(CONTROLLER, resume_after_s=0.5)
+    estimator = start("estimator")
+    start("sim", remaps={"cable_tensions": HEALTHY})
+    controller = start(CONTROLLER, resume_after_s=0.5)
     trusted = "estimates are trusted"
     graph.until(lambda: trusted in controller.log, "the controller's trust")
     exchanged = True
@@ -79,4 +70,3 @@ def test_a_failing_channel_moves_no_arm_and_a_killed_estimator_stops_it(graph):
     time.sleep(0.3)
     graph.spin(0.2)
     assert not commands
-    assert [node.stop() for node in (controller, sim)] == [0, 0], controller.log

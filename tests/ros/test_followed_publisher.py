@@ -1,33 +1,21 @@
 """Two publishers of tensions, or two estimators: one is used, and the other is an error."""
 
-import json
-import signal
 import time
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
-from ros_graph import Graph, NodeProcess, force
+from ros_graph import Graph, force
 from sensor_msgs.msg import JointState
 
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_msgs_py.messages import Level
 from cablesense_msgs_py.qos import INPUTS
 from cablesense_online.page.live_arm import LiveArm
-from cablesense_online.state import state_of
 from cablesense_ros.arm_client import ArmClient
 from cablesense_ros.recorder import Recorder
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-
-rclpy = pytest.importorskip("rclpy")
-
-pytestmark = [
-    pytest.mark.ros,
-    pytest.mark.slow,
-    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
-]
 
 ARM = open_arm("cdsm")
 PUSH_N = np.zeros((4, 3))
@@ -89,7 +77,7 @@ def test_the_page_shows_one_and_says_that_there_is_another(graph):
 
 def test_one_is_recorded(graph, tmp_path):
     out = tmp_path / "made.mcap"
-    recorder = Recorder(graph.node, out, INPUTS, ARM, print)
+    recorder = Recorder(graph.node, out, INPUTS, ARM)
     first, second = Source(graph, UNLOADED), Source(graph, PUSHED)
     graph.until(graph.command.get_subscription_count, "the recorder")
     graph.command.publish(JointState(name=list(ARM.joint_names), position=[0.0] * 8))
@@ -101,10 +89,8 @@ def test_one_is_recorded(graph, tmp_path):
     np.testing.assert_array_equal(recorded_n, np.tile(UNLOADED, (len(recorded_n), 1)))
 
 
-def test_one_is_used_until_it_ends_then_the_other_after_a_wait(graph, tmp_path):
-    folder = tmp_path / "states"
-    folder.mkdir()
-    estimator = NodeProcess("cablesense_ros.estimator_node", state_file=folder / "state.json")
+def test_one_is_used_until_it_ends_then_the_other_after_a_wait(graph, start):
+    estimator = start("estimator")
     first = Source(graph, UNLOADED)
     until(graph, [first], lambda: "tare taken" in estimator.log, "the tare")
     second = Source(graph, PUSHED)
@@ -131,25 +117,3 @@ def test_one_is_used_until_it_ends_then_the_other_after_a_wait(graph, tmp_path):
     # stale_after_s, and the wait of 0.6 s
     assert first_stamp.sec + first_stamp.nanosec * 1e-9 > ended_s + 0.7
     assert force(touched()[-1])[1] > 59.0
-
-    folder.rename(tmp_path / "away")
-    until(graph, [second], lambda: level("state file")[0] == 2, "an error")
-    assert "cannot be written" in level("state file")[1] or "No such" in level("state file")[1]
-    folder.mkdir()
-    until(graph, [second], lambda: level("state file")[0] == 0, "the state to be kept again")
-    states = []
-    kind, topic = DiagnosticArray, "/estimator/journal"
-    graph.node.create_subscription(kind, topic, lambda m: states.append(state_of(m)), 10)
-    bent_rad = (0.0, 0.05, *[0.0] * 6)
-    graph.command.publish(JointState(name=list(ARM.joint_names), position=bent_rad))
-    until(
-        graph,
-        [second],
-        lambda: states and tuple(states[-1].gate.command_rad) == bent_rad,
-        "the command",
-    )
-    estimator.signal(signal.SIGHUP)
-    assert estimator.wait() == 0, estimator.log
-    assert "Traceback" not in estimator.log
-    kept = json.loads((folder / "state.json").read_text(encoding="utf-8"))
-    assert kept["gate"]["command_rad"] == list(bent_rad)

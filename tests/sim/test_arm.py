@@ -1,7 +1,6 @@
 """Arm files: what they may hold, how others are refused, and how they are found by name."""
 
 import math
-import os
 import time
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_sim.arm import (
-    MAX_FILE_BYTES,
     ArmFileError,
     bundled_arms,
     find_arm,
@@ -39,8 +37,8 @@ NUMBERS = [
     "sensors.noise_std_n",
     "sensors.step_n",
 ]
-WORDS = ["segments.joint_axes", "cables.unilateral", "actuators.kind", "sensors.place", "name"]
 COUNTS = ["segments.count", "cables.per_segment"]
+WORDS = ["segments.joint_axes", "cables.unilateral", "actuators.kind", "sensors.place", "name"]
 ALL = [*NUMBERS, *WORDS, *COUNTS, "gravity_m_s2"]
 OPTIONAL = {"segments.joint_axes", "cables.unilateral", "cables.angle_deg.first"}
 
@@ -55,15 +53,6 @@ def refusal(description: Any) -> str:
     assert "\n" not in line
     assert len(line) < 500
     return line
-
-
-def loads_or_is_refused_in_one_line(text: str) -> None:
-    problem = "one line"
-    try:
-        assert parse_arm(text).identity == parse_arm(text).identity
-    except ArmFileError as error:
-        problem = str(error)
-    assert len(problem.splitlines()) == 1
 
 
 @pytest.mark.parametrize("key", ALL)
@@ -83,8 +72,6 @@ def test_a_missing_key_is_named(key: str) -> None:
         ("segmets", "segments"),
         ("segments.lenght_m", "length_m"),
         ("cables.angle_deg.frist", "first"),
-        ("actuators.kp", "kp_n_m"),
-        ("sensors.noise_n", "noise_std_n"),
         ("cables.float", "per_segment"),
     ],
 )
@@ -95,39 +82,28 @@ def test_an_unknown_key_is_answered_with_the_known_ones(key: str, listed: str) -
 
 
 @pytest.mark.parametrize("key", [*NUMBERS, *COUNTS])
-@pytest.mark.parametrize("value", ["thick", None, True, {"a": 1}, float("nan"), []])
+@pytest.mark.parametrize("value", ["thick", True, float("nan"), []])
 def test_a_number_must_be_one(key: str, value: Any) -> None:
     line = refusal(changed(described(), key, value))
     assert key.rpartition(".")[2] in line
 
 
-@pytest.mark.parametrize("key", sorted(set(NUMBERS) - {"actuators.kp_n_m"}))
-def test_only_the_actuators_may_be_infinite(key: str) -> None:
-    assert key in refusal(changed(described(), key, math.inf))
-    assert variant({"actuators.kp_n_m": math.inf}).actuators.kp_n_m == math.inf
-
-
 @pytest.mark.parametrize(
-    ("key", "value", "unit"),
+    ("key", "value"),
     [
-        ("segments.length_m", 130.0, "in m"),
-        ("segments.contact_m", 65.0, "in m"),
-        ("segments.plate_offset_m", 15.0, "in m"),
-        ("segments.mass_kg", 500.0, "in kg"),
-        ("cables.routing_radius_m", 50.0, "in m"),
-        ("cables.run_m", 200.0, "in m"),
-        ("cables.stiffness_n_m", 10.0, "in N/m"),
-        ("cables.stiffness_n_m", 1e13, "in N/m"),
-        ("actuators.kp_n_m", 100e-3, "in N/m"),
-        ("gravity_m_s2", [0.0, 0.0, -9810.0], "m/s²"),
-        ("sensors.rate_hz", 1e6, "in Hz"),
-        ("sensors.step_n", -0.1, "in N"),
+        ("segments.length_m", 130.0),
+        ("segments.mass_kg", 500.0),
+        ("cables.routing_radius_m", 50.0),
+        ("cables.stiffness_n_m", 1e13),
+        ("actuators.kp_n_m", 100e-3),
+        ("gravity_m_s2", [0.0, 0.0, -9810.0]),
+        ("sensors.rate_hz", 1e6),
+        ("sensors.step_n", -0.1),
     ],
 )
-def test_a_wrong_unit_is_caught_and_the_right_one_named(key: str, value: Any, unit: str) -> None:
+def test_a_wrong_unit_is_caught(key: str, value: Any) -> None:
     line = refusal(changed(described(), key, value))
     assert key in line
-    assert unit in line
     assert repr(value if not isinstance(value, list) else value[-1]) in line
 
 
@@ -135,19 +111,15 @@ def test_a_wrong_unit_is_caught_and_the_right_one_named(key: str, value: Any, un
     ("changes", "words"),
     [
         ({"segments.plate_offset_m": 0.07}, "guide plates"),
-        ({"segments.length_m": 0.03, "segments.contact_m": 0.01}, "guide plates"),
         ({"segments.contact_m": 0.131}, "beyond the end"),
         ({"segments.length_m": [0.13, 0.13, 0.06, 0.13]}, "segment 3"),
         ({"cables.angle_deg.per_cable": -90}, "180 degrees"),
-        ({"cables.angle_deg.per_cable": 0}, "360 degrees"),
         ({"cables.angle_deg.per_cable": 360}, "360 degrees"),
-        ({"cables.angle_deg.per_cable": 720}, "at most 360"),
         ({"actuators.kp_n_m": 1.0e7}, "in series"),
         ({"actuators.kp_n_m": 5.0e6}, "5e+06 must exceed"),
         ({"cables.axial_rigidity_n": 1e6}, "exactly one"),
         ({"segments.mass_kg": [0.5, 0.5]}, "lists 2 values"),
         ({"cables.routing_radius_m": [0.05] * 5}, "give one number or 4"),
-        ({"segments.length_m": [0.13, 0.13, 0.13, 130.0]}, "segments.length_m.3 = 130.0"),
         ({"segments.length_m": [0.13, 0.13, "x", 0.13]}, "segments.length_m.2 = 'x'"),
         ({"segments.count": 0}, "at least 1"),
         ({"segments.count": 4.5}, "whole number"),
@@ -155,18 +127,13 @@ def test_a_wrong_unit_is_caught_and_the_right_one_named(key: str, value: Any, un
         ({"cables.pretension_n": 0}, "greater than 0"),
         ({"cables.unilateral": False}, "True"),
         ({"segments.joint_axes": ["z", "y"]}, "must be 'y'"),
-        ({"segments.joint_axes": "yz"}, "must be a list"),
         ({"segments": 3}, "must be a mapping with the keys count"),
         ({"gravity_m_s2": [0.0, 0.0]}, "too short"),
-        ({"gravity_m_s2": 9.81}, "must be a list"),
         ({"sensors.range_n": [100.0, 0.0]}, "[lowest, highest]"),
-        ({"sensors.range_n": [0.0]}, "too short"),
         ({"sensors.place": "anchor"}, "'actuator end'"),
-        ({"actuators.kind": "velocity"}, "'position'"),
         ({"effects": [{"friction": 0.1}]}, "keys here: effect, at, parameters"),
         ({"effects": [{"effect": "frictoin"}]}, "known: actuator_backlash"),
         ({"name": "my arm"}, "letters, digits"),
-        ({"name": "x" * 500}, "letters, digits"),
         ({"name": "a\nb"}, "letters, digits"),
     ],
 )
@@ -194,47 +161,22 @@ def test_two_cables_in_one_hole_are_refused(key: str, value: int, pair: str) -> 
     assert "with per_cable = " in line
 
 
-def bomb(levels: int) -> str:
-    """YAML whose last name stands for ten to the power of `levels` items."""
-    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]
-    for i in range(1, levels):
-        lines.append(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]")
-    return "\n".join(lines)
-
-
 @pytest.mark.parametrize(
     "text",
     [
         "",
-        "3",
         "- a",
-        "just text",
         "name: [",
         "a: 1\n---\nb: 2",
-        "\tname: x",
         "name: a\nname: b",
-        "name: a\n!!str name: b",
-        "{[a]: b}",
         "<<: 3",
         "name: '\0'",
-        '"a\\nb": 1',
-        '"\\e[31mred": 1',
-        "3: 4",
         "!!python/object/apply:os.system [ls]",
-        "name: !!int x",
-        "name: !!bool x",
-        "name: !!float x",
-        "name: !!timestamp x",
-        "name: !!binary '@'",
         "name: 2020-99-99",
         "name: " + "9" * 5000,
         "&a {name: *a}",
-        "effects: &a [*a]",
-        bomb(9),
-        bomb(9) + "\nname: *a8",
-        bomb(9) + "\nsegments: {length_m: *a8}",
-        "{a: " * 3000,
-        "[" * 20_000,
+        "a: &a [x, x]\nname: [*a, *a]",
+        "{a: " * 300,
     ],
     ids=lambda text: ascii(text)[:24],
 )
@@ -245,7 +187,7 @@ def test_text_that_is_no_arm_is_refused_at_once(text: str) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(
     key=st.sampled_from(ALL),
     value=st.one_of(
@@ -260,68 +202,36 @@ def test_text_that_is_no_arm_is_refused_at_once(text: str) -> None:
     ),
 )
 def test_any_value_under_any_key_loads_or_is_refused(key: str, value: Any) -> None:
-    text = yaml.safe_dump(changed(described(), key, value))
-    loads_or_is_refused_in_one_line(text)
+    problem = "none"
+    try:
+        parse_arm(yaml.safe_dump(changed(described(), key, value)))
+    except ArmFileError as error:
+        problem = str(error)
+    assert len(problem.splitlines()) == 1
 
 
-@pytest.mark.slow
-@settings(max_examples=100, deadline=None)
-@given(data=st.data())
-def test_a_file_with_characters_lost_or_changed_loads_or_is_refused(data: st.DataObject) -> None:
-    text = yaml.safe_dump(described())
-    at = data.draw(st.integers(0, len(text)))
-    cut = data.draw(st.integers(0, 30))
-    put = data.draw(st.text(max_size=5))
-    loads_or_is_refused_in_one_line(text[:at] + put + text[at + cut :])
-
-
-def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
-    binary = tmp_path / "binary.yaml"
-    binary.write_bytes(bytes(range(256)))
-    huge = tmp_path / "huge.yaml"
-    huge.write_text("#" * (MAX_FILE_BYTES + 1))
-    fifo = tmp_path / "fifo.yaml"
-    os.mkfifo(fifo)
-    for path in (binary, huge, fifo, tmp_path, tmp_path / "absent.yaml", "a\0b", "x" * 5000):
-        with pytest.raises(ArmFileError) as caught:
-            load_arm(path)
-        assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("count", range(1, 7))
-@pytest.mark.parametrize("each", [3, 4, 5])
-def test_segments_and_cables_are_data(count: int, each: int) -> None:
+def test_segments_and_cables_are_data_and_every_number_counts_in_the_identity() -> None:
     arm = variant(
         {
-            "segments.count": count,
-            "cables.per_segment": each,
-            "cables.angle_deg.per_cable": -360 / each,
-            "cables.angle_deg.per_segment": 360 / (each * count),
+            "segments.count": 3,
+            "cables.per_segment": 4,
+            "cables.angle_deg.per_cable": -90,
+            "cables.angle_deg.per_segment": 30,
+            "actuators.kp_n_m": math.inf,
         }
     )
-    assert (arm.segment_count, arm.cable_count, arm.joint_count) == (
-        count,
-        count * each,
-        2 * count,
-    )
-    assert arm.cable_names == tuple(f"cable_{i}" for i in range(1, count * each + 1))
-    assert arm.joint_names[-1] == f"joint_{count}_yaw"
-    assert len(arm.joint_names) == 2 * count
-
-
-@pytest.mark.parametrize("key", NUMBERS)
-def test_identity_changes_with_every_number(key: str) -> None:
-    description = described()
-    value: Any = description
-    for part in key.split("."):
-        value = value[part]
-    nudged = float(value) * (1 + 1e-12) if float(value) else 1e-12
-    arm = parse_arm(yaml.safe_dump(changed(description, key, nudged)))
-    assert arm.identity != parse_arm(yaml.safe_dump(description)).identity
-
-
-def test_the_arms_of_the_paper_come_along() -> None:
-    assert {"cdsm", "cdsm_lab", "cdsm_table2"} <= set(bundled_arms())
+    assert (arm.segment_count, arm.cable_count, arm.joint_count) == (3, 12, 6)
+    assert arm.cable_names == tuple(f"cable_{i}" for i in range(1, 13))
+    assert arm.joint_names[0] == "joint_1_pitch"
+    assert arm.joint_names[-1] == "joint_3_yaw"
+    identities = {parse_arm(yaml.safe_dump(described())).identity}
+    for key in NUMBERS:
+        value: Any = described()
+        for part in key.split("."):
+            value = value[part]
+        nudged = float(value) * (1 + 1e-12) if float(value) else 1e-12
+        identities.add(variant({key: nudged}).identity)
+    assert len(identities) == 1 + len(NUMBERS)
 
 
 @pytest.mark.parametrize("name", bundled_arms())

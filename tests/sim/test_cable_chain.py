@@ -54,38 +54,6 @@ def test_a_run_that_sticks_keeps_its_tension_to_the_last_digit() -> None:
     np.testing.assert_allclose(np.diff(tensions[:, 1]), -2e-5 * SPAN_N_M, rtol=1e-9)
 
 
-def test_without_friction_all_pieces_pull_alike() -> None:
-    cable, lengths, phi = chains(pieces=(RUN_N_M, SPAN_N_M, SPAN_N_M), limit=[0.0, 0.0])
-    for step in ([3e-4, 0.0, 0.0], [-1e-4, 2e-4, 0.0], [0.0, 0.0, -1e-4]):
-        lengths = lengths + step
-        pull = cable.pull(lengths, phi)
-        whole = 1 / RUN_N_M + 2 / SPAN_N_M
-        np.testing.assert_allclose(pull.tensions_n[0], lengths.sum() / whole, rtol=1e-12)
-        np.testing.assert_allclose(pull.by_length_n_m[0], 1 / whole, rtol=1e-9)
-        cable.settle(lengths, phi)
-
-
-def test_a_slack_cable_pulls_nowhere_and_its_past_is_gone() -> None:
-    cable, lengths, phi = chains(pieces=(RUN_N_M, SPAN_N_M), limit=[PHI], start=1.0)
-    slack = np.array([[0.0, -1e-3]])
-    assert (walked(cable, lengths, phi, [slack]) == 0.0).all()
-    again = walked(cable, lengths + slack, phi, [-slack])[0]
-    assert again[1] / again[0] == pytest.approx(np.exp(PHI))
-
-
-def test_what_is_lost_in_a_closed_loop_is_what_the_guide_takes() -> None:
-    """The area of the loop at both ends is the passed cable times the difference of tensions."""
-    cable, lengths, phi = chains(pieces=(RUN_N_M, SPAN_N_M), limit=[PHI])
-    way = 4e-4 * np.sin(np.linspace(0.0, 6.0 * np.pi, 3001))
-    steps = np.diff(way)[:, None, None] * np.array([1.0, 0.0])
-    tensions = walked(cable, lengths, phi, steps)
-    mean = 0.5 * (tensions[1000:] + tensions[999:-1])
-    area = (mean[:, 0] * np.diff(way)[1000:]).sum()
-    passed = np.diff(tensions[999:, 1]) / SPAN_N_M  # the far span has a fixed length
-    assert area > 0.0
-    assert area == pytest.approx(((mean[:, 0] - mean[:, 1]) * passed).sum(), rel=1e-3)
-
-
 @st.composite
 def histories(draw):
     """A cable, and changes of its pieces' lengths that slacken it now and then."""
@@ -106,7 +74,7 @@ def histories(draw):
 
 @pytest.mark.slow
 @given(histories())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_every_step_is_admissible_and_keeps_the_material(history) -> None:
     """Within the bounds, slip only at them and only with them, no cable gained, no energy won."""
     cable, compliance, lengths, limit, steps, give = history
@@ -135,7 +103,7 @@ def test_every_step_is_admissible_and_keeps_the_material(history) -> None:
 
 
 @given(histories())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_slopes_are_the_derivatives_by_the_lengths(history) -> None:
     cable, compliance, lengths, limit, steps, _ = history
     for step in steps[:3]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from effect_arms import MECHANISM, STRAIGHT, course, entry, readings, small, up_and_down
+from effect_arms import MECHANISM, entry, small, up_and_down
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from joint_torques import load_torques_n_m
@@ -35,28 +35,13 @@ def creeping(entry_: EffectEntry, tensions_n: float = 50.0, **values: float):
 
 
 def test_under_a_constant_load_it_grows_exponentially_to_its_share_of_the_stretch() -> None:
-    creep = creeping(CREEP)
-    for time in (0.0, 5.0, 10.0, 40.0, 400.0):
-        expected = 0.2 * 50.0 / MECHANISM.stiffness_n_m * (1.0 - np.exp(-time / 10.0))
-        np.testing.assert_allclose(creep.lengthening_m(time)[0], expected, atol=1e-15)
-
-
-def test_after_the_load_it_recovers_as_slowly() -> None:
-    creep = creeping(CREEP, tensions_n=50.0, settled=1.0, begun=1.0)  # at home under 50 N
-    creep.settle(rest(0.0, np.full(12, 80.0)))
-    creep.settle(rest(25.0, np.full(12, 50.0)))
-    grown = 0.2 * 30.0 / MECHANISM.stiffness_n_m * (1.0 - np.exp(-2.5))
-    for later in (0.0, 10.0, 500.0):
-        np.testing.assert_allclose(
-            creep.lengthening_m(25.0 + later)[0], grown * np.exp(-later / 10.0), atol=1e-15
-        )
-
-
-def test_three_elements_share_it_evenly() -> None:
-    creep = creeping(CREEP, spread=5.0)
-    parts = [np.exp(-12.0 / t) for t in (2.0, 10.0, 50.0)]
-    expected = 0.2 * 50.0 / MECHANISM.stiffness_n_m * (1.0 - np.mean(parts))
-    np.testing.assert_allclose(creep.lengthening_m(12.0)[0], expected, rtol=1e-12)
+    """One element, and three around the same time that share it evenly."""
+    for spread, times_s in ((1.0, [10.0]), (5.0, [2.0, 10.0, 50.0])):
+        creep = creeping(CREEP, spread=spread)
+        for time in (0.0, 5.0, 40.0, 400.0):
+            share = 0.2 * np.mean([1.0 - np.exp(-time / each) for each in times_s])
+            expected = share * 50.0 / MECHANISM.stiffness_n_m
+            np.testing.assert_allclose(creep.lengthening_m(time)[0], expected, atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -79,7 +64,7 @@ def test_a_held_cable_relaxes_to_one_part_in_one_and_its_share() -> None:
     weightless = replace(MECHANISM, gravity_m_s2=np.zeros(3))
     period, share = 0.05, 0.2
     arm = QuasiStaticArm([weightless], [[CREEP]])
-    times = period * np.arange(601)
+    times = period * np.arange(301)
     found = np.stack([arm.step(t, np.zeros((1, 12)), np.zeros((4, 3)))[0] for t in times])
     expected = 50.0 * (1.0 + share * np.exp(-(1.0 + share) * times / 10.0)) / (1.0 + share)
     # tensions are taken as held between rests, which is off by up to half a period's change
@@ -127,7 +112,7 @@ def test_it_gives_before_it_breaks_away_and_then_stays() -> None:
 
 @pytest.mark.slow
 @given(st.lists(st.floats(-0.01, 0.01), min_size=1, max_size=12), st.floats(-1.0, 1.0))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=10, deadline=None)
 def test_never_more_than_the_limit_and_never_a_gift_of_energy(
     turns: list[float], start: float
 ) -> None:
@@ -141,7 +126,7 @@ def test_never_more_than_the_limit_and_never_a_gift_of_energy(
     assert work >= -stored - 1e-9
 
 
-@pytest.mark.parametrize("numbers", [[2], [1, 2, 3, 4]])
+@pytest.mark.parametrize("numbers", [[1, 2, 3, 4]])
 def test_a_slipping_joint_carries_its_limit_of_the_load(numbers: list[int]) -> None:
     """Between J'T and the load's torque lies the limit, against the motion, and nothing else."""
     dry_joints = [entry("joint_friction", f"joint_{n}", torque_n_m=0.15) for n in numbers]
@@ -161,31 +146,3 @@ def test_a_slipping_joint_carries_its_limit_of_the_load(numbers: list[int]) -> N
             expected = 0.15 * np.sign(angles - before)[far]
             np.testing.assert_allclose(missing[far], expected, atol=1e-5)
         before = angles
-
-
-def test_the_loop_is_twice_the_limit_wide_and_lasts() -> None:
-    """Joint 4 is turned by its own cables alone."""
-    friction = entry("joint_friction", "joint_4", torque_n_m=0.1, give_rad=2e-5)
-    loads = up_and_down(12.0, rows=12, segment=4)
-    still = np.repeat(loads[19:20], 30, axis=0)
-    found = readings(course(STRAIGHT, np.concatenate([loads[:20], still])), friction)
-    own = np.arange(9, 12)
-    y = MECHANISM.hole_y_m[own]
-    loop = found[19, own] - found[5, own]
-    # along y the last three cables turn the last joint about z: torque = -sum y T
-    assert abs(-y @ loop) == pytest.approx(0.2, rel=0.02)
-    np.testing.assert_array_equal(found[20:], np.repeat(found[19:20], 30, axis=0))
-
-
-@pytest.mark.parametrize("give_rad", [1e-5, 3e-4, 0.05])
-def test_a_joint_may_have_stuck_wherever_its_friction_holds_it(give_rad: float) -> None:
-    """However little it gives, it first rests under all of the torque that the past left."""
-    shares = {"start_pitch": -1.0, "start_yaw": 0.6}
-    arm = QuasiStaticArm([MECHANISM], [[small(FRICTION, give_rad=give_rad, **shares)]])
-    tensions = arm.step(0.0, np.zeros((1, 12)), np.zeros((4, 3)))[0]
-    angles = arm.joint_angles_rad[0]
-    torque = load_torques_n_m(MECHANISM, angles, np.zeros((4, 3)))
-    missing = torque - kinematics.cable_jacobian_m(MECHANISM, angles).T @ tensions
-    held = np.zeros(8)
-    held[2:4] = -0.15, 0.6 * 0.15
-    np.testing.assert_allclose(missing, held, atol=1e-5)

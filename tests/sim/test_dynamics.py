@@ -1,8 +1,6 @@
-"""The arm in time, and from rest to rest: equilibria, commands, loads, what is refused."""
+"""The arm in time, from rest to rest, and on the way to commands: equilibria, loads, refusals."""
 
 from __future__ import annotations
-
-import itertools
 
 import numpy as np
 import pytest
@@ -13,24 +11,22 @@ from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.dynamics import LEAST_PERIOD_S, ArmDynamics, RestToRestArm
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.joint_motion import JointMotion, move_duration_s
 from cablesense_sim.loads import LoadError
 from cablesense_sim.replay import replay_arm
 
 BENT = np.deg2rad([5.0, -4.0, 8.0, 3.0, -6.0, 2.0, 4.0, 7.0])
 
 
-@pytest.fixture(params=["cdsm", "cdsm_lab"])
-def dynamics(request: pytest.FixtureRequest) -> ArmDynamics:
+@pytest.fixture(scope="module", params=["cdsm", "cdsm_lab"])
+def built(request: pytest.FixtureRequest) -> ArmDynamics:
     return ArmDynamics(open_arm(request.param))
 
 
-def test_it_starts_at_rest_and_stays_there(dynamics: ArmDynamics) -> None:
-    rest = solve_equilibrium(dynamics.mechanism, np.zeros(8))
-    np.testing.assert_allclose(dynamics.tensions_n, rest.tensions_n, atol=1e-5)
-    dynamics.advance(0.2)
-    np.testing.assert_allclose(dynamics.tensions_n, rest.tensions_n, atol=1e-5)
-    np.testing.assert_allclose(dynamics.joint_angles_rad, rest.joint_angles_rad, atol=1e-9)
-    assert dynamics.time_s == pytest.approx(0.2)
+@pytest.fixture
+def dynamics(built: ArmDynamics) -> ArmDynamics:
+    built.reset()
+    return built
 
 
 def test_a_push_moves_the_tensions_to_the_equilibrium_and_its_end_moves_them_back(
@@ -42,6 +38,8 @@ def test_a_push_moves_the_tensions_to_the_equilibrium_and_its_end_moves_them_bac
     forces = np.zeros((4, 3))
     forces[2] = force
     np.testing.assert_array_equal(dynamics.forces_n, forces)
+    rest = solve_equilibrium(dynamics.mechanism, np.zeros(8))
+    np.testing.assert_allclose(before, rest.tensions_n, atol=1e-5)
     expected = solve_equilibrium(dynamics.mechanism, np.zeros(8), forces)
     dynamics.settle(speed_rad_s=1e-8)
     np.testing.assert_allclose(dynamics.tensions_n, expected.tensions_n, atol=1e-3)
@@ -74,57 +72,14 @@ def test_reset_rests_unloaded_at_a_command(dynamics: ArmDynamics) -> None:
     assert not dynamics.command_rad.any()
 
 
-def test_swinging_dies_down() -> None:
-    """Let go of a push, the arm loses energy: each tenth of a second moves it less."""
-    arm = variant({"segments.joint_damping_n_m_s": 0.05}, "cdsm_lab")
-    dynamics = ArmDynamics(arm)
-    rest = dynamics.joint_angles_rad
-    dynamics.load(4, [0.0, 30.0, 0.0])
-    dynamics.settle(speed_rad_s=1e-6)
-    dynamics.load(4, np.zeros(3))
-    swings = []
-    for _ in range(5):
-        angles = []
-        for _ in range(100):
-            dynamics.advance(1e-3)
-            angles.append(np.abs(dynamics.joint_angles_rad - rest).max())
-        swings.append(max(angles))
-    assert all(later < earlier for earlier, later in itertools.pairwise(swings))
-    assert swings[-1] < 0.5 * swings[0]
-
-
-def test_cables_never_push(dynamics: ArmDynamics) -> None:
-    dynamics.load(1, [0.0, 0.0, -200.0])
-    dynamics.load(4, [0.0, 60.0, 0.0])
-    lowest = np.inf
-    for _ in range(40):
-        dynamics.advance(5e-3)
-        lowest = min(lowest, dynamics.tensions_n.min())
-    assert lowest == 0.0
-
-
-def test_rigid_and_servo_actuators_come_to_the_same_rest() -> None:
-    """The servo so stiff that it hardly differs: what differs is the route, not the rest."""
-    tensions = []
-    for kp in (np.inf, 1e9):
-        dynamics = ArmDynamics(variant({"actuators.kp_n_m": kp}, "cdsm_lab"))
-        dynamics.command(BENT)
-        dynamics.load(3, [0.0, 25.0, -10.0])
-        dynamics.settle(speed_rad_s=1e-8)
-        tensions.append(dynamics.tensions_n)
-    np.testing.assert_allclose(*tensions, atol=1e-3)
-
-
 @pytest.mark.parametrize(
     ("command", "words"),
     [
         (np.zeros(7), "8 finite joint angles"),
-        (np.zeros((1, 8)), "8 finite joint angles"),
         (np.full(8, np.nan), "8 finite joint angles"),
         (np.full(8, 0.9), "joint 1 is .* touch at 33.4"),
         ([0, 0, 0, 0, 0.4, 0.5, 0, 0], "joint 3"),
         ([0, 0, 0, 0, 2.0 * np.pi, 0, 0, 0], "joint 3 is 360.0 degrees"),
-        ([0, 0, 0, 0, 3.1, 3.1, 0, 0], "joint 3"),
     ],
 )
 def test_impossible_commands_are_refused_and_change_nothing(
@@ -140,10 +95,7 @@ def test_impossible_commands_are_refused_and_change_nothing(
     ("segment", "force", "words"),
     [
         (0, [0.0, 0.0, 1.0], "1 to 4"),
-        (5, [0.0, 0.0, 1.0], "1 to 4"),
-        (1, [0.0, 1.0], "three finite"),
         (1, [0.0, 1.0, np.nan], "three finite"),
-        (1, [0.0, 1.0, np.inf], "three finite"),
     ],
 )
 def test_impossible_loads_are_refused_and_change_nothing(
@@ -152,13 +104,6 @@ def test_impossible_loads_are_refused_and_change_nothing(
     with pytest.raises(LoadError, match=words):
         dynamics.load(segment, force)
     assert not dynamics.forces_n.any()
-
-
-def test_what_never_settles_says_so() -> None:
-    dynamics = ArmDynamics(open_arm("cdsm_lab"))
-    dynamics.load(4, [0.0, 30.0, 0.0])
-    with pytest.raises(EquilibriumError, match=r"still moves after 0\.01 s"):
-        dynamics.settle(longest_s=0.01)
 
 
 def test_tensions_and_joint_angles_are_of_the_same_moment() -> None:
@@ -191,7 +136,7 @@ def with_effects(*names: str):
     return variant({"effects": listed}, "cdsm_lab")
 
 
-@pytest.mark.parametrize("names", [*((name,) for name in KINDS), tuple(KINDS)], ids="+".join)
+@pytest.mark.parametrize("names", [("joint_friction",), tuple(KINDS)], ids="+".join)
 def test_it_goes_through_a_course_as_the_replay_does(names: tuple[str, ...]) -> None:
     arm = with_effects(*names)
     loads = up_and_down(rows=5)
@@ -206,18 +151,6 @@ def test_it_goes_through_a_course_as_the_replay_does(names: tuple[str, ...]) -> 
             moving.advance(time - moving.time_s)
         found.append(moving.tensions_n)
     np.testing.assert_allclose(found, replay_arm(arm, times, commands, loads), atol=1e-3)
-
-
-def test_friction_holds_at_rest_for_an_hour() -> None:
-    moving = RestToRestArm(with_effects("capstan_friction", "joint_friction"))
-    moving.command(bent(3, most_deg=6.0))
-    for load in (10.0, 4.0):
-        moving.load(3, [0.0, load, 0.0])
-        moving.advance(0.2)
-        first = moving.tensions_n
-    for _ in range(50):
-        moving.advance(72.0)
-        np.testing.assert_array_equal(moving.tensions_n, first)
 
 
 def test_it_comes_to_rest_when_looked_at_and_not_more_often_than_needed() -> None:
@@ -246,8 +179,44 @@ def test_reset_forgets_the_past() -> None:
     assert not moving.command_rad.any()
 
 
-def test_without_a_rest_it_reads_nothing() -> None:
-    moving = RestToRestArm(with_effects("joint_friction"))
-    moving.load(4, [0.0, 5e4, 0.0])
-    moving.advance(0.2)
-    assert np.isnan(moving.tensions_n).all()
+STEP_S = 1e-3
+
+
+def path(motion, steps):
+    return np.array([motion.advance(STEP_S) for _ in range(steps)])
+
+
+def test_arrives_in_time_at_the_peak_speed_and_stays():
+    motion = JointMotion(np.zeros(2), joint_speed_rad_s=0.5)
+    target = np.array([0.4, -0.1])
+    motion.go_to(target)
+    steps = round(move_duration_s(0.4, 0.5) / STEP_S)
+    angles = path(motion, steps + 50)
+    speeds = np.abs(np.diff(angles, axis=0)).max() / STEP_S
+    assert speeds == pytest.approx(0.5, rel=1e-3)
+    np.testing.assert_allclose(angles[steps - 2], target, atol=1e-6)
+    np.testing.assert_array_equal(angles[-1], target)
+    assert not motion.moving
+
+
+def test_neither_angle_nor_speed_jumps_when_the_target_changes_on_the_way():
+    motion = JointMotion(np.zeros(1), 0.5)
+    motion.go_to(np.array([0.3]))
+    before = path(motion, 300)
+    motion.go_to(np.array([-0.2]))
+    after = path(motion, 3000)
+    angles = np.concatenate([before, after])[:, 0]
+    acceleration = np.diff(angles, 2) / STEP_S**2
+    assert np.abs(acceleration).max() < 10.0  # a jump of the speed by 0.1 rad/s would be 100
+    np.testing.assert_array_equal(after[-1], [-0.2])
+
+
+def test_a_long_move_after_a_stream_of_steps_does_not_shoot_beyond_its_target():
+    motion = JointMotion(np.zeros(1), np.deg2rad(20.0))
+    for k in range(25):
+        motion.go_to(np.array([0.02 * (-1) ** k]))
+        path(motion, 20)
+    motion.go_to(np.array([0.15]))
+    angles = path(motion, 3000)
+    assert angles.max() < 0.17
+    assert angles.min() > -0.05

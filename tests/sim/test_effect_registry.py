@@ -23,7 +23,6 @@ from cablesense_gap.report.text import causes_and_advice, headline
 from cablesense_gap.simulator import Term
 from cablesense_ros.cli.app import app
 from cablesense_sim.arm import ArmFileError, open_arm, parse_arm
-from cablesense_sim.build import entries_of
 from cablesense_sim.effects.effect import Effect
 from cablesense_sim.effects.registry import EffectError, known_effects
 from cablesense_sim.replay import replay_arm
@@ -80,19 +79,6 @@ def with_effects(*listed: Any) -> Any:
     return variant({"effects": list(listed)}, "cdsm_lab")
 
 
-def test_what_is_not_given_has_its_default_and_order_is_kept() -> None:
-    gain, creep = entries_of(with_effects(GAIN, CREEP))
-    assert (gain.effect.name, gain.place, gain.values) == (
-        "sensor_gain",
-        "cable_3",
-        {"gain": 0.04},
-    )
-    assert creep.place == "arm"
-    assert creep.values == {
-        p.name: 0.2 if p.name == "share" else p.default for p in creep.effect.parameters
-    }
-
-
 def test_effects_are_part_of_who_the_arm_is_and_survive_a_file() -> None:
     import yaml
 
@@ -109,18 +95,12 @@ def test_effects_are_part_of_who_the_arm_is_and_survive_a_file() -> None:
         ({"effect": "rust"}, "'rust' is unknown; known: actuator_backlash, .*sensor_lag"),
         (GAIN | {"at": "cable_13"}, "cannot be at 'cable_13'; valid: cable_1, .*…"),
         (GAIN | {"at": "arm"}, "cannot be at 'arm'"),
-        ({"effect": "sensor_gain"}, "cannot be at 'arm'"),
-        (CREEP | {"at": "segment_5"}, "cannot be at 'segment_5'; valid: arm, segment_1"),
         (GAIN | {"parameters": {"gian": 0.1}}, "no parameter 'gian'; it has gain"),
         (GAIN | {"parameters": {"gain": 0.6}}, "gain = 0.6 1 must be from -0.5 to 0.5"),
         (CREEP | {"parameters": {"time_s": 0.0}}, "time_s = 0 s must be from 0.5 to 3000"),
         (GAIN | {"parameters": {"gain": True}}, "= True: must be a number"),
         (GAIN | {"parameters": {"gain": math.nan}}, "finite"),
-        (GAIN | {"parameters": {"gain": math.inf}}, "finite"),
-        (GAIN | {"parameters": {"gain": "much"}}, "number"),
-        (GAIN | {"parameters": [0.1]}, "parameters"),
         (GAIN | {"size": 3}, "size"),
-        ("sensor_gain", "effects"),
         ({"at": "cable_3"}, "effect"),
     ],
 )
@@ -180,13 +160,6 @@ def doubled(package: Path) -> None:
 
 
 @pytest.mark.usefixtures("doubled")
-def test_it_is_in_the_catalogue() -> None:
-    shown = CliRunner().invoke(app, ["info", "--effects", "--json"])
-    listed = {effect["name"]: effect for effect in json.loads(shown.output)["effects"]}
-    assert listed["sensor_doubled"]["parameters"][0]["name"] == "more"
-
-
-@pytest.mark.usefixtures("doubled")
 def test_an_arm_that_lists_it_is_replayed_with_it_in_its_order() -> None:
     entry = {"effect": "sensor_doubled", "at": "cable_2", "parameters": {"more": 1.0}}
     leak = {
@@ -203,7 +176,9 @@ def test_an_arm_that_lists_it_is_replayed_with_it_in_its_order() -> None:
 
 
 @pytest.mark.usefixtures("doubled")
-def test_the_diagnosis_simulates_it_and_the_report_words_it() -> None:
+def test_the_catalogue_lists_it_the_diagnosis_simulates_it_and_the_report_words_it() -> None:
+    shown = CliRunner().invoke(app, ["info", "--effects", "--json"])
+    assert "sensor_doubled" in json.loads(shown.output)["effects"]
     simulator = ArmSimulator(LAB, small_recording().rows(slice(0, 2)))
     assert "sensor_doubled" in {candidate.effect for candidate in simulator.candidates}
     plain, read = (

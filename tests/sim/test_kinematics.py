@@ -1,4 +1,4 @@
-"""Closed-form kinematics against MuJoCo's, finite differences, and the compiled form."""
+"""An arm's arrays, contact forces on it, and its kinematics in closed and compiled form."""
 
 from functools import partial
 from typing import Any
@@ -7,11 +7,14 @@ import mujoco
 import numpy as np
 import pytest
 from arm_variants import variant
-from joint_torques import gravity_torques_n_m, load_torques_n_m
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from joint_torques import axis_torques_n_m, gravity_torques_n_m
 
 from cablesense_sim import kinematics, rest_pose
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.loads import LoadError, contact_angle_deg, normal_force_n
 from cablesense_sim.mechanism import Mechanism, stack
 from cablesense_sim.model import build_spec
 
@@ -81,60 +84,18 @@ def test_mujoco_agrees(arm: Arm) -> None:
             np.testing.assert_allclose(contact[i, n], moved[:, dofs], atol=1e-10)
 
 
-def test_load_torques_are_gravity_and_the_contact_jacobian(arm: Arm) -> None:
-    mechanism = mechanism_of(arm)
-    q = poses(mechanism, 20)
-    forces = np.random.default_rng(1).normal(0, 50, (20, arm.segment_count, 3))
-    torques = load_torques_n_m(mechanism, q, forces)
-    by_jacobian = np.einsum("bncj,bnc->bj", kinematics.contact_jacobians_m(mechanism, q), forces)
-    gravity = gravity_torques_n_m(mechanism, q)
-    np.testing.assert_allclose(torques, gravity + by_jacobian, atol=1e-10)
-
-
 def difference(function: Any, q: np.ndarray, h: float = 1e-6) -> np.ndarray:
     """Central differences of a function of (..., K) by each of the K, on a new last axis."""
     steps = h * np.eye(q.shape[-1])
     return np.stack([(function(q + s) - function(q - s)) / (2 * h) for s in steps], axis=-1)
 
 
-def test_first_and_second_derivatives_are_those_of_the_lengths(arm: Arm) -> None:
+def test_first_derivatives_are_those_of_the_lengths(arm: Arm) -> None:
     mechanism = mechanism_of(arm)
     q = poses(mechanism, 10)
     jacobian = kinematics.cable_jacobian_m(mechanism, q)
     by_difference = difference(lambda x: kinematics.cable_lengths_m(mechanism, x), q)
     np.testing.assert_allclose(jacobian, by_difference, atol=1e-9)
-    second = difference(lambda x: kinematics.cable_jacobian_m(mechanism, x), q)
-    span = kinematics.spans(mechanism, q)
-    expected = np.zeros_like(second)
-    for n in range(arm.segment_count):
-        a, b = 2 * n, 2 * n + 1
-        expected[..., a, a] = span.by_pitch_pitch[..., n]
-        expected[..., b, b] = span.by_yaw_yaw[..., n]
-        expected[..., a, b] = expected[..., b, a] = span.by_pitch_yaw[..., n]
-    np.testing.assert_allclose(second, expected, atol=1e-9)
-
-
-def test_contact_jacobian_is_the_derivative_of_the_points(arm: Arm) -> None:
-    mechanism = mechanism_of(arm)
-    q = poses(mechanism, 10)
-    by_difference = difference(lambda x: kinematics.contact_points_m(mechanism, x), q)
-    contact = kinematics.contact_jacobians_m(mechanism, q)
-    np.testing.assert_allclose(contact, by_difference, atol=1e-9)
-
-
-def test_a_span_is_the_distance_of_its_holes() -> None:
-    """By hand: one joint, plates one offset before and after it, a hole at (y, z) in both."""
-    mechanism = mechanism_of(ARMS["single"])
-    pitch, yaw = 0.3, -0.2
-    turn = np.array(
-        [[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]]
-    ) @ np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    span = kinematics.spans(mechanism, np.array([pitch, yaw])).length_m[:, 0]
-    for i in range(3):
-        hole = np.array([0.0, mechanism.hole_y_m[i], mechanism.hole_z_m[i]])
-        offset = np.array([0.015, 0.0, 0.0])
-        before, after = hole - offset, turn @ (hole + offset)
-        assert span[i] == pytest.approx(np.linalg.norm(after - before), abs=1e-15)
 
 
 def test_signs_are_those_of_the_base_frame() -> None:
@@ -146,16 +107,6 @@ def test_signs_are_those_of_the_base_frame() -> None:
     assert left[3, 1] > 0
     assert mechanism.hole_z_m[0] > 0
     assert kinematics.cable_jacobian_m(mechanism, np.zeros(8))[0, 0] > 0
-
-
-def test_the_bend_is_the_angle_between_neighbours(arm: Arm) -> None:
-    mechanism = mechanism_of(arm)
-    q = poses(mechanism, 10)
-    axes = kinematics.segment_rotations(mechanism, q)[..., 0]
-    base = np.broadcast_to([1.0, 0.0, 0.0], (10, 1, 3))
-    before = np.concatenate([base, axes[:, :-1]], axis=1)
-    cosine = (before * axes).sum(-1)
-    np.testing.assert_allclose(np.cos(kinematics.bend_rad(q)), cosine, atol=1e-12)
 
 
 def test_touching_plates_leave_finite_numbers() -> None:
@@ -175,20 +126,121 @@ def test_the_compiled_pose_is_the_same(arm: Arm) -> None:
     span, chain = kinematics.spans(stacked, angles), kinematics.chain(stacked, angles)
     pose = rest_pose.posed(rest_pose.plates_of(stacked, 4), angles)
     by_turn = np.stack([span.by_pitch, span.by_yaw], axis=-1)
-    by_turns = np.stack([span.by_pitch_pitch, span.by_pitch_yaw, span.by_yaw_yaw], axis=-1)
     same = partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-12)
     same(pose.span_m, span.length_m)
     same(pose.by_turn_m, by_turn)
-    same(pose.by_turns_m, by_turns)
+    second = difference(lambda x: kinematics.cable_jacobian_m(stacked, x), angles)
+    for n in range(arm.segment_count):
+        a, b = 2 * n, 2 * n + 1
+        by_turns = np.stack([second[..., i, j] for i, j in ((a, a), (a, b), (b, b))], axis=-1)
+        np.testing.assert_allclose(pose.by_turns_m[:, :, n], by_turns, atol=1e-8)
     same(pose.axis, chain.rotation[..., 0])
     same(pose.joint_axis, chain.joint_axis)
-    same(rest_pose.load_torques_n_m(pose, loads), kinematics.axis_torques_n_m(chain, loads))
+    same(rest_pose.load_torques_n_m(pose, loads), axis_torques_n_m(chain, loads))
     none = np.zeros_like(pose.span_m)
     still = np.zeros_like(angles)
     by_span = np.zeros((*none.shape, none.shape[-1]))
     balance = rest_pose.balanced(pose, none, by_span, loads, still, still)
 
     def torque_n_m(q: np.ndarray) -> np.ndarray:
-        return -kinematics.axis_torques_n_m(kinematics.chain(stacked, q), loads)
+        return -axis_torques_n_m(kinematics.chain(stacked, q), loads)
 
     np.testing.assert_allclose(balance.held_slope_n_m, difference(torque_n_m, angles), atol=1e-8)
+
+
+MECHANISM = mechanism_of(ARMS["cdsm"])
+STRAIGHT = np.zeros(8)
+
+
+def test_the_holes_lie_at_the_angles_of_the_file() -> None:
+    angle = np.rad2deg(np.arctan2(MECHANISM.hole_y_m, MECHANISM.hole_z_m)) % 360
+    expected = [(30 * n - 120 * k) % 360 for n in range(4) for k in range(3)]
+    np.testing.assert_allclose(angle, expected, atol=1e-9)
+    np.testing.assert_allclose(np.hypot(MECHANISM.hole_y_m, MECHANISM.hole_z_m), 0.05)
+
+
+def test_stiffness_of_cable_and_actuator_in_series() -> None:
+    compliance = 1 / MECHANISM.cable_stiffness_n_m + 1 / MECHANISM.actuator_stiffness_n_m
+    np.testing.assert_allclose(1 / compliance, 1e7)
+
+
+def test_axial_rigidity_makes_long_cables_softer() -> None:
+    soft = mechanism_of(variant({"cables.stiffness_n_m": None, "cables.axial_rigidity_n": 2.3e5}))
+    np.testing.assert_allclose(soft.cable_stiffness_n_m[0], 2.3e5 / 0.23)
+    np.testing.assert_allclose(
+        soft.cable_stiffness_n_m * soft.straight_length_m, 2.3e5, rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        1 / soft.stiffness_n_m, 1 / soft.cable_stiffness_n_m + 1 / 1e8, rtol=1e-12
+    )
+
+
+def test_values_of_single_segments_go_to_their_cables() -> None:
+    tapered = mechanism_of(
+        variant(
+            {
+                "segments.length_m": [0.2, 0.15, 0.1, 0.08],
+                "segments.contact_m": [0.1, 0.07, 0.05, 0.04],
+                "segments.mass_kg": [0.8, 0.6, 0.4, 0.2],
+                "cables.routing_radius_m": [0.06, 0.05, 0.04, 0.03],
+            }
+        )
+    )
+    radius = np.hypot(tapered.hole_y_m, tapered.hole_z_m)
+    np.testing.assert_allclose(radius, np.repeat([0.06, 0.05, 0.04, 0.03], 3))
+    np.testing.assert_allclose(tapered.centre_of_mass_m, [0.1, 0.075, 0.05, 0.04])
+    # the wide cables of segment 1 end there, so the last joint may bend furthest
+    assert (np.diff(tapered.bend_limit_rad) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("angle_deg", "direction"),
+    [(0, [0, 0, 1]), (90, [0, 1, 0]), (180, [0, 0, -1]), (270, [0, -1, 0]), (-90, [0, -1, 0])],
+)
+def test_the_angle_counts_from_up_to_left(angle_deg: float, direction: list[float]) -> None:
+    forces = normal_force_n(MECHANISM, STRAIGHT, 2, angle_deg, 10.0)
+    expected = np.zeros((4, 3))
+    expected[1] = 10.0 * np.array(direction)
+    np.testing.assert_allclose(forces, expected, atol=1e-12)
+
+
+angles = st.lists(st.floats(-0.5, 0.5), min_size=8, max_size=8)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    command=angles,
+    segment=st.integers(1, 4),
+    angle_deg=st.floats(-1000.0, 1000.0),
+    magnitude_n=st.floats(1e-3, 1e4),
+)
+def test_there_and_back(
+    command: list[float], segment: int, angle_deg: float, magnitude_n: float
+) -> None:
+    forces = normal_force_n(MECHANISM, command, segment, angle_deg, magnitude_n)
+    force = forces[segment - 1]
+    assert np.count_nonzero(forces.any(axis=-1)) == 1
+    assert np.linalg.norm(force) == pytest.approx(magnitude_n)
+    axis = kinematics.segment_rotations(MECHANISM, np.array(command))[segment - 1, :, 0]
+    assert axis @ force == pytest.approx(0.0, abs=1e-9 * magnitude_n)
+    back = float(contact_angle_deg(MECHANISM, command, segment, force))
+    assert 0.0 <= back < 360.0
+    assert abs((back - angle_deg + 180.0) % 360.0 - 180.0) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("segment", "angle_deg", "magnitude_n", "words"),
+    [
+        (5, 0.0, 1.0, "from 0 .* to 4"),
+        (1.5, 0.0, 1.0, "whole number"),
+        (1, np.nan, 1.0, "angle_deg"),
+        (1, 0.0, -1.0, "magnitude_n"),
+        (1, 0.0, np.nan, "magnitude_n"),
+        ([1, 9], 0.0, 1.0, "from 0 .* to 4"),
+    ],
+)
+def test_impossible_contacts_are_refused(
+    segment: object, angle_deg: float, magnitude_n: float, words: str
+) -> None:
+    with pytest.raises(LoadError, match=words):
+        normal_force_n(MECHANISM, STRAIGHT, segment, angle_deg, magnitude_n)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from effect_arms import MECHANISM, bent, course, entry, push, readings, small, up_and_down
+from effect_arms import MECHANISM, bent, course, entry, push, readings, up_and_down
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from joint_torques import load_torques_n_m
@@ -36,7 +36,7 @@ def tensions(
 
 @pytest.mark.slow
 @given(st.integers(0, 10_000))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=5, deadline=None)
 def test_memoryless_it_is_the_static_solver(seed: int) -> None:
     rng = np.random.default_rng(seed)
     commands, loads = bent(seed, count=6), rng.uniform(-8.0, 8.0, (6, 4, 3))
@@ -54,30 +54,6 @@ def test_memoryless_it_is_the_static_solver(seed: int) -> None:
     for p, mechanism in enumerate((MECHANISM, odd)):
         rest = solve_equilibrium(mechanism, commands, loads, held_m=held)
         np.testing.assert_allclose(found[p], rest.tensions_n, atol=1e-3)
-
-
-@pytest.mark.parametrize("kind", KINDS, ids=lambda e: e.effect.name)
-def test_side_by_side_is_as_alone(kind: EffectEntry) -> None:
-    size = kind.effect.parameters[0].name
-    variants = [[small(kind, **{size: f * kind.values[size]})] for f in (0.0, 0.5, 1.0)]
-    payloads = [[entry("payload", "segment_2", mass_kg=m)] for m in (0.0, 0.1, 0.3)]
-    mechanisms = [amended(MECHANISM, entries) for entries in payloads]
-    loads = up_and_down(rows=6)
-    commands = np.linspace(0.3, 1.0, len(loads))[:, None] * bent(7, most_deg=6.0)
-    together = tensions(mechanisms, variants, commands, loads)
-    for p in range(3):
-        alone = tensions([mechanisms[p]], [variants[p]], commands, loads)[0]
-        np.testing.assert_allclose(together[p], alone, atol=1e-3)
-    assert np.abs(together[1] - together[2]).max() > 1e-2
-
-
-def test_all_at_once_go_together() -> None:
-    loads = up_and_down(rows=6)
-    commands = np.repeat(bent(8, most_deg=6.0)[None], len(loads), axis=0)
-    everything = tensions([MECHANISM], [KINDS], commands, loads)[0]
-    each = [tensions([MECHANISM], [[kind]], commands, loads)[0] for kind in KINDS]
-    for one in each:
-        assert np.abs(everything - one).max() > 0.05
 
 
 def test_a_load_beyond_the_arm_is_refused() -> None:
@@ -104,14 +80,6 @@ BENT = bent(3, most_deg=6.0)
 FRICTION = entry("capstan_friction", coefficient=0.15)
 
 
-def test_a_load_that_goes_leaves_the_reading_of_runs_that_stick() -> None:
-    """A wound pulley sticks while the load is taken off, and the actuators read no change."""
-    wound = entry("capstan_friction", coefficient=0.13, pulley_wrap_rad=np.pi / 2)
-    found = readings(course(BENT, up_and_down(rows=40)), wound)
-    assert np.ptp(found[36:40], axis=0).max() > 0.5
-    np.testing.assert_allclose(found[41:44], np.repeat(found[40:41], 3, axis=0), rtol=1e-12)
-
-
 def test_a_load_cycle_leaves_a_loop_and_the_loop_lasts_at_rest() -> None:
     loads = up_and_down(rows=10)
     still = np.repeat(loads[15:16], 40, axis=0)
@@ -123,22 +91,6 @@ def test_a_load_cycle_leaves_a_loop_and_the_loop_lasts_at_rest() -> None:
     np.testing.assert_array_equal(found[16:], np.repeat(found[15:16], 40, axis=0))
 
 
-def test_how_fast_it_goes_does_not_matter() -> None:
-    slow, fast = (course(BENT, up_and_down(), period_s) for period_s in (30.0, 0.01))
-    np.testing.assert_array_equal(readings(slow, FRICTION), readings(fast, FRICTION))
-
-
-@pytest.mark.slow
-def test_finer_steps_lead_to_the_same_rest() -> None:
-    ends = [
-        readings(course(BENT, up_and_down(rows=rows)), FRICTION)[[rows, -1]]
-        for rows in (8, 16, 64)
-    ]
-    loop = np.abs(ends[2][1] - readings(course(BENT, up_and_down()), FRICTION)[0]).max()
-    assert np.abs(ends[1] - ends[2]).max() < 0.05 * loop
-    assert np.abs(ends[0] - ends[2]).max() < 0.1 * loop
-
-
 def test_what_joints_feel_lies_within_what_guides_can_hold() -> None:
     """At every rest J'T differs from the load by no more than slipping guides would take."""
     mu = FRICTION.values["coefficient"]
@@ -147,8 +99,7 @@ def test_what_joints_feel_lies_within_what_guides_can_hold() -> None:
     for row, load in enumerate(up_and_down(rows=6)):
         tensions = arm.step(0.0, held, load)[0]
         angles = arm.joint_angles_rad[0]
-        span = kinematics.spans(MECHANISM, angles)
-        jacobian = kinematics.interleave(span)
+        jacobian = kinematics.cable_jacobian_m(MECHANISM, angles)
         torque = load_torques_n_m(MECHANISM, angles, load)
         # a cable turns at both guides of a joint by at most the joint's own bend, twice
         bend = np.abs(angles.reshape(-1, 2)).sum(-1)

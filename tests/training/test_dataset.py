@@ -9,11 +9,16 @@ from joint_torques import gravity_torques_n_m
 
 from cablesense_sim.arm import load_arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.kinematics import cable_jacobian_m, contact_jacobians_m
+from cablesense_sim.contact_location import torque_balance
+from cablesense_sim.kinematics import (
+    cable_jacobian_m,
+    contact_jacobians_m,
+    segment_rotations,
+)
 from cablesense_sim.loads import contact_angle_deg
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
-from cablesense_training.data.protocols import MultiContact, SingleContact
+from cablesense_training.data.protocols import AnywhereContact, MultiContact, SingleContact
 from cablesense_training.errors import DatasetError
 
 ARMS = Path(__file__).parents[2] / "config" / "arms"
@@ -50,6 +55,26 @@ def test_cables_balance_the_contacts(arm, protocol):
     assert np.abs(expected).max() > 10.0
     assert torque == pytest.approx(expected, abs=0.1)
     assert (dataset.slack_cables > 0).any()
+
+
+def test_contacts_anywhere_are_where_the_law_of_contacts_finds_them(arm):
+    """Tensions of the equilibrium, labels, and the torques of `contact_location` agree."""
+    dataset = ideal(arm, AnywhereContact, pose="random")
+    balance = torque_balance(
+        mechanism_of(arm), dataset.command_rad, dataset.tension_difference_n, 1e-8
+    )
+    lever = balance.by_force_m + dataset.places_m[..., None, None] * balance.by_place
+    expected = np.einsum("bncj,bnc->bj", lever, dataset.local_forces_n)
+    assert balance.torque_n_m == pytest.approx(expected, rel=1e-5, abs=1e-4)
+    axes = segment_rotations(mechanism_of(arm), dataset.command_rad)
+    turned = np.einsum("bnij,bnj->bni", axes, dataset.local_forces_n)
+    assert turned == pytest.approx(dataset.forces_n, abs=1e-9)
+
+
+def test_places_are_the_arm_files_where_contacts_are_not_anywhere(arm):
+    dataset = ideal(arm, MultiContact)
+    assert (dataset.places_m[dataset.contacts] == arm.segments.contact_m).all()
+    assert not dataset.along_n.any()
 
 
 def test_unloaded_cables_carry_the_weight(arm):

@@ -1,7 +1,6 @@
 """A dataset comes back from its file as it was written, and only a whole, fitting file is read."""
 
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from cablesense_training.data import parquet
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.parquet import produce_dataset, read_dataset, write_dataset
-from cablesense_training.data.protocols import MultiContact, SingleContact
+from cablesense_training.data.protocols import AnywhereContact, MultiContact, SingleContact
 from cablesense_training.errors import DatasetError
 
 ARMS = Path(__file__).parents[2] / "config" / "arms"
@@ -60,7 +59,7 @@ def with_value(table, name, row, value):
     return table.set_column(place, field, pa.array(values, type=field.type))
 
 
-@pytest.mark.parametrize("protocol", [SingleContact, MultiContact])
+@pytest.mark.parametrize("protocol", [SingleContact, MultiContact, AnywhereContact])
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_lab", "cdsm_table2"])
 def test_comes_back_as_written(tmp_path, protocol, name):
     arm = load_arm(ARMS / f"{name}.yaml")
@@ -73,14 +72,6 @@ def test_comes_back_as_written(tmp_path, protocol, name):
         assert (getattr(read, array) == getattr(written, array)).all()
         assert getattr(read, array).dtype == getattr(written, array).dtype
     assert (read.forces_n == written.forces_n).all()
-
-
-def test_a_rigid_actuator_survives_the_file(tmp_path):
-    text = (ARMS / "cdsm.yaml").read_text().replace("kp_n_m: 1.0e8", "kp_n_m: .inf")
-    arm = parse_arm(text)
-    assert arm.actuators.kp_n_m == float("inf")
-    write_dataset(tmp_path / "a", draw_dataset(arm, SingleContact(samples=5)))
-    assert read_dataset(tmp_path / "a", arm).arm == arm
 
 
 def test_columns_have_units_and_the_file_its_provenance(path, arm):
@@ -122,7 +113,7 @@ def test_refuses_what_is_no_dataset(tmp_path):
 
 
 @settings(
-    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(kept=st.floats(0.0, 0.999))
 def test_refuses_a_file_cut_short_anywhere(path, tmp_path, kept):
@@ -133,46 +124,49 @@ def test_refuses_a_file_cut_short_anywhere(path, tmp_path, kept):
         read_dataset(cut)
 
 
+def first_contact(table):
+    return int(np.flatnonzero(table.column("segment"))[0])
+
+
+def with_field(table, name, change):
+    place = table.schema.get_field_index(name)
+    return table.cast(table.schema.set(place, change(table.schema.field(name))))
+
+
 CHANGES = {
-    "lacks column 'segment'; needed: sample_id": lambda t: t.drop_columns(["segment"]),
-    "unknown column 'extra'": lambda t: t.append_column("extra", [t.column("segment")]),
-    "unknown column 'one twice'": lambda t: t.append_column("segment", [t.column("segment")]),
-    "holds float in .* must hold double": lambda t: t.cast(
-        t.schema.set(
-            t.schema.get_field_index("angle_deg"),
-            t.schema.field("angle_deg").with_type(pa.float32()),
-        )
+    "'angle_deg' .* where .* need 'segment' of int64": lambda t: t.drop_columns(["segment"]),
+    "'extra' .* need none": lambda t: t.append_column("extra", [t.column("segment")]),
+    "'segment' .* need none": lambda t: t.append_column("segment", [t.column("segment")]),
+    "of float in .* need 'angle_deg' of double": lambda t: with_field(
+        t, "angle_deg", lambda field: field.with_type(pa.float32())
     ),
-    "'angle_deg' holds double in 'rad', and must hold double in 'deg'": lambda t: t.cast(
-        t.schema.set(
-            t.schema.get_field_index("angle_deg"),
-            t.schema.field("angle_deg").with_metadata({"unit": "rad"}),
-        )
+    "of double in 'rad' .* of double in 'deg'": lambda t: with_field(
+        t, "angle_deg", lambda field: field.with_metadata({"unit": "rad"})
     ),
-    "in 'no unit', and must hold double in 'rad'": lambda t: t.cast(
-        t.schema.set(1, t.schema.field(1).remove_metadata())
+    "in 'no unit' .* in 'rad'": lambda t: with_field(
+        t, "command_joint_1_pitch_rad", lambda field: field.remove_metadata()
+    ),
+    "'angle_deg' of double": lambda t: with_field(
+        t, "angle_deg", lambda field: field.with_nullable(True)
     ),
     "'tension_difference_cable_3_n' in row 7 is nan: must be a finite number": lambda t: (
         with_value(t, "tension_difference_cable_3_n", 7, float("nan"))
     ),
     "'magnitude_n' in row 2 is inf": lambda t: with_value(t, "magnitude_n", 2, float("inf")),
-    "'segment' in row 4 is 5: must be 0": lambda t: with_value(t, "segment", 4, 5),
-    "'angle_deg' in row .* must be 0 without contact": lambda t: with_value(
-        t, "segment", int(np.flatnonzero(t.column("segment"))[0]), 0
+    "row 4 has no contact of": lambda t: with_value(t, "segment", 4, 5),
+    "row .* has no contact of": lambda t: with_value(t, "segment", first_contact(t), 0),
+    "a contact of 900.0 N .* has 0 to 200 N": lambda t: with_value(
+        t, "magnitude_n", first_contact(t), 900.0
     ),
-    "is 900.0: must be from 0 to 200 N": lambda t: with_value(
-        t, "magnitude_n", int(np.flatnonzero(t.column("segment"))[0]), 900.0
-    ),
-    "is 360.0: must be from 0 to below 360 degrees": lambda t: with_value(
-        t, "angle_deg", int(np.flatnonzero(t.column("segment"))[0]), 360.0
+    "at 360.0 degrees.* 0 to below 360 degrees": lambda t: with_value(
+        t, "angle_deg", first_contact(t), 360.0
     ),
     "holds no samples": lambda t: t.slice(0, 0),
     "format '9'; this version reads format '1'": lambda t: with_metadata(t, format="9"),
-    "arm_identity = cdsm-000000000000, but the arm .* has cdsm-": lambda t: with_metadata(
+    "arm_identity = cdsm-000000000000, but the arm .* is cdsm-": lambda t: with_metadata(
         t, arm_identity="cdsm-000000000000"
     ),
     "cablesense.arm: holds list": lambda t: with_metadata(t, arm="[]"),
-    "cablesense.cables = ": lambda t: with_metadata(t, cables='["cable_2", "cable_1"]'),
     "protocol or cablesense.seed: .*one of single": lambda t: with_metadata(
         t, protocol='{"kind": "some"}'
     ),
@@ -189,15 +183,13 @@ def test_refuses_altered_files(path, message):
     assert str(path) in str(caught.value)
 
 
-def test_refuses_empty_values(path):
-    def emptied(table):
-        field = table.schema.field("angle_deg")
-        place = table.schema.get_field_index("angle_deg")
-        values = pa.array([None, *table.column("angle_deg").to_pylist()[1:]], type=field.type)
-        return table.set_column(place, field.with_nullable(True), values)
-
-    with pytest.raises(DatasetError, match="'angle_deg' has 1 empty values"):
-        read_dataset(altered(path, emptied))
+def test_refuses_a_contact_beyond_the_reach(arm, tmp_path):
+    path, protocol = tmp_path / "data.parquet", AnywhereContact(samples=50)
+    write_dataset(path, draw_dataset(arm, protocol, seed=5))
+    row = int(np.flatnonzero(pq.read_table(path).column("contact_segment_2"))[0])
+    altered(path, lambda table: with_value(table, "place_segment_2_m", row, 0.2))
+    with pytest.raises(DatasetError, match=r"at 0.2 m from the joint of segment 2; .* 0.13 m"):
+        read_dataset(path)
 
 
 def test_a_failure_leaves_nothing_and_keeps_what_was_there(tmp_path, dataset, monkeypatch):
@@ -215,29 +207,6 @@ def test_a_failure_leaves_nothing_and_keeps_what_was_there(tmp_path, dataset, mo
     assert path.read_text() == "before"
     write_dataset(path, dataset)
     assert len(read_dataset(path)) == 200
-
-
-def test_refuses_places_that_cannot_hold_a_file(tmp_path, dataset):
-    with pytest.raises(DatasetError, match="is a folder"):
-        write_dataset(tmp_path, dataset)
-    with pytest.raises(DatasetError, match=r"No such file or directory.*folder that exists"):
-        write_dataset(tmp_path / "none" / "data.parquet", dataset)
-    with pytest.raises(DatasetError, match="cannot be written"):
-        write_dataset(tmp_path / ("x" * 300), dataset)
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_is_named(tmp_path, dataset, monkeypatch):
-    original = Path.touch
-
-    def full(self, *args, **options):
-        os.symlink("/dev/full", self)  # noqa: PTH211
-        original(self, *args, **options)
-
-    monkeypatch.setattr(Path, "touch", full)
-    with pytest.raises(DatasetError, match="cannot be written"):
-        write_dataset(tmp_path / "data.parquet", dataset)
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_few_bytes_that_stand_for_any_number_of_rows_are_refused(tmp_path):

@@ -22,9 +22,13 @@ from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_training.data import generation
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset, generate
-from cablesense_training.data.history import LoadHistory
-from cablesense_training.data.parquet import produce_dataset, read_dataset, write_dataset
-from cablesense_training.data.protocols import CHUNK_SAMPLES, MultiContact, SingleContact
+from cablesense_training.data.parquet import produce_dataset
+from cablesense_training.data.protocols import (
+    CHUNK_SAMPLES,
+    AnywhereContact,
+    MultiContact,
+    SingleContact,
+)
 from cablesense_training.errors import DatasetError
 
 ARMS = Path(__file__).parents[2] / "config" / "arms"
@@ -103,32 +107,21 @@ def worker(address):
 @pytest.mark.slow
 def test_a_dask_cluster_writes_the_same_bytes(arm, one_worker, tmp_path, monkeypatch):
     path = tmp_path / "dask.parquet"
-    with scheduler() as address:
-        with worker(address), worker(address):
-            produce_dataset(path, arm, PROTOCOL, 7, command="", dask_scheduler=address)
-            assert digest(path) == one_worker
+    with scheduler() as address, worker(address), worker(address):
+        produce_dataset(path, arm, PROTOCOL, 7, command="", dask_scheduler=address)
+        assert digest(path) == one_worker
 
-            beyond = SingleContact(samples=64, force_low_n=5e3, force_high_n=9e3)
-            lab = load_arm(ARMS / "cdsm_lab.yaml")
-            with pytest.raises(DatasetError, match="lie beyond arm cdsm"):
-                produce_dataset(path, lab, beyond, 7, command="", dask_scheduler=address)
-
-            monkeypatch.setattr(distributed.Client, "run", lambda *_: {"tcp://other": "0.0.0"})
-            with pytest.raises(
-                DatasetError, match=r"tcp://other runs version 0.0.0 .*install the same version"
-            ):
-                list(generate(arm, PROTOCOL, 7, dask_scheduler=address))
-        monkeypatch.setattr(generation, "DASK_PATIENCE_S", 0.5)
-        with pytest.raises(DatasetError, match="has no workers; start one with: dask worker"):
+        monkeypatch.setattr(distributed.Client, "run", lambda *_: {"tcp://other": "0.0.0"})
+        with pytest.raises(DatasetError, match=r"tcp://other runs version 0.0.0 .*install"):
             list(generate(arm, PROTOCOL, 7, dask_scheduler=address))
     assert digest(path) == one_worker
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x", "127.0.0.1:port", ""])
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])
 def test_a_scheduler_out_of_reach_is_named(arm, monkeypatch, address):
     monkeypatch.setattr(generation, "DASK_PATIENCE_S", 0.5)
-    with pytest.raises(DatasetError, match=re.escape(f"no Dask scheduler answers at {address!r}")):
+    with pytest.raises(DatasetError, match=re.escape(f"no Dask cluster works at {address!r}")):
         list(generate(arm, PROTOCOL, 0, dask_scheduler=address))
 
 
@@ -138,7 +131,7 @@ def test_a_scheduler_out_of_reach_is_named(arm, monkeypatch, address):
         ({"seed": -1}, "seed = -1"),
         ({"seed": 2**63}, "seed = 9223372036854775808"),
         ({"seed": 1.5}, "seed = 1.5: must be a whole number"),
-        ({"seed": 0, "workers": 0}, "workers = 0: must be a whole number from 1 to 256"),
+        ({"seed": 0, "workers": 0}, "workers = 0: must be a whole number, 1 to 256"),
         ({"seed": 0, "workers": 257}, "workers = 257"),
     ],
 )
@@ -183,7 +176,6 @@ def test_an_amended_arms_samples_are_its_rests_with_its_own_tare() -> None:
     ("name", "place", "values"),
     [
         ("capstan_friction", "arm", {"coefficient": 0.15}),
-        ("joint_friction", "joint_2", {"torque_n_m": 0.2}),
         ("cable_creep", "arm", {"share": 0.3}),
     ],
 )
@@ -196,18 +188,16 @@ def test_the_past_shows_in_the_samples(name: str, place: str, values: dict[str, 
     assert np.isfinite(off).all()
 
 
-def test_half_the_samples_come_from_above_their_force() -> None:
-    history = LoadHistory.drawn(4000, np.random.default_rng(0))
-    loads = history.loads_n(np.ones((4000, 4, 3)))[:, :, 0, 0]
-    commands = history.commands_rad(np.ones((4000, 8)))[:, :, 0]
-    assert len(history.time_s) == len(loads) == len(commands)
-    assert (np.diff(history.time_s) >= 0.0).all()
-    np.testing.assert_allclose(loads[-1], 1.0)
-    np.testing.assert_array_equal(loads[:5], 0.0)
-    np.testing.assert_array_equal(commands[4:], 1.0)  # there, and at rest, before the tare
-    assert (loads.max(axis=0) > 1.001).mean() == pytest.approx(0.5, abs=0.05)
-    assert loads.max() <= 1.4
-    assert commands[0].min() < -0.9
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("capstan_friction", {"coefficient": 1e-9}), ("contact_offset", {"offset_m": 0.02})],
+)
+def test_contacts_anywhere_are_where_they_are_on_an_arm_with_effects(name, values) -> None:
+    """Friction too small to matter leaves the rest; loads are placed by the protocol alone."""
+    protocol = AnywhereContact(**{**GENTLE, "samples": 12})
+    plain = draw_dataset(open_arm("cdsm_lab"), protocol, seed=4)
+    marked = draw_dataset(listing((name, "arm", values)), protocol, seed=4)
+    np.testing.assert_allclose(marked.tension_difference_n, plain.tension_difference_n, atol=1e-3)
 
 
 @pytest.mark.slow
@@ -222,18 +212,3 @@ def test_blocks_are_drawn_on_arms_of_their_own(randomise: str) -> None:
     assert np.abs(first - second).max() > 1e-3
     again = drawn(arm, randomise=randomise)
     assert again.tension_difference_n.tobytes() == marked.tension_difference_n.tobytes()
-
-
-def test_a_file_says_what_was_randomised_and_one_without_says_nothing(tmp_path: Path) -> None:
-    arm = open_arm("cdsm_lab")
-    for randomise in (None, "payload,sensor_gain"):
-        data = drawn(arm, randomise=randomise, samples=8)
-        path = tmp_path / "data.parquet"
-        write_dataset(path, data)
-        assert read_dataset(path, arm).protocol == data.protocol
-        assert ("randomise" in data.protocol.options()) == (randomise is not None)
-
-
-def test_an_unknown_effect_is_refused_before_anything_is_drawn() -> None:
-    with pytest.raises(DatasetError, match="'rust' is no effect"):
-        SingleContact(randomise="rust")

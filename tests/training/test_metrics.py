@@ -105,12 +105,3 @@ def test_multi_contact_by_hand():
     # each segment has one hit and one mistake: F1 = 2/3
     assert found.macro_f1 == pytest.approx(2 / 3)
     assert found.magnitude_mae_n == pytest.approx(((2.0 + 1.0) / 2, 1.0))
-
-
-def test_weak_contacts_can_be_left_out_of_the_multi_contact_count():
-    touched = [[True, False], [True, True]]
-    force = [[20.0, 0.0], [1.0, 30.0]]
-    answered = [[True, False], [False, True]]
-    found = multi_contact_metrics(touched, force, answered, force, smallest_force_n=5.0)
-    assert found.judged == 3
-    assert found.recognition_accuracy == found.macro_f1 == found.all_segments_right == 1.0

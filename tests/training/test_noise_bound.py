@@ -7,10 +7,9 @@ from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
-from cablesense_training.data.protocols import MultiContact, SingleContact
+from cablesense_training.data.protocols import SingleContact
 from cablesense_training.evaluation.noise_bound import (
     force_covariance_n2,
-    multi_contact_bound_n,
     noise_bound,
 )
 
@@ -76,24 +75,3 @@ def test_statics_attain_the_bound_while_all_cables_are_taut(name):
     rmse = np.sqrt((error[taut] ** 2).mean())
     assert rmse == pytest.approx(bound.magnitude_rmse_n, rel=0.06)
     assert np.abs(error[taut]).mean() == pytest.approx(bound.magnitude_mae_n, rel=0.06)
-
-
-@pytest.mark.slow
-def test_one_contact_at_most_has_the_bound_of_a_single_contact():
-    protocol = MultiContact(samples=600, max_contacts=1, no_contact_fraction=0.0, force_low_n=20.0)
-    several = draw_dataset(CDSM, protocol, seed=4)
-    options = {"samples": 4000, "force_low_n": 20.0, "force_high_n": 60.0}
-    single = noise_bound(_dataset(CDSM, **options)).magnitude_mae_n
-    per_segment = multi_contact_bound_n(several)
-    share = several.contacts.sum(axis=0) / several.contacts.sum()
-    assert per_segment @ share == pytest.approx(single, rel=0.05)
-
-
-def test_contacts_beside_it_make_a_force_harder_to_estimate():
-    alone = MultiContact(samples=600, max_contacts=1, no_contact_fraction=0.0)
-    among = MultiContact(samples=600, no_contact_fraction=0.0)
-    bound_alone, bound_among = (
-        multi_contact_bound_n(draw_dataset(CDSM, protocol, seed=5), weakest_n=5.0)
-        for protocol in (alone, among)
-    )
-    assert (bound_among > bound_alone).all()

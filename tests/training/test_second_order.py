@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from scipy import stats
 
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -84,44 +83,6 @@ def test_it_agrees_with_the_closed_form_at_the_true_pose_slack_or_not(pushes):
         )
 
 
-def test_the_first_order_would_not_do(pushes):
-    command, segment, force, difference, _ = pushes
-    plain = _weighed(ClosedForm(CDSM, VARIANCE_N2, pose_corrections=0), difference, command)
-    error = plain.force_n[np.arange(len(segment)), segment - 1] - force
-    assert np.median(np.hypot(*error.T)) > 0.02
-
-
-def test_information_is_the_inverse_of_the_covariance(pushes):
-    command, _, _, difference, _ = pushes
-    seen = []
-
-    def weighing(information, covariance_n2):
-        seen.append((information.numpy(), covariance_n2.numpy()))
-        return information, covariance_n2[..., 0, 0]
-
-    closed_form = _second_order()
-    with torch.no_grad():
-        found = closed_form.weigh(torch.as_tensor(difference), torch.as_tensor(command), weighing)
-    [(information, covariance)] = seen
-    np.testing.assert_array_equal(found.covariance_n2, covariance)
-    product = information @ covariance
-    np.testing.assert_allclose(product, np.broadcast_to(np.eye(2), product.shape), atol=1e-9)
-    assert (np.linalg.eigvalsh(covariance) > 0.0).all()
-
-
-def test_the_constant_of_the_weighing_is_added(pushes):
-    command, _, _, difference, _ = pushes
-    closed_form = _second_order()
-    constant = torch.arange(4.0, dtype=torch.float64).repeat(len(command), 1)
-    with torch.no_grad():
-        found = closed_form.weigh(
-            torch.as_tensor(difference),
-            torch.as_tensor(command),
-            lambda information, _: (0.0 * information, constant),
-        )
-    torch.testing.assert_close(found.evidence[:, 0], constant)
-
-
 @pytest.mark.parametrize("magnitude_n", [10.0, 150.0], ids=["all taut", "some slack"])
 def test_covariance_is_that_of_the_estimates_over_many_readings(magnitude_n):
     rng = np.random.default_rng(2)
@@ -140,19 +101,3 @@ def test_covariance_is_that_of_the_estimates_over_many_readings(magnitude_n):
     stated = found.covariance_n2[:, 3].mean(axis=0)
     whitened = np.linalg.solve(np.linalg.cholesky(stated), (own - own.mean(axis=0)).T)
     np.testing.assert_allclose(np.cov(whitened), np.eye(2), atol=0.12)
-
-
-def test_without_contact_what_a_segment_explains_is_chi_squared():
-    rng = np.random.default_rng(3)
-    command = rng.uniform(-0.17, 0.17, (4000, CDSM.joint_count))
-    noise = rng.normal(0.0, VARIANCE_N2**0.5, (4000, CDSM.cable_count))
-    explained = _weighed(_second_order(), noise, command).evidence
-    for segment in range(CDSM.segment_count):
-        assert stats.kstest(explained[:, segment], stats.chi2(2).cdf).pvalue > 1e-3
-
-
-@pytest.mark.parametrize("size_n", [0.0, -1e3, 1e6, -1e6])
-def test_absurd_readings_get_finite_weighed(size_n):
-    command = np.stack([np.zeros(8), np.full(8, 0.3), np.full(8, -1.5)])
-    found = _weighed(_second_order(), np.full((3, 12), size_n), command)
-    assert all(np.isfinite(part).all() for part in found)

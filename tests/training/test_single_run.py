@@ -12,17 +12,15 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_training.inference.estimator import OUTPUTS
+from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
+from cablesense_training.inference.model_file import store_as_single, widen_constants
 from cablesense_training.inference.session import (
     COMMAND,
     TAUT,
     TENSION,
-    ModelSession,
-    store_as_single,
-    widen_constants,
+    split_graph,
 )
-from cablesense_training.inference.single_run import SingleRun, split_graph
 
 CDSM = open_arm("cdsm")
 POSES, PUSHES = 3, 12
@@ -142,14 +140,14 @@ def test_constants_stored_in_single_precision_lose_nothing():
 
 @pytest.fixture(scope="module")
 def session():
-    session = ModelSession.open(find_model("cdsm"), OUTPUTS, CDSM)
+    session = Estimator.load(find_model("cdsm"), CDSM)
     assert TAUT in session.beside
     return session
 
 
 @pytest.fixture(scope="module")
 def single(session):
-    return SingleRun(session)
+    return session.single_run()
 
 
 @pytest.fixture(scope="module")

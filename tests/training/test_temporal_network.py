@@ -11,7 +11,6 @@ from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.networks.temporal import (
     GIVES_M,
-    LARGEST_CORRECTION,
     LARGEST_LOG_FACTOR,
     LARGEST_OFFSET,
     DrawnCables,
@@ -66,13 +65,6 @@ def _answered_in_any_state(network):
         still = torch.zeros(50, CDSM.joint_count).double()
         answer = network.answer(balance, encoded, 100.0 * torch.randn(50, 96).double(), still)
     return balance, (answer.torque_n_m - balance.torque_n_m[..., 0]).abs()
-
-
-def test_whatever_the_state_the_torques_move_by_a_bounded_amount(network):
-    torch.nn.init.normal_(network.shift.weight, std=50.0)
-    network.error.std.fill_(0.3)
-    _, moved_n_m = _answered_in_any_state(network)
-    assert 0.3 < moved_n_m.max() <= LARGEST_CORRECTION * 0.3 + 1e-9
 
 
 def test_whatever_the_state_each_cable_is_corrected_by_a_bounded_amount(network):
@@ -135,26 +127,3 @@ def test_shares_follow_what_is_drawn_and_stop(drawn):
         _shares(drawn, past)[1], torch.tensor([1.0, 0.1, 0.01]), atol=5e-3, rtol=0.0
     )
     assert (_shares(drawn, past)[[0, 2]] == 0.0).all()
-
-
-def test_the_first_length_draws_nothing(drawn):
-    past = _through(drawn, torch.zeros(1, drawn.size), [0.8])
-    assert (_shares(drawn, past) == 0.0).all()
-
-
-def test_the_way_there_and_back_is_a_loop(drawn):
-    way = np.concatenate([np.linspace(0.0, 1e-3, 50), np.linspace(1e-3, 5e-4, 50)])
-    there = _shares(drawn, _through(drawn, torch.zeros(1, drawn.size), way[:26]))[1]
-    back = _shares(drawn, _through(drawn, torch.zeros(1, drawn.size), way))[1]
-    assert there[0] == 1.0
-    assert back[0] == -1.0  # at the same length as on the way there
-
-
-def test_a_tare_is_remembered_beside_what_goes_on(drawn):
-    past = drawn.tared(_through(drawn, torch.zeros(1, drawn.size), [0.0, 1e-3]))
-    later = _through(drawn, past, [0.0])
-    seen = drawn.seen(later)[0]
-    count = CABLES * len(GIVES_M)
-    assert seen[:count][len(GIVES_M)] == -1.0
-    assert seen[count : 2 * count][len(GIVES_M)] == 1.0
-    assert len(seen) == drawn.seen_size

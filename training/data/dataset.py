@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Self
@@ -14,29 +14,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_training.data.protocols import Protocol, SingleContact
 from cablesense_training.errors import DatasetError
 
 
 def contact_forces_n(
-    mechanism: Mechanism, command_rad: Array, angles_deg: Array, magnitudes_n: Array
+    mechanism: Mechanism,
+    command_rad: Array,
+    angles_deg: Array,
+    magnitudes_n: Array,
+    along_n: Array | None = None,
 ) -> Array:
     """Contact forces (B, N, 3) in base axes for angles and magnitudes (B, N), one a segment.
 
-    Each is normal to its segment at the commanded angles (B, 2N); where the magnitude is 0, so is
-    the force.
+    Each is normal to its segment at the commanded angles (B, 2N), but for a part `along_n` (B, N)
+    towards its end.
     """
-    forces = np.zeros((len(command_rad), mechanism.segment_count, 3))
-    for n in range(mechanism.segment_count):
-        rows = np.flatnonzero(magnitudes_n[:, n])
-        segment = np.full(len(rows), n + 1)
-        angle, magnitude = angles_deg[rows, n], magnitudes_n[rows, n]
-        forces[rows] += normal_force_n(mechanism, command_rad[rows], segment, angle, magnitude)
-    return forces
+    axis, left, up = np.moveaxis(kinematics.segment_rotations(mechanism, command_rad), -1, 0)
+    theta = np.deg2rad(angles_deg)[..., None]
+    forces = (np.sin(theta) * left + np.cos(theta) * up) * magnitudes_n[..., None]
+    return forces if along_n is None else forces + axis * along_n[..., None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,18 +66,18 @@ class RunRows:
         """
         if not parts:
             raise DatasetError("a run needs at least one part")
-        first = parts[0]
-        for part in parts[1:]:
-            if (part.arm, part.protocol, part.seed) != (first.arm, first.protocol, first.seed):
-                raise DatasetError(
-                    f"parts of different runs: {first.arm.identity}, {first.protocol}, "
-                    f"seed {first.seed} and {part.arm.identity}, {part.protocol}, seed {part.seed}"
-                )
+        runs = [(part.arm.identity, part.protocol, part.seed) for part in parts]
+        if other := [run for run in runs if run != runs[0]]:
+            raise DatasetError(f"parts of different runs: {runs[0]} and {other[0]}")
         arrays: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in parts])
             for name in cls.array_names()
         }
-        return replace(first, **arrays)
+        return replace(parts[0], **arrays)
+
+
+CONTACT_ARRAYS = ("contacts", "angles_deg", "magnitudes_n", "places_m", "along_n")
+"""Arrays of a dataset that have a column for each segment."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +96,11 @@ class Dataset(RunRows):
         contacts: (B, N) bool, whether a segment is touched.
         angles_deg: (B, N) contact angle [0, 360) in the plane normal to the segment at the
             commanded angles, from +z towards +y; 0 where nothing touches.
-        magnitudes_n: (B, N) force magnitudes; 0 where nothing touches.
+        magnitudes_n: (B, N) forces normal to the segment; 0 where nothing touches.
+        places_m: (B, N) distances of the contacts from the segments' joint centres; 0 where
+            nothing touches.
+        along_n: (B, N) forces along the segments at the commanded angles, towards their ends; 0
+            where nothing touches.
         slack_cables: (B,) number of cables that hang slack under the load.
         redrawn: (B,) how often the case was drawn again because it lay beyond the arm.
     """
@@ -108,13 +113,15 @@ class Dataset(RunRows):
     contacts: NDArray[np.bool_]
     angles_deg: Array
     magnitudes_n: Array
+    places_m: Array
+    along_n: Array
     slack_cables: NDArray[np.int64]
     redrawn: NDArray[np.int64]
 
     def __post_init__(self) -> None:
         rows, n, m = len(self.sample_id), self.arm.segment_count, self.arm.cable_count
         widths = {"command_rad": 2 * n, "tension_difference_n": m, "unloaded_n": m}
-        widths |= dict.fromkeys(("contacts", "angles_deg", "magnitudes_n"), n)
+        widths |= dict.fromkeys(CONTACT_ARRAYS, n)
         for name in self.array_names():
             shape = (rows, widths[name]) if name in widths else (rows,)
             if getattr(self, name).shape != shape:
@@ -129,38 +136,44 @@ class Dataset(RunRows):
     @cached_property
     def forces_n(self) -> Array:
         """(B, N, 3) forces of the environment, base axes; zero where nothing touches."""
-        mechanism = mechanism_of(self.arm)
-        return contact_forces_n(mechanism, self.command_rad, self.angles_deg, self.magnitudes_n)
+        return contact_forces_n(
+            mechanism_of(self.arm),
+            self.command_rad,
+            self.angles_deg,
+            self.magnitudes_n,
+            self.along_n,
+        )
+
+    @cached_property
+    def local_forces_n(self) -> Array:
+        """(B, N, 3) the same along the axes that each segment has at the commanded angles."""
+        theta = np.deg2rad(self.angles_deg)
+        y, z = self.magnitudes_n * np.sin(theta), self.magnitudes_n * np.cos(theta)
+        return np.stack([self.along_n, y, z], axis=-1)
 
     @cached_property
     def segment(self) -> NDArray[np.int64]:
         """(B,) touched segment, 1 … N, or 0 for none. Single contact only."""
-        self._require_single("segment")
-        return np.where(self.contacts.any(axis=1), self.contacts.argmax(axis=1) + 1, 0)
+        contacts = self._single("contacts")
+        return np.where(contacts.any(axis=1), contacts.argmax(axis=1) + 1, 0)
 
     @cached_property
     def angle_deg(self) -> Array:
         """(B,) contact angle, 0 where nothing touches. Single contact only."""
-        self._require_single("angle_deg")
-        return self.angles_deg.sum(axis=1)
+        return self._single("angles_deg").sum(axis=1)
 
     @cached_property
     def magnitude_n(self) -> Array:
         """(B,) force magnitude, 0 where nothing touches. Single contact only."""
-        self._require_single("magnitude_n")
-        return self.magnitudes_n.sum(axis=1)
+        return self._single("magnitudes_n").sum(axis=1)
 
-    def _require_single(self, name: str) -> None:
+    def _single(self, name: str) -> NDArray[Any]:
         if not isinstance(self.protocol, SingleContact):
             raise DatasetError(
-                f"{name} describes a single contact, and this dataset follows protocol "
-                f"{self.protocol.kind}; use contacts, angles_deg and magnitudes_n"
+                "segment, angle_deg and magnitude_n describe a single contact, and this dataset "
+                f"follows protocol {self.protocol.kind}; use contacts, angles_deg and magnitudes_n"
             )
-
-    def parts(self, rows: int) -> Iterator[Dataset]:
-        """The dataset in consecutive parts of at most `rows` samples."""
-        for start in range(0, len(self), rows):
-            yield self.select(slice(start, start + rows))
+        return np.asarray(getattr(self, name))
 
 
 @dataclass(frozen=True)
@@ -171,7 +184,9 @@ class Summary:
         rows: number of samples.
         contact_free: samples without contact.
         contacts_per_segment: contacts on segment 1 … N; with several at once, each counts.
-        weakest_n, strongest_n: range of the contact forces; 0 when there is no contact.
+        several_contacts: samples with more than one contact.
+        weakest_n, strongest_n: range of the forces normal to the segments; 0 without a contact.
+        most_along_n: largest force along a segment, either way.
         slack_rows: samples with at least one slack cable.
         redrawn_rows: samples drawn again because the first draw lay beyond the arm.
     """
@@ -179,31 +194,34 @@ class Summary:
     rows: int
     contact_free: int
     contacts_per_segment: tuple[int, ...]
+    several_contacts: int
     weakest_n: float
     strongest_n: float
+    most_along_n: float
     slack_rows: int
     redrawn_rows: int
 
 
 def summarise(parts: Iterable[Dataset]) -> Summary:
     """The summary of all parts of a run; there must be at least one."""
-    counts, per_segment, ranges = [], [], []
+    counts, forces, most_along_n = [], [], 0.0
     for part in parts:
-        free = ~part.contacts.any(axis=1)
-        counts.append(
-            [len(part), free.sum(), (part.slack_cables > 0).sum(), (part.redrawn > 0).sum()]
-        )
-        per_segment.append(part.contacts.sum(axis=0))
-        forces = part.magnitudes_n[part.contacts]
-        if forces.size:
-            ranges += [forces.min(), forces.max()]
-    rows, contact_free, slack_rows, redrawn_rows = np.sum(counts, axis=0).tolist()
+        number = part.contacts.sum(axis=1)
+        kinds = [number == 0, number > 1, part.slack_cables > 0, part.redrawn > 0]
+        flags = np.column_stack([np.ones(len(part), bool), *kinds, part.contacts])
+        counts.append(flags.sum(axis=0))
+        forces.append(part.magnitudes_n[part.contacts])
+        most_along_n = max(most_along_n, float(np.abs(part.along_n).max()))
+    rows, free, several, slack, redrawn, *per_segment = np.sum(counts, axis=0).tolist()
+    force_n = np.concatenate(forces)
     return Summary(
         rows=rows,
-        contact_free=contact_free,
-        contacts_per_segment=tuple(np.sum(per_segment, axis=0).tolist()),
-        weakest_n=float(min(ranges, default=0.0)),
-        strongest_n=float(max(ranges, default=0.0)),
-        slack_rows=slack_rows,
-        redrawn_rows=redrawn_rows,
+        contact_free=free,
+        contacts_per_segment=tuple(per_segment),
+        several_contacts=several,
+        weakest_n=float(force_n.min()) if force_n.size else 0.0,
+        strongest_n=float(force_n.max(initial=0.0)),
+        most_along_n=most_along_n,
+        slack_rows=slack,
+        redrawn_rows=redrawn,
     )

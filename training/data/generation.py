@@ -14,7 +14,8 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterator
-from contextlib import contextmanager
+from concurrent.futures import CancelledError
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -50,7 +51,6 @@ from cablesense_training.data.protocols import (
 )
 from cablesense_training.errors import DatasetError
 
-_MAX_WORKERS = 256
 DASK_PATIENCE_S = 10.0
 """How long a Dask scheduler may take to answer, and its first worker to appear."""
 
@@ -75,12 +75,9 @@ def generate(
         DatasetError: an option out of range, a sample without equilibrium, a lost worker, a
             cluster out of reach or one that runs another version of this package.
     """
-    if not isinstance(seed, int) or not 0 <= seed < 2**63:
-        raise DatasetError(f"seed = {seed!r}: must be a whole number from 0 to 2^63 - 1")
-    if not isinstance(workers, int) or not 1 <= workers <= _MAX_WORKERS:
-        raise DatasetError(
-            f"workers = {workers!r}: must be a whole number from 1 to {_MAX_WORKERS}"
-        )
+    for name, value, least, most in (("seed", seed, 0, 2**63 - 1), ("workers", workers, 1, 256)):
+        if not isinstance(value, int) or not least <= value <= most:
+            raise DatasetError(f"{name} = {value!r}: must be a whole number, {least} to {most}")
     chunks = len(chunk_sizes(protocol.samples))
     if dask_scheduler is not None:
         return _on_dask(dask_scheduler, chunks, arm, protocol, seed)
@@ -103,70 +100,39 @@ def _on_processes(workers: int, chunks: int, *run: Any) -> Iterator[Dataset]:
 
 
 def _on_dask(address: str, chunks: int, *run: Any) -> Iterator[Dataset]:
-    """Keep every worker busy, hand the parts on in order."""
-    with _dask(address) as client:
-        most_pending = _check_cluster(client, address) * _IN_FLIGHT_PER_WORKER
-        pending: deque[Any] = deque()
-        for chunk in range(chunks):
-            pending.append(client.submit(generate_chunk, *run, chunk, pure=False))
-            if len(pending) == most_pending:
-                yield pending.popleft().result()
-        while pending:
-            yield pending.popleft().result()
+    """Keep every worker of a cluster busy, and hand the parts on in order.
 
-
-@contextmanager
-def _dask(address: str) -> Iterator[Any]:
-    """A client of the cluster; its errors in this block become errors of the dataset."""
+    Errors of the cluster become errors of the dataset.
+    """
     try:
         import distributed
+
+        with distributed.Client(address, timeout=DASK_PATIENCE_S, set_as_default=False) as client:
+            client.wait_for_workers(1, timeout=DASK_PATIENCE_S)
+            versions, here = client.run(package_version), package_version()
+            for worker, there in sorted(versions.items()):
+                if there != here:
+                    raise DatasetError(
+                        f"Dask worker {worker} runs version {there} of this package and this "
+                        f"machine {here}; install the same version on both"
+                    )
+            pending: deque[Any] = deque()
+            for chunk in range(chunks):
+                pending.append(client.submit(generate_chunk, *run, chunk, pure=False))
+                if len(pending) == len(versions) * _IN_FLIGHT_PER_WORKER:
+                    yield pending.popleft().result()
+            while pending:
+                yield pending.popleft().result()
     except ImportError as error:
         raise DatasetError(
-            "a Dask scheduler was given, but distributed is not installed: pip install distributed"
+            f"{error}: a Dask cluster needs `pip install distributed` here and this package there"
         ) from error
-    try:
-        client = distributed.Client(address, timeout=DASK_PATIENCE_S, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
+    except (distributed.KilledWorker, CancelledError, OSError, ValueError, TypeError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
         raise DatasetError(
-            f"no Dask scheduler answers at {address!r} (expected something like "
-            f"tcp://127.0.0.1:8786): {_line(error)}"
+            f"no Dask cluster works at {address!r} (a scheduler is named like "
+            f"tcp://127.0.0.1:8786, its workers start with: dask worker ADDRESS): {reason}"
         ) from error
-    lost = (distributed.KilledWorker, distributed.client.FutureCancelledError, OSError)
-    with client:
-        try:
-            yield client
-        except lost as error:
-            raise DatasetError(
-                f"the Dask cluster at {address} lost its workers: {_line(error)}"
-            ) from error
-
-
-def _check_cluster(client: Any, address: str) -> int:
-    """Number of workers (at least one), all of which run this version of the package."""
-    try:
-        client.wait_for_workers(1, timeout=DASK_PATIENCE_S)
-        versions = client.run(package_version)
-    except TimeoutError as error:
-        raise DatasetError(
-            f"the Dask scheduler at {address} has no workers; "
-            f"start one with: dask worker {address}"
-        ) from error
-    except ModuleNotFoundError as error:
-        raise DatasetError(
-            f"a Dask worker at {address} lacks this package ({error}); install it on every machine"
-        ) from error
-    here = package_version()
-    for worker, there in sorted(versions.items()):
-        if there != here:
-            raise DatasetError(
-                f"Dask worker {worker} runs version {there} of this package and this machine "
-                f"{here}; install the same version on both"
-            )
-    return len(versions)
-
-
-def _line(error: BaseException) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 _BLOCK_SAMPLES = 64
@@ -232,7 +198,7 @@ def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Datas
         unloaded_n=tare,
         slack_cables=(borne <= 0.0).sum(axis=1),
         redrawn=redrawn,
-        **protocol.cases(count, points)._asdict(),
+        **protocol.cases(resting.reach_m, points)._asdict(),
     )
 
 
@@ -242,6 +208,7 @@ class _Resting:
     def __init__(self, arm: Arm, protocol: Protocol, seed: int, chunk: int) -> None:
         self._protocol = protocol
         self._mechanism = mechanism_of(arm)
+        self.reach_m = protocol.reach_m(arm)
         self._listed = entries_of(arm)
         self._seed = seed, chunk
         self._arms: dict[int, tuple[list[EffectEntry], LoadHistory]] = {}
@@ -254,60 +221,84 @@ class _Resting:
         Raises:
             EquilibriumError: more cases than `allowed` have none.
         """
-        cases = self._protocol.cases(self._mechanism.segment_count, points)
-        command = cases.command_rad
-        forces = contact_forces_n(self._mechanism, command, cases.angles_deg, cases.magnitudes_n)
+        cases = self._protocol.cases(self.reach_m, points)
+        command, contacts, angles, magnitudes, drawn_m, along = cases
+        forces = contact_forces_n(self._mechanism, command, angles, magnitudes, along)
+        places = drawn_m if self._protocol.anywhere else None
         if not self._listed and self._protocol.randomise is None:
-            touched = np.flatnonzero(cases.contacts.any(axis=1))
-            return self._without_effects(command, forces, touched, allowed)
+            touched = np.flatnonzero(contacts.any(axis=1))
+            return self._without_effects(command, forces, places, touched, allowed)
         found = np.empty((3, len(points), self._mechanism.cable_count))
         blocks = rows // _BLOCK_SAMPLES
         for block in np.unique(blocks):
             own = np.flatnonzero(blocks == block)
-            places = rows[own] % _BLOCK_SAMPLES
-            found[:, own] = self._block(int(block), places, command[own], forces[own], allowed)
+            found[:, own] = self._block(
+                int(block),
+                rows[own] % _BLOCK_SAMPLES,
+                command[own],
+                forces[own],
+                None if places is None else places[own],
+                allowed,
+            )
             allowed -= int(np.isnan(found[0, own, 0]).sum())
         return found
 
     def _without_effects(
-        self, command: Array, forces: Array, touched: NDArray[np.int64], allowed: int
+        self,
+        command: Array,
+        forces: Array,
+        places_m: Array | None,
+        touched: NDArray[np.int64],
+        allowed: int,
     ) -> Array:
-        def at_rest(command: Array, forces: Array) -> Array:
-            return solved_rows(
-                (len(command), self._mechanism.cable_count),
-                allowed,
-                lambda rows: (
-                    solve_equilibrium(self._mechanism, command[rows], forces[rows]).tensions_n
-                ),
-            )
+        mechanism = self._mechanism
+
+        def at_rest(command: Array, forces: Array, places_m: Array | None = None) -> Array:
+            def tensions_n(rows: NDArray[np.int64]) -> Array:
+                arm = mechanism
+                if places_m is not None:
+                    arm = replace(mechanism, contact_m=places_m[rows])
+                return solve_equilibrium(arm, command[rows], forces[rows]).tensions_n
+
+            return solved_rows((len(command), mechanism.cable_count), allowed, tensions_n)
 
         # the straight arm has one unloaded state
         poses = command if self._protocol.pose == "random" else command[:1]
-        unloaded = np.empty((len(command), self._mechanism.cable_count))
+        unloaded = np.empty((len(command), mechanism.cable_count))
         unloaded[:] = at_rest(poses, np.zeros((len(poses), *forces.shape[1:])))
         loaded = unloaded.copy()
-        loaded[touched] = at_rest(command[touched], forces[touched])
+        at_m = None if places_m is None else places_m[touched]
+        loaded[touched] = at_rest(command[touched], forces[touched], at_m)
         return np.stack([loaded, unloaded, loaded])
 
     def _block(
-        self, block: int, places: NDArray[np.int64], command: Array, forces: Array, allowed: int
+        self,
+        block: int,
+        members: NDArray[np.int64],
+        command: Array,
+        forces: Array,
+        places_m: Array | None,
+        allowed: int,
     ) -> Array:
-        """Some samples of a block, on the arm that was drawn for it or is now."""
+        """Some `members` of a block, on the arm that was drawn for it or is now."""
         mechanism, randomise = self._mechanism, self._protocol.randomise
 
         def readings(rows: NDArray[np.int64]) -> Array:
             entries, whole = self._arms[block]
-            history = whole.select(places[rows])
+            history = whole.select(members[rows])
             commands, loads = history.commands_rad(command[rows]), history.loads_n(forces[rows])
             needed = (TARED, len(history.time_s) - 1)
-            true = tensions_along_n(mechanism, entries, history.time_s, commands, loads, needed)
+            at_m = None if places_m is None else places_m[rows]
+            true = tensions_along_n(
+                mechanism, entries, history.time_s, commands, loads, needed, at_m
+            )
             sensed = sensed_along_n(entries, history.time_s, true)
             return np.stack([sensed[-1], sensed[TARED], true[-1]])
 
         shape = (3, len(command), mechanism.cable_count)
         if block in self._arms:
             return solved_rows(shape, allowed, readings)
-        most = allowed if randomise is None else math.ceil(_MAX_FAILING_SHARE * len(places))
+        most = allowed if randomise is None else math.ceil(_MAX_FAILING_SHARE * len(members))
         rng = random_stream(ARM, *self._seed, block)
         for left in reversed(range(1 if randomise is None else _MAX_ARMS_DRAWN)):
             history, entries = LoadHistory.drawn(_BLOCK_SAMPLES, rng), list(self._listed)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,11 +110,13 @@ def tensions_along_n(
     commands_rad: Array,
     loads_n: Array,
     needed: Sequence[int],
+    places_m: Array | None = None,
 ) -> Array:
     """True tensions (R, B, M) of an arm with effects, from rest to rest at times (R,).
 
-    Commands are (R, B, 2N), loads (R, B, N, 3). If nothing depends on the history, tensions are
-    zero at rests that are not `needed`.
+    Commands are (R, B, 2N), loads (R, B, N, 3). They act at `places_m` (B, N) from the segments'
+    joint centres, by default at the arm's contact points. If nothing depends on the history,
+    tensions are zero at rests that are not `needed`.
 
     Raises:
         EquilibriumError: an arm finds no rest.
@@ -126,8 +128,13 @@ def tensions_along_n(
     if transmissions(arms):
         from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
 
-        arm = QuasiStaticArm([mechanism] * len(arms), arms)
+        touched = [mechanism] * len(arms)
+        if places_m is not None:
+            touched = [replace(mechanism, contact_m=place_m) for place_m in places_m]
+        arm = QuasiStaticArm(touched, arms)
         return np.stack([arm.step(t, held[r], loads_n[r]) for r, t in enumerate(time_s)])
+    if places_m is not None:
+        mechanism = replace(mechanism, contact_m=places_m)
     tensions = np.zeros_like(held)
     for row in range(len(held)) if sensings(arms) else needed:
         rest = solve_equilibrium(mechanism, commands_rad[row], loads_n[row], held_m=held[row])

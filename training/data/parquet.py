@@ -9,9 +9,9 @@ from __future__ import annotations
 import json
 from collections import deque
 from collections.abc import Iterable, Iterator
-from itertools import islice
+from itertools import islice, zip_longest
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -34,10 +34,7 @@ from cablesense_training.errors import DatasetError
 
 _FORMAT = "1"
 _PREFIX = "cablesense."
-_ROWS_PER_GROUP = 32 * CHUNK_SAMPLES
-
-_MAX_COLUMNS = 2_000
-"""Far more than the largest arm has."""
+_CHUNKS_PER_GROUP = 32
 
 _LARGEST_UNPACKED_B, _MAX_UNPACKING = 2**26, 100
 """Largest unpacked size in bytes, and the largest number for each byte of the file."""
@@ -46,43 +43,44 @@ _LARGEST_UNPACKED_B, _MAX_UNPACKING = 2**26, 100
 class _Column(NamedTuple):
     """One column: `array[:, place]` of the dataset, or all of it when `place` is None."""
 
-    field: pa.Field
+    name: str
+    unit: str
     array: str
-    place: int | None
+    place: int | None = None
 
     @property
-    def name(self) -> str:
-        return str(self.field.name)
+    def field(self) -> pa.Field:
+        """The column as Arrow has it."""
+        kind = pa.int64() if self.unit == "1" else pa.float64()
+        if self.array == "contacts":
+            kind = pa.bool_()
+        return pa.field(self.name, kind, nullable=False, metadata={"unit": self.unit})
 
 
 def _columns(arm: Arm, protocol: Protocol) -> list[_Column]:
     """The columns of a dataset of that arm and protocol, in the file's order."""
-    found: list[_Column] = []
-
-    def add(name: str, unit: str, kind: pa.DataType, array: str, place: int | None = None) -> None:
-        field = pa.field(name, kind, nullable=False, metadata={"unit": unit})
-        found.append(_Column(field, array, place))
-
-    number, whole = pa.float64(), pa.int64()
-    add("sample_id", "1", whole, "sample_id")
+    columns = [_Column("sample_id", "1", "sample_id")]
     for i, name in enumerate(arm.joint_names):
-        add(f"command_{name}_rad", "rad", number, "command_rad", i)
+        columns.append(_Column(f"command_{name}_rad", "rad", "command_rad", i))
     for label in ("tension_difference", "unloaded"):
         for i, name in enumerate(arm.cable_names):
-            add(f"{label}_{name}_n", "N", number, f"{label}_n", i)
+            columns.append(_Column(f"{label}_{name}_n", "N", f"{label}_n", i))
     if isinstance(protocol, SingleContact):
-        add("segment", "1", whole, "segment")
-        add("angle_deg", "deg", number, "angle_deg")
-        add("magnitude_n", "N", number, "magnitude_n")
+        units = {"segment": "1", "angle_deg": "deg", "magnitude_n": "N"}
+        columns += [_Column(name, unit, name) for name, unit in units.items()]
     else:
         for i in range(arm.segment_count):
-            label = f"segment_{i + 1}"
-            add(f"contact_{label}", "1", pa.bool_(), "contacts", i)
-            add(f"angle_{label}_deg", "deg", number, "angles_deg", i)
-            add(f"magnitude_{label}_n", "N", number, "magnitudes_n", i)
-    for name in ("slack_cables", "redrawn"):
-        add(name, "1", whole, name)
-    return found
+            columns += [
+                _Column(f"contact_segment_{i + 1}", "1", "contacts", i),
+                _Column(f"angle_segment_{i + 1}_deg", "deg", "angles_deg", i),
+                _Column(f"magnitude_segment_{i + 1}_n", "N", "magnitudes_n", i),
+            ]
+            if protocol.anywhere:
+                columns += [
+                    _Column(f"place_segment_{i + 1}_m", "m", "places_m", i),
+                    _Column(f"along_segment_{i + 1}_n", "N", "along_n", i),
+                ]
+    return [*columns, *(_Column(name, "1", name) for name in ("slack_cables", "redrawn"))]
 
 
 def read_dataset(path: str | Path, arm: Arm | None = None) -> Dataset:
@@ -98,40 +96,43 @@ def read_dataset(path: str | Path, arm: Arm | None = None) -> Dataset:
     """
     path = Path(path)
     table = _read_table(path)
-    found = {
-        key.decode().removeprefix(_PREFIX): value.decode(errors="replace")
-        for key, value in (table.schema.metadata or {}).items()
-        if key.startswith(_PREFIX.encode())
-    }
-    stored, protocol, seed = _provenance(path, found)
+    stored, protocol, seed = _provenance(path, table.schema)
     if arm is not None and stored.identity != arm.identity:
         raise DatasetError(
             f"{path}: comes from arm {stored.identity}, and {arm.identity} was asked for; "
             "generate the dataset again with that arm's file"
         )
-    layout = _columns(stored, protocol)
-    _require_columns(path, table.schema, layout)
     if table.num_rows == 0:
         raise DatasetError(f"{path}: holds no samples; it must hold at least one")
-    parts: dict[str, list[np.ndarray]] = {}
-    for column in layout:
-        parts.setdefault(column.array, []).append(_column_values(path, table, column))
-    single = {column.array for column in layout if column.place is None}
+    arrays: dict[str, Any] = {}
+    for column in _columns(stored, protocol):
+        values = np.array(table.column(column.name).to_numpy())
+        if bad := np.flatnonzero(~np.isfinite(values)).tolist():
+            raise DatasetError(
+                f"{path}: {column.name!r} in row {bad[0]} is {values[bad[0]]}: "
+                "must be a finite number"
+            )
+        if column.place is None:
+            arrays[column.array] = values
+        else:
+            arrays.setdefault(column.array, []).append(values)
     arrays = {
-        name: values[0] if name in single else np.stack(values, axis=1)
-        for name, values in parts.items()
+        name: np.stack(values, axis=1) if isinstance(values, list) else values
+        for name, values in arrays.items()
     }
     if isinstance(protocol, SingleContact):
-        _expand_single(path, arrays, stored.segment_count)
-    contacts, magnitude, angle = arrays["contacts"], arrays["magnitudes_n"], arrays["angles_deg"]
-    low, high = protocol.force_low_n, protocol.force_high_n
-    outside = contacts & ((magnitude < low) | (magnitude > high))
-    _refuse(path, "magnitude", magnitude, outside, f"must be from {low:g} to {high:g} N")
-    idle = ~contacts & ((magnitude != 0.0) | (angle != 0.0))
-    _refuse(path, "magnitude", magnitude, idle, "magnitude and angle must be 0 without contact")
-    turned = (angle < 0.0) | (angle >= 360.0)
-    _refuse(path, "angle", angle, turned, "must be from 0 to below 360 degrees")
-    return Dataset(arm=stored, protocol=protocol, seed=seed, **arrays)
+        contacts = arrays.pop("segment")[:, None] == np.arange(1, stored.segment_count + 1)
+        # a row without contact keeps its values, for the check of labels
+        kept = contacts | ~contacts.any(axis=1, keepdims=True)
+        for array, name in (("angles_deg", "angle_deg"), ("magnitudes_n", "magnitude_n")):
+            arrays[array] = np.where(kept, arrays.pop(name)[:, None], 0.0)
+        arrays["contacts"] = contacts
+    if not protocol.anywhere:  # at the arm's contact points
+        arrays["places_m"] = np.where(arrays["contacts"], protocol.reach_m(stored)[:, 0], 0.0)
+        arrays["along_n"] = np.zeros_like(arrays["places_m"])
+    dataset = Dataset(arm=stored, protocol=protocol, seed=seed, **arrays)
+    _require_possible_labels(path, dataset)
+    return dataset
 
 
 def _read_table(path: Path) -> pa.Table:
@@ -141,8 +142,8 @@ def _read_table(path: Path) -> pa.Table:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             rows, width = file.metadata.num_rows, file.metadata.num_columns
             # a few bytes of Parquet can stand for any number of equal rows; no measured ones do
-            unpacked, packed = 8 * rows * width, path.stat().st_size
-            if width > _MAX_COLUMNS or unpacked > _LARGEST_UNPACKED_B + _MAX_UNPACKING * packed:
+            packed = path.stat().st_size
+            if 8 * rows * width > _LARGEST_UNPACKED_B + _MAX_UNPACKING * packed:
                 raise DatasetError(
                     f"{path}: claims {rows} rows of {width} columns in {packed} bytes; no dataset "
                     "is packed so tightly: generate it again"
@@ -157,94 +158,74 @@ def _read_table(path: Path) -> pa.Table:
         raise DatasetError(f"{path}: not a Parquet file, or cut short ({reason})") from error
 
 
-def _provenance(path: Path, found: dict[str, str]) -> tuple[Arm, Protocol, int]:
-    """Arm, protocol and seed from the metadata."""
-    version = found.get("format")
-    if version is None:
+def _provenance(path: Path, schema: pa.Schema) -> tuple[Arm, Protocol, int]:
+    """Arm, protocol and seed from the metadata; the columns must be theirs."""
+    found = {
+        key.decode().removeprefix(_PREFIX): value.decode(errors="replace")
+        for key, value in (schema.metadata or {}).items()
+        if key.startswith(_PREFIX.encode())
+    }
+    if "format" not in found:
         raise DatasetError(
             f"{path}: a Parquet file, but not a CableSense dataset (its metadata lacks "
             f"{_PREFIX}format); `cablesense dataset` writes one"
         )
-    if version != _FORMAT:
-        raise DatasetError(f"{path}: format {version!r}; this version reads format {_FORMAT!r}")
-    for key in ("arm_identity", "arm", "cables", "joints", "protocol", "seed"):
-        if key not in found:
-            raise DatasetError(f"{path}: lacks metadata {_PREFIX}{key}; generate it again")
+    if found["format"] != _FORMAT:
+        raise DatasetError(
+            f"{path}: format {found['format']!r}; this version reads format {_FORMAT!r}"
+        )
     try:
         arm = parse_arm(found["arm"], source=f"{path}, {_PREFIX}arm")
-    except ArmFileError as error:
-        raise DatasetError(str(error)) from error
-    for key, right in _arm_metadata(arm).items():
-        if found[key] != right:
-            raise DatasetError(
-                f"{path}: {_PREFIX}{key} = {found[key]}, but the arm it describes has {right}; "
-                "the metadata was altered, generate the dataset again"
-            )
-    try:
         protocol = protocol_from_options(json.loads(found["protocol"]))
         seed = int(found["seed"])
-    except (ValueError, TypeError, RecursionError, DatasetError) as error:
+    except ArmFileError as error:
+        raise DatasetError(str(error)) from error
+    except (KeyError, ValueError, TypeError, RecursionError, DatasetError) as error:
         raise DatasetError(f"{path}: {_PREFIX}protocol or {_PREFIX}seed: {error}") from error
+    if found.get("arm_identity") != arm.identity:
+        raise DatasetError(
+            f"{path}: {_PREFIX}arm_identity = {found.get('arm_identity')}, but the arm it "
+            f"describes is {arm.identity}; the metadata was altered, generate the dataset again"
+        )
+    for here, column in zip_longest(schema, _columns(arm, protocol)):
+        right = column and column.field
+        if here is None or right is None or not here.equals(right, check_metadata=True):
+            raise DatasetError(
+                f"{path}: has column {_shown(here)} where arm {arm.identity} and its protocol "
+                f"need {_shown(right)}; generate it again"
+            )
     return arm, protocol, seed
 
 
-def _arm_metadata(arm: Arm) -> dict[str, str]:
-    """Metadata that repeat parts of the arm: its name and hash, the order of the columns."""
-    return {
-        "arm_identity": arm.identity,
-        "cables": json.dumps(arm.cable_names),
-        "joints": json.dumps(arm.joint_names),
-    }
+def _shown(field: pa.Field | None) -> str:
+    if field is None:
+        return "none"
+    unit = (field.metadata or {}).get(b"unit", b"no unit").decode(errors="replace")
+    return f"{field.name[:60]!r} of {field.type} in {unit[:20]!r}"
 
 
-def _require_columns(path: Path, found: pa.Schema, layout: list[_Column]) -> None:
-    names = [c.name for c in layout]
-    missing = [name for name in names if name not in found.names]
-    if missing:
-        raise DatasetError(f"{path}: lacks column {missing[0]!r}; needed: {', '.join(names)}")
-    unknown = [name for name in found.names if name not in names]
-    if unknown or len(found.names) != len(names):
-        extra = unknown[0] if unknown else "one twice"
-        raise DatasetError(f"{path}: unknown column {extra!r}; valid: {', '.join(names)}")
-    for right in (column.field for column in layout):
-        (kind, unit), (right_kind, right_unit) = (
-            (f.type, (f.metadata or {}).get(b"unit", b"no unit").decode(errors="replace"))
-            for f in (found.field(right.name), right)
+def _require_possible_labels(path: Path, dataset: Dataset) -> None:
+    contacts, force, angle = dataset.contacts, dataset.magnitudes_n, dataset.angles_deg
+    place, along = dataset.places_m, dataset.along_n
+    low, high = dataset.protocol.force_low_n, dataset.protocol.force_high_n
+    possible = (force >= low) & (force <= high) & (angle >= 0.0) & (angle < 360.0)
+    none = (force == 0.0) & (angle == 0.0) & (place == 0.0) & (along == 0.0)
+    wrong = np.argwhere(~np.where(contacts, possible, none))
+    if len(wrong):
+        row, n = wrong[0]
+        what = "a contact" if contacts[row, n] else "no contact"
+        raise DatasetError(
+            f"{path}: row {row} has {what} of {force[row, n]} N at {angle[row, n]} degrees; a "
+            f"contact has {low:g} to {high:g} N and 0 to below 360 degrees, none has 0 of both"
         )
-        if (kind, unit) != (right_kind, right_unit):
-            raise DatasetError(
-                f"{path}: column {right.name!r} holds {kind} in {unit!r}, and must hold "
-                f"{right_kind} in {right_unit!r}"
-            )
-
-
-def _column_values(path: Path, table: pa.Table, column: _Column) -> np.ndarray:
-    chunked = table.column(column.name)
-    if chunked.null_count:
-        raise DatasetError(f"{path}: column {column.name!r} has {chunked.null_count} empty values")
-    values = np.array(chunked.to_numpy())
-    if column.field.type == pa.float64():
-        _refuse(path, column.name, values, ~np.isfinite(values), "must be a finite number")
-    return values
-
-
-def _expand_single(path: Path, arrays: dict[str, np.ndarray], count: int) -> None:
-    """Per-segment arrays from the segment's number, angle and magnitude."""
-    segment = arrays.pop("segment")
-    bad = (segment < 0) | (segment > count)
-    _refuse(path, "segment", segment, bad, f"must be 0 (no contact) to {count}")
-    contacts = segment[:, None] == np.arange(1, count + 1)
-    for array, name in (("angles_deg", "angle_deg"), ("magnitudes_n", "magnitude_n")):
-        values = arrays.pop(name)
-        _refuse(path, name, values, (segment == 0) & (values != 0.0), "must be 0 without contact")
-        arrays[array] = np.where(contacts, values[:, None], 0.0)
-    arrays["contacts"] = contacts
-
-
-def _refuse(path: Path, name: str, values: np.ndarray, bad: np.ndarray, right: str) -> None:
-    if bad.any():
-        place = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise DatasetError(f"{path}: {name!r} in row {place[0]} is {values[place]}: {right}")
+    near, far = dataset.protocol.reach_m(dataset.arm).T
+    wrong = np.argwhere(contacts & ~((place >= near) & (place <= far)))
+    if len(wrong):
+        row, n = wrong[0]
+        raise DatasetError(
+            f"{path}: row {row} has a contact at {place[row, n]} m from the joint of segment "
+            f"{n + 1}; it can be touched from {near[n]:g} to {far[n]:g} m"
+        )
 
 
 def write_dataset(path: str | Path, dataset: Dataset, command: str = "") -> None:
@@ -255,8 +236,10 @@ def write_dataset(path: str | Path, dataset: Dataset, command: str = "") -> None
     Raises:
         DatasetError: the file cannot be written.
     """
+    rows = _CHUNKS_PER_GROUP * CHUNK_SAMPLES
+    groups = (dataset.select(slice(at, at + rows)) for at in range(0, len(dataset), rows))
     run = dataset.arm, dataset.protocol, dataset.seed
-    deque(_written(path, dataset.parts(_ROWS_PER_GROUP), *run, command), maxlen=0)
+    deque(_written(path, groups, *run, command), maxlen=0)
 
 
 def produce_dataset(
@@ -278,15 +261,12 @@ def produce_dataset(
     chunks = generate(arm, protocol, seed, workers=workers, dask_scheduler=dask_scheduler)
     with progress_bar(protocol.samples, shown=show_progress) as advance:
 
-        def counted() -> Iterator[Dataset]:
-            for chunk in chunks:
-                yield chunk
-                advance(len(chunk))
+        def groups() -> Iterator[Dataset]:
+            while group := list(islice(chunks, _CHUNKS_PER_GROUP)):
+                yield Dataset.concatenate(group)
+                advance(sum(map(len, group)))
 
-        drawn = counted()
-        groups = iter(lambda: list(islice(drawn, _ROWS_PER_GROUP // CHUNK_SAMPLES)), [])
-        parts = map(Dataset.concatenate, groups)
-        return summarise(_written(path, parts, arm, protocol, seed, command))
+        return summarise(_written(path, groups(), arm, protocol, seed, command))
 
 
 def _written(
@@ -302,19 +282,20 @@ def _written(
     Raises:
         DatasetError: the file cannot be written. Errors of `groups` pass through.
     """
-    layout, repeated = _columns(arm, protocol), _arm_metadata(arm)
+    columns = _columns(arm, protocol)
     metadata = {
         "format": _FORMAT,
-        "arm_identity": repeated.pop("arm_identity"),
+        "arm_identity": arm.identity,
         "arm": yaml.safe_dump(arm.model_dump(), sort_keys=False),
-        **repeated,
+        "cables": json.dumps(arm.cable_names),
+        "joints": json.dumps(arm.joint_names),
         "protocol": json.dumps(protocol.options(), sort_keys=True),
         "seed": str(seed),
         "version": package_version(),
         "command": command,
     }
     schema = pa.schema(
-        [column.field for column in layout],
+        [column.field for column in columns],
         metadata={_PREFIX + key: text for key, text in metadata.items()},
     )
     with (
@@ -322,14 +303,10 @@ def _written(
         pq.ParquetWriter(beside, schema, compression="zstd", write_page_checksum=True) as writer,
     ):
         for group in groups:
-            values = [
-                pa.array(
-                    getattr(group, c.array)[:, c.place].copy()
-                    if c.place is not None
-                    else getattr(group, c.array),
-                    type=c.field.type,
-                )
-                for c in layout
-            ]
-            writer.write_table(pa.table(values, schema=schema), row_group_size=_ROWS_PER_GROUP)
+            values = []
+            for column in columns:
+                whole = getattr(group, column.array)
+                part = whole if column.place is None else whole[:, column.place].copy()
+                values.append(pa.array(part, type=column.field.type))
+            writer.write_table(pa.table(values, schema=schema), row_group_size=len(group))
             yield group

@@ -1,4 +1,4 @@
-"""What a dataset is drawn from: contacts and poses at points of the unit cube, arms with effects.
+"""Protocols of datasets: contacts and poses at points of the unit cube, arms with effects.
 
 Points and random streams follow from the seed and the chunk's number alone, so the number of
 workers does not change a byte. docs/data.md explains the protocols.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import asdict, fields
+from itertools import combinations
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
@@ -25,7 +26,8 @@ from scipy.stats import qmc
 
 from cablesense_base import Array
 from cablesense_base.plain_yaml import describe_problem
-from cablesense_sim.arm import Arm
+from cablesense_sim.arm import Arm, per_segment
+from cablesense_sim.contact_location import touched_at
 from cablesense_sim.effects.effect import Parameter
 from cablesense_sim.effects.registry import EffectEntry, known_effects
 from cablesense_sim.load_capacity import contact_range_n
@@ -52,32 +54,29 @@ def unit_points(dimensions: int, seed: int, chunk: int) -> Array:
 
 
 def chunk_sizes(samples: int) -> list[int]:
-    """How many samples each chunk contributes: full chunks, then what is left."""
+    """How many samples each chunk contributes: full chunks, then the rest."""
     full, rest = divmod(samples, CHUNK_SAMPLES)
     return [CHUNK_SAMPLES] * full + [rest] * (rest > 0)
-
-
-_ALL = "all"
-"""Means every effect that changes samples; effects of recorded loads do not."""
 
 
 def effect_names(randomise: str) -> list[str]:
     """The effects that an option means, in alphabetical order, each once.
 
+    `all` means every effect that changes samples; effects of recorded loads do not.
+
     Raises:
         DatasetError: an effect that is not known, or none.
     """
-    names = [name.strip() for name in randomise.split(",")]
+    names = {name.strip() for name in randomise.split(",")}
     known = [name for name, effect in known_effects().items() if effect.acts_on != "load"]
-    if names == [_ALL]:
+    if names == {"all"}:
         return known
-    for name in names:
-        if name not in known:
-            raise DatasetError(
-                f"randomise = {randomise!r}: {name!r} is no effect; give {_ALL}, or names from "
-                f"{', '.join(known)}, with commas between them"
-            )
-    return sorted(set(names))
+    if unknown := sorted(names.difference(known)):
+        raise DatasetError(
+            f"randomise = {randomise!r}: {unknown[0]!r} is no effect; give all, or names from "
+            f"{', '.join(known)}, with commas between them"
+        )
+    return sorted(names)
 
 
 def drawn_entries(
@@ -136,8 +135,24 @@ Pose = Literal["straight", "random"]
 PoseRange = Annotated[float, Field(ge=0.0, le=45.0)]
 Readings = Annotated[int, Field(ge=1, le=10_000)]
 _Force = Annotated[float, Field(ge=0.0, le=10_000.0)]
-_Touches = tuple[NDArray[np.bool_], Array, Array]
-"""Segments touched (B, N); direction and magnitude in [0, 1), broadcast to (B, N)."""
+
+
+class _Touches(NamedTuple):
+    """Contacts of B samples; shares in [0, 1) that broadcast to (B, N).
+
+    Attributes:
+        contacts: (B, N) bool, whether a segment is touched.
+        turn: share of the circle.
+        force: share of the range of forces.
+        place: share of the range of places.
+        along: axial over lateral force, from -1 to 1 of the largest.
+    """
+
+    contacts: NDArray[np.bool_]
+    turn: Array
+    force: Array
+    place: Array | float = 0.0
+    along: Array | float = 0.0
 
 
 class Cases(NamedTuple):
@@ -147,13 +162,17 @@ class Cases(NamedTuple):
         command_rad: (B, 2N) commanded joint angles.
         contacts: (B, N) bool, whether a segment is touched.
         angles_deg: (B, N) contact angles, [0, 360); 0 where nothing touches.
-        magnitudes_n: (B, N) force magnitudes; 0 where nothing touches.
+        magnitudes_n: (B, N) forces normal to the segment; 0 where nothing touches.
+        places_m: (B, N) distances from the segments' joint centres; 0 where nothing touches.
+        along_n: (B, N) forces along the segments, towards their ends; 0 where nothing touches.
     """
 
     command_rad: Array
     contacts: NDArray[np.bool_]
     angles_deg: Array
     magnitudes_n: Array
+    places_m: Array
+    along_n: Array
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,6 +193,8 @@ class Protocol(Options, ABC):
     """
 
     kind: ClassVar[str]
+    anywhere: ClassVar[bool] = False
+    """Whether contacts are at drawn places, not at the contact points of the arm file."""
 
     samples: Annotated[int, Field(ge=1, le=2**30)] = 5000
     pose: Pose = "straight"
@@ -204,25 +225,34 @@ class Protocol(Options, ABC):
             del options["randomise"]
         return options
 
+    def reach_m(self, arm: Arm) -> Array:
+        """(N, 2) ranges of the places of contacts, from the segments' joint centres."""
+        points = np.array(per_segment(arm.segments.contact_m, arm.segment_count))
+        return np.stack([points, points], axis=1)
+
     def dimensions(self, segment_count: int) -> int:
         """Number of coordinates that `cases` takes from each point."""
         joints = 2 * segment_count if self.pose == "random" else 0
         return self._contact_dimensions(segment_count) + joints
 
-    def cases(self, segment_count: int, points: Array) -> Cases:
-        """The poses and contacts at points (B, dimensions) of the unit cube."""
+    def cases(self, reach_m: Array, points: Array) -> Cases:
+        """The poses and contacts at points (B, dimensions) of the unit cube, within a reach."""
+        segment_count = len(reach_m)
         split = self._contact_dimensions(segment_count)
         if self.pose == "random":
             command = np.deg2rad(self.pose_range_deg) * (2.0 * points[:, split:] - 1.0)
         else:
             command = np.zeros((len(points), 2 * segment_count))
-        contacts, turn, share = self._contacts(segment_count, points[:, :split])
-        magnitude = self.force_low_n + (self.force_high_n - self.force_low_n) * share
+        touches = self._contacts(segment_count, points[:, :split])
+        contacts, low, high = touches.contacts, *reach_m.T
+        magnitude = self.force_low_n + (self.force_high_n - self.force_low_n) * touches.force
         return Cases(
             command_rad=command,
             contacts=contacts,
-            angles_deg=np.where(contacts, 360.0 * turn, 0.0),
+            angles_deg=np.where(contacts, 360.0 * touches.turn, 0.0),
             magnitudes_n=np.where(contacts, magnitude, 0.0),
+            places_m=np.where(contacts, low + (high - low) * touches.place, 0.0),
+            along_n=np.where(contacts, touches.along * magnitude, 0.0),
         )
 
     @abstractmethod
@@ -235,14 +265,23 @@ class Protocol(Options, ABC):
 
     def _number(self, coordinate: Array, segment_count: int, highest: int) -> NDArray[np.int64]:
         """0 for the contact-free share of [0, 1), else 1 … highest in equal shares."""
+        touched, rest = self._touched(coordinate, segment_count)
+        return np.where(touched, 1 + _of_equal_shares(rest, highest), 0)
+
+    def _touched(self, coordinate: Array, segment_count: int) -> tuple[NDArray[np.bool_], Array]:
+        """Which samples (B,) are touched, and what is left of their coordinate, in [0, 1)."""
         free = self.no_contact_fraction
         if free is None:
             free = 1.0 / (segment_count + 1)
-        number = np.zeros(len(coordinate), dtype=np.int64)
         touched = coordinate >= free
-        place = (coordinate[touched] - free) / (1.0 - free)
-        number[touched] = 1 + np.minimum(np.floor(place * highest), highest - 1)
-        return number
+        rest = np.zeros_like(coordinate)
+        rest[touched] = (coordinate[touched] - free) / (1.0 - free)
+        return touched, rest
+
+
+def _of_equal_shares(coordinate: Array, count: int) -> NDArray[np.int64]:
+    """Which of `count` equal shares of [0, 1) each coordinate is in, from 0 on."""
+    return np.minimum(np.floor(coordinate * count), count - 1).astype(np.int64)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,7 +296,7 @@ class SingleContact(Protocol):
     def _contacts(self, segment_count: int, points: Array) -> _Touches:
         segment = self._number(points[:, 0], segment_count, segment_count)
         contacts = segment[:, None] == np.arange(1, segment_count + 1)
-        return contacts, points[:, 1:2], points[:, 2:3]
+        return _Touches(contacts, points[:, 1:2], points[:, 2:3])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -286,10 +325,63 @@ class MultiContact(Protocol):
         number = self._number(points[:, 0], segment_count, most)
         ranks, turn, share = np.split(points[:, 1:], 3, axis=1)
         place = np.argsort(np.argsort(ranks, axis=1, kind="stable"), axis=1, kind="stable")
-        return place < number[:, None], turn, share
+        return _Touches(place < number[:, None], turn, share)
 
 
-_PROTOCOLS = (SingleContact, MultiContact)
+@dataclass(frozen=True, kw_only=True)
+class AnywhereContact(Protocol):
+    """One contact or two, anywhere along the reach of the arm, with a force in three dimensions.
+
+    Coordinates are the set of touched segments, then direction, magnitude, place and axial share
+    of the first contact and of the second, then the joints. Each pair of segments is equally
+    likely. Of two contacts, each has a magnitude in the lower half of the range.
+
+    Attributes:
+        two_contacts_fraction: share of the touched samples that have contacts on two segments.
+        axial_share: the axial force is uniform within plus or minus this share of the lateral one.
+    """
+
+    kind: ClassVar[str] = "anywhere"
+    anywhere: ClassVar[bool] = True
+
+    two_contacts_fraction: Annotated[float, Field(ge=0.0, le=1.0)] = 0.15
+    axial_share: Annotated[float, Field(ge=0.0, le=2.0)] = 0.3
+
+    def reach_m(self, arm: Arm) -> Array:
+        """(N, 2) the reach of the arm file."""
+        return touched_at(arm)[0]
+
+    def _contact_dimensions(self, segment_count: int) -> int:
+        return 1 + 2 * 4
+
+    def _contacts(self, segment_count: int, points: Array) -> _Touches:
+        pairs = np.array([*combinations(range(segment_count), 2)], dtype=np.int64).reshape(-1, 2)
+        two = self.two_contacts_fraction if len(pairs) else 0.0
+        touched, rest = self._touched(points[:, 0], segment_count)
+        several = touched & (rest < two)
+        single = touched & ~several
+        first, second = np.full((2, len(points)), -1)
+        first[single] = _of_equal_shares((rest[single] - two) / (1.0 - two), segment_count)
+        pair = _of_equal_shares(rest[several] / two, len(pairs))
+        first[several], second[several] = pairs[pair].T
+        segments = np.arange(segment_count)
+        is_second = second[:, None] == segments
+        of_each = points[:, 1:].reshape(-1, 2, 4)
+        turn, force, place, along = np.where(
+            is_second, of_each[:, 1].T[..., None], of_each[:, 0].T[..., None]
+        )
+        return _Touches(
+            contacts=(first[:, None] == segments) | is_second,
+            turn=turn,
+            force=np.where(several[:, None], 0.5 * force, force),
+            place=place,
+            along=self.axial_share * (2.0 * along - 1.0),
+        )
+
+
+_PROTOCOLS = {
+    protocol.kind: protocol for protocol in (SingleContact, MultiContact, AnywhereContact)
+}
 
 
 def protocol_from_options(options: dict[str, Any], arm: Arm | None = None) -> Protocol:
@@ -304,13 +396,19 @@ def protocol_from_options(options: dict[str, Any], arm: Arm | None = None) -> Pr
     """
     given = dict(options)
     kind = given.pop("kind", None)
-    for protocol in _PROTOCOLS:
-        if protocol.kind != kind:
-            continue
-        if arm is not None and "force_high_n" not in given:
-            at_once = given.get("max_contacts") or arm.segment_count
-            contacts = at_once if protocol is MultiContact else 1
-            given["force_high_n"] = contact_range_n(arm, protocol.force_high_n, contacts)
-        return protocol(**given)
-    kinds = ", ".join(protocol.kind for protocol in _PROTOCOLS)
-    raise DatasetError(f"protocol {kind!r}: must be one of {kinds}")
+    if not isinstance(kind, str) or kind not in _PROTOCOLS:
+        raise DatasetError(f"protocol {kind!r}: must be one of {', '.join(_PROTOCOLS)}")
+    protocol = _PROTOCOLS[kind]
+    if arm is not None and "force_high_n" not in given:
+        at_once = given.get("max_contacts") or arm.segment_count
+        contacts = at_once if protocol is MultiContact else 1
+        if protocol.anywhere:
+            arm = _touched_at_its_end(arm)
+        given["force_high_n"] = contact_range_n(arm, protocol.force_high_n, contacts)
+    return protocol(**given)
+
+
+def _touched_at_its_end(arm: Arm) -> Arm:
+    """The arm with its contact points where touch bends it most: at the far ends of the reach."""
+    ends = touched_at(arm)[0][:, 1].tolist()
+    return arm.model_copy(update={"segments": arm.segments.model_copy(update={"contact_m": ends})})

@@ -135,12 +135,29 @@ class ModelComparison(NamedTuple):
     settings: tuple[SettingEvaluation, ...]
     multi: dict[str, MultiContactMetrics]
 
-    @property
-    def coverage95(self) -> float:
-        """Share of the shipped models' stated 95 % magnitude intervals that hold the truth."""
-        known = [s.models[SHIPPED].errors for s in self.settings]
-        total = sum(e.found for e in known)
-        return sum(e.magnitude_coverage95 * e.found for e in known) / total
+    def as_json(self) -> dict[str, Any]:
+        """As `cablesense evaluate --json` prints it; `coverage95` is that of shipped models."""
+        shipped = {each.setting: each.models[SHIPPED] for each in self.settings}
+        found = [(m.errors.found, m.errors.magnitude_coverage95) for m in shipped.values()]
+        peers: dict[str, dict[str, Any]] = {}
+        for each in self.settings:
+            for name, metrics in each.models.items():
+                if name != SHIPPED:
+                    peers.setdefault(name, {})[each.setting] = metrics_json(metrics)
+        multi, shown = self.multi[SHIPPED], ("recognition_accuracy", "macro_f1", "magnitude_mae_n")
+        return {
+            "seed": self.seed,
+            "samples": self.samples,
+            "single": {
+                each.setting: metrics_json(shipped[each.setting])
+                | {"mae_over_bound": each.firm_ratio}
+                for each in self.settings
+            },
+            "multi": {name: getattr(multi, name) for name in shown},
+            "bound": {each.setting: asdict(each.bound) for each in self.settings},
+            "peers": peers,
+            "coverage95": sum(n * share for n, share in found) / sum(n for n, _ in found),
+        }
 
 
 def evaluate_answer(answer: ContactAnswer, dataset: Dataset) -> Evaluation:
@@ -224,31 +241,6 @@ def compare(
     dataset = draw_dataset(open_arm(MULTI_ARM), multi_protocol(samples), seed, workers=workers)
     multi = {name: found.metrics for name, found in evaluate_multi_models(dataset).items()}
     return ModelComparison(seed, samples, tuple(evaluations), multi)
-
-
-def as_json(comparison: ModelComparison) -> dict[str, Any]:
-    """The comparison as `cablesense evaluate --json` prints it."""
-    settings = comparison.settings
-    baselines: dict[str, dict[str, Any]] = {}
-    for evaluation in settings:
-        for name, metrics in evaluation.models.items():
-            if name != SHIPPED:
-                baselines.setdefault(name, {})[evaluation.setting] = metrics_json(metrics)
-    multi = asdict(comparison.multi[SHIPPED])
-    return {
-        "seed": comparison.seed,
-        "samples": comparison.samples,
-        "single": {
-            s.setting: {**metrics_json(s.models[SHIPPED]), "mae_over_bound": s.firm_ratio}
-            for s in settings
-        },
-        "multi": {
-            name: multi[name] for name in ("recognition_accuracy", "macro_f1", "magnitude_mae_n")
-        },
-        "bound": {s.setting: asdict(s.bound) for s in settings},
-        "peers": baselines,
-        "coverage95": comparison.coverage95,
-    }
 
 
 def metrics_json(metrics: SingleContactMetrics) -> dict[str, Any]:

@@ -20,7 +20,6 @@ from cablesense_training.inference.estimator import (
     Estimator,
     SequenceEstimator,
 )
-from cablesense_training.inference.temporal_estimator import TemporalEstimator
 
 Integers = NDArray[np.int64]
 
@@ -237,49 +236,12 @@ def sequence_estimates(
     estimator: Estimator | SequenceEstimator, sequences: Sequences
 ) -> Estimates:
     """Estimates (S, T), or (S · T,) of a memoryless estimator, which receives every set-point."""
-    if isinstance(estimator, TemporalEstimator):
-        return estimator.estimate_sequences(
-            sequences.tension_difference_n,
-            sequences.joint_command_rad,
-            sequences.joint_speed_rad_s,
-            sequences.joint_acceleration_rad_s2,
-            sequences.before_rad,
-        )
     if isinstance(estimator, SequenceEstimator):
-        return _one_by_one(estimator, sequences)
+        return estimator.estimate_sequences(sequences)
     return estimator.estimate_batch(
         sequences.tension_difference_n.reshape(-1, sequences.arm.cable_count),
         sequences.joint_command_rad.reshape(-1, sequences.arm.joint_count),
     )
-
-
-def _one_by_one(estimator: SequenceEstimator, sequences: Sequences) -> Estimates:
-    """Estimates (S, T), the tare being that of the first tick of each sequence."""
-    tick_s, found = sequences.protocol.tick_s, []
-    for number in range(len(sequences)):
-        estimator.forget()
-        set_points, untared = sequences.before_rad[number], np.zeros(sequences.arm.cable_count)
-        still = np.zeros_like(set_points[0])
-        for tick, set_point in enumerate(set_points, start=-len(set_points)):
-            estimator.tare()
-            estimator.estimate(untared, set_point, still, still, tick * tick_s)
-        estimator.tare()
-        along = zip(
-            sequences.tension_difference_n[number],
-            sequences.joint_command_rad[number],
-            sequences.joint_speed_rad_s[number],
-            sequences.joint_acceleration_rad_s2[number],
-            strict=True,
-        )
-        found.append([estimator.estimate(*now, n * tick_s) for n, now in enumerate(along)])
-    return Estimates(*(np.array([[e[k] for e in row] for row in found]) for k in range(8)))
-
-
-def sequence_answer(
-    estimator: Estimator | SequenceEstimator, sequences: Sequences
-) -> ContactAnswer:
-    """Answers (S · T,) of an estimator, as `sequence_estimates`."""
-    return ContactAnswer.of(sequence_estimates(estimator, sequences))
 
 
 def sequence_metrics(answer: ContactAnswer, sequences: Sequences) -> SequenceMetrics:

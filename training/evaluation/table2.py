@@ -8,16 +8,15 @@ answers segment, direction and newtons.
 from __future__ import annotations
 
 import csv
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from cablesense_base import Array, CableSenseError
+from cablesense_base import Array
 from cablesense_base.installation import config_path
+from cablesense_training.errors import ModelFileError
 from cablesense_training.evaluation.metrics import angle_difference_deg
 from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.metadata import ModelFileError
 
 STANDARD_GRAVITY_M_S2 = 9.81
 """The paper's conversion: its 2 kg load counts as 19.62 N."""
@@ -63,39 +62,23 @@ class HungLoadAnswer(NamedTuple):
     magnitude_error: float
 
 
-def read_table2(path: Path | None = None) -> list[HungLoad]:
-    """The rows of Table II, physical and simulated, from the bundled file.
-
-    Raises:
-        CableSenseError: the file has no rows, lacks a column or holds something that is not a
-            finite number.
-    """
-    path = path or config_path("measurements/table2.csv")
+def read_table2() -> list[HungLoad]:
+    """The rows of Table II, physical and simulated, from the bundled file."""
     cables = [f"cable_{i + 1}_n" for i in range(CABLES)]
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = [
-                HungLoad(
-                    source=row["source"],
-                    segment=int(row["load_segment"]),
-                    weight_n=float(row["load_kg"]) * STANDARD_GRAVITY_M_S2,
-                    tension_difference_n=np.array([float(row[name]) for name in cables]),
-                )
-                for row in csv.DictReader(file)
-            ]
-        numbers = [(*row.tension_difference_n, row.weight_n) for row in rows]
-        if not numbers or not np.isfinite(numbers).all():
-            raise ValueError("no rows, or a number that is not finite")
-    except (OSError, KeyError, ValueError, TypeError) as error:
-        raise CableSenseError(
-            f"{path}: not Table II ({error}); needed are source, load_kg, load_segment and "
-            f"{cables[0]} … {cables[-1]}"
-        ) from error
-    return rows
+    with config_path("measurements/table2.csv").open(newline="", encoding="utf-8") as file:
+        return [
+            HungLoad(
+                source=row["source"],
+                segment=int(row["load_segment"]),
+                weight_n=float(row["load_kg"]) * STANDARD_GRAVITY_M_S2,
+                tension_difference_n=np.array([float(row[name]) for name in cables]),
+            )
+            for row in csv.DictReader(file)
+        ]
 
 
-def evaluate_table2(estimator: Estimator, source: str = "physical") -> list[HungLoadAnswer]:
-    """Answers of a model of the three-segment arm to the table's rows of one source.
+def evaluate_table2(estimator: Estimator) -> list[HungLoadAnswer]:
+    """Answers of a model of the three-segment arm to the loads on the physical arm.
 
     Raises:
         ModelFileError: the model is for an arm of other cables.
@@ -108,9 +91,7 @@ def evaluate_table2(estimator: Estimator, source: str = "physical") -> list[Hung
         )
     straight = np.zeros(metadata.arm.joint_count)
     answers = []
-    for load in read_table2():
-        if load.source != source:
-            continue
+    for load in (row for row in read_table2() if row.source == "physical"):
         found = estimator.estimate(load.tension_difference_n, straight)
         angle_error_deg = float(angle_difference_deg(found.angle_deg, DOWN_DEG))
         error = found.magnitude_n / load.weight_n - 1.0

@@ -1,4 +1,4 @@
-"""Estimators that answer each sample by itself: one contact, or several, from a model file.
+"""Estimators in model files: one contact or several, from each sample by itself or one by one.
 
 They take tension differences against the unloaded arm, N; pose-aware models also the commanded
 joint angles, rad.
@@ -8,18 +8,21 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import ClassVar, NamedTuple, Self
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cablesense_base import Array, CableSenseError
+from cablesense_base import Array
 from cablesense_sim.arm import Arm
-from cablesense_training.inference.metadata import ModelMetadata
-from cablesense_training.inference.session import COMMAND, TENSION, ModelSession
-from cablesense_training.inference.single_run import SingleRun
+from cablesense_training.errors import EstimateError
+from cablesense_training.inference.session import COMMAND, TENSION, OpenedModel
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from cablesense_training.data.sequences import Sequences
 
 OUTPUTS = ("contact_probability", "direction", "magnitude_n", "magnitude_std_n", "angle_std_deg")
 MULTI_OUTPUTS = ("contact_probability", "magnitude_n", "magnitude_std_n")
@@ -27,11 +30,34 @@ MULTI_OUTPUTS = ("contact_probability", "magnitude_n", "magnitude_std_n")
 NORMAL_95 = 1.959964
 """Standard deviations on either side of the mean that hold 95 % of a Gaussian."""
 
-NO_ANSWER = "the answer is not finite: tension differences or commands beyond what can be weighed"
+_NO_ANSWER = "the answer is not finite: tension differences or commands beyond what can be weighed"
 
 
-class EstimateError(CableSenseError):
-    """Inputs that the model cannot take: wrong shape, not finite, or a command that is missing."""
+class ContactPlace(NamedTuple):
+    """The place of a contact on its segment, with its axial force and its moment.
+
+    Attributes:
+        place_m: distance from the segment's joint centre.
+        low_m, high_m: between which it lies with 95 %; beyond the segment's ends, along the arm,
+            where the neighbour may be touched.
+        along_n, along_std_n: force along the segment, towards its end.
+        moment_n_m: moment of the normal force about the joint centre.
+        force_known: whether the tensions determine the normal force; else only its moment.
+        misfit: root mean square of the readings' residuals, in their standard deviations.
+        log_evidence: of one contact against none.
+        chi2: misfit of the torques alone.
+    """
+
+    place_m: float
+    low_m: float
+    high_m: float
+    along_n: float
+    along_std_n: float
+    moment_n_m: float
+    force_known: bool
+    misfit: float
+    log_evidence: float
+    chi2: float
 
 
 class Estimate(NamedTuple):
@@ -42,10 +68,11 @@ class Estimate(NamedTuple):
         segment: the likeliest of them; 0 is no contact.
         angle_deg: contact angle in [0, 360), in the normal plane of the segment at the commanded
             angles, from +z towards +y.
-        magnitude_n: force; what it would be where `segment` is 0 and the caller thinks otherwise.
+        magnitude_n: force; without a contact, that of the likeliest segment.
         magnitude_std_n, angle_std_deg: stated standard deviations.
         low_n, high_n: between which the force lies with 95 %, where there is a contact. A
             recurrent model answers one only where this does not begin at 0.
+        place: of a contact anywhere; None from a model of contacts at the arm file's points.
     """
 
     probabilities: Array
@@ -56,6 +83,7 @@ class Estimate(NamedTuple):
     angle_std_deg: float
     low_n: float
     high_n: float
+    place: ContactPlace | None = None
 
     @classmethod
     def of_outputs(cls, outputs: Sequence[Array]) -> Estimate:
@@ -106,58 +134,6 @@ class Estimates(NamedTuple):
         return cls(probability, segment, *stated)
 
 
-class OpenedModel:
-    """A model file, opened; not for use from several threads at once.
-
-    Attributes:
-        metadata: the model's description, as its file has it.
-    """
-
-    outputs: ClassVar[Sequence[str]]
-
-    def __init__(self, session: ModelSession) -> None:
-        self.metadata: ModelMetadata = session.metadata
-        self._session = session
-
-    @classmethod
-    def load(cls, path: str | Path, arm: Arm | None = None) -> Self:
-        """Open a model file, for a certain arm where one is given.
-
-        Raises:
-            ModelFileError: the file is no model of this kind, or not one for this arm.
-        """
-        return cls(ModelSession.open(path, cls.outputs, arm))
-
-    @property
-    def pose_aware(self) -> bool:
-        """Whether the model needs the commanded joint angles."""
-        return self.metadata.pose_aware
-
-    def _answers(self, tensions_n: ArrayLike, commands_rad: ArrayLike | None) -> list[Array]:
-        """The outputs for tension differences (B, M) or (M,) and commands (B, 2N) or (2N,)."""
-        inputs = {TENSION: self._tensions(tensions_n)}
-        if self.pose_aware:
-            inputs[COMMAND] = self._commands(commands_rad, len(inputs[TENSION]))
-        return finite_answers(self._session, inputs)
-
-    def _tensions(self, values: ArrayLike, rows: int | None = None) -> Array:
-        count = self.metadata.arm.cable_count
-        return finite_table(values, count, "tension differences", rows)
-
-    def _commands(self, values: ArrayLike | None, rows: int) -> Array:
-        """(B, 2N), one command for all where only one is given."""
-        count = self.metadata.arm.joint_count
-        if values is None:
-            raise EstimateError(f"this model needs the {count} commanded joint angles")
-        command = finite_table(values, count, "commanded joint angles")
-        if len(command) not in (1, rows):
-            raise EstimateError(
-                f"{len(command)} commands for {rows} samples; this model needs {count} joint "
-                "angles, once or for each sample"
-            )
-        return np.ascontiguousarray(np.broadcast_to(command, (rows, count)))
-
-
 def finite_table(values: ArrayLike, columns: int, what: str, rows: int | None = None) -> Array:
     """Finite numbers (B, columns) from (B, columns) or (columns,), of `rows` rows or any number.
 
@@ -179,28 +155,53 @@ def finite_table(values: ArrayLike, columns: int, what: str, rows: int | None = 
     return table
 
 
-def finite_answers(
-    session: ModelSession, inputs: Mapping[str, Array], names: Sequence[str] | None = None
-) -> list[Array]:
-    """A model's outputs, those of these `names` where some are asked for.
+class ContactEstimator(OpenedModel):
+    """The common base of estimators: checks inputs, and that answers are finite."""
 
-    Raises:
-        EstimateError: an answer is not finite.
-    """
-    outputs = session.run(inputs, names)
-    if not all(np.isfinite(output).all() for output in outputs):
-        raise EstimateError(NO_ANSWER)
-    return outputs
+    def answers(self, inputs: dict[str, Array], names: Sequence[str] | None = None) -> list[Array]:
+        """The model's outputs, those of these `names` where some are asked for.
+
+        Raises:
+            EstimateError: an answer is not finite.
+        """
+        outputs = self.run(inputs, names)
+        if not all(np.isfinite(output).all() for output in outputs):
+            raise EstimateError(_NO_ANSWER)
+        return outputs
+
+    def _batch(self, tensions_n: ArrayLike, commands_rad: ArrayLike | None) -> list[Array]:
+        """The outputs for tension differences (B, M) or (M,) and commands (B, 2N) or (2N,)."""
+        inputs = {TENSION: self._tensions(tensions_n)}
+        if self.pose_aware:
+            inputs[COMMAND] = self._commands(commands_rad, len(inputs[TENSION]))
+        return self.answers(inputs)
+
+    def _tensions(self, values: ArrayLike, rows: int | None = None) -> Array:
+        count = self.metadata.arm.cable_count
+        return finite_table(values, count, "tension differences", rows)
+
+    def _commands(self, values: ArrayLike | None, rows: int) -> Array:
+        """(B, 2N), one command for all where only one is given."""
+        count = self.metadata.arm.joint_count
+        if values is None:
+            raise EstimateError(f"this model needs the {count} commanded joint angles")
+        command = finite_table(values, count, "commanded joint angles")
+        if len(command) not in (1, rows):
+            raise EstimateError(
+                f"{len(command)} commands for {rows} samples; this model needs {count} joint "
+                "angles, once or for each sample"
+            )
+        return np.ascontiguousarray(np.broadcast_to(command, (rows, count)))
 
 
-class Estimator(OpenedModel):
+class Estimator(ContactEstimator):
     """A single-contact model, opened; not for use from several threads at once."""
 
-    outputs = OUTPUTS
+    outputs: ClassVar[Sequence[str]] = OUTPUTS
 
-    def __init__(self, session: ModelSession) -> None:
-        super().__init__(session)
-        self._single = SingleRun(session)
+    def __init__(self, path: str | Path, arm: Arm | None = None) -> None:
+        super().__init__(path, arm)
+        self._single = self.single_run()
         self._command = b""
 
     def estimate(
@@ -213,6 +214,20 @@ class Estimator(OpenedModel):
         Raises:
             EstimateError: see its docstring.
         """
+        estimate = self._of_one(self._outputs(tension_difference_n, joint_command_rad))
+        if not math.isfinite(sum(estimate.probabilities.tolist()) + sum(estimate[2:8])):
+            self._tensions(tension_difference_n, 1)
+            raise EstimateError(_NO_ANSWER)
+        return estimate
+
+    def _of_one(self, outputs: list[Array]) -> Estimate:
+        """The estimate from the graph's outputs for one sample."""
+        return Estimate.of_outputs(outputs)
+
+    def _outputs(
+        self, tension_difference_n: ArrayLike, joint_command_rad: ArrayLike | None
+    ) -> list[Array]:
+        """The graph's outputs for one sample, overwritten by the next."""
         single = self._single
         if not (
             isinstance(tension_difference_n, np.ndarray)
@@ -224,11 +239,7 @@ class Estimator(OpenedModel):
             self._set_command(joint_command_rad)
         single.tension_difference_n[:] = tension_difference_n
         single.run()
-        estimate = Estimate.of_outputs(single.outputs)
-        if not math.isfinite(sum(estimate.probabilities.tolist()) + sum(estimate[2:])):
-            self._tensions(tension_difference_n, 1)
-            raise EstimateError(NO_ANSWER)
-        return estimate
+        return single.outputs
 
     def estimate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
@@ -238,7 +249,7 @@ class Estimator(OpenedModel):
         Raises:
             EstimateError: see its docstring.
         """
-        return Estimates.of_outputs(self._answers(tension_differences_n, joint_commands_rad))
+        return Estimates.of_outputs(self._batch(tension_differences_n, joint_commands_rad))
 
     def _set_command(self, joint_command_rad: ArrayLike | None) -> None:
         """Compute what depends on the command alone, if it is not the one before."""
@@ -254,7 +265,7 @@ class Estimator(OpenedModel):
         self._command = command.tobytes()
 
 
-class SequenceEstimator(OpenedModel, ABC):
+class SequenceEstimator(ContactEstimator, ABC):
     """A single-contact model that takes samples one after another; for one thread at a time."""
 
     @abstractmethod
@@ -280,6 +291,26 @@ class SequenceEstimator(OpenedModel, ABC):
             EstimateError: a wrong shape, or numbers that are not finite.
         """
 
+    def estimate_sequences(self, sequences: Sequences) -> Estimates:
+        """Estimates (S, T) of sequences, the tare being that of the first tick of each.
+
+        Raises:
+            EstimateError: an answer is not finite.
+        """
+        tick_s, found = sequences.protocol.tick_s, []
+        for number in range(len(sequences)):
+            self.forget()
+            before_rad, none = sequences.before_rad[number], np.zeros(sequences.arm.cable_count)
+            still = np.zeros_like(before_rad[0])
+            for tick, set_point in enumerate(before_rad, start=-len(before_rad)):
+                self.tare()
+                self.estimate(none, set_point, still, still, tick * tick_s)
+            self.tare()
+            tension_n, *set_points = (values[number] for values in sequences.inputs)
+            ticks = zip(tension_n, *set_points, np.arange(len(tension_n)) * tick_s, strict=True)
+            found.append([self.estimate(*now) for now in ticks])
+        return Estimates(*(np.array([[e[k] for e in row] for row in found]) for k in range(8)))
+
 
 class MultiEstimates(NamedTuple):
     """B estimates of an arm with N segments, all (B, N).
@@ -295,7 +326,7 @@ class MultiEstimates(NamedTuple):
     magnitude_std_n: Array
 
 
-class MultiEstimator(OpenedModel):
+class MultiEstimator(ContactEstimator):
     """A multi-contact model, opened."""
 
     outputs = MULTI_OUTPUTS
@@ -308,4 +339,4 @@ class MultiEstimator(OpenedModel):
         Raises:
             EstimateError: wrong shape, not finite, or a command that is missing.
         """
-        return MultiEstimates(*self._answers(tension_differences_n, joint_commands_rad))
+        return MultiEstimates(*self._batch(tension_differences_n, joint_commands_rad))

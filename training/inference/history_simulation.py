@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -41,7 +42,6 @@ from cablesense_training.inference.estimator import (
     SequenceEstimator,
     finite_table,
 )
-from cablesense_training.inference.session import ModelSession
 
 if TYPE_CHECKING:
     from cablesense_training.data.sequences import Sequences
@@ -384,8 +384,8 @@ class HistoryEstimator(SequenceEstimator):
 
     outputs = OUTPUTS
 
-    def __init__(self, session: ModelSession) -> None:
-        super().__init__(session)
+    def __init__(self, path: str | Path, arm: Arm | None = None) -> None:
+        super().__init__(path, arm)
         self._simulation = HistorySimulation(self.metadata.arm, self.metadata.tare_samples)
         self._tared, self._last_s = False, -np.inf
 
@@ -430,7 +430,7 @@ class HistoryEstimator(SequenceEstimator):
             self._last_s = time_s
         else:
             freed_n = difference_n - self._simulation.history_n
-        answers = [each[0] for each in self._answers(freed_n, command_rad)]
+        answers = [each[0] for each in self._batch(freed_n, command_rad)]
         left = Estimate.of_outputs(answers)
         touched, (along_n, across_n) = self._simulation.touched, self._simulation.hidden_n
         half_n = float(np.hypot(NORMAL_95 * left.magnitude_std_n, along_n))

@@ -9,10 +9,10 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from cablesense_base import CableSenseError
 from cablesense_base.installation import BundledFiles
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of
+from cablesense_training.errors import ModelFileError
 
 FORMAT = "cablesense-model/1"
 """Name and version of the format; a reader refuses any other."""
@@ -28,6 +28,18 @@ UNITS = {
 }
 """Unit of every input and output."""
 
+BALANCE_UNITS = {
+    "tension_difference_n": "N",
+    "joint_command_rad": "rad",
+    "torque_n_m": "N·m",
+    "precision": "1/(N·m)²",
+    "by_force_m": "m",
+    "by_place": "1",
+    "by_twist": "1",
+    "residual": "1",
+}
+"""The same of a model of contacts anywhere."""
+
 SEQUENCE_UNITS = {
     **UNITS,
     "joint_speed_rad_s": "rad/s",
@@ -38,6 +50,10 @@ SEQUENCE_UNITS = {
 }
 """The same of a model with memory."""
 
+ModelKind = Literal["single-contact", "multi-contact", "contact-anywhere"]
+ANYWHERE: ModelKind = "contact-anywhere"
+"""The kind of models whose contacts may be at any place."""
+
 HISTORY_SIMULATED = "history-simulated"
 """The network whose files are of an arm that is simulated together with the real one."""
 
@@ -45,10 +61,6 @@ _KEY = "cablesense"
 MISFIT_KEY = "cablesense_misfit"
 
 _Finite = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-
-
-class ModelFileError(CableSenseError):
-    """A model file that does not fit: what it is, and what was needed."""
 
 
 class MisfitLimit(BaseModel):
@@ -74,11 +86,12 @@ class MisfitLimit(BaseModel):
 
 
 class ModelMetadata(BaseModel):
-    """What a model was made for and how; one JSON text in the ONNX file's metadata.
+    """Purpose and origin of a model; one JSON text in the ONNX file's metadata.
 
     Attributes:
         format: `FORMAT`.
-        kind: single contact with direction, or several contacts with magnitudes.
+        kind: single contact with direction, several contacts with magnitudes, both at the contact
+            points of the arm file; or the statics of contacts anywhere.
         network: the network's name, as `cablesense train --network` takes it.
         arm: the whole arm description.
         arm_identity: name and hash of that arm.
@@ -102,7 +115,7 @@ class ModelMetadata(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     format: str = FORMAT
-    kind: Literal["single-contact", "multi-contact"]
+    kind: ModelKind
     network: str
     arm: Arm
     arm_identity: str
@@ -170,13 +183,6 @@ class ModelMetadata(BaseModel):
                 f"{source}: states arm {metadata.arm_identity[:80]!r} but describes "
                 f"{metadata.arm.identity}; the file was altered, so train the model again"
             )
-        for key in ("cable_names", "joint_names"):
-            stated, right = getattr(metadata, key), getattr(metadata.arm, key)
-            if stated != right:
-                raise ModelFileError(
-                    f"{source}: {key} are {', '.join(stated)[:200]!r}; its arm has "
-                    f"{', '.join(right)}, so train the model again"
-                )
         versions = effect_versions(metadata.arm)
         for name in sorted({*versions, *metadata.effect_versions}):
             trained_on, version = metadata.effect_versions.get(name, 1), versions.get(name, 1)
@@ -209,6 +215,12 @@ _BUNDLED = BundledFiles("model", "models", (".onnx",), ModelFileError)
 def bundled_models() -> list[str]:
     """Names of the bundled models, for example `cdsm`; baselines are in `peers/`."""
     return _BUNDLED.names()
+
+
+def default_model(arm_name: str) -> str:
+    """The name of the bundled model for an arm: of contacts anywhere if there is one."""
+    anywhere = f"{arm_name}_anywhere"
+    return anywhere if anywhere in bundled_models() else arm_name
 
 
 def find_model(name_or_path: str | Path) -> Path:

@@ -1,32 +1,35 @@
-"""A model file opened: checked, tried, and ready to run on one processor core."""
+"""A model opened: tried, run for any number of samples, or quickly for one after another.
+
+For single samples, inputs and outputs are bound once to buffers that stay where they are, which
+spares ONNX Runtime's looking up of names, and the making of arrays, at every sample. The graph is
+split into three parts by how often their results change. Commands change seldom, the set of slack
+cables now and then, tensions a thousand times a second. The part that depends on the command
+alone is *steady*; what depends on the command and on one named tensor is *held* while that tensor
+stays the same; the rest is *moving*, and computes that tensor too.
+"""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 import onnx
+import onnx.utils
 import onnxruntime
+from onnx import GraphProto, ModelProto, TensorProto
 
 from cablesense_base import Array
-from cablesense_base.files import read_bounded_bytes, write_atomically
 from cablesense_sim.arm import Arm
-from cablesense_training.inference.metadata import (
-    MISFIT_KEY,
-    MisfitLimit,
-    ModelFileError,
-    ModelMetadata,
+from cablesense_training.errors import ModelFileError
+from cablesense_training.inference.metadata import ModelMetadata
+from cablesense_training.inference.model_file import (
+    one_line,
+    read_model,
+    require_bounded,
+    widen_constants,
 )
-from cablesense_training.inference.model_safety import require_bounded, require_harmless
-
-MAX_FILE_BYTES = 64 * 1024 * 1024
-"""Models are a fraction of a megabyte; a file beyond this is not one."""
-
-_FEW = 64
-"""Shorter constants are not worth a cast."""
 
 _ROWS_AT_ONCE = 2048
 """A pose-aware graph holds some tens of kilobytes per sample while it runs."""
@@ -45,60 +48,70 @@ TAUT = "taut"
 """A further output of some models: 1 for taut cables, 0 for slack ones."""
 
 
-@dataclass(frozen=True)
-class ModelSession:
-    """An ONNX model whose metadata has been read, and which has answered once.
+def input_widths(metadata: ModelMetadata) -> dict[str, int]:
+    """The inputs of a model with these metadata, and the width of each."""
+    joints = metadata.arm.joint_count
+    widths = {TENSION: metadata.arm.cable_count}
+    if metadata.pose_aware:
+        widths[COMMAND] = joints
+    if metadata.memory:
+        widths |= {SPEED: joints, ACCELERATION: joints, STATE: metadata.memory}
+    return widths
+
+
+class OpenedModel:
+    """A model whose file has been checked, and which has answered once; for one thread at a time.
 
     Attributes:
-        source: the file, for messages.
-        metadata: what the file states about itself.
+        metadata: the model's description, as its file has it.
         model: the graph.
-        outputs: names of what it answers.
+        beside: the further outputs of the model: `TAUT` or `INTERVAL`, or none.
     """
 
-    source: str
-    metadata: ModelMetadata
-    model: onnx.ModelProto
-    outputs: tuple[str, ...]
-    _whole: onnxruntime.InferenceSession
+    outputs: ClassVar[Sequence[str]]
+
+    def __init__(self, path: str | Path, arm: Arm | None = None) -> None:
+        self._source = str(path)
+        self.model, self.metadata = read_model(path)
+        widen_constants(self.model.graph)
+        made_for = self.metadata
+        if arm is not None and not _fits(made_for.arm, arm):
+            raise ModelFileError(
+                f"{path}: made for arm {made_for.arm_identity}, not for {arm.identity}; "
+                "train one for this arm with `cablesense train --arm`"
+            )
+        given = [output.name for output in self.model.graph.output]
+        self.beside = given[len(self.outputs) :]
+        if given != [*self.outputs, *self.beside] or self.beside not in ([], [TAUT], [INTERVAL]):
+            raise ModelFileError(
+                f"{path}: a {made_for.kind} model that gives {', '.join(given)[:400]}; "
+                f"needed are {', '.join(self.outputs)}"
+            )
+        try:
+            require_bounded(self.model, self._source)
+            self._whole = open_session(self.model)
+        except ModelFileError:
+            raise
+        except Exception as error:  # ONNX Runtime and onnx raise a family of their own each
+            raise _cannot_run(self._source, error) from error
+        self._require_answers()
 
     @classmethod
-    def open(
-        cls, path: str | Path, outputs: Sequence[str], arm: Arm | None = None
-    ) -> ModelSession:
-        """Read a model file that gives `outputs` and, where an arm is named, fits it.
+    def load(cls, path: str | Path, arm: Arm | None = None) -> Self:
+        """Open a model file, for a certain arm where one is given.
 
         A model made for the same arm without its effects or some of them, whatever that is named,
         fits as well: it answers without knowledge of the others.
 
         Raises:
-            ModelFileError: unreadable, not ONNX, not a CableSense model, other outputs, or for
-                another arm.
+            ModelFileError: the file is no model of this kind, or not one for this arm.
         """
-        source = str(path)
-        model, metadata = read_model(path)
-        widen_constants(model.graph)
-        if arm is not None and not _fits(metadata.arm, arm):
-            raise ModelFileError(
-                f"{source}: made for arm {metadata.arm_identity}, not for {arm.identity}; "
-                "train one for this arm with `cablesense train --arm`"
-            )
-        _require_signature(model, metadata, outputs, source)
-        try:
-            require_bounded(model, source)
-            session = cls(source, metadata, model, tuple(outputs), open_session(model))
-        except ModelFileError:
-            raise
-        except Exception as error:  # ONNX Runtime and onnx raise a family of their own each
-            raise cannot_run(source, error) from error
-        session._require_answers()
-        return session
+        return cls(path, arm)
 
     @property
-    def beside(self) -> list[str]:
-        """The further outputs of the model: `TAUT` or `INTERVAL`."""
-        given = [entry.name for entry in self.model.graph.output]
-        return [name for name in (TAUT, INTERVAL) if name in given]
+    def pose_aware(self) -> bool:
+        """Whether the model needs the commanded joint angles."""
+        return self.metadata.pose_aware
 
     def run(
         self, inputs: Mapping[str, Array], outputs: Sequence[str] | None = None
@@ -115,11 +128,19 @@ class ModelSession:
             try:
                 parts.append(self._whole.run(list(outputs or self.outputs), part))
             except Exception as error:  # ONNX Runtime's classes have no common base
-                raise cannot_run(self.source, error) from error
+                raise _cannot_run(self._source, error) from error
         return [np.concatenate(answers) for answers in zip(*parts, strict=True)]
 
+    def single_run(self) -> SingleRun:
+        """The model as it answers for one sample at a time.
+
+        Raises:
+            ModelFileError: it answers for two samples, but its parts cannot for one.
+        """
+        return SingleRun(self.model, self.metadata.arm, self.outputs, self._source)
+
     def _require_answers(self) -> None:
-        """A file that opens may still not run; two idle arms at once show it."""
+        """A file that opens may still not run or take other inputs; two idle arms show it."""
         arm, segments = self.metadata.arm, self.metadata.arm.segment_count
         shapes: dict[str, tuple[int, ...]] = {
             "contact_probability": (segments + 1,),
@@ -127,6 +148,12 @@ class ModelSession:
             INTERVAL: (2,),
             NEXT_STATE: (self.metadata.memory,),
             TAUT: (arm.cable_count,),
+            "torque_n_m": (arm.joint_count,),
+            "precision": (arm.joint_count, arm.joint_count),
+            "by_force_m": (segments, 3, arm.joint_count),
+            "by_place": (segments, 3, arm.joint_count),
+            "by_twist": (segments, arm.joint_count),
+            "residual": (arm.cable_count,),
         }
         if self.metadata.kind == "multi-contact":
             shapes |= dict.fromkeys(self.outputs, (segments,))
@@ -134,109 +161,12 @@ class ModelSession:
         idle = {name: np.zeros((2, width)) for name, width in input_widths(self.metadata).items()}
         for name, answer in zip(names, self.run(idle, names), strict=True):
             shape = (2, *shapes.get(name, ()))
-            if answer.dtype != np.float64 or answer.shape != shape:
+            fits = answer.dtype == np.float64 and answer.shape == shape
+            if not fits or not np.isfinite(answer).all():
                 raise ModelFileError(
-                    f"{self.source}: gives {name} as {answer.dtype} of shape {answer.shape} for "
-                    f"two samples; needed is float64 of shape {shape}"
+                    f"{self._source}: gives {name} as {answer.dtype} of shape {answer.shape} for "
+                    f"two idle arms, or not finite; needed are finite numbers, float64 of {shape}"
                 )
-            if not np.isfinite(answer).all():
-                raise ModelFileError(
-                    f"{self.source}: gives {name} that is not finite for an arm at rest; "
-                    "train it again"
-                )
-
-
-def input_widths(metadata: ModelMetadata) -> dict[str, int]:
-    """The inputs of a model with these metadata, and the width of each."""
-    joints = metadata.arm.joint_count
-    widths = {TENSION: metadata.arm.cable_count}
-    if metadata.pose_aware:
-        widths[COMMAND] = joints
-    if metadata.memory:
-        widths |= {SPEED: joints, ACCELERATION: joints, STATE: metadata.memory}
-    return widths
-
-
-def read_model(path: str | Path) -> tuple[onnx.ModelProto, ModelMetadata]:
-    """The graph in a model file, and what the file states about itself; nothing is run.
-
-    Raises:
-        ModelFileError: unreadable, not ONNX, or not a CableSense model.
-    """
-    content = read_bounded_bytes(path, MAX_FILE_BYTES, "a model file (.onnx)", ModelFileError)
-    try:
-        model = onnx.load_model_from_string(content)
-        require_harmless(model, str(path))
-        onnx.checker.check_model(model)
-    except ModelFileError:
-        raise
-    except Exception as error:  # protobuf and onnx raise whatever the broken place led to
-        raise ModelFileError(
-            f"{path}: not a valid ONNX file ({_line(error)}); needed is a model file, "
-            "as `cablesense train` writes it"
-        ) from error
-    properties = {entry.key: entry.value for entry in model.metadata_props}
-    return model, ModelMetadata.from_properties(properties, str(path))
-
-
-def store_as_single(graph: onnx.GraphProto) -> None:
-    """Store constants in float32 where that loses nothing, each followed by a cast to float64.
-
-    A network is trained in float32 and answers in float64, so this halves its file.
-    """
-    casts, kept = [], []
-    for constant in graph.initializer:
-        values = onnx.numpy_helper.to_array(constant)
-        single = values.astype(np.float32)
-        if values.dtype != np.float64 or values.size < _FEW or not (single == values).all():
-            kept.append(constant)
-            continue
-        kept.append(onnx.numpy_helper.from_array(single, f"{constant.name}_single"))
-        names = [kept[-1].name], [constant.name]
-        casts.append(onnx.helper.make_node("Cast", *names, to=onnx.TensorProto.DOUBLE))
-    nodes = [*casts, *graph.node]
-    del graph.initializer[:], graph.node[:]
-    graph.initializer.extend(kept)
-    graph.node.extend(nodes)
-
-
-def widen_constants(graph: onnx.GraphProto) -> None:
-    """Undo `store_as_single`: a constant behind a cast would be a result in a split graph."""
-    single = {constant.name: constant for constant in graph.initializer}
-    for node in list(graph.node):
-        if node.op_type == "Cast" and node.input[0] in single:
-            values = onnx.numpy_helper.to_array(single[node.input[0]]).astype(np.float64)
-            single[node.input[0]].CopyFrom(onnx.numpy_helper.from_array(values, node.output[0]))
-            graph.node.remove(node)
-
-
-def replace_misfit_limit(path: Path, limit: MisfitLimit | None) -> None:
-    """Put another limit of the misfit, or none, into a model file; all else of it stays.
-
-    Raises:
-        ModelFileError: no model file, or it cannot be written.
-    """
-    model, _ = read_model(path)
-    write_atomically(path, _with_misfit_limit(model, limit), ModelFileError)
-
-
-def model_sha256(path: str | Path) -> str:
-    """SHA-256 of a model file without its limit of the misfit, which no estimate follows from.
-
-    Raises:
-        ModelFileError: no model file.
-    """
-    model, _ = read_model(path)
-    return hashlib.sha256(_with_misfit_limit(model, None)).hexdigest()
-
-
-def _with_misfit_limit(model: onnx.ModelProto, limit: MisfitLimit | None) -> bytes:
-    kept = [entry for entry in model.metadata_props if entry.key != MISFIT_KEY]
-    del model.metadata_props[:]
-    model.metadata_props.extend(kept)
-    if limit is not None:
-        model.metadata_props.add(key=MISFIT_KEY, value=limit.model_dump_json())
-    return model.SerializeToString()
 
 
 def _fits(made_for: Arm, arm: Arm) -> bool:
@@ -246,42 +176,13 @@ def _fits(made_for: Arm, arm: Arm) -> bool:
     return known.identity == arm.nominal.identity and lacks_some
 
 
-def _require_signature(
-    model: onnx.ModelProto, metadata: ModelMetadata, outputs: Sequence[str], source: str
-) -> None:
-    given = [output.name for output in model.graph.output]
-    if given not in (list(outputs), [*outputs, TAUT], [*outputs, INTERVAL]):
-        raise ModelFileError(
-            f"{source}: a {metadata.kind} model that gives {', '.join(given)}; "
-            f"needed are {', '.join(outputs)}"
-        )
-    needed = {name: ("DOUBLE", [0, width]) for name, width in input_widths(metadata).items()}
-    kinds = {number: name for name, number in onnx.TensorProto.DataType.items()}
-    found = {}
-    for entry in model.graph.input:
-        tensor = entry.type.tensor_type
-        kind = kinds.get(tensor.elem_type, f"type {tensor.elem_type}")
-        found[entry.name] = kind, [dim.dim_value for dim in tensor.shape.dim]
-    if found != needed:
-        shown, right = (
-            ", ".join(f"{name} ({kind} {dims})" for name, (kind, dims) in listed.items())
-            for listed in (found, needed)
-        )
-        raise ModelFileError(
-            f"{source}: takes {shown[:400]}; its metadata need {right} (0: any number)"
-        )
+def _cannot_run(source: str, error: Exception) -> ModelFileError:
+    return ModelFileError(
+        f"{source}: ONNX Runtime cannot run it ({one_line(error)}); train it again"
+    )
 
 
-def cannot_run(source: str, error: Exception) -> ModelFileError:
-    """The error for a model on which ONNX Runtime gave up."""
-    return ModelFileError(f"{source}: ONNX Runtime cannot run it ({_line(error)}); train it again")
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]
-
-
-def open_session(model: onnx.ModelProto) -> onnxruntime.InferenceSession:
+def open_session(model: ModelProto) -> onnxruntime.InferenceSession:
     """A session of a model or a part of one, on one thread and silent."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
@@ -290,3 +191,153 @@ def open_session(model: onnx.ModelProto) -> onnxruntime.InferenceSession:
     return onnxruntime.InferenceSession(
         model.SerializeToString(), options, providers=["CPUExecutionProvider"]
     )
+
+
+class GraphParts(NamedTuple):
+    """Parts of one graph; a part's outputs are inputs of later parts, by the same names.
+
+    Attributes:
+        steady: from the inputs that do not change; None where there is nothing in it to keep.
+        held: from those, the steady part and the held tensor; None likewise.
+        moving: from all that and the changing input to the graph's outputs.
+    """
+
+    steady: ModelProto | None
+    held: ModelProto | None
+    moving: ModelProto
+
+
+def split_graph(model: ModelProto, changing: str, held: str | None = None) -> GraphParts:
+    """Split a model by whether its tensors depend on the input `changing`, or only on `held`.
+
+    `held` names a tensor that depends on `changing`; without it there is no held part.
+    """
+    graph = model.graph
+    direct = _reached(graph, {changing}, stop=held)
+    through_held = _reached(graph, {held} if held else set()) - direct
+    moving_nodes = [node for node in graph.node if direct.intersection(node.output)]
+    held_nodes = [node for node in graph.node if through_held.intersection(node.output)]
+    final = [output.name for output in graph.output]
+    made = {name for node in graph.node for name in node.output if name}
+
+    def taken(from_these: set[str], *later: onnx.NodeProto) -> list[str]:
+        names = [name for node in later for name in node.input] + final
+        return [name for name in dict.fromkeys(names) if name in from_these]
+
+    steady_out = taken(made - direct - through_held, *held_nodes, *moving_nodes)
+    held_out = taken(made & through_held, *moving_nodes)
+    if not steady_out and not held_out:
+        return GraphParts(None, None, model)
+    extractor = onnx.utils.Extractor(_typed(model, made))
+    fixed = [entry.name for entry in graph.input if entry.name != changing]
+    known = [*fixed, *steady_out]
+    return GraphParts(
+        extractor.extract_model(fixed, steady_out) if steady_out else None,
+        extractor.extract_model([*known, str(held)], held_out) if held_out else None,
+        extractor.extract_model([changing, *known, *held_out], final),
+    )
+
+
+def _reached(graph: GraphProto, sources: set[str], stop: str | None = None) -> set[str]:
+    """Tensors that depend on `sources`; the dependence is not followed through `stop`."""
+    reached = set(sources)
+    for node in graph.node:
+        if any(name in reached and name != stop for name in node.input):
+            reached.update(node.output)
+    return reached
+
+
+def _typed(model: ModelProto, made: set[str]) -> ModelProto:
+    """The model with a type for every tensor (unknown ones are doubles), and no shape.
+
+    Shapes would let ONNX Runtime fuse operators differently, and so change last digits.
+    """
+    typed = onnx.shape_inference.infer_shapes(model)
+    kinds = {v.name: v.type.tensor_type.elem_type for v in typed.graph.value_info}
+    del typed.graph.value_info[:]
+    typed.graph.value_info.extend(
+        onnx.helper.make_tensor_value_info(name, kinds.get(name) or TensorProto.DOUBLE, None)
+        for name in sorted(made.difference(output.name for output in typed.graph.output))
+    )
+    return typed
+
+
+_Bound = tuple[onnxruntime.InferenceSession, onnxruntime.IOBinding]
+
+
+class SingleRun:
+    """A model bound to buffers of one sample; not for use from several threads at once.
+
+    Attributes:
+        tension_difference_n: (M,) to be filled in before `run`.
+        outputs: the model's outputs without the samples' axis, overwritten by `run`.
+    """
+
+    def __init__(self, model: ModelProto, arm: Arm, outputs: Sequence[str], source: str) -> None:
+        self._source = source
+        self._buffers = {
+            TENSION: np.zeros((1, arm.cable_count)),
+            COMMAND: np.zeros((1, arm.joint_count)),
+            TAUT: np.ones((1, arm.cable_count)),
+        }
+        self._taut = b""
+        try:
+            tells_taut = any(output.name == TAUT for output in model.graph.output)
+            parts = split_graph(model, TENSION, TAUT if tells_taut else None)
+            self._steady, self._held, self._moving = (
+                None if part is None else self._bound(open_session(part)) for part in parts
+            )
+        except Exception as error:  # onnx and ONNX Runtime have families of their own
+            raise _cannot_run(source, error) from error
+        self.tension_difference_n: Array = self._buffers[TENSION][0]
+        answers = [self._buffers[name] for name in outputs]
+        self.outputs: list[Array] = [answer.reshape(answer.shape[1:]) for answer in answers]
+
+    def _bound(self, session: onnxruntime.InferenceSession) -> _Bound:
+        """A part with its inputs and outputs in this run's buffers; new outputs get new ones."""
+        inputs = {entry.name: self._buffers[entry.name] for entry in session.get_inputs()}
+        names = [entry.name for entry in session.get_outputs()]
+        for name, value in zip(names, session.run(names, inputs), strict=True):
+            self._buffers.setdefault(name, value)
+        binding = session.io_binding()
+        for bind, bound in ((binding.bind_input, inputs), (binding.bind_output, names)):
+            for name in bound:
+                buffer = self._buffers[name]
+                bind(name, "cpu", 0, buffer.dtype.type, buffer.shape, buffer.ctypes.data)
+        return session, binding
+
+    def set_command(self, joint_command_rad: Array) -> None:
+        """Take over what the graph makes of commanded angles (1, 2N) alone.
+
+        Raises:
+            ModelFileError: ONNX Runtime cannot run the model.
+        """
+        self._buffers[COMMAND][:] = joint_command_rad
+        self._run(self._steady)
+        self._taut = b""
+
+    def run(self) -> None:
+        """Answer for `tension_difference_n` at the command last set, into `outputs`.
+
+        The answer stands if the cables found taut are those that the held part was computed for.
+
+        Raises:
+            ModelFileError: ONNX Runtime cannot run the model.
+        """
+        self._run(self._moving)
+        if self._held is None:
+            return
+        taut = self._buffers[TAUT].tobytes()
+        if taut != self._taut:
+            self._run(self._held)
+            self._run(self._moving)
+            self._taut = taut
+
+    def _run(self, part: _Bound | None) -> None:
+        if part is None:
+            return
+        session, binding = part
+        try:
+            session.run_with_iobinding(binding)
+        except Exception as error:  # ONNX Runtime's classes have no common base
+            raise _cannot_run(self._source, error) from error

@@ -9,23 +9,25 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from cablesense_base import Array
 from cablesense_sim.arm import Arm
+from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import (
     OUTPUTS,
     Estimate,
     Estimates,
     Estimator,
     SequenceEstimator,
-    finite_answers,
     finite_table,
 )
 from cablesense_training.inference.history_simulation import HistoryEstimator
-from cablesense_training.inference.metadata import HISTORY_SIMULATED
+from cablesense_training.inference.metadata import ANYWHERE, HISTORY_SIMULATED
+from cablesense_training.inference.model_file import read_model
 from cablesense_training.inference.session import (
     ACCELERATION,
     COMMAND,
@@ -33,9 +35,10 @@ from cablesense_training.inference.session import (
     SPEED,
     STATE,
     TENSION,
-    ModelSession,
-    read_model,
 )
+
+if TYPE_CHECKING:
+    from cablesense_training.data.sequences import Sequences
 
 
 @dataclass(frozen=True)
@@ -89,38 +92,7 @@ LONGEST_GAP_S, _LONGEST_GAP_TICKS = 1.0, 2.0
 _EARLY = 0.25
 """Share of a tick by which a sample may be early: stamps jitter."""
 
-
-class TickClock:
-    """Counts the whole ticks of a model between samples, whenever these come.
-
-    Args:
-        tick_s: how long a tick is.
-    """
-
-    def __init__(self, tick_s: float) -> None:
-        self._tick_s = tick_s
-        self._last_s: float | None = None
-
-    def ticks(self, time_s: float) -> int | None:
-        """How many ticks a sample at this time completes; none without a history to continue.
-
-        It ends where time runs back by over half a tick, or leaps by more than `LONGEST_GAP_S` and
-        two ticks.
-        """
-        if self._last_s is None:
-            return None
-        passed_s = time_s - self._last_s
-        longest_s = max(LONGEST_GAP_S, _LONGEST_GAP_TICKS * self._tick_s)
-        if not -0.5 * self._tick_s <= passed_s <= longest_s:
-            return None
-        return max(0, math.floor(passed_s / self._tick_s + _EARLY))
-
-    def advance(self, time_s: float, ticks: int | None) -> None:
-        """Advance to a time, with the number of ticks that `ticks` gave for it."""
-        if self._last_s is None or ticks is None:
-            self._last_s = time_s
-        else:  # from where the tick is due, not from where it came: early ones would add up
-            self._last_s += ticks * self._tick_s
+_INPUTS = (TENSION, COMMAND, SPEED, ACCELERATION)
 
 
 class TemporalEstimator(SequenceEstimator):
@@ -132,20 +104,17 @@ class TemporalEstimator(SequenceEstimator):
 
     outputs = TEMPORAL_OUTPUTS
 
-    def __init__(self, session: ModelSession) -> None:
-        super().__init__(session)
-        self._stated = [*OUTPUTS, *session.beside]
-        arm, memory = self.metadata.arm, self.metadata.memory
-        self._layout = TemporalState.of_size(
-            memory, self.metadata.hidden, arm.cable_count, arm.joint_count
-        )
-        self._state = np.zeros((1, memory))
-        self._clock = TickClock(self.metadata.tick_s)
+    def __init__(self, path: str | Path, arm: Arm | None = None) -> None:
+        super().__init__(path, arm)
+        self._stated = [*OUTPUTS, *self.beside, NEXT_STATE]
+        size = self.metadata.arm.cable_count, self.metadata.arm.joint_count
+        self._layout = TemporalState.of_size(self.metadata.memory, self.metadata.hidden, *size)
+        self.forget()
 
     def forget(self) -> None:
         """Begin without a past."""
-        self._state = np.zeros_like(self._state)
-        self._clock = TickClock(self.metadata.tick_s)
+        self._state = np.zeros((1, self.metadata.memory))
+        self._last_s: float | None = None
 
     def tare(self) -> None:
         """Tension differences count from now on; what commands have drawn before stays known."""
@@ -163,12 +132,13 @@ class TemporalEstimator(SequenceEstimator):
 
         The state advances by whole ticks of the model, at the model's rate and not at that of the
         samples; one that comes sooner is answered from the state of the last tick and leaves it
-        alone. Where `TickClock` has the past end, a new one begins.
+        alone. The past ends where time runs back by over half a tick, or leaps by more than
+        `LONGEST_GAP_S` and two ticks.
 
         Raises:
             EstimateError: a wrong shape, or numbers that are not finite.
         """
-        ticks = self._clock.ticks(time_s)
+        ticks = self._ticks_until(time_s)
         if ticks is None:
             self.forget()
         joints = self.metadata.arm.joint_count
@@ -180,56 +150,47 @@ class TemporalEstimator(SequenceEstimator):
         }
         answers = [self._state]
         for _ in range(ticks or 1):
-            answers = self._answers_of({**inputs, STATE: answers[-1]})
+            answers = self.answers({**inputs, STATE: answers[-1]}, self._stated)
         if ticks != 0:
             self._state = answers[-1]
-            self._clock.advance(time_s, ticks)
+            # from where the tick is due, not from where it came: early ones would add up
+            if self._last_s is None or ticks is None:
+                self._last_s = time_s
+            else:
+                self._last_s += ticks * self.metadata.tick_s
         return Estimate.of_outputs([answer[0] for answer in answers[:-1]])
 
-    def estimate_sequences(
-        self,
-        tension_differences_n: Array,
-        joint_commands_rad: Array,
-        joint_speeds_rad_s: Array,
-        joint_accelerations_rad_s2: Array,
-        before_rad: Array,
-    ) -> Estimates:
-        """Estimates (S, T) of S sequences of T ticks side by side, inputs (S, T, …).
+    def _ticks_until(self, time_s: float) -> int | None:
+        """How many ticks a sample at this time completes; none without a history to continue."""
+        if self._last_s is None:
+            return None
+        tick_s, passed_s = self.metadata.tick_s, time_s - self._last_s
+        longest_s = max(LONGEST_GAP_S, _LONGEST_GAP_TICKS * tick_s)
+        if not -0.5 * tick_s <= passed_s <= longest_s:
+            return None
+        return max(0, math.floor(passed_s / tick_s + _EARLY))
 
-        Set-points (S, W, 2N) precede the samples, one a tick; the tare is that of the first tick.
-        The estimator's own state is left alone.
-
-        Raises:
-            EstimateError: an answer is not finite.
-        """
-        inputs = {
-            TENSION: tension_differences_n,
-            COMMAND: joint_commands_rad,
-            SPEED: joint_speeds_rad_s,
-            ACCELERATION: joint_accelerations_rad_s2,
-        }
-        still = np.zeros_like(joint_commands_rad[:, 0])
+    def estimate_sequences(self, sequences: Sequences) -> Estimates:
+        """See the base class; sequences go side by side, and the own state is left alone."""
+        tension_n, command_rad, *_ = sequences.inputs
+        still = np.zeros_like(command_rad[:, 0])
         state = np.zeros((len(still), self.metadata.memory))
-        for set_point in [*before_rad.swapaxes(0, 1), joint_commands_rad[:, 0]]:
-            idle = {TENSION: np.zeros_like(tension_differences_n[:, 0]), COMMAND: set_point}
-            idle |= {SPEED: still, ACCELERATION: still}
-            state = self._session.run({**_contiguous(idle), STATE: state}, [NEXT_STATE])[-1]
+        for set_point in [*sequences.before_rad.swapaxes(0, 1), command_rad[:, 0]]:
+            idle = np.zeros_like(tension_n[:, 0]), set_point, still, still
+            state = self.run(_named(idle, state), [NEXT_STATE])[-1]
         state = self._layout.tared(state)
         ticks = []
-        for tick in range(tension_differences_n.shape[1]):
-            now = _contiguous({name: values[:, tick] for name, values in inputs.items()})
-            *answer, state = self._answers_of({**now, STATE: state})
+        for tick in range(command_rad.shape[1]):
+            now = tuple(values[:, tick] for values in sequences.inputs)
+            *answer, state = self.answers(_named(now, state), self._stated)
             ticks.append(answer)
         answers = [np.stack(parts, axis=1) for parts in zip(*ticks, strict=True)]
         return Estimates.of_outputs(answers)
 
-    def _answers_of(self, inputs: dict[str, Array]) -> list[Array]:
-        """The stated outputs, and the next state last."""
-        return finite_answers(self._session, inputs, [*self._stated, NEXT_STATE])
 
-
-def _contiguous(inputs: dict[str, Array]) -> dict[str, Array]:
-    return {k: np.ascontiguousarray(values, dtype=np.float64) for k, values in inputs.items()}
+def _named(inputs: tuple[Array, ...], state: Array) -> dict[str, Array]:
+    named = dict(zip(_INPUTS, map(np.ascontiguousarray, inputs), strict=True))
+    return {**named, STATE: state}
 
 
 def open_estimator(path: str | Path, arm: Arm | None = None) -> Estimator | SequenceEstimator:
@@ -241,4 +202,6 @@ def open_estimator(path: str | Path, arm: Arm | None = None) -> Estimator | Sequ
     _, metadata = read_model(path)
     if metadata.network == HISTORY_SIMULATED:
         return HistoryEstimator.load(path, arm)
+    if metadata.kind == ANYWHERE:
+        return AnywhereEstimator.load(path, arm)
     return (TemporalEstimator if metadata.memory else Estimator).load(path, arm)

@@ -106,8 +106,37 @@ class JointBalance(NamedTuple):
     commanded_m: Tensor
 
 
+class TruePose(NamedTuple):
+    """An arm of B samples where it stands, with what it was commanded; joints as `JointBalance`.
+
+    Attributes:
+        pose, commanded: kinematics there and at the command.
+        normal_cross: `CompactKinematics.normal_cross` of the command.
+        lever: (B, N, 2, 2N) as in `JointBalance`.
+        taut: (B, M, 1) one for taut cables, zero for slack ones.
+        tension_n: (B, M, 1).
+        torque_n_m: (B, 2N, 1) torques of the environment on the joints.
+        gram_inverse: (B, 2N, 2N) covariance of the torques, inverted, for readings of variance 1.
+        residual_m: (B, M, 1) stretch by the readings, less that by the pose.
+    """
+
+    pose: CompactPose
+    commanded: CompactPose
+    normal_cross: Tensor
+    lever: Tensor
+    taut: Tensor
+    tension_n: Tensor
+    torque_n_m: Tensor
+    gram_inverse: Tensor
+    residual_m: Tensor
+
+
 class ClosedForm(nn.Module):
     """Candidates from tension differences (B, M) and commanded joint angles (B, 2N), float64.
+
+    Attributes:
+        pose_slack_weight: that of a slack cable's length in the fit of the pose, over that of a
+            taut one.
 
     Args:
         mechanism: the arm.
@@ -138,6 +167,7 @@ class ClosedForm(nn.Module):
         sensor_n2 = max(reading_variance_n2, 1e-12)
         self.reading_variance_n2 = sensor_n2 + unexplained_n2
         self.pose_corrections = pose_corrections
+        self.pose_slack_weight = SLACK_WEIGHT
         self.slack_below_n = 4.0 * sensor_n2**0.5
         compliance = 1.0 / mechanism.stiffness_n_m
         self.register_buffer("compliance_m_n", torch.as_tensor(compliance[:, None]))
@@ -165,37 +195,58 @@ class ClosedForm(nn.Module):
 
     def balance(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> JointBalance:
         """Torques of the environment on the joints at the true pose."""
+        found = self.true_pose(tension_difference_n, joint_command_rad)
+        return JointBalance(
+            lever=found.lever,
+            precision=found.gram_inverse * (1.0 / self.reading_variance_n2),
+            torque_n_m=found.torque_n_m,
+            taut=found.taut[..., 0],
+            tension_n=found.tension_n,
+            jacobian_t_m=found.pose.jacobian_t_m,
+            commanded_m=found.commanded.span_m.sum((1, 2)),
+        )
+
+    def true_pose(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> TruePose:
+        """Where the arm stands, by the stretches of its taut cables."""
         angles, commanded, normal_cross = self.at_command(joint_command_rad)
         unloaded_tension, unloaded_torque = self.unloaded(angles, commanded, normal_cross)
 
         tension = tension_difference_n[:, :, None] + unloaded_tension
         taut = (tension > self.slack_below_n).to(tension.dtype)
         tension = tension * taut
-        weight = taut * (1.0 - SLACK_WEIGHT) + SLACK_WEIGHT
+        weight = taut * (1.0 - self.pose_slack_weight) + self.pose_slack_weight
         stretch = (tension - self._at_command_n(angles, commanded)) * self.compliance_m_n
-        pose = commanded
+        pose, stretched = commanded, 0.0 * stretch
         inverse_gram = gram_inverse(commanded.jacobian_t_m, weight)
         for step in range(self.pose_corrections):
             if step:
-                stretched = (pose.span_m - commanded.span_m).sum((1, 2))[..., None]
                 inverse_gram = gram_inverse(pose.jacobian_t_m, weight)
-                moved = inverse_gram @ (pose.jacobian_t_m @ (weight * (stretch - stretched)))
+                missing = stretch - stretched
+                # a slack cable may hang as loosely as the pose leaves it
+                missing = taut * missing + (1.0 - taut) * missing.clamp(max=0.0)
+                moved = inverse_gram @ (pose.jacobian_t_m @ (weight * missing))
             else:
                 moved = inverse_gram @ (pose.jacobian_t_m @ (weight * stretch))
             angles = angles + moved
             pose = self.kinematics(angles)
+            stretched = (pose.span_m - commanded.span_m).sum((1, 2))[..., None]
+        if self.pose_slack_weight != SLACK_WEIGHT:
+            weight = taut * (1.0 - SLACK_WEIGHT) + SLACK_WEIGHT
+            inverse_gram = gram_inverse(pose.jacobian_t_m, weight)
         lever, weight_torque = self.kinematics.levers(pose, normal_cross)
         torque = pose.jacobian_t_m @ tension - weight_torque - unloaded_torque
         if self.springy:
             torque = torque + self.spring_n_m_rad * angles
-        return JointBalance(
-            lever=lever,
-            precision=inverse_gram * (1.0 / self.reading_variance_n2),
-            torque_n_m=torque,
-            taut=taut[..., 0],
-            tension_n=tension,
-            jacobian_t_m=pose.jacobian_t_m,
-            commanded_m=commanded.span_m.sum((1, 2)),
+        return TruePose(
+            pose,
+            commanded,
+            normal_cross,
+            lever,
+            taut,
+            tension,
+            torque,
+            inverse_gram,
+            stretch - stretched,
         )
 
     def at_command(self, joint_command_rad: Tensor) -> tuple[Tensor, CompactPose, Tensor]:

@@ -141,6 +141,49 @@ class CompactKinematics(nn.Module):
         return torques[:, :n], torques[:, n, 0, :, None]
 
 
+class AxialLevers(nn.Module):
+    """Joint torques of forces along all axes of a segment, at its joint centre and by the place.
+
+    Args:
+        kinematics: of the arm.
+        mechanism: the arm.
+    """
+
+    centre_map: Tensor
+    beyond: Tensor
+
+    def __init__(self, kinematics: CompactKinematics, mechanism: Mechanism) -> None:
+        super().__init__()
+        n = mechanism.segment_count
+        self.segment_count = n
+        reach = np.zeros((n, n, n))
+        for joint in range(n):
+            for segment in range(joint, n):
+                reach[joint:segment, segment, joint] = mechanism.segment_length_m[joint:segment]
+        centres = np.concatenate([reach, reach], axis=-1).reshape(n, 2 * n * n)
+        beyond = np.tril(np.ones((n, n)))
+        self.register_buffer("centre_map", torch.as_tensor(centres))
+        self.register_buffer("beyond", torch.as_tensor(np.hstack([beyond, beyond])[:, None]))
+        self.kinematics = kinematics
+
+    def forward(self, pose: CompactPose, frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """(B, N, 3, 2N) torques of unit forces at the joint centres, and their slope by the place.
+
+        Forces are along the axes of other `frames` (B, 3, 3N + 3), places along those of the pose.
+        Third are the torques (B, N, 2N) of unit moments about the segments' axes of the pose.
+        """
+        n = self.segment_count
+        axes = frames[:, :, 3:].transpose(1, 2)
+        crossed = (axes @ self.kinematics.cross).reshape(-1, 3 * n, 3, 3).transpose(1, 2)
+        joints = pose.frames.index_select(2, self.kinematics.joint_axes)
+        turned = (crossed.reshape(-1, 9 * n, 3) @ joints).reshape(-1, 3, n, 3, 2 * n)
+        along = pose.frames.index_select(2, self.kinematics.segment_axes)
+        centres = (along @ self.centre_map).reshape(-1, 3, n, 1, 2 * n)
+        outward = along.reshape(-1, 3, n, 1, 1) * self.beyond
+        twist = (along.transpose(1, 2) @ joints) * self.beyond[:, 0]
+        return (turned * centres).sum(1), (turned * outward).sum(1), twist
+
+
 def _span_map(mechanism: Mechanism, rotation: Matrix) -> Matrix:
     """(3 · N · M, 9N): features to squared span, and halves of its derivatives by pitch and yaw.
 

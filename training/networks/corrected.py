@@ -1,14 +1,9 @@
-"""The closed form, weighed and corrected by a small network: the estimator that CableSense ships.
+"""The closed form, weighed and corrected by a small network: the estimators that CableSense ships.
 
 Statics gives one candidate per segment with its information. Little remains to be learnt: how much
 its evidence counts against "no contact", where many slack cables bend the estimate, and how wide
 the error really is. Corrections are counted in standard deviations of the closed form and bounded,
 so that an arm unlike the training data still gets an answer by statics.
-
-The closed form contains the effects on the arm itself: masses, stiffness, holes, springs, contact
-points, while the actuators hold the lengths of the arm without them; so is what sensors that do
-not err by the past make of tensions. No closed form knows history-dependent effects and the
-actuators; they count as spread of the readings.
 """
 
 from __future__ import annotations
@@ -16,112 +11,25 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from cablesense_base import Array
 from cablesense_sim.arm import Arm
-from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.effects.registry import actuations, amended, sensings, transmissions
-from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
-from cablesense_sim.load_capacity import contact_range_n
-from cablesense_sim.replay import difference_variance_n2
-from cablesense_training.data.generation import draw_dataset
-from cablesense_training.data.history import sensed_along_n
-from cablesense_training.data.protocols import SingleContact
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.history_simulation import depends_on_history, without_history
 from cablesense_training.inference.metadata import HISTORY_SIMULATED
-from cablesense_training.networks.closed_form import Candidates, ClosedForm, pose_corrections_for
+from cablesense_training.networks.closed_form import Candidates, ClosedForm, inverse, own_blocks
 from cablesense_training.networks.layers import (
+    ContactNetwork,
+    MultiContactOutput,
     SingleContactOutput,
     StatedSpread,
     one_hot_of_argmax,
+    perceptron,
 )
 from cablesense_training.networks.second_order import SecondOrderClosedForm
-from cablesense_training.networks.single_contact import SingleContactNetwork
-
-_JUDGED_SAMPLES, _BORNE_BENT = 256, 0.5
-"""How many contacts spread is judged on, and up to which share of what the straight arm bears."""
-_LEAST_CORRECTIONS_OF_ANOTHER_GEOMETRY = 2
-
-
-def exact_statics(
-    arm: Arm,
-    tare_samples: int,
-    pose_corrections: int | None = None,
-    unexplained_n2: float | None = None,
-) -> ClosedForm:
-    """The closed form of an arm, with as many pose corrections as it calls for, or as given.
-
-    `unexplained_n2` is what no statics carries, N²; by default what the arm's effects make of it.
-    """
-    nominal = mechanism_of(arm)
-    mechanism = amended(nominal, entries_of(arm))
-    # where holes are elsewhere, the held lengths are not the arm's own
-    own_lengths = (
-        mechanism.segment_hole_y_m is None
-        and np.array_equal(mechanism.hole_y_m, nominal.hole_y_m)
-        and np.array_equal(mechanism.hole_z_m, nominal.hole_z_m)
-    )
-    if pose_corrections is None:
-        pose_corrections = pose_corrections_for(mechanism)
-        if not own_lengths:
-            pose_corrections = max(pose_corrections, _LEAST_CORRECTIONS_OF_ANOTHER_GEOMETRY)
-    return ClosedForm(
-        mechanism,
-        difference_variance_n2(arm.sensors, tare_samples),
-        pose_corrections,
-        unexplained_variance_n2(arm) if unexplained_n2 is None else unexplained_n2,
-        None if own_lengths else nominal,
-    )
-
-
-def statics(
-    arm: Arm, tare_samples: int, unexplained_n2: float | None = None
-) -> ClosedForm | SecondOrderClosedForm:
-    """`exact_statics` of an arm; to second order where that is enough, which is faster."""
-    exact = exact_statics(arm, tare_samples, unexplained_n2=unexplained_n2)
-    if exact.springy or exact.held_by is not None or exact.pose_corrections > 1:
-        return exact
-    return SecondOrderClosedForm(exact)
-
-
-def unexplained_variance_n2(arm: Arm) -> float:
-    """Mean square of what the arm's effects make of tension differences and statics does not."""
-    entries = entries_of(arm)
-    if not (actuations([entries]) or transmissions([entries]) or sensings([entries])):
-        return 0.0
-    force_high_n = _BORNE_BENT * contact_range_n(arm)
-    protocol = SingleContact(
-        samples=_JUDGED_SAMPLES, pose="random", force_high_n=force_high_n, noise=False
-    )
-    drawn = draw_dataset(arm, protocol)
-    nominal = mechanism_of(arm)
-    mechanism, held = amended(nominal, entries), held_lengths_m(nominal, drawn.command_rad)
-    loaded, unloaded = (
-        solve_equilibrium(mechanism, drawn.command_rad, forces, held_m=held).tensions_n
-        for forces in (drawn.forces_n, np.zeros_like(drawn.forces_n))
-    )
-    differences_n, unread = drawn.tension_difference_n, unreading(arm)
-    if unread is not None:
-        differences_n = differences_n @ unread
-    return float(((differences_n - (loaded - unloaded)) ** 2).mean())
-
-
-def unreading(arm: Arm) -> Array | None:
-    """(M, M) by which rows of tension differences as read become those of the tensions.
-
-    At rest, for differences as small as a newton; None where readings are tensions.
-    """
-    count = arm.cable_count
-    tensions_n = arm.cables.pretension_n + np.vstack([np.zeros(count), np.eye(count)])
-    nothing, *each = sensed_along_n(entries_of(arm), np.zeros(1), tensions_n[None])[0]
-    gains = np.array(each) - nothing
-    return None if np.allclose(gains, np.eye(count)) else np.linalg.inv(gains)
-
+from cablesense_training.networks.statics import exact_statics, statics, unreading
 
 LOG_PRIOR = -2.0 * math.log(200.0)
 """Of a contact: uniform over the disc of forces up to 200 N, but for pi."""
@@ -130,7 +38,7 @@ LARGEST_CORRECTION = 1.0
 """In standard deviations of the closed form."""
 
 
-class CorrectedClosedForm(SingleContactNetwork):
+class CorrectedClosedForm(ContactNetwork):
     """Single contact from tension differences (B, M) and joint commands (B, 2N), in float64.
 
     Args:
@@ -228,36 +136,24 @@ class CorrectedClosedForm(SingleContactNetwork):
         return information * trust, occam + self.segment_bias
 
 
-class PlainClosedForm(CorrectedClosedForm):
+def plain_closed_form(arm: Arm, tare_samples: int) -> CorrectedClosedForm:
     """The baseline: statics at the commanded pose; nothing in it is trained."""
-
-    @classmethod
-    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> PlainClosedForm:
-        """The closed form of an arm that is assumed to stand where it is commanded."""
-        network = cls(arm, exact_statics(arm, tare_samples, pose_corrections=0))
-        return network.requires_grad_(False)
+    network = CorrectedClosedForm(arm, exact_statics(arm, tare_samples, pose_corrections=0))
+    return network.requires_grad_(False)
 
 
-class WithoutHistory(CorrectedClosedForm):
-    """Behind a simulation that takes the arm's history out of the readings; trained as the base.
+def closed_form_without_history(arm: Arm, tare_samples: int) -> CorrectedClosedForm:
+    """For what `inference.history_simulation` leaves of an arm's readings; trained as any other.
 
-    See `inference.history_simulation`.
+    Raises:
+        TrainingError: nothing in the arm file depends on history.
     """
-
-    @classmethod
-    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> WithoutHistory:
-        """The network of an arm without what depends on its history.
-
-        Raises:
-            TrainingError: nothing does.
-        """
-        if not depends_on_history(arm):
-            raise TrainingError(
-                f"network {HISTORY_SIMULATED} is for an arm file that lists friction, creep, "
-                f"backlash or lagging sensors; {arm.identity} does not"
-            )
-        settled = without_history(arm)
-        return cls(settled, statics(settled, tare_samples))
+    if not depends_on_history(arm):
+        raise TrainingError(
+            f"network {HISTORY_SIMULATED} is for an arm file that lists friction, creep, "
+            f"backlash or lagging sensors; {arm.identity} does not"
+        )
+    return CorrectedClosedForm.for_arm(without_history(arm), tare_samples)
 
 
 def _length(rows: Tensor) -> Tensor:
@@ -278,3 +174,80 @@ def _square_root(matrix: Tensor) -> Tensor:
     trace = (matrix[..., 0, 0] + matrix[..., 1, 1])[..., None, None]
     identity = torch.eye(2, dtype=matrix.dtype)
     return (matrix + root_det * identity) / torch.sqrt(trace + 2.0 * root_det)
+
+
+UNTOUCHED_PRECISION = 1e6
+"""Information, 1/N², that an untouched segment's force is zero: it cannot exceed a millinewton."""
+
+_FORCE_SCALE_N = 60.0
+_WEAKEST_N = 1e-3
+
+
+class MultiContactClosedForm(ContactNetwork):
+    """Which segments are touched, and how hard, for tension differences and commands, float64.
+
+    N segments with two force components each are 2N unknowns for 2N joint torques: solvable,
+    without redundancy. A segment is touched where its force is too large for its own uncertainty.
+    A second fit, over the touched segments alone, has redundancy again and is more precise.
+
+    Args:
+        closed_form: statics of the arm.
+    """
+
+    several: ClassVar[bool] = True
+    pose_aware: ClassVar[bool] = True
+
+    def __init__(self, closed_form: ClosedForm, width: int = 32) -> None:
+        cables = closed_form.kinematics.cable_count
+        segments = closed_form.kinematics.segment_count
+        super().__init__(cables, segments)
+        self.spread = StatedSpread(segments)
+        self.closed_form = closed_form
+        self.trust = nn.Parameter(torch.full((segments,), 0.5))
+        self.bias = nn.Parameter(torch.full((segments,), -6.0))
+        self.widen = perceptron(2 * segments + cables, (width,))
+        self.log_widen = nn.Linear(width, segments)
+        nn.init.zeros_(self.log_widen.weight)
+        nn.init.zeros_(self.log_widen.bias)
+        self.double()
+
+    @classmethod
+    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> MultiContactClosedForm:
+        """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
+        return cls(exact_statics(arm, tare_samples))
+
+    def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
+        """Only the loss needs a scale, and counts magnitudes in the sensors' own noise."""
+        self.magnitude.std.fill_(self.closed_form.reading_variance_n2**0.5)
+
+    def forward(
+        self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
+    ) -> MultiContactOutput:
+        """See the base class; the commanded angles are needed."""
+        assert joint_command_rad is not None
+        n = self.segment_count
+        balance = self.closed_form.balance(
+            tension_difference_n.double(), joint_command_rad.double()
+        )
+        lever = balance.lever.reshape(-1, 2 * n, 2 * n)
+        weighted = lever @ balance.precision
+        information = weighted @ lever.transpose(1, 2)
+        pull = weighted @ balance.torque_n_m
+        covariance = inverse(information)
+        # chi² of each segment's own two components, the others unknown
+        together = covariance @ pull
+        own, pairs = own_blocks(covariance, n), together.reshape(-1, n, 2, 1)
+        significance = (pairs * (inverse(own) @ pairs)).sum((2, 3))
+        logits = self.trust * significance + self.bias
+        touched = (logits > 0.0).to(pull.dtype)
+        held = ((1.0 - touched) * UNTOUCHED_PRECISION)[:, :, None].expand(-1, -1, 2)
+        covariance = inverse(information + torch.diag_embed(held.reshape(-1, 2 * n)))
+        force = (covariance @ pull).reshape(-1, n, 2)
+        magnitude = torch.sqrt((force * force).sum(-1) + _WEAKEST_N**2)
+        radial = (force / magnitude[..., None])[..., None]
+        variance = (radial * (own_blocks(covariance, n) @ radial)).sum((2, 3))
+        std = torch.sqrt(variance.clamp(min=0.0) + 1e-6)
+        features = [magnitude / _FORCE_SCALE_N, touched, balance.taut]
+        hidden = self.widen(torch.cat(features, dim=-1).detach())
+        scale = torch.exp(torch.tanh(self.log_widen(hidden)))
+        return MultiContactOutput(logits, magnitude, std.detach() * scale * self.spread.factor)

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar, Generic, NamedTuple, TypeVar
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 
 def perceptron(inputs: int, widths: Sequence[int]) -> nn.Sequential:
@@ -24,34 +23,11 @@ def perceptron(inputs: int, widths: Sequence[int]) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
-class GatedLayer(nn.Module):
-    """SiLU(W x + a) times (V x + b), elementwise: a layer that can multiply its inputs.
-
-    An unknown pose changes tensions by a product of angles and forces, which a plain layer can
-    only approximate. Shazeer, GLU Variants Improve Transformer, 2020 (there: SwiGLU).
-    """
-
-    def __init__(self, inputs: int, width: int) -> None:
-        super().__init__()
-        self.gate = nn.Linear(inputs, width)
-        self.value = nn.Linear(inputs, width)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Features (B, width) of inputs (B, inputs)."""
-        return functional.silu(self.gate(x)) * self.value(x)
-
-
 def one_hot_of_argmax(logits: Tensor) -> Tensor:
     """One-hot code (B, K) of the likeliest class, equation (10); no gradient passes through it."""
     winner = logits.argmax(dim=-1, keepdim=True)
     classes = torch.arange(logits.shape[-1], device=logits.device)
     return (classes == winner).to(logits.dtype)
-
-
-def tension_norm_n(tension_difference_n: Tensor) -> Tensor:
-    """Length (B, 1) of the tension differences, kept off zero by 1 mN, so safe to divide by."""
-    squared = (tension_difference_n * tension_difference_n).sum(dim=-1, keepdim=True)
-    return torch.sqrt(squared + 1e-6)
 
 
 class SingleContactOutput(NamedTuple):
@@ -102,32 +78,6 @@ class StatedSpread(nn.Module):
         self.register_buffer("factor", torch.ones(outputs))
 
 
-class Spread(StatedSpread):
-    """Standard deviations (B, outputs) from the answering network's hidden features.
-
-    The features arrive detached, so the likelihood that trains this head leaves the answers
-    alone. The length of the tension difference joins them, because sensor noise makes directions
-    of weak forces uncertain as its inverse. The likelihood alone does not make 95 % intervals
-    hold where errors have heavy tails; `factor` does.
-    """
-
-    unit: Tensor
-
-    def __init__(self, features: int, outputs: int, width: int = 48) -> None:
-        super().__init__(outputs)
-        self.hidden = perceptron(features + 1, (width, width))
-        self.log_std = nn.Linear(width, outputs)
-        self.register_buffer("unit", torch.ones(outputs))
-
-    def forward(self, features: Tensor, tension_difference_n: Tensor) -> Tensor:
-        """Standard deviations (B, outputs) from features (B, F) and tension differences (B, M)."""
-        length = torch.log(tension_norm_n(tension_difference_n))
-        hidden = self.hidden(torch.cat([features.detach(), length], dim=-1))
-        log_std = self.log_std(hidden).clamp(-9.0, 6.0)
-        std: Tensor = torch.exp(log_std) * self.unit * self.factor
-        return std
-
-
 class Standardiser(nn.Module):
     """`(x - mean) / std` per column, and back; `adapt` sets these buffers from training data."""
 
@@ -157,26 +107,26 @@ class Standardiser(nn.Module):
         return physical
 
 
-Output = TypeVar("Output", SingleContactOutput, MultiContactOutput)
-
-
-class ContactNetwork(nn.Module, ABC, Generic[Output]):
+class ContactNetwork(nn.Module, ABC):
     """Raw tension differences in newtons in, contacts in physical units out.
 
     Attributes:
+        several: whether any number of segments may be touched at once, or one at most.
         pose_aware: whether `forward` needs the commanded joint angles.
         magnitude: scaling of the force magnitudes in the loss.
-        spread: head for the stated standard deviations.
+        spread: head for the stated standard deviations: of the N magnitudes, or of (magnitude,
+            N; angle, degrees).
     """
 
+    several: ClassVar[bool] = False
     pose_aware: ClassVar[bool] = False
     spread: StatedSpread
 
-    def __init__(self, cable_count: int, segment_count: int, magnitudes: int) -> None:
+    def __init__(self, cable_count: int, segment_count: int) -> None:
         super().__init__()
         self.cable_count = cable_count
         self.segment_count = segment_count
-        self.magnitude = Standardiser(magnitudes)
+        self.magnitude = Standardiser(segment_count if self.several else 1)
 
     @abstractmethod
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
@@ -185,5 +135,8 @@ class ContactNetwork(nn.Module, ABC, Generic[Output]):
     @abstractmethod
     def forward(
         self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
-    ) -> Output:
-        """Answers for tension differences (B, M) and, if pose-aware, joint commands (B, 2N)."""
+    ) -> Any:
+        """A `MultiContactOutput` if `several`, else a `SingleContactOutput`.
+
+        It is for tension differences (B, M) and, if pose-aware, joint commands (B, 2N).
+        """

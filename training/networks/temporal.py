@@ -26,12 +26,13 @@ from cablesense_sim.arm import Arm
 from cablesense_training.inference.estimator import NORMAL_95
 from cablesense_training.inference.temporal_estimator import TemporalState
 from cablesense_training.networks.closed_form import NUDGE_N, ClosedForm, JointBalance, inverse
-from cablesense_training.networks.corrected import LOG_PRIOR, exact_statics
+from cablesense_training.networks.corrected import LOG_PRIOR
 from cablesense_training.networks.layers import (
     SingleContactOutput,
     Standardiser,
     one_hot_of_argmax,
 )
+from cablesense_training.networks.statics import exact_statics
 
 GIVES_M = (2e-5, 2e-4, 2e-3)
 """Lengths of cable drawn from the middle of a stop operator to its end."""
@@ -88,7 +89,7 @@ class DrawnCables:
         return torch.cat([shares, lengths, set_point, shares, set_point, known], dim=-1)
 
     def seen(self, past: Tensor) -> Tensor:
-        """What a network is shown of a past: shares now and at the tare, set-point at the tare."""
+        """The network's view of a past: shares now and at the tare, set-point at the tare."""
         shares, _, _, shares_tared, set_point_tared, _ = past.split(self._parts, dim=-1)
         return torch.cat([shares, shares_tared, _PER_RAD * set_point_tared], dim=-1)
 
@@ -138,7 +139,7 @@ class Statement(NamedTuple):
 
 
 class StatedInterval(nn.Module):
-    """What can be stated of an answer: whether it is a contact, and where its force lies.
+    """The statement about an answer: whether it is a contact, and where its force lies.
 
     Friction makes errors lopsided: a load that falls is read late, one that rises is not. And a
     network is surer of the data that it has learnt from than of others. After the network is
@@ -217,6 +218,7 @@ class TemporalNetwork(nn.Module):
         memory: size of the state that is carried from tick to tick.
     """
 
+    several: ClassVar[bool] = False
     pose_aware: ClassVar[bool] = True
 
     def __init__(self, arm: Arm, closed_form: ClosedForm, hidden: int = 96) -> None:

@@ -1,1 +1,1 @@
-"""Effects of a robot, in modules by what they act on; `catalogue.known_effects` finds them."""
+"""Effects of a robot; `amending.known_effects` finds them."""

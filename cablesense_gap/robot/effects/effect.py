@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -54,29 +55,34 @@ class RobotEffect(EffectDescription):
     """Base of all effects of a robot.
 
     Attributes:
+        at: the kind of places where it can be, `arm` for the whole robot.
+        adds: the array of `Change` to which its one number is added, unless `act` does otherwise.
         in_model: whether MJCF has a place for it.
-        withheld: whether `gap withhold` hides it.
         presliding_forward: whether the forward comparison uses its presliding displacement too.
         of_zeros: whether it cannot be identified if each trial has its own encoder zeros.
     """
 
     source: ClassVar[str] = "Siciliano et al., Robotics: Modelling, Planning and Control, 2009"
+    at: ClassVar[Literal["joints", "bodies", "tendons", "arm"]] = "joints"
+    adds: ClassVar[str] = ""
     in_model: ClassVar[bool] = True
-    withheld: ClassVar[bool] = True
     presliding_forward: ClassVar[bool] = False
     of_zeros: ClassVar[bool] = False
 
     def places(self, robot: Robot) -> tuple[str, ...]:
-        """Joints, bodies or tendons where it can be, or `arm` for the whole robot."""
-        return robot.joints
+        """Where it can be."""
+        names: dict[str, tuple[str, ...]] = {
+            "joints": robot.joints, "bodies": robot.bodies, "tendons": robot.tendons,
+        }  # fmt: skip
+        return names.get(self.at, (WHOLE_ARM,))
 
+    @abstractmethod
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
         """Its numbers, with ranges and typical sizes on this robot and recording."""
-        raise NotImplementedError
 
     def act(self, change: Change, at: int, values: Values) -> None:
         """Change the robot; `at` is the index of the place in `places`."""
-        raise NotImplementedError
+        getattr(change, self.adds)[at] += sum(values.values())
 
 
 def joint_unit(robot: Robot, form: str) -> str:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.report.style import FLOOR, GRID
+from cablesense_gap.report.style import GRID
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.dynamics import ArmDynamics
@@ -35,7 +35,7 @@ PERIOD_S = 4.0
 _PRETENSION_N = 50.0
 _STEP_S = 1e-3
 _SLIGHT_SHARE = 0.1
-"""What counts as a slight change of the pretension; the paper gives no number."""
+"""The limit of a slight change of the pretension; the paper gives no number."""
 
 
 def trajectory_rad(time_s: Array, joint_count: int) -> Array:
@@ -132,12 +132,10 @@ def trajectory(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
         "period_s": PERIOD_S,
     }
     time_s, short_um = without_weight.time_s, 1e6 * without_weight.short_m
-    tension = "cable tension, N", _PRETENSION_N
     return numbers, {
         "fig_9a_joints": _joint_figure(without_weight),
-        "fig_9a_tensions": _cable_figure(time_s, without_weight.tension_n, *tension),
+        "fig_9a_tensions": _cable_figure(time_s, without_weight.tension_n, "cable tension, N"),
         "fig_9b_actuators": _cable_figure(time_s, short_um, "command less position, µm"),
-        "fig_9_with_weight": _cable_figure(time_s, with_weight.tension_n, *tension),
     }
 
 
@@ -195,12 +193,10 @@ def _joint_figure(motion: _Motion) -> Any:
     return figure
 
 
-def _cable_figure(time_s: Array, values: Array, label: str, level: float | None = None) -> Any:
+def _cable_figure(time_s: Array, values: Array, label: str) -> Any:
     figure, axes = one_panel(3.1)
     plot_by_cable(axes, time_s[::10], values[::10], lw=1.3)
     axes.set(ylabel=label, xlim=(0.0, time_s[-1]))
-    if level is not None:
-        axes.axhline(level, color=FLOOR, lw=1.0)
     figure.legend(loc="outside right center")
     return figure
 
@@ -217,7 +213,7 @@ _CABLES = np.arange(1, 10)
 
 
 def table_2(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
-    """All six loads by statics and by MuJoCo stepped to rest, beside the rows of the table."""
+    """All six loads by statics and by MuJoCo stepped to rest, with the rows of the table."""
     table = read_table2()
     physical_n, paper_n = (
         np.stack([row.tension_difference_n for row in table if row.source == source])
@@ -268,10 +264,7 @@ def table_2(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
             for name, d in differences.items()
         ],
     }
-    return numbers, {
-        "table_2_loads": _load_figure(names, (physical_n, paper_n, ours_n)),
-        "table_2_slopes": _slope_figure(slopes_off_n),
-    }
+    return numbers, {"table_2_loads": _load_figure(names, (physical_n, paper_n, ours_n))}
 
 
 def _by_statics_n(loads: Sequence[tuple[int, float]]) -> Array:
@@ -326,19 +319,4 @@ def _load_figure(names: list[str], three_n: tuple[Array, ...]) -> Any:
     figure.supxlabel("cable (1 to 3 end on segment 1, 4 to 6 on 2, 7 to 9 on 3)", fontsize=9.5)
     figure.supylabel("change of tension, N", fontsize=9.5)
     figure.legend(loc="outside upper right", ncols=3)
-    return figure
-
-
-def _slope_figure(off_n: Array) -> Any:
-    figure, axes = one_panel(2.9, width=0.72, grid="y")
-    axes.axhspan(-_SLOPE_LIMIT_N, _SLOPE_LIMIT_N, color=GRID, lw=0)
-    for point, (mark, colour) in enumerate(zip("osD", (BLUE, ORANGE, BLACK), strict=True)):
-        axes.plot(
-            _CABLES + 0.2 * (point - 1), off_n[point], mark, color=colour, ms=5.5,
-            label=f"load on segment {point + 1}",
-        )  # fmt: skip
-    axes.axhline(0.0, color=BLACK, lw=0.7)
-    axes.set(xlabel="cable", ylabel="ours less the paper’s, N", xticks=_CABLES)
-    axes.set_ylim(-1.4 * _SLOPE_LIMIT_N, 1.4 * _SLOPE_LIMIT_N)
-    figure.legend(loc="outside right center")
     return figure

@@ -1,4 +1,4 @@
-"""Fig. 6, section II-E and equation (2): what friction does to a cable over a cylinder.
+"""Fig. 6, section II-E and equation (2): the effect of friction on a cable over a cylinder.
 
 `stepped_tensions_n` steps Fig. 3 (c) in time by MuJoCo under several laws of friction;
 `quasi_static_tensions_n` is the same by this project's own effect `capstan_friction`.
@@ -13,7 +13,6 @@ import mujoco
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.report.style import FLOOR
 from cablesense_sim.cable_chain import CableChains
 from examples.paper.cables import (
     AXIAL_RIGIDITY_N,
@@ -24,7 +23,7 @@ from examples.paper.cables import (
     around_a_cylinder,
     drive_direction,
 )
-from examples.paper.drawing import BLACK, BLUE, DASHES, GREY, ORANGE, SERIES, one_panel, panels
+from examples.paper.drawing import BLACK, BLUE, GREY, ORANGE, SERIES, one_panel, panels
 from examples.paper.study import Figures, Numbers, Progress
 
 _STICK_STIFFNESS_N_M = 5e8
@@ -32,7 +31,7 @@ _STICK_STIFFNESS_N_M = 5e8
 
 
 class Friction(StrEnum):
-    """What holds the piece of cable on the cylinder.
+    """The friction that holds the piece of cable on the cylinder.
 
     NONE: nothing. FRICTIONLOSS: MuJoCo's dry friction, a constraint, as it comes; the paper uses
     it. HARDENED: the same, the constraint as hard as MuJoCo takes it. YIELDING: MuJoCo's spring
@@ -138,7 +137,7 @@ _LAWS = tuple(Friction)[1:]
 
 
 def friction(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
-    """Loops, the sweep of equation (2), and what is left after a time at rest, on Fig. 3 (c)."""
+    """Loops, the sweep of equation (2), and the friction left at rest, on Fig. 3 (c)."""
     rest_s: float = size["rest_s"]
     path = _path_m(size["cycle_s"])
     loops = {}
@@ -156,8 +155,7 @@ def friction(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
         ]
     )
     progress(0.65)
-    held_n = {law: _held_n(law, rest_s) for law in _LAWS}
-    left = {law: float(held[-1] / held[0]) for law, held in held_n.items()}
+    left = {law: _left_of_held(law, rest_s) for law in _LAWS}
     width_n = {law: _loop_width_n(path, loops[law][:, 0]) for law in _LAWS}
     numbers = {
         "mu": _COEFFICIENT,
@@ -178,7 +176,6 @@ def friction(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
     return numbers, {
         "fig_6_hysteresis": _loop_figure(path, loops, own_n),
         "equation_2_capstan": _sweep_figure(sweep),
-        "fig_6_at_rest": _rest_figure(held_n, rest_s),
     }
 
 
@@ -200,15 +197,15 @@ def _slip_ratio(coefficient: float, wrap_rad: float) -> float:
     return float(far_n / near_n)
 
 
-def _held_n(law: Friction, rest_s: float) -> Array:
-    """T1 - T2, each step from the end of a pull into slip, with the drive at rest."""
+def _left_of_held(law: Friction, rest_s: float) -> float:
+    """T1 - T2 after a time with the drive at rest, by that at the end of the pull into slip."""
     pull = _HIGH_M * np.clip(np.arange(0.0, _PULL_S, _STEP_S) / _PULL_S, 0.0, 1.0)
     still = np.full(round((_SETTLE_S + rest_s) / _STEP_S), _HIGH_M)
-    path = np.concatenate([pull, still])
-    tensions = stepped_tensions_n(path, law, _COEFFICIENT, _WRAP_RAD)
+    tensions = stepped_tensions_n(np.concatenate([pull, still]), law, _COEFFICIENT, _WRAP_RAD)
     # a spring that yields lags by a step, which is over at once when the drive stops
     settled = len(pull) + (round(_SETTLE_S / _STEP_S) if "frictionloss" not in law else 0)
-    return np.asarray(tensions[settled:, 0] - tensions[settled:, 1])
+    held_n = tensions[settled:, 0] - tensions[settled:, 1]
+    return float(held_n[-1] / held_n[0])
 
 
 def _loop_width_n(path_m: Array, tension_n: Array) -> float:
@@ -252,15 +249,4 @@ def _sweep_figure(sweep: Array) -> Any:
         )  # fmt: skip
     axes.set(xlabel="μ θ", ylabel="T_out / T_in in slip", ylim=(0.0, 1.03), xlim=(0.0, None))
     axes.legend()
-    return figure
-
-
-def _rest_figure(held_n: dict[Friction, Array], rest_s: float) -> Any:
-    figure, axes = one_panel(3.4, width=0.62)
-    for n, (law, held) in enumerate(held_n.items()):
-        time_s = _STEP_S * np.arange(1, len(held) + 1)
-        axes.semilogx(time_s, held, color=SERIES[n], ls=DASHES[n], lw=2.0, label=law)
-    axes.axhline(0.0, color=FLOOR, lw=0.8)
-    axes.set(xlabel="time at rest, s (logarithmic)", ylabel="T1 − T2, N", xlim=(_STEP_S, rest_s))
-    axes.legend(loc="center right", bbox_to_anchor=(1.0, 0.66))
     return figure

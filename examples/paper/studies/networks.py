@@ -1,11 +1,37 @@
-"""Section III-C: how deep and wide, together or apart, and what an answer costs."""
+"""Section III-C: depth and width of networks, shared or separate trunks.
+
+Networks of many shapes are trained on the same samples and tested on the same others. A `Plan`
+states which shapes are tried and on how much, `explore` carries it out, and `TrialResults`
+compares what came out.
+"""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
 
+import pandas as pd
+import torch
+from scipy.stats import gmean
+
+from cablesense_base.workers import WorkerPool
 from cablesense_gap.report.style import plain_log_ticks
+from cablesense_sim.arm import Arm, open_arm
+from cablesense_training.data.dataset import Dataset
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.protocols import Pose, SingleContact
+from cablesense_training.evaluation.comparison import evaluate_answer
+from cablesense_training.fit import FitSettings, fit
+from cablesense_training.model_training import contact_answer
+from cablesense_training.networks.layers import ContactNetwork
+from cablesense_training.networks.learnt import (
+    DecoupledNetwork,
+    SharedBackboneNetwork,
+    TwoStageNetwork,
+)
 from examples.paper.drawing import (
     BLACK,
     BLUE,
@@ -13,27 +39,18 @@ from examples.paper.drawing import (
     GREEN,
     ORANGE,
     SERIES,
-    one_panel,
     panels,
     plain_ticks,
 )
-from examples.paper.network_trials import (
-    DECOUPLED,
-    DIRECTION,
-    FORCE,
-    FORCE_RMSE,
-    PAPER_ERRORS,
-    PAPER_SAMPLES,
-    PARAMETERS,
-    SHARED_TRUNK,
-    TWO_STAGE,
-    WRONG,
-    Plan,
-    Shape,
-    TrialResults,
-    explore,
-)
 from examples.paper.study import Figures, Numbers, Progress
+
+DECOUPLED, SHARED_TRUNK, TWO_STAGE = "decoupled", "shared trunk", "two-stage"
+"""By the paper: three separate networks, one trunk for all, contact first and force given it."""
+PAPER_SAMPLES, PAPER_BATCH_SIZE = 5_000, 64
+WRONG, DIRECTION, FORCE = "wrong, %", "direction MAE, °", "force MAE, N"
+FORCE_RMSE, PARAMETERS = "force RMSE, N", "parameters"
+PAPER_ERRORS = {WRONG: 2.0, DIRECTION: 5.96, FORCE: 9.97}
+"""The errors of the paper's single-contact network, by their names in tables and axes."""
 
 _POSES = {"straight": "straight arm", "random": "poses within ±10°, unknown"}
 _STYLES: dict[str, dict[str, Any]] = {
@@ -43,18 +60,168 @@ _STYLES: dict[str, dict[str, Any]] = {
 }
 
 
+class Shape(NamedTuple):
+    """A network: its architecture, and how deep and wide each of its trunks is.
+
+    The first stage of two has a layer less than the second.
+    """
+
+    architecture: str
+    depth: int
+    width: int
+
+
+PAPER_SHAPE = Shape(TWO_STAGE, 3, 128)
+"""The two-stage network that learns from the paper's amount of data."""
+
+Trial = dict[str, Any]
+"""One shape, trained with one seed: both, its `PARAMETERS` and its errors on the test samples."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much is tried.
+
+    Attributes:
+        depths, widths: of the decoupled networks, each with each.
+        compared_depth: at which the three architectures are compared, over all widths.
+        seeds: each shape is trained with all of them.
+        samples, batch_size, epochs: of every training.
+        test_samples: that all are tested on.
+        paper_poses: at which a network also learns from the paper's amount of data.
+        workers: most processes that train; there are no more than cores.
+    """
+
+    depths: Sequence[int]
+    widths: Sequence[int]
+    compared_depth: int
+    seeds: Sequence[int]
+    samples: int
+    batch_size: int
+    epochs: int
+    test_samples: int
+    paper_poses: Sequence[Pose]
+    workers: int
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """All that are tried: decoupled networks first, each once."""
+        others = (SHARED_TRUNK, TWO_STAGE)
+        return (
+            *(Shape(DECOUPLED, depth, width) for depth in self.depths for width in self.widths),
+            *(Shape(name, self.compared_depth, width) for name in others for width in self.widths),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class TrialResults:
+    """All trials of a plan, and networks that learnt from the paper's amount of data, by pose."""
+
+    plan: Plan
+    done: Sequence[Trial]
+    with_little_data: Mapping[Pose, Trial]
+
+    @cached_property
+    def trials(self) -> pd.DataFrame:
+        """A row for every trial; the index is its shape."""
+        return pd.DataFrame(self.done).set_index(list(Shape._fields))
+
+    @cached_property
+    def means(self) -> pd.DataFrame:
+        """Errors and parameters, mean over the seeds, by shape."""
+        by_shape = self.trials.drop(columns="seed").groupby(level=list(Shape._fields), sort=False)
+        return by_shape.mean()
+
+    def smallest_like_the_paper(self) -> Shape | None:
+        """The decoupled shape of fewest parameters that is as good as the paper in all."""
+        decoupled = self.means.xs(DECOUPLED, drop_level=False)
+        good = decoupled[list(PAPER_ERRORS)] <= list(PAPER_ERRORS.values())
+        reached = decoupled[good.all(axis=1)]
+        return None if reached.empty else Shape(*reached[PARAMETERS].idxmin())
+
+    def ratios(self, ours: str, theirs: str) -> dict[str, float]:
+        """Errors and `PARAMETERS` of one architecture over those of another.
+
+        Geometric means over the widths, at the compared depth.
+        """
+        one, other = (self.means.loc[name, self.plan.compared_depth] for name in (ours, theirs))
+        return dict(zip(one.columns, gmean(one / other).tolist(), strict=True))
+
+
 def networks(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
-    """Train every shape on the same samples of the straight arm, test, and time its answers."""
+    """Train every shape on the same samples of the straight arm, and test."""
     results = explore(Plan(**size), progress)
     return numbers_of(results), figures_of(results)
+
+
+def explore(plan: Plan, progress: Progress) -> TrialResults:
+    """Carry out a plan on the arm of the paper."""
+    arm = open_arm("cdsm")
+    training, test = _datasets(arm, SingleContact(samples=plan.samples), plan.test_samples)
+    cases = [(shape, seed) for shape in plan.shapes for seed in plan.seeds]
+    settings = FitSettings(epochs=plan.epochs, batch_size=plan.batch_size)
+    done: list[Trial] = []
+    with WorkerPool(min(plan.workers, os.cpu_count() or 1), training, test, settings) as pool:
+        for one in pool.map(trial, *zip(*cases, strict=True)):
+            done.append(one)
+            progress(0.85 * len(done) / len(cases))
+    with_little_data = {}
+    for pose in plan.paper_poses:
+        protocol = SingleContact(
+            samples=PAPER_SAMPLES, pose=pose, noise=False, no_contact_fraction=0.0
+        )
+        like_paper = FitSettings(epochs=2 * plan.epochs, batch_size=PAPER_BATCH_SIZE)
+        few = _datasets(arm, protocol, plan.test_samples)
+        with_little_data[pose] = trial(*few, like_paper, PAPER_SHAPE, 0)
+    return TrialResults(plan, done, with_little_data)
+
+
+def _datasets(arm: Arm, protocol: SingleContact, test_samples: int) -> tuple[Dataset, Dataset]:
+    """To train on, and to test on."""
+    test = replace(protocol, samples=test_samples)
+    return draw_dataset(arm, protocol, seed=0), draw_dataset(arm, test, seed=20_260_002)
+
+
+def trial(
+    training: Dataset, test: Dataset, settings: FitSettings, shape: Shape, seed: int
+) -> Trial:
+    """Train and test; on one thread, so that the same seed gives the same metrics.
+
+    The seed is that of the initial weights, the split and the order of the batches. Parameters are
+    those behind the answers; those that state the uncertainty do not count.
+    """
+    network = _built(shape, training.arm, seed)
+    fit(network, training, replace(settings, seed=seed, threads=1))
+    answer = contact_answer(network.double(), test.tension_difference_n, test.command_rad)
+    metrics = evaluate_answer(answer, test).metrics
+    parameters = (p for n, p in network.named_parameters() if not n.startswith("spread."))
+    return {
+        **shape._asdict(),
+        "seed": seed,
+        PARAMETERS: sum(part.numel() for part in parameters),
+        WRONG: 100.0 * (1.0 - metrics.contact_accuracy),
+        DIRECTION: metrics.errors.direction_mae_deg,
+        FORCE: metrics.errors.magnitude_mae_n,
+        FORCE_RMSE: metrics.errors.magnitude_rmse_n,
+    }
+
+
+def _built(shape: Shape, arm: Arm, seed: int) -> ContactNetwork:
+    """A network of that shape, with the initial weights that the seed gives."""
+    inputs, widths = (arm.cable_count, arm.segment_count), [shape.width] * shape.depth
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        if shape.architecture == TWO_STAGE:
+            return TwoStageNetwork(*inputs, widths[:-1] or widths, widths)
+        decoupled = shape.architecture == DECOUPLED
+        return (DecoupledNetwork if decoupled else SharedBackboneNetwork)(*inputs, widths)
 
 
 def numbers_of(results: TrialResults) -> Numbers:
     """All that the text of the study names, from trials of any plan's size."""
     plan, means = results.plan, results.means
     together = results.ratios(SHARED_TRUNK, DECOUPLED)
-    fewer = together[PARAMETERS]
-    pays = max(together[metric] for metric in PAPER_ERRORS) < 1.0 / fewer
+    pays = max(together[metric] for metric in PAPER_ERRORS) < 1.0 / together[PARAMETERS]
     stages = results.ratios(TWO_STAGE, SHARED_TRUNK)
     least = results.smallest_like_the_paper()
     reached = "No decoupled network tried here is as good as the paper’s in all."
@@ -73,16 +240,14 @@ def numbers_of(results: TrialResults) -> Numbers:
         "paper_samples": PAPER_SAMPLES,
         "reached": reached,
         "at_the_widest": "; ".join(
-            f"{shape.architecture} {means.loc[shape, DIRECTION]:.2f}°, "
-            f"{means.loc[shape, FORCE]:.2f} N, {cost_us:.0f} µs"
-            for shape, cost_us in results.cost_us.items()
-            if shape.width == widest
+            f"{s.architecture} {means.loc[s, DIRECTION]:.2f}°, {means.loc[s, FORCE]:.2f} N"
+            for s in plan.shapes
+            if s.depth == plan.compared_depth and s.width == widest
         ),
         "apart": _ratios({metric: 1.0 / together[metric] for metric in PAPER_ERRORS}),
         "apart_agrees": [together[metric] >= 1.0 for metric in PAPER_ERRORS],
         "together": _ratios(together),
-        "fewer": fewer,
-        "cheaper": results.cost_ratio(SHARED_TRUNK, DECOUPLED),
+        "fewer": together[PARAMETERS],
         "pays": pays,
         "pays_why": "The errors grow by less than the parameters shrink."
         if pays
@@ -91,23 +256,17 @@ def numbers_of(results: TrialResults) -> Numbers:
         "stages_agree": [stages[metric] < 1.0 for metric in (DIRECTION, FORCE)],
         "little_data": list(_little_data(results)),
         "shapes": [
-            (
-                *shape, f"{means.loc[shape, PARAMETERS]:,.0f}",
-                *means.loc[shape, list(PAPER_ERRORS)], results.cost_us.get(shape, "–"),
-            )
-            for shape in plan.shapes
+            (*s, f"{means.loc[s, PARAMETERS]:,.0f}", *means.loc[s, list(PAPER_ERRORS)])
+            for s in plan.shapes
         ],
         "little_data_rows": [
             *(
-                (
-                    _POSES[pose], 100.0 - one[WRONG],
-                    *(one[metric] for metric in (DIRECTION, FORCE, FORCE_RMSE)),
-                )
+                (_POSES[pose], 100.0 - one[WRONG], one[DIRECTION], one[FORCE], one[FORCE_RMSE])
                 for pose, one in results.with_little_data.items()
             ),
             ("the paper", "over 98", 5.96, 9.97, 14.26),
         ],
-    }  # fmt: skip
+    }
 
 
 def _layers(depth: int) -> str:
@@ -126,7 +285,7 @@ def _little_data(results: TrialResults) -> Iterator[dict[str, Any]]:
             why = (
                 "Less than the paper’s, so the amount of data alone does not make that error."
                 if ours <= theirs
-                else "More than the paper’s: with so little training data this is what is left."
+                else "More than the paper’s: the error of so little training data."
             )
             yield {
                 "pose": _POSES[pose], "what": what, "ours": ours, "theirs": theirs, "unit": unit,
@@ -135,69 +294,32 @@ def _little_data(results: TrialResults) -> Iterator[dict[str, Any]]:
 
 
 def figures_of(results: TrialResults) -> Figures:
-    """All pictures of the study; to be called in the report's style."""
-    return {
-        "networks_depth_and_width": depth_figure(results),
-        "networks_architectures": architecture_figure(results),
-        "networks_cost": cost_figure(results),
-    }
-
-
-def depth_figure(results: TrialResults) -> Any:
-    """Errors of the decoupled networks against width, a line for each depth."""
+    """Errors by width, a line for each depth; and of the three architectures by parameters."""
     plan = results.plan
-    figure, every = _metric_panels()
+    depths, every = _metric_panels()
     for axes, metric in zip(every, PAPER_ERRORS, strict=True):
         for n, depth in enumerate(plan.depths):
             shapes = [Shape(DECOUPLED, depth, width) for width in plan.widths]
-            _curve(
-                axes, plan.widths, shapes, results, metric,
-                color=SERIES[n % len(SERIES)], marker="osD^v"[n % 5], ls=DASHES[n % len(DASHES)],
-                label=_layers(depth) if axes is every[0] else "",
-            )  # fmt: skip
+            style = {"color": SERIES[n], "marker": "osD^v"[n], "ls": DASHES[n]}
+            label = _layers(depth) if axes is every[0] else ""
+            _curve(axes, plan.widths, shapes, results, metric, **style, label=label)
         axes.set(xscale="log", xlabel="width of every layer", xticks=plan.widths)
         axes.set_xticks((), minor=True)
         plain_ticks(axes.xaxis)
     every[0].plot([], [], color=BLACK, ls="--", lw=1.0, label="the paper’s network")
-    figure.legend(loc="outside upper center", ncols=1 + len(plan.depths))
-    return figure
-
-
-def architecture_figure(results: TrialResults) -> Any:
-    """Errors of the three architectures against their number of parameters."""
-    figure, every = _metric_panels()
+    depths.legend(loc="outside upper center", ncols=1 + len(plan.depths))
+    architectures, every = _metric_panels()
     for axes, metric in zip(every, PAPER_ERRORS, strict=True):
         for name, style in _STYLES.items():
-            shapes = [shape for shape in results.plan.compared if shape.architecture == name]
+            shapes = [Shape(name, plan.compared_depth, width) for width in plan.widths]
             parameters = [results.means.loc[shape, PARAMETERS] for shape in shapes]
             label = name if axes is every[0] else ""
             _curve(axes, parameters, shapes, results, metric, **style, label=label)
         axes.set(xscale="log", xlabel="thousand parameters (logarithmic)")
         plain_log_ticks(axes.xaxis)
         plain_ticks(axes.xaxis, 1e-3)
-    figure.legend(loc="outside upper center", ncols=3)
-    return figure
-
-
-def cost_figure(results: TrialResults) -> Any:
-    """Force error of the three architectures against the time of one answer."""
-    figure, axes = one_panel(3.6, width=0.72)
-    for name, style in _STYLES.items():
-        costs = {shape: us for shape, us in results.cost_us.items() if shape.architecture == name}
-        errors_n = [results.means.loc[shape, FORCE] for shape in costs]
-        axes.plot(list(costs.values()), errors_n, **style, lw=1.4, ms=7, label=name)
-        for (shape, at_us), error_n in zip(costs.items(), errors_n, strict=True):
-            axes.annotate(
-                str(shape.width), (at_us, error_n), xytext=(5, 5), textcoords="offset points",
-                fontsize=8, color=style["color"],
-            )  # fmt: skip
-    axes.set(
-        xlabel="one answer in ONNX Runtime, µs", ylabel="force MAE, N (logarithmic)", yscale="log"
-    )
-    plain_log_ticks(axes.yaxis)
-    axes.set_xlim(0.0, None)
-    figure.legend(loc="outside right center")
-    return figure
+    architectures.legend(loc="outside upper center", ncols=3)
+    return {"networks_depth_and_width": depths, "networks_architectures": architectures}
 
 
 def _metric_panels() -> tuple[Any, Any]:

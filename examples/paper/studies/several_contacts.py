@@ -25,17 +25,9 @@ from cablesense_training.evaluation.comparison import (
 from cablesense_training.evaluation.metrics import confusion_matrix
 from cablesense_training.evaluation.noise_bound import multi_contact_bound_n
 from examples.paper.boosting import BoostingSettings, MultiBoostingBaseline
-from examples.paper.drawing import (
-    BLACK,
-    DOTTED,
-    draw_confusion,
-    draw_predicted,
-    one_panel,
-    panel_grid,
-)
+from examples.paper.drawing import BLACK, DOTTED, confusion_grid, one_panel
 from examples.paper.studies.single_contact import (
     LABELS,
-    SHOWN_POINTS,
     STYLES,
     TEST_SEED,
     TRAIN_SEED,
@@ -49,7 +41,6 @@ def several_contacts(size: Numbers, progress: Progress) -> tuple[Numbers, Figure
     """None to four contacts on the straight arm, answered by the bundled models and by trees."""
     arm = open_arm(MULTI_ARM)
     test = draw_dataset(arm, multi_protocol(size["samples"]), TEST_SEED)
-    progress(0.1)
     answers = evaluate_multi_models(test)
     progress(0.3)
     training = draw_dataset(arm, multi_protocol(size["training_samples"]), TRAIN_SEED)
@@ -69,7 +60,6 @@ def several_contacts(size: Numbers, progress: Progress) -> tuple[Numbers, Figure
     metrics = {name: one.metrics for name, one in answers.items()}
     numbers = {
         "weakest_n": WEAKEST_MULTI_N,
-        "shown_points": SHOWN_POINTS,
         "recognised": 100.0 * two_stage.recognition_accuracy,
         "shipped_recognised": 100.0 * shipped.recognition_accuracy,
         "f1": two_stage.macro_f1,
@@ -96,49 +86,23 @@ def several_contacts(size: Numbers, progress: Progress) -> tuple[Numbers, Figure
     }  # fmt: skip
     return numbers, {
         "fig_13_confusion": _confusion_figure(test, answers),
-        "fig_14_magnitude": _magnitude_figure(test, answers),
         "fig_14_error_by_point": _error_figure(answers, bound_n),
     }
 
 
 def _confusion_figure(test: Dataset, answers: dict[str, MultiEvaluation]) -> Any:
     counted = ~test.contacts | (test.magnitudes_n >= WEAKEST_MULTI_N)
-    cells = {
+    matrices = {
         LABELS[name]: [
-            (confusion_matrix(truth[which], answered[which], 2), ("no", "yes"))
+            confusion_matrix(truth[which], answered[which], 2)
             for truth, answered, which in zip(
                 test.contacts.T, one.touched.T, counted.T, strict=True
             )
         ]
         for name, one in answers.items()
     }
-    labels = "answered as touched", "touched"
-    height_in = 2.1 * len(cells)
-    figure, _ = panel_grid(
-        draw_confusion, cells, _points(test), labels, height_in, width=0.78, grid=""
-    )
-    return figure
-
-
-def _magnitude_figure(test: Dataset, answers: dict[str, MultiEvaluation]) -> Any:
-    cells: dict[str, list[tuple[Any, ...]]] = {}
-    for name, one in answers.items():
-        row = cells[LABELS[name]] = []
-        for n, mae_n in enumerate(one.metrics.magnitude_mae_n):
-            touched = np.flatnonzero(test.contacts[:, n])[:SHOWN_POINTS]
-            predicted_n = np.where(one.touched[touched, n], one.magnitude_n[touched, n], 0.0)
-            true_n, note = test.magnitudes_n[touched, n], f"MAE {mae_n:.2f} N"
-            row.append((true_n, predicted_n, 60.0, note, STYLES[name]["color"]))
-    figure, every = panel_grid(
-        draw_predicted, cells, _points(test), ("actual, N", "predicted, N"),
-        2.3 * len(cells) + 0.3, sharex=True, sharey=True,
-    )  # fmt: skip
-    every[0, 0].set(xlim=(0.0, 60.0), ylim=(0.0, 65.0), xticks=(0, 20, 40, 60))
-    return figure
-
-
-def _points(test: Dataset) -> list[str]:
-    return [f"point {n + 1}" for n in range(test.contacts.shape[1])]
+    points = [f"point {n + 1}" for n in range(test.contacts.shape[1])]
+    return confusion_grid(matrices, points, ("no", "yes"), 2.1)
 
 
 def _error_figure(answers: dict[str, MultiEvaluation], bound_n: Array) -> Any:

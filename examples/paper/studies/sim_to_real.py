@@ -10,27 +10,14 @@ from typing import Any
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.report.style import (
-    AFTER,
-    BEFORE,
-    FLOOR,
-    GRID,
-    INK,
-    LEAST_N,
-    OTHER,
-    WIDTH_IN,
-    newtons,
-    percent,
-    plain_log_ticks,
-)
+from cablesense_gap.report.style import AFTER, BEFORE, GRID, INK, OTHER, newtons, percent
 from cablesense_gap.report.text import candidate_name
-from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, listed
+from cablesense_gap.verdict import NONE, UNKNOWN, listed
 from cablesense_sim.effects.registry import known_effects
 from cablesense_training.evaluation.table2 import STANDARD_GRAVITY_M_S2
 from examples.paper.drawing import GREEN, one_panel, panels
 from examples.paper.study import Figures, Numbers, Progress
 from examples.paper.table_2_gap import (
-    FOLDS,
     KINDS,
     PRIOR_UNLISTED,
     STEP_N,
@@ -48,7 +35,7 @@ _SLACK_ROW, _SLACK_SET, _SLACK_CABLE = 5, slice(3, 6), 5
 
 _SETS = {"cables 1 to 3": BEFORE, "cables 4 to 6": AFTER, "cables 7 to 9": GREEN}
 _MOST = 12
-"""Candidates that are drawn."""
+"""Candidates that are listed."""
 _UNITS = (
     ("_n_m", 1.0, "N·m"), ("_m", 1e3, "mm"), ("_rad", 57.2958, "°"), ("_n", 1.0, "N"),
     ("_kg", 1.0, "kg"),
@@ -68,7 +55,6 @@ def figures_of(found: TableDiagnosis) -> Figures:
     return {
         "sim_to_real_gap": gap_figure(found),
         "sim_to_real_proportion": proportion_figure(found),
-        "sim_to_real_candidates": candidates_figure(found.verdict),
     }
 
 
@@ -86,10 +72,6 @@ def numbers_of(found: TableDiagnosis) -> Numbers:
         (s for s in found.judged.singles if s.number.effect == "pretension_error"),
         key=lambda s: (s.number.terms[0].place != "arm", s.rmse),
     )
-    by_row, by_level = (
-        best_of_each(found.scans, measured, FOLDS[rows]) for rows in ("one row", "one load level")
-    )
-    level = {(s.number.effect, len(s.number.terms)): s.held_out_rmse for s in by_level}
     return {
         "probability": percent(verdict.probability),
         "gap": newtons(rms(gap_n)),
@@ -131,11 +113,12 @@ def numbers_of(found: TableDiagnosis) -> Numbers:
         "apart_less_constant": newtons(rms(apart_n - apart_n.mean(0))),
         "constant": ", ".join(f"{v:+.2f}" for v in apart_n.mean(0)),
         "left_rows": [
-            (
-                number_name(s.number), value_of(s), s.rmse, s.held_out_rmse,
-                level.get((s.number.effect, len(s.number.terms)), "–"),
-            )
-            for s in by_row
+            (number_name(s.number), value_of(s), s.rmse, s.held_out_rmse)
+            for s in best_of_each(found.judged.singles)
+        ],
+        "candidate_rows": [
+            (candidate_name(c.effects), c.held_out_rmse_n, percent(c.probability))
+            for c in verdict.ranked[:_MOST]
         ],
         "share_rows": [(what, 100.0 * share) for what, share in shares(found).items()],
     }  # fmt: skip
@@ -203,7 +186,7 @@ def ranked_singles(found: TableDiagnosis) -> list[Explained]:
 
 
 def best_listed_n(found: TableDiagnosis) -> float:
-    """What the best one or two listed effects leave of rows that they were not fitted to, N."""
+    """The error that the best one or two listed effects leave in held-out rows, N."""
     candidates = found.verdict.candidates
     return min(c.held_out_rmse_n for c in candidates if c.effects[0] not in (NONE, UNKNOWN))
 
@@ -243,7 +226,7 @@ def gap_figure(found: TableDiagnosis) -> Any:
 
 
 def proportion_figure(found: TableDiagnosis) -> Any:
-    """Gap under 2 kg against gap under 1 kg, beside the line of proportion."""
+    """Gap under 2 kg against gap under 1 kg, with the line of proportion."""
     figure, axes = one_panel(4.2)
     one, two = found.gap_n[:3], found.gap_n[3:]
     along = np.array([one.min() - 0.2, one.max() + 0.2])
@@ -262,45 +245,4 @@ def proportion_figure(found: TableDiagnosis) -> Any:
         axes.scatter([], [], s=36, color=OTHER, marker=mark, label=f"load on segment {point + 1}")
     axes.set(xlabel="gap under 1 kg, N", ylabel="gap under 2 kg, N")
     figure.legend(loc="outside right center")
-    return figure
-
-
-def candidates_figure(verdict: Verdict) -> Any:
-    """The most probable candidates, the verdict's in colour."""
-    import matplotlib.pyplot as plt
-
-    shown = verdict.ranked[:_MOST]
-    y = np.arange(len(shown))
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(WIDTH_IN, 1.05 + 0.27 * len(shown)),
-        sharey=True, width_ratios=(1.25, 1.0), layout="constrained",
-    )  # fmt: skip
-    for at, candidate in zip(y, shown, strict=True):
-        chosen = candidate.effects == verdict.effects
-        colour = AFTER if chosen else OTHER
-        if candidate.held_out_ci95_n is not None:
-            left.hlines(at, *np.maximum(candidate.held_out_ci95_n, LEAST_N), color=colour, lw=2.4)
-        left.scatter(max(candidate.held_out_rmse_n, LEAST_N), at, s=38, color=colour, zorder=3)
-        right.barh(at, candidate.probability, 0.62, color=colour)
-        right.text(
-            candidate.probability + 0.012, at, percent(candidate.probability), va="center",
-            weight="bold" if chosen else "normal",
-        )  # fmt: skip
-    floor_n = max(verdict.gap.floor_n, LEAST_N)
-    left.axvline(floor_n, color=FLOOR, ls="--", lw=1.2)
-    left.text(
-        floor_n, 1.01, "floor", color=FLOOR, ha="center", va="bottom",
-        transform=left.get_xaxis_transform(),
-    )  # fmt: skip
-    left.set_xscale("log")
-    plain_log_ticks(left.xaxis)
-    left.set_yticks(y, [candidate_name(candidate.effects) for candidate in shown])
-    for label, candidate in zip(left.get_yticklabels(), shown, strict=True):
-        label.set_fontweight("bold" if candidate.effects == verdict.effects else "normal")
-    left.set_ylim(len(shown) - 0.4, -0.6)
-    left.set_xlabel("RMS left on held-out trials, N (logarithmic)")
-    right.set(xlabel="probability", xlim=(0.0, 1.12), xticks=(0.0, 0.25, 0.5, 0.75, 1.0))
-    for axes in (left, right):
-        axes.tick_params(axis="y", length=0)
-        axes.grid(axis="x")
     return figure

@@ -1,4 +1,4 @@
-"""Fig. 10 to 12, section IV-B: one contact, every estimator, beside what noise allows."""
+"""Fig. 10 to 12, section IV-B: one contact, every estimator, and the limit that noise sets."""
 
 from __future__ import annotations
 
@@ -32,9 +32,7 @@ from examples.paper.drawing import (
     GREEN,
     ORANGE,
     VERMILION,
-    draw_confusion,
-    draw_predicted,
-    panel_grid,
+    confusion_grid,
     panels,
     plain_ticks,
 )
@@ -56,8 +54,6 @@ STYLES = {
         LABELS, (BLUE, ORANGE, GREEN, VERMILION), "osD^", DASHES, strict=True
     )
 }
-SHOWN_POINTS = 500
-
 TITLES = {
     "straight": "straight arm (the paper’s)",
     "random_pose": "poses within ±10°",
@@ -77,8 +73,8 @@ PAPER_DIRECTION_DEG, PAPER_MAE_N, PAPER_RMSE_N = 5.96, 9.97, 14.26
 class SettingTest:
     """One setting of `TITLES`, with those estimators of `LABELS` that there are.
 
-    The bound is what noise leaves of an efficient unbiased estimator, of all contacts and of those
-    between `FORCE_EDGES_N`.
+    The bound is the error that noise leaves to an efficient unbiased estimator, of all
+    contacts and of those between `FORCE_EDGES_N`.
     """
 
     name: str
@@ -89,15 +85,10 @@ class SettingTest:
 
     def error_by_force_n(self, estimator: str) -> Array:
         """(bins,) mean absolute magnitude error; an answer of no contact counts as 0 N."""
-        touched = self.truth.segment > 0
+        touched, answer = self.truth.segment > 0, self.tested[estimator].answer
         true_n = self.truth.magnitude_n[touched]
-        error_n = np.abs(self.predicted_n(estimator)[touched] - true_n)
+        error_n = np.abs(np.where(answer.segment > 0, answer.magnitude_n, 0.0)[touched] - true_n)
         return np.asarray(binned_statistic(true_n, error_n, "mean", FORCE_EDGES_N).statistic)
-
-    def predicted_n(self, estimator: str) -> Array:
-        """(B,) magnitudes, 0 N where the answer is no contact."""
-        answer = self.tested[estimator].answer
-        return np.where(answer.segment > 0, answer.magnitude_n, 0.0)
 
     def direction_error_deg(self, estimator: str) -> Array:
         """Absolute, of the contacts found."""
@@ -113,8 +104,7 @@ def answered_setting(
     dataset = draw_dataset(setting.arm, setting.protocol(samples), TEST_SEED)
     tested = evaluate_models(setting.models, dataset)
     if training_samples:
-        protocol = setting.protocol(training_samples)
-        training = draw_dataset(setting.arm, protocol, TRAIN_SEED)
+        training = draw_dataset(setting.arm, setting.protocol(training_samples), TRAIN_SEED)
         trees = BoostingBaseline(training, boosting).answer(dataset)
         tested[TREES] = evaluate_answer(trees, dataset)
     truth = ContactTruth.of(dataset)
@@ -124,14 +114,6 @@ def answered_setting(
     return SettingTest(
         setting.name, truth, tested, noise_bound(dataset), tuple(map(noise_bound, by_force))
     )
-
-
-def answered_as_the_paper_tests(setting: Setting, samples: int) -> dict[str, Evaluation]:
-    """The bundled models on samples without noise, each of them a contact."""
-    protocol = SingleContact(
-        samples=samples, pose=setting.pose, noise=False, no_contact_fraction=0.0
-    )
-    return evaluate_models(setting.models, draw_dataset(setting.arm, protocol, TEST_SEED))
 
 
 def single_contact(
@@ -146,7 +128,11 @@ def single_contact(
         training_samples = size["training_samples"] if trees else 0
         tests.append(answered_setting(setting, size["samples"], training_samples, boosting))
         progress(0.85 * (number + 1) / len(settings))
-    like_paper = answered_as_the_paper_tests(settings[0], size["samples"])
+    as_tested = SingleContact(
+        samples=size["samples"], pose=settings[0].pose, noise=False, no_contact_fraction=0.0
+    )
+    clean = draw_dataset(settings[0].arm, as_tested, TEST_SEED)
+    like_paper = evaluate_models(settings[0].models, clean)
     progress(0.9)
     first = tests[0]
     off_deg = first.direction_error_deg(TWO_STAGE)
@@ -158,7 +144,6 @@ def single_contact(
         "bound": first.bound,
         "first": TITLES[first.name],
         "estimators": len(first.tested),
-        "shown_points": SHOWN_POINTS,
         "like_paper": [
             *((LABELS[name], *_errors(one).values()) for name, one in like_paper.items()),
             ("the paper", "over 98", PAPER_DIRECTION_DEG, PAPER_MAE_N, PAPER_RMSE_N),
@@ -172,12 +157,14 @@ def single_contact(
         "growth": growth,
         "grows": [ratio > 1.5 for ratio in growth],
     }
+    matrices = {name: one.metrics.confusion for name, one in first.tested.items()}
+    classes = ["–", *map(str, range(1, len(matrices[SHIPPED])))]
+    labels = [LABELS[name] for name in matrices]
+    fig_10 = confusion_grid({"segment": list(matrices.values())}, labels, classes, 2.5)
     return numbers, {
-        "fig_10_confusion": confusion_figure([first], 2.8, sharey=True),
+        "fig_10_confusion": fig_10,
         "fig_11_direction": direction_figure(tests),
-        "fig_12_magnitude": magnitude_figure(tests),
         "fig_12_error_against_force": error_figure(tests),
-        "fig_10_other_settings": confusion_figure(tests[1:], 2.45),
     }
 
 
@@ -243,65 +230,6 @@ def _misclassified(tested: Evaluation) -> dict[str, Any]:
     }
 
 
-def confusion_figure(tests: Sequence[SettingTest], row_in: float, **options: Any) -> Any:
-    """Fig. 10: a row a setting, a column an estimator."""
-    names = _present(tests)
-    cells = {}
-    for test in tests:
-        classes = ["–", *(str(n) for n in range(1, len(test.tested[SHIPPED].metrics.confusion)))]
-        cells[TITLES[test.name]] = [
-            (
-                test.tested[name].metrics.confusion, classes,
-                f"{100.0 * test.tested[name].metrics.contact_accuracy:.2f} % right",
-            ) if name in test.tested else None
-            for name in names
-        ]  # fmt: skip
-    return _by_estimator(
-        draw_confusion, cells, names, ("answered segment", "true segment"), row_in, grid="",
-        **options,
-    )[0]  # fmt: skip
-
-
-def magnitude_figure(tests: Sequence[SettingTest]) -> Any:
-    """Fig. 12: predicted against actual magnitude."""
-    names = _present(tests)
-    cells = {}
-    for test in tests:
-        touched = np.flatnonzero(test.truth.segment > 0)[:SHOWN_POINTS]
-        cells[TITLES[test.name]] = [
-            (
-                test.truth.magnitude_n[touched], test.predicted_n(name)[touched], 200.0,
-                "MAE {force_n:.2f} N\nRMSE {force_rmse_n:.2f} N".format_map(
-                    _errors(test.tested[name])
-                ),
-                STYLES[name]["color"],
-            ) if name in test.tested else None
-            for name in names
-        ]  # fmt: skip
-    figure, every = _by_estimator(
-        draw_predicted, cells, names, ("actual, N", "predicted, N"), 2.35
-    )
-    ticks = (0, 100, 200)
-    for axes in every.ravel():
-        axes.set(xlim=(0.0, 200.0), ylim=(0.0, 215.0), xticks=ticks, yticks=ticks)
-    return figure
-
-
-def _by_estimator(
-    draw: Any, cells: dict[str, Any], names: list[str], labels: tuple[str, str], row_in: float,
-    **options: Any,
-) -> tuple[Any, Any]:  # fmt: skip
-    return panel_grid(
-        draw, cells, [LABELS[name] for name in names], labels, row_in * len(cells) + 0.3,
-        width=len(names) / len(LABELS), **options,
-    )  # fmt: skip
-
-
-def _present(tests: Sequence[SettingTest]) -> list[str]:
-    """Estimators that any of the settings has."""
-    return [name for name in LABELS if any(name in test.tested for test in tests)]
-
-
 def direction_figure(tests: Sequence[SettingTest]) -> Any:
     """Fig. 11: shares of contacts by absolute direction error, on a logarithmic axis."""
     figure, every = panels(len(tests), 1, 1.75 * len(tests) + 0.5, sharex=True)
@@ -329,7 +257,7 @@ def direction_figure(tests: Sequence[SettingTest]) -> Any:
 
 
 def error_figure(tests: Sequence[SettingTest]) -> Any:
-    """Mean absolute magnitude error against force, beside the noise bound."""
+    """Mean absolute magnitude error against force, with the noise bound."""
     figure, every = panels(-(-len(tests) // 3), 3, 5.6, sharex=True, sharey=True)
     centre = 0.5 * (FORCE_EDGES_N[1:] + FORCE_EDGES_N[:-1])
     for axes, test in zip(every.ravel(), tests, strict=False):

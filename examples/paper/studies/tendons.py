@@ -12,62 +12,47 @@ import numpy as np
 from cablesense_gap.report.style import WIDTH_IN
 from examples.paper.cables import (
     CYLINDER_RADIUS_M,
-    SCENES,
-    Pixels,
-    rendered_scenes,
-    scene,
+    around_a_cylinder,
+    driven_at_both_ends,
+    fixed_and_driven,
 )
 from examples.paper.drawing import BLACK, BLUE, VERMILION
 from examples.paper.study import Figures, Numbers, Progress
 
-_USES = ("stiffness and pretension", "self-locking", "friction")
+_SCENES = {
+    "fixed and driven": (fixed_and_driven(1e8, 1e4), "stiffness and pretension"),
+    "driven at both ends": (driven_at_both_ends(1e8, 1e4), "self-locking"),
+    "around a cylinder": (around_a_cylinder(np.pi * 2.0 / 3.0), "friction"),
+}
+"""Each model and its use, by name."""
 
 
 def tendons(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
-    """The three models: rendered, or drawn from MuJoCo's numbers; and measured."""
-    pictures, backend = rendered_scenes(SCENES, 960, 500)
-    progress(0.8)
+    """The three models, measured, and drawn from MuJoCo's numbers."""
+    figure = plt.figure(figsize=(WIDTH_IN, 2.1), layout="constrained")
     rows = []
-    for name, use in zip(SCENES, _USES, strict=True):
-        model, data = scene(name)
+    for n, (name, (spec, use)) in enumerate(_SCENES.items()):
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
         stretch = data.ten_length - model.tendon_lengthspring[:, 1]
         tension_n = float((model.tendon_stiffness * stretch).max())
         rows.append((name, float(data.ten_length.sum()), tension_n, use))
-    how = (
-        f"Rendered by MuJoCo (OpenGL by {backend}); cables and blocks are enlarged."
-        if pictures
-        else "This machine has no OpenGL for MuJoCo's renderer, so this is a drawing of what "
-        "MuJoCo computes: the tendons' paths and the cylinder of the same models."
-    )
+        axes: Any = figure.add_subplot(1, 3, n + 1, projection="3d")
+        _draw(axes, model, data)
+        axes.set_title(f"({'abc'[n]}) {name}")
     numbers = {
-        "how": how,
         "rows": rows,
         "off_m": max(abs(row[1] - 1.0) for row in rows),
         "off_n": max(abs(row[2] - 50.0) for row in rows),
     }
-    return numbers, {"fig_3_tendons": _figure(pictures)}
+    return numbers, {"fig_3_tendons": figure}
 
 
-def _figure(pictures: list[Pixels]) -> Any:
-    figure = plt.figure(figsize=(WIDTH_IN, 2.1), layout="constrained")
-    for n, name in enumerate(SCENES):
-        if pictures:
-            axes: Any = figure.add_subplot(1, 3, n + 1)
-            axes.imshow(pictures[n])
-            axes.set_axis_off()
-        else:
-            axes = figure.add_subplot(1, 3, n + 1, projection="3d")
-            _draw(axes, name)
-        axes.set_title(f"({'abc'[n]}) {name}")
-    return figure
-
-
-def _draw(axes: Any, name: str) -> None:
+def _draw(axes: Any, model: Any, data: Any) -> None:
     """A scene as MuJoCo has it in `mjData`: paths of the tendons, driven and fixed ends."""
-    model, data = scene(name)
     cylinders = model.geom_type == mujoco.mjtGeom.mjGEOM_CYLINDER
-    for tendon in range(model.ntendon):
-        first, count = data.ten_wrapadr[tendon], data.ten_wrapnum[tendon]
+    for first, count in zip(data.ten_wrapadr, data.ten_wrapnum, strict=True):
         corners = data.wrap_xpos.reshape(-1, 3)[first : first + count]
         path = np.concatenate([np.linspace(*ends, 24) for ends in pairwise(corners)])
         if cylinders.any():  # chords become arcs
@@ -76,11 +61,9 @@ def _draw(axes: Any, name: str) -> None:
         axes.plot(*path.T, color=VERMILION, lw=2.0)
     for geom, place in enumerate(data.geom_xpos):
         if cylinders[geom]:
-            radius, half = model.geom_size[geom, :2]
-            angle, along = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 40), np.array([-half, half]))
-            x, y, z = radius * np.sin(angle), along, radius * np.cos(angle)
-            surface = (at + offset for at, offset in zip(place, (x, y, z), strict=True))
-            axes.plot_surface(*surface, color="#B8BFC9", alpha=0.9, linewidth=0)
+            angle = np.linspace(0.0, 2.0 * np.pi, 60)
+            circle = CYLINDER_RADIUS_M * np.array([np.sin(angle), 0.0 * angle, np.cos(angle)])
+            axes.plot(*(place[:, None] + circle), color=BLACK, lw=1.2)
         else:
             colour = BLUE if model.geom_bodyid[geom] != 0 else BLACK
             axes.scatter(*place, marker="s", color=colour, s=60, depthshade=False)

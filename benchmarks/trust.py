@@ -1,0 +1,215 @@
+"""Contacts anywhere through the estimation: which are stated, and whether one is wrong.
+
+    python benchmarks/trust.py [--samples 2500] [--faulty 400] [--seed 7101] [--write]
+
+Random poses within 10 degrees and straight ones; one contact anywhere on the arm or two, of 2 N
+to what the arm bears, with an axial part of up to 0.3 of the normal force; serialized messages
+with the sensors' noise and step, 100 a second. A contact is judged after 12 samples. It is wrong
+if the normal force is off by more than 5 N and by more than a fifth of the true one, or if a
+segment is; next to a joint the neighbour's end is the same place. On segment 1 the moment is
+judged, over the length of the segment. With `--faulty`, one channel is scaled, shifted, stuck or
+exchanged with another.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import harness
+import numpy as np
+from rclpy.serialization import serialize_message
+from rich.progress import track
+from sensor_msgs.msg import JointState
+
+from cablesense_base import Array
+from cablesense_msgs_py.messages import Contact, ForceState
+from cablesense_online.answer import Answer
+from cablesense_online.estimation import Estimation
+from cablesense_online.models import load_model
+from cablesense_sim import kinematics
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.contact_location import touched_at
+from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.replay import read_tensions_n
+
+ARMS = {"cdsm": 150.0, "cdsm_lab": 45.0}
+"""The strongest push, N, that an arm bears in nearly every pose within 10 degrees."""
+WRONG_N, WRONG_SHARE = 5.0, 0.2
+PERIOD_NS, JUDGED_AFTER, RELEASED = 10_000_000, 12, 25
+CONTACTS_AT_A_POSE = 20
+FAULTS = ("scaled by 0.5", "scaled by 0.9", "scaled by 1.1", "5 N more", "20 N more", "zero",
+          "exchanged")  # fmt: skip
+
+
+class Push(NamedTuple):
+    """A contact: segment from 1 on, place on it, force (3,) along its axes at the command."""
+
+    segment: int
+    place_m: float
+    force_n: Array
+
+
+class TestedArm:
+    """An arm at rest at a command, tared, with its estimation."""
+
+    def __init__(self, name: str, command_rad: Array, rng: np.random.Generator) -> None:
+        loaded = load_model(name, "")
+        self.arm, self.rng, self.command_rad = loaded.arm, rng, command_rad
+        self.mechanism = mechanism_of(self.arm)
+        settings = harness.estimation_settings(
+            tare_samples=50, largest_misfit=loaded.largest_misfit(-1.0)
+        )
+        self.estimation = Estimation(self.arm, loaded.estimator, settings, 0.0)
+        names, positions = list(self.arm.joint_names), command_rad.tolist()
+        self.estimation.command(JointState(name=names, position=positions))
+        self._now_ns = 10**18
+        self.unloaded_n = self.tensions_n([])
+        while self.estimation.tares.present is None:
+            self.sample(self.read(self.unloaded_n))
+
+    def tensions_n(self, pushes: Sequence[Push]) -> Array:
+        """(M,) under pushes; raises EquilibriumError where the arm does not bear them."""
+        at_m, forces = self.mechanism.contact_m.copy(), np.zeros((self.arm.segment_count, 3))
+        axes = kinematics.segment_rotations(self.mechanism, self.command_rad)
+        for push in pushes:
+            at_m[push.segment - 1] = push.place_m
+            forces[push.segment - 1] = axes[push.segment - 1] @ push.force_n
+        touched = replace(self.mechanism, contact_m=at_m)
+        return solve_equilibrium(touched, self.command_rad, forces).tensions_n
+
+    def read(self, tensions_n: Array) -> Array:
+        """(M,) with noise and step, never below zero."""
+        return np.maximum(read_tensions_n(tensions_n, self.arm.sensors, self.rng), 0.0)
+
+    def sample(self, reading_n: Array) -> Answer:
+        """The answer to one message."""
+        self._now_ns += PERIOD_NS
+        message = JointState(name=list(self.arm.cable_names), effort=reading_n.tolist())
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(self._now_ns, 10**9)
+        raw = serialize_message(message)
+        return self.estimation.sample(bytes(raw), self._now_ns, self._now_ns * 1e-9)
+
+    def answer(self, tensions_n: Array, fault: str = "", cable: int = 0) -> Answer:
+        """The answer after `JUDGED_AFTER` samples; the arm is free again afterwards."""
+        found = Answer()
+        for _ in range(JUDGED_AFTER):
+            found = self.sample(self._faulty(self.read(tensions_n), fault, cable))
+        for _ in range(RELEASED):
+            self.sample(self.read(self.unloaded_n))
+        return found
+
+    @staticmethod
+    def _faulty(reading_n: Array, fault: str, cable: int) -> Array:
+        kind, _, size = fault.rpartition(" by ")
+        if kind == "scaled":
+            reading_n[cable] *= float(size)
+        elif fault.endswith("more"):
+            reading_n[cable] += float(fault.split()[0])
+        elif fault == "zero":
+            reading_n[cable] = 0.0
+        elif fault == "exchanged":
+            reading_n[[cable, cable - 1]] = reading_n[[cable - 1, cable]]
+        return reading_n
+
+
+def drawn(arm: TestedArm, largest_n: float, rng: np.random.Generator) -> list[Push]:
+    """One contact, or two in a quarter of the cases."""
+    count = 2 if rng.random() < 0.25 else 1
+    reach, _ = touched_at(arm.arm)
+    pushes = []
+    for n in sorted(rng.permutation(arm.arm.segment_count)[:count]):
+        size_n, angle = rng.uniform(2.0, largest_n / count), rng.uniform(0.0, 2.0 * np.pi)
+        force_n = size_n * np.array([rng.uniform(-0.3, 0.3), np.sin(angle), np.cos(angle)])
+        pushes.append(Push(int(n) + 1, rng.uniform(*reach[n]), force_n))
+    return pushes
+
+
+def wrong_n(pushes: Sequence[Push], contacts: Sequence[Contact], length_m: Array) -> float:
+    """The largest error of a normal force, N; errors of up to a fifth of a force count as 0."""
+    worst = 0.0
+    left = {contact.segment: contact for contact in contacts}
+    for push in pushes:
+        segment, place_m = push.segment, push.place_m
+        if segment not in left:  # the end of one segment and the beginning of the next
+            at_end = length_m[segment - 1] - place_m < 0.02
+            segment = segment + 1 if at_end and segment + 1 in left else segment - 1
+            near = at_end or place_m < 0.035
+            if not near or segment not in left:
+                worst = max(worst, float(np.hypot(*push.force_n[1:])))
+                continue
+        contact = left.pop(segment)
+        size_n = float(np.hypot(*push.force_n[1:]))
+        if contact.magnitude_n:
+            off = contact.magnitude_n * np.array(contact.direction) - push.force_n[1:]
+        else:
+            moment = (contact.moment_n_m or 0.0) * np.array(contact.direction)
+            off = (moment - place_m * push.force_n[1:]) / length_m[segment - 1]
+        off_n = float(np.hypot(*off))
+        if off_n > WRONG_SHARE * size_n:
+            worst = max(worst, off_n)
+    return max([worst, *(contact.magnitude_n for contact in left.values())])
+
+
+def trial(name: str, given: argparse.Namespace, seed: int, faulty: bool) -> dict[str, Any]:
+    """Counts of the states and of wrong contacts, of one arm."""
+    rng = np.random.default_rng([given.seed, seed, faulty])
+    states: Counter[str] = Counter()
+    wrong: list[dict[str, Any]] = []
+    count, judged = given.faulty if faulty else given.samples, 0
+    title = f"{name}, {'one faulty channel' if faulty else 'healthy'}"
+    for number in track(range(count // CONTACTS_AT_A_POSE), title):
+        bend = 0.0 if number % 4 == 0 else np.deg2rad(10.0)
+        command = rng.uniform(-bend, bend, 8)
+        arm = TestedArm(name, command, rng)
+        for _ in range(CONTACTS_AT_A_POSE):
+            pushes = drawn(arm, ARMS[name], rng)
+            try:
+                tensions_n = arm.tensions_n(pushes)
+            except EquilibriumError:
+                continue
+            fault = str(rng.choice(FAULTS)) if faulty else ""
+            cable = int(rng.integers(arm.arm.cable_count))
+            answer = arm.answer(tensions_n, fault, cable)
+            judged += 1
+            segment = min(push.segment for push in pushes)
+            of = "two contacts" if len(pushes) > 1 else f"segment {segment}"
+            states[f"{of}: {answer.force.value}"] += 1
+            off_n = wrong_n(pushes, answer.contacts, arm.mechanism.segment_length_m)
+            vouched = answer.force in (ForceState.CONTACT, ForceState.MOMENT, ForceState.FREE)
+            if vouched and off_n > WRONG_N:
+                wrong.append(
+                    {
+                        "pushes": [(p.segment, round(p.place_m, 4), p.force_n.round(2).tolist())
+                                   for p in pushes],
+                        "fault": f"{fault}, cable {cable + 1}" if fault else "none",
+                        "contacts": [(c.segment, round(c.contact_m, 4), round(c.magnitude_n, 2))
+                                     for c in answer.contacts],
+                        "off_n": round(off_n, 2),
+                        "straight": not bend,
+                    }
+                )  # fmt: skip
+    return {"contacts": judged, "states": dict(sorted(states.items())),
+            "wrong_and_vouched": len(wrong), "wrong": wrong[:20]}  # fmt: skip
+
+
+def main() -> None:
+    """Tries healthy arms and faulty ones, prints, and keeps the figures with `--write`."""
+    options = harness.parser(__doc__, "trust.json")
+    options.add_argument("--samples", type=int, default=2500, help="contacts of each healthy arm")
+    options.add_argument("--faulty", type=int, default=400, help="contacts with a faulty channel")
+    options.add_argument("--seed", type=int, default=7101, help="of poses, contacts and noise")
+    given = options.parse_args()
+    result: dict[str, Any] = harness.origin("numpy", "onnxruntime")
+    for seed, name in enumerate(ARMS):
+        result[name] = {"healthy": trial(name, given, seed, False)}
+        if given.faulty:
+            result[name]["one faulty channel"] = trial(name, given, seed, True)
+    harness.publish("trust.json", result, given)
+
+
+if __name__ == "__main__":
+    main()

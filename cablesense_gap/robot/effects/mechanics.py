@@ -1,0 +1,280 @@
+"""Effects of the machine itself: friction, play, coupling and springs, masses and inertias."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cablesense_gap.robot.effects.effect import (
+    PRESLIDING,
+    SIDE,
+    Parameter,
+    RobotEffect,
+    Scale,
+    Values,
+    joint_unit,
+    rms,
+    size,
+)
+from cablesense_gap.robot.model import Change, Robot
+
+_PRESLIDING = "elastic displacement before it slips the other way"
+
+
+class DryFriction(RobotEffect):
+    """A torque of constant size against the motion (Coulomb), with Dahl's transition."""
+
+    name = "joint_friction"
+    about = "dry friction"
+    source = "Dahl, Solid friction damping of mechanical vibrations, AIAA Journal 14(12), 1976"
+    advice = "Turn the joint by hand without current: bearings, seals, brakes that drag, gears."
+    against_motion = True
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        most, typical = 3.0 * scale.typical_torque, 0.05 * scale.typical_torque
+        unit, about = joint_unit(robot, "{torque}"), "against the motion, whatever the load"
+        torque = size("torque_n_m", unit, most, typical, about, 0.0)
+        return torque, _presliding(robot, scale)
+
+    def act(self, change: Change, at: int, values: Values) -> None:
+        change.friction[at] += values["torque_n_m"]
+        change.presliding[at] = values[PRESLIDING]
+
+
+class LoadFriction(RobotEffect):
+    """A drive gives e^share times the torque that the joint transmits, e^-share when it brakes.
+
+    Cables over guides do the same by Euler's law; share is then friction times wrap angle. Gear
+    losses are stated either as a part of the drive's torque, 1 / (1 ± tanh share) of it, or of
+    the joint's, 1 ± tanh share. Both are e^±share times cosh share, to the power of 1 and of -1.
+    """
+
+    name = "load_friction"
+    about = "friction that grows with the load"
+    advice = "Check gears, screws, and cables over guides: losses grow with the torque they pass."
+    in_model = False
+    against_motion = True
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        loss = size("share", "1", 0.9, 0.05, "logarithm of the loss", 0.0)
+        about = "by the drive's torque at 1, by the joint's at -1, by Euler's law at 0"
+        side = Parameter(SIDE, "1", -1.0, 1.0, 0.5, about, role="shape")
+        return loss, _presliding(robot, scale), side
+
+    def act(self, change: Change, at: int, values: Values) -> None:
+        change.load_friction[at] += values["share"]
+        change.load_presliding[at], change.load_side[at] = values[PRESLIDING], values[SIDE]
+
+
+class TendonFriction(RobotEffect):
+    """Tensions on the two sides of a guide differ by at most exp(μ θ).
+
+    θ is the wrap angle at each site or geom on the tendon's path in the model. The loss acts on
+    every joint that the tendon crosses beyond the guide, and grows with the tendon's tension,
+    including its pretension.
+    """
+
+    name = "capstan_friction"
+    at = "tendons"
+    about = "friction of a tendon over its guides"
+    source = "Euler's and Eytelwein's law at each guide; see cablesense_sim.cable_chain"
+    advice = "Look for worn, dry or kinked guides and sheaths of this tendon."
+    in_model = False
+    against_motion = True
+    presliding_forward = True
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        data = mujoco.MjData(robot.model)
+        mujoco.mj_fwdPosition(robot.model, data)
+        typical = 1e-2 * rms(scale.position) * float(np.abs(data.ten_J).max(initial=1e-6))
+        return (
+            size("coefficient", "1", 1.5, 0.1, "of friction between tendon and guides", 0.0),
+            _elastic("m", typical, f"{_PRESLIDING}, of cable"),
+        )
+
+    def act(self, change: Change, at: int, values: Values) -> None:
+        change.capstan_friction[at] += values["coefficient"]
+        change.capstan_presliding[at] = values[PRESLIDING]
+
+
+class ViscousFriction(RobotEffect):
+    """A torque against the motion in proportion to the speed."""
+
+    name = "viscous_friction"
+    about = "viscous friction"
+    adds = "damping"
+    advice = "Check the lubricant and its temperature."
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        typical = 0.05 * scale.per(scale.speed)
+        unit = joint_unit(robot, "{torque} s/{position}")
+        return (size("torque_s_n_m", unit, 60.0 * typical, typical, "by the speed", 0.0),)
+
+
+class Backlash(RobotEffect):
+    """A gap between drive and joint: the joint is driven at either end of it, and free between.
+
+    Positions are taken to be the drive's. The joint's place in the gap follows from the torque
+    that its link needs.
+    """
+
+    name = "backlash"
+    about = "backlash"
+    adds = "play"
+    source = "Nordin and Gutman, Controlling mechanical systems with backlash, Automatica 38, 2002"
+    advice = "Hold the drive and move the joint by hand: gears, couplings, belts that are slack."
+    in_model = False
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        unit = joint_unit(robot, "{position}")
+        return (size("play_rad", unit, 0.3, 0.01, "from one side of the gap to the other", 0.0),)
+
+
+class JointCoupling(RobotEffect):
+    """One drive moves the next joint too, for example where a cable passes a joint on its way."""
+
+    name = "joint_coupling"
+    about = "a joint that moves with its neighbour's drive"
+    advice = "Hold all drives but one, turn that, and look whether another joint moves."
+    in_model = False
+
+    def places(self, robot: Robot) -> tuple[str, ...]:
+        """`a_into_b` for neighbours: the drive of a moves joint b."""
+        return tuple(
+            f"{drive}_into_{joint}"
+            for pair in pairwise(robot.joints)
+            for drive, joint in (pair, pair[::-1])
+        )
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        return (size("share", "1", 1.2, 0.05, "of the drive's motion"),)
+
+    def act(self, change: Change, at: int, values: Values) -> None:
+        i, back = divmod(at, 2)
+        drive, joint = (i + 1, i) if back else (i, i + 1)
+        change.coupling[joint, drive] += values["share"]
+
+
+class JointSpring(RobotEffect):
+    """A torque in proportion to the joint's position, for example of hoses and wires."""
+
+    name = "joint_spring"
+    about = "a spring in the joint"
+    adds = "stiffness"
+    advice = "Look at hoses, wires and covers that bend with the joint."
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        typical = 0.05 * scale.per(scale.position)
+        unit, about = joint_unit(robot, "{torque}/{position}"), "towards the model's reference"
+        return (size("stiffness_n_m_rad", unit, 60.0 * typical, typical, about, 0.0),)
+
+
+class LinkMass(RobotEffect):
+    """Mass and inertia of a link that are off by the same share."""
+
+    name = "link_mass"
+    at = "bodies"
+    about = "a wrong link mass"
+    advice = "Weigh the link, or compare its mass with the drawing's."
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        return (size("share", "1", 3.0, 0.1, "heavier than modelled", -0.9),)
+
+    def act(self, change: Change, at: int, values: Values) -> None:
+        change.mass_kg[at] *= 1.0 + values["share"]
+        change.inertia_kg_m2[at] *= 1.0 + values["share"]
+
+
+class LinkCentre(RobotEffect):
+    """A centre of mass that is shifted along the link's axes."""
+
+    name = "link_centre"
+    at = "bodies"
+    about = "a wrong centre of mass"
+    advice = "Balance the link on an edge, or compare with the drawing."
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        reach = robot.reach_m
+        return tuple(
+            size(f"{axis}_m", "m", reach, 0.1 * reach, f"along the link's {axis}")
+            for axis in "xyz"
+        )
+
+    def act(self, change: Change, at: int, values: Values) -> None:
+        change.centre_m[at] += [values[f"{axis}_m"] for axis in "xyz"]
+
+
+class AddedMass(RobotEffect):
+    """A point mass fixed to a body: a tool, a camera, a cable chain."""
+
+    name = "payload"
+    at = "bodies"
+    about = "mass that nobody modelled"
+    source = "Featherstone, Rigid Body Dynamics Algorithms, 2008, section 2.13"
+    advice = "Weigh the additions there: tools, cameras, covers, cables."
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        typical = 0.1 * rms(robot.model.body_mass[robot.body_ids])
+        moment = 0.3 * typical * robot.reach_m
+        about = "first moment about the body's centre of mass: over the mass it gives the place"
+        return (
+            size("mass_kg", "kg", 100.0 * typical, typical, "of what was added", 0.0),
+            *(
+                size(f"moment_{axis}_kg_m", "kg·m", 200.0 * moment, moment, about)
+                for axis in "xyz"
+            ),
+        )
+
+    def act(self, change: Change, at: int, values: Values) -> None:
+        moment = np.array([values[f"moment_{axis}_kg_m"] for axis in "xyz"])
+        mass = max(values["mass_kg"], float(np.linalg.norm(moment)) / change.reach_m)
+        if mass > 0.0:
+            change.add_point_mass(at, mass, change.centre_m[at] + moment / mass)
+
+
+class RotorInertia(RobotEffect):
+    """Inertia that resists only the joint's own acceleration."""
+
+    name = "rotor_inertia"
+    about = "inertia of a rotor that nobody modelled"
+    adds = "armature"
+    advice = "Take the rotor's inertia from its data sheet, times the gear ratio squared."
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        typical = 0.05 * scale.per(scale.acceleration)
+        unit, about = joint_unit(robot, "{inertia}"), "as the joint feels it"
+        return (size("inertia_kg_m2", unit, 60.0 * typical, typical, about, 0.0),)
+
+
+class TiltedBase(RobotEffect):
+    """The base is turned about its axes, so that gravity has another direction in its frame."""
+
+    name = "base_tilt"
+    at = "arm"
+    about = "a base that is not level"
+    advice = "Put a level on the base."
+
+    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+        """A rotation about gravity's own axis changes nothing and is left out."""
+        along = np.abs(robot.model.opt.gravity)
+        return tuple(
+            size(f"about_{axis}_rad", "rad", 0.6, 0.03, f"the base turned about its {axis}")
+            for axis, share in zip("xyz", along / max(along.max(), 1e-9), strict=True)
+            if share < 1.0
+        )
+
+    def act(self, change: Change, at: int, values: Values) -> None:
+        turned = Rotation.from_rotvec([values[f"about_{axis}_rad"] for axis in "xyz"])
+        change.gravity_m_s2 = turned.inv().apply(change.gravity_m_s2)
+
+
+def _presliding(robot: Robot, scale: Scale) -> Parameter:
+    return _elastic(joint_unit(robot, "{position}"), rms(1e-3 * scale.position), _PRESLIDING)
+
+
+def _elastic(unit: str, typical: float, about: str) -> Parameter:
+    low, high = 0.02 * typical, 50.0 * typical
+    return Parameter(PRESLIDING, unit, low, high, typical, about, typical, role="shape")

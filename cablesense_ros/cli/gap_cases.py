@@ -1,0 +1,96 @@
+"""`cablesense gap withhold` and `score`: recordings with hidden effects, and verdicts on them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from glob import escape
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from cablesense_base.files import output_folder
+from cablesense_ros.cli.options import (
+    ForceOption,
+    JsonOption,
+    NominalArmOption,
+    WorkersOption,
+)
+from cablesense_ros.cli.results import print_result
+
+
+def score(
+    verdicts: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR_OF_VERDICTS",
+            help="Holds RECORDING/verdict.json, or RECORDING.json, for each row of the answers.",
+        ),
+    ],
+    answers: Annotated[
+        Path, typer.Option(help="CSV with recording, effects joined by +, and where.")
+    ],
+    json_output: JsonOption = False,
+) -> None:
+    """Score verdicts against answers: correct names, probabilities, calibration.
+
+    Example: cablesense gap score verdicts --answers answers.csv --json
+    """
+    from cablesense_gap.scoring import read_answers, read_verdicts
+    from cablesense_gap.scoring import score as score_verdicts
+
+    listed = read_answers(answers)
+    found = score_verdicts(read_verdicts(verdicts, [a.recording for a in listed]), listed)
+    print_result(f"{found.cases} verdicts", asdict(found), json_output)
+
+
+def withhold(
+    count: Annotated[int, typer.Option(min=1, max=10_000, help="How many recordings.")],
+    out: Annotated[Path, typer.Option(help="Folder for case_001.csv ….")],
+    seed: Annotated[int, typer.Option(min=0, help="The same seed makes the same files.")] = 0,
+    arm: NominalArmOption = "cdsm_lab",
+    answers: Annotated[
+        Path | None, typer.Option(help="File for the answers, if not OUT/answers/answers.csv.")
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Hide only this: none, unknown, an effect's name, or several joined by +. "
+            "Repeatable; they come in turn."
+        ),
+    ] = None,
+    second: Annotated[
+        bool,
+        typer.Option("--second", help="Record every arm twice, the second time in OUT/second/."),
+    ] = False,
+    workers: WorkersOption = 1,
+    force: ForceOption = False,
+) -> None:
+    """Make recordings of arms in which something is hidden, or nothing, and a file of answers.
+
+    The arms come from a plant that shares no code with the simulator or the diagnosis. Every arm
+    has manufacturing tolerances; a fifth hides nothing more, a fifth something that no verdict
+    has a name for, some two effects at once.
+
+    Examples: [bold]cablesense gap withhold --count 60 --seed 7 --out cases[/bold],
+    [bold]cablesense gap withhold --count 10 --only payload --out payloads[/bold]
+    """
+    from rich.progress import track
+
+    from cablesense_plants.arm.body import read_nominal
+    from cablesense_plants.arm.withhold import withhold as withhold_arms
+    from cablesense_sim.arm import find_arm
+
+    answers_file, kinds = answers or out / "answers" / "answers.csv", tuple(only or ())
+    source = find_arm(arm)
+    written = ("case_*.csv", "second/case_*.csv") if second else ("case_*.csv",)
+    output_folder(out, written, force=force, inputs=(source,))
+    output_folder(answers_file.parent, (escape(answers_file.name),), force=force, inputs=(source,))
+    made = withhold_arms(
+        out, answers_file, read_nominal(source), count, seed, kinds, workers, second=second
+    )
+    console = Console()
+    for _ in track(made, description="Recording", total=count, console=console):
+        pass
+    console.print(f"{count} recordings in {out}, the answers in {answers_file}", soft_wrap=True)

@@ -1,0 +1,79 @@
+"""Recordings of an arm or a robot as .mcap files, made without nodes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+
+from cablesense_gap.recordings.mcap_messages import TopicFile
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.qos import INPUTS, JOINT_STATE_TYPE, NUMBER_TYPE, WRENCH_TYPE, resolved
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.kinematics import contact_points_m
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+START_NS = 1_000_000_000
+"""Stamp of a recording's time 0: a stamp of 0 would mean that there is none."""
+
+
+class Bag:
+    """A file of a recording's topics; `log_ns` is when a message came, 0 is no stamp."""
+
+    def __init__(self, path):
+        self.file, self.channels = TopicFile(path), {}
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.file.close()
+
+    def joint_state(self, topic, log_ns, stamp_ns, names, **fields):
+        values = {name: np.asarray(value, dtype=np.float64) for name, value in fields.items()}
+        empty = {name: np.empty(0) for name in ("position", "velocity", "effort")}
+        header = _header(stamp_ns, "base_link")
+        message = STORE.types[JOINT_STATE_TYPE](header, list(names), **(empty | values))
+        self.put(topic, log_ns, message)
+
+    def load(self, log_ns, stamp_ns, frame_id, force_n, torque_n_m=(0.0, 0.0, 0.0)):
+        vector = STORE.types["geometry_msgs/msg/Vector3"]
+        force, torque = vector(*map(float, force_n)), vector(*map(float, torque_n_m))
+        wrench = STORE.types["geometry_msgs/msg/Wrench"](force, torque)
+        message = STORE.types[WRENCH_TYPE](_header(stamp_ns, frame_id), wrench)
+        self.put(topics.APPLIED_WRENCH, log_ns, message)
+
+    def trial(self, log_ns, number):
+        self.put(topics.TRIAL, log_ns, STORE.types[NUMBER_TYPE](number))
+
+    def put(self, topic, log_ns, message):
+        kind = INPUTS[topic].kind
+        if topic not in self.channels:
+            self.channels[topic] = self.file.add(resolved(topic), kind, INPUTS[topic].offered)
+        self.file.write(self.channels[topic], log_ns, bytes(STORE.serialize_cdr(message, kind)))
+
+
+def write_mcap(path, recording, arm):
+    """A recording as the topics of a running arm, every value with each row."""
+    mechanism, places_m = mechanism_of(arm), recording.load_at_m
+    places_m = np.full(len(recording), np.nan) if places_m is None else places_m
+    with Bag(path) as bag:
+        for row in range(len(recording)):
+            at = START_NS + round((recording.time_s[row] - recording.time_s[0]) * 1e9)
+            bag.trial(at, int(recording.trial[row]))
+            command, tensions_n = recording.command_rad[row], recording.tensions_n[row]
+            bag.joint_state(topics.JOINT_COMMANDS, at, at, arm.joint_names, position=command)
+            for segment in range(1, arm.segment_count + 1):
+                force = (segment == recording.load_segment[row]) * recording.load_n[row]
+                bag.load(at, at, f"segment_{segment}", force)
+                if force.any() and np.isfinite(places_m[row]):
+                    there = replace(mechanism, contact_m=np.full(arm.segment_count, places_m[row]))
+                    point_m = contact_points_m(there, command)[segment - 1]
+                    bag.load(at, at, "base_link", force, np.cross(point_m, force))
+            bag.joint_state(topics.CABLE_TENSIONS, at, at, arm.cable_names, effort=tensions_n)
+
+
+def _header(stamp_ns, frame_id):
+    stamp = STORE.types["builtin_interfaces/msg/Time"](*divmod(int(stamp_ns), 1_000_000_000))
+    return STORE.types["std_msgs/msg/Header"](stamp, frame_id)

@@ -1,0 +1,171 @@
+"""The command: help that is fast and light, one-line errors with exit code 2, figures as JSON."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from urllib.request import urlopen
+
+import pytest
+from typer.testing import CliRunner
+
+from cablesense_gap.recordings.csv_file import all_columns
+from cablesense_ros.cli.app import app
+from cablesense_sim.arm import open_arm
+
+COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
+VERBS = ("demo", "dataset", "train", "evaluate", "info", "paper", "gap", "sensors")
+GAP_VERBS = ("diagnose", "predict", "protocol", "record", "score", "withhold")
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("", VERBS),
+        ("gap", GAP_VERBS),
+        *((verb, ()) for verb in VERBS),
+        *((f"gap {verb}", ["Examples?"]) for verb in GAP_VERBS),
+    ],
+)
+def test_every_verb_explains_itself(words, says):
+    result = CliRunner().invoke(app, [*words.split(), "--help"])
+    assert result.exit_code == 0
+    assert len(result.output.splitlines()) > 8
+    assert all(re.search(rf"\b{word}\b", result.output) for word in says)
+
+
+@pytest.mark.slow
+def test_help_loads_neither_ros_nor_torch_nor_the_page():
+    code = (
+        "import sys; from cablesense_ros.cli.app import app;"
+        "print(*(m for m in ('rclpy', 'torch', 'viser', 'mujoco', 'onnxruntime', 'matplotlib',"
+        " 'pandas', 'rosbags', 'jinja2', 'scipy') if m in sys.modules))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout.strip() == ""
+    assert result.returncode == 0
+
+
+def test_version_is_shown():
+    result = CliRunner().invoke(app, ["--version"])
+    assert result.exit_code == 0
+    assert re.match(r"cablesense \d+\.\d+\.\d+", result.output)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "remedy"),
+    [
+        (["info", "nonsense"], "bundled arms are cdsm"),
+        (["info", "missing.yaml"], "no arm file missing.yaml"),
+        (["info", "missing.onnx"], "no model file missing.onnx"),
+        (["info", "broken.onnx"], "not a valid ONNX file"),
+        (["demo", "--arm", "nonsense"], "bundled arms are cdsm"),
+        (["demo", "--headless", "--model", "missing.onnx"], "no model file missing.onnx"),
+        (["demo", "--out", "/proc/none"], "give another --out"),
+        (["gap", "diagnose", "missing.csv", "--out", "d"], "missing.csv: no such"),
+        (["gap", "diagnose", "r.csv", "--arm", "x.yaml", "--out", "d"], "no arm file x.yaml"),
+        (["gap", "predict", "missing.mcap", "--out", "p.csv"], "missing.mcap"),
+        (["gap", "score", "missing", "--answers", "missing.csv"], "missing.csv"),
+        (["gap", "withhold", "--count", "1", "--only", "rust", "--out", "w"], "no effect 'rust'"),
+        (["paper", "--out", "p", "--only", "fig99"], "no study 'fig99'; there are"),
+        (["paper", "--out", "/proc/none"], "give another --out"),
+        (["sensors", "check", "none.csv"], "none.csv: no such file"),
+        (["sensors", "calibrate", "none.csv", "--out", "c.yaml"], "none.csv: cannot be read"),
+        (["gap", "record", "--arm", "nonsense", "--out", "r.mcap"], "bundled arms are cdsm"),
+    ],
+)
+def test_wrong_input_is_one_line_with_a_remedy(arguments, remedy, command, tmp_path):
+    (tmp_path / "broken.onnx").write_bytes(b"not a model")
+    result = command(*arguments)
+    assert result.returncode == 2
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("cablesense: ")
+    assert remedy in lines[0]
+    assert list(tmp_path.rglob("*.png")) == []
+
+
+@pytest.mark.slow
+@pytest.mark.ros
+def test_a_demo_serves_its_page_and_ends_cleanly_when_told_to(tmp_path):
+    pytest.importorskip("rclpy", reason="needs rclpy")
+    pytest.importorskip("viser", reason="needs viser")
+    process = subprocess.Popen(
+        [*COMMAND, "demo", "--port", "18480", "--no-open", "--out", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    with process:
+        line = next(line for line in process.stdout if "http://" in line)
+        url = re.search(r"open (http://127\.0\.0\.1:\d+/[\w-]{22}/) in a browser", line)[1]
+        with urlopen(url) as answer:
+            assert answer.status == 200
+        assert (tmp_path / "logs/page.log").stat().st_mode & 0o077 == 0
+        log = (tmp_path / "logs/page.log").read_text()
+        assert f"page of arm {open_arm('cdsm').identity}" in log
+        children = child_pids(process.pid)
+        assert len(children) == 3
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 143
+        assert "Traceback" not in process.stderr.read()
+    time.sleep(0.1)
+    assert not any(os.path.exists(f"/proc/{pid}") for pid in children)  # noqa: PTH110
+    assert not any("Traceback" in log.read_text() for log in tmp_path.rglob("*.log"))
+
+
+def child_pids(pid):
+    with open(f"/proc/{pid}/task/{pid}/children") as children:  # noqa: PTH123
+        return [int(child) for child in children.read().split()]
+
+
+BLOCKED = """
+import sys
+missing = sys.argv.pop(1).split(',')
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split('.')[0] in missing:
+            raise ModuleNotFoundError(f'No module named {name!r}', name=name)
+sys.meta_path.insert(0, Absent())
+"""
+"""The beginning of a program for which the libraries named first are not installed."""
+
+COMMAND_TEXT = "from cablesense_ros.cli.app import main\nmain()\n"
+
+
+def run_without(libraries, *arguments, program=COMMAND_TEXT, cwd=None):
+    return subprocess.run(
+        [sys.executable, "-c", BLOCKED + program, libraries, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        cwd=cwd,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("library", "verb"), [("torch", "train"), ("pandas", "gap predict r.csv")]
+)
+def test_a_library_that_is_not_installed_is_named_with_the_remedy(library, verb, tmp_path):
+    names = all_columns(8, 12)
+    text = f"{','.join(names)}\n{','.join('0' for _ in names)}\n"
+    (tmp_path / "r.csv").write_text(text)
+    result = run_without(library, *verb.split(), "--out", "p.csv", cwd=tmp_path)
+    assert result.returncode == 2
+    (line,) = result.stderr.strip().splitlines()
+    assert f"package {library}" in line
+    assert "make setup" in line
+
+
+@pytest.mark.slow
+def test_what_is_no_diagnosis_needs_none_of_its_libraries():
+    libraries = "pandas,rosbags,jinja2"
+    result = run_without(f"{libraries},torch,pyarrow", "evaluate", "--table2")
+    assert result.returncode == 0, result.stderr
+    modules = "cablesense_ros.sim_node, cablesense_ros.estimator_node, cablesense_ros.demo.run"
+    loaded = run_without(libraries, program=f"import {modules}")
+    assert loaded.returncode == 0, loaded.stderr

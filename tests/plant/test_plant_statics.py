@@ -1,0 +1,213 @@
+"""The plant's geometry and its rests without friction: closed forms, derivatives, refusals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plant_arm import BODY, NOMINAL
+
+from cablesense_plants.arm.arm import ideal_arm
+from cablesense_plants.arm.body import Body, CableContact, PlantError, TipSpring, rigid_body
+from cablesense_plants.arm.listed import ArmDraw
+from cablesense_plants.arm.protocol import Schedule, draw_schedule
+from cablesense_plants.arm.statics import (
+    cable_lengths_m,
+    commanded_angles_rad,
+    find_rest,
+    follow_path,
+    frames,
+    spans,
+    tension_law,
+    torques,
+    turns,
+)
+from cablesense_plants.arm.unlisted import UNLISTED
+
+JOINTS = 2 * NOMINAL.segment_count
+RNG = np.random.default_rng(0)
+ANGLES = RNG.uniform(-0.15, 0.15, (5, JOINTS))
+
+STRAIGHT = np.zeros((1, 8))
+LOADS = RNG.uniform(-30.0, 30.0, (5, 4, 3))
+EVERYWHERE = RNG.uniform(-10.0, 10.0, (5, 16, 3))
+RICH = replace(
+    BODY,
+    spring_nm_rad=RNG.uniform(0.0, 5.0, (4, 2)),
+    hardening_nm_rad3=RNG.uniform(0.0, 20.0, (4, 2)),
+    cogging_nm=RNG.uniform(0.0, 0.05, (4, 2)),
+    tip_springs=(
+        TipSpring((0.5, 0.2, 0.1), 30.0),
+        TipSpring((0.5, -0.05, 0.0), 400.0, (0.0, 0.6, 0.8)),
+    ),
+)
+
+
+SCHEDULE = Schedule(
+    np.zeros(1),
+    np.zeros(1, dtype=int),
+    STRAIGHT,
+    np.array([3]),
+    np.array([[2.0, 15.0, -25.0]]),
+    np.array([np.nan]),
+)
+
+
+def lengths(body: Body, angles: np.ndarray) -> np.ndarray:
+    return spans(body, angles, turns(body, angles)).length_m
+
+
+def test_the_straight_arm_is_straight() -> None:
+    straight = np.zeros((1, JOINTS))
+    np.testing.assert_allclose(lengths(BODY, straight)[0, 0], 0.03)
+    assert (lengths(BODY, straight)[0, 1, :3] == 0.0).all()  # segment 1's cables have ended
+    placed = frames(BODY, straight, turns(BODY, straight))
+    np.testing.assert_allclose(placed.centre_m[0, :, 0], 0.015 + 0.13 * np.arange(4))
+
+
+@pytest.mark.parametrize("angle", [-0.3, 0.1])
+def test_a_span_in_the_plane_of_bending_has_its_closed_form(angle: float) -> None:
+    """The hole at +z when a joint pitches: the law of cosines about the joint's centre."""
+    angles = np.zeros((1, JOINTS))
+    angles[0, 0] = angle
+    offset, radius = 0.015, 0.05
+    half = np.arctan2(offset, radius)
+    # the plates open by the pitch on the side of +z when the arm pitches down, and close above
+    expected = 2.0 * np.hypot(offset, radius) * np.sin(half + 0.5 * angle)
+    assert lengths(BODY, angles)[0, 0, 0] == pytest.approx(expected, rel=1e-12)
+
+
+def test_slopes_and_curves_are_derivatives() -> None:
+    found = spans(BODY, ANGLES, turns(BODY, ANGLES))
+    step = 1e-5
+    for joint in range(4):
+        for axis in range(2):
+            moved = np.zeros(JOINTS)
+            moved[2 * joint + axis] = step
+            ahead = spans(BODY, ANGLES + moved, turns(BODY, ANGLES + moved))
+            back = spans(BODY, ANGLES - moved, turns(BODY, ANGLES - moved))
+            slope = (ahead.length_m - back.length_m)[:, joint] / (2 * step)
+            np.testing.assert_allclose(found.slope_m_rad[:, joint, axis], slope, atol=1e-9)
+            curve = (ahead.slope_m_rad - back.slope_m_rad)[:, joint] / (2 * step)
+            own = found.curve_m_rad2[:, joint, axis : axis + 2]
+            np.testing.assert_allclose(own, curve, atol=1e-8)
+
+
+def test_a_contact_of_cables_lengthens_them_beyond_its_angle_alone() -> None:
+    contact = CableContact(
+        joint=1, toward=(0.0, -1.0), cables=(4, 7), depth_m_rad2=0.02, from_rad=0.05
+    )
+    touching = replace(BODY, cable_contacts=(contact,))
+    angles = np.zeros((2, JOINTS))
+    angles[:, 3] = [0.15, -0.15]
+    more = cable_lengths_m(touching, angles) - cable_lengths_m(BODY, angles)
+    assert not more[0].any()
+    np.testing.assert_allclose(more[1, [4, 7]], 0.02 * 0.1**2)
+    assert np.count_nonzero(more[1]) == 2
+
+
+def test_a_cable_bends_by_half_the_pitch_at_either_plate() -> None:
+    angles = np.zeros((1, JOINTS))
+    angles[0, 0] = 0.2
+    bends = spans(BODY, angles, turns(BODY, angles), with_bends=True).bend_rad[0]
+    np.testing.assert_allclose(bends[0, :, 3:], 0.1)
+    assert not bends[1:].any()
+    assert (bends[0, 1, :3] == 0.0).all()  # anchored behind the first joint: no guide there
+
+
+def energy_j(body: Body, angles: np.ndarray, loads: np.ndarray) -> np.ndarray:
+    placed = frames(body, angles, turns(body, angles))
+    masses = placed.points_m(body.mass_joint, body.mass_at_m)
+    points = placed.points_m(body.contact_joint.ravel(), body.contact_at_m.reshape(-1, 3))
+    contacts = points[:, : loads.shape[1]]
+    total = -(masses @ body.gravity_m_s2) @ body.mass_kg - (contacts * loads).sum((1, 2))
+    linear, cubic = body.spring_nm_rad.ravel(), body.hardening_nm_rad3.ravel()
+    total += (0.5 * linear * angles**2 + 0.25 * cubic * angles**4).sum(1)
+    per = body.cogging_per_turn
+    total += (body.cogging_nm.ravel() * (1.0 - np.cos(per * angles)) / per).sum(1)
+    tip = placed.points_m(np.array([3]), body.tip_at_m[None])[:, 0]
+    for spring in body.tip_springs:
+        away = tip - np.array(spring.anchor_m)
+        if spring.normal is not None:
+            away = np.maximum(away @ np.array(spring.normal), 0.0)[:, None]
+        total += 0.5 * spring.stiffness_n_m * (away**2).sum(1)
+    return total
+
+
+def test_torques_are_the_slope_of_the_energy() -> None:
+    """Virtual work of weights, loads at all points, springs, cogging, a tether and a wall."""
+    torque, slopes = torques(RICH, ANGLES, turns(RICH, ANGLES), EVERYWHERE)
+    step = 1e-5
+    for angle in range(8):
+        moved = step * np.eye(8)[angle]
+        work = energy_j(RICH, ANGLES + moved, EVERYWHERE) - energy_j(
+            RICH, ANGLES - moved, EVERYWHERE
+        )
+        np.testing.assert_allclose(torque[:, angle], -work / (2 * step), atol=2e-8)
+        ahead = torques(RICH, ANGLES + moved, turns(RICH, ANGLES + moved), EVERYWHERE)[0]
+        back = torques(RICH, ANGLES - moved, turns(RICH, ANGLES - moved), EVERYWHERE)[0]
+        slope = (ahead - back) / (2 * step)
+        np.testing.assert_allclose(slopes[:, :, angle], slope, atol=2e-6)
+
+
+def test_at_rest_no_small_turn_does_work() -> None:
+    """The cables' energy by finite differences, against everything else's torque."""
+    paid = cable_lengths_m(BODY, ANGLES) - cable_lengths_m(BODY, STRAIGHT)
+    rest = find_rest(BODY, ANGLES, paid, LOADS)
+    outer = torques(BODY, rest.angles_rad, turns(BODY, rest.angles_rad), LOADS)[0]
+    wanted = paid + cable_lengths_m(BODY, STRAIGHT)
+    step = 1e-6
+
+    def stored_j(angles: np.ndarray) -> np.ndarray:
+        tension, _ = tension_law(BODY, cable_lengths_m(BODY, angles) - wanted)
+        return (0.5 * tension**2 / BODY.stiffness_n_m).sum(1)
+
+    for angle in range(0, 8, 3):
+        moved = step * np.eye(8)[angle]
+        work = stored_j(rest.angles_rad + moved) - stored_j(rest.angles_rad - moved)
+        np.testing.assert_allclose(work / (2 * step), outer[:, angle], atol=1e-5)
+
+
+def test_a_cable_never_pushes() -> None:
+    load = np.zeros((1, 4, 3))
+    load[0, 3, 2] = -70.0
+    rest = find_rest(BODY, STRAIGHT, np.zeros((1, 12)), load)
+    assert rest.tensions_n.min() == 0.0
+    assert rest.tensions_n.max() > 200.0
+
+
+def test_a_load_beyond_all_bearing_is_refused() -> None:
+    load = np.zeros((1, 4, 3))
+    load[0, 3, 2] = -2000.0
+    with pytest.raises(PlantError, match=r"row 1: joint . bends by|no rest found in 1 rows"):
+        find_rest(BODY, STRAIGHT, np.zeros((1, 12)), load)
+
+
+@pytest.mark.parametrize("at_m", [0.0, 0.02, 0.065, 0.12])
+def test_a_load_at_a_place_is_one_on_an_arm_with_its_contact_points_there(at_m: float) -> None:
+    """Also where segments bend in their middle: all but stiff ones are as rigid ones."""
+    placed = SCHEDULE._replace(load_at_m=np.where(SCHEDULE.load_segment, at_m, np.nan))
+    there = rigid_body(replace(NOMINAL, contact_m=np.full(4, at_m)))
+    ideal = ideal_arm(NOMINAL)
+    loads = ideal.point_loads_n(placed)
+    rest = find_rest(BODY, STRAIGHT, np.zeros((1, 12)), loads)
+    wanted = find_rest(there, STRAIGHT, np.zeros((1, 12)), SCHEDULE.forces_n)
+    np.testing.assert_allclose(rest.tensions_n, wanted.tensions_n, atol=1e-6)
+    limber = UNLISTED["limber_segments"](ArmDraw(np.random.default_rng(0), NOMINAL))
+    stiff = limber.apply(ideal, 1e-6).body
+    bent = find_rest(stiff, np.zeros((1, 16)), np.zeros((1, 12)), loads)
+    np.testing.assert_allclose(bent.tensions_n, wanted.tensions_n, atol=2e-3)
+
+
+@pytest.mark.slow
+def test_following_a_recording_meets_each_rest() -> None:
+    schedule = draw_schedule(NOMINAL, np.random.default_rng(3))
+    command, loads = schedule.command_rad, schedule.forces_n
+    paid = cable_lengths_m(BODY, command) - cable_lengths_m(BODY, STRAIGHT)
+    rest = follow_path(BODY, command, paid, loads)
+    start = commanded_angles_rad(BODY, command)
+    again = find_rest(BODY, rest.angles_rad, paid, loads)
+    np.testing.assert_allclose(again.tensions_n, rest.tensions_n, atol=1e-6)
+    near = find_rest(BODY, start, paid, loads)
+    same = np.abs(near.tensions_n - rest.tensions_n).max(axis=1) < 1e-6
+    assert same.mean() > 0.95  # the others have two rests, and the way there decides
+    assert same[(loads == 0.0).all(axis=(1, 2))].all()

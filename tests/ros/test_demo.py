@@ -1,0 +1,205 @@
+"""The demo: its nodes, its script of pushes, the report of a record, and headless runs."""
+
+import io
+import json
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
+
+from cablesense_msgs_py.messages import ForceState, Level
+from cablesense_online.page.snapshot import KnownMoment, ShownContact, ShownStatus, Snapshot
+from cablesense_ros.cli import runs
+from cablesense_ros.cli.app import app
+from cablesense_ros.demo import run
+from cablesense_ros.demo.pushes import PushRecord, ScriptError, make_script, push_results, summary
+from cablesense_ros.demo.report import draw_pushes, metrics, results_table
+from cablesense_ros.demo.run import DemoOptions, Source, node_commands, run_headless
+
+REACH_M = np.tile([0.02, 0.13], (4, 1))
+SOURCES = {Source.SIM: ["sim"], Source.CAN: ["can_emulator", "can_driver", "sim"]}
+
+
+@pytest.mark.parametrize("live", [True, False])
+@pytest.mark.parametrize("source", Source)
+def test_the_nodes_are_those_of_the_source(source, live, tmp_path):
+    options = DemoOptions(out=tmp_path, seed=3, source=source)
+    commands = node_commands(options, live)
+    assert list(commands) == [*SOURCES[source], "estimator", *(["page"] if live else [])]
+    assert "seed:=3" in commands["sim"]
+    if source is Source.SIM:
+        assert "-r" not in commands["sim"]
+    else:
+        link = f'channel:="{tmp_path}/can_adapter"'
+        assert link in commands["can_emulator"]
+        assert link in commands["can_driver"]
+        assert "cable_tensions:=simulated_tensions" in commands["sim"]
+
+
+def test_breathing_keeps_an_arm_that_is_asked_for(tmp_path, monkeypatch):
+    played = []
+    monkeypatch.setattr(runs, "run_headless", lambda options, **_: played.append(options))
+    for asked in ([], ["--arm", "cdsm"]):
+        command = ["demo", "--headless", "--breathe", "--out", str(tmp_path), *asked]
+        assert CliRunner().invoke(app, command).exit_code == 0
+    assert [options.arm for options in played] == ["cdsm_friction", "cdsm"]
+    assert "breather" in node_commands(played[0], live=False)
+
+
+@pytest.mark.parametrize(
+    ("screens", "opened"), [({}, []), ({"DISPLAY": ":0"}, ["http://page/"])], ids=["none", "X"]
+)
+def test_the_page_opens_where_there_is_a_screen(monkeypatch, screens, opened):
+    found = []
+    monkeypatch.setattr(run.webbrowser, "open", found.append)
+    monkeypatch.setattr(run.sys, "platform", "linux")
+    monkeypatch.setattr(run.os, "environ", screens)
+    run._open_in_browser("http://page/")
+    assert found == opened
+
+
+def test_a_minute_visits_every_segment_straight_and_bent():
+    script = make_script(REACH_M, 60.0, seed=0)
+    assert script[-1].end_s <= 60.0
+    assert {push.contact.segment for push in script} == {1, 2, 3, 4}
+    assert {bool(push.command_rad.any()) for push in script} == {True, False}
+    assert all(a.end_s < b.start_s for a, b in pairwise(script))
+    assert all(push.move_s < push.start_s < push.end_s for push in script)
+    again, other = make_script(REACH_M, 60.0, seed=0), make_script(REACH_M, 60.0, seed=8)
+    assert [p.contact for p in again] == [p.contact for p in script]
+    assert [p.contact for p in other] != [p.contact for p in script]
+    for push, gentle in zip(script, make_script(REACH_M, 60.0, seed=0, range_n=2.0), strict=True):
+        newtons = push.contact.magnitude_n
+        assert gentle.contact.magnitude_n == pytest.approx(newtons / 100.0, rel=0.01)
+
+
+def test_pushes_go_anywhere_within_the_reach_with_a_small_axial_part():
+    contacts = [push.contact for push in make_script(REACH_M, 600.0, seed=0)]
+    places_m = np.array([each.contact_m for each in contacts])
+    nearest_m, farthest_m = REACH_M[[each.segment - 1 for each in contacts]].T
+    share = (places_m - nearest_m) / (farthest_m - nearest_m)
+    assert 0.0 <= share.min() < 0.1 < 0.9 < share.max() <= 1.0
+    along = np.array([each.along_n / each.magnitude_n for each in contacts])
+    assert -0.2 <= along.min() < -0.1 < 0.1 < along.max() <= 0.2
+    points = make_script(np.full((4, 2), 0.065), 60.0, seed=0, most_along=0.0)
+    assert {push.contact[3:5] for push in points} == {(0.065, 0.0)}
+
+
+@pytest.mark.parametrize("duration_s", [-1.0, 3.9, float("nan")])
+def test_no_script_without_room_for_a_push(duration_s):
+    with pytest.raises(ScriptError, match="one push takes"):
+        make_script(REACH_M, duration_s, seed=0)
+
+
+def results_of(script, estimate_of, unknown=None):
+    """The record of a script whose pushes are estimated so, and its results."""
+    times = np.arange(0.0, script[-1].end_s, 0.04)
+    snapshots = []
+    for time_s in times:
+        push = next((p for p in script if p.start_s <= time_s < p.end_s), None)
+        estimate = estimate_of(push) if push else None
+        moment = estimate if isinstance(estimate, KnownMoment) else None
+        contacts = () if estimate is None or moment else (estimate,)
+        state = unknown or (ForceState.CONTACT if estimate else ForceState.FREE)
+        fine, pose, tensions = ShownStatus(Level.OK, "fine"), np.zeros(8), np.full(12, 50.0)
+        now = Snapshot(time_s, pose, tensions, contacts, state, contacts, None, None, fine, moment)
+        snapshots.append(now)
+    played = PushRecord(times, snapshots)
+    return played, push_results(script, played)
+
+
+def shown(segment, angle_deg=0.0):
+    return ShownContact(segment, angle_deg, 10.0, 0.05, 0.0, np.zeros(3))
+
+
+def exact(push):
+    return ShownContact(*push.contact[:5], np.ones(3))
+
+
+def test_exact_estimates_have_no_error_and_are_reported_in_full(tmp_path):
+    script = make_script(REACH_M, 60.0, seed=0)
+    played, results = results_of(script, exact)
+    found = summary(results)
+    assert found["segment_right"] == found["pushes"] == len(script)
+    assert found["direction_mae_deg"] == pytest.approx(0.0, abs=1e-9)
+    assert found["magnitude_mae_n"] == pytest.approx(0.0, abs=1e-9)
+    assert found["place_mae_mm"] == pytest.approx(0.0, abs=1e-9)
+    assert found["moment_mae_n_m"] is None
+    output = io.StringIO()
+    Console(file=output, width=80).print(results_table(results))
+    for push, plain in zip(script, metrics(results)["pushes"], strict=True):
+        assert f"{push.contact.angle_deg:.1f}°" in output.getvalue()
+        assert f"{push.contact.magnitude_n:.1f} N" in output.getvalue()
+        assert plain["true"] == pytest.approx(plain["estimated"])
+    pytest.importorskip("matplotlib")
+    from PIL import Image
+
+    draw_pushes(tmp_path / "demo.png", played, results, 4)
+    image = np.asarray(Image.open(tmp_path / "demo.png").convert("RGB"))
+    assert image.shape[0] > 600
+    assert len(np.unique(image.reshape(-1, 3), axis=0)) > 200
+    assert [path.name for path in tmp_path.iterdir()] == ["demo.png"]
+
+
+def test_directions_are_averaged_across_north():
+    flip = iter([359.0, 1.0] * 1000)
+
+    def estimate(push):
+        return shown(push.contact.segment, next(flip))
+
+    _, (result,) = results_of(make_script(REACH_M, 4.0, seed=0), estimate)
+    angle = result.estimate.angle_deg
+    assert min(angle, 360.0 - angle) <= 1.0
+
+
+def test_a_wrong_segment_silence_and_no_contact_are_told_apart():
+    script = make_script(REACH_M, 4.0, seed=0)
+    other = shown(script[0].contact.segment - 1)
+    _, (wrong,) = results_of(script, lambda _: other)
+    _, (silent,) = results_of(script, exact, unknown=ForceState.SILENT)
+    _, (none,) = results_of(script, lambda _: None)
+    assert not wrong.segment_right
+    assert summary([wrong])["magnitude_mae_n"] is None
+    assert (silent.sample_count, none.estimate) == (0, None)
+    assert none.sample_count > 10
+    output = io.StringIO()
+    Console(file=output, width=80).print(results_table([silent, none]))
+    assert "no estimate" in output.getvalue()
+    assert "no contact" in output.getvalue()
+
+
+def test_a_moment_is_compared_as_one_and_has_no_place(tmp_path):
+    def moment(push):
+        contact = push.contact
+        return KnownMoment(
+            contact.segment, contact.angle_deg, 0.1 + contact.contact_m * contact.magnitude_n
+        )
+
+    played, (result,) = results_of(make_script(REACH_M, 4.0, seed=0), moment)
+    assert result.segment_right
+    assert result.moment_error_n_m == pytest.approx(0.1)
+    assert (result.place_error_mm, result.magnitude_error_n) == (None, None)
+    output = io.StringIO()
+    Console(file=output, width=80).print(results_table([result]))
+    assert "4, moment" in output.getvalue()
+    assert "+0.10 N·m" in output.getvalue()
+    assert metrics([result])["pushes"][0]["estimated"]["moment_n_m"] > 0.0
+    pytest.importorskip("matplotlib")
+    draw_pushes(tmp_path / "demo.png", played, [result], 4)
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_push_is_estimated_through_can_frames(tmp_path, capfd):
+    options = DemoOptions(out=tmp_path, source=Source.CAN)
+    run_headless(options, duration_s=4.0, as_json=True)
+    found = json.loads(capfd.readouterr().out)
+    assert found["summary"]["pushes"] == found["summary"]["segment_right"] == 1
+    assert found["summary"]["magnitude_mae_n"] < 2.0
+    assert found["summary"]["place_mae_mm"] < 3.0
+    assert (tmp_path / "demo.png").is_file()

@@ -1,0 +1,237 @@
+"""Model files from outside: read, and checked before any of a graph is run.
+
+Plain operators on the numbers in the file and nothing beyond (`require_harmless`), in bounded
+memory and work for a sample (`require_bounded`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from pathlib import Path
+
+import numpy as np
+import onnx
+from onnx import AttributeProto, GraphProto, ModelProto, TensorProto
+
+from cablesense_base.files import read_bounded_bytes, write_atomically
+from cablesense_training.errors import ModelFileError
+from cablesense_training.inference.metadata import MISFIT_KEY, MisfitLimit, ModelMetadata
+
+MAX_FILE_BYTES = 64 * 1024 * 1024
+"""Models are a fraction of a megabyte; a file beyond this is not one."""
+
+_FEW = 64
+"""Shorter constants are not worth a cast."""
+
+_PLAIN_OPERATORS = """
+Abs Add And ArgMax ArgMin Atan Cast Clip Concat Constant ConstantOfShape Cos CumSum Div
+Elu Equal Erf Exp Expand Flatten Floor Gather GatherElements Gemm Greater GreaterOrEqual
+Identity LayerNormalization LeakyRelu Less LessOrEqual Log LogSoftmax MatMul Max Min Mul
+Neg Not Or Pad Pow Range Reciprocal ReduceL2 ReduceMax ReduceMean ReduceMin ReduceProd
+ReduceSum Relu Reshape Shape Sigmoid Sign Sin Slice Softmax Softplus Split Sqrt Squeeze Sub
+Tanh Tile Transpose Unsqueeze Where
+"""
+OPERATORS = {
+    "": frozenset(_PLAIN_OPERATORS.split()),
+    "ai.onnx": frozenset(_PLAIN_OPERATORS.split()),
+    "com.microsoft": frozenset(("Inverse",)),
+}
+"""By domain: what networks and the arm's statics are made of. No others run, as there are some
+hundred more, and each is native code that a file could feed."""
+
+MAX_ELEMENTS = 2**24
+"""Largest tensor of a file; ours stay far below a thousandth of it."""
+
+_PLAIN_ATTRIBUTES = ("FLOAT", "INT", "STRING", "FLOATS", "INTS", "STRINGS", "TENSOR", "TENSORS")
+
+MAX_NODES = 10_000
+"""Ours have at most some hundred."""
+
+MAX_ELEMENTS_A_SAMPLE = 2**16
+"""Largest tensor that a model may make for one sample; ours stay below 4,000."""
+
+MAX_WORK = 2**26
+"""Multiplications for one sample, about a tenth of a second; ours stay below a million."""
+
+_Shapes = dict[str, list[int]]
+
+
+def read_model(path: str | Path) -> tuple[ModelProto, ModelMetadata]:
+    """The graph in a model file, and what the file states about itself; nothing is run.
+
+    Raises:
+        ModelFileError: unreadable, not ONNX, or not a CableSense model.
+    """
+    content = read_bounded_bytes(path, MAX_FILE_BYTES, "a model file (.onnx)", ModelFileError)
+    try:
+        model = onnx.load_model_from_string(content)
+        require_harmless(model, str(path))
+        onnx.checker.check_model(model)
+    except ModelFileError:
+        raise
+    except Exception as error:  # protobuf and onnx raise whatever the broken place led to
+        raise ModelFileError(
+            f"{path}: not a valid ONNX file ({one_line(error)}); needed is a model file, "
+            "as `cablesense train` writes it"
+        ) from error
+    properties = {entry.key: entry.value for entry in model.metadata_props}
+    return model, ModelMetadata.from_properties(properties, str(path))
+
+
+def one_line(error: Exception) -> str:
+    """The beginning of an error's text, without line breaks."""
+    return " ".join(str(error).split())[:200]
+
+
+def replace_misfit_limit(path: Path, limit: MisfitLimit | None) -> None:
+    """Put another limit of the misfit, or none, into a model file; all else of it stays.
+
+    Raises:
+        ModelFileError: no model file, or it cannot be written.
+    """
+    model, _ = read_model(path)
+    write_atomically(path, _with_misfit_limit(model, limit), ModelFileError)
+
+
+def model_sha256(path: str | Path) -> str:
+    """SHA-256 of a model file without its limit of the misfit, which no estimate follows from.
+
+    Raises:
+        ModelFileError: no model file.
+    """
+    model, _ = read_model(path)
+    return hashlib.sha256(_with_misfit_limit(model, None)).hexdigest()
+
+
+def _with_misfit_limit(model: ModelProto, limit: MisfitLimit | None) -> bytes:
+    kept = [entry for entry in model.metadata_props if entry.key != MISFIT_KEY]
+    del model.metadata_props[:]
+    model.metadata_props.extend(kept)
+    if limit is not None:
+        model.metadata_props.add(key=MISFIT_KEY, value=limit.model_dump_json())
+    return model.SerializeToString()
+
+
+def store_as_single(graph: GraphProto) -> None:
+    """Store constants in float32 where that loses nothing, each followed by a cast to float64.
+
+    A network is trained in float32 and answers in float64, so this halves its file.
+    """
+    casts, kept = [], []
+    for constant in graph.initializer:
+        values = onnx.numpy_helper.to_array(constant)
+        single = values.astype(np.float32)
+        if values.dtype != np.float64 or values.size < _FEW or not (single == values).all():
+            kept.append(constant)
+            continue
+        kept.append(onnx.numpy_helper.from_array(single, f"{constant.name}_single"))
+        names = [kept[-1].name], [constant.name]
+        casts.append(onnx.helper.make_node("Cast", *names, to=TensorProto.DOUBLE))
+    nodes = [*casts, *graph.node]
+    del graph.initializer[:], graph.node[:]
+    graph.initializer.extend(kept)
+    graph.node.extend(nodes)
+
+
+def widen_constants(graph: GraphProto) -> None:
+    """Undo `store_as_single`: a constant behind a cast would be a result in a split graph."""
+    single = {constant.name: constant for constant in graph.initializer}
+    for node in list(graph.node):
+        if node.op_type == "Cast" and node.input[0] in single:
+            values = onnx.numpy_helper.to_array(single[node.input[0]]).astype(np.float64)
+            single[node.input[0]].CopyFrom(onnx.numpy_helper.from_array(values, node.output[0]))
+            graph.node.remove(node)
+
+
+def require_harmless(model: ModelProto, source: str) -> None:
+    """Refuse a graph that is more than operators on the numbers in this very file.
+
+    Raises:
+        ModelFileError: external data, nested graphs, functions, other operators, huge tensors.
+    """
+    graph = model.graph
+    problem = ""
+    if model.functions or model.training_info or graph.sparse_initializer:
+        problem = "has functions, sparse tensors or training steps"
+    tensors = list(graph.initializer)
+    for node in graph.node:
+        if node.op_type not in OPERATORS.get(node.domain, ()):
+            operator = f"{node.domain}.{node.op_type}".lstrip(".")[:80]
+            problem = f"uses operator {operator!r}, which is no arithmetic or layer of a network"
+        for attribute in node.attribute:
+            if AttributeProto.AttributeType.Name(attribute.type) not in _PLAIN_ATTRIBUTES:
+                problem = problem or f"operator {node.op_type} holds a graph inside"
+            tensors += [attribute.t] if attribute.HasField("t") else []
+            tensors += attribute.tensors
+    for tensor in tensors:
+        if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:
+            problem = f"keeps tensor {tensor.name[:80]!r} in another file"
+        if any(dim < 0 for dim in tensor.dims) or math.prod(tensor.dims) > MAX_ELEMENTS:
+            problem = (
+                f"tensor {tensor.name[:80]!r} has shape {list(tensor.dims)[:9]}, more than "
+                f"{MAX_ELEMENTS} numbers"
+            )
+    if problem:
+        raise ModelFileError(
+            f"{source}: {problem}; needed is one plain graph with all its numbers in this file, "
+            "as `cablesense train` writes it"
+        )
+
+
+def require_bounded(model: ModelProto, source: str) -> None:
+    """Refuse a graph whose tensors have no size that is certain beforehand, or that are huge.
+
+    Raises:
+        ModelFileError: names the tensor, or the number.
+    """
+    if len(model.graph.node) > MAX_NODES:
+        raise ModelFileError(
+            f"{source}: has {len(model.graph.node)} operators; a model has at most {MAX_NODES}"
+        )
+    shapes = _shapes_of_one_sample(model)
+    work = 0
+    for node in model.graph.node:
+        for name in filter(None, node.output):
+            if name not in shapes:
+                raise ModelFileError(
+                    f"{source}: what size tensor {name!r} has is open until the model is run; "
+                    "needed is a graph whose sizes depend on the number of samples alone"
+                )
+            elements = math.prod(shapes[name])
+            if elements > MAX_ELEMENTS_A_SAMPLE:
+                raise ModelFileError(
+                    f"{source}: tensor {name!r} has shape {shapes[name]}; a model's tensors hold "
+                    f"at most {MAX_ELEMENTS_A_SAMPLE} numbers each a sample"
+                )
+            summed = node.op_type in ("MatMul", "Gemm", "Inverse")
+            taken = (size for operand in node.input for size in shapes.get(operand, ()))
+            work += elements * (max(taken, default=1) if summed else 1)
+    if work > MAX_WORK:
+        raise ModelFileError(
+            f"{source}: takes {work:.1e} multiplications a sample; at most {MAX_WORK:.1e} can "
+            "be meant"
+        )
+
+
+def _shapes_of_one_sample(model: ModelProto) -> _Shapes:
+    """Shapes of all tensors that onnx can tell, every open dimension of the inputs taken as 1."""
+    one = ModelProto()
+    one.CopyFrom(model)
+    del one.graph.value_info[:]  # claims, which are to be found out
+    for entry in one.graph.output:
+        entry.type.tensor_type.ClearField("shape")
+    for entry in one.graph.input:
+        for dim in entry.type.tensor_type.shape.dim:
+            if not dim.HasField("dim_value"):
+                dim.dim_value = 1
+    for node in one.graph.node:
+        if node.domain == "com.microsoft":  # onnx does not know Inverse, which keeps the shape
+            node.domain, node.op_type = "", "Identity"
+    found = onnx.shape_inference.infer_shapes(one, strict_mode=True, data_prop=True).graph
+    shapes = {entry.name: list(entry.dims) for entry in one.graph.initializer}
+    for value in (*found.input, *found.value_info, *found.output):
+        tensor = value.type.tensor_type
+        if tensor.HasField("shape") and all(d.HasField("dim_value") for d in tensor.shape.dim):
+            shapes[value.name] = [dim.dim_value for dim in tensor.shape.dim]
+    return shapes

@@ -1,0 +1,243 @@
+"""Networks that know nothing of the arm: the paper's designs, and a scale-aware one.
+
+The stated uncertainty is a small separate head that cannot disturb the answers. Single-contact
+designs have a class for no contact.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import ClassVar, Self
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from cablesense_sim.arm import Arm
+from cablesense_training.networks.layers import (
+    ContactNetwork,
+    MultiContactOutput,
+    SingleContactOutput,
+    Standardiser,
+    StatedSpread,
+    one_hot_of_argmax,
+    perceptron,
+)
+
+
+def tension_norm_n(tension_difference_n: Tensor) -> Tensor:
+    """Length (B, 1) of the tension differences, kept off zero by 1 mN, so safe to divide by."""
+    squared = (tension_difference_n * tension_difference_n).sum(dim=-1, keepdim=True)
+    return torch.sqrt(squared + 1e-6)
+
+
+class Spread(StatedSpread):
+    """Standard deviations (B, outputs) from the answering network's hidden features.
+
+    The features arrive detached, so the likelihood that trains this head leaves the answers
+    alone. The length of the tension difference joins them, because sensor noise makes directions
+    of weak forces uncertain as its inverse. The likelihood alone does not make 95 % intervals
+    hold where errors have heavy tails; `factor` does.
+    """
+
+    unit: Tensor
+
+    def __init__(self, features: int, outputs: int, width: int = 48) -> None:
+        super().__init__(outputs)
+        self.hidden = perceptron(features + 1, (width, width))
+        self.log_std = nn.Linear(width, outputs)
+        self.register_buffer("unit", torch.ones(outputs))
+
+    def forward(self, features: Tensor, tension_difference_n: Tensor) -> Tensor:
+        """Standard deviations (B, outputs) from features (B, F) and tension differences (B, M)."""
+        length = torch.log(tension_norm_n(tension_difference_n))
+        hidden = self.hidden(torch.cat([features.detach(), length], dim=-1))
+        log_std = self.log_std(hidden).clamp(-9.0, 6.0)
+        std: Tensor = torch.exp(log_std) * self.unit * self.factor
+        return std
+
+
+_Answer = tuple[Tensor, Tensor | None, Tensor, Tensor]
+"""Contact logits, direction (B, 2) if any, magnitudes (B, 1 or N) in N, and hidden features."""
+
+
+class LearntNetwork(ContactNetwork):
+    """A network without physics in it; subclasses give `_answer`.
+
+    Attributes:
+        tension: scaling of the M tension differences, in buffers that `adapt` sets.
+    """
+
+    spread: Spread
+
+    def __init__(self, cable_count: int, segment_count: int, features: int) -> None:
+        super().__init__(cable_count, segment_count)
+        self.tension = Standardiser(cable_count)
+        self.spread = Spread(features, outputs=segment_count if self.several else 2)
+
+    @classmethod
+    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> Self:
+        """The network for an arm, whatever its tare."""
+        return cls(arm.cable_count, arm.segment_count)  # type: ignore[call-arg]
+
+    def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
+        """Set the scaling from tension differences (B, M) and magnitudes (B,) or (B, N)."""
+        self.tension.adapt(tension_difference_n)
+        self.magnitude.adapt(magnitude_n.reshape(len(magnitude_n), -1))
+        unit = self.magnitude.std
+        self.spread.unit.copy_(unit if self.several else torch.cat([unit, unit.new_tensor([10])]))
+
+    @abstractmethod
+    def _answer(self, tension_difference_n: Tensor) -> _Answer:
+        """The answer to tension differences (B, M)."""
+
+    def forward(
+        self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
+    ) -> SingleContactOutput | MultiContactOutput:
+        """Answers for tension differences (B, M); the commanded angles are not used."""
+        logits, direction, magnitude_n, features = self._answer(tension_difference_n)
+        std = self.spread(features, tension_difference_n)
+        if direction is None:
+            return MultiContactOutput(logits, magnitude_n, std)
+        return SingleContactOutput(logits, direction, magnitude_n[:, 0], std[:, 0], std[:, 1])
+
+
+class TwoStageNetwork(LearntNetwork):
+    """First the contact, then magnitude and direction given the contact; equations (9) to (13).
+
+    With x the standardised tension differences, stage one gives the contact class, whose one-hot
+    code c joins x as input of the trunk φ that magnitude and direction share. In training, too, c
+    is the network's own verdict, so stage two learns from the mistakes that stage one makes in
+    use.
+    """
+
+    def __init__(
+        self,
+        cable_count: int,
+        segment_count: int,
+        contact_widths: Sequence[int] = (128, 128),
+        widths: Sequence[int] = (192, 192, 192),
+    ) -> None:
+        super().__init__(cable_count, segment_count, widths[-1])
+        classes = segment_count if self.several else segment_count + 1
+        self.contact_trunk = perceptron(cable_count, contact_widths)
+        self.contact_head = nn.Linear(contact_widths[-1], classes)
+        self.trunk = perceptron(cable_count + classes, widths)
+        self.direction_head = None if self.several else nn.Linear(widths[-1], 2)
+        self.magnitude_head = nn.Linear(widths[-1], segment_count if self.several else 1)
+
+    def _answer(self, tension_difference_n: Tensor) -> _Answer:
+        x = self.tension(tension_difference_n)
+        logits = self.contact_head(self.contact_trunk(x))
+        code = (logits > 0.0).to(x.dtype) if self.several else one_hot_of_argmax(logits)
+        hidden = self.trunk(torch.cat([x, code], dim=-1))
+        direction = None if self.direction_head is None else self.direction_head(hidden)
+        return logits, direction, self.magnitude.undo(self.magnitude_head(hidden)), hidden
+
+
+class TwoStageMultiContactNetwork(TwoStageNetwork):
+    """The same for several contacts: a sigmoid per segment; no directions."""
+
+    several: ClassVar[bool] = True
+
+    def __init__(
+        self,
+        cable_count: int,
+        segment_count: int,
+        contact_widths: Sequence[int] = (192, 192),
+        widths: Sequence[int] = (192, 192, 192),
+    ) -> None:
+        super().__init__(cable_count, segment_count, contact_widths, widths)
+
+
+class DecoupledNetwork(LearntNetwork):
+    """Three networks that share nothing but the standardised input."""
+
+    def __init__(
+        self, cable_count: int, segment_count: int, widths: Sequence[int] = (128, 128, 128)
+    ) -> None:
+        super().__init__(cable_count, segment_count, 2 * widths[-1])
+        self.contact_trunk = perceptron(cable_count, widths)
+        self.contact_head = nn.Linear(widths[-1], segment_count + 1)
+        self.direction_trunk = perceptron(cable_count, widths)
+        self.direction_head = nn.Linear(widths[-1], 2)
+        self.magnitude_trunk = perceptron(cable_count, widths)
+        self.magnitude_head = nn.Linear(widths[-1], 1)
+
+    def _answer(self, tension_difference_n: Tensor) -> _Answer:
+        x = self.tension(tension_difference_n)
+        for_direction, for_magnitude = self.direction_trunk(x), self.magnitude_trunk(x)
+        return (
+            self.contact_head(self.contact_trunk(x)),
+            self.direction_head(for_direction),
+            self.magnitude.undo(self.magnitude_head(for_magnitude)),
+            torch.cat([for_direction, for_magnitude], dim=-1),
+        )
+
+
+class SharedBackboneNetwork(LearntNetwork):
+    """Contact, direction and magnitude are linear in the same hidden features."""
+
+    def __init__(
+        self, cable_count: int, segment_count: int, widths: Sequence[int] = (192, 192, 192)
+    ) -> None:
+        super().__init__(cable_count, segment_count, widths[-1])
+        self.trunk = self._trunk(cable_count, widths)
+        self.contact_head = nn.Linear(widths[-1], segment_count + 1)
+        self.direction_head = nn.Linear(widths[-1], 2)
+        self.magnitude_head = nn.Linear(widths[-1], 1)
+
+    def _trunk(self, cable_count: int, widths: Sequence[int]) -> nn.Module:
+        return perceptron(cable_count, widths)
+
+    def _answer(self, tension_difference_n: Tensor) -> _Answer:
+        hidden = self.trunk(self.tension(tension_difference_n))
+        logits, direction = self.contact_head(hidden), self.direction_head(hidden)
+        return logits, direction, self.magnitude.undo(self.magnitude_head(hidden)), hidden
+
+
+class GatedLayer(nn.Module):
+    """SiLU(W x + a) times (V x + b), elementwise: a layer that can multiply its inputs.
+
+    An unknown pose changes tensions by a product of angles and forces, which a plain layer can
+    only approximate. Shazeer, GLU Variants Improve Transformer, 2020 (there: SwiGLU).
+    """
+
+    def __init__(self, inputs: int, width: int) -> None:
+        super().__init__()
+        self.gate = nn.Linear(inputs, width)
+        self.value = nn.Linear(inputs, width)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Features (B, width) of inputs (B, inputs)."""
+        return functional.silu(self.gate(x)) * self.value(x)
+
+
+class ScaleAwareNetwork(SharedBackboneNetwork):
+    """Separates the pattern of the tension differences from their size.
+
+    While no cable goes slack, twice the force makes twice the differences: the pattern
+    u = ΔT / |ΔT| holds segment and direction, and the magnitude is |ΔT| times a function of it.
+    Pattern, log |ΔT| and the standardised differences (slack and sensor noise do depend on size)
+    enter one trunk of gated layers; the magnitude's head answers the logarithm of F / |ΔT|, so
+    its error is relative, as the physics is.
+    """
+
+    def __init__(
+        self, cable_count: int, segment_count: int, widths: Sequence[int] = (208, 208, 208)
+    ) -> None:
+        super().__init__(cable_count, segment_count, widths)
+
+    def _trunk(self, cable_count: int, widths: Sequence[int]) -> nn.Module:
+        sizes = pairwise([2 * cable_count + 1, *widths])
+        return nn.Sequential(*(GatedLayer(inputs, width) for inputs, width in sizes))
+
+    def _answer(self, tension_difference_n: Tensor) -> _Answer:
+        length = tension_norm_n(tension_difference_n)
+        scaled = self.tension(tension_difference_n)
+        pattern = tension_difference_n / length
+        hidden = self.trunk(torch.cat([pattern, torch.log(length) / 3.0, scaled], dim=-1))
+        ratio = torch.exp(self.magnitude_head(hidden).clamp(max=3.0))
+        return self.contact_head(hidden), self.direction_head(hidden), length * ratio, hidden

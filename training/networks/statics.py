@@ -1,0 +1,103 @@
+"""The closed form that suits an arm file, and what of the arm's effects it cannot carry.
+
+The closed form contains the effects on the arm itself: masses, stiffness, holes, springs, contact
+points, while the actuators hold the lengths of the arm without them. `unreading` undoes what
+sensors that do not err by the past make of tensions. No closed form knows history-dependent
+effects and the actuators; they count as spread of the readings.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_sim.arm import Arm
+from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.effects.registry import actuations, amended, sensings, transmissions
+from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
+from cablesense_sim.load_capacity import contact_range_n
+from cablesense_sim.replay import difference_variance_n2
+from cablesense_training.data.generation import draw_dataset
+from cablesense_training.data.history import sensed_along_n
+from cablesense_training.data.protocols import SingleContact
+from cablesense_training.networks.closed_form import ClosedForm, pose_corrections_for
+from cablesense_training.networks.second_order import SecondOrderClosedForm
+
+_JUDGED_SAMPLES, _BORNE_BENT = 256, 0.5
+"""How many contacts spread is judged on, and up to which share of what the straight arm bears."""
+_LEAST_CORRECTIONS_OF_ANOTHER_GEOMETRY = 2
+
+
+def exact_statics(
+    arm: Arm,
+    tare_samples: int,
+    pose_corrections: int | None = None,
+    unexplained_n2: float | None = None,
+) -> ClosedForm:
+    """The closed form of an arm, with as many pose corrections as it calls for, or as given.
+
+    `unexplained_n2` is what no statics carries, N²; by default what the arm's effects make of it.
+    """
+    nominal = mechanism_of(arm)
+    mechanism = amended(nominal, entries_of(arm))
+    # where holes are elsewhere, the held lengths are not the arm's own
+    own_lengths = (
+        mechanism.segment_hole_y_m is None
+        and np.array_equal(mechanism.hole_y_m, nominal.hole_y_m)
+        and np.array_equal(mechanism.hole_z_m, nominal.hole_z_m)
+    )
+    if pose_corrections is None:
+        pose_corrections = pose_corrections_for(mechanism)
+        if not own_lengths:
+            pose_corrections = max(pose_corrections, _LEAST_CORRECTIONS_OF_ANOTHER_GEOMETRY)
+    return ClosedForm(
+        mechanism,
+        difference_variance_n2(arm.sensors, tare_samples),
+        pose_corrections,
+        unexplained_variance_n2(arm) if unexplained_n2 is None else unexplained_n2,
+        None if own_lengths else nominal,
+    )
+
+
+def statics(
+    arm: Arm, tare_samples: int, unexplained_n2: float | None = None
+) -> ClosedForm | SecondOrderClosedForm:
+    """`exact_statics` of an arm; to second order where that is enough, which is faster."""
+    exact = exact_statics(arm, tare_samples, unexplained_n2=unexplained_n2)
+    if exact.springy or exact.held_by is not None or exact.pose_corrections > 1:
+        return exact
+    return SecondOrderClosedForm(exact)
+
+
+def unexplained_variance_n2(arm: Arm) -> float:
+    """Mean square of what the arm's effects make of tension differences and statics does not."""
+    entries = entries_of(arm)
+    if not (actuations([entries]) or transmissions([entries]) or sensings([entries])):
+        return 0.0
+    force_high_n = _BORNE_BENT * contact_range_n(arm)
+    protocol = SingleContact(
+        samples=_JUDGED_SAMPLES, pose="random", force_high_n=force_high_n, noise=False
+    )
+    drawn = draw_dataset(arm, protocol)
+    nominal = mechanism_of(arm)
+    mechanism, held = amended(nominal, entries), held_lengths_m(nominal, drawn.command_rad)
+    loaded, unloaded = (
+        solve_equilibrium(mechanism, drawn.command_rad, forces, held_m=held).tensions_n
+        for forces in (drawn.forces_n, np.zeros_like(drawn.forces_n))
+    )
+    differences_n, unread = drawn.tension_difference_n, unreading(arm)
+    if unread is not None:
+        differences_n = differences_n @ unread
+    return float(((differences_n - (loaded - unloaded)) ** 2).mean())
+
+
+def unreading(arm: Arm) -> Array | None:
+    """(M, M) by which rows of tension differences as read become those of the tensions.
+
+    At rest, for differences as small as a newton; None where readings are tensions.
+    """
+    count = arm.cable_count
+    tensions_n = arm.cables.pretension_n + np.vstack([np.zeros(count), np.eye(count)])
+    nothing, *each = sensed_along_n(entries_of(arm), np.zeros(1), tensions_n[None])[0]
+    gains = np.array(each) - nothing
+    return None if np.allclose(gains, np.eye(count)) else np.linalg.inv(gains)
