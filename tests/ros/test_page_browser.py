@@ -33,7 +33,7 @@ from PIL import Image
 from websockets.sync.client import connect
 
 from cablesense_ros.discovery import own_graph
-from cablesense_ros.processes import Processes, node_command
+from cablesense_ros.processes import ProcessError, Processes, node_command
 
 pytestmark = [pytest.mark.browser, pytest.mark.ros, pytest.mark.slow]
 
@@ -181,7 +181,11 @@ def processes(tmp_path_factory, browser_program):
     commands = {"sim": node_command("sim"), "estimator": node_command("estimator"), "page": page}
     with Processes(commands, tmp_path_factory.mktemp("logs"), environment) as processes:
         yield processes
-        processes.check()
+        try:
+            processes.check()
+        except ProcessError as ended:
+            ended.add_note(processes["page"].log)
+            raise
 
 
 @pytest.fixture(scope="module")
