@@ -79,6 +79,7 @@ CONTRACT: Final = {
     topics.CONTACT_POINT: TopicType("geometry_msgs/msg/PointStamped", PUBLISHER),
     topics.CONTACT_REGION: TopicType("geometry_msgs/msg/PolygonStamped", PUBLISHER),
     topics.CONTACT_POSE: TopicType("geometry_msgs/msg/PoseWithCovarianceStamped", PUBLISHER),
+    topics.CONTACT_COVARIANCE: TopicType("std_msgs/msg/Float64MultiArray", PUBLISHER),
     topics.FORCE_DIRECTION: TopicType("geometry_msgs/msg/Vector3Stamped", PUBLISHER),
     topics.CONTACT_PROBABILITIES: TopicType("std_msgs/msg/Float64MultiArray", PUBLISHER),
     topics.MARKERS: TopicType("visualization_msgs/msg/MarkerArray", PUBLISHER),

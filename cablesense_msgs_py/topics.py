@@ -44,6 +44,9 @@ estimated: two points on the segment's axis, the ends of the place's 95 % interv
 CONTACT_POSE: Final = "~/contact_pose"
 """`geometry_msgs/PoseWithCovarianceStamped` in the base frame, only during a contact whose place
 is estimated: its x axis points along the normal force, its z axis along the segment."""
+CONTACT_COVARIANCE: Final = "~/contact_covariance"
+"""`std_msgs/Float64MultiArray`, only during a contact whose place is estimated: 4 x 4 by rows, of
+the place on the segment's axis, m, and the force along the segment's axes, N."""
 FORCE_DIRECTION: Final = "~/force_direction"
 """`geometry_msgs/Vector3Stamped`: unit vector in frame `segment_N`, only during a contact."""
 WRENCH: Final = "~/wrench"

@@ -12,7 +12,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.state import EstimationSettings, GateState
-from cablesense_sim.joint_motion import SHORTEST_MOVE_S, JointMotion, move_duration_s
+from cablesense_sim.joint_motion import SHORTEST_MOVE_S, JointMotion
 
 _POSE_STEPS_RAD = (1e-4, 2e-3)
 """The pose follows a set-point at rest, or in motion, only beyond this distance: a new pose costs
@@ -20,6 +20,7 @@ milliseconds."""
 _BLIND_S, _SOME_COMMANDS = 3.0, 3
 """A warning is due after this time without an estimate, if this number of commands came."""
 _LONG_AGO_NS = -(2**62)
+_ROUNDING_NS = 1_000
 _CLOCK_JITTER_S = 0.02
 """Between the stamps' clock and the monotonic one; a larger difference means a clock was set."""
 
@@ -27,9 +28,8 @@ _CLOCK_JITTER_S = 0.02
 class MotionGate:
     """Shut from a changed command until the arm must have arrived and come to rest.
 
-    Only the commanded angles are known, not the joints' progress. While the arm moves, any angle
-    between the commands since the last rest is possible, and the gate waits for the longest way
-    from there, and then `settle_s`.
+    The set-points between the commands are followed (`joint_motion`). The gate waits until they
+    have arrived at the command, and then `settle_s`.
 
     Time is that of the samples' stamps, so that a recording has the same answers: a command counts
     from the first sample after it. If stamps step back, the remaining wait is kept. If they step
@@ -40,7 +40,7 @@ class MotionGate:
     them than such a motion gets in the time of the shortest move.
 
     Attributes:
-        state: command, pose and range of possible angles.
+        state: command, pose and set-points.
         angles_rad: (2N,) the set-point at the last sample, within a few mrad of the pose; another
             array whenever it has changed, as the pose is.
         step: 1 where the stamps had stepped forward at the last sample, -1 where back, else 0.
@@ -59,8 +59,6 @@ class MotionGate:
         state = GateState(
             command_rad=here,
             pose_rad=here,
-            lowest_rad=here,
-            highest_rad=here,
             rest_from_ns=_LONG_AGO_NS,
         )
         self.restore(state)
@@ -90,11 +88,7 @@ class MotionGate:
         if np.array_equal(command_rad, self.command_rad):
             return False
         followed = self.follows(command_rad)
-        self._note_rest()
-        state = self.state
-        state.command_rad = command_rad.copy()
-        state.lowest_rad = np.minimum(state.lowest_rad, command_rad)
-        state.highest_rad = np.maximum(state.highest_rad, command_rad)
+        self.state.command_rad = command_rad.copy()
         self._heading, self._resting = True, False
         self._commands_since += 1
         if not followed:
@@ -118,12 +112,7 @@ class MotionGate:
 
     def wait_anew(self) -> None:
         """Wait, from the next sample on, as after a command to the present pose."""
-        self._note_rest()
-        self._starting, self._resting = True, False
-
-    def _note_rest(self) -> None:
-        if not self.shut:
-            self.state.lowest_rad = self.state.highest_rad = self.command_rad
+        self._starting, self._heading, self._resting = True, True, False
 
     def moving(self, stamp_ns: int, now_ns: int, now_s: float) -> bool:
         """Whether the arm may still move, or swing, at the next sample's stamp.
@@ -133,29 +122,29 @@ class MotionGate:
         if self._resting and stamp_ns >= self._last_ns:
             self._last_ns = stamp_ns
             return False
-        shut = self._may_move(stamp_ns, now_ns, now_s)
-        course = self._course
+        state, course, last_ns = self.state, self._course, self._last_ns
+        self.step, self._resting, self._last_ns = 0, False, stamp_ns
+        if stamp_ns < last_ns:
+            state.rest_from_ns -= last_ns - stamp_ns
+            state.course_from_ns -= last_ns - stamp_ns
+            self.step = -1
         if course.moving:
-            course.at(max(0, stamp_ns - self.state.course_from_ns) * 1e-9)
+            course.at(max(0, stamp_ns - state.course_from_ns) * 1e-9)
         if self._heading:
             course.go_to(self.command_rad)
-            self._heading, self.state.course_from_ns = False, stamp_ns
+            self._heading, state.course_from_ns = False, stamp_ns
+        shut = self._may_move(stamp_ns, now_ns, now_s, first=last_ns == _LONG_AGO_NS)
         self._resting &= not course.moving
         if not shut:
             self._pose_at(course.state[0] if course.moving else self.command_rad)
         return shut
 
-    def _may_move(self, stamp_ns: int, now_ns: int, now_s: float) -> bool:
-        self.step, self._resting = 0, False
-        state, first, last_ns = self.state, self._last_ns == _LONG_AGO_NS, self._last_ns
-        if stamp_ns < last_ns:
-            state.rest_from_ns -= last_ns - stamp_ns
-            state.course_from_ns -= last_ns - stamp_ns
-            self.step = -1
-        self._last_ns = stamp_ns
+    def _may_move(self, stamp_ns: int, now_ns: int, now_s: float, *, first: bool) -> bool:
+        state = self.state
         if first or self._starting:
-            latest_ns = stamp_ns + self._longest_wait_ns(restored=not self._starting)
-            if first and state.rest_from_ns > latest_ns:
+            wait_s = self._course.remaining_s + self._settings.settle_s
+            latest_ns = stamp_ns + round(wait_s * 1e9)
+            if first and state.rest_from_ns > latest_ns + _ROUNDING_NS:
                 self.shortened_s = (state.rest_from_ns - latest_ns) * 1e-9
             if self._starting or self.shortened_s:
                 state.rest_from_ns = latest_ns
@@ -171,14 +160,6 @@ class MotionGate:
         state.rest_from_ns = stamp_ns + round(left_s * 1e9)
         self.step = 1
         return True
-
-    def _longest_wait_ns(self, *, restored: bool) -> int:
-        """Wait for a move to the command, or between any possible angles of a `restored` gate."""
-        lowest, highest = self.state.lowest_rad, self.state.highest_rad
-        ends = (highest, lowest) if restored else (self.command_rad,) * 2
-        turn = max(float((highest - ends[1]).max()), float((ends[0] - lowest).max()))
-        move_s = move_duration_s(turn, self._settings.joint_speed_rad_s)
-        return round((move_s + self._settings.settle_s) * 1e9)
 
     def _pose_at(self, angles_rad: Array) -> None:
         off_rad = float(np.abs(angles_rad - self.pose_rad).max())
@@ -205,14 +186,11 @@ class MotionGate:
     def restore(self, state: GateState) -> None:
         """Continue from the snapshot of another gate.
 
-        The wait is no longer than that of a move between its possible angles.
+        The wait is no longer than its set-points take to arrive and the arm to settle.
         """
         self.state = state = state.model_copy()
-        command_rad = state.command_rad
-        state.lowest_rad = np.minimum(state.lowest_rad, command_rad)
-        state.highest_rad = np.maximum(state.highest_rad, command_rad)
         self.angles_rad = state.pose_rad
-        self._course = JointMotion(command_rad, self._settings.joint_speed_rad_s)
+        self._course = JointMotion(state.command_rad, self._settings.joint_speed_rad_s)
         if state.course.size:
             self._course.resume(state.course.tolist())
         self._last_ns = _LONG_AGO_NS

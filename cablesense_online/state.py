@@ -142,16 +142,13 @@ class GateState(BaseModel):
     Attributes:
         command_rad: (2N,) the command in force.
         pose_rad: (2N,) pose of the estimates: the command, or a set-point of a followed motion.
-        lowest_rad, highest_rad: (2N,) range of joint angles that is possible until the arm rests.
         rest_from_ns: stamp from which on the arm rests.
-        course, course_from_ns: set-points of a followed motion (`JointMotion.course`) and the
-            stamp at which it began; empty where the arm is at the command.
+        course, course_from_ns: set-points of a motion (`JointMotion.course`) and the stamp at
+            which it began; empty where they are at the command.
     """
 
     command_rad: Vector
     pose_rad: Vector
-    lowest_rad: Vector
-    highest_rad: Vector
     rest_from_ns: WholeNumber
     course: Vector = _EMPTY
     course_from_ns: WholeNumber = 0

@@ -104,6 +104,12 @@ class EstimatorOutputs:
         self._point_out = outputs.make(PointStamped, topics.CONTACT_POINT)
         self._region_out = outputs.make(PolygonStamped, topics.CONTACT_REGION)
         self._pose_out = outputs.make(PoseWithCovarianceStamped, topics.CONTACT_POSE)
+        self._covariance_out = outputs.make(Float64MultiArray, topics.CONTACT_COVARIANCE)
+        self._covariance = Float64MultiArray()
+        numbers = "place,force_x,force_y,force_z"
+        self._covariance.layout.dim = [
+            MultiArrayDimension(label=numbers, size=4, stride=4 * size) for size in (4, 1)
+        ]
         self._direction_out = outputs.make(Vector3Stamped, topics.FORCE_DIRECTION)
         self._probabilities_out = outputs.make(Float64MultiArray, topics.CONTACT_PROBABILITIES)
         labels = ["none", *(f"segment_{n + 1}" for n in range(frames.segment_count))]
@@ -183,6 +189,9 @@ class EstimatorOutputs:
             pose.orientation = Quaternion(**dict(zip("xyzw", at.quaternion, strict=True)))
             message.pose.covariance = at.covariance
             self._pose_out.publish(message)
+        if estimate and estimate.place and self._covariance_out.subscribed:
+            self._covariance.data = array("d", estimate.place.covariance.ravel().tolist())
+            self._covariance_out.publish(self._covariance)
         if self._direction_out.subscribed:
             direction = Vector3Stamped()
             direction.header.frame_id, direction.header.stamp = frame_id, stamp

@@ -28,7 +28,8 @@ class Grid(NamedTuple):
 
     Attributes:
         place_m, log_density, weight: (N, K), by range; weights of a segment have the sum 1.
-        force_n, variance_n2: (N, K, 3).
+        force_n: (N, K, 3).
+        covariance_n2: (N, K, 3, 3) of it; its upper triangle is not filled.
         lateral_n, lateral_std_n: (N, K).
         moment_n_m, moment_variance: (N, K, 2).
     """
@@ -37,7 +38,7 @@ class Grid(NamedTuple):
     log_density: Array
     weight: Array
     force_n: Array
-    variance_n2: Array
+    covariance_n2: Array
     lateral_n: Array
     lateral_std_n: Array
     moment_n_m: Array
@@ -74,26 +75,37 @@ def compare(evidence: Array, found: Location, b: int) -> None:
 @compiled
 def summarise(grid: Grid, n: int, largest_n: float, found: Location, b: int) -> None:
     """Means and intervals over the places of segment n, into row b."""
-    force, force_std = found.force_n[b], found.force_std_n[b]
+    force, covariance = found.force_n[b], found.covariance[b]
     moment, moment_std = found.moment_n_m[b], found.moment_std_n_m[b]
     place, lateral = 0.0, 0.0
-    force[:], force_std[:], moment[:], moment_std[:] = 0.0, 0.0, 0.0, 0.0
+    force[:], covariance[:], moment[:], moment_std[:] = 0.0, 0.0, 0.0, 0.0
     for k in range(grid.weight.shape[1]):
         s, w = grid.place_m[n, k], grid.weight[n, k]
         if not w:
             continue
         place += w * s
         lateral += w * grid.lateral_n[n, k]
+        covariance[0, 0] += w * s * s
         for i in range(3):
             f = grid.force_n[n, k, i]
             force[i] += w * f
-            force_std[i] += w * (grid.variance_n2[n, k, i] + f * f)
+            covariance[i + 1, 0] += w * f * s
+            for j in range(i + 1):
+                shared = grid.covariance_n2[n, k, i, j] + f * grid.force_n[n, k, j]
+                covariance[i + 1, j + 1] += w * shared
         for i in range(2):
             m = grid.moment_n_m[n, k, i]
             moment[i] += w * m
             moment_std[i] += w * (grid.moment_variance[n, k, i] + m * m)
+    covariance[0, 0] = max(covariance[0, 0] - place * place, 0.0)
     for i in range(3):
-        force_std[i] = math.sqrt(max(force_std[i] - force[i] ** 2, 0.0))
+        covariance[i + 1, 0] -= force[i] * place
+        for j in range(i + 1):
+            covariance[i + 1, j + 1] -= force[i] * force[j]
+        covariance[i + 1, i + 1] = max(covariance[i + 1, i + 1], 0.0)
+    for i in range(4):
+        for j in range(i):
+            covariance[j, i] = covariance[i, j]
     for i in range(2):
         moment_std[i] = math.sqrt(max(moment_std[i] - moment[i] ** 2, 0.0))
         share = 0.975 if i else 0.025

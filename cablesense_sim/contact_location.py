@@ -198,7 +198,7 @@ class Location(NamedTuple):
         region_segment, region_m: (B, 2) ends of the interval of the place over all segments: each
             a segment, from 1 on, and the distance from its joint centre.
         force_n: (B, 3) mean force, along the axes of the segment at the commanded angles.
-        force_std_n: (B, 3) standard deviations.
+        covariance: (B, 4, 4) of place, m, and force, N.
         magnitude_ci95_n: (B, 2) interval of the lateral force.
         moment_n_m: (B, 2) mean moment about the joint centre, around y and z, with that of the
             axial force at the surface.
@@ -214,12 +214,17 @@ class Location(NamedTuple):
     region_segment: NDArray[np.int64]
     region_m: Array
     force_n: Array
-    force_std_n: Array
+    covariance: Array
     magnitude_ci95_n: Array
     moment_n_m: Array
     moment_std_n_m: Array
     log_evidence: Array
     chi2: Array
+
+    @property
+    def force_std_n(self) -> Array:
+        """(B, 3) standard deviations of the force."""
+        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)[:, 1:])
 
     @property
     def force_known(self) -> NDArray[np.bool_]:

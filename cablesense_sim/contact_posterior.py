@@ -12,6 +12,7 @@ from cablesense_sim.compiled import compiled
 from cablesense_sim.contact_force import (
     BOUND_STD,
     SOFT,
+    WIDE,
     Force,
     Prior,
     add_friction,
@@ -65,7 +66,7 @@ def unfilled(count: int, segments: int) -> Location:
         region_segment=np.empty(pair, dtype=np.int64),
         region_m=np.empty(pair),
         force_n=np.empty(vector),
-        force_std_n=np.empty(vector),
+        covariance=np.empty((count, 4, 4)),
         magnitude_ci95_n=np.empty(pair),
         moment_n_m=np.empty(pair),
         moment_std_n_m=np.empty(pair),
@@ -111,7 +112,7 @@ def locate_each(balance: TorqueBalance, prior: Prior, found: Location) -> None:
         np.empty((segments, places)),
         np.empty((segments, places)),
         np.empty((segments, places, 3)),
-        np.empty((segments, places, 3)),
+        np.empty((segments, places, 3, 3)),
         np.empty((segments, places)),
         np.empty((segments, places)),
         np.empty((segments, places, 2)),
@@ -153,7 +154,7 @@ def _best_places(
     axial, beyond = prior.axial_std_n**-2, 0.0
     if surface:
         axial = axial_bound(prior, prior.largest_n) ** -2
-        beyond = prior.radius_m * prior.friction * (1.0 + SOFT)  # friction shifts it thus far
+        beyond = prior.radius_m * prior.friction * (WIDE + SOFT)  # friction shifts it thus far
     s, most = low, -np.inf
     for k in range(_COARSE):
         tried = low - beyond + (high - low + 2.0 * beyond) * k / (_COARSE - 1)
@@ -332,7 +333,7 @@ def _fill_range(
         log_bound = fit.twist_log
         if surface:  # bounded by the lateral force, which hardly differs from place to place
             bound = axial_bound(prior, lateral)
-            root = math.sqrt(2.0 * math.pi) / (2.0 * bound)
+            root = math.sqrt(2.0 * math.pi) / (2.0 * WIDE * bound)
             force, log_share = bounded(best_force(shape, (_OPEN * bound) ** -2, s), bound)
             log_bound += log_share
         else:
@@ -347,7 +348,8 @@ def _fill_range(
         most = max(most, force.gain)
         grid.place_m[n, k], grid.log_density[n, k] = s, density
         grid.lateral_n[n, k], grid.lateral_std_n[n, k] = lateral, spread
-        grid.force_n[n, k, 0], grid.variance_n2[n, k, 0] = force.x, force.xx
-        grid.force_n[n, k, 1], grid.variance_n2[n, k, 1] = force.y, force.yy
-        grid.force_n[n, k, 2], grid.variance_n2[n, k, 2] = force.z, force.zz
+        mean, covariance = grid.force_n[n, k], grid.covariance_n2[n, k]
+        mean[0], mean[1], mean[2] = force.x, force.y, force.z
+        covariance[0, 0], covariance[1, 1], covariance[2, 2] = force.xx, force.yy, force.zz
+        covariance[1, 0], covariance[2, 0], covariance[2, 1] = force.xy, force.xz, force.yz
     return most + fit.twist_gain

@@ -43,6 +43,11 @@ class JointMotion:
         """Whether the target is still ahead."""
         return self._elapsed_s < self._duration_s
 
+    @property
+    def remaining_s(self) -> float:
+        """Time until the target is reached."""
+        return max(0.0, self._duration_s - self._elapsed_s)
+
     def go_to(self, target_rad: Array) -> None:
         """Head for `target_rad` (2N,) from wherever the motion is now."""
         angle, speed, acceleration = self.state

@@ -78,17 +78,10 @@ def test_stamps_that_step_forward_do_not_end_the_wait():
 
 
 def test_the_rest_of_a_restored_gate_is_no_further_ahead_than_a_move_takes():
-    watched, there = gate(), np.array([0.0, 0.3])
-    watched.restore(
-        watched.snapshot().model_copy(
-            update={
-                "command_rad": there,
-                "pose_rad": there,
-                "highest_rad": there,
-                "rest_from_ns": 3600 * S,
-            }
-        )
-    )
+    watched = gate()
+    watched.command(np.array([0.0, 0.3]))
+    assert watched.moving(5 * S)
+    watched.restore(watched.snapshot().model_copy(update={"rest_from_ns": 3600 * S}))
     assert watched.moving(5 * S)
     wait_ns = round((move_duration_s(0.3, SPEED) + SETTLE) * S)
     assert watched.state.rest_from_ns == 5 * S + wait_ns

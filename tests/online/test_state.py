@@ -35,8 +35,6 @@ STRAIGHT = (0.0,) * 8
 GATE = GateState(
     command_rad=(0.1, *STRAIGHT[1:]),
     pose_rad=STRAIGHT,
-    lowest_rad=STRAIGHT,
-    highest_rad=(0.1, *STRAIGHT[1:]),
     rest_from_ns=-(2**62),
 )
 TARE = Tare(
@@ -136,7 +134,7 @@ def test_a_message_that_is_no_state_is_refused_in_one_line(field, text, problem)
     ("parts", "problem"),
     [
         ({"gate": {"command_rad": np.zeros(7)}}, "command_rad has 7 numbers; the arm cdsm-.* 8"),
-        ({"gate": {"highest_rad": np.array([0.0] * 7 + [1e6])}}, "a joint at 1e"),
+        ({"gate": {"pose_rad": np.array([0.0] * 7 + [1e6])}}, "a joint at 1e"),
         ({"gate": {"course": np.zeros(9)}}, "gate.course has 9"),
         ({"tare": {"tare": TARE.model_copy(update={"command_rad": np.zeros(0)})}}, "has 0"),
         ({"breath": {"offset_n": np.ones(1)}}, "breath.offset_n has 1"),

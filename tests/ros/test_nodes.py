@@ -14,6 +14,7 @@ from rclpy.qos import qos_profile_sensor_data
 from rclpy.time import Time
 from ros_graph import force
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -69,6 +70,7 @@ def test_a_push_is_estimated_in_every_form_and_its_end_as_well(tared):
     base = tared.listen(WrenchStamped, "/estimator/wrench_base")
     torques = tared.listen(JointState, "/estimator/joint_torques")
     poses = tared.listen(PoseWithCovarianceStamped, "/estimator/contact_pose")
+    covariances = tared.listen(Float64MultiArray, "/estimator/contact_covariance")
     shown = tared.listen(MarkerArray, "/estimator/markers")
     pushed_n = (0.0, 40.0, 0.0)
     tared.push(3, pushed_n)
@@ -88,6 +90,10 @@ def test_a_push_is_estimated_in_every_form_and_its_end_as_well(tared):
     assert poses[-1].header.frame_id == "base_link"
     assert poses[-1].pose.pose.position.x == pytest.approx(x_m, abs=2e-3)
     assert 0.0 < poses[-1].pose.covariance[0] < 1e-6
+    covariance = np.reshape(covariances[-1].data, (4, 4))
+    assert np.linalg.eigvalsh(covariance).min() > 0.0
+    assert 0.0 < covariance[0, 0] < 1e-6
+    assert covariance[1, 1] > 100.0 > 1.0 > covariance[2, 2]  # a straight arm shows no axial force
     tared.until(lambda: shown and shown[-1].markers[-1].action == Marker.ADD, "the band")
     band = shown[-1].markers[-1]
     assert band.header.frame_id == "segment_3"
@@ -183,6 +189,7 @@ def test_several_contacts_at_once_have_a_wrench_each_and_are_replayed(
         recorder.flush()
         tared.push(2, (0.0, 0.0, force_n))
         tared.spin(6.0)  # a busy machine takes seconds to find the topics of each segment
+    tared.executor.remove_node(listener)
     recorder.close()
     run = RecordedRun(tmp_path / "several.mcap")
     assert run.segments == (1, 2, 3, 4)

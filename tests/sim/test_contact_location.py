@@ -157,7 +157,18 @@ def test_errors_are_those_of_the_noise_and_the_intervals_cover(name, bend_deg):
     right = found.segment == contacts.segment
     low, high = reach_m(contacts.mechanism)[0]
     prior = np.diag([AXIAL_STD_N**-2, 0.0, 0.0, 12.0 / (high - low) ** 2])
-    bound_m = np.sqrt(np.linalg.inv(contacts.information() + prior)[:, 3, 3])
+    bound = np.linalg.inv(contacts.information() + prior)[:, [3, 0, 1, 2]][..., [3, 0, 1, 2]]
+    bound_m = np.sqrt(bound[:, 0, 0])
+    if bend_deg:  # inside the segment, where the prior cuts nothing off
+        inner = (
+            right
+            & (contacts.place_m - low > 4 * bound_m)
+            & (high - contacts.place_m > 4 * bound_m)
+        )
+        assert inner.sum() > 50
+        root = np.linalg.cholesky(bound[inner])
+        whitened = np.linalg.solve(root, found.covariance[inner]) @ np.linalg.inv(root).mT
+        assert np.median(np.abs(whitened - np.eye(4))) < 0.1
     off = ((found.place_m - contacts.place_m) / bound_m)[right]
     assert np.sqrt((off**2).mean()) < 1.2
     assert 0.91 < within(contacts.place_m, found.place_ci95_m)[right].mean() <= 0.99

@@ -119,11 +119,12 @@ class AnywhereEstimator(Estimator):
         self._locate()
         found = self._found
         _, force_y, force_z = force = found.force_n[0].tolist()
-        along_std, y_std, z_std = found.force_std_n[0].tolist()
         low_m, high_m = self._region_m(found)
         low_n, high_n = found.magnitude_ci95_n[0].tolist()
         size_n = max(math.hypot(force_y, force_z), 1e-9)
-        across = math.hypot(force_z * y_std, force_y * z_std) / size_n**2
+        covariance = found.covariance[0].copy()
+        (yy, yz), (_, zz) = covariance[2:, 2:].tolist()
+        across = force_z**2 * yy + force_y**2 * zz - 2.0 * force_y * force_z * yz
         chi2, residual = max(found.chi2.item(), 0.0), outputs[-1]
         free = max(len(residual) - _NUMBERS, 1)
         return Estimate(
@@ -132,7 +133,7 @@ class AnywhereEstimator(Estimator):
             angle_deg=math.degrees(math.atan2(force_y, force_z)) % 360.0,
             magnitude_n=size_n,
             magnitude_std_n=(high_n - low_n) / (2.0 * NORMAL_95),
-            angle_std_deg=math.degrees(math.atan(across)),
+            angle_std_deg=math.degrees(math.atan(math.sqrt(max(across, 0.0)) / size_n**2)),
             low_n=low_n,
             high_n=high_n,
             place=ContactPlace(
@@ -140,7 +141,7 @@ class AnywhereEstimator(Estimator):
                 low_m=low_m,
                 high_m=high_m,
                 along_n=force[0],
-                along_std_n=along_std,
+                covariance=covariance,
                 moment_n_m=math.hypot(*found.moment_n_m[0].tolist()),
                 force_known=is_known(high_n - low_n, size_n),
                 misfit=math.sqrt((chi2 + float(residual.dot(residual))) / free),
@@ -159,7 +160,8 @@ def _misfit(chi2: Array, residual: Array, contacts: int) -> Array:
 
 def _polar(found: Location) -> tuple[Array, Array]:
     """Mean normal force (B,), N, and standard deviation of its angle (B,), deg."""
-    (y, z), (y_std, z_std) = found.force_n[:, 1:].T, found.force_std_n[:, 1:].T
+    (y, z), lateral = found.force_n[:, 1:].T, found.covariance[:, 2:, 2:]
     size = np.maximum(np.hypot(y, z), 1e-9)
-    across = np.hypot(z * y_std, y * z_std) / size
-    return size, np.rad2deg(np.arctan(across / size))
+    beside = np.stack([z, -y], axis=1) / size[:, None]
+    variance = np.einsum("bi,bij,bj->b", beside, lateral, beside)
+    return size, np.rad2deg(np.arctan(np.sqrt(np.maximum(variance, 0.0)) / size))

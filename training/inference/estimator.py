@@ -40,7 +40,8 @@ class ContactPlace(NamedTuple):
         place_m: distance from the segment's joint centre.
         low_m, high_m: between which it lies with 95 %; beyond the segment's ends, along the arm,
             where the neighbour may be touched.
-        along_n, along_std_n: force along the segment, towards its end.
+        along_n: force along the segment, towards its end.
+        covariance: (4, 4) of the place, m, and the force along the segment's axes, N.
         moment_n_m: moment of the normal force about the joint centre.
         force_known: whether the tensions determine the normal force; else only its moment.
         misfit: root mean square of the readings' residuals, in their standard deviations.
@@ -52,12 +53,17 @@ class ContactPlace(NamedTuple):
     low_m: float
     high_m: float
     along_n: float
-    along_std_n: float
+    covariance: Array
     moment_n_m: float
     force_known: bool
     misfit: float
     log_evidence: float
     chi2: float
+
+    @property
+    def along_std_n(self) -> float:
+        """Standard deviation of `along_n`."""
+        return float(self.covariance[1, 1]) ** 0.5
 
 
 class Estimate(NamedTuple):
