@@ -18,13 +18,10 @@ from cablesense_sim.compiled import compiled
 _LEAST_AXIAL_N = 0.01
 """The bound of an axial force by friction where the lateral force is zero."""
 SOFT = 0.5
-"""Deviation of the bound of friction, as a share of it: a coefficient is known about so well."""
-WIDE = math.sqrt(2.0)
-"""Half the width of the uniform prior of an axial force, over the bound of friction. The force of
-a contact that sticks is anywhere within the bound, and that of one that slides is at it: the prior
-has the variance of either with even odds."""
-BOUND_STD = math.sqrt(WIDE**2 / 3.0 + SOFT**2)
-"""Standard deviation of an axial force by that prior with soft ends, over the bound."""
+"""Deviation of the bound of friction, as a share of it. A coefficient is known about so well, and
+then the interval covers a contact that slides, which is at the bound."""
+BOUND_STD = 0.76
+"""Standard deviation of an axial force within that soft bound, as a share of the bound."""
 
 
 class Prior(NamedTuple):
@@ -266,12 +263,12 @@ def of_sum(a: float, xx: float, b: float, yy: float, xy: float) -> float:
 def bounded(f: Force, bound: float) -> tuple[Force, float]:
     """A force with its axial component bounded by friction, softly, and the log of the share.
 
-    The share is that of the unbounded force within the prior (`WIDE`); the gain becomes that of
-    the bounded mean.
+    The bound's prior is uniform within ± bound, plus a normal error. The share is that of the
+    unbounded force within it; the gain becomes that of the bounded mean.
     """
-    width, end = math.sqrt(f.xx + (SOFT * bound) ** 2), WIDE * bound
+    width = math.sqrt(f.xx + (SOFT * bound) ** 2)
     sign = -1.0 if f.x < 0.0 else 1.0
-    near, far = (sign * f.x - end) / width, (sign * f.x + end) / width
+    near, far = (sign * f.x - bound) / width, (sign * f.x + bound) / width
     if near < 6.0:
         share = 0.5 * (math.erfc(near * math.sqrt(0.5)) - math.erfc(far * math.sqrt(0.5)))
         at_near = math.exp(-0.5 * near * near) / (share * math.sqrt(2.0 * math.pi))

@@ -17,7 +17,6 @@ from cablesense_sim.compiled import compiled
 from cablesense_sim.contact_force import (
     BOUND_STD,
     SOFT,
-    WIDE,
     Prior,
     add_friction,
     axial_bound,
@@ -167,7 +166,7 @@ def _select(gram: Array, pull: Array, first: int, second: int, prior: Prior, pai
         pair.axial[k] = prior.axial_std_n**-2
         if prior.radius_m >= 0.0:
             pair.axial[k] = (BOUND_STD * axial_bound(prior, prior.largest_n)) ** -2
-            beyond = prior.radius_m * prior.friction * (WIDE + SOFT)  # friction shifts it thus far
+            beyond = prior.radius_m * prior.friction * (1.0 + SOFT)  # friction shifts it thus far
             pair.low[k] -= beyond
             pair.high[k] += beyond
         for i in range(_ROWS):

@@ -12,7 +12,6 @@ from cablesense_sim.compiled import compiled
 from cablesense_sim.contact_force import (
     BOUND_STD,
     SOFT,
-    WIDE,
     Force,
     Prior,
     add_friction,
@@ -154,7 +153,7 @@ def _best_places(
     axial, beyond = prior.axial_std_n**-2, 0.0
     if surface:
         axial = axial_bound(prior, prior.largest_n) ** -2
-        beyond = prior.radius_m * prior.friction * (WIDE + SOFT)  # friction shifts it thus far
+        beyond = prior.radius_m * prior.friction * (1.0 + SOFT)  # friction shifts it thus far
     s, most = low, -np.inf
     for k in range(_COARSE):
         tried = low - beyond + (high - low + 2.0 * beyond) * k / (_COARSE - 1)
@@ -333,7 +332,7 @@ def _fill_range(
         log_bound = fit.twist_log
         if surface:  # bounded by the lateral force, which hardly differs from place to place
             bound = axial_bound(prior, lateral)
-            root = math.sqrt(2.0 * math.pi) / (2.0 * WIDE * bound)
+            root = math.sqrt(2.0 * math.pi) / (2.0 * bound)
             force, log_share = bounded(best_force(shape, (_OPEN * bound) ** -2, s), bound)
             log_bound += log_share
         else:

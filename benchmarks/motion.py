@@ -1,0 +1,194 @@
+"""How long the estimate of a push stays away after joints have moved.
+
+    python benchmarks/motion.py [--moves 6] [--seed 7301] [--write]
+
+The estimator's core beside a simulated arm with its dynamics, at 500 Hz in simulated time, with
+the sensors' noise and step. A push acts on a segment while the joints step, or follow commands
+that stream at 50 Hz as those of a trajectory do. Times count from when the set-points have arrived
+until there is a force for good, and until it is on the pushed segment and right within 1 N.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import harness
+import numpy as np
+from rclpy.serialization import serialize_message
+from rich.progress import track
+from sensor_msgs.msg import JointState
+
+from cablesense_base import Array
+from cablesense_msgs_py.messages import Load
+from cablesense_online.answer import Answer
+from cablesense_online.estimation import Estimation
+from cablesense_online.models import load_model
+from cablesense_online.simulated_arm import SimulatedArm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.dynamics import ArmDynamics
+from cablesense_sim.joint_motion import JointMotion
+from cablesense_sim.kinematics import segment_rotations
+
+RATE_HZ, COMMANDS_HZ, START_NS = 500, 50, 10**18
+PUSH_N, OFF_N, BEND_DEG = 20.0, 1.0, (5.0, 8.0)
+REST_S, AFTER_S = 1.5, 2.0
+JOINT_SPEED_RAD_S = float(np.deg2rad(20.0))
+LATE_S = 0.1
+"""The bar: the force is back so long after the arm may have settled."""
+FIGURES = ("no_force_after_arrival_s", "not_right_after_arrival_s", "no_force_on_the_way_s")
+Course = Iterator[tuple[float, float]]
+"""When each command comes, s, and how far each joint has turned by then, rad."""
+
+
+def step(degrees: float) -> Course:
+    """One command."""
+    yield 0.0, np.deg2rad(degrees)
+
+
+def stream(speed_rad_s: float, duration_s: float) -> Course:
+    """Commands of a steady motion."""
+    for k in range(1, round(duration_s * COMMANDS_HZ) + 1):
+        yield k / COMMANDS_HZ, speed_rad_s * k / COMMANDS_HZ
+
+
+def after_stream(degrees: float) -> Course:
+    """A stream, and a step while the arm settles."""
+    yield from stream(0.1, 1.0)
+    yield 1.3, 0.1 + np.deg2rad(degrees)
+
+
+MOVES = {
+    "step of 0.1°": lambda: step(0.1),
+    "step of 1°": lambda: step(1.0),
+    "step of 5°": lambda: step(5.0),
+    "0.05 rad/s for 2 s": lambda: stream(0.05, 2.0),
+    "0.1 rad/s for 2.5 s": lambda: stream(0.1, 2.5),
+    "0.2 rad/s for 1 s": lambda: stream(0.2, 1.0),
+    "0.1 rad/s for 1 s, then 1°": lambda: after_stream(1.0),
+}
+
+
+class Bench:
+    """The estimator's core beside a simulated arm."""
+
+    def __init__(self, name: str, rng: np.random.Generator) -> None:
+        loaded = load_model(name, "")
+        self.arm, self._rng, self._tick = loaded.arm, rng, 0
+        self.settings = harness.estimation_settings(
+            joint_speed_rad_s=JOINT_SPEED_RAD_S,
+            still_rad=float(np.deg2rad(0.02)),
+            follow_rad_s=float(np.deg2rad(4.0)),
+            tare_samples=50,
+            largest_misfit=loaded.largest_misfit(-1.0),
+        )
+        dynamics = ArmDynamics(self.arm)
+        self._estimation = Estimation(self.arm, loaded.estimator, self.settings, 0.0)
+        self._simulated = SimulatedArm(dynamics, 1e-3, JOINT_SPEED_RAD_S, 0.0, now_s=0.0)
+        self._set_points = JointMotion(dynamics.command_rad, JOINT_SPEED_RAD_S)
+
+    @property
+    def now_s(self) -> float:
+        """Simulated time."""
+        return self._tick / RATE_HZ
+
+    @property
+    def moving(self) -> bool:
+        """Whether the set-points are on their way."""
+        return self._set_points.moving
+
+    def command(self, angles_rad: Array) -> None:
+        """Command arm and estimator."""
+        self._simulated.go_to(angles_rad)
+        self._set_points.go_to(angles_rad)
+        self._estimation.command(
+            JointState(name=list(self.arm.joint_names), position=angles_rad.tolist())
+        )
+
+    def push(self, segment: int, angle_rad: float, command_rad: Array) -> None:
+        """Push on a segment at its middle."""
+        axes = self._axes(segment, command_rad)
+        self._push_n = PUSH_N * axes @ [0.0, np.sin(angle_rad), np.cos(angle_rad)]
+        self._simulated.push(Load(segment, self._push_n), self.now_s)
+
+    def pushed_n(self, segment: int) -> float:
+        """The part of the push that is normal to its segment now."""
+        axis = self._axes(segment, self._set_points.state[0])[:, 0]
+        return float(np.linalg.norm(np.cross(axis, self._push_n)))
+
+    def _axes(self, segment: int, angles_rad: Array) -> Array:
+        return segment_rotations(mechanism_of(self.arm), angles_rad)[segment - 1]
+
+    def sample(self) -> Answer:
+        """The answer to the next sample."""
+        self._tick += 1
+        self._set_points.advance(1.0 / RATE_HZ)
+        self._simulated.advance_to(self.now_s)
+        read_n = self._simulated.reading_n(self.arm.sensors, self._rng)
+        stamp_ns = START_NS + round(1e9 * self.now_s)
+        message = JointState(name=list(self.arm.cable_names), effort=read_n.tolist())
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+        return self._estimation.sample(serialize_message(message), stamp_ns, self.now_s)
+
+    def rest(self) -> None:
+        """Let the arm settle."""
+        for _ in range(round(REST_S * RATE_HZ)):
+            self.sample()
+
+
+def away_s(name: str, course: Course, rng: np.random.Generator) -> tuple[float, float, float]:
+    """Until when there is no force, and none that is right, after arrival; and none before."""
+    bench, segment = Bench(name, rng), int(rng.integers(2, 5))
+    joints = bench.arm.joint_count
+    signs = rng.choice([-1.0, 1.0], joints)  # through the straight arm, within the model's range
+    start_rad = -signs * np.deg2rad(rng.uniform(*BEND_DEG, joints))
+    bench.rest()
+    bench.command(start_rad)
+    bench.rest()
+    bench.push(segment, rng.uniform(0.0, 2.0 * np.pi), start_rad)
+    bench.rest()
+    began_s, commands = bench.now_s, list(course)
+    away_s = wrong_s = arrived_s = began_s
+    away = 0
+    while commands or bench.moving or bench.now_s < arrived_s + AFTER_S:
+        while commands and bench.now_s >= began_s + commands[0][0]:
+            bench.command(start_rad + signs * commands.pop(0)[1])
+        answer = bench.sample()
+        contact = answer.contact
+        if not answer.force.known:
+            away_s = bench.now_s
+        off_n = contact.magnitude_n - bench.pushed_n(segment)
+        right = contact.segment == segment and abs(off_n) < OFF_N
+        if not right:
+            wrong_s = bench.now_s
+        if commands or bench.moving:
+            arrived_s = bench.now_s
+            away += not answer.force.known
+    return max(0.0, away_s - arrived_s), max(0.0, wrong_s - arrived_s), away / RATE_HZ
+
+
+def main() -> None:
+    """Moves both arms, prints, and keeps the figures with `--write`."""
+    options = harness.parser(__doc__, "motion.json")
+    options.add_argument("--moves", type=int, default=6, help="of each kind and arm")
+    options.add_argument("--seed", type=int, default=7301, help="of poses, pushes and noise")
+    given = options.parse_args()
+    result: dict[str, Any] = harness.origin("mujoco", "numpy")
+    worst_s = 0.0
+    for row, name in enumerate(("cdsm", "cdsm_lab")):
+        for column, (title, course) in enumerate(MOVES.items()):
+            rng = np.random.default_rng([given.seed, row, column])
+            times = [away_s(name, course(), rng) for _ in track(range(given.moves), title)]
+            result.setdefault(name, {})[title] = {
+                what: harness.percentiles(each, ["median", "worst"])
+                for what, each in zip(FIGURES, np.transpose(times), strict=True)
+            }
+            worst_s = max(worst_s, *(time_s for time_s, _, _ in times))
+    settle_s = harness.estimation_settings().settle_s
+    result["bars"] = {f"back within {settle_s + LATE_S:g} s": worst_s <= settle_s + LATE_S}
+    harness.print_bars(result["bars"])
+    harness.publish("motion.json", result, given)
+
+
+if __name__ == "__main__":
+    main()
