@@ -155,7 +155,7 @@ def away_s(name: str, course: Course, rng: np.random.Generator) -> tuple[float, 
             bench.command(start_rad + signs * commands.pop(0)[1])
         answer = bench.sample()
         contact = answer.contact
-        if not answer.force.known:
+        if not contact.segment:
             away_s = bench.now_s
         off_n = contact.magnitude_n - bench.pushed_n(segment)
         right = contact.segment == segment and abs(off_n) < OFF_N
@@ -163,7 +163,7 @@ def away_s(name: str, course: Course, rng: np.random.Generator) -> tuple[float, 
             wrong_s = bench.now_s
         if commands or bench.moving:
             arrived_s = bench.now_s
-            away += not answer.force.known
+            away += not contact.segment
     return max(0.0, away_s - arrived_s), max(0.0, wrong_s - arrived_s), away / RATE_HZ
 
 
