@@ -20,7 +20,7 @@ milliseconds."""
 _BLIND_S, _SOME_COMMANDS = 3.0, 3
 """A warning is due after this time without an estimate, if this number of commands came."""
 _LONG_AGO_NS = -(2**62)
-_ROUNDING_NS = 1_000
+_ROUNDING_S = 1e-6
 _CLOCK_JITTER_S = 0.02
 """Between the stamps' clock and the monotonic one; a larger difference means a clock was set."""
 
@@ -132,25 +132,35 @@ class MotionGate:
             course.at(max(0, stamp_ns - state.course_from_ns) * 1e-9)
         if self._heading:
             course.go_to(self.command_rad)
-            self._heading, state.course_from_ns = False, stamp_ns
-        shut = self._may_move(stamp_ns, now_ns, now_s, first=last_ns == _LONG_AGO_NS)
+            state.course_from_ns = stamp_ns
+        if self._heading or last_ns == _LONG_AGO_NS:
+            sampled_s = now_s - max(0, now_ns - stamp_ns) * 1e-9
+            self._wait_for_course(stamp_ns, sampled_s, restored=last_ns == _LONG_AGO_NS)
+        shut = self._may_move(stamp_ns, now_s)
         self._resting &= not course.moving
         if not shut:
             self._pose_at(course.state[0] if course.moving else self.command_rad)
         return shut
 
-    def _may_move(self, stamp_ns: int, now_ns: int, now_s: float, *, first: bool) -> bool:
+    def _wait_for_course(self, stamp_ns: int, sampled_s: float, *, restored: bool) -> None:
+        """Wait until the set-points must have arrived; a followed command may bring that forward.
+
+        `sampled_s` is the monotonic time of the stamp.
+        """
         state = self.state
-        if first or self._starting:
-            wait_s = self._course.remaining_s + self._settings.settle_s
-            latest_ns = stamp_ns + round(wait_s * 1e9)
-            if first and state.rest_from_ns > latest_ns + _ROUNDING_NS:
-                self.shortened_s = (state.rest_from_ns - latest_ns) * 1e-9
-            if self._starting or self.shortened_s:
-                state.rest_from_ns = latest_ns
-            self._starting = False
-            sampled_s = now_s - max(0, now_ns - stamp_ns) * 1e-9
+        wait_s = self._course.remaining_s + self._settings.settle_s
+        latest_ns = stamp_ns + round(wait_s * 1e9)
+        too_long_s = (state.rest_from_ns - latest_ns) * 1e-9
+        if restored and too_long_s > _ROUNDING_S:
+            self.shortened_s = too_long_s
+        if self._starting or too_long_s > _ROUNDING_S:
+            state.rest_from_ns = latest_ns
+        if self._starting or restored or too_long_s > _ROUNDING_S:
             self._rest_from_s = sampled_s + (state.rest_from_ns - stamp_ns) * 1e-9
+        self._heading = self._starting = False
+
+    def _may_move(self, stamp_ns: int, now_s: float) -> bool:
+        state = self.state
         if stamp_ns < state.rest_from_ns:
             return True
         left_s = self._rest_from_s - now_s
@@ -226,7 +236,7 @@ class MotionGate:
                 f"the state file's rest lay {self.shortened_s:.0f} s further ahead than a move "
                 "takes (was a clock set?); no longer than for a move was waited"
             )
-        elif blind_s > _BLIND_S and not in_motion:
+        elif blind_s > _BLIND_S and (self.shut or self.turning) and not in_motion:
             message = (
                 f"moving: no estimate for {blind_s:.0f} s, as commands continue that exceed "
                 f"{np.rad2deg(self._settings.follow_rad_s):g} deg/s (follow_deg_s), or the arm "

@@ -139,6 +139,17 @@ def test_a_faster_motion_shuts_the_gate_and_is_reported_once_it_lasts():
     assert watched.status_now().level is Level.OK
 
 
+def test_readings_that_fit_nothing_at_rest_are_no_motion():
+    watched = Gate(STILL, FOLLOW)
+    for step in range(3):
+        watched.command(np.array([0.0, 0.05 * step]))
+        watched.moving(10 * MS * step)
+    for step in range(3, 1000):
+        watched.moving(10 * MS * step)
+        watched.estimated(known=False)
+    assert watched.status_now().message == "at rest"
+
+
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 160), st.booleans())
 def test_a_gate_restored_anywhere_answers_the_same(seed, restored_at, follows):
