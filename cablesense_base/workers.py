@@ -31,6 +31,8 @@ _TERMINATED = 128 + signal.SIGTERM
 
 _shared: tuple[Any, ...] = ()
 """In a worker: what the tasks of its pool share."""
+_begun = False
+"""Whether a worker may have a first task."""
 
 
 class WorkerPool:
@@ -123,13 +125,16 @@ def _terminal_is_not_heard() -> Iterator[None]:
 
 def _begin(*shared: Any) -> None:
     """In a worker, before its first task."""
-    global _shared
+    global _shared, _begun
     _shared = shared
     signal.signal(signal.SIGTERM, _end)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    _begun = True
 
 
 def _end(*_: object) -> None:
+    if not _begun:  # the executor would print the exit
+        os._exit(_TERMINATED)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the executor sends one more
     # Python would print and forget an exit that is raised while it collects an object
     sys.unraisablehook = lambda _: os._exit(_TERMINATED)
