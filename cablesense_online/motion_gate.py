@@ -167,8 +167,11 @@ class MotionGate:
         if left_s <= _CLOCK_JITTER_S:
             self._resting = not self.step
             return False
-        state.rest_from_ns = stamp_ns + round(left_s * 1e9)
-        self.step = 1
+        rest_from_ns = stamp_ns + round(left_s * 1e9)
+        if state.course_from_ns < stamp_ns:  # set-points have not jumped with the stamps
+            state.course_from_ns += rest_from_ns - state.rest_from_ns
+            self._course.at(max(0, stamp_ns - state.course_from_ns) * 1e-9)
+        state.rest_from_ns, self.step = rest_from_ns, 1
         return True
 
     def _pose_at(self, angles_rad: Array) -> None:
