@@ -2,10 +2,11 @@
 
     python benchmarks/motion.py [--moves 6] [--seed 7301] [--write]
 
-The estimator's core beside a simulated arm with its dynamics, at 500 Hz in simulated time, with
-the sensors' noise and step. A push acts on a segment while the joints step, or follow commands
-that stream at 50 Hz as those of a trajectory do. Times count from when the set-points have arrived
-until there is a force for good, and until it is on the pushed segment and right within 1 N.
+The estimator's core answers a simulated arm with its dynamics, at 500 Hz in simulated time. The
+readings have the sensors' noise and step. A push acts on a segment while the joints step, or
+follow commands that stream at 50 Hz as those of a trajectory do. Times count from when the
+set-points have arrived until there is a force for good, and until it is on the pushed segment and
+right within 1 N.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ MOVES = {
 
 
 class Bench:
-    """The estimator's core beside a simulated arm."""
+    """The estimator's core with the simulated arm that it answers."""
 
     def __init__(self, name: str, rng: np.random.Generator) -> None:
         loaded = load_model(name, "")

@@ -21,6 +21,7 @@ _BLIND_S, _SOME_COMMANDS = 3.0, 3
 """A warning is due after this time without an estimate, if this number of commands came."""
 _LONG_AGO_NS = -(2**62)
 _ROUNDING_S = 1e-6
+"""Waits that differ by less are the same: stamps are whole nanoseconds."""
 _CLOCK_JITTER_S = 0.02
 """Between the stamps' clock and the monotonic one; a larger difference means a clock was set."""
 
