@@ -252,8 +252,15 @@ class Estimation:
             return stated_doubt
         before_ns = check.state.withheld_until_ns
         try:
-            pose_rad, contacts = self.gate.pose_rad, found.contacts
-            check.check(difference_n, pose_rad, contacts, stamp_ns, found.misfit, stated_doubt)
+            check.check(
+                difference_n,
+                self.gate.pose_rad,
+                found.contacts,
+                stamp_ns,
+                found.misfit,
+                stated_doubt,
+                turning=self.gate.turning,
+            )
         finally:
             if check.state.withheld_until_ns != before_ns:
                 self._events.note(EventKind.MISFIT)
