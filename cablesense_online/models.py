@@ -23,7 +23,7 @@ from cablesense_online.plausibility import FORCE_OFF_N
 from cablesense_online.state import EstimationSettings
 from cablesense_online.tare import Tares
 from cablesense_sim.arm import Arm, open_arm
-from cablesense_sim.contact_pairs import ContactPair
+from cablesense_sim.contact_location import ContactPair
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import (
