@@ -259,7 +259,7 @@ class Estimation:
                 stamp_ns,
                 found.misfit,
                 stated_doubt,
-                turning=self.gate.turning,
+                settling=self.gate.settling,
             )
         finally:
             if check.state.withheld_until_ns != before_ns:
@@ -267,7 +267,7 @@ class Estimation:
         return check.doubt
 
     def _refused(self, problem: SampleError) -> Answer:
-        if problem.kind is ProblemKind.MISFIT and self.gate.turning:
+        if problem.kind is ProblemKind.MISFIT and self.gate.settling:
             self.gate.estimated(known=False)
             return Answer(force=ForceState.MOVING)
         self.health.refused(problem)

@@ -84,6 +84,12 @@ class MotionGate:
         """Whether the joints have turned within the time in which the arm settles."""
         return self._last_ns - self._turned_ns <= self._settings.settle_s * 1e9
 
+    @property
+    def settling(self) -> bool:
+        """Whether the arm may swing: within `settle_s` of a turn, or of the end of a wait."""
+        since_ns = max(self._turned_ns, self.state.rest_from_ns)
+        return self._last_ns - since_ns <= self._settings.settle_s * 1e9
+
     def command(self, command_rad: Array) -> bool:
         """Take over a command (2N,); gives whether it differs from the previous one."""
         if np.array_equal(command_rad, self.command_rad):

@@ -48,9 +48,9 @@ LEAST_WITHHELD_S, WITHHELD_S = 0.05, 0.2
 """After misfits no force is given for as long as they lasted, within these limits: a swing ends
 soon on a stiff arm. The time is renewed when half of it has passed."""
 
-TURNING_TIMES: Final = 2.0
-"""While joints turn as slowly as the estimator follows them, the inertia and the damping of the
-arm make misfits of up to about one and a half times the limit at rest."""
+SETTLING_TIMES: Final = 2.0
+"""While joints turn as slowly as the estimator follows them, or an arm swings after a move, its
+inertia and damping make misfits of up to about one and a half times the limit at rest."""
 
 AVERAGED_S: Final = 1.0
 """Readings of a contact are averaged over up to this time."""
@@ -153,13 +153,13 @@ class PlausibilityCheck:
         stated_misfit: float | None = None,
         stated_doubt: str = "",
         *,
-        turning: bool = False,
+        settling: bool = False,
     ) -> None:
         """Check readings less unloaded tensions (M,) at a pose (2N,) of the arm.
 
         Contacts come the strongest first, with the misfit that the model states, if it does, and
-        its own reason to doubt them. While the joints are `turning`, a larger misfit of contacts
-        is a doubt only, as the motion makes one.
+        its own reason to doubt them. While the arm is `settling`, a larger misfit of contacts is
+        a doubt only, as its motion makes one.
 
         Raises:
             SampleError: they do not fit the contacts estimated, or did not a moment ago.
@@ -170,9 +170,9 @@ class PlausibilityCheck:
             self._steady = None
         misfit = self._misfit_text(difference_n, contacts, stated_misfit)
         self._worst = max(self._worst, self.misfit)
-        if misfit and turning and contacts:
-            allowed = self._largest < self.misfit <= TURNING_TIMES * self._largest
-            misfit, stated_doubt = ("", f"{misfit} while joints turn") if allowed else (misfit, "")
+        most = SETTLING_TIMES * self._largest
+        if settling and contacts and self._largest < self.misfit <= most:
+            misfit, stated_doubt = "", f"{misfit} while the arm moves or settles"
         state = self.state
         until_ns = min(state.withheld_until_ns, stamp_ns + round(WITHHELD_S * 1e9))
         if not misfit and stamp_ns >= until_ns:
