@@ -308,7 +308,7 @@ class PlausibilityCheck:
             self._steady = steady = _SteadyContact(fit.segments, 0.0 * difference_n)
         steady.add(difference_n, tuple(fit.force_n), stamp_ns)
         if steady.to_be_judged(fit.response, stamp_ns, self.judged_every_ns):
-            hidden = self._hidden(fit, difference_n) or self._exchanged(fit, difference_n)
+            hidden = self._hidden(fit, difference_n) or self._paired(fit, difference_n)
             steady.judge(fit.response, stamp_ns, hidden)
         if stamp_ns - steady.averaged_ns >= _JUDGED_EVERY_NS and steady.count >= _FEWEST_AVERAGED:
             steady.averaged_ns = stamp_ns
@@ -327,14 +327,20 @@ class PlausibilityCheck:
             f"up to {min(float(hidden_n.max()), self._largest_force_n):.0f} N"
         )
 
-    def _exchanged(self, fit: Any, difference_n: Array) -> str:
-        """Two cables whose exchanged readings would fit other forces on several segments.
+    def _paired(self, fit: Any, difference_n: Array) -> str:
+        """Two cables whose readings may be wrong, as text; else empty.
 
-        With one contact this hardly ever happens, as its forces leave so little free.
+        Either all others are those of an untouched arm, as for a moment on segment 1 normal to
+        one of its cables; or two exchanged ones fit other forces on several segments. With one
+        contact the latter hardly ever happens, as its forces leave so little free.
         """
         segments = fit.segments
         if len(segments) == 1:
-            return ""
+            *others, one, other = np.argsort(np.abs(difference_n)).tolist()
+            if fit.size_n < FORCE_OFF_N or self._free_misfit(difference_n[others]) > self._largest:
+                return ""
+            names = " and ".join(self._cable_names[cable] for cable in sorted((one, other)))
+            return f"wrong readings of {names} on an untouched arm would look the same"
         largest = self._limits[len(segments)]
         for two in combinations(range(len(difference_n)), 2):
             here, there = list(two), list(two[::-1])

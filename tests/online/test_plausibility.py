@@ -220,15 +220,16 @@ def test_what_passes_and_is_wrong_is_reported_as_unconfirmed():
     assert hidden
 
 
-def exchanged(arm):
-    reading = arm.reading()
+def exchanged(arm, forces):
+    reading = arm.reading(forces)
     reading[[0, 1]] = reading[[1, 0]]
     return reading
 
 
 def test_averages_show_what_single_readings_of_a_fault_hide():
     arm = Arm(command=np.deg2rad([0.6, *[0.0] * 7]))
-    states = [arm.sample(exchanged(arm)).force for _ in range(60)]
+    forces = push(arm.arm, arm.command, 1, 90.0, 30.0)
+    states = [arm.sample(exchanged(arm, forces)).force for _ in range(60)]
     assert states[0] is ForceState.CONTACT
     assert states[-1] is ForceState.UNCONFIRMED
     assert "on their average of" in arm.estimation.plausibility.status().message
