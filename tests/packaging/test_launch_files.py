@@ -51,7 +51,13 @@ class Described:
 
 
 @pytest.fixture
-def describe(monkeypatch):
+def missing():
+    """Names of packages that are not installed."""
+    return set()
+
+
+@pytest.fixture
+def describe(monkeypatch, missing):
     pytest.importorskip("lifecycle_msgs.msg")
     for name, classes in MODULES.items():
         module = ModuleType(name)
@@ -60,6 +66,13 @@ def describe(monkeypatch):
         monkeypatch.setitem(sys.modules, name, module)
     packages = sys.modules["ament_index_python.packages"]
     packages.get_package_share_directory = lambda name: str(FOLDER.parents[1])
+    packages.PackageNotFoundError = LookupError
+
+    def get_package_prefix(name):
+        if name in missing:
+            raise LookupError(name)
+
+    packages.get_package_prefix = get_package_prefix
 
     def load(file):
         code = compile((FOLDER / file).read_text(), file, "exec")
@@ -196,6 +209,16 @@ def test_the_demo_is_the_estimator_with_the_page(start):
 def test_what_has_no_effect_is_refused(start, given, told):
     with pytest.raises(RuntimeError, match=told):
         start(**given)
+
+
+@pytest.mark.parametrize(
+    ("argument", "package"), [("description", "robot_state_publisher"), ("rviz", "rviz2")]
+)
+def test_a_missing_package_is_told_before_anything_starts(start, missing, argument, package):
+    missing.add(package)
+    with pytest.raises(RuntimeError, match=f"{package} is not installed.*{argument}:=false"):
+        start(**{argument: "true"})
+    assert start(**{argument: "false"})
 
 
 @pytest.mark.parametrize(
