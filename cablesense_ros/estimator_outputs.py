@@ -215,7 +215,7 @@ class _Output:
         self.publisher: LifecyclePublisher = node.create_lifecycle_publisher(
             kind,
             topic,
-            **overridable(qos),
+            **overridable(topic, qos),
             event_callbacks=PublisherEventCallbacks(matched=self._matched),
         )
         self.publish = self.publisher.publish

@@ -21,7 +21,7 @@ from cablesense_base import Array
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import NamedOrder, put_joint_angles
 from cablesense_msgs_py.qos import PUBLISHER, SENSOR
-from cablesense_ros.endpoints import RefusalLog, of_node, overridable
+from cablesense_ros.endpoints import RefusalLog, of_node, qos_profile
 from cablesense_ros.node_process import run_node
 from cablesense_sim.arm import open_arm
 
@@ -47,7 +47,7 @@ class FollowForce(Node):
         self._command_rad, self._stepped_s = np.zeros(arm.joint_count), time.monotonic()
         self._message = JointState(name=list(arm.joint_names))
         self._out = self.create_publisher(
-            JointState, topics.JOINT_COMMANDS, **overridable(PUBLISHER)
+            JointState, topics.JOINT_COMMANDS, qos_profile(PUBLISHER)
         )
         topic = of_node("estimator", topics.JOINT_TORQUES)
         RefusalLog(self).subscribe(JointState, topic, SENSOR, self._on_torques)
