@@ -222,17 +222,24 @@ def test_a_missing_package_is_told_before_anything_starts(start, missing, argume
 
 
 @pytest.mark.parametrize(
-    "file", ["sim.yaml", "estimator.yaml", "can_driver.yaml", "breather.yaml"]
+    ("file", "default"),
+    [
+        ("sim.yaml", True),
+        ("estimator.yaml", True),
+        ("force_torque_sensor.yaml", False),
+        ("can_driver.yaml", True),
+        ("breather.yaml", True),
+    ],
 )
-def test_node_settings_name_parameters_that_exist(file):
+def test_node_settings_name_parameters_that_exist(file, default):
     yaml = pytest.importorskip("yaml")
     pytest.importorskip("rclpy")
     from cablesense_ros.parameters import parameter_table
 
-    table = parameter_table(file.removesuffix(".yaml"))
-    known = {parameter.name: parameter.default for parameter in table}
     content = yaml.safe_load((FOLDER.parents[1] / "config" / "nodes" / file).read_text())
-    (node,) = content.values()
-    for name, value in node["ros__parameters"].items():
-        assert value == known[name]
-        assert type(value) is type(known[name])
+    ((node, settings),) = content.items()
+    known = {parameter.name: parameter for parameter in parameter_table(node.removeprefix("/**/"))}
+    for name, value in settings["ros__parameters"].items():
+        assert known[name].allows(value)
+        assert type(value) is type(known[name].default)
+        assert (value == known[name].default) is default
