@@ -191,6 +191,11 @@ class Restless(SpunNode):
         if not (done.done() and done.result().success):
             raise TimeoutError(f"transition {transition} did not succeed")
 
+    def hear(self) -> None:
+        """Wait for a wrench."""
+        before = self.wrenches
+        self.spin_until(lambda: self.wrenches > before, "a wrench")
+
     def _subscribe(self) -> None:
         topic = f"estimator/{next(self._topics)}"
         self._there.append(self.create_subscription(WrenchStamped, topic, self._count, 10))
@@ -213,8 +218,7 @@ def measure_lifecycle(loops: int) -> dict[str, Any]:
             for transition in LOOP:
                 node.change(transition)
                 if transition == Transition.TRANSITION_ACTIVATE:
-                    before = node.wrenches
-                    node.spin_until(lambda before=before: node.wrenches > before, "a wrench")
+                    node.hear()
             run.check()
             notes.append((time.monotonic() - began_s, {"estimator": rss_mb(estimator.pid)}))
         tracebacks = estimator.log.count("Traceback")
