@@ -214,7 +214,7 @@ class _BrowserConnection(ServerConnection):
 
 
 def _fault(message: str | bytes) -> str | None:
-    """What is wrong with a message; empty of a kind that is not used, None of one to pass on."""
+    """The fault of a message: empty of a kind that is not used, None where there is none."""
     if isinstance(message, str):
         return ""
     try:
