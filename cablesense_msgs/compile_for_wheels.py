@@ -17,7 +17,6 @@ from typing import Any
 
 NAME = "cablesense_msgs"
 BUILT_ON = ("rosidl", "fastcdr", "builtin_interfaces", "geometry_msgs", "std_msgs")
-"""Beginnings of the names of the libraries that a message with a header and a wrench needs."""
 
 
 def generate(into: Path) -> None:
@@ -59,12 +58,12 @@ def compile_sources(into: Path) -> None:
         for library in sorted(libraries.glob("lib*.so"))
         if library.name.removeprefix("lib").startswith(BUILT_ON) and "_cpp." not in library.name
     ]
-    given = ["gcc", "-shared", "-fPIC", "-O2", *(f"-I{folder}" for folder in includes)]
-    given += [
+    linked = [
         f"-L{into / NAME}",
         f"-L{libraries}",
         f"-Wl,--no-as-needed,-rpath,$ORIGIN:{libraries}",
     ]
+    given = ["gcc", "-shared", "-fPIC", "-O2", *(f"-I{folder}" for folder in includes), *linked]
     for library, patterns in {
         f"lib{NAME}__rosidl_generator_c.so": ["detail/*__description.c", "detail/*__functions.c"],
         f"lib{NAME}__rosidl_typesupport_fastrtps_c.so": ["detail/*__type_support_c.cpp"],
@@ -72,9 +71,8 @@ def compile_sources(into: Path) -> None:
         f"{NAME}_s__rosidl_typesupport_c.so": ["*__type_support.cpp", "*_s.c", "../*_s.ep.*.c"],
     }.items():
         sources = [file for pattern in patterns for file in (into / NAME / "msg").glob(pattern)]
-        subprocess.run(
-            [*given, *sources, *used, "-lstdc++", "-o", into / NAME / library], check=True
-        )
+        linking = [*given, *sources, *used, "-lstdc++", "-o", into / NAME / library]
+        subprocess.run(linking, check=True)
         used.append(f"-l:{library}")
 
 

@@ -220,7 +220,7 @@ def _fault(message: str | bytes) -> str | None:
     try:
         read = _MESSAGES.decode(message)
     except msgspec.MsgspecError as error:
-        return "" if "`$.type`" in str(error) else str(error)
+        return "" if "`$.type`" in str(error) else ascii(str(error)[:100])
     match read:
         case _Update(updates=_Value(value=float(value))) if not math.isfinite(value):
             return f"{value} is not finite"

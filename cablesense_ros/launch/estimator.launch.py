@@ -5,11 +5,7 @@
 
 from pathlib import Path
 
-from ament_index_python.packages import (
-    PackageNotFoundError,
-    get_package_prefix,
-    get_package_share_directory,
-)
+from ament_index_python.packages import get_package_share_directory, get_packages_with_prefixes
 from launch import LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
@@ -200,16 +196,14 @@ def refuse_what_has_no_effect(given: dict[str, str]) -> None:
 
 
 def refuse_missing_packages(wanted: set[str]) -> None:
-    """Raise before anything starts, as launch itself notices it after other nodes have."""
-    for name in sorted(wanted & OTHER_PACKAGES.keys()):
-        package = OTHER_PACKAGES[name]
-        try:
-            get_package_prefix(package)
-        except PackageNotFoundError:
+    """Raise before anything starts: launch itself would after other nodes have."""
+    installed = get_packages_with_prefixes()
+    for name, package in OTHER_PACKAGES.items():
+        if name in wanted and package not in installed:
             raise RuntimeError(
                 f"{package} is not installed: apt-get install "
                 f"ros-$ROS_DISTRO-{package.replace('_', '-')}, or give {name}:=false"
-            ) from None
+            )
 
 
 def on_exit(event: ProcessExited, _: LaunchContext) -> list[OpaqueFunction]:

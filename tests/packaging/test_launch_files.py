@@ -66,13 +66,7 @@ def describe(monkeypatch, missing):
         monkeypatch.setitem(sys.modules, name, module)
     packages = sys.modules["ament_index_python.packages"]
     packages.get_package_share_directory = lambda name: str(FOLDER.parents[1])
-    packages.PackageNotFoundError = LookupError
-
-    def get_package_prefix(name):
-        if name in missing:
-            raise LookupError(name)
-
-    packages.get_package_prefix = get_package_prefix
+    packages.get_packages_with_prefixes = lambda: {"robot_state_publisher", "rviz2"} - missing
 
     def load(file):
         code = compile((FOLDER / file).read_text(), file, "exec")
