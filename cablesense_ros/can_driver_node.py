@@ -18,7 +18,6 @@ from cablesense_msgs_py.messages import (
     put_joint_angles,
     put_tensions,
 )
-from cablesense_msgs_py.qos import PUBLISHER
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.channel_map import (
@@ -30,13 +29,7 @@ from cablesense_online.can.channel_map import (
 )
 from cablesense_online.can.driver import CanDriver
 from cablesense_online.can.reader import Sample
-from cablesense_ros.endpoints import (
-    CommandInput,
-    RefusalLog,
-    overridable,
-    qos_profile,
-    steady_timer,
-)
+from cablesense_ros.endpoints import CommandInput, RefusalLog, steady_timer
 from cablesense_ros.node_process import ConfiguredNode, run_node
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.joint_motion import JointMotion
@@ -77,10 +70,7 @@ class CanDriverNode(ConfiguredNode):
         interface = CanInterface(given["interface"], given["channel"], given["bitrate_bit_s"])
         self._tensions = JointState(name=list(arm.cable_names))
         self._tensions.header.frame_id = Frames(arm.segment_count, given["frame_prefix"]).base
-        self._tensions_out = self.create_publisher(
-            JointState, topics.CABLE_TENSIONS, **overridable(topics.CABLE_TENSIONS, PUBLISHER)
-        )
-        self._entities.callback(self.destroy_publisher, self._tensions_out)
+        self._tensions_out = self._topics.make(JointState, topics.CABLE_TENSIONS)
         self._driver = CanDriver(channel_map, database, interface, self._publish)
         self._identity = arm.identity
         self.get_logger().info(
@@ -94,7 +84,7 @@ class CanDriverNode(ConfiguredNode):
         joints = NamedOrder(arm.joint_names, "joints")
         motion = JointMotion(np.zeros(arm.joint_count), speed_rad_s)
         shown = JointState(name=list(arm.joint_names))
-        out = self.create_publisher(JointState, topics.JOINT_STATES, qos_profile(PUBLISHER))
+        out = self._topics.make(JointState, topics.JOINT_STATES)
 
         def publish() -> None:
             put_joint_angles(shown, motion.advance(JOINT_STATES_PERIOD_S))
@@ -109,7 +99,6 @@ class CanDriverNode(ConfiguredNode):
         )
         self._entities.callback(commands.destroy)
         timer = steady_timer(self, JOINT_STATES_PERIOD_S, publish)
-        self._entities.callback(self.destroy_publisher, out)
         self._entities.callback(self.destroy_timer, timer)
 
     def _publish(self, sample: Sample) -> None:

@@ -1,4 +1,4 @@
-"""The contract's topics in rclpy's terms: quality of service, subscriptions, refusals, timers."""
+"""The contract's topics in rclpy's terms: publishers, subscriptions, refusals, timers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,12 @@ from typing import Any
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.event_handler import (
+    PublisherEventCallbacks,
+    QoSPublisherMatchedInfo,
+    SubscriptionEventCallbacks,
+)
+from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
@@ -31,7 +36,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.qos import COMMAND, Qos
+from cablesense_msgs_py.qos import COMMAND, PUBLISHER, Qos
 from cablesense_msgs_py.serialized import require_bounded
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.samples import FollowedPublisher, SampleError
@@ -82,6 +87,41 @@ def message_class(kind: str) -> type | None:
 def steady_timer(node: Node, period_s: float, act: Callable[[], None]) -> Timer:
     """A timer in real time, which continues when simulated time stops."""
     return node.create_timer(period_s, act, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+class Outputs:
+    """The topics of a node, kept for as long as it lives.
+
+    A publisher that is destroyed while a matched subscriber is being reported ends the process:
+    the events executor calls its handler later.
+    """
+
+    def __init__(self, node: LifecycleNode) -> None:
+        self.node = node
+        self._made: dict[str, _Output] = {}
+
+    def make(self, kind: type, topic: str, qos: Qos = PUBLISHER) -> _Output:
+        """The topic, made the first time."""
+        if topic not in self._made:
+            self._made[topic] = _Output(self.node, kind, topic, qos)
+        return self._made[topic]
+
+
+class _Output:
+    """A topic of a node, and whether anyone subscribes: to ask that takes longer than a sum."""
+
+    def __init__(self, node: LifecycleNode, kind: type, topic: str, qos: Qos) -> None:
+        self.subscribed = False
+        self.publisher: LifecyclePublisher = node.create_lifecycle_publisher(
+            kind,
+            topic,
+            **overridable(topic, qos),
+            event_callbacks=PublisherEventCallbacks(matched=self._matched),
+        )
+        self.publish = self.publisher.publish
+
+    def _matched(self, event: QoSPublisherMatchedInfo) -> None:
+        self.subscribed = event.current_count > 0
 
 
 def subscribe_to_one(

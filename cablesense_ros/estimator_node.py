@@ -31,7 +31,7 @@ from cablesense_ros.endpoints import (
     steady_timer,
     subscribe_to_one,
 )
-from cablesense_ros.estimator_outputs import EstimatorOutputs, Outputs
+from cablesense_ros.estimator_outputs import EstimatorOutputs
 from cablesense_ros.node_process import ConfiguredNode, run_node
 from cablesense_ros.parameters import parameter_values
 
@@ -45,9 +45,11 @@ class EstimatorNode(ConfiguredNode):
     def __init__(self) -> None:
         super().__init__("estimator")
         self._simulated_time = self.get_clock().ros_time_is_active
-        self._lost, self._topics = 0, Outputs(self)
+        self._lost = 0
         self._refuse_sample = RefusalLog(self, "sample refused")
         self._refuse_command = RefusalLog(self)
+        for name, answer in ((topics.TARE, self._tare), (topics.TARE_UNDO, self._undo_tare)):
+            self.create_service(Trigger, name, partial(self._on_request, answer))
         self.add_post_set_parameters_callback(self._on_parameters)
 
     def _begin(self) -> None:
@@ -97,9 +99,6 @@ class EstimatorNode(ConfiguredNode):
             self._estimation,
             arm.joint_names,
         )
-        for name, answer in ((topics.TARE, self._tare), (topics.TARE_UNDO, self._undo_tare)):
-            service = self.create_service(Trigger, name, partial(self._on_request, answer))
-            self._entities.callback(self.destroy_service, service)
         self._entities.callback(self._keep_state)
         self._identity = arm.identity
         self.get_logger().info(f"arm {arm.identity}, model {self._loaded.model}: configured")

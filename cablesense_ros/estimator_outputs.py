@@ -19,8 +19,6 @@ from geometry_msgs.msg import (
     Vector3Stamped,
     WrenchStamped,
 )
-from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
-from rclpy.lifecycle import LifecycleNode, LifecyclePublisher
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
@@ -34,13 +32,13 @@ from cablesense_msgs_py.messages import (
     ForceState,
     Status,
 )
-from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, WRENCH, Qos
+from cablesense_msgs_py.qos import JOURNAL, WRENCH
 from cablesense_msgs_py.serialized import restamped, wrench_writers
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
 from cablesense_online.state import put_state
-from cablesense_ros.endpoints import message_class, overridable
+from cablesense_ros.endpoints import Outputs, message_class
 from cablesense_ros.node_process import diagnostic_array
 from cablesense_training.inference.estimator import NORMAL_95
 
@@ -52,24 +50,6 @@ _SPHERE_DIAMETER_M = 0.03
 _ARROW_DIAMETERS_M = (0.012, 0.024, 0.03)  # shaft, head and head length
 _BAND_WIDTH_M, _SHORTEST_BAND_M, _BAND_OPACITY = 0.04, 0.002, 0.4
 _COLOUR = (0.95, 0.35, 0.1, 1.0)
-
-
-class Outputs:
-    """The topics of a node, kept for as long as it lives.
-
-    A publisher that is destroyed while a matched subscriber is being reported ends the process:
-    the events executor calls its handler later.
-    """
-
-    def __init__(self, node: LifecycleNode) -> None:
-        self.node = node
-        self._made: dict[str, _Output] = {}
-
-    def make(self, kind: type, topic: str, qos: Qos = PUBLISHER) -> _Output:
-        """The topic, made the first time."""
-        if topic not in self._made:
-            self._made[topic] = _Output(self.node, kind, topic, qos)
-        return self._made[topic]
 
 
 class EstimatorOutputs:
@@ -253,23 +233,6 @@ def put_estimate(
     message.place_low, message.place_high = answer.region_m or (nan, nan)
     place = answer.estimate.place if segment and answer.estimate else None
     message.covariance = array("d", place.covariance.ravel().tolist() if place else [nan] * 16)
-
-
-class _Output:
-    """A topic of a node, and whether anyone subscribes: to ask that takes longer than a sum."""
-
-    def __init__(self, node: LifecycleNode, kind: type, topic: str, qos: Qos) -> None:
-        self.subscribed = False
-        self.publisher: LifecyclePublisher = node.create_lifecycle_publisher(
-            kind,
-            topic,
-            **overridable(topic, qos),
-            event_callbacks=PublisherEventCallbacks(matched=self._matched),
-        )
-        self.publish = self.publisher.publish
-
-    def _matched(self, event: QoSPublisherMatchedInfo) -> None:
-        self.subscribed = event.current_count > 0
 
 
 class ContactMarkers:

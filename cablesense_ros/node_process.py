@@ -29,7 +29,7 @@ from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.qos import PUBLISHER
 from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.endpoints import qos_profile, steady_timer
+from cablesense_ros.endpoints import Outputs, qos_profile, steady_timer
 from cablesense_ros.parameters import declare_parameters, parameter_table, parameter_values
 from cablesense_ros.processes import handle_end_signals
 
@@ -151,12 +151,14 @@ class ConfiguredNode(LifecycleNode, ABC):
     """A lifecycle node with the parameters of its name in `parameters.yaml`, and diagnostics.
 
     `_entities` undoes on release what configuring made, `_while_active` on deactivation what
-    activating made; `_identity` is that of the arm, while one is loaded.
+    activating made; `_topics` publishes while active and stays; `_identity` is that of the arm,
+    while one is loaded.
     """
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self._entities, self._while_active = ExitStack(), ExitStack()
+        self._topics = Outputs(self)
         self._active = False
         self._identity = ""
         declare_parameters(self, parameter_table(name), lambda: bool(self._identity))
@@ -207,7 +209,7 @@ class ConfiguredNode(LifecycleNode, ABC):
 
     @abstractmethod
     def _configure(self, given: dict[str, Any]) -> None:
-        """Read what the parameters name, and create publishers and services.
+        """Read what the parameters name, and make the topics that are published.
 
         Raises:
             CableSenseError: a file is missing or invalid.

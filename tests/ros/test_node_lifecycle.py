@@ -283,7 +283,7 @@ def test_a_lifecycle_manager_brings_it_up_and_down_and_up_again(graph, start):
 
 
 @contextmanager
-def subscribers_that_come_and_go(topics):
+def subscribers_that_come_and_go(kind, topics):
     """Another participant, whose thread subscribes and unsubscribes all the time."""
     context, end = rclpy.Context(), threading.Event()
     context.init()
@@ -292,7 +292,7 @@ def subscribers_that_come_and_go(topics):
     def subscribe():
         there = deque()
         for topic in cycle(topics):
-            there.append(node.create_subscription(WrenchStamped, topic, lambda _: None, 10))
+            there.append(node.create_subscription(kind, topic, lambda _: None, 10))
             if len(there) > 2:
                 node.destroy_subscription(there.popleft())
             if end.wait(0.003):
@@ -309,11 +309,23 @@ def subscribers_that_come_and_go(topics):
         context.try_shutdown()
 
 
-def test_subscribers_may_come_and_go_while_an_estimator_is_cleaned_up(graph, start):
-    name = "/restless/estimator"
-    process = start("estimator", "/restless", autostart=False)
-    wrenches = ("wrench", "wrench_base", "wrench_lower", "wrench_upper")
-    with subscribers_that_come_and_go([f"{name}/{topic}" for topic in wrenches]):
+WRENCHES = [f"estimator/wrench{which}" for which in ("", "_base", "_lower", "_upper")]
+ADAPTER = {"interface": "virtual", "channel": "restless"}
+
+
+@pytest.mark.parametrize(
+    ("node", "kind", "published", "parameters"),
+    [
+        ("estimator", WrenchStamped, WRENCHES, {}),
+        ("can_driver", JointState, ["cable_tensions", "joint_states"], ADAPTER),
+    ],
+)
+def test_subscribers_may_come_and_go_while_a_node_is_cleaned_up(
+    graph, start, node, kind, published, parameters
+):
+    name = f"/restless/{node}"
+    process = start(node, "/restless", autostart=False, **parameters)
+    with subscribers_that_come_and_go(kind, [f"/restless/{topic}" for topic in published]):
         for _ in range(12):  # without publishers that outlive it, the first or second ended it
             assert graph.change_state(name, Transition.TRANSITION_CONFIGURE), process.log
             assert graph.change_state(name, Transition.TRANSITION_ACTIVATE)
