@@ -19,6 +19,7 @@ from cablesense_msgs_py.messages import (
     put_tensions,
 )
 from cablesense_msgs_py.topics import Frames
+from cablesense_online.can.assembler import Sample
 from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.channel_map import (
     Calibration,
@@ -28,7 +29,6 @@ from cablesense_online.can.channel_map import (
     open_channel_map,
 )
 from cablesense_online.can.driver import CanDriver
-from cablesense_online.can.reader import Sample
 from cablesense_ros.endpoints import CommandInput, RefusalLog, steady_timer
 from cablesense_ros.node_process import ConfiguredNode, run_node
 from cablesense_sim.arm import Arm, open_arm

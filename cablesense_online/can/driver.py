@@ -18,6 +18,7 @@ from cantools.database.can import Database
 
 from cablesense_base import CableSenseError, some_of
 from cablesense_msgs_py.messages import Level, Status
+from cablesense_online.can.assembler import Sample
 from cablesense_online.can.bus import (
     BUS_OFF,
     ERROR_ACTIVE,
@@ -29,7 +30,7 @@ from cablesense_online.can.bus import (
     start_frames,
 )
 from cablesense_online.can.channel_map import ChannelMap
-from cablesense_online.can.reader import Sample, TensionReader
+from cablesense_online.can.reader import TensionReader
 
 FIRST_BACK_OFF_S = 0.05
 LAST_BACK_OFF_S = 0.5
@@ -169,17 +170,20 @@ class CanDriver:
 
     def _receive(self, bus: can.BusABC) -> None:
         name, last_s = self._interface.name, monotonic()
+        hold_s = self._reader.hold_s
         while not self._ended.is_set():
             frame = None
             try:
-                frame = bus.recv(WAKE_S)
+                frame = bus.recv(min(WAKE_S, hold_s))
             except (ValueError, IndexError) as error:  # slcan: a line that is no frame
                 self.ledger.note(FaultKind.UNREADABLE, name, f"{name}: {error}")
             now_s = monotonic()
             if frame is not None:
                 last_s = now_s
                 self._take(frame, bus, now_s)
-            elif now_s - last_s > REOPEN_AFTER_SILENCE_S:
+            elif now_s - last_s >= hold_s:
+                self._give(self._reader.lapse(), now_s)
+            if now_s - last_s > REOPEN_AFTER_SILENCE_S:
                 detail = f"{name}: no frame for {REOPEN_AFTER_SILENCE_S:g} s; it is reopened"
                 self.ledger.note(FaultKind.SILENT_BUS, name, detail)
                 break
@@ -189,7 +193,9 @@ class CanDriver:
         node = booted_node(frame, nodes) if nodes else None
         if node is not None:
             bus.send(start_frames([node])[0])
-        sample = self._reader.take(frame, time.time())
+        self._give(self._reader.take(frame, time.time()), now_s)
+
+    def _give(self, sample: Sample | None, now_s: float) -> None:
         if sample is not None:
             self._last_sample_s = now_s
             self._on_sample(sample)

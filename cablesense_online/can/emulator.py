@@ -144,13 +144,13 @@ class Emulator:
             ChannelMapError: a tension is not finite and its signal is a whole number.
         """
         kind, cable = self.check_fault(self.fault)
-        gap = kind == "counter_gap" and self._count % _CYCLES_PER_GAP == 0
-        self._count += 1 + (_GAP_CYCLES if gap else 0)
+        self._count += 1
         was_off, self._off = self._off, kind == "bus_off"
         if self._off:
             return [] if was_off else [_frame(BUS_OFF_CLASS, is_error_frame=True)]
         first = [_frame(RESTARTED_CLASS, is_error_frame=True)] if was_off else []
-        if kind in ("silent_bus", "interface_lost"):
+        in_gap = kind == "counter_gap" and self._count % _CYCLES_PER_GAP < _GAP_CYCLES
+        if in_gap or kind in ("silent_bus", "interface_lost"):
             return first
         values = dict(zip(self._map.cable_names, map(float, tensions_n), strict=True))
         if kind == "over_range":

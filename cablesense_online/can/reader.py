@@ -1,4 +1,4 @@
-"""Samples of tensions from received frames: decoded, assembled, and withheld if in doubt.
+"""Samples of tensions from received frames: decoded, stamped, assembled, and withheld if in doubt.
 
 `TensionReader` passes each frame to the decoder (cantools), the bus clock and the assembler, and
 each whole sample to the search for stuck channels. A sample that is not whole, late or invalid is
@@ -7,8 +7,6 @@ dropped, never filled up.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from math import isfinite
 from typing import NamedTuple
 
@@ -17,6 +15,7 @@ import numpy as np
 from cantools.database.can import Database, Message
 
 from cablesense_base import Array
+from cablesense_online.can.assembler import HOLD_CYCLES, Decoded, Sample, SampleAssembler
 from cablesense_online.can.bus import (
     ERROR_ACTIVE,
     BusState,
@@ -35,29 +34,13 @@ DRIFT = 200e-6
 """Upper limit of the relative drift of two quartz clocks."""
 JUMP_S = 2.0
 """A larger sudden increase of the lag is a clock that was set, not a busy machine."""
-CUT_SAMPLES, WIDER = 8, 2.0
-"""Number of successive samples, each with a pause inside that is this many times the pause before
-it, which show that samples begin in mid-cycle. Bus traffic delays single frames only."""
-
-
-class Decoded(NamedTuple):
-    """The content of one frame.
-
-    Attributes:
-        readings: (channel, N) pairs; the channel is its position in the map.
-        valid: whether all readings are valid.
-        counter: the number of the cycle that the frame opens, if it opens one.
-    """
-
-    readings: Sequence[tuple[int, float]] = ()
-    valid: bool = True
-    counter: int | None = None
 
 
 class _Plan(NamedTuple):
     """A message of the map, its channels with position and cable, and its counter's signal."""
 
     message: Message
+    label: str
     channels: tuple[tuple[int, str, Channel], ...]
     counter: str | None
 
@@ -83,7 +66,8 @@ class FrameDecoder:
                 self.counter_modulo = 1 << message.get_signal_by_name(counter).length
             channels = tuple(one for one in numbered if one[2].message == name)
             key = (message.frame_id, message.is_extended_frame)
-            self._plans[key] = _Plan(message, channels, counter)
+            label = f"{name} (0x{message.frame_id:X})"
+            self._plans[key] = _Plan(message, label, channels, counter)
 
     def decode(self, frame: can.Message) -> Decoded | None:
         """A frame's content; none, with a noted fault, if the frame has another form or id.
@@ -121,7 +105,7 @@ class FrameDecoder:
                 self._ledger.note(fault, cable, f"{cable} reads {tension_n:g} N{suffix}")
             readings.append((number, tension_n))
         counter = int(values[plan.counter]) if plan.counter is not None else None
-        return Decoded(readings, valid, counter)
+        return Decoded(readings, valid, counter, plan.label)
 
     def _fault(self, tension_n: float, status: int) -> FaultKind | None:
         (low, high), masks = self._map.range_n, self._map.status_masks
@@ -132,140 +116,6 @@ class FrameDecoder:
         if status & masks.invalid:
             return FaultKind.INVALID_STATUS
         return None if isfinite(tension_n) else FaultKind.NOT_FINITE
-
-
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """One reading of every channel, all within the skew limit.
-
-    Attributes:
-        time_s: bus time of its first frame, because an amplifier measures before it sends.
-        skew_s: bus time from the first to the last frame.
-        tensions_n: (M,) in the order of the map.
-    """
-
-    time_s: float
-    skew_s: float
-    tensions_n: Array
-
-
-class SampleAssembler:
-    """Assembles samples.
-
-    With a cycle counter, its frame opens a sample, and only frames until the next one belong to
-    it. Without one, the first frame after a sample opens the next. A channel that comes a second
-    time, or later than the skew limit, then ends an unfinished sample and opens another. After a
-    lost frame, samples may begin in mid-cycle: frames then wait for the pause between two cycles.
-
-    Attributes:
-        dropped: number of samples dropped because they were late, not whole, or invalid.
-    """
-
-    def __init__(
-        self,
-        cable_names: Sequence[str],
-        skew_limit_s: float,
-        counter_modulo: int,
-        ledger: FaultLedger,
-    ) -> None:
-        """`counter_modulo` is 0 for an amplifier without a counter."""
-        self._names = tuple(cable_names)
-        self._skew_limit_s = skew_limit_s
-        self._modulo = counter_modulo
-        self._ledger = ledger
-        self._tensions_n = [0.0] * len(self._names)
-        self._missing = set(range(len(self._names)))
-        self._open_s: float | None = None
-        self._last_count: int | None = None
-        self._valid = True
-        self._frame_s = -np.inf
-        self._pause_before_s = self._widest_pause_s = self._awaited_pause_s = 0.0
-        self._cut = 0
-        self.dropped = 0
-
-    def take(self, decoded: Decoded, time_s: float) -> Sample | None:
-        """Add a frame with its bus time, and give the sample that it completes."""
-        if decoded.counter is not None:
-            self._open(time_s)
-            self._valid = self._counts_on(decoded.counter)
-        if not decoded.readings:
-            return None
-        channels = [channel for channel, _ in decoded.readings]
-        pause_s, self._frame_s = time_s - self._frame_s, time_s
-        if pause_s < self._awaited_pause_s:
-            return None
-        self._awaited_pause_s = 0.0
-        if self._open_s is None:
-            self._pause_before_s, self._widest_pause_s = pause_s, 0.0
-        else:
-            self._widest_pause_s = max(self._widest_pause_s, pause_s)
-        if self._open_s is not None:
-            late = abs(time_s - self._open_s) > self._skew_limit_s
-            if late or not self._missing.issuperset(channels):
-                self._note_late(channels, time_s - self._open_s, late)
-                if self._modulo:
-                    self._valid = False
-                else:
-                    self._open(time_s)
-        elif self._modulo:
-            return None  # the rest of a cycle whose counter did not come
-        else:
-            self._open(time_s)
-        for channel, tension_n in decoded.readings:
-            self._tensions_n[channel] = tension_n
-            self._missing.discard(channel)
-        self._valid = self._valid and decoded.valid
-        opened_s = self._open_s
-        if self._missing or opened_s is None:
-            return None
-        self._open_s = None
-        if not self._valid or self._begins_in_mid_cycle():
-            self.dropped += 1
-            return None
-        return Sample(opened_s, time_s - opened_s, np.array(self._tensions_n))
-
-    def _open(self, time_s: float) -> None:
-        """Open a sample. An unfinished one is dropped, and its missing channels are named."""
-        if self._open_s is not None:
-            for channel in sorted(self._missing):
-                self._ledger.note(FaultKind.MISSING_CHANNEL, self._names[channel])
-            self.dropped += 1
-        self._open_s, self._valid = time_s, True
-        self._missing = set(range(len(self._names)))
-
-    def _begins_in_mid_cycle(self) -> bool:
-        """Whether samples without a counter are cut; the next one then waits for the pause."""
-        cut = not self._modulo and self._widest_pause_s > WIDER * self._pause_before_s
-        self._cut = self._cut + 1 if cut else 0
-        if self._cut < CUT_SAMPLES:
-            return False
-        self._cut, self._awaited_pause_s = 0, self._widest_pause_s / WIDER
-        detail = (
-            "samples held readings of two cycles; they begin at the pause between cycles again"
-        )
-        self._ledger.note(FaultKind.LATE_CHANNEL, "cycle", detail)
-        return True
-
-    def _note_late(self, channels: Sequence[int], after_s: float, late: bool) -> None:
-        """Without a counter, a channel that comes twice belongs to the next sample."""
-        for channel in channels:
-            if self._modulo or (late and channel in self._missing):
-                name = self._names[channel]
-                detail = f"{name} came twice in one cycle, or {after_s * 1e3:.2f} ms after the "
-                detail += f"first frame; the skew limit is {self._skew_limit_s * 1e3:g} ms"
-                self._ledger.note(FaultKind.LATE_CHANNEL, name, detail)
-                self._missing.discard(channel)  # named as late, not as missing too
-
-    def _counts_on(self, count: int) -> bool:
-        """Whether the counter moved; if it stands still, the amplifier repeats old values."""
-        last, self._last_count = self._last_count, count
-        steps = 1 if last is None else (count - last) % self._modulo
-        detail = f"the cycle counter went from {last} to {count}: {steps - 1} cycles lost"
-        if steps == 0:
-            detail = f"the cycle counter stands still at {count}"
-        if steps != 1:
-            self._ledger.note(FaultKind.COUNTER_GAP, "cycle counter", detail)
-        return steps > 0
 
 
 class StuckDetector:
@@ -325,6 +175,7 @@ class TensionReader:
     """Takes frames as they arrive, and gives a sample only if all of it is valid.
 
     Attributes:
+        hold_s: silence after which a held sample may be given.
         bus: the error state of the bus.
         frames: number of frames taken, of any kind.
         samples: number of samples given.
@@ -342,8 +193,10 @@ class TensionReader:
         self._map, self._ledger = channel_map, ledger
         self._decoder = FrameDecoder(channel_map, database, ledger)
         self._skew_limit_s = channel_map.skew_limit_s
-        if not interface.stamps_frames:
+        self._stamped = interface.stamps_frames
+        if not self._stamped:
             self._skew_limit_s = max(self._skew_limit_s, SCATTER_OF_READING_S)
+        self.hold_s = HOLD_CYCLES * channel_map.cycle_time_s
         self.bus = BusState(interface, ledger)
         self.frames = self.samples = self._withheld = 0
         self.largest_skew_s = 0.0
@@ -355,16 +208,23 @@ class TensionReader:
         return self._withheld + self._assembler.dropped
 
     def take(self, frame: can.Message, now_s: float) -> Sample | None:
-        """The sample that a frame completes, if any; `now_s` is its arrival, s since the epoch."""
+        """The sample that may be given now, if any; `now_s` is the arrival, s since the epoch."""
         self.frames += 1
         if frame.is_error_frame:
             self.bus.error_frame(frame.arbitration_id, bytes(frame.data))
             return None
         self.bus.data_frame()
         decoded = self._decoder.decode(frame)
+        time_s = self._clock.time_s(frame.timestamp, now_s)
         if decoded is None:
-            return None
-        sample = self._assembler.take(decoded, self._clock.time_s(frame.timestamp, now_s))
+            return self._checked(self._assembler.lapse(time_s))
+        return self._checked(self._assembler.take(decoded, time_s))
+
+    def lapse(self) -> Sample | None:
+        """The sample that is held, if any, after `hold_s` without a frame."""
+        return self._checked(self._assembler.lapse())
+
+    def _checked(self, sample: Sample | None) -> Sample | None:
         if sample is None:
             return None
         stuck = self._stuck.stuck(sample.tensions_n, sample.time_s)
@@ -388,7 +248,12 @@ class TensionReader:
     def _restart(self) -> None:
         names = self._map.cable_names
         self._assembler = SampleAssembler(
-            names, self._skew_limit_s, self._decoder.counter_modulo, self._ledger
+            names,
+            self._map.cycle_time_s,
+            self._skew_limit_s,
+            self._decoder.counter_modulo,
+            self._ledger,
+            self._stamped,
         )
         self._stuck = StuckDetector(len(names), self._map.stuck)
         self._clock = BusClock()

@@ -122,7 +122,8 @@ class Pair:
                 sample = self.reader.take(frame, self.time_s + 1e-5)
                 samples += [sample] if sample is not None else []
             self.time_s = max(self.time_s, begin_s + self.map.cycle_time_s)
-        return samples
+        last = self.reader.lapse()
+        return samples if last is None else [*samples, last]
 
     def request(self, text):
         self.amplifier.request(text)
@@ -159,7 +160,7 @@ def test_without_a_fault_every_cycle_is_a_sample(pair):
         ("unknown_id", FaultKind.UNKNOWN_ID, 1.0),
         ("error_frame", FaultKind.ERROR_FRAME, 1.0),
         ("bus_off", FaultKind.BUS_OFF, 0.0),
-        ("counter_gap", FaultKind.COUNTER_GAP, 1.0),
+        ("counter_gap", FaultKind.COUNTER_GAP, 0.94),
     ],
 )
 def test_each_fault_is_named_and_ends_with_its_cause(packed, text, kind, share_given):

@@ -21,14 +21,7 @@ from hypothesis import strategies as st
 from cablesense_base.installation import config_path
 from cablesense_online.can.bus import ERROR_ACTIVE, CanInterface, FaultKind, FaultLedger
 from cablesense_online.can.channel_map import Channel, StuckLimits, parse_database
-from cablesense_online.can.reader import (
-    BusClock,
-    Decoded,
-    FrameDecoder,
-    SampleAssembler,
-    StuckDetector,
-    TensionReader,
-)
+from cablesense_online.can.reader import BusClock, FrameDecoder, StuckDetector, TensionReader
 
 NOW_S = 1.7e9
 TENSIONS_N = np.linspace(40.0, 62.0, 12)
@@ -161,206 +154,6 @@ def test_any_frame_gives_readings_within_the_range_or_is_invalid_or_none(number,
         assert all(low < tension_n < high for _, tension_n in decoded.readings)
 
 
-NAMES = [f"cable_{n}" for n in range(1, 7)]
-SKEW_S = 0.4e-3
-CYCLE_S = 1e-3
-
-
-def data(group, value=0.0, valid=True):
-    """Channels 0-1, 2-3 or 4-5."""
-    return Decoded(readings=[(2 * group, value), (2 * group + 1, value)], valid=valid)
-
-
-def opening(count):
-    return Decoded(counter=count)
-
-
-class Assembly:
-    def __init__(self, modulo, skew_s=SKEW_S):
-        self.ledger = FaultLedger()
-        self.assembler = SampleAssembler(NAMES, skew_s, modulo, self.ledger)
-        self.samples = []
-
-    def take(self, decoded, time_s):
-        sample = self.assembler.take(decoded, time_s)
-        if sample is not None:
-            self.samples.append(sample)
-
-    def cycle(self, number, groups=(0, 1, 2), value=None, count=None):
-        start_s = number * CYCLE_S
-        if self.counted:
-            self.take(opening((number if count is None else count) % 256), start_s)
-        for place, group in enumerate(groups):
-            at_s = start_s + (place + 1) * 1e-4
-            self.take(data(group, float(number if value is None else value)), at_s)
-
-    @property
-    def counted(self):
-        return self.assembler._modulo > 0
-
-    @property
-    def faults(self):
-        return self.ledger.report().places
-
-
-@pytest.fixture(params=[0, 256], ids=["without a counter", "with a counter"])
-def bench(request):
-    return Assembly(request.param)
-
-
-@pytest.fixture
-def counted():
-    return Assembly(256)
-
-
-@pytest.fixture
-def plain():
-    return Assembly(0)
-
-
-def test_every_whole_cycle_gives_one_sample_at_its_first_frame(bench):
-    for number in range(5):
-        bench.cycle(number)
-    assert [sample.tensions_n.tolist() for sample in bench.samples] == [
-        [float(number)] * 6 for number in range(5)
-    ]
-    first_s = 0.0 if bench.counted else 1e-4
-    assert [sample.time_s for sample in bench.samples] == pytest.approx(
-        [number * CYCLE_S + first_s for number in range(5)]
-    )
-    assert bench.samples[0].skew_s == pytest.approx(3e-4 if bench.counted else 2e-4)
-    assert bench.faults == {}
-
-
-def test_a_missing_channel_costs_its_sample_alone_and_is_named(bench):
-    for number in range(6):
-        bench.cycle(number, groups=(0, 2) if number == 3 else (0, 1, 2))
-    assert [sample.tensions_n[0] for sample in bench.samples] == [0.0, 1.0, 2.0, 4.0, 5.0]
-    assert bench.faults == {FaultKind.MISSING_CHANNEL: {"cable_3": 1, "cable_4": 1}}
-    assert bench.assembler.dropped == 1
-
-
-def test_a_late_channel_costs_its_sample_and_is_named(counted):
-    counted.cycle(0)
-    counted.cycle(1, groups=(0, 1))
-    counted.take(data(2, 1.0), 1.6e-3)
-    counted.cycle(2)
-    assert [sample.tensions_n[0] for sample in counted.samples] == [0.0, 2.0]
-    assert counted.faults == {FaultKind.LATE_CHANNEL: {"cable_5": 1, "cable_6": 1}}
-
-
-def test_without_a_counter_a_late_channel_is_named_and_the_order_found_again(plain):
-    plain.cycle(0)
-    plain.cycle(1, groups=(0, 1))
-    plain.take(data(2, 1.0), 1.6e-3)
-    for number in range(2, 6):
-        plain.cycle(number)
-    late = plain.faults[FaultKind.LATE_CHANNEL]
-    assert (late["cable_5"], late["cable_6"]) == (1, 1)
-    assert all(sample.skew_s <= SKEW_S for sample in plain.samples)
-    assert [sample.tensions_n[0] for sample in plain.samples[-2:]] == [4.0, 5.0]
-
-
-@pytest.mark.parametrize("jitter_s", [0.0, 3e-5])
-def test_without_a_counter_samples_are_of_one_cycle_again_soon_after_a_lost_frame(jitter_s):
-    """A skew limit of a whole cycle, as nodes with their own timers need, hides the cut."""
-    noise = np.random.default_rng(1)
-    bench = Assembly(0, skew_s=CYCLE_S)
-    for number in range(60):
-        for group in (0, 1, 2):
-            if (number, group) != (20, 0):  # what follows would open each sample
-                at_s = number * CYCLE_S + group * 1e-4 + noise.uniform(0.0, jitter_s)
-                bench.take(data(group, float(number)), at_s)
-    whole = [np.ptp(sample.tensions_n) == 0.0 for sample in bench.samples]
-    assert all(whole[:20])
-    assert all(whole[32:])
-    assert len(bench.samples) > 55
-    assert bench.faults[FaultKind.LATE_CHANNEL]["cycle"] == 1
-
-
-def test_nodes_with_their_own_timers_have_no_pause_to_begin_at():
-    bench = Assembly(0, skew_s=CYCLE_S)
-    for number in range(60):
-        for group, phase_s in enumerate((0.0, 3.5e-4, 7e-4)):
-            bench.take(data(group, float(number)), number * CYCLE_S + phase_s)
-    assert len(bench.samples) == 60
-    assert bench.faults == {}
-
-
-def test_a_channel_that_comes_twice_in_a_cycle_costs_its_sample(counted):
-    counted.cycle(0)
-    counted.take(opening(1), 1e-3)
-    for group, at_s in ((0, 1.1e-3), (0, 1.15e-3), (1, 1.2e-3), (2, 1.3e-3)):
-        counted.take(data(group, 1.0), at_s)
-    counted.cycle(2)
-    assert [sample.tensions_n[0] for sample in counted.samples] == [0.0, 2.0]
-    assert counted.faults == {FaultKind.LATE_CHANNEL: {"cable_1": 1, "cable_2": 1}}
-
-
-def test_a_lost_cycle_is_counted_and_the_next_sample_is_given(counted):
-    for number in (254, 255, 256, 259, 260):
-        counted.cycle(number)
-    assert len(counted.samples) == 5
-    report = counted.ledger.report()
-    assert report.recent == {FaultKind.COUNTER_GAP: 1}
-    assert (
-        report.last[FaultKind.COUNTER_GAP] == "the cycle counter went from 0 to 3: 2 cycles lost"
-    )
-
-
-def test_a_counter_that_stands_still_means_old_values(counted):
-    for number in range(4):
-        counted.cycle(number, count=7)
-    assert len(counted.samples) == 1
-    assert counted.faults == {FaultKind.COUNTER_GAP: {"cycle counter": 3}}
-
-
-def test_data_before_the_first_counter_is_no_fault(counted):
-    counted.take(data(1), 0.5e-3)
-    counted.cycle(1)
-    assert len(counted.samples) == 1
-    assert counted.faults == {}
-
-
-def test_an_invalid_reading_costs_its_sample_without_a_missing_channel(bench):
-    bench.cycle(0)
-    if bench.counted:
-        bench.take(opening(1), 1e-3)
-    for group in range(3):
-        bench.take(data(group, valid=group != 1), 1e-3 + (group + 1) * 1e-4)
-    bench.cycle(2)
-    assert [sample.tensions_n[0] for sample in bench.samples] == [0.0, 2.0]
-    assert bench.faults == {}
-    assert bench.assembler.dropped == 1
-
-
-@given(
-    st.sampled_from([0, 256]),
-    st.lists(
-        st.tuples(st.integers(0, 3), st.floats(0.0, 2e-3), st.booleans(), st.integers(0, 255)),
-        max_size=80,
-    ),
-)
-@settings(max_examples=100, deadline=None)
-def test_any_sequence_of_frames_gives_only_whole_samples_within_the_limit(modulo, sequence):
-    bench, time_s, marks, invalid_marks = Assembly(modulo), 0.0, {}, set()
-    for mark, (kind, wait_s, valid, count) in enumerate(sequence, start=1):
-        time_s += wait_s
-        marks[float(mark)] = time_s
-        if kind == 3:
-            bench.take(opening(count) if modulo else data(0, float(mark)), time_s)
-            continue
-        if not valid:
-            invalid_marks.add(float(mark))
-        bench.take(data(kind, float(mark), valid), time_s)
-    for sample in bench.samples:
-        values = sample.tensions_n.tolist()
-        times_s = [marks[value] for value in values]  # each value was sent, and by whom is known
-        assert max(times_s) - min(times_s) <= SKEW_S + 1e-12
-        assert not invalid_marks & set(values)
-        assert all(value in marks for value in values)
-
-
 def test_stamps_of_this_machines_clock_are_kept():
     clock = BusClock()
     for number in range(100):
@@ -402,6 +195,7 @@ class Reading:
 
     def send(self, frames):
         given = [self.reader.take(frame, frame.timestamp + 1e-4) for frame in frames]
+        given.append(self.reader.lapse())
         return [sample for sample in given if sample is not None]
 
     def cycles(self, count, tensions_n=TENSIONS_N, first=0, change=lambda number, frames: frames):
@@ -450,8 +244,8 @@ def test_after_reopening_any_counter_and_clock_is_taken_and_bus_off_is_over(read
     assert reading.reader.bus.condition == ERROR_ACTIVE
     assert reading.reader.bus.recoveries == 0
     frames = packed_cycle(TENSIONS_N, 200, 5.0)
-    samples = [reading.reader.take(f, NOW_S + 9.0) for f in frames]
-    assert samples[-1].time_s == pytest.approx(NOW_S + 9.0, abs=1e-3)
+    assert not any(reading.reader.take(f, NOW_S + 9.0) for f in frames)
+    assert reading.reader.lapse().time_s == pytest.approx(NOW_S + 9.0, abs=1e-3)
     assert reading.faults == set()
 
 

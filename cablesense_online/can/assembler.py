@@ -1,0 +1,308 @@
+"""Samples of decoded frames: assembled, held until their cycle is over, withheld if in doubt.
+
+Nothing in a CAN frame tells who sent it. What a second sender cannot hide is that its frames come
+next to those of the amplifier, so a sample is given only after those have had their turn.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_online.can.bus import FaultKind, FaultLedger
+
+DISTRUST_S = 10.0
+"""For so long after its last fault, no sample with frames of an id is given."""
+HOLD_CYCLES = 2.0
+"""A silence of this many cycles gives the held sample, as a next cycle would."""
+AGAIN_CYCLES = 0.25
+"""A frame that the one before it equals, so soon after it, was sent again by its own sender: CAN
+does so if another node saw an error in the last bits of a frame that this one has taken."""
+THREE_CYCLES, THREE_ROUNDS = 1.3, 1.5
+"""From a frame to the one after the next of its id are two cycles, with twelve frames in the least
+favourable order 1.4; with a second sender it is one. Frames that have the time of reading may be
+closer, so the other ids must also have come in fewer rounds than the second limit."""
+EARLY_CYCLES = 1.0
+"""Jitter by which a counter may be ahead of time."""
+SLOWER = 0.01
+"""Share by which an amplifier may be slower than the map says, so that it gains no time."""
+CUT_SAMPLES, WIDER = 8, 2.0
+"""Number of successive samples, each with a pause inside that is this many times the pause before
+it, which show that samples begin in mid-cycle. Bus traffic delays single frames only."""
+
+
+class Decoded(NamedTuple):
+    """The content of one frame.
+
+    Attributes:
+        readings: (channel, N) pairs; the channel is its position in the map.
+        valid: whether all readings are valid.
+        counter: the number of the cycle that the frame opens, if it opens one.
+        message: name and id of the frame.
+    """
+
+    readings: Sequence[tuple[int, float]] = ()
+    valid: bool = True
+    counter: int | None = None
+    message: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One reading of every channel, all within the skew limit.
+
+    Attributes:
+        time_s: bus time of its first frame, because an amplifier measures before it sends.
+        skew_s: bus time from the first to the last frame.
+        tensions_n: (M,) in the order of the map.
+    """
+
+    time_s: float
+    skew_s: float
+    tensions_n: Array
+
+
+class _Senders:
+    """Finds ids with a second sender, and counters that jump.
+
+    Attributes:
+        frames: number of frames of each message since the cycle was opened.
+    """
+
+    def __init__(
+        self, cycle_time_s: float, counter_modulo: int, stamped: bool, ledger: FaultLedger
+    ) -> None:
+        self._cycle_s, self._modulo, self._ledger = cycle_time_s, counter_modulo, ledger
+        self._stamped = stamped
+        self._last, self._last_s = Decoded(), -np.inf
+        self._count: int | None = None
+        self._count_s = self._spare_cycles = 0.0
+        self._number = 0
+        self._latest: dict[str, tuple[tuple[float, int], ...]] = {}
+        self._faults_s: dict[str, tuple[float, str]] = {}
+        self.frames: Counter[str] = Counter()
+
+    def sent_again(self, decoded: Decoded, time_s: float) -> bool:
+        """Whether the frame is the one before it once more, and has no effect."""
+        soon = time_s - self._last_s < AGAIN_CYCLES * self._cycle_s
+        again = soon and decoded == self._last
+        self._last, self._last_s = decoded, time_s
+        if again:
+            detail = f"{decoded.message} came twice with the same content; the second is not used"
+            self._ledger.note(FaultKind.DUPLICATE_ID, decoded.message, detail)
+        return again
+
+    def take(self, message: str, time_s: float) -> None:
+        """Note a frame; without a counter, the third of its id within one cycle is a fault."""
+        self.frames[message] += 1
+        self._number += 1
+        if self._modulo:
+            return
+        earlier = self._latest.get(message, ())
+        self._latest[message] = (*earlier[-1:], (time_s, self._number))
+        if len(earlier) == 2:
+            first_s, first = earlier[0]
+            others, round_of = self._number - first - 2, len(self._latest) - 1
+            few = self._stamped or others < THREE_ROUNDS * round_of
+            if few and time_s - first_s < THREE_CYCLES * self._cycle_s:
+                text = (
+                    f"came three times in {(time_s - first_s) * 1e3:.2f} ms, with a cycle_time_s "
+                )
+                text += f"of {self._cycle_s:g} in the map"
+                self._distrust(FaultKind.DUPLICATE_ID, message, text, time_s)
+
+    def counts_on(self, decoded: Decoded, count: int, time_s: float) -> bool:
+        """Whether a counter moved; if it stands still, the amplifier repeats old values.
+
+        Lost cycles take their time. A counter that is ahead of it is another sender's, or that of
+        an amplifier that was restarted. Time that a reader was held up is made up afterwards.
+        """
+        last, self._count = self._count, count
+        steps = 1 if last is None else (count - last) % self._modulo
+        passed = max(0.0, time_s - self._count_s) / self._cycle_s if last is not None else 1.0
+        self._count_s = time_s
+        spare = max(0.0, self._spare_cycles - SLOWER * passed) + passed - steps
+        self._spare_cycles = min(max(0.0, spare), self._modulo)
+        moved = f"the cycle counter went from {last} to {count}"
+        if steps and spare < -EARLY_CYCLES:
+            text = f"{moved} within {passed:.1f} cycles: sent again or by another, or restarted"
+            self._distrust(FaultKind.COUNTER_JUMP, decoded.message, text, time_s)
+        elif steps == 0:
+            text = f"the cycle counter stands still at {count}"
+            self._ledger.note(FaultKind.COUNTER_GAP, "cycle counter", text)
+        elif steps > 1:
+            text = f"{moved}: {steps - 1} cycles lost"
+            self._ledger.note(FaultKind.COUNTER_GAP, "cycle counter", text)
+        for message, frames in self.frames.items():
+            if frames > max(1, steps) and last is not None:
+                text = f"came {frames} times in one cycle"
+                self._distrust(FaultKind.DUPLICATE_ID, message, text, time_s)
+        self.frames.clear()
+        return steps > 0
+
+    def distrusted(self, time_s: float) -> bool:
+        """Whether any id is; names those that are, as this costs a sample."""
+        self._faults_s = {
+            message: fault
+            for message, fault in self._faults_s.items()
+            if 0.0 <= time_s - fault[0] < DISTRUST_S
+        }
+        for message, (_, text) in self._faults_s.items():
+            self._ledger.note(FaultKind.DISTRUSTED_ID, message, text)
+        return bool(self._faults_s)
+
+    def _distrust(self, kind: FaultKind, message: str, text: str, time_s: float) -> None:
+        self._ledger.note(kind, message, f"{message}: {text}")
+        until = f"no sample until {DISTRUST_S:g} s without that, or the driver is activated again"
+        self._faults_s[message] = time_s, f"{message}: {text}; {until}"
+
+
+class SampleAssembler:
+    """Assembles samples.
+
+    With a cycle counter, its frame opens a sample, and only frames until the next one belong to
+    it. Without one, the first frame after a sample opens the next. A channel that comes a second
+    time, or later than the skew limit, then ends an unfinished sample and opens another. After a
+    lost frame, samples may begin in mid-cycle: frames then wait for the pause between two cycles.
+
+    A whole sample is held until the next counter frame or, without a counter, until the next
+    sample has ended: by then each amplifier has sent again.
+
+    Attributes:
+        dropped: number of samples dropped: late, not whole, invalid or distrusted.
+    """
+
+    def __init__(
+        self,
+        cable_names: Sequence[str],
+        cycle_time_s: float,
+        skew_limit_s: float,
+        counter_modulo: int,
+        ledger: FaultLedger,
+        stamped: bool = True,
+    ) -> None:
+        """`counter_modulo` is 0 without one; `stamped` frames have the time of the bus."""
+        self._names = tuple(cable_names)
+        self._skew_limit_s = skew_limit_s
+        self._hold_s = HOLD_CYCLES * cycle_time_s
+        self._modulo = counter_modulo
+        self._ledger = ledger
+        self._senders = _Senders(cycle_time_s, counter_modulo, stamped, ledger)
+        self._tensions_n = [0.0] * len(self._names)
+        self._missing = set(range(len(self._names)))
+        self._open_s: float | None = None
+        self._held: Sample | None = None
+        self._valid = True
+        self._frame_s = -np.inf
+        self._pause_before_s = self._widest_pause_s = self._awaited_pause_s = 0.0
+        self._cut = 0
+        self.dropped = 0
+
+    def take(self, decoded: Decoded, time_s: float) -> Sample | None:
+        """Add a frame with its bus time, and give the sample that may be given now, if any."""
+        if self._senders.sent_again(decoded, time_s):
+            return None
+        released = None
+        if decoded.counter is not None:
+            moved = self._senders.counts_on(decoded, decoded.counter, time_s)
+            released = self._release(time_s, trusted=moved)
+            self._open(time_s)
+            self._valid = moved
+        if decoded.readings:
+            self._senders.take(decoded.message, time_s)
+            released = self._add(decoded, time_s) or released
+        return released
+
+    def lapse(self, time_s: float | None = None) -> Sample | None:
+        """Give the held sample if no frame came for so long that none of its cycle can follow.
+
+        `time_s` is the present bus time, or none if the caller has waited for long enough.
+        """
+        silent = time_s is None or time_s - self._frame_s >= self._hold_s
+        if not silent or (self._modulo and max(self._senders.frames.values(), default=0) > 1):
+            return None
+        return self._release(self._frame_s)
+
+    def _add(self, decoded: Decoded, time_s: float) -> Sample | None:
+        released = None
+        channels = [channel for channel, _ in decoded.readings]
+        pause_s, self._frame_s = time_s - self._frame_s, time_s
+        if pause_s < self._awaited_pause_s:
+            return None
+        self._awaited_pause_s = 0.0
+        if self._open_s is None:
+            self._pause_before_s, self._widest_pause_s = pause_s, 0.0
+        else:
+            self._widest_pause_s = max(self._widest_pause_s, pause_s)
+        if self._open_s is not None:
+            late = abs(time_s - self._open_s) > self._skew_limit_s
+            if late or not self._missing.issuperset(channels):
+                self._note_late(channels, time_s - self._open_s, late)
+                if self._modulo:
+                    self._valid = False
+                else:
+                    released = self._release(time_s)
+                    self._open(time_s)
+        elif self._modulo:
+            return None  # the rest of a cycle whose counter did not come, or a second frame
+        else:
+            self._open(time_s)
+        for channel, tension_n in decoded.readings:
+            self._tensions_n[channel] = tension_n
+            self._missing.discard(channel)
+        self._valid = self._valid and decoded.valid
+        opened_s = self._open_s
+        if self._missing or opened_s is None:
+            return released
+        self._open_s = None
+        released = released or self._release(time_s)
+        if not self._valid or self._begins_in_mid_cycle():
+            self.dropped += 1
+        else:
+            self._held = Sample(opened_s, time_s - opened_s, np.array(self._tensions_n))
+        return released
+
+    def _release(self, time_s: float, trusted: bool = True) -> Sample | None:
+        """The held sample, unless its senders are not trusted."""
+        held, self._held = self._held, None
+        if held is not None and (self._senders.distrusted(time_s) or not trusted):
+            self.dropped += 1
+            return None
+        return held
+
+    def _open(self, time_s: float) -> None:
+        """Open a sample. An unfinished one is dropped, and its missing channels are named."""
+        if self._open_s is not None:
+            for channel in sorted(self._missing):
+                self._ledger.note(FaultKind.MISSING_CHANNEL, self._names[channel])
+            self.dropped += 1
+        self._open_s, self._valid = time_s, True
+        self._missing = set(range(len(self._names)))
+
+    def _begins_in_mid_cycle(self) -> bool:
+        """Whether samples without a counter are cut; the next one then waits for the pause."""
+        cut = not self._modulo and self._widest_pause_s > WIDER * self._pause_before_s
+        self._cut = self._cut + 1 if cut else 0
+        if self._cut < CUT_SAMPLES:
+            return False
+        self._cut, self._awaited_pause_s = 0, self._widest_pause_s / WIDER
+        detail = (
+            "samples held readings of two cycles; they begin at the pause between cycles again"
+        )
+        self._ledger.note(FaultKind.LATE_CHANNEL, "cycle", detail)
+        return True
+
+    def _note_late(self, channels: Sequence[int], after_s: float, late: bool) -> None:
+        """A channel that comes twice is not late: it is the next sample's, or another sender's."""
+        for channel in channels:
+            if late and channel in self._missing:
+                name = self._names[channel]
+                detail = f"{name} came {after_s * 1e3:.2f} ms after the first frame; "
+                detail += f"the skew limit is {self._skew_limit_s * 1e3:g} ms"
+                self._ledger.note(FaultKind.LATE_CHANNEL, name, detail)
+                self._missing.discard(channel)  # named as late, not as missing too
