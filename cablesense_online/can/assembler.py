@@ -18,8 +18,6 @@ from cablesense_online.can.bus import FaultKind, FaultLedger
 
 DISTRUST_S = 10.0
 """For so long after its last fault, no sample with frames of an id is given."""
-HOLD_CYCLES = 2.0
-"""A silence of this many cycles gives the held sample, as a next cycle would."""
 AGAIN_CYCLES = 0.25
 """A frame that the one before it equals, so soon after it, was sent again by its own sender: CAN
 does so if another node saw an error in the last bits of a frame that this one has taken."""
@@ -77,14 +75,14 @@ class _Senders:
     def __init__(
         self, cycle_time_s: float, counter_modulo: int, stamped: bool, ledger: FaultLedger
     ) -> None:
-        self._cycle_s, self._modulo, self._ledger = cycle_time_s, counter_modulo, ledger
-        self._stamped = stamped
+        self._cycle_s, self._modulo = cycle_time_s, counter_modulo
+        self._stamped, self._ledger = stamped, ledger
         self._last, self._last_s = Decoded(), -np.inf
         self._count: int | None = None
         self._count_s = self._spare_cycles = 0.0
         self._number = 0
         self._latest: dict[str, tuple[tuple[float, int], ...]] = {}
-        self._faults_s: dict[str, tuple[float, str]] = {}
+        self._faults: dict[str, tuple[float, str]] = {}
         self.frames: Counter[str] = Counter()
 
     def sent_again(self, decoded: Decoded, time_s: float) -> bool:
@@ -106,14 +104,10 @@ class _Senders:
         earlier = self._latest.get(message, ())
         self._latest[message] = (*earlier[-1:], (time_s, self._number))
         if len(earlier) == 2:
-            first_s, first = earlier[0]
-            others, round_of = self._number - first - 2, len(self._latest) - 1
-            few = self._stamped or others < THREE_ROUNDS * round_of
-            if few and time_s - first_s < THREE_CYCLES * self._cycle_s:
-                text = (
-                    f"came three times in {(time_s - first_s) * 1e3:.2f} ms, with a cycle_time_s "
-                )
-                text += f"of {self._cycle_s:g} in the map"
+            span_s, others = time_s - earlier[0][0], self._number - earlier[0][1] - 2
+            few = self._stamped or others < THREE_ROUNDS * (len(self._latest) - 1)
+            if few and span_s < THREE_CYCLES * self._cycle_s:
+                text = f"came three times in {span_s:.5f} s; cycle_time_s is {self._cycle_s:g}"
                 self._distrust(FaultKind.DUPLICATE_ID, message, text, time_s)
 
     def counts_on(self, decoded: Decoded, count: int, time_s: float) -> bool:
@@ -132,11 +126,8 @@ class _Senders:
         if steps and spare < -EARLY_CYCLES:
             text = f"{moved} within {passed:.1f} cycles: sent again or by another, or restarted"
             self._distrust(FaultKind.COUNTER_JUMP, decoded.message, text, time_s)
-        elif steps == 0:
-            text = f"the cycle counter stands still at {count}"
-            self._ledger.note(FaultKind.COUNTER_GAP, "cycle counter", text)
-        elif steps > 1:
-            text = f"{moved}: {steps - 1} cycles lost"
+        elif steps != 1:
+            text = f"{moved}: " + (f"{steps - 1} cycles lost" if steps else "it stands still")
             self._ledger.note(FaultKind.COUNTER_GAP, "cycle counter", text)
         for message, frames in self.frames.items():
             if frames > max(1, steps) and last is not None:
@@ -147,19 +138,17 @@ class _Senders:
 
     def distrusted(self, time_s: float) -> bool:
         """Whether any id is; names those that are, as this costs a sample."""
-        self._faults_s = {
-            message: fault
-            for message, fault in self._faults_s.items()
-            if 0.0 <= time_s - fault[0] < DISTRUST_S
-        }
-        for message, (_, text) in self._faults_s.items():
-            self._ledger.note(FaultKind.DISTRUSTED_ID, message, text)
-        return bool(self._faults_s)
+        any_is = False
+        for message, (since_s, text) in self._faults.items():
+            if 0.0 <= time_s - since_s < DISTRUST_S:
+                self._ledger.note(FaultKind.DISTRUSTED_ID, message, text)
+                any_is = True
+        return any_is
 
     def _distrust(self, kind: FaultKind, message: str, text: str, time_s: float) -> None:
         self._ledger.note(kind, message, f"{message}: {text}")
         until = f"no sample until {DISTRUST_S:g} s without that, or the driver is activated again"
-        self._faults_s[message] = time_s, f"{message}: {text}; {until}"
+        self._faults[message] = time_s, f"{message}: {text}; {until}"
 
 
 class SampleAssembler:
@@ -175,6 +164,7 @@ class SampleAssembler:
 
     Attributes:
         dropped: number of samples dropped: late, not whole, invalid or distrusted.
+        frame_s: bus time of the last frame with readings.
     """
 
     def __init__(
@@ -189,7 +179,6 @@ class SampleAssembler:
         """`counter_modulo` is 0 without one; `stamped` frames have the time of the bus."""
         self._names = tuple(cable_names)
         self._skew_limit_s = skew_limit_s
-        self._hold_s = HOLD_CYCLES * cycle_time_s
         self._modulo = counter_modulo
         self._ledger = ledger
         self._senders = _Senders(cycle_time_s, counter_modulo, stamped, ledger)
@@ -198,10 +187,9 @@ class SampleAssembler:
         self._open_s: float | None = None
         self._held: Sample | None = None
         self._valid = True
-        self._frame_s = -np.inf
         self._pause_before_s = self._widest_pause_s = self._awaited_pause_s = 0.0
-        self._cut = 0
-        self.dropped = 0
+        self._cut = self.dropped = 0
+        self.frame_s = -np.inf
 
     def take(self, decoded: Decoded, time_s: float) -> Sample | None:
         """Add a frame with its bus time, and give the sample that may be given now, if any."""
@@ -218,20 +206,16 @@ class SampleAssembler:
             released = self._add(decoded, time_s) or released
         return released
 
-    def lapse(self, time_s: float | None = None) -> Sample | None:
-        """Give the held sample if no frame came for so long that none of its cycle can follow.
-
-        `time_s` is the present bus time, or none if the caller has waited for long enough.
-        """
-        silent = time_s is None or time_s - self._frame_s >= self._hold_s
-        if not silent or (self._modulo and max(self._senders.frames.values(), default=0) > 1):
-            return None
-        return self._release(self._frame_s)
+    def lapse(self) -> Sample | None:
+        """Give the held sample, as no frame has come for longer than a cycle."""
+        if self._modulo and max(self._senders.frames.values(), default=0) > 1:
+            return None  # the next counter frame tells whether it belongs to the second ones
+        return self._release(self.frame_s)
 
     def _add(self, decoded: Decoded, time_s: float) -> Sample | None:
         released = None
         channels = [channel for channel, _ in decoded.readings]
-        pause_s, self._frame_s = time_s - self._frame_s, time_s
+        pause_s, self.frame_s = time_s - self.frame_s, time_s
         if pause_s < self._awaited_pause_s:
             return None
         self._awaited_pause_s = 0.0

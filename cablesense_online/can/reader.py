@@ -15,7 +15,7 @@ import numpy as np
 from cantools.database.can import Database, Message
 
 from cablesense_base import Array
-from cablesense_online.can.assembler import HOLD_CYCLES, Decoded, Sample, SampleAssembler
+from cablesense_online.can.assembler import Decoded, Sample, SampleAssembler
 from cablesense_online.can.bus import (
     ERROR_ACTIVE,
     BusState,
@@ -30,6 +30,8 @@ SCATTER_OF_READING_S = 0.1
 No channel comes twice in a sample, so the order of frames limits the skew to one cycle."""
 SAME_CLOCK_S = 0.05
 """Time stamps with a smaller lag come from this machine's clock, as SocketCAN's do."""
+HOLD_CYCLES = 2.0
+"""A silence of this many cycles gives the held sample, as a next cycle would."""
 DRIFT = 200e-6
 """Upper limit of the relative drift of two quartz clocks."""
 JUMP_S = 2.0
@@ -216,9 +218,9 @@ class TensionReader:
         self.bus.data_frame()
         decoded = self._decoder.decode(frame)
         time_s = self._clock.time_s(frame.timestamp, now_s)
-        if decoded is None:
-            return self._checked(self._assembler.lapse(time_s))
-        return self._checked(self._assembler.take(decoded, time_s))
+        if decoded is not None:
+            return self._checked(self._assembler.take(decoded, time_s))
+        return self.lapse() if time_s - self._assembler.frame_s >= self.hold_s else None
 
     def lapse(self) -> Sample | None:
         """The sample that is held, if any, after `hold_s` without a frame."""
