@@ -30,7 +30,7 @@ PACKED, CIA404 = "twelve_channel_amplifier", "cia404_amplifier"
 SEED = 404
 START_S = 1.7e9
 FRAME_S = 1.05e-4
-"""Of a frame of five bytes or more at 1 Mbit/s, about."""
+"""A frame of five bytes takes about as long at 1 Mbit/s."""
 LATENCY_S = 1e-4
 HEALTHY_CYCLES, ATTACKED_CYCLES, CYCLES_AFTER = 30, 5, 3
 RISE_N, HALF_STEP_N = 0.3, 0.051
@@ -56,7 +56,7 @@ class Line:
         self.reader = TensionReader(self.map, database, interface, FaultLedger())
         self._lowest_n = np.array([rng.uniform(20.0, 60.0) for _ in self.map.channels])
         self._timers = [
-            (rng.random(), rng.uniform(-1e-4, 1e-4)) if own_timers else (0.0, 0.0)
+            (rng.uniform(0.05, 0.95), rng.uniform(-1e-4, 1e-4)) if own_timers else (0.0, 0.0)
             for _ in self.map.channels
         ]
         self.sent: list[tuple[float, Array]] = []
@@ -74,7 +74,7 @@ class Line:
         return frames
 
     def cycles(self, count: int) -> list[Frames]:
-        """The frames of so many cycles."""
+        """The frames of the next cycles."""
         return [self.cycle() for _ in range(count)]
 
     def play(self, cycles: list[Frames]) -> None:
@@ -168,7 +168,7 @@ def replay(line: Line) -> list[Frames]:
 
 
 def replay_alone(line: Line) -> list[Frames]:
-    """The amplifiers fall silent, and what they sent is sent again from the next cycle on."""
+    """The amplifiers fall silent, and their cycles are sent again from the next one on."""
     recorded = line.cycles(line.rng.randrange(5, 250))
     later_s = len(recorded) * line.map.cycle_time_s
     again = [[_again(one, later_s) for one in old] for old in recorded[:ATTACKED_CYCLES]]

@@ -1,7 +1,7 @@
 """Samples of decoded frames: assembled, held until their cycle is over, withheld if in doubt.
 
-Nothing in a CAN frame tells who sent it. What a second sender cannot hide is that its frames come
-next to those of the amplifier, so a sample is given only after those have had their turn.
+Nothing in a CAN frame tells who sent it. A second sender shows by its frames coming next to those
+of the amplifier, so a sample is given only after the amplifier has had the time to send its own.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ AGAIN_CYCLES = 0.25
 """A frame that the one before it equals, so soon after it, was sent again by its own sender: CAN
 does so if another node saw an error in the last bits of a frame that this one has taken."""
 THREE_CYCLES, THREE_ROUNDS = 1.3, 1.5
-"""From a frame to the one after the next of its id are two cycles, with twelve frames in the least
-favourable order 1.4; with a second sender it is one. Frames that have the time of reading may be
-closer, so the other ids must also have come in fewer rounds than the second limit."""
+"""Three frames of one id take two cycles, or 1.4 in the least favourable order of twelve; with a
+second sender they take one. Frames that have the time of reading may be closer, so for these the
+other ids must also have come in fewer rounds than the second limit."""
 EARLY_CYCLES = 1.0
 """Jitter by which a counter may be ahead of time."""
 SLOWER = 0.01

@@ -279,6 +279,20 @@ def test_a_line_that_is_no_frame_is_counted_and_the_next_one_taken(bench):
     assert bench.openings == 1
 
 
+def test_a_second_sender_is_named_until_the_driver_is_started_again(bench):
+    cycles = [packed_cycle(TENSIONS_N, n, 100.0 + n * 1e-3) for n in range(10)]
+    cycles[4].insert(3, packed_cycle(TENSIONS_N + 5.0, 4, 100.004)[3])
+    bench.interface.buses[0].put(*itertools.chain(*cycles))
+    until(lambda: "distrusted id (TENSIONS_9_TO_12 (0x123))" in bench.report()[1].message)
+    bench.until_frames(41)
+    assert len(bench.samples) == 4
+    bench.driver.stop()
+    bench.driver.start()
+    until(lambda: len(bench.interface.buses) == 2)
+    bench.interface.buses[1].put(*itertools.chain(*cycles[:4]))
+    until(lambda: len(bench.samples) == 8)
+
+
 def test_a_flood_is_reported(idle):
     idle.driver._map = PACKED.model_copy(update={"flood_frames_s": 1.0})
     idle.driver.start()

@@ -326,7 +326,7 @@ def test_subscribers_may_come_and_go_while_a_node_is_cleaned_up(
     name = f"/restless/{node}"
     process = start(node, "/restless", autostart=False, **parameters)
     with subscribers_that_come_and_go(kind, [f"/restless/{topic}" for topic in published]):
-        for _ in range(12):  # without publishers that outlive it, the first or second ended it
+        for _ in range(12):  # one or two ended an estimator without publishers that outlive it
             assert graph.change_state(name, Transition.TRANSITION_CONFIGURE), process.log
             assert graph.change_state(name, Transition.TRANSITION_ACTIVATE)
             assert graph.change_state(name, Transition.TRANSITION_DEACTIVATE)
