@@ -6,7 +6,7 @@ of the amplifier, so a sample is given only after the amplifier has had the time
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -21,10 +21,9 @@ DISTRUST_S = 10.0
 AGAIN_CYCLES = 0.25
 """A frame that the one before it equals, so soon after it, was sent again by its own sender: CAN
 does so if another node saw an error in the last bits of a frame that this one has taken."""
-THREE_CYCLES, THREE_ROUNDS = 1.3, 1.5
+THREE_CYCLES = 1.3
 """Three frames of one id take two cycles, or 1.4 in the least favourable order of twelve; with a
-second sender they take one. Frames that have the time of reading may be closer, so for these the
-other ids must also have come in fewer rounds than the second limit."""
+second sender they take one."""
 EARLY_CYCLES = 1.0
 """Jitter by which a counter may be ahead of time."""
 SLOWER = 0.01
@@ -80,8 +79,7 @@ class _Senders:
         self._last, self._last_s = Decoded(), -np.inf
         self._count: int | None = None
         self._count_s = self._spare_cycles = 0.0
-        self._number = 0
-        self._latest: dict[str, tuple[tuple[float, int], ...]] = {}
+        self._times_s: dict[str, deque[float]] = {}
         self._faults: dict[str, tuple[float, str]] = {}
         self.frames: Counter[str] = Counter()
 
@@ -98,23 +96,21 @@ class _Senders:
     def take(self, message: str, time_s: float) -> None:
         """Note a frame; without a counter, the third of its id within one cycle is a fault."""
         self.frames[message] += 1
-        self._number += 1
-        if self._modulo:
+        if self._modulo or not self._stamped:
             return
-        earlier = self._latest.get(message, ())
-        self._latest[message] = (*earlier[-1:], (time_s, self._number))
-        if len(earlier) == 2:
-            span_s, others = time_s - earlier[0][0], self._number - earlier[0][1] - 2
-            few = self._stamped or others < THREE_ROUNDS * (len(self._latest) - 1)
-            if few and span_s < THREE_CYCLES * self._cycle_s:
-                text = f"came three times in {span_s:.5f} s; cycle_time_s is {self._cycle_s:g}"
-                self._distrust(FaultKind.DUPLICATE_ID, message, text, time_s)
+        times_s = self._times_s.setdefault(message, deque(maxlen=2))
+        span_s = time_s - times_s[0] if len(times_s) == 2 else np.inf
+        times_s.append(time_s)
+        if 0.0 <= span_s < THREE_CYCLES * self._cycle_s:
+            text = f"came three times in {span_s:.5f} s; cycle_time_s is {self._cycle_s:g}"
+            self._distrust(FaultKind.DUPLICATE_ID, message, text, time_s)
 
     def counts_on(self, decoded: Decoded, count: int, time_s: float) -> bool:
         """Whether a counter moved; if it stands still, the amplifier repeats old values.
 
         Lost cycles take their time. A counter that is ahead of it is another sender's, or that of
-        an amplifier that was restarted. Time that a reader was held up is made up afterwards.
+        an amplifier that was restarted. Time that a reader was held up is made up afterwards; if
+        that is all that is known of time, only a counter that went back is ahead.
         """
         last, self._count = self._count, count
         steps = 1 if last is None else (count - last) % self._modulo
@@ -123,7 +119,8 @@ class _Senders:
         spare = max(0.0, self._spare_cycles - SLOWER * passed) + passed - steps
         self._spare_cycles = min(max(0.0, spare), self._modulo)
         moved = f"the cycle counter went from {last} to {count}"
-        if steps and spare < -EARLY_CYCLES:
+        ahead = spare < -EARLY_CYCLES and (self._stamped or 2 * steps > self._modulo)
+        if steps and ahead:
             text = f"{moved} within {passed:.1f} cycles: sent again or by another, or restarted"
             self._distrust(FaultKind.COUNTER_JUMP, decoded.message, text, time_s)
         elif steps != 1:
@@ -160,7 +157,8 @@ class SampleAssembler:
     lost frame, samples may begin in mid-cycle: frames then wait for the pause between two cycles.
 
     A whole sample is held until the next counter frame or, without a counter, until the next
-    sample has ended: by then each amplifier has sent again.
+    sample has ended: by then each amplifier has sent again. With neither a counter nor the time
+    of the bus, nothing could be learned by then, and it is given at once.
 
     Attributes:
         dropped: number of samples dropped: late, not whole, invalid or distrusted.
@@ -180,6 +178,7 @@ class SampleAssembler:
         self._names = tuple(cable_names)
         self._skew_limit_s = skew_limit_s
         self._modulo = counter_modulo
+        self._holds = stamped or counter_modulo > 0
         self._ledger = ledger
         self._senders = _Senders(cycle_time_s, counter_modulo, stamped, ledger)
         self._tensions_n = [0.0] * len(self._names)
@@ -249,7 +248,7 @@ class SampleAssembler:
             self.dropped += 1
         else:
             self._held = Sample(opened_s, time_s - opened_s, np.array(self._tensions_n))
-        return released
+        return released if self._holds else self._release(time_s)
 
     def _release(self, time_s: float, trusted: bool = True) -> Sample | None:
         """The held sample, unless its senders are not trusted."""

@@ -24,9 +24,9 @@ def opening(count):
 
 
 class Assembly:
-    def __init__(self, modulo, skew_s=SKEW_S):
+    def __init__(self, modulo, skew_s=SKEW_S, stamped=True):
         self.ledger = FaultLedger()
-        self.assembler = SampleAssembler(NAMES, CYCLE_S, skew_s, modulo, self.ledger)
+        self.assembler = SampleAssembler(NAMES, CYCLE_S, skew_s, modulo, self.ledger, stamped)
         self.given, self.counted = [], modulo > 0
 
     def take(self, decoded, time_s):
@@ -189,8 +189,12 @@ def test_a_counter_frame_that_is_lost_is_no_second_sender(counted, lost):
     assert counted.faults == {FaultKind.COUNTER_GAP: {"cycle counter": 1}}
 
 
-@pytest.mark.parametrize("back", [1, 2, 10, 100, 200])
-def test_cycles_that_are_sent_again_are_withheld(counted, back):
+@pytest.mark.parametrize(
+    ("back", "stamped"),
+    [(1, True), (10, True), (100, True), (200, True), (1, False), (100, False)],
+)
+def test_cycles_that_are_sent_again_are_withheld(back, stamped):
+    counted = Assembly(256, stamped=stamped)
     for number in range(300):
         counted.cycle(number)
     before = len(counted.samples)
@@ -214,16 +218,24 @@ def test_a_restarted_amplifier_is_believed_after_a_pause_or_after_a_while(counte
     assert len(given) == pytest.approx(10_010 if at_once else 10, abs=2)
 
 
-def test_a_reader_that_was_held_up_and_lost_cycles_goes_on(counted):
+def test_a_reader_that_was_held_up_and_lost_cycles_goes_on():
     """Over a serial adapter: what waited is read at once, and a part of it is lost."""
+    counted = Assembly(256, stamped=False)
     for number in range(10):
         counted.cycle(number)
-    for number in (*range(10, 60), *range(160, 170)):
+    for number in (*range(10, 60), *range(160, 170), *range(270, 280)):
         counted.take(opening(number % 256), 0.17 + number * 1e-5)
         for group in range(3):
             counted.take(data(group, float(number)), 0.17 + number * 1e-5 + group * 1e-6)
-    assert len(counted.samples) == 70
-    assert counted.faults == {FaultKind.COUNTER_GAP: {"cycle counter": 1}}
+    assert len(counted.samples) == 80
+    assert counted.faults == {FaultKind.COUNTER_GAP: {"cycle counter": 2}}
+
+
+def test_without_counter_and_bus_time_a_sample_is_given_at_once():
+    bench = Assembly(0, stamped=False)
+    for number in range(3):
+        bench.cycle(number)
+        assert bench.given[-1].tensions_n[0] == number
 
 
 def test_a_lost_cycle_is_counted_and_the_next_sample_is_given(counted):
