@@ -24,8 +24,8 @@ does so if another node saw an error in the last bits of a frame that this one h
 THREE_CYCLES = 1.3
 """Three frames of one id take two cycles, or 1.4 in the least favourable order of twelve; with a
 second sender they take one."""
-EARLY_CYCLES = 1.0
-"""Jitter by which a counter may be ahead of time."""
+EARLY_CYCLES, HELD_UP_CYCLES = 1.0, 1000.0
+"""Jitter by which a counter may be ahead of time, and the longest time that a reader makes up."""
 SLOWER = 0.01
 """Share by which an amplifier may be slower than the map says, so that it gains no time."""
 CUT_SAMPLES, WIDER = 8, 2.0
@@ -105,19 +105,22 @@ class _Senders:
             text = f"came three times in {span_s:.5f} s; cycle_time_s is {self._cycle_s:g}"
             self._distrust(FaultKind.DUPLICATE_ID, message, text, time_s)
 
-    def counts_on(self, decoded: Decoded, count: int, time_s: float) -> bool:
-        """Whether a counter moved; if it stands still, the amplifier repeats old values.
+    def counts_on(self, decoded: Decoded, count: int, time_s: float) -> tuple[bool, bool]:
+        """Whether a counter moved, and whether the frames before it are of one cycle.
 
-        Lost cycles take their time. A counter that is ahead of it is another sender's, or that of
-        an amplifier that was restarted. Time that a reader was held up is made up afterwards; if
-        that is all that is known of time, only a counter that went back is ahead.
+        If it stands still, the amplifier repeats old values. Lost cycles take their time. A
+        counter that is ahead of it is another sender's, or a restarted amplifier's. If only the
+        time of reading is known, a reader that was held up makes up for it afterwards; a counter
+        that is ahead must then also have gone back. Frames around a lost counter frame are then
+        of one cycle if none of them was lost.
         """
         last, self._count = self._count, count
         steps = 1 if last is None else (count - last) % self._modulo
         passed = max(0.0, time_s - self._count_s) / self._cycle_s if last is not None else 1.0
         self._count_s = time_s
         spare = max(0.0, self._spare_cycles - SLOWER * passed) + passed - steps
-        self._spare_cycles = min(max(0.0, spare), self._modulo)
+        most = EARLY_CYCLES if self._stamped else HELD_UP_CYCLES
+        self._spare_cycles = min(max(0.0, spare), most)
         moved = f"the cycle counter went from {last} to {count}"
         ahead = spare < -EARLY_CYCLES and (self._stamped or 2 * steps > self._modulo)
         if steps and ahead:
@@ -126,12 +129,13 @@ class _Senders:
         elif steps != 1:
             text = f"{moved}: " + (f"{steps - 1} cycles lost" if steps else "it stands still")
             self._ledger.note(FaultKind.COUNTER_GAP, "cycle counter", text)
+        of_one = steps < 2 or self._stamped or set(self.frames.values()) == {steps}
         for message, frames in self.frames.items():
             if frames > max(1, steps) and last is not None:
                 text = f"came {frames} times in one cycle"
                 self._distrust(FaultKind.DUPLICATE_ID, message, text, time_s)
         self.frames.clear()
-        return steps > 0
+        return steps > 0, of_one
 
     def distrusted(self, time_s: float) -> bool:
         """Whether any id is; names those that are, as this costs a sample."""
@@ -196,8 +200,8 @@ class SampleAssembler:
             return None
         released = None
         if decoded.counter is not None:
-            moved = self._senders.counts_on(decoded, decoded.counter, time_s)
-            released = self._release(time_s, trusted=moved)
+            moved, of_one = self._senders.counts_on(decoded, decoded.counter, time_s)
+            released = self._release(time_s, trusted=moved and of_one)
             self._open(time_s)
             self._valid = moved
         if decoded.readings:
