@@ -112,7 +112,7 @@ class Motion(Trajectory):
         smoothed_hz: bandwidth of the motion.
         compared_hz: bandwidth of the comparison.
         passes: by trial, rows (P, R_t) that take torques of its rows to P compared ones.
-        compared_trial, compared_time_s: (Q,) of those.
+        compared_trial, compared_time_s: (Q,) of those; trials without any have no number.
         forward: whether the comparison is to go forward in time.
         zeroed: whether encoders were set to zero where each trial begins.
         noise: of what was measured.

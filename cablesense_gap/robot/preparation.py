@@ -89,10 +89,11 @@ def prepared(
     rows_hz = rate_hz / step
     passes, kept = _low_passes([len(p["time_s"][::step]) for p in parts], rows_hz, compared_hz)
     joined["trial"] = trial = np.unique(joined["trial"], return_inverse=True)[1]
-    if len(kept) < _FEWEST_ROWS:
+    numbers, compared_trial = np.unique(trial[kept], return_inverse=True)
+    if len(kept) < _FEWEST_ROWS or len(numbers) < 2:
         raise RecordingError(
-            f"{recording.name}: {len(kept)} rows are left of it after smoothing; record trials "
-            "of several seconds"
+            f"{recording.name}: {len(kept)} rows of {len(numbers)} trials are left of it after "
+            "smoothing; record trials of several seconds"
         )
     scale = _scale(joined, moving)
     torque_noise = np.maximum(noise.torque, _noise_at_rest(trials, parts, rate_hz, compared_hz))
@@ -112,7 +113,7 @@ def prepared(
         smoothed_hz=smoothed_hz,
         compared_hz=compared_hz,
         passes=passes,
-        compared_trial=trial[kept],
+        compared_trial=compared_trial,
         compared_time_s=joined["time_s"][kept],
         forward=by_command if forward is None else forward,
         zeroed=zeroed,
