@@ -15,8 +15,10 @@ from cablesense_base import Array
 from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.pipeline import FOLDS, System, Unlisted, diagnose_system
 from cablesense_gap.recordings.csv_file import write_table
+from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot.amending import changed, known_effects
 from cablesense_gap.robot.effects.effect import RobotEffect
+from cablesense_gap.robot.exchanged import exchanged
 from cablesense_gap.robot.forward import ForwardComparison
 from cablesense_gap.robot.inverse import InverseComparison
 from cablesense_gap.robot.model import Robot, RobotError
@@ -152,6 +154,13 @@ class RobotSystem(System):
             for name, unit, b, a, floor in columns
         }
 
+    def left_shares(self) -> dict[str, float]:
+        """By channel, the share of what was measured that the nominal model leaves, RMS."""
+        left = self.readings - self.predict([{}])[0]
+        sizes = (np.linalg.norm(each, axis=0) for each in (left, self.readings))
+        shares = np.divide(*sizes, out=np.zeros(left.shape[1]), where=self.readings.any(0))
+        return dict(zip(self.comparison.names, shares.tolist(), strict=True))
+
     def doubtful(self) -> list[str]:
         """Channels that follow the model's, but with another sign or in another unit."""
         found = []
@@ -202,6 +211,7 @@ def diagnose(
     forward: bool | None = None,
     *,
     zeroed: bool = False,
+    force: bool = False,
 ) -> RobotDiagnosis:
     """Find what makes the recorded robot differ from its model.
 
@@ -216,13 +226,26 @@ def diagnose(
             recorded.
         zeroed: whether encoders were set to zero where each trial starts; each trial then has
             the zeros that fit it.
+        force: whether to go on if columns look exchanged or reversed; the findings then say so.
 
     Raises:
-        RecordingError: the recording cannot be compared.
+        RecordingError: the recording cannot be compared, or its columns look exchanged.
     """
     began_s = time.monotonic()
     progress("smoothing", 0.0)
+
     motion = prepared(recording, robot, bandwidth_hz, forward, zeroed=zeroed)
+
+    def left(recorded: RobotRecording) -> dict[str, float]:
+        by_torque = prepared(recorded, robot, bandwidth_hz, forward=False, zeroed=zeroed)
+        return RobotSystem(robot, by_torque, beside or {}).left_shares()
+
+    doubts = exchanged(recording, robot, left)
+    if doubts and not force:
+        raise RecordingError(
+            f"{recording.name}: {', '.join(doubts)}: the model then fits far better; correct the "
+            "recording, or go on with --force"
+        )
     system = RobotSystem(robot, motion, beside or {})
     system.recording_name, system.row_count = recording.name, len(recording)
     found = diagnose_system(system, progress, workers, began_s)
@@ -236,6 +259,7 @@ def diagnose(
         after=found.held_out * system.comparison.noise,
         findings=(
             *recording.notes,
+            *(f"{doubt[0].upper()}{doubt[1:]}." for doubt in doubts),
             *(() if motion.forward else robot.left_out),
             *beyond_range(recording, robot),
             *(() if zeroed else starts_at_zero(recording)),

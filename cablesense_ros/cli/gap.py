@@ -70,7 +70,14 @@ def diagnose(
     forward: ForwardOption = None,
     zeroed: ZeroedOption = False,
     workers: WorkersOption = 2,
-    force: ForceOption = False,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force",
+            help="Replace files of the same names that exist already. With --model: also diagnose "
+            "a recording whose columns look exchanged or reversed.",
+        ),
+    ] = False,
     json_output: JsonOption = False,
 ) -> None:
     """Find where the gap lies, which effect causes it, and how far it shrinks with that effect.
@@ -97,8 +104,9 @@ def diagnose(
         recorded = read_recording(recording, robot)
         with diagnosis_progress(console) as (show, _):
             found = system.diagnose(
-                recorded, robot, beside, bandwidth, show, workers, forward, zeroed=zeroed
-            )
+                recorded, robot, beside, bandwidth, show, workers, forward,
+                zeroed=zeroed, force=force,
+            )  # fmt: skip
         report.write_robot_diagnosis(out, found, beside)
         verdict, lines = found.verdict, [*found.findings, report.robot_headline(found.verdict)]
     if json_output:

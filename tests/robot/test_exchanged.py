@@ -1,0 +1,80 @@
+"""Columns that are exchanged or reversed stop a diagnosis; effects of a robot do not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from two_link import motion, torques, write_model
+
+from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.robot.exchanged import exchanged
+from cablesense_gap.robot.model import load_robot
+from cablesense_gap.robot.preparation import prepared
+from cablesense_gap.robot.recording import RobotRecording
+from cablesense_gap.robot.system import RobotSystem, diagnose
+
+LAST = np.array([1.0, -1.0])
+SWAPPED = [1, 0]
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    return load_robot(write_model(tmp_path_factory.mktemp("robot")))
+
+
+def bent(read=lambda torque: torque, **planted):
+    """The pendulum about poses at which the sign of a position matters."""
+    rng, parts = np.random.default_rng(0), []
+    for trial in range(3):
+        time_s, position, speed, acceleration = motion(rng)
+        position += [0.6, 0.9]
+        torque = read(torques(position, speed, acceleration, **planted))
+        parts.append((time_s, np.full(len(time_s), trial), position, torque))
+    time_s, trial, position, torque = map(np.concatenate, zip(*parts, strict=True))
+    torque += np.random.default_rng(1).normal(0.0, 0.01, torque.shape)
+    return RobotRecording("bent", time_s, trial, position, torque, np.nan * torque)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"torque": lambda t: t[:, SWAPPED]}, ["torque.shoulder and torque.elbow look exchanged"]),
+        ({"torque": lambda t: t * LAST}, ["torque.elbow looks as if it had the other sign"]),
+        ({"torque": np.negative}, ["torque.shoulder looks as if", "torque.elbow looks as if"]),
+        ({"position": lambda p: p * LAST}, ["position.elbow looks as if"]),
+        (
+            {"command": lambda t: t[:, SWAPPED], "torque": lambda t: np.nan * t},
+            ["command.shoulder and command.elbow look exchanged"],
+        ),
+        (
+            {"command": lambda t: t * LAST, "torque": lambda t: np.nan * t},
+            ["command.elbow looks as if it had the other sign"],
+        ),
+    ],
+)
+def test_columns_that_are_exchanged_or_reversed_stop_the_diagnosis(robot, changes, said):
+    recording = bent(friction=(0.1, 0.08), payload=0.1)
+    recording = replace(recording, command=recording.torque)
+    changed = {name: change(getattr(recording, name)) for name, change in changes.items()}
+    with pytest.raises(RecordingError, match="or go on with --force") as stopped:
+        diagnose(replace(recording, **changed), robot)
+    assert all(each in str(stopped.value) for each in said)
+    assert str(stopped.value).count(" look") == len(said)
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [
+        {"payload": 5.0},
+        {"friction": (1.0, 0.5)},
+        {"armature": (2.0, 0.0)},
+        {"read": lambda torque: 3.0 * torque + 2.0},
+    ],
+)
+def test_effects_of_any_size_are_no_exchange(robot, planted):
+    def left(recording):
+        return RobotSystem(robot, prepared(recording, robot), {}).left_shares()
+
+    recording = bent(**planted)
+    assert max(left(recording).values()) > 0.6
+    assert exchanged(recording, robot, left) == []
