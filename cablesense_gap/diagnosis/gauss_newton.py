@@ -291,7 +291,7 @@ class _Fit:
             held_out_effects=held_out_effects,
             squares=problem.squares_by_trial(held_out)[0],
             count=data.count,
-            sizes=int((~self._shape).sum()),
+            sizes=int((~self._shape & columns.any(axis=(1, 2))).sum()),
             tolerance_chi2=float((found[:none] ** 2).sum()),
         )
 

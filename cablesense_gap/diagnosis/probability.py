@@ -2,10 +2,11 @@
 
 The log weight of an explanation with k effects and n sizes is
 
-    log w = -κ log(excess) - τ log(s / m) - π_1 - (k - 1) (π_2 - π_1) - ν n
+    log w = -κ log(excess) - τ log(s / m) - π_1 - (k - 1) (π_2 - π_1) - ν n - surprise
 
 `excess` is the RMS residual on held-out trials beyond the sensors' floor. s is the sum of squares
 of the m tolerances in standard deviations, at least m: tolerances are rarely many deviations off.
+`surprise` is what a kind of machine adds for implausible sizes and places.
 
 Tolerances alone have their own power κ₀, because a plain gap rules them out:
 
@@ -37,8 +38,8 @@ from cablesense_gap.diagnosis.linear_fit import weight
 from cablesense_gap.diagnosis.problem import Explanation, Problem, excess
 
 UNKNOWN = ("unknown",)
-LEAST, NEAR_BEST = 0.1, 0.2
-"""A rival has at least this probability, and this share of the probability of the best."""
+NEAR_BEST = 0.2
+"""A rival has at least this share of the probability of the best."""
 
 PARALLEL = 0.75
 """The shapes of two changes do not differ if one is imitated to this share."""
@@ -98,6 +99,7 @@ def posterior(
         max(len(explanations[0].tolerances), 1),
         floor,
         calibration,
+        np.array([h.surprise for h in explanations]),
     )
     shares = np.exp(weights - weights.max())
     shares /= shares.sum()
@@ -112,13 +114,18 @@ def posterior(
 def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration) -> list[Ranked]:
     """The explanations, first the one that the verdict names.
 
-    This is the most probable one. If that is an unlisted effect, it may be an explanation that
-    explains more than it leaves: one with several effects, or with an effect that depends on
-    history or on the direction of motion. The unexplained part is then stated with the verdict.
+    This is the most probable one. An unlisted effect must be more probable than all explanations
+    together that the recording cannot distinguish from the best. It may also give way to an
+    explanation that explains more than it leaves: one with several effects, or with an effect that
+    depends on history or on the direction of motion. The unexplained part is then stated with the
+    verdict.
     """
     first = ranked[0]
     if first.effects != UNKNOWN:
         return list(ranked)
+    together = _together(problem, ranked)
+    if sum(each.probability for each in together) > first.probability:
+        return [*together[:1], *(each for each in ranked if each is not together[0])]
     fitted = {frozenset(h.effects): h for r in ranked if (h := r.explanation)}
     supported = [
         (problem.cost_of(each.explanation), k, ratios)
@@ -133,6 +140,21 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
     chosen = replace(ranked[k], probability=ranked[k].probability + exact)
     rest = [*ranked[1:k], *ranked[k + 1 :]]
     return [chosen, *rest, replace(first, probability=first.probability - exact)]
+
+
+def _together(problem: Problem, ranked: Sequence[Ranked]) -> list[Ranked]:
+    """The most probable explanation with effects, and those that are alike: each imitates it."""
+    found: list[Ranked] = []
+    for each in filter(_names_an_effect, ranked):
+        one, other = (found or [each])[0].explanation, each.explanation
+        if (
+            one
+            and other
+            and min(imitated_share(problem, *pair) for pair in ((one, other), (other, one)))
+            >= PARALLEL
+        ):
+            found.append(each)
+    return found
 
 
 def _support(
@@ -171,6 +193,7 @@ def log_weights(
     tolerance_count: float,
     floor: float,
     calibration: ProbabilityCalibration,
+    surprise: Array | float = 0.0,
 ) -> Array:
     """One for each explanation, and the last for an unlisted effect.
 
@@ -183,7 +206,7 @@ def log_weights(
     none = left[np.flatnonzero(counts == 0)[0]]
     power = np.where(counts == 0, c.none, c.power)
     several = c.one + (counts - 1) * (c.two - c.one)
-    penalty = np.where(counts == 0, 0.0, several) + c.size * sizes
+    penalty = np.where(counts == 0, 0.0, several) + c.size * sizes + surprise
     penalty += c.tolerance_chi2 * np.log(np.maximum(tolerance_chi2 / tolerance_count, 1.0))
     stand_in = np.hypot(c.share * none, c.stand_in * floor)
     unknown = -c.power * np.log(stand_in / least) - c.unknown
@@ -211,7 +234,7 @@ def rivals_of(ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
     best = ranked[0]
     if not _names_an_effect(best):
         return ()
-    least = max(LEAST, NEAR_BEST * best.probability)
+    least = NEAR_BEST * best.probability
     return tuple(r for r in ranked[1:] if r.probability >= least and _names_an_effect(r))
 
 

@@ -21,9 +21,6 @@ from cablesense_sim.effects.effect import Parameter
 RESOLUTION = 0.2
 """Residuals below this share of the sensors' floor are not distinguished."""
 
-SIZE_PRIOR = 3.0
-"""Sizes are expected within this many typical ones of zero (one standard deviation)."""
-
 EFFECT_WORTH, PLACE_WORTH, CHOICE_WORTH = 1.08, 1.04, 0.02
 """The factors by which an effect and each of its places must make the cost smaller, and the power
 of the number of ways to choose these places: many choices fit chance better."""
@@ -44,8 +41,10 @@ class Explanation:
         held_out_effects: (R, C) the same with the effects alone, without tolerances.
         squares: (T,) sum of squared held-out residuals of each trial.
         count: (T,) numbers in each trial.
-        sizes: how many of the values are sizes.
+        sizes: how many of the values are sizes that change a reading.
         tolerance_chi2: sum of the squares of the tolerances, each in standard deviations.
+        surprise: by how much its sizes and places are less probable than usual ones, natural
+            logarithm.
     """
 
     effects: tuple[str, ...]
@@ -62,6 +61,7 @@ class Explanation:
     count: Array
     sizes: int
     tolerance_chi2: float
+    surprise: float = 0.0
 
     @property
     def sites(self) -> list[tuple[str, str]]:
@@ -267,4 +267,4 @@ def unit_of(parameter: Parameter, value: float) -> float:
 
 def prior_precision(parameter: Parameter) -> float:
     """Prior precision of a scaled value: about zero for a size, about its start for a shape."""
-    return SIZE_PRIOR**-2 if parameter.role == "size" else 1.0
+    return parameter.spread**-2 if parameter.role == "size" else 1.0

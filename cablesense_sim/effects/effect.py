@@ -46,6 +46,7 @@ class Parameter:
             recordings.
         relative: whether it is the share by which a positive quantity is larger, so that a
             quarter and four times the quantity are equally far from zero.
+        spread: a size is expected within this many typical ones of zero (one standard deviation).
     """
 
     name: str
@@ -61,6 +62,7 @@ class Parameter:
     fades: bool = False
     past: bool = False
     relative: bool = False
+    spread: float = 3.0
 
 
 shape = partial(Parameter, role="shape")
