@@ -20,7 +20,9 @@ from cablesense_gap.robot.smoothing import derivatives
 from cablesense_gap.simulator import Assignment
 
 RATE_HZ = 100.0
-_RANGE_SHARE, _FREE_RAD, _MOST_RAD = 0.8, 1.2, 1.6
+_RANGE_SHARE, _MOST_RAD = 0.8, 1.6
+_FREE_RAD, _FREE_M = 1.2, 0.1
+"""To either side, where the model has no range of a hinge or a slide."""
 _LEAST_PERIOD_S = 4.0
 _RAD_S, _M_S = 0.5, 0.1
 """Peak speeds of a slow sweep of a hinge and of a slide."""
@@ -58,8 +60,9 @@ def standard_protocol(robot: Robot) -> list[RobotBlock]:
             position[:, j] += reach[j] * np.sin(2.0 * np.pi * time_s / own_s)
             low, high = middle[j] - reach[j], middle[j] + reach[j]
             unit = robot.position_units[j]
+            free = "" if robot.model.jnt_limited[j] else " (the model has no range of it)"
             does = (
-                f"move {joint} alone between {low:.2g} and {high:.2g} {unit} as a sine, "
+                f"move {joint} alone between {low:.2g} and {high:.2g} {unit}{free} as a sine, "
                 f"{own_s:.0f} s each time; the others stay at the middle of their ranges"
             )
             blocks.append(RobotBlock(kind, does, position))
@@ -131,8 +134,9 @@ def _ranges(robot: Robot) -> tuple[Array, Array]:
     low, high = robot.model.jnt_range.T
     limited = robot.model.jnt_limited.astype(bool)
     middle = np.where(limited, 0.5 * (low + high), robot.model.qpos0)
+    free = np.where([unit == "rad" for unit in robot.position_units], _FREE_RAD, _FREE_M)
     return middle, np.where(
-        limited, np.minimum(0.5 * _RANGE_SHARE * (high - low), _MOST_RAD), _FREE_RAD
+        limited, np.minimum(0.5 * _RANGE_SHARE * (high - low), _MOST_RAD), free
     )
 
 

@@ -29,8 +29,10 @@ _STILL_SHARE = 0.01
 """A joint slower than this share of its largest speed is standing still."""
 _MOST_STRETCH_S = 20.0
 _LEAST_STRETCH_S = 1.0
-_MOST_RAD = 4.0 * np.pi
-_MOST_INTERVAL_S = 1.0
+_MOST_RAD, _MOST_RAD_S = 4.0 * np.pi, 30.0
+"""No joint with a range goes farther; one without, as a drum, goes farther, but not faster."""
+_MOST_INTERVAL_S, _LEAST_SPEED = 0.5, 0.005
+"""At longer intervals a joint that is never faster, in rad/s or m/s, has another unit of time."""
 
 
 @dataclass(frozen=True)
@@ -281,12 +283,15 @@ def _check(path: Path, robot: Robot, every: dict[str, Array], trial: NDArray[np.
             f"{path}: row {back[0] + 2}: time stands still or runs back within a trial"
         )
     typical = float(np.median(interval[within]))
-    if typical > _MOST_INTERVAL_S:
+    step = np.abs(np.diff(every["position"], axis=0)[within])
+    speed = (step / interval[within, None]).max(0, initial=0.0)
+    if typical > _MOST_INTERVAL_S and speed.max() < _LEAST_SPEED:
         raise RecordingError(
-            f"{path}: rows are {typical:g} s apart; time_s must be in seconds (milliseconds "
-            "given?)"
+            f"{path}: rows are {typical:g} s apart and joints reach {speed.max():.2g} in 1 s; "
+            "time_s must be in seconds (milliseconds given?)"
         )
     hinges = np.array([unit == "rad" for unit in robot.position_units])
+    hinges &= robot.model.jnt_limited.astype(bool) | (speed > _MOST_RAD_S)
     largest = np.abs(every["position"][:, hinges]).max(initial=0.0)
     if largest > _MOST_RAD:
         raise RecordingError(

@@ -26,7 +26,11 @@ ModelOption = Annotated[
     ),
 ]
 RecordingArgument = Annotated[
-    Path, typer.Argument(help="A .csv file, a .mcap file or a rosbag2 folder.")
+    Path,
+    typer.Argument(
+        help="A .csv or .csv.gz file, a .mcap file or a rosbag2 folder; with --model also a "
+        "folder of CSV files."
+    ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
 DurationOption = Annotated[

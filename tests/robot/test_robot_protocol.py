@@ -24,6 +24,15 @@ def test_the_protocol_moves_every_joint_alone_and_all_at_once(robot):
     assert all((np.ptp(b.position, axis=0) > 0.5).all() for b in blocks if b.kind == "all joints")
 
 
+def test_a_slide_without_a_range_moves_a_little_and_the_protocol_says_so(tmp_path):
+    path = tmp_path / "slide.xml"
+    body = "<body><joint name='lift' type='slide'/><geom size='0.1'/></body>"
+    path.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    blocks = standard_protocol(load_robot(path))
+    assert max(np.abs(block.position).max() for block in blocks) <= 0.1
+    assert "between -0.1 and 0.1 m (the model has no range of it)" in blocks[0].does
+
+
 def test_the_next_experiment_moves_the_joint_in_question(robot):
     asked = next_experiment(
         robot, [{Term("joint_friction", "shoulder", "torque_n_m"): 0.1}], np.array([0.1, 0.01])

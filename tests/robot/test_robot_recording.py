@@ -84,6 +84,15 @@ def test_what_cannot_be_used_is_refused_in_one_line(tmp_path, table, robot, chan
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize(("turns", "seconds"), [(67.0, 20.0), (1.0, 100.1)])
+def test_a_drum_that_turns_far_and_rows_a_second_apart_are_read(
+    tmp_path, table, robot, turns, seconds
+):
+    drum = turns * table["position.shoulder"] / table["position.shoulder"].abs().max()
+    found = table.assign(time_s=seconds * table.time_s, **{"position.shoulder": drum})
+    assert read(tmp_path, found, robot).position[:, 0] == pytest.approx(drum.to_numpy())
+
+
 def test_without_torques_and_commands_nothing_can_be_compared(tmp_path, table, robot):
     recording = read(tmp_path, table.drop(columns=["torque.shoulder", "torque.elbow"]), robot)
     with pytest.raises(RecordingError, match="has neither torque"):
@@ -184,12 +193,12 @@ def test_a_trial_too_short_to_be_compared_leaves_no_gap_in_the_numbers(tmp_path,
     recording, rows = read(tmp_path, table, robot), np.arange(400)
     trial = np.concatenate([2 * t + (rows >= 380) for t in range(3)])
     recording = replace(recording, trial=trial)
-    motion = prepared(recording, robot, 2.0)
+    motion = prepared(recording, robot, 3.0)
     assert len(motion.trials) == 6
     system = RobotSystem(robot, motion, {})
     assert problem_of(system).fold.shape == np.unique(system.trial).shape == (3,)
     with pytest.raises(RecordingError, match="rows of 1 trials are left"):
-        prepared(replace(recording, trial=(trial > 4).astype(int)), robot, 2.0)
+        prepared(replace(recording, trial=(trial > 4).astype(int)), robot, 3.0)
 
 
 def test_a_single_glitch_changes_nothing(tmp_path, table, robot):
