@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -36,10 +36,12 @@ from cablesense_gap.explained import (
     trades,
 )
 from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term
-from cablesense_gap.verdict import ChannelGap, Verdict, Where
+from cablesense_gap.verdict import ChannelGap, Gap, Verdict, Where
 
 FOLDS = 5
 """Fits without a fold keep four fifths of the trials."""
+DOUBTED = 0.5
+"""The largest probability of a verdict that its numbers make doubtful."""
 _MUCH_UNEXPLAINED = 0.25
 """Share of the gap from which the next experiment is to show most of the unexplained part."""
 
@@ -127,6 +129,10 @@ class System(ABC):
         """The pattern of a held-out residual (R, C) that no listed effect explains."""
         return Unlisted((), "", 0.0)
 
+    def doubts(self, values: Mapping[Term, float], gap: Gap) -> tuple[str, ...]:
+        """Reasons, as sentences, for which an explanation with these values cannot be sure."""
+        return ()
+
     def channels(self, before: Array, after: Array) -> dict[str, ChannelGap]:
         """Gaps by channel in their own units, of residuals (counted rows, C); may be empty."""
         return {}
@@ -207,6 +213,17 @@ def diagnose_system(
         predicted = held_out = none.held_out + described.correction
     before, after = ((problem.readings - each)[used] for each in (problem.nominal, held_out))
     alone = problem.readings - best.held_out_effects if best and best.effects else None
+    gap = gap_size(
+        before,
+        after,
+        problem.trial[used],
+        problem.floor,
+        None if alone is None else alone[used],
+    )
+    doubts = system.doubts(values, gap) if values else ()
+    if doubts:
+        sure = min(ranked[0].probability, DOUBTED)
+        ranked = [replace(ranked[0], probability=sure), *ranked[1:]]
     verdict = Verdict(
         effects=ranked[0].effects,
         probability=ranked[0].probability,
@@ -219,13 +236,8 @@ def diagnose_system(
         tolerances_n=rest.tolerances,
         unexplained_n=rest.unexplained,
         unexplained_share=rest.share,
-        gap=gap_size(
-            before,
-            after,
-            problem.trial[used],
-            problem.floor,
-            None if alone is None else alone[used],
-        ),
+        gap=gap,
+        doubts=doubts,
         candidates=candidate_results(ranked),
         why=reasons,
         seconds=time.monotonic() - began_s,

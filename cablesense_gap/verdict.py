@@ -229,6 +229,8 @@ class Verdict(FilePart):
             units of their floor, `floors`.
         channels: for a robot, the gap at each joint in its own unit.
         compared: for a robot, the quantities compared and the method, as a sentence.
+        doubts: for a robot, why the amended model is doubtful, as sentences; the probability is
+            then at most a half.
         why: the reasons, as plain sentences.
         seconds: the diagnosis took.
         rows: of the recording.
@@ -252,6 +254,7 @@ class Verdict(FilePart):
     unexplained_share: Probability | None = None
     candidates: tuple[CandidateResult, ...] = ()
     estimator: EstimatorErrors | None = None
+    doubts: tuple[str, ...] = ()
     why: tuple[str, ...] = ()
     seconds: Newtons | None = None
     recording: str = ""

@@ -239,7 +239,7 @@ def gap_bars(verdict: Verdict) -> list[Bar]:
         effects = listed([candidate_name((name,)) for name in verdict.effects])
         sizes.append((f"with {effects} alone", gap.effects_n, "after"))
         sizes.append(("with tolerances as well", gap.after_n, "after"))
-    elif verdict.effects == (UNKNOWN,):
+    elif verdict.effects == (UNKNOWN,) and not verdict.channels:
         sizes.append(("with a flexible correction", gap.after_n, "other"))
     else:
         sizes.append(("with tolerances as fitted", gap.after_n, "other"))

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +17,13 @@ from cablesense_gap.robot.model import Robot
 from cablesense_gap.robot.recording import RobotRecording
 
 _LEAVES, _GAIN = 0.6, 0.5
-"""Columns are tried where the model leaves more than the first share of what was measured. Changed
-columns are believed if less is left, and at most the second share of what was left before."""
+"""Columns are tried where the model's residual is more than the first share of a measured channel.
+Changed columns are believed if it is then less, and at most the second share of the former."""
 _TOUCHED, _MOST = 0.02, 2.0
 """By how much changed columns alter the share of a channel that they touch; no share is larger."""
 
 Left = Callable[[RobotRecording], Mapping[str, float]]
-"""By channel, the share of what was measured that the nominal model leaves, RMS."""
+"""By channel, the nominal model's residual as a share of the measured values, RMS."""
 
 
 def exchanged(recording: RobotRecording, robot: Robot, left: Left) -> list[str]:
@@ -57,14 +58,19 @@ def _changes(recording: RobotRecording, robot: Robot) -> Iterator[tuple[str, Rob
         ("position", robot.joints, units),
     ):
         values: Array = getattr(recording, kind)
+
+        def changed(values: Array, kind: str = kind) -> RobotRecording:
+            columns: dict[str, Any] = {kind: values}
+            return replace(recording, **columns)
+
         known = np.flatnonzero(np.isfinite(values).all(0)).tolist()
         for a, b in combinations(known, 2):
             if alike[a] == alike[b]:
                 order = np.arange(values.shape[1])
                 order[[a, b]] = b, a
                 text = f"{kind}.{labels[a]} and {kind}.{labels[b]} look exchanged"
-                yield text, replace(recording, **{kind: values[:, order]})
+                yield text, changed(values[:, order])
         for a in known:
             sign = np.where(np.arange(values.shape[1]) == a, -1.0, 1.0)
             text = f"{kind}.{labels[a]} looks as if it had the other sign"
-            yield text, replace(recording, **{kind: values * sign})
+            yield text, changed(values * sign)

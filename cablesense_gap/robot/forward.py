@@ -27,7 +27,8 @@ _OF_MOTION, _OF_COMPARISON = 1.0, 0.5
 smoothing took of the motion, in longer ones what comes and goes averages out."""
 _MOST_STEPS = 8_000
 """In all windows together; a longer recording has gaps between its windows."""
-_FEWEST = 15
+_FEWEST, _KEPT = 15, 30
+"""Windows that a recording has at least, and that remain of many, however many steps they take."""
 _OF_READING = ("zero", "encoder_scale", "coupling")
 _STATE, _CONTROL = mujoco.mjtState.mjSTATE_FULLPHYSICS, (
     mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
@@ -64,7 +65,8 @@ class ForwardComparison(MotionComparison):
         self.names = self.columns = tuple(f"{k}.{j}" for k in kinds for j in robot.joints)
         self.units = (*robot.position_units, *(f"{unit}/s" for unit in robot.position_units))
         self.readings = self._beyond_coasting(position[begins + span], speed[begins + span])
-        self.floor = self.noise = np.maximum(*_noise_and_least(motion, self.span_s))
+        noise, least = _noise_and_least(motion, self.span_s)
+        self.floor = self.noise = np.maximum(noise, np.fmin(least, self._by_torque(motion)))
         driven = "measured torques" if self._command is None else "recorded commands"
         self.description = (
             f"Compared forward in time: from measured states, smoothed to "
@@ -110,6 +112,16 @@ class ForwardComparison(MotionComparison):
         ends = self._ended(model, joints(*self._state), command, applied, change, load)
         position, speed = (each @ back.T for each in ends)
         return self._beyond_coasting(position * true + change.zero, speed * true)
+
+    def _by_torque(self, motion: Motion) -> Array:
+        """(C,) what the least error of torques makes, where servos or springs hold against it."""
+        robot = self._robot
+        nominal, square = self.predicted(robot.nominal()), np.zeros(len(self.names))
+        for joint, torque in enumerate(LEAST_FLOOR * motion.scale.torque):
+            change = robot.nominal()
+            change.torque_offset[joint] = torque
+            square += ((self.predicted(change) - nominal) ** 2).mean(0)
+        return np.asarray(np.sqrt(square))
 
     def _of_play(self, change: Change) -> Array:
         """(Q, S, J) torques that links need in addition, because backlash changes their motion."""
@@ -193,7 +205,8 @@ def _windows(
         ends.append(np.tile([first, first + len(path) - 1], (len(own), 1)))
         numbers.append(np.full(len(own), number))
         first += len(path)
-    every = -(-sum(len(own) for own in begins) * span * substeps // _MOST_STEPS)
+    count = sum(len(own) for own in begins)
+    every = min(-(-count * span * substeps // _MOST_STEPS), count // _KEPT)
     begin, end, trial = (
         np.concatenate(each)[:: max(every, 1)] for each in (begins, ends, numbers)
     )

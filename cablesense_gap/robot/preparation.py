@@ -95,7 +95,7 @@ def prepared(
             f"{recording.name}: {len(kept)} rows of {len(numbers)} trials are left of it after "
             "smoothing; record trials of several seconds"
         )
-    scale = _scale(joined, moving)
+    scale = _scale(joined, moving, inertia)
     torque_noise = np.maximum(noise.torque, _noise_at_rest(trials, parts, rate_hz, compared_hz))
     floor = np.hypot(
         smoothing.noise_of_smoothed(torque_noise, compared_hz),
@@ -299,7 +299,7 @@ def _low_passes(
     return tuple(passes), np.concatenate(kept)
 
 
-def _scale(joined: dict[str, Array], moving: NDArray[np.bool_]) -> Scale:
+def _scale(joined: dict[str, Array], moving: NDArray[np.bool_], inertia: Array) -> Scale:
     """Joints without a torque count as those with the largest."""
     sizes = np.sqrt((joined["torque"] ** 2).mean(0))
     largest = np.nanmax(sizes, initial=0.0)
@@ -312,6 +312,7 @@ def _scale(joined: dict[str, Array], moving: NDArray[np.bool_]) -> Scale:
         speed=np.sqrt((joined["speed"] ** 2 * moving).mean(0) / moved),
         acceleration=np.sqrt((joined["acceleration"] ** 2 * moving).mean(0) / moved),
         position=0.5 * np.ptp(joined["position"], axis=0),
+        inertia=inertia,
     )
 
 

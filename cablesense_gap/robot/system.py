@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base import Array
+from cablesense_base import Array, some_of
 from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.pipeline import FOLDS, System, Unlisted, diagnose_system
 from cablesense_gap.recordings.csv_file import write_table
@@ -23,11 +23,12 @@ from cablesense_gap.robot.forward import ForwardComparison
 from cablesense_gap.robot.inverse import InverseComparison
 from cablesense_gap.robot.model import Robot, RobotError
 from cablesense_gap.robot.motion import Motion, MotionComparison
+from cablesense_gap.robot.plausible import at_bounds, far_beyond, little_removed, weighed
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.protocol import next_experiment
 from cablesense_gap.robot.recording import RobotRecording
-from cablesense_gap.simulator import Assignment, Candidate, Term
-from cablesense_gap.verdict import ChannelGap, Verdict, Where
+from cablesense_gap.simulator import Assignment, Candidate, Term, parameters_of
+from cablesense_gap.verdict import ChannelGap, Gap, Verdict, Where
 
 UNIT = "floors"
 """Each channel is given in units of its floor."""
@@ -35,8 +36,6 @@ _FOLLOWS, _OTHER_UNIT = 0.8, 5.0
 """Least correlation of a channel with the model's, and the ratio of both that is doubtful."""
 _AT_ZERO = 0.002
 """Share of a joint's span within which its position counts as zero."""
-_FAR_OFF = 3.0
-"""Standard deviations that one tolerance among many may be off."""
 _PROBED, _USUAL = 0.01, 0.1
 """Error of a zero in rad or m: to find its influence, and as usual in a trial."""
 
@@ -69,7 +68,7 @@ class RobotSystem(System):
         self.row_count, count = len(self.trial), int(self.trial.max()) + 1
         self.fold = np.arange(count) % min(FOLDS, count)
         self.counted = np.ones(self.row_count, dtype=bool)
-        self._floor = motion.floor
+        self._floor, self._inertia = motion.floor, motion.inertia
         self._zeros: tuple[_Zeros, ...] = ()
         if motion.zeroed:
             self._zeros = self._of_zeros()
@@ -120,8 +119,8 @@ class RobotSystem(System):
         return tuple(found)
 
     def completed(self, problem: Problem, found: Sequence[Explanation]) -> list[Explanation]:
-        """The same explanations; one tolerance far off weighs as much as all of them off."""
-        return [_with_outliers(problem, each) for each in found]
+        """The same; far tolerances, implausible sizes and further places count against them."""
+        return [weighed(problem, each) for each in found]
 
     def where(self, values: Mapping[Term, float], residual: Array) -> Where:
         """Joints, bodies and tendons of the effects; of a coupling the joint of its drive."""
@@ -138,11 +137,30 @@ class RobotSystem(System):
         return f"To find out {question}: {text}" if text and question else text
 
     def unlisted(self, problem: Problem, residual: Array) -> Unlisted:
-        """The channel with the largest residual."""
+        """The channel and the trial with the largest residual."""
         left = np.sqrt((residual**2).mean(0))
-        worst = int(left.argmax())
+        worst, by_trial = int(left.argmax()), np.bincount(self.trial, (residual**2).mean(1))
+        size = np.sqrt(by_trial / np.bincount(self.trial))
         most = f"Most is left at {self.comparison.names[worst]}: {left[worst]:.3g} floors."
-        return Unlisted((most,), "", 0.0)
+        again = (
+            f"Repeat trial {size.argmax()}, which has the largest residual ({size.max():.3g} "
+            "floors), then at half the speed and with one joint at a time. A residual that "
+            "depends on position is a spring, a stop or a ripple. One that depends on the "
+            "direction is friction, and one that grows with time is heat or drift."
+        )
+        return Unlisted((most,), again, 0.0)
+
+    def doubts(self, values: Mapping[Term, float], gap: Gap) -> tuple[str, ...]:
+        """Numbers that end at their bounds or far beyond the model's own; a gap that stays."""
+        ranges, change = (
+            parameters_of(self.candidates),
+            changed(self.robot, [self._listed, values]),
+        )
+        return (
+            *at_bounds(ranges, values),
+            *far_beyond(self.robot, change, self._inertia),
+            *little_removed(gap),
+        )
 
     def channels(self, before: Array, after: Array) -> dict[str, ChannelGap]:
         """The gap at each joint."""
@@ -155,10 +173,10 @@ class RobotSystem(System):
         }
 
     def left_shares(self) -> dict[str, float]:
-        """By channel, the share of what was measured that the nominal model leaves, RMS."""
+        """By channel, the nominal model's residual as a share of the measured values, RMS."""
         left = self.readings - self.predict([{}])[0]
-        sizes = (np.linalg.norm(each, axis=0) for each in (left, self.readings))
-        shares = np.divide(*sizes, out=np.zeros(left.shape[1]), where=self.readings.any(0))
+        size, whole = (np.linalg.norm(each, axis=0) for each in (left, self.readings))
+        shares = np.divide(size, whole, out=np.zeros_like(size), where=whole > 0.0)
         return dict(zip(self.comparison.names, shares.tolist(), strict=True))
 
     def doubtful(self) -> list[str]:
@@ -262,24 +280,12 @@ def diagnose(
             *(f"{doubt[0].upper()}{doubt[1:]}." for doubt in doubts),
             *(() if motion.forward else robot.left_out),
             *beyond_range(recording, robot),
+            *servos_read(robot, motion),
             *(() if zeroed else starts_at_zero(recording)),
             *system.doubtful(),
             system.compared,
         ),
     )
-
-
-def _with_outliers(problem: Problem, explanation: Explanation) -> Explanation:
-    """One tolerance far off counts as much as all of them off.
-
-    A robot has dozens of tolerances. A single one, for example a delay of many samples, would not
-    show in the sum of their squares.
-    """
-    std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
-    tolerances = explanation.tolerances
-    largest = max((abs(value) / std[term] for term, value in tolerances.items()), default=0.0)
-    least = len(tolerances) * (largest / _FAR_OFF) ** 4
-    return replace(explanation, tolerance_chi2=max(explanation.tolerance_chi2, least))
 
 
 def beyond_range(recording: RobotRecording, robot: Robot) -> list[str]:
@@ -293,6 +299,18 @@ def beyond_range(recording: RobotRecording, robot: Robot) -> list[str]:
         f"command.{robot.actuators[a]} goes from {least[a]:.3g} to {most[a]:.3g}, which the model "
         f"clips to its range of {low[a]:.3g} to {high[a]:.3g}."
         for a in np.flatnonzero(clipped)
+    ]
+
+
+def servos_read(robot: Robot, motion: Motion) -> list[str]:
+    """A sentence if servos of the model are taken to act on the recorded positions."""
+    model = robot.model
+    servos = [robot.actuators[a] for a in np.flatnonzero(model.actuator_biasprm[:, 1])]
+    if not (motion.forward and motion.by_command and servos):
+        return []
+    return [
+        f"The servos {some_of(servos)} are taken to act on the recorded positions, so joint_zero "
+        "shows in weights alone, and a zero of a servo that differs appears as torque_offset."
     ]
 
 

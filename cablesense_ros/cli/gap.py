@@ -108,7 +108,14 @@ def diagnose(
                 zeroed=zeroed, force=force,
             )  # fmt: skip
         report.write_robot_diagnosis(out, found, beside)
-        verdict, lines = found.verdict, [*found.findings, report.robot_headline(found.verdict)]
+        verdict, lines = (
+            found.verdict,
+            [
+                *found.findings,
+                report.robot_headline(found.verdict),
+                *found.verdict.doubts,
+            ],
+        )
     if json_output:
         print_json(verdict.model_dump(mode="json", exclude_none=True))
         return

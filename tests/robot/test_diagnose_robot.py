@@ -79,7 +79,7 @@ def test_from_nothing_to_a_report_in_two_commands(tmp_path, model):
     tolerances = {"drive_tolerance", "timing_tolerance"}
     assert {term.effect for term in beside} == {*tolerances, "joint_friction"}
     beside_friction = {t.parameter for t in beside if t.effect == "joint_friction"}
-    assert beside_friction == {"presliding_rad"}  # no MJCF has a word for it
+    assert beside_friction == {"presliding"}  # no MJCF has a word for it
 
 
 @pytest.mark.slow  # a whole search

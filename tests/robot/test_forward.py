@@ -13,7 +13,7 @@ from cablesense_gap.robot.effects.effect import Scale
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import read_recording
-from cablesense_gap.robot.system import RobotSystem, beyond_range, diagnose
+from cablesense_gap.robot.system import RobotSystem, beyond_range, diagnose, servos_read
 from cablesense_gap.simulator import Term
 
 
@@ -73,6 +73,45 @@ def test_a_window_adds_to_coasting_what_force_by_mass_makes_of_it(tmp_path):
     assert gone == pytest.approx(expected, rel=1e-3)
 
 
+def test_a_fine_time_step_leaves_windows_of_a_slow_recording(tmp_path, robot):
+    path, names = tmp_path / "fine.xml", ("time_s", "trial", "position", "torque", "command")
+    fine = "<option timestep='2e-4'/><worldbody>"
+    path.write_text(robot.path.read_text().replace("<worldbody>", fine, 1))
+    whole = commanded(tmp_path, robot, trials=8)
+    slow = replace(whole, **{name: getattr(whole, name)[::5] for name in names})
+    assert len(compared(slow, load_robot(path)).readings) >= 30
+
+
+def servo(tmp_path, kp):
+    """A slide whose servo follows a slow wave, at 4 Hz, and its recording."""
+    path, time_s = tmp_path / "servo.xml", np.arange(0.0, 200.0, 0.25)
+    path.write_text(
+        "<mujoco><worldbody><body><joint name='x' type='slide' axis='1 0 0' damping='200'/>"
+        "<geom size='0.1' mass='2'/></body></worldbody>"
+        f"<actuator><position name='servo' joint='x' kp='{kp}'/></actuator></mujoco>"
+    )
+    slide, wave = load_robot(path), 0.2 * np.sin(0.4 * time_s)
+    table = {
+        "time_s": time_s,
+        "position.x": wave,
+        "command.servo": wave + 0.01 * np.cos(0.4 * time_s),
+    }
+    pd.DataFrame(table).to_csv(tmp_path / "servo.csv", index=False)
+    return slide, read_recording(tmp_path / "servo.csv", slide)
+
+
+def test_the_floor_of_a_stiff_servo_is_what_its_stiffness_allows(tmp_path):
+    kp = 2e4
+    slide, recording = servo(tmp_path, kp)
+    motion = prepared(recording, slide)
+    found = RobotSystem(slide, motion, {}).comparison
+    assert found.span_s > 1.0
+    assert found.floor[0] == pytest.approx(0.005 * motion.scale.torque[0] / kp, rel=0.1)
+    (said,) = servos_read(slide, motion)
+    assert "servos servo are taken to act on the recorded positions" in said
+    assert not servos_read(slide, replace(motion, forward=False))
+
+
 @pytest.mark.parametrize(
     ("kinds", "damping", "play", "rotor"),
     [
@@ -85,12 +124,15 @@ def test_sizes_are_in_the_units_of_the_joints(tmp_path, kinds, damping, play, ro
     joints = "".join(f"<joint name='{kind}' type='{kind}'/>" for kind in kinds)
     body = f"<body>{joints}<geom size='0.1' mass='1'/></body>"
     path.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
-    robot, typical = load_robot(path), Scale(*[np.ones(len(kinds))] * 4)
+    robot, typical = load_robot(path), Scale(*[np.ones(len(kinds))] * 5)
     units = {
         name: known_effects()[name].parameters(robot, typical)[0].unit
         for name in ("viscous_friction", "backlash", "rotor_inertia")
     }
     assert units == {"viscous_friction": damping, "backlash": play, "rotor_inertia": rotor}
+    assert "presliding" in [
+        p.name for p in known_effects()["joint_friction"].parameters(robot, typical)
+    ]
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,8 @@ from cablesense_sim.effects.effect import EffectDescription
 from cablesense_sim.effects.effect import Parameter as Parameter
 
 Values = Mapping[str, float]
-PRESLIDING, SIDE = "presliding_rad", "side"
-"""Parameters of friction that MJCF cannot express."""
+PRESLIDING, SIDE = "presliding", "side"
+"""Parameters of friction that MJCF cannot express; the first has the unit of its place."""
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,14 @@ class Scale:
         speed: (J,) root mean square of its speed while it moves.
         acceleration: (J,) root mean square of its acceleration while it moves.
         position: (J,) half its span.
+        inertia: (J,) that it feels alone, by the nominal model.
     """
 
     torque: Array
     speed: Array
     acceleration: Array
     position: Array
+    inertia: Array
 
     def per(self, other: Array) -> float:
         """The typical ratio of a joint's torque to another quantity (J,) of that joint."""
@@ -97,7 +99,14 @@ def joint_unit(robot: Robot, form: str) -> str:
 
 
 def size(
-    name: str, unit: str, most: float, typical: float, about: str, least: float | None = None
+    name: str,
+    unit: str,
+    most: float,
+    typical: float,
+    about: str,
+    least: float | None = None,
+    spread: float = 3.0,
 ) -> Parameter:
     """A size from `least`, by default minus `most`, to `most`."""
-    return Parameter(name, unit, -most if least is None else least, most, typical, about)
+    low = -most if least is None else least
+    return Parameter(name, unit, low, most, typical, about, spread=spread)

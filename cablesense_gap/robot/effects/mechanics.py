@@ -181,7 +181,7 @@ class LinkMass(RobotEffect):
     advice = "Weigh the link, or compare its mass with the drawing's."
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        return (size("share", "1", 3.0, 0.1, "heavier than modelled", -0.9),)
+        return (size("share", "1", 3.0, 0.1, "heavier than modelled", -0.9, spread=5.0),)
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.mass_kg[at] *= 1.0 + values["share"]
@@ -217,13 +217,32 @@ class AddedMass(RobotEffect):
     advice = "Weigh the additions there: tools, cameras, covers, cables."
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        typical = 0.1 * rms(robot.model.body_mass[robot.body_ids])
-        moment = 0.3 * typical * robot.reach_m
+        """From a tenth of what would weigh as much as a joint bears, to what acceleration allows.
+
+        A tool may be far lighter or heavier than the links.
+        """
+        own, hinge = robot.model.body_mass[robot.body_ids], np.array(robot.position_units) == "rad"
+        lever_m = np.where(hinge, robot.reach_m, 1.0)
+        weight = lever_m * float(np.linalg.norm(robot.model.opt.gravity))
+        by_motion = lever_m**2 * scale.acceleration
+        least = 0.1 * float((scale.torque / np.maximum(weight + by_motion, 1e-9)).min())
+        most = float((scale.torque / np.maximum(by_motion, 0.01 * weight + 1e-9)).max())
+        typical = max(least, 0.02 * float(own.min()))
+        most, moment = max(most, 10.0 * float(own.max())), 0.3 * typical * robot.reach_m
+        spread = most / typical
         about = "first moment about the body's centre of mass: over the mass it gives the place"
         return (
-            size("mass_kg", "kg", 100.0 * typical, typical, "of what was added", 0.0),
+            size("mass_kg", "kg", 10.0 * most, typical, "of what was added", 0.0, spread),
             *(
-                size(f"moment_{axis}_kg_m", "kg·m", 200.0 * moment, moment, about)
+                size(
+                    f"moment_{axis}_kg_m",
+                    "kg·m",
+                    20.0 * spread * moment,
+                    moment,
+                    about,
+                    None,
+                    spread,
+                )
                 for axis in "xyz"
             ),
         )
@@ -244,7 +263,8 @@ class RotorInertia(RobotEffect):
     advice = "Take the rotor's inertia from its data sheet, times the gear ratio squared."
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        typical = 0.05 * scale.per(scale.acceleration)
+        """Slow motion shows no inertia: there the model's own says what is usual."""
+        typical = min(0.05 * scale.per(scale.acceleration), 0.3 * rms(scale.inertia))
         unit, about = joint_unit(robot, "{inertia}"), "as the joint feels it"
         return (size("inertia_kg_m2", unit, 60.0 * typical, typical, about, 0.0),)
 
