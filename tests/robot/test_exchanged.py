@@ -25,7 +25,7 @@ def robot(tmp_path_factory):
 def bent(read=lambda torque: torque, **planted):
     """The pendulum about poses at which the sign of a position matters."""
     rng, parts = np.random.default_rng(0), []
-    for trial in range(3):
+    for trial in range(4):
         time_s, position, speed, acceleration = motion(rng)
         position += [0.6, 0.9]
         torque = read(torques(position, speed, acceleration, **planted))
