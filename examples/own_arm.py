@@ -29,7 +29,8 @@ def main(folder: Path = Path("out/own_arm")) -> None:
 
     arm = load_arm(file)  # refuses impossible values
     samples = draw_training_data(arm, NETWORK, {"samples": 300}, seed=0)
-    train_model(model, NETWORK, samples, recipe_for(NETWORK).settings, command="own_arm.py")
+    settings = recipe_for(NETWORK).settings
+    train_model(model, NETWORK, samples, settings, command="own_arm.py", test_samples=300)
     mechanism, straight = mechanism_of(arm), np.zeros(arm.joint_count)
     push_n = normal_force_n(mechanism, straight, segment=3, angle_deg=120.0, magnitude_n=25.0)
     rest = solve_equilibrium(mechanism, [straight, straight], [0.0 * push_n, push_n])
