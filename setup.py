@@ -69,7 +69,7 @@ EXTRAS = {
     ],
     "dev": [
         "catkin-pkg",  # reads package.xml, in tests
-        "check-jsonschema",  # schemas of workflows, issue forms and CITATION.cff, without a network
+        "check-jsonschema",  # schemas of workflows, issue forms and CITATION.cff
         "colcon-core",  # the real build of the ROS package, in a test
         "colcon-ros",  # colcon's knowledge of package.xml
         "hypothesis",  # tests over wide inputs

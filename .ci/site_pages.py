@@ -1,7 +1,7 @@
-"""Puts into the site what its pages link to beside docs/: README, CONTRIBUTING, results, sources.
+"""Puts into the site what its pages link to outside docs/: README, CONTRIBUTING, results, sources.
 
 In the repository a page under docs/ reaches them by `../`, and they reach docs/ by its name. The
-site has docs/ as its root, and the others beside the pages.
+site has docs/ as its root, and the other files under their own paths.
 """
 
 import posixpath

@@ -1,6 +1,6 @@
 """A controller that backs off: above 20 N the arm turns in the direction in which it is pushed.
 
-    python -m examples.back_off  # beside `cablesense demo`, in one ROS_DOMAIN_ID
+    python -m examples.back_off  # while `cablesense demo` runs, in its ROS_DOMAIN_ID
 
 Each step turns the joints by a fixed gain times the joint torques of the contact. The estimator
 gives no force while the arm moves fast, so the steps are small and slow. `examples/admittance` has

@@ -1,6 +1,6 @@
 """Reads the estimator's topics: what each wrench means, and the force while it is known.
 
-    python -m examples.read_topics  # beside `cablesense demo`, in one ROS_DOMAIN_ID
+    python -m examples.read_topics  # while `cablesense demo` runs, in its ROS_DOMAIN_ID
 
 It uses rclpy and the standard messages alone, as a node of another package would.
 """
