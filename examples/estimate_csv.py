@@ -21,7 +21,7 @@ from cablesense_sim import (
     read_tensions_n,
     solve_equilibrium,
 )
-from cablesense_training import find_model, open_estimator
+from cablesense_training import Estimator, find_model, open_estimator
 
 CSV = Path("out/estimate_csv/pushes.csv")  # yours, or it is simulated below
 ARM, MODEL = "cdsm", "cdsm_anywhere"  # names, or the paths of your files
@@ -42,7 +42,7 @@ if not CSV.exists():
     tensions_n = solve_equilibrium(mechanism, commands_rad, loads_n).tensions_n
     simulated = Recording(
         name="pushes",
-        time_s=0.05 * np.arange(len(pushed_n)),
+        time_s=0.05 * np.arange(len(pushed_n), dtype=float),
         trial=np.zeros(len(pushed_n), dtype=int),
         command_rad=commands_rad,
         load_segment=np.where(pushed_n > 0.0, 3, 0),
@@ -59,6 +59,7 @@ if not CSV.exists():
 rows = read_recording(CSV, arm)
 baseline_n = rows.tensions_n[:TARE_ROWS].mean(axis=0)
 estimator = open_estimator(find_model(MODEL), arm)
+assert isinstance(estimator, Estimator), "a model with a history needs the rows in order"
 found = estimator.estimate_batch(rows.tensions_n - baseline_n, rows.command_rad)
 force_n = np.where(found.segment > 0, found.magnitude_n, 0.0)
 

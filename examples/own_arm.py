@@ -14,7 +14,7 @@ import numpy as np
 
 from cablesense_base.installation import config_path
 from cablesense_sim import load_arm, mechanism_of, normal_force_n, solve_equilibrium
-from cablesense_training import draw_training_data, open_estimator, train_model
+from cablesense_training import Estimator, draw_training_data, train_model
 from cablesense_training.recipes import recipe_for
 
 NETWORK = "closed-form"
@@ -34,7 +34,7 @@ def main(folder: Path = Path("out/own_arm")) -> None:
     mechanism, straight = mechanism_of(arm), np.zeros(arm.joint_count)
     push_n = normal_force_n(mechanism, straight, segment=3, angle_deg=120.0, magnitude_n=25.0)
     rest = solve_equilibrium(mechanism, [straight, straight], [0.0 * push_n, push_n])
-    found = open_estimator(model, arm).estimate(rest.tensions_n[1] - rest.tensions_n[0], straight)
+    found = Estimator.load(model, arm).estimate(rest.tensions_n[1] - rest.tensions_n[0], straight)
 
     print("true:      segment 3, 120.0°, 25.00 N")
     print(f"estimated: segment {found.segment}, {found.angle_deg:.1f}°, {found.magnitude_n:.2f} N")

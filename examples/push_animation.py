@@ -23,8 +23,9 @@ from cablesense_sim import (
     solve_equilibrium,
 )
 from cablesense_sim.kinematics import chain
-from cablesense_training import find_model, open_estimator
+from cablesense_training import Estimator, find_model, open_estimator
 
+OUT = Path("out/push.gif")
 ARM, MODEL = "cdsm_lab", "cdsm_lab_anywhere"
 COMMAND_RAD = np.zeros(8)
 PUSHES = ((2, 0.02, 0.09, 180.0, 60.0), (4, 0.03, 0.09, 0.0, 35.0), (3, 0.09, 0.02, 180.0, 50.0))
@@ -65,6 +66,7 @@ class Course:
         free_n = solve_equilibrium(self.mechanism, COMMAND_RAD).tensions_n
         self.difference_n = np.array(readings_n) - free_n
         estimator = open_estimator(find_model(MODEL), arm)
+        assert isinstance(estimator, Estimator)
         self.estimates = [estimator.estimate(row, COMMAND_RAD) for row in self.difference_n]
 
     def estimated(self, frame: int) -> tuple[int, float, Array] | None:
@@ -117,7 +119,7 @@ def draw(course: Course, frame: int, side: Any, bars: Any) -> None:
     bars.tick_params(labelsize=7)
 
 
-def main(out: Path = Path("out/push.gif"), frames: int = 60) -> None:
+def main(out: Path = OUT, frames: int = 60) -> None:
     """Draw the animation."""
     out.parent.mkdir(parents=True, exist_ok=True)
     course = Course(frames)
@@ -131,4 +133,4 @@ def main(out: Path = Path("out/push.gif"), frames: int = 60) -> None:
 
 
 if __name__ == "__main__":
-    main(*map(Path, sys.argv[1:2]))
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else OUT)

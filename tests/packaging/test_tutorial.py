@@ -20,7 +20,7 @@ def test_the_tutorial_finds_the_hidden_effect_and_repairs_the_estimator(tmp_path
     pytest.importorskip("torch")
     page = (CHECKOUT / "docs/tutorial.md").read_text(encoding="utf-8")
     blocks = re.findall(r"^```\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
-    lines = [line for block in blocks for line in block.splitlines()]
+    lines = [line for block in blocks for line in block.replace("\\\n", "").splitlines()]
     typed = [line for line in lines if not line.startswith(("make ", ". .venv"))]
     assert len(lines) - len(typed) == 3  # demo, set-up and environment have tests of their own
     here = {"PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])}
