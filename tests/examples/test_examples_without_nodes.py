@@ -60,7 +60,6 @@ def test_the_animation_moves(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     ("name", "says"),
     [

@@ -15,7 +15,6 @@ MOST_LINES = 250
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
 def test_the_site_builds_with_every_link_right_and_every_public_name(tmp_path):
     build = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict"]
     done = subprocess.run(
