@@ -20,7 +20,7 @@ HASHES := build/uv/bin/uv pip compile --quiet --no-deps --generate-hashes --no-a
 REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast lint setup site models limits lock verify clean
+.PHONY: help demo test test-fast lint setup site models limits messages lock verify clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -67,6 +67,9 @@ models: setup  ## trains every bundled model again
 limits: setup  ## puts the largest misfit of simulated healthy arms into every bundled model of single contacts again
 	@$(BIN)/python -c 'import pathlib, sys; from cablesense_online.misfit_limit import put_simulated_limit as put; [print(path, put(pathlib.Path(path))) for path in sys.argv[1:]]' \
 		$$(ls config/models/*.onnx config/models/peers/*.onnx | grep -v multi)
+
+messages: $(VENV)/.demo  ## compiles the message of the topic ~/estimate into .venv; needs gcc
+	@$(BIN)/python cablesense_msgs/compile_for_wheels.py
 
 lock: setup  ## writes versions of .venv to constraints.txt, their files' hashes beside it, and to NOTICE what is copyleft
 	@mkdir -p build

@@ -20,8 +20,7 @@ from contact_particles import contact_particles
 from matplotlib.axes import Axes
 
 from cablesense_sim.arm import open_arm
-from cablesense_sim.contact_location import TorqueBalance, locate
-from cablesense_sim.contact_pairs import locate_two
+from cablesense_sim.contact_location import TorqueBalance, locate, locate_two
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import AnywhereContact, Pose

@@ -1,6 +1,7 @@
 """Soak: twelve channels as CAN frames at full rate through driver and estimator, minute by minute.
 
     python benchmarks/soak.py [--minutes 10] [--write]
+    python benchmarks/soak.py --lifecycle 200 [--write]
 
 Four processes: the amplifiers play a sequence of pushes as frames over slcan on a pseudo-terminal,
 each cycle bearing its number in its values; `can_driver` and `estimator` as a user starts them;
@@ -13,6 +14,10 @@ must be answered by a wrench that bears its stamp. Frames that the pseudo-termin
 (it holds some 18 kB, a quarter of a second of these frames) are counted separately.
 Latency is from when the last frame of a cycle was on the terminal until the wrench was here, by
 one clock.
+
+With `--lifecycle` an estimator of the sim's samples is configured, activated, deactivated and
+cleaned up that often. It must answer each time, while this process subscribes to its wrenches and
+unsubscribes some hundred times a second.
 """
 
 from __future__ import annotations
@@ -21,7 +26,9 @@ import argparse
 import subprocess
 import sys
 import time
+from collections import deque
 from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +37,11 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
 from harness import cpu_s, rss_mb
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from live_run import PATIENCE_S, LiveRun, Log, SpunNode
 from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from soak_sequence import answers, delivery, marked_sequence, memory, play
 
@@ -50,6 +60,13 @@ LISTEN_AFTER_S = 2.5
 """Diagnostics come once a second: the last ones must be of after the end."""
 
 GROWTH_MB = 5.0
+LOOP = (
+    Transition.TRANSITION_CONFIGURE,
+    Transition.TRANSITION_ACTIVATE,
+    Transition.TRANSITION_DEACTIVATE,
+    Transition.TRANSITION_CLEANUP,
+)
+SUBSCRIBED_EVERY_S, SUBSCRIPTIONS = 0.003, 3
 
 
 class Sink(SpunNode):
@@ -146,6 +163,89 @@ def measure(map_name: str, minutes: float) -> dict[str, Any]:
     return {"minutes": minutes, "cpu (cores)": cpu, **judged, "exit codes": codes}
 
 
+class Restless(SpunNode):
+    """Subscribes to wrenches and unsubscribes all the time, and changes the estimator's state.
+
+    Attributes:
+        subscribed: how often.
+        wrenches: received so far.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("restless")
+        self.subscribed = self.wrenches = 0
+        self._there: deque[Subscription] = deque()
+        self._topics = cycle(("wrench", "wrench_base", "wrench_lower", "wrench_upper"))
+        self._client = self.create_client(ChangeState, "estimator/change_state")
+        self.create_timer(SUBSCRIBED_EVERY_S, self._subscribe)
+        self.spin_until(self._client.service_is_ready, "the estimator")
+
+    def change(self, transition: int) -> None:
+        """Send the estimator through a transition.
+
+        Raises:
+            TimeoutError: it did not succeed.
+        """
+        done = self._client.call_async(ChangeState.Request(transition=Transition(id=transition)))
+        self.spin(PATIENCE_S, done)
+        if not (done.done() and done.result().success):
+            raise TimeoutError(f"transition {transition} did not succeed")
+
+    def hear(self) -> None:
+        """Wait for a wrench."""
+        before = self.wrenches
+        self.spin_until(lambda: self.wrenches > before, "a wrench")
+
+    def _subscribe(self) -> None:
+        topic = f"estimator/{next(self._topics)}"
+        self._there.append(self.create_subscription(WrenchStamped, topic, self._count, 10))
+        self.subscribed += 1
+        if len(self._there) > SUBSCRIPTIONS:
+            self.destroy_subscription(self._there.popleft())
+
+    def _count(self, _: WrenchStamped) -> None:
+        self.wrenches += 1
+
+
+def measure_lifecycle(loops: int) -> dict[str, Any]:
+    """Bring the estimator up and down; its memory at the end of each loop."""
+    notes: list[tuple[float, dict[str, float]]] = []
+    with LiveRun() as run:
+        run.start("sim", node_command("sim", {"arm": ARM}))
+        estimator = run.start("estimator", node_command("estimator", {"autostart": False}))
+        node, began_s = Restless(), time.monotonic()
+        while len(notes) < loops:
+            for transition in LOOP:
+                node.change(transition)
+                if transition == Transition.TRANSITION_ACTIVATE:
+                    node.hear()
+            run.check()
+            notes.append((time.monotonic() - began_s, {"estimator": rss_mb(estimator.pid)}))
+        tracebacks = estimator.log.count("Traceback")
+        codes = run.stop()
+        subscribed, wrenches = node.subscribed, node.wrenches
+        node.destroy_node()
+    grown = memory(notes)
+    return {
+        "loops": loops,
+        "seconds": round(notes[-1][0], 1),
+        "subscriptions made": subscribed,
+        "wrenches received": wrenches,
+        "tracebacks": tracebacks,
+        "memory": grown,
+        "MB after each tenth": [
+            round(one["estimator"], 1) for _, one in notes[loops // 10 - 1 :: loops // 10]
+        ],
+        "exit codes": codes,
+        "bars": {
+            "every process ends well": not any(codes.values()) and not tracebacks,
+            f"memory of the estimator grows by less than {GROWTH_MB:g} MB": (
+                grown["estimator"]["growth at most (MB)"] < GROWTH_MB
+            ),
+        },
+    }
+
+
 def _send_line(process: Process, line: str) -> None:
     pipe = process.child.stdin
     assert pipe is not None
@@ -215,8 +315,9 @@ def bars(result: dict[str, Any]) -> dict[str, bool]:
 
 def main() -> int:
     """Measure, or play the amplifiers."""
-    parser = harness.parser(__doc__, "results/soak.json")
+    parser = harness.parser(__doc__, "results/soak.json or lifecycle.json")
     parser.add_argument("--minutes", type=float, default=10.0, help="of the packed amplifier")
+    parser.add_argument("--lifecycle", type=int, metavar="LOOPS", help="loops, ten or more")
     parser.add_argument("--only", choices=(PACKED, CIA404), help="one map alone")
     parser.add_argument("--role", choices=("amplifiers",), help=argparse.SUPPRESS)
     parser.add_argument("--map", help=argparse.SUPPRESS)
@@ -227,6 +328,10 @@ def main() -> int:
     if given.role:
         rate_hz = RATES_HZ[given.map]
         return play(ARM, given.map, given.link, rate_hz, given.cycles, given.log)
+    if given.lifecycle:
+        loops = measure_lifecycle(given.lifecycle)
+        harness.publish("lifecycle.json", {**harness.origin("rclpy"), "arm": ARM, **loops}, given)
+        return 0 if all(loops["bars"].values()) else 1
     minutes = {PACKED: given.minutes, CIA404: min(CIA404_MINUTES, given.minutes)}
     runs = []
     for map_name in [given.only] if given.only else [PACKED, CIA404]:

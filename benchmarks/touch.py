@@ -28,14 +28,15 @@ from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.contact_location import (
+    ContactPair,
     Location,
     Surface,
     TorqueBalance,
     locate,
+    locate_two,
     reach_m,
     torque_balance,
 )
-from cablesense_sim.contact_pairs import ContactPair, locate_two
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec

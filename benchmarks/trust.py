@@ -7,8 +7,9 @@ to what the arm bears, with an axial part of up to 0.3 of the normal force; seri
 with the sensors' noise and step, 100 a second. A contact is judged after 12 samples. It is wrong
 if the normal force is off by more than 5 N and by more than a fifth of the true one, or if a
 segment is; next to a joint the neighbour's end is the same place. On segment 1 the moment is
-judged, over the length of the segment. With `--faulty`, one channel is scaled, shifted, stuck or
-exchanged with another.
+judged, over the length of the segment. With `--faulty`, one channel is scaled, shifted or zero,
+or two are, or are exchanged; a quarter of those arms is untouched. Two channels are of one
+segment's cables in half of the cases.
 """
 
 from __future__ import annotations
@@ -41,8 +42,14 @@ ARMS = {"cdsm": 150.0, "cdsm_lab": 45.0}
 WRONG_N, WRONG_SHARE = 5.0, 0.2
 PERIOD_NS, JUDGED_AFTER, RELEASED = 10_000_000, 12, 25
 CONTACTS_AT_A_POSE = 20
-FAULTS = ("scaled by 0.5", "scaled by 0.9", "scaled by 1.1", "5 N more", "20 N more", "zero",
-          "exchanged")  # fmt: skip
+UNTOUCHED = 0.25
+FAULTS = {
+    1: ("scaled by 0.5", "scaled by 0.9", "scaled by 1.1", "5 N more", "20 N more", "zero"),
+    2: ("scaled by 0.9", "scaled by 1.1", "10 N more", "20 N more", "10 N apart", "20 N apart",
+        "exchanged"),
+}  # fmt: skip
+"""By the number of faulty channels; apart is more on one and less on the other."""
+HEADINGS = ("healthy", "one faulty channel", "two faulty channels")
 
 
 class Push(NamedTuple):
@@ -93,27 +100,41 @@ class TestedArm:
         raw = serialize_message(message)
         return self.estimation.sample(bytes(raw), self._now_ns, self._now_ns * 1e-9)
 
-    def answer(self, tensions_n: Array, fault: str = "", cable: int = 0) -> Answer:
+    def answer(self, tensions_n: Array, fault: str = "", cables: Sequence[int] = ()) -> Answer:
         """The answer after `JUDGED_AFTER` samples; the arm is free again afterwards."""
         found = Answer()
         for _ in range(JUDGED_AFTER):
-            found = self.sample(self._faulty(self.read(tensions_n), fault, cable))
+            found = self.sample(faulty(self.read(tensions_n), fault, cables))
         for _ in range(RELEASED):
             self.sample(self.read(self.unloaded_n))
         return found
 
-    @staticmethod
-    def _faulty(reading_n: Array, fault: str, cable: int) -> Array:
-        kind, _, size = fault.rpartition(" by ")
-        if kind == "scaled":
-            reading_n[cable] *= float(size)
-        elif fault.endswith("more"):
-            reading_n[cable] += float(fault.split()[0])
-        elif fault == "zero":
-            reading_n[cable] = 0.0
-        elif fault == "exchanged":
-            reading_n[[cable, cable - 1]] = reading_n[[cable - 1, cable]]
-        return reading_n
+
+def faulty(reading_n: Array, fault: str, cables: Sequence[int]) -> Array:
+    """Readings (M,) with a fault of `FAULTS` on some cables."""
+    size, _, kind = fault.partition(" N ")
+    of = list(cables)
+    if fault.startswith("scaled"):
+        reading_n[of] *= float(fault.rpartition(" ")[2])
+    elif fault == "zero":
+        reading_n[of] = 0.0
+    elif fault == "exchanged":
+        reading_n[of] = reading_n[of[::-1]]
+    elif fault:
+        reading_n[of] += float(size)
+        if kind == "apart":
+            reading_n[of[1]] -= 2.0 * float(size)
+    return np.maximum(reading_n, 0.0)
+
+
+def cables_at_random(arm: TestedArm, count: int, rng: np.random.Generator) -> list[int]:
+    """Some cables, of one segment in half of the cases."""
+    ends_on = arm.mechanism.cable_segment
+    among = np.arange(len(ends_on))
+    if rng.random() < 0.5:
+        among = np.flatnonzero(ends_on == rng.choice(ends_on))
+    chosen: list[int] = rng.choice(among, count, replace=False).tolist()
+    return chosen
 
 
 def drawn(arm: TestedArm, largest_n: float, rng: np.random.Generator) -> list[Push]:
@@ -151,32 +172,38 @@ def wrong_n(pushes: Sequence[Push], contacts: Sequence[Contact], length_m: Array
         off_n = float(np.hypot(*off))
         if off_n > WRONG_SHARE * size_n:
             worst = max(worst, off_n)
-    return max([worst, *(contact.magnitude_n for contact in left.values())])
+    for segment, contact in left.items():
+        moment_n_m = contact.moment_n_m or 0.0
+        worst = max(worst, contact.magnitude_n or moment_n_m / length_m[segment - 1])
+    return worst
 
 
-def trial(name: str, given: argparse.Namespace, seed: int, faulty: bool) -> dict[str, Any]:
-    """Counts of the states and of wrong contacts, of one arm."""
-    rng = np.random.default_rng([given.seed, seed, faulty])
+def trial(name: str, given: argparse.Namespace, seed: int, channels: int) -> dict[str, Any]:
+    """Counts of the states and of wrong contacts, of one arm with some faulty channels."""
+    rng = np.random.default_rng([given.seed, seed, channels])
     states: Counter[str] = Counter()
     wrong: list[dict[str, Any]] = []
-    count, judged = given.faulty if faulty else given.samples, 0
-    title = f"{name}, {'one faulty channel' if faulty else 'healthy'}"
+    count, judged = given.faulty if channels else given.samples, 0
+    title = f"{name}, {HEADINGS[channels]}"
     for number in track(range(count // CONTACTS_AT_A_POSE), title):
         bend = 0.0 if number % 4 == 0 else np.deg2rad(10.0)
         command = rng.uniform(-bend, bend, 8)
         arm = TestedArm(name, command, rng)
         for _ in range(CONTACTS_AT_A_POSE):
-            pushes = drawn(arm, ARMS[name], rng)
+            untouched = channels and rng.random() < UNTOUCHED
+            pushes = [] if untouched else drawn(arm, ARMS[name], rng)
             try:
                 tensions_n = arm.tensions_n(pushes)
             except EquilibriumError:
                 continue
-            fault = str(rng.choice(FAULTS)) if faulty else ""
-            cable = int(rng.integers(arm.arm.cable_count))
-            answer = arm.answer(tensions_n, fault, cable)
+            fault = str(rng.choice(FAULTS[channels])) if channels else ""
+            cables = cables_at_random(arm, channels, rng) if channels else []
+            answer = arm.answer(tensions_n, fault, cables)
             judged += 1
-            segment = min(push.segment for push in pushes)
-            of = "two contacts" if len(pushes) > 1 else f"segment {segment}"
+            of = ("untouched", *(f"segment {push.segment}" for push in pushes))[
+                min(len(pushes), 1)
+            ]
+            of = "two contacts" if len(pushes) > 1 else of
             states[f"{of}: {answer.force.value}"] += 1
             off_n = wrong_n(pushes, answer.contacts, arm.mechanism.segment_length_m)
             vouched = answer.force in (ForceState.CONTACT, ForceState.MOMENT, ForceState.FREE)
@@ -185,7 +212,7 @@ def trial(name: str, given: argparse.Namespace, seed: int, faulty: bool) -> dict
                     {
                         "pushes": [(p.segment, round(p.place_m, 4), p.force_n.round(2).tolist())
                                    for p in pushes],
-                        "fault": f"{fault}, cable {cable + 1}" if fault else "none",
+                        "fault": fault and f"{fault}, cables {[n + 1 for n in cables]}",
                         "contacts": [(c.segment, round(c.contact_m, 4), round(c.magnitude_n, 2))
                                      for c in answer.contacts],
                         "off_n": round(off_n, 2),
@@ -200,14 +227,20 @@ def main() -> None:
     """Tries healthy arms and faulty ones, prints, and keeps the figures with `--write`."""
     options = harness.parser(__doc__, "trust.json")
     options.add_argument("--samples", type=int, default=2500, help="contacts of each healthy arm")
-    options.add_argument("--faulty", type=int, default=400, help="contacts with a faulty channel")
+    options.add_argument(
+        "--faulty",
+        type=int,
+        default=1250,
+        help="of each arm with one faulty channel or two",
+    )
     options.add_argument("--seed", type=int, default=7101, help="of poses, contacts and noise")
     given = options.parse_args()
     result: dict[str, Any] = harness.origin("numpy", "onnxruntime")
     for seed, name in enumerate(ARMS):
-        result[name] = {"healthy": trial(name, given, seed, False)}
-        if given.faulty:
-            result[name]["one faulty channel"] = trial(name, given, seed, True)
+        result[name] = {
+            HEADINGS[channels]: trial(name, given, seed, channels)
+            for channels in range(3 if given.faulty else 1)
+        }
     harness.publish("trust.json", result, given)
 
 

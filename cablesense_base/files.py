@@ -134,6 +134,8 @@ def output_folder(
     """
     inputs = tuple(inputs)
     try:
+        if folder.resolve() == Path(folder.anchor or "/"):
+            raise OSError("is the root of the file system")
         nearest = next(place for place in (folder, *folder.absolute().parents) if place.exists())
         if not nearest.is_dir():
             raise OSError("Not a directory")

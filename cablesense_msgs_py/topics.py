@@ -55,6 +55,9 @@ STATUS: Final = "~/status"
 """`diagnostic_msgs/DiagnosticArray`: the state of every wrench, with the wrench's stamp: one
 status, whose message is a `messages.ForceState`. The only standard message that has a stamp and a
 state in words."""
+ESTIMATE: Final = "~/estimate"
+"""`cablesense_msgs/ForceEstimate`, one for every sample, where that package is installed: state,
+wrench, intervals and place together. Recordings leave it out, as other topics have what it has."""
 WRENCH_LOWER: Final = "~/wrench_lower"
 WRENCH_UPPER: Final = "~/wrench_upper"
 """`geometry_msgs/WrenchStamped`, with every estimate: the ends of the 95 % intervals. Their

@@ -57,10 +57,10 @@ class AnywhereCheck(PlausibilityCheck):
         self.misfit = stated_misfit * self._largest / largest
         return "" if stated_misfit <= largest else self._described(on_segments(self._fit.segments))
 
-    def _exchanged(self, fit: StatedContacts, difference_n: Array) -> str:
+    def _paired(self, fit: StatedContacts, difference_n: Array) -> str:
         """See the base class."""
         if len(fit.segments) == 1:
-            return ""
+            return super()._paired(fit, difference_n)
         found = fit.exchanged(difference_n, self._limits[len(fit.segments)])
         if found is None:
             return ""
@@ -95,6 +95,11 @@ class StatedContacts:
         self._difference_n, self._contacts, self._fits = difference_n, contacts, check.fits
         self._unloaded_n, self._prior = check.fits.unloaded_n, check.prior
         self._free = max(len(difference_n) - check.numbers * len(contacts), 1)
+
+    @property
+    def size_n(self) -> float:
+        """The size of the normal forces together; of a known moment that at its place."""
+        return float(np.linalg.norm(self._forces[:, 1:]))
 
     def is_near(self, other: StatedContacts) -> bool:
         """Whether other contacts are on the same segments, with normal forces and moments near."""

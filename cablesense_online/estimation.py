@@ -183,7 +183,8 @@ class Estimation:
 
     def _moving(self, stamp_ns: int, now_ns: int, now_s: float) -> bool:
         """Whether the arm may be moving; where it is at rest, its set-points are followed."""
-        gate = self.gate
+        gate, tares = self.gate, self.tares
+        pose_rad, linear_at_rad = gate.pose_rad, tares.state.linear_at_rad
         moving = gate.moving(stamp_ns, now_ns, now_s)
         if gate.step:
             self.breathing.moved()
@@ -192,8 +193,11 @@ class Estimation:
             self.drift.interrupt()
         elif gate.angles_rad is not self._angles_rad:
             self._angles_rad = gate.angles_rad
-            if gate.angles_rad is not gate.command_rad or self.tares.linear:
-                self.tares.follow(gate.angles_rad)
+            if gate.angles_rad is not gate.command_rad or tares.linear:
+                tares.follow(gate.angles_rad)
+            followed = gate.pose_rad is not pose_rad and gate.pose_rad is not gate.command_rad
+            if followed or tares.state.linear_at_rad is not linear_at_rad:
+                self._events.note(EventKind.FOLLOWED)
             if gate.turning:
                 self.breathing.moved()
                 self.drift.interrupt()
@@ -252,15 +256,22 @@ class Estimation:
             return stated_doubt
         before_ns = check.state.withheld_until_ns
         try:
-            pose_rad, contacts = self.gate.pose_rad, found.contacts
-            check.check(difference_n, pose_rad, contacts, stamp_ns, found.misfit, stated_doubt)
+            check.check(
+                difference_n,
+                self.gate.pose_rad,
+                found.contacts,
+                stamp_ns,
+                found.misfit,
+                stated_doubt,
+                settling=self.gate.settling,
+            )
         finally:
             if check.state.withheld_until_ns != before_ns:
                 self._events.note(EventKind.MISFIT)
         return check.doubt
 
     def _refused(self, problem: SampleError) -> Answer:
-        if problem.kind is ProblemKind.MISFIT and self.gate.turning:
+        if problem.kind is ProblemKind.MISFIT and self.gate.settling:
             self.gate.estimated(known=False)
             return Answer(force=ForceState.MOVING)
         self.health.refused(problem)

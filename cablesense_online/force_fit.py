@@ -114,6 +114,11 @@ class ForceFit:
         return self.pose.segments
 
     @property
+    def size_n(self) -> float:
+        """The size of the forces together."""
+        return math.hypot(*self.force_n)
+
+    @property
     def elastic_n(self) -> Array:
         """(M,) tensions under those forces, negative where a slack cable lacks length."""
         elastic_n, begin = self.response.elastic_n, self.pose.elastic_from

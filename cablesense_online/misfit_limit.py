@@ -5,8 +5,8 @@
 By noise alone (M - 2) misfit² has a chi-square distribution of M - 2 degrees of freedom. Slack
 cables, the sensors' step, the arm's linearisation and the estimator's own errors widen it. The
 limit is that of the chi-square for `FALSE_ALARM_RATE`, times the ratio of the simulated misfits'
-quantile at `JUDGED_AT` to that of the chi-square, if above 1. Misfits beyond that quantile are not
-noise: the estimate is wrong by itself, or the arm has two positions of rest.
+quantile at `JUDGED_AT` to that of the chi-square, from 1 to `MOST_OF_NOISE`. Misfits beyond that
+quantile are not noise: the estimate is wrong by itself, or the arm has two positions of rest.
 """
 
 from __future__ import annotations
@@ -18,12 +18,15 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
 
 from cablesense_base import Array
 from cablesense_online.answer import decide
-from cablesense_online.anywhere_check import AnywhereCheck
-from cablesense_online.models import LoadedModel
+from cablesense_online.models import (
+    FALSE_ALARM_RATE,
+    MOST_OF_NOISE,
+    LoadedModel,
+    noise_limit,
+)
 from cablesense_online.plausibility import PlausibilityCheck
 from cablesense_online.samples import SampleError
 from cablesense_online.tare import UnloadedTensions
@@ -33,10 +36,9 @@ from cablesense_sim.loads import normal_force_n
 from cablesense_sim.replay import read_tensions_n
 from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.metadata import ANYWHERE, MisfitLimit
+from cablesense_training.inference.metadata import MisfitLimit
 from cablesense_training.inference.model_file import replace_misfit_limit
 
-FALSE_ALARM_RATE: Final = 1e-7
 JUDGED_AT: Final = 0.9
 POSES, LOADS, READINGS = 10, 20, 50
 _UNLIMITED = 1e-6
@@ -103,17 +105,15 @@ def put_simulated_limit(path: Path) -> MisfitLimit | None:
     """
     loaded, limit = LoadedModel.open(path), None
     if isinstance(loaded.estimator, Estimator) and not UnloadedTensions(loaded.arm).incomplete:
-        numbers = AnywhereCheck.numbers if loaded.estimator.metadata.kind == ANYWHERE else 2
         misfits = np.fromiter(simulated_misfits(loaded), float)
-        limit = _limit(misfits, loaded.arm.cable_count - numbers)
+        limit = _limit(misfits, loaded.free)
     replace_misfit_limit(path, limit)
     return limit
 
 
 def _limit(misfits: Array, free: int) -> MisfitLimit:
-    rates = [1.0 - JUDGED_AT, FALSE_ALARM_RATE]
-    usual, largest = np.sqrt(chi2.isf(rates, max(free, 1)) / max(free, 1)).tolist()
-    largest *= max(1.0, float(np.quantile(misfits, JUDGED_AT)) / usual)
+    wider = float(np.quantile(misfits, JUDGED_AT)) / noise_limit(free, 1.0 - JUDGED_AT)
+    largest = noise_limit(free) * min(max(1.0, wider), MOST_OF_NOISE)
     return MisfitLimit(
         largest_misfit=round(largest, 2),
         false_alarm_rate=FALSE_ALARM_RATE,

@@ -23,8 +23,9 @@ from cablesense_online.plausibility import FORCE_OFF_N
 from cablesense_online.state import EstimationSettings
 from cablesense_online.tare import Tares
 from cablesense_sim.arm import Arm, open_arm
-from cablesense_sim.contact_pairs import ContactPair
+from cablesense_sim.contact_location import ContactPair
 from cablesense_sim.joint_motion import JointMotion
+from cablesense_training.errors import ModelFileError
 from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import (
     NORMAL_95,
@@ -33,7 +34,7 @@ from cablesense_training.inference.estimator import (
     MultiEstimator,
     SequenceEstimator,
 )
-from cablesense_training.inference.metadata import default_model, find_model
+from cablesense_training.inference.metadata import ANYWHERE, default_model, find_model
 from cablesense_training.inference.model_file import model_sha256, read_model
 from cablesense_training.inference.temporal_estimator import open_estimator
 
@@ -63,6 +64,11 @@ in 2,000 samples by noise."""
 _TWO_BEYOND = 10.0
 """Log evidence by which two contacts must be likelier than one: sensors also err by steps."""
 
+FALSE_ALARM_RATE = 1e-7
+"""Share of samples that may exceed a misfit limit by noise alone."""
+MOST_OF_NOISE = 2.0
+"""A limit is at most this multiple of that of noise: beyond it, the model's own errors decide."""
+
 AnyEstimator = Estimator | MultiEstimator | SequenceEstimator
 
 
@@ -91,11 +97,29 @@ class LoadedModel:
         return {"model": self.model, "model SHA-256": model_sha256(self.model)}
 
     def largest_misfit(self, wanted: float) -> float:
-        """The limit `wanted`; if that is negative the file's, or else `LARGEST_MISFIT`."""
+        """The limit `wanted`; if that is negative the file's, or else `LARGEST_MISFIT`.
+
+        Raises:
+            ModelFileError: the file states one that would check nothing.
+        """
         stated = self.estimator.metadata.misfit_limit
         if wanted >= 0.0:
             return wanted
-        return LARGEST_MISFIT if stated is None else stated.largest_misfit
+        if stated is None:
+            return LARGEST_MISFIT
+        most = MOST_OF_NOISE * noise_limit(self.free)
+        if stated.largest_misfit > most:
+            raise ModelFileError(
+                f"{self.model}: states a largest misfit of {stated.largest_misfit:g}; noise of "
+                f"{self.arm.cable_count} readings allows {most:.2f} at most, so train it again"
+            )
+        return stated.largest_misfit
+
+    @property
+    def free(self) -> int:
+        """Readings that are left over by one contact."""
+        numbers = 4 if self.estimator.metadata.kind == ANYWHERE else 2
+        return max(self.arm.cable_count - numbers, 1)
 
     def status(self, largest_force_n: float, active: bool) -> Status:
         """Which model and arm, and whether the latest forces were within its training."""
@@ -112,6 +136,13 @@ class LoadedModel:
         if largest_force_n > metadata.force_range_n:
             return Status("model", Level.WARN, "forces beyond those it was trained on", values)
         return Status("model", Level.OK, "active", values)
+
+
+def noise_limit(free: int, rate: float = FALSE_ALARM_RATE) -> float:
+    """The misfit that noise of `free` redundant readings exceeds at a `rate`."""
+    from scipy.special import chdtri  # nodes start sooner without
+
+    return math.sqrt(float(chdtri(free, rate)) / free)
 
 
 def load_model(arm: str, model: str) -> LoadedModel:

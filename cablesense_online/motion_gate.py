@@ -11,15 +11,14 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Level, Status
-from cablesense_online.state import EstimationSettings, GateState
+from cablesense_online.state import LONG_AGO_NS, EstimationSettings, GateState
 from cablesense_sim.joint_motion import SHORTEST_MOVE_S, JointMotion
 
-_POSE_STEPS_RAD = (1e-4, 2e-3)
-"""The pose follows a set-point at rest, or in motion, only beyond this distance: a new pose costs
+_POSE_STEP_RAD = 2e-3
+"""The pose follows a set-point in motion only beyond this distance: a new pose costs
 milliseconds."""
 _BLIND_S, _SOME_COMMANDS = 3.0, 3
 """A warning is due after this time without an estimate, if this number of commands came."""
-_LONG_AGO_NS = -(2**62)
 _ROUNDING_S = 1e-6
 """Waits that differ by less are the same: stamps are whole nanoseconds."""
 _CLOCK_JITTER_S = 0.02
@@ -53,14 +52,13 @@ class MotionGate:
         self._settings = settings
         self._blind_since_ns: int | None = None
         self._commands_since = 0
-        self._turned_ns = 2 * _LONG_AGO_NS
         self._rest_from_s = 0.0
-        self._last_ns = _LONG_AGO_NS
+        self._last_ns = LONG_AGO_NS
         here = command_rad.copy()
         state = GateState(
             command_rad=here,
             pose_rad=here,
-            rest_from_ns=_LONG_AGO_NS,
+            rest_from_ns=LONG_AGO_NS,
         )
         self.restore(state)
 
@@ -82,7 +80,13 @@ class MotionGate:
     @property
     def turning(self) -> bool:
         """Whether the joints have turned within the time in which the arm settles."""
-        return self._last_ns - self._turned_ns <= self._settings.settle_s * 1e9
+        return self._last_ns - self.state.turned_ns < self._settings.settle_s * 1e9
+
+    @property
+    def settling(self) -> bool:
+        """Whether the arm may swing: within `settle_s` of a turn, or of the end of a wait."""
+        since_ns = max(self.state.turned_ns, self.state.rest_from_ns)
+        return self._last_ns - since_ns <= self._settings.settle_s * 1e9
 
     def command(self, command_rad: Array) -> bool:
         """Take over a command (2N,); gives whether it differs from the previous one."""
@@ -128,15 +132,19 @@ class MotionGate:
         if stamp_ns < last_ns:
             state.rest_from_ns -= last_ns - stamp_ns
             state.course_from_ns -= last_ns - stamp_ns
+            state.turned_ns -= last_ns - stamp_ns
             self.step = -1
         if course.moving:
             course.at(max(0, stamp_ns - state.course_from_ns) * 1e-9)
         if self._heading:
+            turn_rad = float(np.abs(self.command_rad - course.state[0]).max())
             course.go_to(self.command_rad)
             state.course_from_ns = stamp_ns
-        if self._heading or last_ns == _LONG_AGO_NS:
+            if turn_rad > self._settings.still_rad:
+                state.turned_ns = stamp_ns + round(course.remaining_s * 1e9)
+        if self._heading or last_ns == LONG_AGO_NS:
             sampled_s = now_s - max(0, now_ns - stamp_ns) * 1e-9
-            self._wait_for_course(stamp_ns, sampled_s, restored=last_ns == _LONG_AGO_NS)
+            self._wait_for_course(stamp_ns, sampled_s, restored=last_ns == LONG_AGO_NS)
         shut = self._may_move(stamp_ns, now_s)
         self._resting &= not course.moving
         if not shut:
@@ -171,6 +179,7 @@ class MotionGate:
         rest_from_ns = stamp_ns + round(left_s * 1e9)
         if state.course_from_ns < stamp_ns:  # set-points have not jumped with the stamps
             state.course_from_ns += rest_from_ns - state.rest_from_ns
+            state.turned_ns += rest_from_ns - state.rest_from_ns
             self._course.at(max(0, stamp_ns - state.course_from_ns) * 1e-9)
         state.rest_from_ns, self.step = rest_from_ns, 1
         return True
@@ -180,9 +189,7 @@ class MotionGate:
         still_rad = self._settings.still_rad
         if self._settings.follow_rad_s or off_rad > still_rad:
             self.angles_rad = angles_rad
-            if off_rad > still_rad and self._course.moving:  # after a wait it has settled
-                self._turned_ns = self._last_ns
-            if off_rad > _POSE_STEPS_RAD[self._course.moving]:
+            if off_rad > _POSE_STEP_RAD or (off_rad and not self._course.moving):
                 self.state.pose_rad = angles_rad
 
     def estimated(self, known: bool) -> None:
@@ -207,7 +214,7 @@ class MotionGate:
         self._course = JointMotion(state.command_rad, self._settings.joint_speed_rad_s)
         if state.course.size:
             self._course.resume(state.course.tolist())
-        self._last_ns = _LONG_AGO_NS
+        self._last_ns = LONG_AGO_NS
         self._heading = self._starting = self._resting = False
         self.step, self.shortened_s = 0, 0.0
 

@@ -48,6 +48,10 @@ LEAST_WITHHELD_S, WITHHELD_S = 0.05, 0.2
 """After misfits no force is given for as long as they lasted, within these limits: a swing ends
 soon on a stiff arm. The time is renewed when half of it has passed."""
 
+SETTLING_TIMES: Final = 2.0
+"""While joints turn as slowly as the estimator follows them, or an arm swings after a move, its
+inertia and damping make misfits of up to about one and a half times the limit at rest."""
+
 AVERAGED_S: Final = 1.0
 """Readings of a contact are averaged over up to this time."""
 
@@ -148,11 +152,14 @@ class PlausibilityCheck:
         stamp_ns: int,
         stated_misfit: float | None = None,
         stated_doubt: str = "",
+        *,
+        settling: bool = False,
     ) -> None:
-        """Check readings less unloaded tensions (M,) at a command (2N,) with the arm at rest.
+        """Check readings less unloaded tensions (M,) at a pose (2N,) of the arm.
 
         Contacts come the strongest first, with the misfit that the model states, if it does, and
-        its own reason to doubt them.
+        its own reason to doubt them. While the arm is `settling`, a larger misfit of contacts is
+        a doubt only, as its motion makes one.
 
         Raises:
             SampleError: they do not fit the contacts estimated, or did not a moment ago.
@@ -163,6 +170,9 @@ class PlausibilityCheck:
             self._steady = None
         misfit = self._misfit_text(difference_n, contacts, stated_misfit)
         self._worst = max(self._worst, self.misfit)
+        most = SETTLING_TIMES * self._largest
+        if settling and contacts and self._largest < self.misfit <= most:
+            misfit, stated_doubt = "", f"{misfit} while the arm moves or settles"
         state = self.state
         until_ns = min(state.withheld_until_ns, stamp_ns + round(WITHHELD_S * 1e9))
         if not misfit and stamp_ns >= until_ns:
@@ -298,7 +308,7 @@ class PlausibilityCheck:
             self._steady = steady = _SteadyContact(fit.segments, 0.0 * difference_n)
         steady.add(difference_n, tuple(fit.force_n), stamp_ns)
         if steady.to_be_judged(fit.response, stamp_ns, self.judged_every_ns):
-            hidden = self._hidden(fit, difference_n) or self._exchanged(fit, difference_n)
+            hidden = self._hidden(fit, difference_n) or self._paired(fit, difference_n)
             steady.judge(fit.response, stamp_ns, hidden)
         if stamp_ns - steady.averaged_ns >= _JUDGED_EVERY_NS and steady.count >= _FEWEST_AVERAGED:
             steady.averaged_ns = stamp_ns
@@ -317,14 +327,20 @@ class PlausibilityCheck:
             f"up to {min(float(hidden_n.max()), self._largest_force_n):.0f} N"
         )
 
-    def _exchanged(self, fit: Any, difference_n: Array) -> str:
-        """Two cables whose exchanged readings would fit other forces on several segments.
+    def _paired(self, fit: Any, difference_n: Array) -> str:
+        """Two cables whose readings may be wrong, as text; else empty.
 
-        With one contact this hardly ever happens, as its forces leave so little free.
+        Either all others are those of an untouched arm, as for a moment on segment 1 normal to
+        one of its cables; or two exchanged ones fit other forces on several segments. With one
+        contact the latter hardly ever happens, as its forces leave so little free.
         """
         segments = fit.segments
         if len(segments) == 1:
-            return ""
+            *others, one, other = np.argsort(np.abs(difference_n)).tolist()
+            if fit.size_n < FORCE_OFF_N or self._free_misfit(difference_n[others]) > self._largest:
+                return ""
+            names = " and ".join(self._cable_names[cable] for cable in sorted((one, other)))
+            return f"wrong readings of {names} on an untouched arm would look the same"
         largest = self._limits[len(segments)]
         for two in combinations(range(len(difference_n)), 2):
             here, there = list(two), list(two[::-1])

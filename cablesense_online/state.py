@@ -97,6 +97,7 @@ class EventKind(Enum):
     PUBLISHER = "another publisher"
     MISFIT = "readings do not fit"
     BREATH = "turn of a breath"
+    FOLLOWED = "pose of a followed motion"
 
 
 @dataclass(frozen=True)
@@ -136,6 +137,10 @@ class EventLog:
         return events
 
 
+LONG_AGO_NS: Final = -(2**62)
+"""A stamp before all others."""
+
+
 class GateState(BaseModel):
     """The command in force, and where the arm may be on its way to it.
 
@@ -145,6 +150,7 @@ class GateState(BaseModel):
         rest_from_ns: stamp from which on the arm rests.
         course, course_from_ns: set-points of a motion (`JointMotion.course`) and the stamp at
             which it began; empty where they are at the command.
+        turned_ns: stamp at which the last turn beyond `still_rad` arrives.
     """
 
     command_rad: Vector
@@ -152,6 +158,7 @@ class GateState(BaseModel):
     rest_from_ns: WholeNumber
     course: Vector = _EMPTY
     course_from_ns: WholeNumber = 0
+    turned_ns: WholeNumber = LONG_AGO_NS
 
 
 def utc_text(time_ns: int) -> str:

@@ -19,7 +19,7 @@ from cablesense_msgs_py import qos, topics
 from cablesense_msgs_py.messages import Contact, put_joint_angles
 from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.samples import FollowedPublisher
-from cablesense_ros.endpoints import RefusalLog, of_node, overridable
+from cablesense_ros.endpoints import RefusalLog, of_node, qos_profile
 from cablesense_sim.arm import Arm
 from cablesense_sim.equilibrium import checked_command
 
@@ -63,7 +63,7 @@ class ArmClient:
             take = partial(self._take, topic)
             refuse.subscribe(kind, of_node(estimator, topic), quality, take, publisher)
         self._loads, self._commands = (
-            node.create_publisher(kind, topic, **overridable(qos.COMMAND))
+            node.create_publisher(kind, topic, qos_profile(qos.COMMAND))
             for kind, topic in (
                 (WrenchStamped, topics.APPLIED_WRENCH),
                 (JointState, topics.JOINT_COMMANDS),

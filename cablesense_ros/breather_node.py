@@ -30,7 +30,7 @@ from cablesense_online.breathing import (
     breath_circle,
     offsets_m,
 )
-from cablesense_ros.endpoints import RefusalLog, overridable
+from cablesense_ros.endpoints import RefusalLog, qos_profile
 from cablesense_ros.node_process import publish_diagnostics, run_node
 from cablesense_ros.parameters import declare_parameters, parameter_table
 from cablesense_sim.arm import open_arm
@@ -54,7 +54,7 @@ class BreatherNode(Node):
         self._breath: Breath | None = None
         self._problem, self._count = "", 0
         self._tick_ns = round(given["turn_s"] * 1e9 / SET_POINTS_A_TURN)
-        self._out = self.create_publisher(JointState, given["over"], **overridable(COMMAND))
+        self._out = self.create_publisher(JointState, given["over"], qos_profile(COMMAND))
         self._refuse = RefusalLog(self)
         self._refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND, self._on_command)
         self.create_service(Trigger, topics.BREATHE, self._on_request)

@@ -30,7 +30,13 @@ from cablesense_online.can.channel_map import (
 )
 from cablesense_online.can.driver import CanDriver
 from cablesense_online.can.reader import Sample
-from cablesense_ros.endpoints import CommandInput, RefusalLog, overridable, steady_timer
+from cablesense_ros.endpoints import (
+    CommandInput,
+    RefusalLog,
+    overridable,
+    qos_profile,
+    steady_timer,
+)
 from cablesense_ros.node_process import ConfiguredNode, run_node
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.joint_motion import JointMotion
@@ -72,7 +78,7 @@ class CanDriverNode(ConfiguredNode):
         self._tensions = JointState(name=list(arm.cable_names))
         self._tensions.header.frame_id = Frames(arm.segment_count, given["frame_prefix"]).base
         self._tensions_out = self.create_publisher(
-            JointState, topics.CABLE_TENSIONS, **overridable(PUBLISHER)
+            JointState, topics.CABLE_TENSIONS, **overridable(topics.CABLE_TENSIONS, PUBLISHER)
         )
         self._entities.callback(self.destroy_publisher, self._tensions_out)
         self._driver = CanDriver(channel_map, database, interface, self._publish)
@@ -88,7 +94,7 @@ class CanDriverNode(ConfiguredNode):
         joints = NamedOrder(arm.joint_names, "joints")
         motion = JointMotion(np.zeros(arm.joint_count), speed_rad_s)
         shown = JointState(name=list(arm.joint_names))
-        out = self.create_publisher(JointState, topics.JOINT_STATES, **overridable(PUBLISHER))
+        out = self.create_publisher(JointState, topics.JOINT_STATES, qos_profile(PUBLISHER))
 
         def publish() -> None:
             put_joint_angles(shown, motion.advance(JOINT_STATES_PERIOD_S))

@@ -22,7 +22,7 @@ from rclpy.qos import (
     QoSProfile,
     ReliabilityPolicy,
 )
-from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.qos_overriding_options import QoSOverridingOptions, QoSPolicyKind
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
@@ -52,14 +52,17 @@ def qos_profile(qos: Qos) -> QoSProfile:
     return profile
 
 
-def overridable(qos: Qos) -> dict[str, Any]:
-    """Keywords of a publisher or subscription: this quality, open to parameters.
+def overridable(topic: str, qos: Qos) -> dict[str, Any]:
+    """Keywords of a publisher or subscription: this quality, open to parameters for a stream.
 
-    History, depth and reliability may be overridden by parameters that are named
-    `qos_overrides.<topic>.<publisher|subscription>.<policy>`.
+    `qos_overrides.<topic>.<publisher|subscription>.<depth|reliability>` are the parameters of
+    `cable_tensions` and `~/wrench`, because networks lose messages and processes pause.
     """
-    overriding = QoSOverridingOptions.with_default_policies()
-    return {"qos_profile": qos_profile(qos), "qos_overriding_options": overriding}
+    keywords: dict[str, Any] = {"qos_profile": qos_profile(qos)}
+    if topic in (topics.CABLE_TENSIONS, topics.WRENCH):
+        policies = QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY
+        keywords["qos_overriding_options"] = QoSOverridingOptions(policies)
+    return keywords
 
 
 def of_node(node_name: str, topic: str) -> str:
@@ -131,7 +134,7 @@ def subscribe_to_one(
         kind,
         topic,
         receive,
-        **overridable(qos),
+        **overridable(topic, qos),
         raw=True,
         event_callbacks=SubscriptionEventCallbacks(
             matched=lambda event: publisher.matched(event.current_count), **events
@@ -197,9 +200,7 @@ class RefusalLog:
 
         guarded = self.guarded(topic, take)
         if publisher is None:
-            return self._node.create_subscription(
-                kind, topic, guarded, **overridable(qos), raw=True
-            )
+            return self._node.create_subscription(kind, topic, guarded, qos_profile(qos), raw=True)
         refuse = partial(self, topic)
         return subscribe_to_one(self._node, kind, topic, qos, publisher, guarded, refuse, accept)
 

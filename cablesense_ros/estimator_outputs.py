@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
+from math import nan
+from typing import Any
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -25,14 +27,20 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from visualization_msgs.msg import Marker, MarkerArray
 
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.messages import NO_CONTACT, Contact, ForceState, Status
+from cablesense_msgs_py.messages import (
+    NO_CONTACT,
+    UNKNOWN_WRENCH,
+    Contact,
+    ForceState,
+    Status,
+)
 from cablesense_msgs_py.qos import JOURNAL, PUBLISHER, WRENCH, Qos
 from cablesense_msgs_py.serialized import restamped, wrench_writers
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
 from cablesense_online.state import put_state
-from cablesense_ros.endpoints import overridable
+from cablesense_ros.endpoints import message_class, overridable
 from cablesense_ros.node_process import diagnostic_array
 from cablesense_training.inference.estimator import NORMAL_95
 
@@ -90,6 +98,9 @@ class EstimatorOutputs:
             self._statuses[state] = serialize_message(
                 diagnostic_array(outputs.node, [status], identity)
             )
+        estimate = message_class("cablesense_msgs/msg/ForceEstimate")
+        self._estimate: Any = estimate and estimate()
+        self._estimate_out = outputs.make(estimate, topics.ESTIMATE) if estimate else None
         self._lower_out = outputs.make(WrenchStamped, topics.WRENCH_LOWER)
         self._upper_out = outputs.make(WrenchStamped, topics.WRENCH_UPPER)
         self._base_out = outputs.make(WrenchStamped, topics.WRENCH_BASE)
@@ -128,6 +139,10 @@ class EstimatorOutputs:
             self._wrench_out.publish(self._writers[contact.segment].write(stamp_ns, wrench))
         if self._status_out.subscribed:
             self._status_out.publish(restamped(self._statuses[answer.force], stamp_ns))
+        if self._estimate_out and self._estimate_out.subscribed:
+            in_base = self._in_base(answer, "nan")
+            put_estimate(self._estimate, answer, in_base, self._frames, _time(stamp_ns))
+            self._estimate_out.publish(self._estimate)
         if wrench is not None:
             self._publish_whole(answer, wrench, stamp_ns)
         if answer.bounds is not None:
@@ -150,7 +165,7 @@ class EstimatorOutputs:
         """The force in base axes, at the joints and, of several contacts, on each segment."""
         contacts, pose = answer.contacts, self._estimation.at_pose
         if self._base_out.subscribed:
-            in_base = pose.base_wrench(contacts) if contacts else wrench
+            in_base = self._in_base(answer, self._unknown_force)
             self._base_out.publish(self._writers[0].write(stamp_ns, in_base))
         if self._torques_out.subscribed:
             self._torques.header.stamp = _time(stamp_ns)
@@ -164,6 +179,14 @@ class EstimatorOutputs:
             on_it = answer.on_segment(number, self._unknown_force) if out.subscribed else None
             if on_it is not None:
                 out.publish(self._writers[number].write(stamp_ns, on_it))
+
+    def _in_base(self, answer: Answer, unknown_force: str) -> Sequence[float]:
+        """The wrench (6,) of all contacts about the base; one of known moment only leaves none."""
+        if not answer.contacts:
+            return answer.wrench(unknown_force) or UNKNOWN_WRENCH
+        if unknown_force == "nan" and not all(one.magnitude_n for one in answer.contacts):
+            return UNKNOWN_WRENCH
+        return self._estimation.at_pose.base_wrench(answer.contacts)
 
     def _publish_contact(self, answer: Answer, stamp_ns: int) -> None:
         contact, region_m, estimate = answer.contact, answer.region_m, answer.estimate
@@ -207,6 +230,31 @@ class EstimatorOutputs:
             self._markers_out.publish(self._markers.message)
 
 
+def put_estimate(
+    message: Any, answer: Answer, in_base: Sequence[float], frames: Frames, stamp: Time
+) -> None:
+    """Put an answer and its wrench (6,) about the base into a `cablesense_msgs/ForceEstimate`."""
+    contact, segment = answer.contact, answer.contact.segment
+    message.header.frame_id = frames.segment(segment) if segment else frames.base
+    message.header.stamp = stamp
+    message.state = getattr(message, answer.force.name)
+    message.segment, message.moment_only = segment, bool(segment and not contact.magnitude_n)
+    message.probability = float(answer.probabilities[segment]) if answer.probabilities else nan
+    for numbers, put in (
+        (answer.wrench("nan") or UNKNOWN_WRENCH, message.wrench),
+        (in_base, message.wrench_base),
+    ):
+        put.force.x, put.force.y, put.force.z, put.torque.x, put.torque.y, put.torque.z = numbers
+    lower, upper = answer.bounds or (None, None)
+    message.force_low = lower.magnitude_n if lower else nan
+    message.force_high = upper.magnitude_n if upper else nan
+    point = message.contact_point
+    point.x, point.y, point.z = (contact.contact_m, 0.0, 0.0) if segment else (nan, nan, nan)
+    message.place_low, message.place_high = answer.region_m or (nan, nan)
+    place = answer.estimate.place if segment and answer.estimate else None
+    message.covariance = array("d", place.covariance.ravel().tolist() if place else [nan] * 16)
+
+
 class _Output:
     """A topic of a node, and whether anyone subscribes: to ask that takes longer than a sum."""
 
@@ -215,7 +263,7 @@ class _Output:
         self.publisher: LifecyclePublisher = node.create_lifecycle_publisher(
             kind,
             topic,
-            **overridable(qos),
+            **overridable(topic, qos),
             event_callbacks=PublisherEventCallbacks(matched=self._matched),
         )
         self.publish = self.publisher.publish

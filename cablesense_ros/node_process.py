@@ -29,7 +29,7 @@ from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.qos import PUBLISHER
 from cablesense_ros.discovery import prefer_quick_discovery
-from cablesense_ros.endpoints import overridable, steady_timer
+from cablesense_ros.endpoints import qos_profile, steady_timer
 from cablesense_ros.parameters import declare_parameters, parameter_table, parameter_values
 from cablesense_ros.processes import handle_end_signals
 
@@ -248,9 +248,7 @@ def publish_diagnostics(
 
     If simulated time is used and stands still, a status and the log say so.
     """
-    publisher = node.create_publisher(
-        DiagnosticArray, topics.DIAGNOSTICS, **overridable(PUBLISHER)
-    )
+    publisher = node.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, qos_profile(PUBLISHER))
     last_ns = -1
 
     def publish() -> None:

@@ -21,7 +21,7 @@ from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import INPUTS, TopicType, resolved, segment_of
 from cablesense_online.samples import FollowedPublisher
-from cablesense_ros.endpoints import RefusalLog, message_class, overridable, subscribe_to_one
+from cablesense_ros.endpoints import RefusalLog, message_class, qos_profile, subscribe_to_one
 from cablesense_ros.node_process import spun_node
 from cablesense_ros.processes import end_signals
 from cablesense_sim.arm import Arm
@@ -130,7 +130,7 @@ class Recorder:
             refuse = partial(self._leave_out, topic)
             subscribe_to_one(node, kind, name, of.requested, FollowedPublisher(), take, refuse)
         else:
-            node.create_subscription(kind, name, take, **overridable(of.requested), raw=True)
+            node.create_subscription(kind, name, take, qos_profile(of.requested), raw=True)
 
     def _take(self, topic: str, name: str, kind: type, raw: bytes) -> None:
         if self._failure is not None:

@@ -29,7 +29,7 @@ from cablesense_msgs_py.messages import (
 from cablesense_msgs_py.qos import COMMAND, LATCHED, PUBLISHER
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.simulated_arm import LONGEST_LAG_S, SimulatedArm
-from cablesense_ros.endpoints import CommandInput, RefusalLog, overridable
+from cablesense_ros.endpoints import CommandInput, RefusalLog, overridable, qos_profile
 from cablesense_ros.node_process import publish_diagnostics, run_node
 from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
 from cablesense_sim.arm import open_arm
@@ -77,12 +77,12 @@ class SimNode(Node):
         self._tick_count = 0
         self._ticks_per_joint_state = max(1, math.ceil(self._rate_hz / JOINT_STATES_HZ))
         self._tensions_out, self._joint_states_out = (
-            self.create_publisher(JointState, topic, **overridable(PUBLISHER))
+            self.create_publisher(JointState, topic, **overridable(topic, PUBLISHER))
             for topic in (topics.CABLE_TENSIONS, topics.JOINT_STATES)
         )
         if given["description"]:
             described = self.create_publisher(
-                String, topics.ROBOT_DESCRIPTION, **overridable(LATCHED)
+                String, topics.ROBOT_DESCRIPTION, qos_profile(LATCHED)
             )
             described.publish(String(data=urdf_xml(arm)))
 

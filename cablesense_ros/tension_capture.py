@@ -14,7 +14,7 @@ from cablesense_msgs_py import qos, topics
 from cablesense_msgs_py.messages import NamedOrder
 from cablesense_online.commissioning import CommissioningError
 from cablesense_online.commissioning.sensor_check import Pull, TensionSeries
-from cablesense_ros.endpoints import overridable
+from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.node_process import spun_node
 
 _FIRST_SAMPLE_S = 5.0
@@ -79,9 +79,7 @@ def capture_tensions(
                 )
             return times_s[-1]
 
-        node.create_subscription(
-            JointState, topics.CABLE_TENSIONS, take, **overridable(qos.SENSOR)
-        )
+        node.create_subscription(JointState, topics.CABLE_TENSIONS, take, qos_profile(qos.SENSOR))
         end_s = time.monotonic() + _FIRST_SAMPLE_S
         while not times_s and time.monotonic() < end_s:
             wait(_WAKE_S)

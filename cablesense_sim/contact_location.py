@@ -1,4 +1,4 @@
-"""The place and the force of a contact anywhere on an arm, from its tensions, by statics alone.
+"""Place and force of one or two contacts anywhere on an arm, from its tensions, by statics alone.
 
 A force f acts on the axis of segment n, at the distance s from the segment's joint centre. It
 makes the joint torques
@@ -236,6 +236,27 @@ class Location(NamedTuple):
         return is_known(high_n - low_n, np.hypot(self.force_n[:, 1], self.force_n[:, 2]))
 
 
+class ContactPair(NamedTuple):
+    """The two contacts that are most probable on each of B samples.
+
+    Attributes:
+        segments: (B, 2) from 1 on, in ascending order.
+        place_m, place_std_m: (B, 2) distances from the segments' joint centres.
+        force_n, force_std_n: (B, 2, 3) along the axes of the segments at the command.
+        log_evidence: (B,) against no contact, with the prior of `locate`; compare it with
+            `Location.log_evidence`.
+        chi2: (B,) misfit, with 2N - 8 degrees of freedom where all is determined.
+    """
+
+    segments: NDArray[np.int64]
+    place_m: Array
+    place_std_m: Array
+    force_n: Array
+    force_std_n: Array
+    log_evidence: Array
+    chi2: Array
+
+
 def is_known(width_n: Any, size_n: Any) -> Any:
     """Whether forces of these sizes, with 95 % intervals of these widths, are known."""
     return (width_n <= 2.0 * _KNOWN_N) | (width_n <= 2.0 * _KNOWN_SHARE * size_n)
@@ -257,6 +278,25 @@ def locate(
     found = unfilled(*balance.by_place.shape[:2])
     locate_each(*compiled_input(balance, reach, surface, largest_n), found)
     return found
+
+
+def locate_two(
+    balance: TorqueBalance,
+    reach: Array,
+    largest_n: float = LARGEST_N,
+    surface: Surface | None = None,
+) -> ContactPair:
+    """The two contacts from the balance of B samples, within a reach (N, 2), m.
+
+    The fit is a profile over both places. 2N torques determine four numbers of each contact on an
+    arm of four segments, where the pose shows the axial forces and no contact is on segment 1.
+    Evidence by Laplace's approximation compares pairs of segments with one another and with a
+    single contact (MacKay, Information Theory, Inference, and Learning Algorithms, 2003, ch. 28).
+    Contacts act on the axis if no `surface` is given; two are on different segments.
+    """
+    from cablesense_sim.contact_pair_fit import fit_each
+
+    return fit_each(*compiled_input(balance, reach, surface, largest_n))
 
 
 def compiled_input(

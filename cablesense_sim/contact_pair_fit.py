@@ -1,4 +1,4 @@
-"""The fit of two contacts on an arm, sample by sample, compiled: see `contact_pairs`.
+"""The fit of two contacts on an arm, sample by sample, compiled: see `locate_two`.
 
 The gram of the torques that contacts can make (`contact_force`) is computed once a sample. The
 information of both forces is a polynomial in both places by blocks of it. For one place of the
@@ -27,8 +27,7 @@ from cablesense_sim.contact_force import (
     pulled_by,
     true_torques,
 )
-from cablesense_sim.contact_location import TorqueBalance
-from cablesense_sim.contact_pairs import ContactPair
+from cablesense_sim.contact_location import ContactPair, TorqueBalance
 
 _ROWS = 7
 """Torques that describe a contact on one segment."""

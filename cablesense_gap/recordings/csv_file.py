@@ -24,6 +24,8 @@ from cablesense_gap.recordings.recording import (
 from cablesense_sim.arm import Arm
 
 TIME: Final = "time_s"
+LONGEST_S: Final = 1e10
+"""Any time is nearer to any epoch, and rows a microsecond apart can still be distinguished."""
 TRIAL: Final = "trial"
 LOAD_SEGMENT: Final = "load_segment"
 LOAD: Final = ("load_x_n", "load_y_n", "load_z_n")
@@ -107,11 +109,14 @@ def read_table(path: str | Path, prefixes: Collection[str]) -> dict[str, Array]:
             if column.dtype.kind not in "if":
                 column = column.astype(str).where(column.notna())
             values = pd.to_numeric(column, errors="coerce").to_numpy(float)
-            wrong = np.flatnonzero(np.isnan(values) & column.notna().to_numpy())
-            if wrong.size:
-                cell = str(column.iloc[wrong[0]])[:40]
+            wrong = np.isnan(values) & column.notna().to_numpy()
+            why = "is no number"
+            if name == TIME and not wrong.any():
+                wrong, why = np.abs(values) > LONGEST_S, f"is beyond {LONGEST_S:g} s"
+            if wrong.any():
+                cell = str(column.iloc[wrong.argmax()])[:40]
                 raise RecordingError(
-                    f"{path}: row {wrong[0] + 1}, column {name}: {cell!r} is no number"
+                    f"{path}: row {wrong.argmax() + 1}, column {name}: {cell!r} {why}"
                 )
             found[name] = values
     return found

@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 
 MOST_RECORD_BYTES: Final = 64 << 20
 """Limit of a chunk, packed and unpacked, and of any other record; rosbag2 writes 1 MB chunks."""
+_UNPACKED_BYTES: Final = 4 << 20
+_UNPACKED_TIMES: Final = 100
+"""All chunks unpack to at most those bytes and this multiple of the size of the file. Tensions are
+far from it, and equal messages of a kilobyte reach half of it."""
 CHUNK_S: Final = 0.5
 """A chunk holds no more than this of the messages' time."""
 
@@ -80,14 +84,18 @@ class McapMessages:
 
     def _messages(self, file: BinaryIO, size: int) -> Iterator[RawMessage]:
         from mcap.exceptions import McapError
+        from mcap.opcode import Opcode
         from mcap.records import Channel, Message, Schema
         from zstandard import ZstdError
 
         kinds: dict[int, str] = {}
         channels: dict[int, tuple[str, str]] = {}
+        left = _UNPACKED_BYTES + _UNPACKED_TIMES * size
         for at, opcode, content in self._records(file, size):
+            if opcode == Opcode.CHUNK:
+                left -= int.from_bytes(content[16:24], "little")  # its size unpacked
             try:
-                for record in _parsed(opcode, content):
+                for record in _parsed(opcode, content, left):
                     if isinstance(record, Schema):
                         kinds[record.id] = (
                             record.name if record.encoding.startswith("ros2") else ""
@@ -137,8 +145,11 @@ class McapMessages:
         )
 
 
-def _parsed(opcode: int, content: bytes) -> list[McapRecord]:
-    """The record of these bytes; of a chunk all in it, messages in the order of their times."""
+def _parsed(opcode: int, content: bytes, left: int) -> list[McapRecord]:
+    """The record of these bytes; of a chunk all in it, messages in the order of their times.
+
+    After the chunk `left` bytes may still be unpacked.
+    """
     from mcap.data_stream import ReadDataStream
     from mcap.opcode import Opcode
     from mcap.records import Channel, Chunk, Message, Schema
@@ -153,16 +164,18 @@ def _parsed(opcode: int, content: bytes) -> list[McapRecord]:
         case Opcode.MESSAGE:
             return [Message.read(stream, len(content))]
     chunk = Chunk.read(stream)
-    unpacked = replace(chunk, compression="", data=_unpacked(chunk))
+    unpacked = replace(chunk, compression="", data=_unpacked(chunk, left))
     records = breakup_chunk(unpacked, validate_crc=True)
     return sorted(records, key=lambda record: getattr(record, "log_time", -1))
 
 
-def _unpacked(chunk: Chunk) -> bytes:
+def _unpacked(chunk: Chunk, left: int) -> bytes:
     """A chunk's records; no more than it states is unpacked, whatever the packed bytes hold."""
     size = chunk.uncompressed_size
     if size > MOST_RECORD_BYTES:
         raise ValueError(f"a chunk of {size} bytes")
+    if left < 0:
+        raise ValueError(f"chunks of more than {_UNPACKED_TIMES} times the bytes of the file")
     if chunk.compression == "zstd":
         from zstandard import ZstdDecompressor
 

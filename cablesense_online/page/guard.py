@@ -7,9 +7,9 @@ on this machine would have the controls of the arm. Here a request needs
   browsers always send with a WebSocket, that is the page's own;
 - the page's token as the first part of its path, which viser's client hands on to its WebSocket.
 
-From a browser that passes, viser gets the camera, values of controls, each a finite number or a
-short text, and clicks on the arm. Uploads, requests to share the page and other properties are
-dropped.
+From a browser that passes, viser gets the camera, values of controls, each a finite number or the
+number of a segment as text, and clicks on the arm. Uploads, requests to share the page and other
+properties are dropped. The first bad value of a browser is logged.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from __future__ import annotations
 import contextlib
 import io
 import ipaddress
+import logging
 import math
 import secrets
 import socket
@@ -170,11 +171,12 @@ class _Camera(msgspec.Struct, tag_field="type", tag="ViewerCameraMessage"):
 
 
 _Short = Annotated[str, msgspec.Meta(max_length=100)]
+_Segment = Annotated[str, msgspec.Meta(pattern=r"^[1-9][0-9]{0,3}\Z")]
 _Vector = tuple[float, float, float]
 
 
 class _Value(msgspec.Struct, forbid_unknown_fields=True):
-    value: bool | float | _Short
+    value: bool | float | _Segment
 
 
 class _Update(msgspec.Struct, tag_field="type", tag="GuiUpdateMessage"):
@@ -200,24 +202,28 @@ _MESSAGES = msgspec.msgpack.Decoder(_Camera | _Update | _Click)
 class _BrowserConnection(ServerConnection):
     """A browser's connection, of which viser receives what the page has a use for."""
 
+    _told = False
+
     async def recv(self, decode: bool | None = None) -> Any:
         """The next such message; others are dropped."""
-        while not _is_of_use(message := await super().recv(decode)):
-            pass
+        while (fault := _fault(message := await super().recv(decode))) is not None:
+            if fault and not self._told:
+                self._told = True
+                logging.getLogger(__name__).warning("the page drops a browser's value: %s", fault)
         return message
 
 
-def _is_of_use(message: str | bytes) -> bool:
+def _fault(message: str | bytes) -> str | None:
+    """The fault of a message: empty of a kind that is not used, None where there is none."""
     if isinstance(message, str):
-        return False
+        return ""
     try:
         read = _MESSAGES.decode(message)
-    except msgspec.MsgspecError:
-        return False
+    except msgspec.MsgspecError as error:
+        return "" if "`$.type`" in str(error) else ascii(str(error)[:100])
     match read:
-        case _Update():
-            value = read.updates.value
-            return isinstance(value, str) or math.isfinite(value)
-        case _Click():
-            return all(map(math.isfinite, (*read.ray_origin, *read.ray_direction)))
-    return True
+        case _Update(updates=_Value(value=float(value))) if not math.isfinite(value):
+            return f"{value} is not finite"
+        case _Click() if not all(map(math.isfinite, (*read.ray_origin, *read.ray_direction))):
+            return "a click from or in a direction that is not finite"
+    return None

@@ -5,7 +5,7 @@
 
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
+from ament_index_python.packages import get_package_share_directory, get_packages_with_prefixes
 from launch import LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
@@ -58,6 +58,8 @@ SOURCES = {
     "map": ("can", "emulated_can"),
 }
 """With which sources an argument has an effect, where not with all."""
+OTHER_PACKAGES = {"description": "robot_state_publisher", "rviz": "rviz2"}
+"""Packages that an argument starts, and that may not be installed."""
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -80,6 +82,7 @@ def start(context: LaunchContext) -> list:
     refuse_what_has_no_effect(given)
     changed = {n: as_text(v) for n, v in given.items() if v != ARGUMENTS[n][0]}
     wanted = {name for name, value in given.items() if value == "true"}
+    refuse_missing_packages(wanted)
     settings = Path(get_package_share_directory(PACKAGE)) / "config" / "nodes"
     respawn = "respawn" in wanted
     again = {"respawn": True, "respawn_delay": 1.0} if respawn else {}
@@ -190,6 +193,17 @@ def refuse_what_has_no_effect(given: dict[str, str]) -> None:
             )
     if given["params_file"] and not Path(given["params_file"]).is_file():
         raise RuntimeError(f"params_file: there is no file {given['params_file']}")
+
+
+def refuse_missing_packages(wanted: set[str]) -> None:
+    """Raise before anything starts: launch itself would after other nodes have."""
+    installed = get_packages_with_prefixes()
+    for name, package in OTHER_PACKAGES.items():
+        if name in wanted and package not in installed:
+            raise RuntimeError(
+                f"{package} is not installed: apt-get install "
+                f"ros-$ROS_DISTRO-{package.replace('_', '-')}, or give {name}:=false"
+            )
 
 
 def on_exit(event: ProcessExited, _: LaunchContext) -> list[OpaqueFunction]:

@@ -35,7 +35,7 @@ from cablesense_msgs_py.messages import (
 from cablesense_msgs_py.qos import COMMAND, PUBLISHER, SENSOR
 from cablesense_msgs_py.topics import ContractError, Frames
 from cablesense_online.samples import FollowedPublisher
-from cablesense_ros.endpoints import RefusalLog, of_node, overridable, steady_timer
+from cablesense_ros.endpoints import RefusalLog, of_node, qos_profile, steady_timer
 from cablesense_ros.node_process import publish_diagnostics, run_node
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -64,7 +64,7 @@ class AdmittanceNode(Node):
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._command = JointState(name=list(arm.joint_names))
         self._commands_out = self.create_publisher(
-            JointState, topics.JOINT_COMMANDS, **overridable(PUBLISHER)
+            JointState, topics.JOINT_COMMANDS, qos_profile(PUBLISHER)
         )
         self._halves: dict[int, dict[str, Any]] = {}
         self._was_stopped = True

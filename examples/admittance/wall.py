@@ -14,7 +14,7 @@ from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import NamedOrder
 from cablesense_msgs_py.qos import COMMAND, PUBLISHER
 from cablesense_msgs_py.topics import Frames
-from cablesense_ros.endpoints import RefusalLog, overridable
+from cablesense_ros.endpoints import RefusalLog, qos_profile
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
@@ -121,7 +121,7 @@ class Obstacle:
         self._load = WrenchStamped()
         self._load.header.frame_id = Frames(arm.segment_count).segment(segment)
         self._loads_out = node.create_publisher(
-            WrenchStamped, topics.APPLIED_WRENCH, **overridable(PUBLISHER)
+            WrenchStamped, topics.APPLIED_WRENCH, qos_profile(PUBLISHER)
         )
         refuse = RefusalLog(node)
         refuse.subscribe(JointState, topics.JOINT_STATES, COMMAND, self._on_joint_states)

@@ -1,6 +1,7 @@
 """Files are read if regular and bounded, written whole or not at all, or refused in one line."""
 
 import os
+from pathlib import Path
 
 import pytest
 
@@ -117,6 +118,8 @@ def test_in_a_folder_only_files_of_the_own_names_matter(tmp_path):
     with pytest.raises(OutputError, match=r"case_002\.csv: exists already"):
         output_folder(tmp_path, ("report.html", "case_*.csv"))
     output_folder(tmp_path, ("report.html", "case_*.csv"), force=True)
+    with pytest.raises(OutputError, match=r"^/: cannot be written to \(is the root"):
+        output_folder(Path("/"), ("report.html",), force=True)
     for place in (tmp_path / "mine.txt", tmp_path / "mine.txt" / "below"):
         with pytest.raises(RefusedError, match=r"cannot be written to \(Not a directory\)"):
             output_folder(place, ("report.html",), RefusedError)

@@ -121,6 +121,7 @@ def test_an_empty_cell_is_left_to_the_checks(tmp_path):
         (lambda lines: [*lines[:3], lines[3] + ",7", *lines[4:]], "as many cells as the header"),
         (lambda lines: [lines[0], *(f"{x},7" for x in lines[1:])], "as many cells as the header"),
         (in_cell(2, "tension_3_n", "5O.1"), "row 2, column tension_3_n: '5O.1' is no number"),
+        (in_cell(3, "time_s", "1e300"), "row 3, column time_s: '1e\\+300' is beyond 1e\\+10 s"),
         (in_cell(2, "trial", "9" * 400), "column trial: inf is no whole number"),
         (in_cell(4, "trial", "1.5"), "row 4, column trial: 1.5 is no whole number"),
         (in_cell(1, "load_segment", ""), "row 1, column load_segment: nan is no whole number"),

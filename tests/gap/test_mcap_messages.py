@@ -165,9 +165,18 @@ def bomb():
     return compress(bytes(1 << 28))
 
 
+def zeros():
+    """A chunk of one record of a megabyte."""
+    from zstandard import compress
+
+    one = record(128, bytes(1 << 20))
+    return chunk(compress(one), b"zstd", len(one))
+
+
 @pytest.mark.parametrize(
     ("content", "text"),
     [
+        (HEAD + zeros() * 20, "more than 100 times the bytes of the file"),
         (b"", "no MCAP file"),
         (b"PK" * 100, "no MCAP file"),
         (HEAD + chunk(b"", b"", 1 << 40), "a chunk of 1099511627776 bytes"),
@@ -179,7 +188,7 @@ def bomb():
         (HEAD + record(5, bytes(3)), "damaged at byte"),
         (HEAD + record(3, b"\1\0\xff\xff\xff\xff"), "damaged at byte 8"),
     ],
-    ids=range(10),
+    ids=range(11),
 )
 def test_rubbish_is_refused_unread(content, text, tmp_path):
     path = tmp_path / "a.mcap"

@@ -130,6 +130,17 @@ def test_a_push_on_segment_1_beside_one_on_segment_2_is_not_vouched_for(bent, na
     bent.release()
 
 
+@pytest.mark.parametrize("cables", [[0, 1], [0, 2], [1, 2]])
+def test_a_pair_of_faults_that_looks_like_a_moment_on_segment_1_is_named(straight, cables):
+    reading = straight.estimation.tares.present.measured_n.copy()
+    reading[cables] += [15.0, -15.0]
+    answers = [straight.read(reading) for _ in range(3)]
+    assert {answer.force for answer in answers} == {ForceState.UNCONFIRMED}
+    names = " and ".join(f"cable_{cable + 1}" for cable in cables)
+    assert f"wrong readings of {names}" in straight.estimation.plausibility.status().message
+    straight.release()
+
+
 @pytest.mark.parametrize("scale", [0.5, 0.9, 1.1, 2.0])
 def test_a_scaled_channel_makes_no_wrong_force_that_is_vouched_for(bent, name, scale):
     for cable in range(12):

@@ -213,6 +213,24 @@ def test_a_push_is_estimated_while_commands_stream_that_hardly_or_slowly_move(
 
 
 @pytest.mark.slow
+def test_a_push_is_stated_while_all_joints_turn_slowly():
+    """The misfit that the motion makes withholds no force; an arm at rest would."""
+    limits = {"still_rad": np.deg2rad(0.02), "follow_rad_s": np.deg2rad(4.0)}
+    beside, forces = Beside(largest_misfit=2.3, **limits), []
+    for tick in range(1, 401):
+        if tick == 50:
+            beside.push(3, [0.0, 20.0, 0.0])
+        if 100 < tick <= 300 and tick % 2 == 0:  # 0.05 rad/s
+            beside.go_to(5e-4 * (tick - 100) * np.array([1, -1, -1, 1, 1, 1, -1, -1]))
+        answer = beside.sample()
+        if tick > 100:
+            forces.append(answer.force)
+            assert answer.contact.segment in (0, 3)
+    assert np.mean([force is ForceState.MOVING for force in forces]) < 0.05
+    assert forces[-1] is ForceState.CONTACT
+
+
+@pytest.mark.slow
 def test_a_push_is_estimated_in_motion():
     """By a model with memory, while the arm goes to and fro."""
     beside, contacts = Beside("cdsm_moving", tare_samples=50), []

@@ -210,12 +210,14 @@ def test_values_are_brought_into_range_whatever_a_browser_sends(
     assert ((pushes >= least) & (pushes <= most)).all()
 
 
-def test_a_browser_sends_values_of_controls_and_nothing_else(monkeypatch, page, asked, commander):
+def test_a_browser_sends_values_of_controls_and_nothing_else(
+    monkeypatch, page, asked, commander, caplog
+):
     shared = []
     monkeypatch.setattr(page._server, "request_share_url", lambda: shared.append(True))
     commander.put("Push", True)
     eventually(lambda: asked, "the first push")
-    for value in (np.nan, np.inf, "much", "", None, [1.0], {"a": 1}, b"1", "4" * 101):
+    for value in (np.nan, np.inf, "much", "nan", "", None, [1.0], {"a": 1}, b"1", "4" * 101):
         for label in (*SLIDERS, "segment"):
             commander.put(label, value)
     uuid = commander.controls["Tare"]
@@ -231,6 +233,8 @@ def test_a_browser_sends_values_of_controls_and_nothing_else(monkeypatch, page, 
     commander.put("Tare", True)
     eventually(lambda: ("tare",) in asked, "the tare")
     assert asked == [FIRST_PUSH, ("tare",)]
+    (line,) = caplog.messages  # viser would log a traceback of each
+    assert line == "the page drops a browser's value: nan is not finite"
     assert commander.read(0.3).acknowledged == 0
     assert not shared
 

@@ -17,6 +17,7 @@ from cablesense_online.state import EventKind
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.replay import read_tensions_n
+from cablesense_training.errors import ModelFileError
 from cablesense_training.inference.metadata import MisfitLimit
 from cablesense_training.inference.model_file import replace_misfit_limit
 
@@ -220,15 +221,16 @@ def test_what_passes_and_is_wrong_is_reported_as_unconfirmed():
     assert hidden
 
 
-def exchanged(arm):
-    reading = arm.reading()
+def exchanged(arm, forces):
+    reading = arm.reading(forces)
     reading[[0, 1]] = reading[[1, 0]]
     return reading
 
 
 def test_averages_show_what_single_readings_of_a_fault_hide():
     arm = Arm(command=np.deg2rad([0.6, *[0.0] * 7]))
-    states = [arm.sample(exchanged(arm)).force for _ in range(60)]
+    forces = push(arm.arm, arm.command, 1, 90.0, 30.0)
+    states = [arm.sample(exchanged(arm, forces)).force for _ in range(60)]
     assert states[0] is ForceState.CONTACT
     assert states[-1] is ForceState.UNCONFIRMED
     assert "on their average of" in arm.estimation.plausibility.status().message
@@ -320,7 +322,7 @@ def test_what_is_not_checked_is_reported_as_such(changes, why):
     assert why in arm.estimation.plausibility.status().message
 
 
-OTHER = MisfitLimit(largest_misfit=7.5, false_alarm_rate=0.25, samples=40, above=10)
+OTHER = MisfitLimit(largest_misfit=3.5, false_alarm_rate=0.25, samples=40, above=10)
 
 
 def copied(tmp_path, name="cdsm"):
@@ -337,12 +339,22 @@ def test_a_limit_changes_nothing_else_of_a_file_and_a_parameter_overrides_it(tmp
     replace_misfit_limit(path, OTHER)
     assert path.read_bytes().startswith(without)
     assert LoadedModel.open(path).origin == origin
-    assert LoadedModel.open(path).largest_misfit(-1.0) == 7.5
+    assert LoadedModel.open(path).largest_misfit(-1.0) == 3.5
     assert LoadedModel.open(path).largest_misfit(3.0) == 3.0
     assert LoadedModel.open(path).largest_misfit(0.0) == 0.0
     replace_misfit_limit(path, None)
     assert path.read_bytes() == without
     assert LoadedModel.open(path).largest_misfit(-1.0) == 2.3
+
+
+def test_a_file_may_not_state_a_limit_that_checks_nothing(tmp_path):
+    path = copied(tmp_path)
+    replace_misfit_limit(path, OTHER.model_copy(update={"largest_misfit": 7.5}))
+    with pytest.raises(
+        ModelFileError, match=r"of 7\.5; noise of 12 readings allows 4\.57 at most"
+    ):
+        LoadedModel.open(path).largest_misfit(-1.0)
+    assert LoadedModel.open(path).largest_misfit(3.0) == 3.0
 
 
 @pytest.mark.parametrize(

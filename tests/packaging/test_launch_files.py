@@ -51,7 +51,13 @@ class Described:
 
 
 @pytest.fixture
-def describe(monkeypatch):
+def missing():
+    """Names of packages that are not installed."""
+    return set()
+
+
+@pytest.fixture
+def describe(monkeypatch, missing):
     pytest.importorskip("lifecycle_msgs.msg")
     for name, classes in MODULES.items():
         module = ModuleType(name)
@@ -60,6 +66,7 @@ def describe(monkeypatch):
         monkeypatch.setitem(sys.modules, name, module)
     packages = sys.modules["ament_index_python.packages"]
     packages.get_package_share_directory = lambda name: str(FOLDER.parents[1])
+    packages.get_packages_with_prefixes = lambda: {"robot_state_publisher", "rviz2"} - missing
 
     def load(file):
         code = compile((FOLDER / file).read_text(), file, "exec")
@@ -199,17 +206,34 @@ def test_what_has_no_effect_is_refused(start, given, told):
 
 
 @pytest.mark.parametrize(
-    "file", ["sim.yaml", "estimator.yaml", "can_driver.yaml", "breather.yaml"]
+    ("argument", "package"), [("description", "robot_state_publisher"), ("rviz", "rviz2")]
 )
-def test_node_settings_name_parameters_that_exist(file):
+def test_a_missing_package_is_told_before_anything_starts(start, missing, argument, package):
+    missing.add(package)
+    with pytest.raises(RuntimeError, match=f"{package} is not installed.*{argument}:=false"):
+        start(**{argument: "true"})
+    assert start(**{argument: "false"})
+
+
+@pytest.mark.parametrize(
+    ("file", "default"),
+    [
+        ("sim.yaml", True),
+        ("estimator.yaml", True),
+        ("force_torque_sensor.yaml", False),
+        ("can_driver.yaml", True),
+        ("breather.yaml", True),
+    ],
+)
+def test_node_settings_name_parameters_that_exist(file, default):
     yaml = pytest.importorskip("yaml")
     pytest.importorskip("rclpy")
     from cablesense_ros.parameters import parameter_table
 
-    table = parameter_table(file.removesuffix(".yaml"))
-    known = {parameter.name: parameter.default for parameter in table}
     content = yaml.safe_load((FOLDER.parents[1] / "config" / "nodes" / file).read_text())
-    (node,) = content.values()
-    for name, value in node["ros__parameters"].items():
-        assert value == known[name]
-        assert type(value) is type(known[name])
+    ((node, settings),) = content.items()
+    known = {parameter.name: parameter for parameter in parameter_table(node.removeprefix("/**/"))}
+    for name, value in settings["ros__parameters"].items():
+        assert known[name].allows(value)
+        assert type(value) is type(known[name].default)
+        assert (value == known[name].default) is default

@@ -94,7 +94,11 @@ def test_the_ros_manifest_is_sound_and_agrees_with_the_distribution() -> None:
     package = parse_package(CHECKOUT, warnings=warnings)
     package.validate(warnings=warnings)
     ours = distribution("cablesense_ros")
+    messages = parse_package(CHECKOUT / "cablesense_msgs", warnings=warnings)
+    messages.validate(warnings=warnings)
     assert warnings == []
+    assert messages.get_build_type() == "ament_cmake"
+    assert messages.version == package.version
     assert package.package_format == 3
     assert package.get_build_type() == "ament_python"
     assert (package.name, package.version) == (ours.metadata["Name"], ours.version)

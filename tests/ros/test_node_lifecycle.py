@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from importlib import import_module
 from itertools import cycle
 from pathlib import Path
+from unittest import mock
 
 import pytest
 import rclpy
@@ -19,6 +20,7 @@ from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
@@ -179,6 +181,28 @@ def test_a_wrong_file_leaves_a_lifecycle_node_unconfigured(
     assert "cannot configure" in printed
     assert reason in printed
     assert "Traceback" not in printed
+
+
+def test_depth_and_reliability_of_the_streams_can_be_overridden_and_nothing_else(make_node):
+    best_effort = {"qos_overrides./estimator/wrench.publisher.reliability": "best_effort"}
+    node = make_node(EstimatorNode, given=best_effort)
+    node.autostart()
+    assert set(node.get_parameters_by_prefix("qos_overrides")) == {
+        f"{end}.{policy}"
+        for end in ("/cable_tensions.subscription", "/estimator/wrench.publisher")
+        for policy in ("depth", "reliability")
+    }
+    (wrench,) = node.get_publishers_info_by_topic("/estimator/wrench")
+    assert wrench.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+
+
+def test_an_estimator_without_the_package_of_its_own_message_has_the_standard_topics(make_node):
+    with mock.patch("cablesense_ros.estimator_outputs.message_class", return_value=None):
+        node = make_node(EstimatorNode)
+        node.autostart()
+    own = {name for name, _ in node.get_publisher_names_and_types_by_node("estimator", "/")}
+    assert "/estimator/estimate" not in own
+    assert {"/estimator/wrench", "/estimator/status"} <= own
 
 
 def test_what_no_one_foresaw_is_told_and_the_step_can_be_tried_again(make_node, capfd):

@@ -17,10 +17,10 @@ from cablesense_sim.contact_location import (
     Surface,
     contact_information,
     locate,
+    locate_two,
     reach_m,
     torque_balance,
 )
-from cablesense_sim.contact_pairs import locate_two
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.replay import difference_variance_n2, read_tensions_n
 

@@ -17,12 +17,13 @@ from cablesense_base import Array
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.contact_location import (
     AXIAL_STD_N,
+    ContactPair,
     Location,
     TorqueBalance,
     contact_response,
     locate,
+    locate_two,
 )
-from cablesense_sim.contact_pairs import ContactPair, locate_two
 from cablesense_sim.effects.registry import amended
 from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.replay import difference_variance_n2

@@ -17,14 +17,15 @@ from cablesense_base import Array
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.contact_location import (
+    ContactPair,
     Location,
     TorqueBalance,
     compiled_input,
     is_known,
     locate,
+    locate_two,
     touched_at,
 )
-from cablesense_sim.contact_pairs import ContactPair, locate_two
 from cablesense_training.inference.estimator import (
     NORMAL_95,
     ContactPlace,
