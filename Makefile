@@ -20,7 +20,7 @@ HASHES := build/uv/bin/uv pip compile --quiet --no-deps --generate-hashes --no-a
 REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast lint setup models limits messages lock verify clean
+.PHONY: help demo test test-fast lint setup site models limits messages lock verify clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -57,6 +57,9 @@ build/compiled: $(shell grep -l '^@compiled' cablesense_sim/*.py)
 	@touch $@
 
 setup: $(VENV)/.all  ## everything that developing needs, in .venv
+
+site: setup build/mypy  ## the documentation as a site, in build/site
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
 
 models: setup  ## trains every bundled model again
 	@CABLESENSE=$(BIN)/cablesense config/models/train.sh
@@ -95,7 +98,7 @@ $(VENV)/.demo: $(REQUIREMENTS) | $(BIN)/python
 
 $(VENV)/.all: $(REQUIREMENTS) | $(BIN)/python
 	@echo 'Installing what the tests need (some minutes, once: torch is large) …'
-	@PYTHONWARNINGS=ignore $(INSTALL) '.[ros,can,page,train,gap,dev]'
+	@PYTHONWARNINGS=ignore $(INSTALL) '.[ros,can,page,train,gap,dev,docs]'
 	@touch $@ $(VENV)/.demo
 
 $(BIN)/python:

@@ -58,16 +58,27 @@ EXTRAS = {
         "scikit-learn",  # the gradient-boosting baseline
         "torch==2.13.0",  # trains the networks; exact, so that a model can be made again
     ],
+    "docs": [
+        "mkdocs",  # the documentation as a site
+        "mkdocs-material",  # its theme, with search
+        "mkdocstrings[python]",  # its reference of the API, from signatures and docstrings
+        "pymdown-extensions",  # anchors as GitHub makes them, code in colour
+    ],
     "test": [
         "pytest",  # `colcon test` takes it for a package that names it under this extra
     ],
     "dev": [
         "catkin-pkg",  # reads package.xml, in tests
+        "check-jsonschema",  # schemas of workflows, issue forms and CITATION.cff
         "colcon-core",  # the real build of the ROS package, in a test
         "colcon-ros",  # colcon's knowledge of package.xml
         "hypothesis",  # tests over wide inputs
         "import-linter",  # the dependencies between packages
+        "ipykernel",  # runs the notebooks of examples, in a test
+        "jupytext",  # the notebooks have the cells of their scripts
         "mypy",  # types
+        "nbclient",  # executes the notebooks
+        "nbformat",  # reads the notebooks
         "packaging",  # reads requirements, in tests and `make lock`
         "pillow",  # looks at what the browser shows, in the page's test
         "pytest",  # the tests

@@ -1,6 +1,6 @@
 """The gap between a recorded arm and the simulated one: what causes it, where, how far it shrinks.
 
-A program that uses the diagnosis finds the names that it needs here::
+A program that uses the diagnosis finds the names that it needs here:
 
     from cablesense_gap import diagnose, read_recording
     from cablesense_sim import open_arm

@@ -1,6 +1,6 @@
 """Everything for a live arm that needs no ROS: estimation, CAN, sensors, control, replay.
 
-Programs that estimate contacts import these short names::
+Programs that estimate contacts import these short names:
 
     from cablesense_online import Estimation, EstimationSettings, load_model
 

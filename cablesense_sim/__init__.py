@@ -1,6 +1,6 @@
 """The simulated arm: description, effects, equilibrium, replay and dynamics.
 
-Short names for programs that use the arm::
+Short names for programs that use the arm:
 
     from cablesense_sim import open_arm, mechanism_of, solve_equilibrium
 

@@ -1,38 +1,44 @@
-"""An arm file of one's own, and a small model that is trained for it.
+"""Your own arm: an arm file, a model trained for it, and a push that the model has never seen.
 
     python -m examples.own_arm
 
-The whole way needs more samples: `cablesense train --arm my_arm.yaml` (docs/arm_file.md).
+The model is small, to be quick: `cablesense train --arm my_arm.yaml` trains as many samples as it
+needs (docs/arm_file.md).
 """
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
-from typer.testing import CliRunner
+import numpy as np
 
 from cablesense_base.installation import config_path
-from cablesense_ros.cli.app import app
+from cablesense_sim import load_arm, mechanism_of, normal_force_n, solve_equilibrium
+from cablesense_training import Estimator, draw_training_data, train_model
+from cablesense_training.recipes import recipe_for
 
-OUT = Path("out/own_arm")
-SAMPLES = 300
+NETWORK = "closed-form"
 
 
-def make(folder: Path) -> Path:
-    """Write an arm file, show it, train a model; the path of the model file."""
+def main(folder: Path = Path("out/own_arm")) -> None:
+    """Write the arm file, train, and compare a true contact with its estimate."""
     folder.mkdir(parents=True, exist_ok=True)
-    arm, model = folder / "my_arm.yaml", folder / "my_arm.onnx"
+    file, model = folder / "my_arm.yaml", folder / "my_arm.onnx"
     text = config_path("arm_template.yaml").read_text(encoding="utf-8")
-    text = text.replace("stiffness_n_m: 1.0e5", "stiffness_n_m: 2.0e5")
-    arm.write_text(text, encoding="utf-8")
-    small = ["--network", "closed-form", "--samples", str(SAMPLES), "--out", str(model), "--force"]
-    for arguments in (["info", str(arm)], ["train", "--arm", str(arm), *small]):
-        print("cablesense", *arguments)
-        done = CliRunner().invoke(app, arguments, catch_exceptions=False)
-        print(done.output)
-    return model
+    file.write_text(text.replace("stiffness_n_m: 1.0e5", "stiffness_n_m: 2.0e5"), encoding="utf-8")
+
+    arm = load_arm(file)  # refuses impossible values
+    samples = draw_training_data(arm, NETWORK, {"samples": 300}, seed=0)
+    settings = recipe_for(NETWORK).settings
+    train_model(model, NETWORK, samples, settings, command="own_arm.py", test_samples=300)
+    mechanism, straight = mechanism_of(arm), np.zeros(arm.joint_count)
+    push_n = normal_force_n(mechanism, straight, segment=3, angle_deg=120.0, magnitude_n=25.0)
+    rest = solve_equilibrium(mechanism, [straight, straight], [0.0 * push_n, push_n])
+    found = Estimator.load(model, arm).estimate(rest.tensions_n[1] - rest.tensions_n[0], straight)
+
+    print("true:      segment 3, 120.0°, 25.00 N")
+    print(f"estimated: segment {found.segment}, {found.angle_deg:.1f}°, {found.magnitude_n:.2f} N")
 
 
 if __name__ == "__main__":
-    make(Path(sys.argv[1]) if len(sys.argv) > 1 else OUT)
+    main()

@@ -1,17 +1,21 @@
 """Reads the estimator's topics: what each wrench means, and the force while it is known.
 
-    python -m examples.read_topics          # with `cablesense demo`, in the same ROS_DOMAIN_ID
+    python -m examples.read_topics  # while `cablesense demo` runs, in its ROS_DOMAIN_ID
 
 It uses rclpy and the standard messages alone, as a node of another package would.
 """
 
 from __future__ import annotations
 
+import math
 import sys
+from collections.abc import Callable
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 
@@ -21,13 +25,21 @@ PERIOD_S = 0.5
 class ReadTopics(Node):
     """Prints state and force twice a second."""
 
-    def __init__(self) -> None:
-        super().__init__("read_topics")
+    def __init__(self, name: str = "read_topics") -> None:
+        super().__init__(name)
         self.state, self.wrench = "silent", WrenchStamped()
-        listen = self.create_subscription
-        listen(WrenchStamped, "estimator/wrench", self._on_wrench, qos_profile_sensor_data)
-        listen(DiagnosticArray, "estimator/status", self._on_status, qos_profile_sensor_data)
+        self.listen(WrenchStamped, "estimator/wrench", self._on_wrench)
+        self.listen(DiagnosticArray, "estimator/status", self._on_status)
         self.create_timer(PERIOD_S, lambda: print(self.line(), flush=True))
+
+    def listen(self, kind: type, topic: str, on_message: Callable[[Any], None]) -> None:
+        """Subscribe as readers of sensor data do."""
+        self.create_subscription(kind, topic, on_message, qos_profile_sensor_data)
+
+    def force_n(self) -> float:
+        """Size of the force in the last wrench."""
+        force = self.wrench.wrench.force
+        return math.hypot(force.x, force.y, force.z)
 
     def line(self) -> str:
         """State and force as text; a zero wrench alone does not say that nothing touches."""
@@ -44,12 +56,12 @@ class ReadTopics(Node):
         self.state = message.status[0].message
 
 
-def main() -> int:
-    """Read until Ctrl-C."""
+def spin(make_node: Callable[[], Node]) -> int:
+    """Run a node until Ctrl-C."""
     rclpy.init()
     try:
-        rclpy.spin(ReadTopics())
-    except KeyboardInterrupt:
+        rclpy.spin(make_node())
+    except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
         rclpy.try_shutdown()
@@ -57,4 +69,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(spin(ReadTopics))

@@ -1,11 +1,18 @@
-"""The examples that need no running node."""
+"""The examples that need no running node: each runs, and says what is true."""
 
+import re
+from pathlib import Path
+
+import jupytext
+import nbformat
 import numpy as np
 import pytest
-from two_link import recorded, write_model
+from nbclient import NotebookClient
+from PIL import Image
 
-from cablesense_training import open_estimator
-from examples import own_arm, own_effect, own_robot
+from examples import own_arm, own_effect, own_robot, push_animation
+
+CHECKOUT = Path(__file__).parents[2]
 
 
 def test_a_sensor_reads_nothing_below_its_threshold(capsys):
@@ -14,22 +21,64 @@ def test_a_sensor_reads_nothing_below_its_threshold(capsys):
 
 
 @pytest.mark.slow
-def test_a_model_is_trained_for_an_own_arm(tmp_path):
+def test_a_model_for_an_own_arm_estimates_a_push(tmp_path, capsys):
     pytest.importorskip("torch")
-    assert open_estimator(own_arm.make(tmp_path)).metadata.arm.name == "my_arm"
+    own_arm.main(tmp_path)
+    true, estimated = capsys.readouterr().out.splitlines()[-2:]
+    assert numbers(estimated) == pytest.approx(numbers(true), rel=0.02)
 
 
 @pytest.mark.slow
 def test_friction_of_an_own_robot_is_found(tmp_path, capsys):
-    recorded(tmp_path / "recording.csv", friction=(0.2, 0.0))
-    own_robot.main(str(write_model(tmp_path)), str(tmp_path / "recording.csv"))
-    assert "joint_friction" in capsys.readouterr().out
+    own_robot.main(*own_robot.planted(tmp_path))
+    said = capsys.readouterr().out
+    assert "effects: joint_friction (" in said
+    found = re.search(r"torque_n_m: (\S+) N·m", said)[1]
+    assert float(found) == pytest.approx(own_robot.FRICTION_N_M[1], rel=0.05)
 
 
-def test_a_push_turns_the_joints_with_it_up_to_their_limit():
+def test_a_step_backs_off_above_the_threshold_and_up_to_the_limit():
     pytest.importorskip("rclpy")
-    from examples.follow_force import LIMIT_RAD, next_command_rad
+    from examples.back_off import LIMIT_RAD, THRESHOLD_N, next_command_rad
 
-    torques_n_m = np.array([0.1, -2.0])
-    assert next_command_rad(np.zeros(2), torques_n_m) == pytest.approx([0.0, -0.004])
-    assert next_command_rad(np.full(2, LIMIT_RAD), -torques_n_m)[1] == LIMIT_RAD
+    torques_n_m = [0.0, -2.0]
+    assert next_command_rad([0.0, 0.1], torques_n_m, 0.9 * THRESHOLD_N) == [0.0, 0.1]
+    turned_rad = next_command_rad([0.0, 0.1], torques_n_m, 1.1 * THRESHOLD_N)
+    assert turned_rad[0] == 0.0
+    assert turned_rad[1] < 0.1
+    assert next_command_rad([LIMIT_RAD] * 2, [2.0, 2.0], 1.1 * THRESHOLD_N) == [LIMIT_RAD] * 2
+
+
+@pytest.mark.slow
+def test_the_animation_moves(tmp_path):
+    push_animation.main(tmp_path / "push.gif", frames=3)
+    with Image.open(tmp_path / "push.gif") as animation:
+        assert animation.n_frames == 3
+        first = np.asarray(animation.convert("RGB"))
+        animation.seek(1)
+        assert (first != np.asarray(animation.convert("RGB"))).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("estimate_csv", r"5\.0 s  segment 3   (59|60)\.\d+ N"),
+        ("diagnose_recording", r"payload \(\d+%\)\n  payload\.mass_kg: 0\.1"),
+    ],
+)
+def test_a_notebook_has_the_cells_of_its_script_and_runs(name, says, tmp_path, monkeypatch):
+    notebook = nbformat.read(CHECKOUT / f"examples/{name}.ipynb", as_version=4)
+    script = jupytext.read(CHECKOUT / f"examples/{name}.py")
+    assert [cell.source for cell in notebook.cells] == [cell.source for cell in script.cells]
+    assert not any(cell.get("outputs") for cell in notebook.cells)
+    monkeypatch.setenv("PYTHONPATH", str(CHECKOUT))
+    NotebookClient(notebook, kernel_name="python3").execute(cwd=tmp_path)
+    outputs = [out for cell in notebook.cells for out in cell.get("outputs", [])]
+    said = "".join(out.text for out in outputs if out.output_type == "stream")
+    assert re.search(says, said), said
+    assert list(tmp_path.glob(f"out/{name}/*.png"))
+
+
+def numbers(line):
+    return [float(number) for number in re.findall(r"[\d.]+\d|\d", line)]

@@ -1,8 +1,7 @@
-"""The example of the public surface runs, and every name of its table can be imported."""
+"""The example of the public surface runs, and says what is true."""
 
 import re
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -34,14 +33,3 @@ def test_the_example_estimates_the_push_and_finds_the_payload(tmp_path, monkeypa
     assert contact.magnitude_n == pytest.approx(40.0, abs=0.2)
     assert verdict.effects == ("payload",)
     assert verdict.gap.removed_fraction > 0.9
-
-
-@pytest.mark.parametrize(
-    ("package", "names"), re.findall(r"^\| `(cablesense_\w+)` \| (.*) \|$", PAGE, re.MULTILINE)
-)
-def test_every_name_of_the_table_can_be_imported(package, names):
-    public = import_module(package)
-    listed = re.findall(r"`(\w+)`", names)
-    assert set(listed) <= set(dir(public))
-    for name in listed:
-        assert getattr(public, name) is not None

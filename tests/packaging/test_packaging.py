@@ -1,5 +1,7 @@
 """What a stranger installs: reasons, pins, the ROS manifest, the wheel, words of failure."""
 
+import json
+import os
 import re
 import subprocess
 import sys
@@ -69,6 +71,24 @@ def test_no_ros_package_is_asked_of_the_package_index_by_its_bare_name(
     assert not {requirement.name for requirement in direct} & ros
 
 
+def test_every_requirement_of_the_nodes_has_a_rosdep_key_or_is_named_for_pip(
+    direct: list[Requirement],
+) -> None:
+    keys = [depend.name for depend in parse_package(CHECKOUT).exec_depends]
+    by_rosdep = {re.sub(r"^python3-|-pip$", "", key) for key in keys if "python3-" in key}
+    contributing = (CHECKOUT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^pip install ('numpy<2'.*)$", contributing, re.MULTILINE)
+    by_pip = {canonicalize_name(Requirement(word.strip("'")).name) for word in line.split()}
+    names = {"python-can": "can", "pyyaml": "yaml"}
+    for requirement in direct:
+        wanted = [requirement.marker is None] + [
+            requirement.marker is not None and requirement.marker.evaluate({"extra": extra})
+            for extra in ("can", "page", "gap")
+        ]
+        name = canonicalize_name(requirement.name)
+        assert not any(wanted) or {name, names.get(name, name)} & (by_rosdep | by_pip), name
+
+
 def test_the_ros_manifest_is_sound_and_agrees_with_the_distribution() -> None:
     warnings: list[str] = []
     package = parse_package(CHECKOUT, warnings=warnings)
@@ -85,9 +105,11 @@ def test_the_ros_manifest_is_sound_and_agrees_with_the_distribution() -> None:
     assert package.licenses == [ours.metadata["License"]]
 
 
-@pytest.mark.slow
-def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
-    source = tmp_path / "source"
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the wheel from links to what git tracks of it."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
     source.mkdir()
     files = ("setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE", "NOTICE")
     for name in (*files, "resource", "config", "examples"):
@@ -97,12 +119,40 @@ def test_a_wheel_carries_all_rooms_and_the_config(tmp_path: Path) -> None:
             (source / package.name).symlink_to(package)
     pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
     subprocess.run(
-        [*pip, "--wheel-dir", str(tmp_path), str(source)],
+        [*pip, "--wheel-dir", str(folder), str(source)],
         check=True,
         capture_output=True,
         timeout=100,
     )
-    (wheel,) = tmp_path.glob("*.whl")
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.mark.slow
+def test_a_wheel_that_is_installed_in_a_fresh_environment_estimates(
+    wheel: Path, tmp_path: Path
+) -> None:
+    """What it depends on is taken from here: pip would fetch gigabytes."""
+    venv = tmp_path / "venv"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(venv)], check=True)
+    pip = [sys.executable, "-m", "pip", "--python", str(venv / "bin/python"), "install"]
+    subprocess.run([*pip, "--quiet", "--no-deps", str(wheel)], check=True, capture_output=True)
+    others = os.pathsep.join(path for path in sys.path if path.endswith("site-packages"))
+    done = subprocess.run(
+        [str(venv / "bin/cablesense"), "evaluate", "--table2", "--json"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": others},
+        capture_output=True,
+        check=False,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(done.stdout)["rows"]
+    assert [row["segment"] for row in rows] == [row["true_segment"] for row in rows]
+
+
+@pytest.mark.slow
+def test_a_wheel_carries_all_rooms_and_the_config(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     for package in ("msgs_py", "sim", "training", "gap", "ros"):
         assert f"cablesense_{package}/__init__.py" in names

@@ -8,6 +8,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 
 from examples.admittance.__main__ import metrics, play
+from examples.back_off import LIMIT_RAD, THRESHOLD_N
 
 CONTROLLER = "examples.admittance.controller_node"
 HEALTHY = "healthy_tensions"
@@ -19,6 +20,25 @@ def test_the_admittance_controller_backs_off_from_a_wall_and_returns(tmp_path):
     assert found["settled_n"] < 0.25 * found["without_controller_n"]
     assert found["steps"] > 2
     assert found["left_from_home_deg"] < 0.5
+
+
+@pytest.mark.timeout(300)
+def test_a_reader_prints_the_force_and_a_controller_backs_off_above_its_threshold(graph, start):
+    commands = []
+    graph.node.create_subscription(JointState, "/joint_commands", commands.append, 100)
+    start("sim")
+    start("estimator")
+    reader, controller = start("examples.read_topics"), start("examples.back_off")
+    graph.until(lambda: "free" in reader.log, "a free arm")
+    graph.push(3, (0.0, 0.75 * THRESHOLD_N, 0.0))
+    graph.until(lambda: "contact on segment_3: (" in reader.log, "the contact, read")
+    graph.until(lambda: "contact on segment_3: (" in controller.log, "the contact, controlled")
+    assert not commands
+    graph.push(3, (0.0, 1.5 * THRESHOLD_N, 0.0))
+    graph.until(lambda: len(commands) > 1, "two steps")
+    turned = dict(zip(commands[-1].name, commands[-1].position, strict=True))
+    assert 0.0 < turned["joint_1_yaw"] <= LIMIT_RAD
+    assert turned["joint_4_yaw"] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_metrics_are_those_of_the_contact():

@@ -1,0 +1,75 @@
+# %% [markdown]
+# # Estimate offline from a CSV
+#
+#     python -m examples.estimate_csv
+#
+# Each row of a CSV has the commanded joint angles and the cable tensions (docs/recordings.md has
+# the columns). The rows become forces, without ROS and without a running node.
+
+# %%
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from cablesense_gap import Recording, read_recording
+from cablesense_gap.recordings.csv_file import write_csv
+from cablesense_sim import (
+    mechanism_of,
+    normal_force_n,
+    open_arm,
+    read_tensions_n,
+    solve_equilibrium,
+)
+from cablesense_training import Estimator, find_model, open_estimator
+
+CSV = Path("out/estimate_csv/pushes.csv")  # yours, or it is simulated below
+ARM, MODEL = "cdsm", "cdsm_anywhere"  # names, or the paths of your files
+TARE_ROWS = 20  # at the start, where nothing touches the arm
+
+arm = open_arm(ARM)
+
+# %% [markdown]
+# Without a CSV one is simulated: a push on segment 3 of a bent arm that rises to 60 N and falls.
+
+# %%
+if not CSV.exists():
+    CSV.parent.mkdir(parents=True, exist_ok=True)
+    mechanism, pose_rad = mechanism_of(arm), np.deg2rad([4.0, 0.0, -3.0, 5.0, 0.0, 0.0, 2.0, -4.0])
+    pushed_n = np.concatenate([np.zeros(40), 60.0 * np.hanning(120), np.zeros(40)])
+    loads_n = normal_force_n(mechanism, pose_rad, 3, 200.0, pushed_n)
+    commands_rad = np.tile(pose_rad, (len(pushed_n), 1))
+    tensions_n = solve_equilibrium(mechanism, commands_rad, loads_n).tensions_n
+    simulated = Recording(
+        name="pushes",
+        time_s=0.05 * np.arange(len(pushed_n), dtype=float),
+        trial=np.zeros(len(pushed_n), dtype=int),
+        command_rad=commands_rad,
+        load_segment=np.where(pushed_n > 0.0, 3, 0),
+        load_n=loads_n[:, 2],
+        tensions_n=read_tensions_n(tensions_n, arm.sensors, np.random.default_rng(0)),
+    )
+    write_csv(CSV, simulated)
+
+# %% [markdown]
+# Tensions count from those of the unloaded arm at the same command. The estimator then takes all
+# rows at once.
+
+# %%
+rows = read_recording(CSV, arm)
+baseline_n = rows.tensions_n[:TARE_ROWS].mean(axis=0)
+estimator = open_estimator(find_model(MODEL), arm)
+assert isinstance(estimator, Estimator), "a model with a history needs the rows in order"
+found = estimator.estimate_batch(rows.tensions_n - baseline_n, rows.command_rad)
+force_n = np.where(found.segment > 0, found.magnitude_n, 0.0)
+
+for row in range(0, len(rows), 20):
+    print(f"{rows.time_s[row]:5.1f} s  segment {found.segment[row]}  {force_n[row]:6.2f} N")
+
+# %%
+figure, axes = plt.subplots(figsize=(8.0, 3.5), layout="constrained")
+axes.plot(rows.time_s, np.linalg.norm(rows.load_n, axis=1), lw=4.0, alpha=0.4, label="true")
+axes.plot(rows.time_s, force_n, label="estimated")
+axes.set(xlabel="time, s", ylabel="force, N")
+axes.legend()
+figure.savefig(CSV.with_suffix(".png"), dpi=110)
