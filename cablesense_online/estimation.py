@@ -252,6 +252,8 @@ class Estimation:
         self.drift.add(difference_n, stamp_ns, touched=bool(found.contacts))
         # in slow motion the pose is not known well enough to doubt an axial force
         stated_doubt = "" if self.gate.turning else found.doubt
+        if self.gate.settling and found.misfit is not None and len(found.contacts) > 1:
+            stated_doubt = "a second contact may be the motion of the arm"
         if check.unchecked or self.breathing.known:
             return stated_doubt
         before_ns = check.state.withheld_until_ns

@@ -120,6 +120,16 @@ def test_two_contacts_are_told_from_one(bent, name):
     bent.release()
 
 
+def test_two_contacts_are_not_vouched_for_while_the_arm_settles():
+    arm = Pushed("cdsm", STRAIGHT)
+    pushes = (2, 0.07, 0.0, 32.0, 0.0), (4, 0.09, 0.0, -10.9, -30.1)
+    assert arm.push(*pushes).force is ForceState.CONTACT
+    arm.release()
+    arm.estimation.gate.state.turned_ns = arm.now_ns
+    assert arm.push(*pushes).force is ForceState.UNCONFIRMED
+    assert "motion of the arm" in arm.estimation.plausibility.status().message
+
+
 def test_a_push_on_segment_1_beside_one_on_segment_2_is_not_vouched_for(bent, name):
     size_n = 0.4 * FIRM_N[name]
     answer = bent.push((1, 0.11, 0.0, 0.0, -2.0 * size_n), (2, 0.05, 0.0, 0.3 * size_n, size_n))
