@@ -87,6 +87,7 @@ def test_a_push_is_estimated_in_every_form_and_its_end_as_well(tared):
     assert base[-1].header.frame_id == "base_link"
     x_m = kinematics.contact_points_m(mechanism_of(ARM), np.zeros(8))[2, 0]
     assert base[-1].wrench.torque.z == pytest.approx(40.0 * x_m, abs=1.0)
+    tared.until(lambda: poses and covariances, "the point of the contact")
     assert poses[-1].header.frame_id == "base_link"
     assert poses[-1].pose.pose.position.x == pytest.approx(x_m, abs=2e-3)
     assert 0.0 < poses[-1].pose.covariance[0] < 1e-6
