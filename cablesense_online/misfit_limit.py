@@ -21,13 +21,8 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_online.answer import decide
-from cablesense_online.models import (
-    FALSE_ALARM_RATE,
-    MOST_OF_NOISE,
-    LoadedModel,
-    noise_limit,
-)
-from cablesense_online.plausibility import PlausibilityCheck
+from cablesense_online.models import MOST_OF_NOISE, LoadedModel
+from cablesense_online.plausibility import FALSE_ALARM_RATE, PlausibilityCheck, noise_limit
 from cablesense_online.samples import SampleError
 from cablesense_online.tare import UnloadedTensions
 from cablesense_sim.contact_location import touched_at

@@ -17,9 +17,10 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact, Level, Status
 from cablesense_online.answer import decide
+from cablesense_online.anywhere_check import AnywhereCheck
 from cablesense_online.force_fit import LARGEST_MISFIT, ForceFits
 from cablesense_online.motion_gate import MotionGate
-from cablesense_online.plausibility import FORCE_OFF_N
+from cablesense_online.plausibility import FORCE_OFF_N, PlausibilityCheck, noise_limit
 from cablesense_online.state import EstimationSettings
 from cablesense_online.tare import Tares
 from cablesense_sim.arm import Arm, open_arm
@@ -64,8 +65,6 @@ in 2,000 samples by noise."""
 _TWO_BEYOND = 10.0
 """Log evidence by which two contacts must be likelier than one: sensors also err by steps."""
 
-FALSE_ALARM_RATE = 1e-7
-"""Share of samples that may exceed a misfit limit by noise alone."""
 MOST_OF_NOISE = 2.0
 """A limit is at most this multiple of that of noise: beyond it, the model's own errors decide."""
 
@@ -118,8 +117,9 @@ class LoadedModel:
     @property
     def free(self) -> int:
         """Readings that are left over by one contact."""
-        numbers = 4 if self.estimator.metadata.kind == ANYWHERE else 2
-        return max(self.arm.cable_count - numbers, 1)
+        anywhere = self.estimator.metadata.kind == ANYWHERE
+        check = AnywhereCheck if anywhere else PlausibilityCheck
+        return max(self.arm.cable_count - check.numbers, 1)
 
     def status(self, largest_force_n: float, active: bool) -> Status:
         """Which model and arm, and whether the latest forces were within its training."""
@@ -136,13 +136,6 @@ class LoadedModel:
         if largest_force_n > metadata.force_range_n:
             return Status("model", Level.WARN, "forces beyond those it was trained on", values)
         return Status("model", Level.OK, "active", values)
-
-
-def noise_limit(free: int, rate: float = FALSE_ALARM_RATE) -> float:
-    """The misfit that noise of `free` redundant readings exceeds at a `rate`."""
-    from scipy.special import chdtri  # nodes start sooner without
-
-    return math.sqrt(float(chdtri(free, rate)) / free)
 
 
 def load_model(arm: str, model: str) -> LoadedModel:

@@ -49,8 +49,8 @@ LEAST_WITHHELD_S, WITHHELD_S = 0.05, 0.2
 soon on a stiff arm. The time is renewed when half of it has passed."""
 
 SETTLING_TIMES: Final = 2.0
-"""While joints turn as slowly as the estimator follows them, or an arm swings after a move, its
-inertia and damping make misfits of up to about one and a half times the limit at rest."""
+"""Inertia and damping make misfits of up to about one and a half times the limit at rest, while
+joints turn slowly or the arm swings after a move."""
 
 AVERAGED_S: Final = 1.0
 """Readings of a contact are averaged over up to this time."""
@@ -62,7 +62,7 @@ _STEADY_N = 1.0
 """The average restarts when a force has changed by more."""
 _LONGEST_GAP_NS = 500_000_000
 
-_FALSE_ALARM_RATE = 1e-7
+FALSE_ALARM_RATE: Final = 1e-7
 """Share of healthy samples that exceed the limits of model files by noise alone."""
 _REFITTED_UP_TO = 10.0
 """A misfit up to this multiple of the largest that passes may be due to the linearisation."""
@@ -451,6 +451,13 @@ def on_segments(segments: Sequence[int]) -> str:
     return f"forces on segments {', '.join(map(str, segments))}"
 
 
+def noise_limit(free: int, rate: float = FALSE_ALARM_RATE) -> float:
+    """The misfit that noise of `free` redundant readings exceeds at a `rate`."""
+    from scipy.special import chdtri  # nodes that tell single contacts start sooner without
+
+    return math.sqrt(float(chdtri(free, rate)) / free)
+
+
 def _limits(of_one: float, cables: int, most: int, numbers: int) -> list[float]:
     """The largest misfit that passes, by number of contacts up to `most`.
 
@@ -461,8 +468,5 @@ def _limits(of_one: float, cables: int, most: int, numbers: int) -> list[float]:
     """
     if most == 1:
         return [of_one] * 2
-    from scipy.special import chdtri  # nodes that tell single contacts start sooner without
-
-    free = np.maximum(cables - numbers * np.arange(1, most + 1), 1)
-    rare = chdtri(free, _FALSE_ALARM_RATE) / free
-    return [of_one, *(of_one * np.sqrt(rare / rare[0])).tolist()]
+    noise = [noise_limit(max(cables - numbers * count, 1)) for count in range(1, most + 1)]
+    return [of_one, *(of_one * each / noise[0] for each in noise)]

@@ -6,7 +6,7 @@ The log weight of an explanation with k effects and n sizes is
 
 `excess` is the RMS residual on held-out trials beyond the sensors' floor. s is the sum of squares
 of the m tolerances in standard deviations, at least m: tolerances are rarely many deviations off.
-`surprise` is what a kind of machine adds for implausible sizes and places.
+`surprise` is the cost of implausible sizes and places, where a kind of machine has one.
 
 Tolerances alone have their own power κ₀, because a plain gap rules them out:
 
@@ -115,7 +115,7 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
     """The explanations, first the one that the verdict names.
 
     This is the most probable one. An unlisted effect must be more probable than all explanations
-    together that the recording cannot distinguish from the best. It may also give way to an
+    together that the recording cannot distinguish from the best. It also yields to an
     explanation that explains more than it leaves: one with several effects, or with an effect that
     depends on history or on the direction of motion. The unexplained part is then stated with the
     verdict.
@@ -143,18 +143,15 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
 
 
 def _together(problem: Problem, ranked: Sequence[Ranked]) -> list[Ranked]:
-    """The most probable explanation with effects, and those that are alike: each imitates it."""
-    found: list[Ranked] = []
-    for each in filter(_names_an_effect, ranked):
-        one, other = (found or [each])[0].explanation, each.explanation
-        if (
-            one
-            and other
-            and min(imitated_share(problem, *pair) for pair in ((one, other), (other, one)))
-            >= PARALLEL
-        ):
-            found.append(each)
-    return found
+    """The most probable explanation with effects, and those that it and they imitate mutually."""
+    fitted = [(each, h) for each in ranked if _names_an_effect(each) and (h := each.explanation)]
+    return [
+        each
+        for n, (each, h) in enumerate(fitted)
+        if n == 0
+        or min(imitated_share(problem, h, fitted[0][1]), imitated_share(problem, fitted[0][1], h))
+        >= PARALLEL
+    ]
 
 
 def _support(

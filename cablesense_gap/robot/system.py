@@ -244,7 +244,7 @@ def diagnose(
             recorded.
         zeroed: whether encoders were set to zero where each trial starts; each trial then has
             the zeros that fit it.
-        force: whether to go on if columns look exchanged or reversed; the findings then say so.
+        force: whether to continue if columns look exchanged or reversed; the findings then say so.
 
     Raises:
         RecordingError: the recording cannot be compared, or its columns look exchanged.
@@ -262,7 +262,7 @@ def diagnose(
     if doubts and not force:
         raise RecordingError(
             f"{recording.name}: {', '.join(doubts)}: the model then fits far better; correct the "
-            "recording, or go on with --force"
+            "recording, or continue with --force"
         )
     system = RobotSystem(robot, motion, beside or {})
     system.recording_name, system.row_count = recording.name, len(recording)

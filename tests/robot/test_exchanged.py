@@ -56,7 +56,7 @@ def test_columns_that_are_exchanged_or_reversed_stop_the_diagnosis(robot, change
     recording = bent(friction=(0.1, 0.08), payload=0.1)
     recording = replace(recording, command=recording.torque)
     changed = {name: change(getattr(recording, name)) for name, change in changes.items()}
-    with pytest.raises(RecordingError, match="or go on with --force") as stopped:
+    with pytest.raises(RecordingError, match="or continue with --force") as stopped:
         diagnose(replace(recording, **changed), robot)
     assert all(each in str(stopped.value) for each in said)
     assert str(stopped.value).count(" look") == len(said)

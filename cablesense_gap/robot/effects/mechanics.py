@@ -217,9 +217,10 @@ class AddedMass(RobotEffect):
     advice = "Weigh the additions there: tools, cameras, covers, cables."
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        """From a tenth of what would weigh as much as a joint bears, to what acceleration allows.
+        """The torques of the recording limit the mass, as a tool may be far from a link's mass.
 
-        A tool may be far lighter or heavier than the links.
+        The typical mass loads a joint by a tenth of its torque. The largest takes all of it, by
+        acceleration alone.
         """
         own, hinge = robot.model.body_mass[robot.body_ids], np.array(robot.position_units) == "rad"
         lever_m = np.where(hinge, robot.reach_m, 1.0)
@@ -263,7 +264,7 @@ class RotorInertia(RobotEffect):
     advice = "Take the rotor's inertia from its data sheet, times the gear ratio squared."
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        """Slow motion shows no inertia: there the model's own says what is usual."""
+        """Slow motion shows no inertia, so the model's own inertia limits the typical size."""
         typical = min(0.05 * scale.per(scale.acceleration), 0.3 * rms(scale.inertia))
         unit, about = joint_unit(robot, "{inertia}"), "as the joint feels it"
         return (size("inertia_kg_m2", unit, 60.0 * typical, typical, about, 0.0),)
