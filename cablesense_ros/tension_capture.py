@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
@@ -16,6 +18,7 @@ from cablesense_online.commissioning import CommissioningError
 from cablesense_online.commissioning.sensor_check import Pull, TensionSeries
 from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.node_process import spun_node
+from cablesense_ros.processes import end_signals
 
 _FIRST_SAMPLE_S = 5.0
 _JOINING_S = 0.5
@@ -48,7 +51,7 @@ def capture_tensions(
             do not ascend.
         ContractError: messages break the contract.
     """
-    order, never = NamedOrder(cable_names, "cables"), Future()
+    order = NamedOrder(cable_names, "cables")
     times_s: list[float] = []
     tensions_n: list[tuple[float, ...]] = []
     errors: list[CableSenseError] = []
@@ -68,7 +71,7 @@ def capture_tensions(
         def wait(seconds: float) -> None:
             end_s = time.monotonic() + seconds
             while (left_s := end_s - time.monotonic()) > 0.0:
-                executor.spin_until_future_complete(never, timeout_sec=min(left_s, _WAKE_S))
+                _spin(executor, min(left_s, _WAKE_S))
                 if errors:
                     raise errors[0]
 
@@ -112,3 +115,15 @@ def capture_tensions(
         )
     block, at_rest = np.zeros(len(time_s), dtype=np.int64), np.ones(len(time_s), dtype=bool)
     return TensionSeries(order.names, time_s - time_s[0], block, at_rest, read_n), pulls
+
+
+def _spin(executor: EventsExecutor, seconds: float) -> None:
+    """Spin for a time; a signal to end takes effect after it.
+
+    An exception that a handler raises while the executor hands an argument to Python is lost.
+    """
+    wanted_end = Future()
+    with end_signals(lambda number, _: wanted_end.set_result(number)):
+        executor.spin_until_future_complete(wanted_end, timeout_sec=seconds)
+    if wanted_end.done():
+        signal.raise_signal(wanted_end.result())

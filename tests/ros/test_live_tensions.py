@@ -72,7 +72,7 @@ def test_ctrl_c_ends_it_at_once():
     try:
         assert "leave the arm alone" in process.stderr.readline()
         process.send_signal(signal.SIGINT)
-        assert process.wait(10) == 130
+        assert process.wait(10) == 130, process.stderr.read()
         assert "Traceback" not in process.stderr.read()
     finally:
         process.kill()
