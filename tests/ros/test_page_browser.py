@@ -188,6 +188,13 @@ def processes(tmp_path_factory, browser_program):
             raise
 
 
+@pytest.fixture(autouse=True)
+def page_log(processes):
+    """The page's log, which pytest shows with a test that fails."""
+    yield
+    print(processes["page"].log)
+
+
 @pytest.fixture(scope="module")
 def page_url(processes):
     return processes.wait_for_line("page", "page: ", 40.0)
