@@ -42,9 +42,9 @@ class AnywhereCheck(PlausibilityCheck):
         information[:, 0], information[:, 3] = AXIAL_STD_N**-2, 12.0 / (high - low) ** 2
         return information
 
-    def _hidden(self, fit: Any, difference_n: Array) -> str:
+    def _hidden(self, fit: Any, difference_n: Array, largest: float) -> str:
         self._judged = fit
-        return super()._hidden(fit, difference_n)
+        return super()._hidden(fit, difference_n, largest)
 
     def _explained(
         self, difference_n: Array, contacts: Sequence[Contact], stated_misfit: float | None

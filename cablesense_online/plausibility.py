@@ -15,14 +15,14 @@ misfit.
 
 A fit proves nothing: a fault with the pattern of a force looks like that force. Therefore a
 contact is `unconfirmed` if one wrong reading would pass, or if the average of a steady contact's
-readings, which has less noise, does not fit it.
+readings, which has less noise, does not fit it. Once an average fits, a wrong reading must pass
+the smaller limit of averages too.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, ClassVar, Final, Protocol
 
@@ -33,6 +33,7 @@ from cablesense_msgs_py.messages import Contact, Level, Status
 from cablesense_online.force_fit import LARGEST_MISFIT, ForceFit, ForceFits
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.state import MisfitState
+from cablesense_online.steady_contact import JUDGED_EVERY_NS, SteadyContact
 from cablesense_online.tare import UnloadedTensions
 from cablesense_sim.replay import difference_variance_n2, mean_variance_n2
 from cablesense_training.inference.metadata import ANYWHERE, ModelMetadata
@@ -55,12 +56,7 @@ joints turn slowly or the arm swings after a move."""
 AVERAGED_S: Final = 1.0
 """Readings of a contact are averaged over up to this time."""
 
-_JUDGED_EVERY_NS, _SOONEST_NS = 100_000_000, 20_000_000
-"""How often a contact is judged, and how soon again if its tensions respond differently."""
 _FEWEST_AVERAGED = 5
-_STEADY_N = 1.0
-"""The average restarts when a force has changed by more."""
-_LONGEST_GAP_NS = 500_000_000
 
 FALSE_ALARM_RATE: Final = 1e-7
 """Share of healthy samples that exceed the limits of model files by noise alone."""
@@ -106,7 +102,7 @@ class PlausibilityCheck:
     """
 
     numbers: ClassVar[int] = 2
-    judged_every_ns: ClassVar[int] = _JUDGED_EVERY_NS
+    judged_every_ns: ClassVar[int] = JUDGED_EVERY_NS
 
     def __init__(
         self,
@@ -141,7 +137,7 @@ class PlausibilityCheck:
         self._withheld, self._last_problem, self._suspects = 0, "", ""
         self._fit: Any = None
         self.doubt = self._last_doubt = ""
-        self._steady: _SteadyContact | None = None
+        self._steady: SteadyContact | None = None
         self._command_rad: Array | None = None
 
     def check(
@@ -305,19 +301,20 @@ class PlausibilityCheck:
             self._steady = None
             return ""
         if steady is None or not steady.continues(fit.segments, stamp_ns):
-            self._steady = steady = _SteadyContact(fit.segments, 0.0 * difference_n)
+            self._steady = steady = SteadyContact(fit.segments, 0.0 * difference_n)
         steady.add(difference_n, tuple(fit.force_n), stamp_ns)
-        if steady.to_be_judged(fit.response, stamp_ns, self.judged_every_ns):
-            hidden = self._hidden(fit, difference_n) or self._paired(fit, difference_n)
-            steady.judge(fit.response, stamp_ns, hidden)
-        if stamp_ns - steady.averaged_ns >= _JUDGED_EVERY_NS and steady.count >= _FEWEST_AVERAGED:
+        passed = steady.passed or (difference_n, self._limits[len(fit.segments)])
+        if steady.to_be_judged(fit.response, stamp_ns, self.judged_every_ns, passed[1]):
+            hidden = self._hidden(fit, *passed) or self._paired(fit, difference_n)
+            steady.judge(fit.response, stamp_ns, hidden, passed[1])
+        if stamp_ns - steady.averaged_ns >= JUDGED_EVERY_NS and steady.count >= _FEWEST_AVERAGED:
             steady.averaged_ns = stamp_ns
             self._judge_average(steady, stamp_ns)
         return steady.hidden or steady.off_average
 
-    def _hidden(self, fit: Explanation, difference_n: Array) -> str:
+    def _hidden(self, fit: Explanation, difference_n: Array, largest: float) -> str:
         """The cables whose readings no others confirm in a contact, as text; else empty."""
-        hidden_n = fit.hidden_n(difference_n, self._limits[len(fit.segments)])
+        hidden_n = fit.hidden_n(difference_n, largest)
         of = np.flatnonzero(hidden_n > FORCE_OFF_N).tolist()
         if not of:
             return ""
@@ -360,7 +357,7 @@ class PlausibilityCheck:
                 )
         return ""
 
-    def _judge_average(self, steady: _SteadyContact, stamp_ns: int) -> None:
+    def _judge_average(self, steady: SteadyContact, stamp_ns: int) -> None:
         """Judge whether the average of a contact's readings fits.
 
         The limit is that of one reading, reduced as the noise of an average is.
@@ -369,79 +366,25 @@ class PlausibilityCheck:
         variances_n2 = (mean_variance_n2(self._sensors, n) for n in (count, self._tare_samples))
         spread_n = max(sum(variances_n2) ** 0.5, _LEAST_SPREAD_N)
         largest = self._limits[len(steady.segments)] * spread_n / self.fits.spread_n
-        misfit = self._misfit_of_average(steady.sum_n / count, steady, largest)
-        if misfit > largest:
+        mean_n = steady.sum_n / count
+        misfit = self._misfit_of_average(mean_n, steady, largest)
+        if misfit <= largest:
+            steady.passed = mean_n, largest
+        else:
+            steady.passed = None
             steady.off_average = (
                 f"on their average of {count} they lie {misfit:.2f} times as far from "
                 f"{on_segments(steady.segments)} as one by its noise (at most {largest:.2f})"
             )
-        elif full:
-            steady.off_average = ""
         if full:
+            if steady.passed is not None:
+                steady.off_average = ""
             steady.begin(stamp_ns)
 
-    def _misfit_of_average(self, mean_n: Array, steady: _SteadyContact, largest: float) -> float:
+    def _misfit_of_average(self, mean_n: Array, steady: SteadyContact, largest: float) -> float:
         """Misfit of averaged readings less unloaded tensions (M,); zero where nothing is known."""
         fit = self.fits.best(mean_n, steady.segments, steady.force_n, largest)
         return 0.0 if fit is None else fit.misfit
-
-
-@dataclass
-class _SteadyContact:
-    """The readings of one or several contacts, averaged while their forces are steady.
-
-    Attributes:
-        segments: the touched segments.
-        sum_n, count: sum of the readings (M,) less unloaded tensions, N, and their number.
-        began_ns, last_ns: stamps of the first and the last of them.
-        force_n: y and z of each force at the first of them.
-        averaged_ns: stamp at which the average was last judged.
-        hidden, off_average: findings, as text; empty where there are none.
-    """
-
-    segments: tuple[int, ...]
-    sum_n: Array
-    count: int = 0
-    began_ns: int = 0
-    last_ns: int = 0
-    force_n: tuple[float, ...] = ()
-    averaged_ns: int = -_JUDGED_EVERY_NS
-    hidden: str = ""
-    off_average: str = ""
-    _judged: tuple[object, int] = (None, -_JUDGED_EVERY_NS)
-    _found: tuple[object, int] = (None, 0)
-
-    def continues(self, segments: tuple[int, ...], stamp_ns: int) -> bool:
-        """Whether a sample is of the same contact."""
-        return segments == self.segments and 0 < stamp_ns - self.last_ns <= _LONGEST_GAP_NS
-
-    def add(self, difference_n: Array, force_n: tuple[float, ...], stamp_ns: int) -> None:
-        """Add readings less unloaded tensions (M,), and the forces that fit them, y and z each."""
-        if not self.force_n or math.dist(force_n, self.force_n) > _STEADY_N:
-            self.off_average, self.force_n = "", force_n
-            self.begin(stamp_ns)
-        self.last_ns = stamp_ns
-        self.sum_n += difference_n
-        self.count += 1
-
-    def begin(self, stamp_ns: int) -> None:
-        """Begin a new average."""
-        self.sum_n[:] = 0.0
-        self.count, self.began_ns = 0, stamp_ns
-
-    def to_be_judged(self, response: object, stamp_ns: int, every_ns: int) -> bool:
-        """Whether readings with this response of the tensions are due to be judged."""
-        last, at_ns = self._judged
-        return stamp_ns - at_ns >= (every_ns if response is last else _SOONEST_NS)
-
-    def judge(self, response: object, stamp_ns: int, hidden: str) -> None:
-        """Take a finding; it outlasts others a while, as two alternate at the edge of slack."""
-        self._judged = response, stamp_ns
-        by, at_ns = self._found
-        if hidden:
-            self.hidden, self._found = hidden, self._judged
-        elif response is by or stamp_ns - at_ns >= 2 * _JUDGED_EVERY_NS:
-            self.hidden = ""
 
 
 def on_segments(segments: Sequence[int]) -> str:

@@ -167,3 +167,22 @@ def test_a_scaled_channel_makes_no_wrong_force_that_is_vouched_for(bent, name, s
                     y, z = (contact.magnitude_n * part for part in contact.direction)
                     assert np.hypot(y, z - size_n) < 5.0
     bent.release()
+
+
+@pytest.mark.parametrize("segment", [1, 2])
+def test_the_average_of_a_steady_push_confirms_it_and_a_wrong_reading_is_not_vouched_for(segment):
+    """One sample of these pushes cannot exclude that a reading of cable_1 is wrong by newtons."""
+    arm, push = Pushed("cdsm", BENT), (segment, 0.07, 0.0, 80.0, 0.0)
+    first, last = arm.push(push), arm.push(push, samples=20)
+    assert first.force is ForceState.UNCONFIRMED
+    assert last.force in (ForceState.CONTACT, ForceState.MOMENT)
+    true = np.array(last.contact.wrench)
+    for off_n in (0.5, 1.0, 2.0, 5.0):
+        arm.release()
+        arm.loaded_n[0] += off_n
+        answer = [arm.read(arm.loaded_n) for _ in range(20)][-1]
+        arm.loaded_n[0] -= off_n
+        if answer.force in (ForceState.CONTACT, ForceState.MOMENT):
+            _, *normal_n, _, moment_y, moment_z = np.array(answer.contact.wrench) - true
+            assert np.hypot(*normal_n) < 5.0
+            assert np.hypot(moment_y, moment_z) / 0.07 < 5.0
