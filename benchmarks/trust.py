@@ -1,6 +1,6 @@
 """Contacts anywhere through the estimation: which are stated, and whether one is wrong.
 
-    python benchmarks/trust.py [--samples 2500] [--faulty 400] [--seed 7101] [--write]
+    python benchmarks/trust.py [--samples 2500] [--faulty 1250] [--healthy 0] [--write]
 
 Random poses within 10 degrees and straight ones; one contact anywhere on the arm or two, of 2 N
 to what the arm bears, with an axial part of up to 0.3 of the normal force; serialized messages
@@ -9,7 +9,8 @@ if the normal force is off by more than 5 N and by more than a fifth of the true
 segment is; next to a joint the neighbour's end is the same place. On segment 1 the moment is
 judged, over the length of the segment. With `--faulty`, one channel is scaled, shifted or zero,
 or two are, or are exchanged; a quarter of those arms is untouched. Two channels are of one
-segment's cables in half of the cases.
+segment's cables in half of the cases. With `--healthy`, samples of one contact each, of up to the
+model's range, are compared with the limit of the misfit, beyond which no force is given.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact, ForceState
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
+from cablesense_online.misfit_limit import LOADS, READINGS, simulated_misfits
 from cablesense_online.models import load_model
 from cablesense_sim import kinematics
 from cablesense_sim.build import mechanism_of
@@ -223,6 +225,14 @@ def trial(name: str, given: argparse.Namespace, seed: int, channels: int) -> dic
             "wrong_and_vouched": len(wrong), "wrong": wrong[:20]}  # fmt: skip
 
 
+def withheld(name: str, samples: int, seed: int) -> dict[str, int]:
+    """How many samples of a healthy arm under one contact lie beyond the limit."""
+    loaded = load_model(name, "")
+    poses, largest = samples // (LOADS * READINGS), loaded.largest_misfit(-1.0)
+    beyond = [misfit > largest for misfit in simulated_misfits(loaded, seed, poses)]
+    return {"samples": len(beyond), "withheld": sum(beyond)}
+
+
 def main() -> None:
     """Tries healthy arms and faulty ones, prints, and keeps the figures with `--write`."""
     options = harness.parser(__doc__, "trust.json")
@@ -233,6 +243,7 @@ def main() -> None:
         default=1250,
         help="of each arm with one faulty channel or two",
     )
+    options.add_argument("--healthy", type=int, default=0, help="samples for the limit, by arm")
     options.add_argument("--seed", type=int, default=7101, help="of poses, contacts and noise")
     given = options.parse_args()
     result: dict[str, Any] = harness.origin("numpy", "onnxruntime")
@@ -241,6 +252,8 @@ def main() -> None:
             HEADINGS[channels]: trial(name, given, seed, channels)
             for channels in range(3 if given.faulty else 1)
         }
+        if given.healthy:
+            result[name]["limit of the misfit"] = withheld(name, given.healthy, given.seed)
     harness.publish("trust.json", result, given)
 
 

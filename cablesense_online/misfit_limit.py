@@ -40,7 +40,7 @@ _UNLIMITED = 1e-6
 """A limit that no reading fits, so that every misfit is that of the best fit."""
 
 
-def simulated_misfits(loaded: LoadedModel, seed: int = 0) -> Iterator[float]:
+def simulated_misfits(loaded: LoadedModel, seed: int = 0, poses: int = POSES) -> Iterator[float]:
     """Misfits of a healthy arm at random commands and contacts within the model's training."""
     arm, estimator = loaded.arm, loaded.estimator
     assert isinstance(estimator, Estimator)
@@ -54,7 +54,7 @@ def simulated_misfits(loaded: LoadedModel, seed: int = 0) -> Iterator[float]:
         read_n = read_tensions_n(np.tile(tensions_n, (count, 1)), arm.sensors, rng)
         return np.maximum(read_n, 0.0)
 
-    for _ in range(POSES):
+    for _ in range(poses):
         command = rng.uniform(-range_rad, range_rad, arm.joint_count)
         tare_n = readings(statics.predict_n(command), metadata.tare_samples).mean(axis=0)
         for _ in range(LOADS):
