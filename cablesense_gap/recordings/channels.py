@@ -118,13 +118,14 @@ def unborne_findings(unborne: NDArray[np.bool_], arm: Arm) -> list[Finding]:
 
 
 def _at_range_ends(read: Array, arm: Arm) -> Iterator[Finding]:
+    """Saturated channels. A reading of 0 N is no finding: a slack cable has no tension."""
     if arm.sensors.range_n is None:
         return
     low, high = arm.sensors.range_n
     tolerance = 0.5 * arm.sensors.step_n
     for cable, values in enumerate(read.T, start=1):
         for end, limit in ((values <= low - tolerance, low), (values >= high - tolerance, high)):
-            if end.any():
+            if end.any() and limit != 0.0:
                 yield warn(
                     "saturated",
                     f"tension_{cable}_n is at the end of the sensors' range, {limit:g} N, in "

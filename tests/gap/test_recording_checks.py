@@ -176,6 +176,14 @@ def test_saturation_is_found_with_and_without_a_stated_range():
     assert any("tension_1_n is at the end of the sensors' range, 90 N" in f.text for f in found)
 
 
+def test_slack_cables_that_read_nothing_are_no_saturation():
+    """The protocol takes cables slack, and noise takes their readings below zero."""
+    slack = with_tensions(lambda t: np.where(t < np.median(t), -0.1, t))
+    sensors = LAB.sensors.model_copy(update={"range_n": (0.0, 500.0)})
+    stated = LAB.model_copy(update={"sensors": sensors})
+    assert not of_kind(check_recording(slack, stated), "saturated")
+
+
 def test_another_arm_and_other_units_are_refused():
     rng = np.random.default_rng(1)
     mirrored = replace(MECHANISM, hole_y_m=-MECHANISM.hole_y_m, hole_z_m=-MECHANISM.hole_z_m)
