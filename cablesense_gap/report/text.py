@@ -9,6 +9,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple
 
+from cablesense_gap.diagnosis.probability import NEAR_BEST
 from cablesense_gap.report.style import newtons, percent, size_text, with_interval
 from cablesense_gap.verdict import (
     NONE,
@@ -26,6 +27,9 @@ from cablesense_sim.effects.registry import known_effects
 
 SURE = 0.9
 """A verdict of at least this probability is stated without `probably`."""
+PROBABLE = 0.5
+"""A verdict is called probable above this, and otherwise one of several that are likely."""
+_COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 
 _PREPOSITIONS = {"cable": "at", "segment": "on", "joint": "in"}
 _PLACE = re.compile(r"(cable|segment|joint)_(\d+)")
@@ -37,20 +41,31 @@ Known = Mapping[str, EffectDescription]
 
 def headline(verdict: Verdict, known: Known | None = None) -> str:
     """The first line: what, where, how sure; `known` are the effects of an arm by default."""
-    sure, gap = percent(verdict.probability), size_text(verdict.gap.before_n, verdict.unit)
+    sure, gap = _how_sure(verdict), size_text(verdict.gap.before_n, verdict.unit)
     if verdict.effects == (NONE,):
         return (
             f"Nothing to add: the gap of {gap} is what noise and manufacturing tolerances leave "
-            f"({sure} sure)."
+            f"({sure})."
         )
     if verdict.effects == (UNKNOWN,):
         where = "" if verdict.channels else _at(verdict.where.places)
-        return (
-            f"Something that no known effect explains makes a gap of {gap}{where} ({sure} sure)."
-        )
+        return f"Something that no known effect explains makes a gap of {gap}{where} ({sure})."
     causes = ", and from ".join(cause(verdict, name, known) for name in verdict.effects)
-    probably = "" if verdict.probability >= SURE else " probably"
-    return f"The gap{probably} comes from {causes} ({sure} sure)."
+    comes = "probably comes" if verdict.probability > PROBABLE else "may come"
+    if verdict.probability >= SURE:
+        comes = "comes"
+    return f"The gap {comes} from {causes} ({sure})."
+
+
+def _how_sure(verdict: Verdict) -> str:
+    """`93 % sure`, or `most likely of three, 37 %` where all others together are likelier."""
+    probability = verdict.probability
+    if probability > PROBABLE:
+        return f"{percent(probability)} sure"
+    near = [p for c in verdict.candidates if (p := c.probability) >= NEAR_BEST * probability]
+    rank = "most likely" if max(near, default=0.0) <= probability else "one"
+    among = f" of {_COUNTS[len(near)]}" if 1 < len(near) < len(_COUNTS) else ""
+    return f"{rank}{among}, {percent(probability)}"
 
 
 _OUTCOMES = {

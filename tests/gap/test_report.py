@@ -209,6 +209,30 @@ def test_two_effects_are_named_each_with_its_places():
 
 
 @pytest.mark.parametrize(
+    ("effects", "probability", "others", "begins", "ends"),
+    [
+        ("payload", 0.93, {}, "The gap comes from", "(93 % sure)."),
+        ("payload", 0.6, {"base_tilt": 0.3}, "The gap probably comes from", "(60 % sure)."),
+        (
+            "payload",
+            0.37,
+            {"base_tilt": 0.32, "unknown": 0.29, "none": 0.02},
+            "The gap may come from",
+            "(most likely of three, 37 %).",
+        ),
+        ("payload", 0.32, {"unknown": 0.4}, "The gap may come from", "(one of two, 32 %)."),
+        ("payload", 0.5, {"none": 0.01}, "The gap may come from", "(most likely, 50 %)."),
+        ("unknown", 0.4, {"payload": 0.35}, "Something that", "(most likely of two, 40 %)."),
+        ("none", 0.45, {"payload": 0.4}, "Nothing to add", "(most likely of two, 45 %)."),
+    ],
+)
+def test_probable_is_said_of_more_than_half_alone(effects, probability, others, begins, ends):
+    said = headline(verdict_of(effects, probability, others=others))
+    assert said.startswith(begins)
+    assert said.endswith(ends)
+
+
+@pytest.mark.parametrize(
     ("effects", "after_n", "words"),
     [
         ("payload", 0.2, "amended arm shrinks the gap from 3.00 N to 0.20 N on trials"),
