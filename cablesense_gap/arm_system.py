@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_gap.amended_arm import amended_arm, judged_earlier, listed_values, without_effects
 from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, supported_rows
-from cablesense_gap.diagnosis.problem import Problem
+from cablesense_gap.diagnosis.problem import Explanation, Problem, unit_of
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.pipeline import FOLDS, System, Unlisted, diagnose_system, problem_of
 from cablesense_gap.recordings.channels import unborne_findings
@@ -23,8 +23,11 @@ from cablesense_gap.recordings.thinning import rows_along_path, rows_to_use
 from cablesense_gap.residuals import decompose, regimes
 from cablesense_gap.simulator import Assignment, Simulator, Term
 from cablesense_gap.unlisted import describe_unlisted, repeat_largest_trial
-from cablesense_gap.verdict import UNKNOWN, Earlier, Verdict, Where
+from cablesense_gap.verdict import UNKNOWN, Earlier, FittedNumber, Verdict, Where
 from cablesense_sim.arm import Arm, ArmFileError
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import reading_variance_n2, replay_arm
 
 _LEAST_SUPPORTED = 0.98
@@ -69,6 +72,16 @@ class ArmSystem(ArmSimulator, System):
         parts = decompose(self._counted_recording, residual, self.floor, self.arm)
         return places_of(values, tuple(regimes(parts)))
 
+    def numbers(
+        self, explanation: Explanation, values: Mapping[Term, float]
+    ) -> dict[str, FittedNumber]:
+        """The values, and products of which readings may show more than of their factors."""
+        found = super().numbers(explanation, values)
+        for name, place in dict.fromkeys(term[:2] for term in values):
+            if known_effects()[name].product is not None:
+                found = with_product(found, explanation, name, place, mechanism_of(self.arm))
+        return found
+
     def next_experiment(self, rivals: Sequence[Assignment], question: str) -> str:
         """A block of the standard protocol."""
         return next_experiment(self.arm, rivals, self.floor, question=question).text
@@ -80,6 +93,48 @@ class ArmSystem(ArmSimulator, System):
     def unlisted(self, problem: Problem, residual: Array) -> Unlisted:
         """Its pattern over cables, loads and time, and a flexible model of it."""
         return describe_unlisted(problem, residual, self.recording, self.arm)
+
+
+def with_product(
+    numbers: Mapping[str, FittedNumber],
+    explanation: Explanation,
+    name: str,
+    place: str,
+    mechanism: Mechanism,
+) -> dict[str, FittedNumber]:
+    """The numbers with the product of an effect at a place, which is `Effect.product`.
+
+    A size that is known poorly gets the interval of the product over the lever. One that is linear
+    about the fit would reach beyond zero, and miss sizes with another lever.
+    """
+    effect = known_effects()[name]
+    assert effect.product is not None
+    size, shape = effect.parameters
+    terms = [Term(name, place, p.name) for p in effect.parameters]
+    own = [list(explanation.values).index(term) for term in terms]
+    amount, form = (explanation.values[term] for term in terms)
+
+    def lever(of_form: float) -> float:
+        return effect.lever(mechanism, place, {shape.name: of_form})
+
+    slope = np.array([lever(form), amount * (lever(form + 1.0) - lever(form))])
+    slope *= [unit_of(size, amount), unit_of(shape, form)]
+    variance = float(slope @ explanation.covariance[np.ix_(own, own)] @ slope)
+    half = 1.96 * max(variance, 0.0) ** 0.5
+    value, at = amount * lever(form), name
+    if f"{at}.{size.name}" not in numbers:
+        at = f"{name}.{place}"
+    product = FittedNumber(
+        value=value, unit=effect.product.unit, ci95=(value - half, value + half)
+    )
+    found, of_size = {f"{at}.{effect.product.name}": product, **numbers}, f"{at}.{size.name}"
+    low, high = numbers[of_size].ci95
+    if high - low > abs(amount):
+        short, long = map(lever, numbers[f"{at}.{shape.name}"].ci95)
+        ends = max(abs(value) - half, 0.0) / long, (abs(value) + half) / max(short, 1e-9)
+        low, high = np.clip(np.sort(np.sign(value) * np.array(ends)), size.low, size.high).tolist()
+        found[of_size] = numbers[of_size].model_copy(update={"ci95": (low, high)})
+    return found
 
 
 @dataclass(frozen=True)

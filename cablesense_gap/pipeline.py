@@ -36,7 +36,7 @@ from cablesense_gap.explained import (
     trades,
 )
 from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term
-from cablesense_gap.verdict import ChannelGap, Gap, Verdict, Where
+from cablesense_gap.verdict import ChannelGap, FittedNumber, Gap, Verdict, Where
 
 FOLDS = 5
 """Fits without a fold keep four fifths of the trials."""
@@ -110,6 +110,12 @@ class System(ABC):
     def where(self, values: Mapping[Term, float], residual: Array) -> Where:
         """Places of the values; regimes of the nominal residual (counted rows, C)."""
         return Where()
+
+    def numbers(
+        self, explanation: Explanation, values: Mapping[Term, float]
+    ) -> dict[str, FittedNumber]:
+        """The values, which are those in the places that matter, by name."""
+        return estimates(values, explanation.deviations, self.candidates)
 
     def next_experiment(self, rivals: Sequence[Assignment], question: str) -> str:
         """The recording that distinguishes the first rival from the others.
@@ -230,7 +236,7 @@ def diagnose_system(
         ambiguity_group=group,
         next_experiment=experiment,
         where=system.where(values, before),
-        parameters=estimates(values, explained.deviations, system.candidates),
+        parameters=system.numbers(explained, values),
         shares=shares(problem, ranked, values),
         traded=tuple(trade.traded for trade in traded),
         tolerances_n=rest.tolerances,

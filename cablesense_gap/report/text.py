@@ -178,7 +178,8 @@ def numbers(verdict: Verdict, arm: Arm) -> list[ExplainedNumber]:
         effect_name, *place, parameter_name = name.split(".")
         effect, known = known_effects().get(effect_name), None
         if effect:
-            every = (*effect.parameters, *effect.history(arm.segment_count, arm.cable_count))
+            every = [*effect.parameters, *effect.history(arm.segment_count, arm.cable_count)]
+            every += [effect.product] if effect.product else []
             known = next((p for p in every if p.name == parameter_name), None)
         value, interval = _known_within(estimate, known)
         found.append(

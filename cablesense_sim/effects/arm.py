@@ -120,13 +120,20 @@ class Payload(Effect):
         shape("beyond_middle", "1", -0.5, 0.5, 0.3,
               "its distance beyond the segment's middle, as a share of the segment's length"),
     )  # fmt: skip
+    product = Parameter(
+        "moment_kg_m", "kg·m", -np.inf, np.inf, 0.03,
+        "mass times distance from the segment's joint; of a mass on segment 1, all that shows",
+    )  # fmt: skip
+
+    def lever(self, mechanism: Mechanism, place: str, values: OneArm) -> float:
+        length_m = mechanism.segment_length_m[chosen(place, mechanism.segment_count)]
+        return float((0.5 + values["beyond_middle"]) * length_m[0])
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         here = chosen(place, mechanism.segment_count)
         mass = mechanism.mass_kg + here * values["mass_kg"]
-        moment = mechanism.mass_kg * mechanism.centre_of_mass_m + here * (
-            values["mass_kg"] * (0.5 + values["beyond_middle"]) * mechanism.segment_length_m
-        )
+        added = values["mass_kg"] * self.lever(mechanism, place, values)
+        moment = mechanism.mass_kg * mechanism.centre_of_mass_m + here * added
         heavy = np.maximum(mass, 1e-9)
         return replace(mechanism, mass_kg=heavy, centre_of_mass_m=moment / heavy)
 

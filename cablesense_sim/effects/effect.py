@@ -101,6 +101,8 @@ class Effect(EffectDescription):
             that scale or filter a signal come before those that add to it, which have the default.
         needs_time: whether it depends on the time that passes, and not only on the samples' order.
         version: of its law; a model that was trained on another version is refused.
+        product: of an effect with one size and one shape, the size times `lever`; readings may
+            show it and neither factor.
     """
 
     acts_on: ClassVar[Literal["load", "arm", "transmission", "actuator", "sensor"]]
@@ -109,6 +111,7 @@ class Effect(EffectDescription):
     order: ClassVar[int] = 0
     needs_time: ClassVar[bool] = False
     version: ClassVar[int] = 1
+    product: ClassVar[Parameter | None] = None
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
         """Where it can be: `arm`, `segment_n`, `joint_n`, `cable_i` or what the effect names."""
@@ -123,6 +126,10 @@ class Effect(EffectDescription):
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         """The mechanism as the effect leaves it."""
         return mechanism
+
+    def lever(self, mechanism: Mechanism, place: str, values: OneArm) -> float:
+        """The factor of the size in `product`, linear in the shape."""
+        return 1.0
 
     def loading(self, place: str, values: Values) -> Array | None:
         """(P, 3, 3) from a load as it is recorded to the one that acts, both in base axes."""

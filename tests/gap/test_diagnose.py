@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from gap_problem import explanation
 from gap_recordings import LAB, RATE_HZ, placed_recording, small_recording
 
 from cablesense_base import CableSenseError
@@ -20,6 +21,7 @@ from cablesense_gap.report.page import report_page
 from cablesense_gap.report.text import earlier_sentence
 from cablesense_gap.simulator import Assignment, Term
 from cablesense_gap.verdict import Earlier, FittedNumber
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import read_tensions_n, replay_arm
 
 PROTOCOL = small_recording(peak_n=25.0)
@@ -67,6 +69,27 @@ def test_a_payload_is_found_where_it_is():
     assert sum(c.probability for c in verdict.ranked) == pytest.approx(1.0)
     assert verdict.ranked[0].effects == verdict.effects
     assert {("none",), ("unknown",)} <= {c.effects for c in verdict.candidates}
+
+
+def test_where_tensions_show_the_moment_alone_it_is_stated_and_no_mass_below_zero():
+    """The recorded readings fix mass times lever; any lever within the segment is possible."""
+    mass, middle = (Term("payload", "segment_1", n) for n in ("mass_kg", "beyond_middle"))
+    values = {mass: 0.2, middle: 0.0}
+    alone = np.array([-0.2 / 0.5 / 0.3, 1.0 / 0.3])  # keeps the product; in typical sizes
+    known = replace(
+        explanation("payload"),
+        values=values,
+        deviations=dict(zip(values, 1.96 * 0.3 * np.abs(alone) * [0.3, 0.3], strict=True)),
+        covariance=0.3**2 * np.outer(alone, alone),
+    )
+    found = ArmSystem(LAB, PROTOCOL).numbers(known, values)
+    length_m = mechanism_of(LAB).segment_length_m[0]
+    moment, stated = found["payload.moment_kg_m"], found["payload.mass_kg"]
+    assert moment.value == pytest.approx(0.2 * 0.5 * length_m)
+    np.testing.assert_allclose(moment.ci95, moment.value, rtol=1e-6)
+    low, high = stated.ci95
+    assert low == pytest.approx(moment.value / length_m)
+    assert high > 5.0 * stated.value
 
 
 @pytest.mark.slow
