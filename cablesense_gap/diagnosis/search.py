@@ -38,6 +38,9 @@ _TRIED = 3
 _RIVAL = 2.0
 """An explanation may still become the best if its cost is at most this many times the least."""
 
+_OF_THE_REST = 0.35
+"""Share of what is left of a phase that each batch of work counts for, as their number is open."""
+
 _BETTER = 0.95
 """A cost above this share of another one is no better: other folds would change it as much."""
 
@@ -63,6 +66,7 @@ class _Search:
     ) -> None:
         self._whole, self._problem, self._none = problem, problem, none
         self._pool, self._progress = pool, progress
+        self._doing, self._done, self._until = "", 0.05, 0.75
         candidates = problem.simulator.candidates
         self._cheap = [c for c in candidates if not c.history_dependent]
         self._expensive = [c for c in candidates if c.history_dependent]
@@ -71,17 +75,31 @@ class _Search:
         self._expanded: set[Explanation] = set()
         self._refined: dict[Explanation, Array] = {}
 
-    def _map(self, function: Callable[..., Any], values: Iterable[Any]) -> Iterator[Any]:
-        """Results of a function of the present problem and each value, from all processes."""
-        on_sketch = self._problem is not self._whole
-        return self._pool.map(partial(_called, function, on_sketch), values)
+    def _map(
+        self,
+        function: Callable[..., Any],
+        values: Iterable[Any],
+        name: Callable[[Any], str] | None = None,
+    ) -> Iterator[Any]:
+        """Results of a function of the present problem and each value, from all processes.
+
+        Progress shows the value's `name`, if that is given.
+        """
+        on_sketch, tasks = self._problem is not self._whole, tuple(values)
+        results = self._pool.map(partial(_called, function, on_sketch), tasks)
+        begun, share = self._done, _OF_THE_REST * (self._until - self._done)
+        for k, task in enumerate(tasks, 1):
+            self._doing = name(task) if name else self._doing
+            self._progress(self._doing, self._done)
+            yield next(results)
+            self._done = begun + share * k / len(tasks)
 
     def run(self) -> list[Explanation]:
         """The best explanation for every set of effects that is worth it."""
-        self._nominal = self._columns(self._cheap, None, 0.0)
+        self._nominal = self._columns(self._cheap, None)
         self._expand(self._none, self._nominal)
         if not self._is_resolved():
-            self._climb([], 0.3)
+            self._climb([])
         if not self._expensive:
             self._exchange_best()
         elif not self._is_resolved():
@@ -91,17 +109,17 @@ class _Search:
         worth_it = [h for h in self._found.values() if not self._is_idle(h)]
         return sorted(worth_it, key=lambda h: (len(h.effects), h.held_out_rmse))
 
-    def _climb(self, known: Sequence[LinearEffect], done: float) -> None:
+    def _climb(self, known: Sequence[LinearEffect]) -> None:
         """Expands the best explanations; `known` columns of effects serve as they are."""
         judged, fruitless = self._problem.judged, 0
-        for k in range(_MOST_EXPANDED):
+        for _ in range(_MOST_EXPANDED):
             best, start = self._best(), self._next()
             resolved = self._is_resolved()
             if start is None or fruitless == _MOST_FRUITLESS or self._is_explained(best):
                 break
             if resolved and start is not best:
                 break
-            columns = [*known, *self._columns(self._cheap, start, done + 0.02 * k)]
+            columns = [*known, *self._columns(self._cheap, start)]
             self._expand(start, columns)
             if self._best() is best is start and not resolved:
                 self._exchange(best, columns, _TRIED)
@@ -121,21 +139,19 @@ class _Search:
         return min(waiting, key=judged, default=None)
 
     def _columns(
-        self, candidates: Sequence[Candidate], about: Explanation | None, done: float
+        self, candidates: Sequence[Candidate], about: Explanation | None
     ) -> list[LinearEffect]:
         """Columns of each candidate in each place, linear about an explanation."""
-        found: list[LinearEffect] = []
-        linear = self._map(partial(linear_effects, about=about), candidates)
-        for k, (candidate, effects) in enumerate(zip(candidates, linear, strict=True)):
-            self._progress(candidate.effect, done + 0.1 * k / len(candidates))
-            found += effects
-        return found
+        linear = partial(linear_effects, about=about)
+        return list(chain.from_iterable(self._map(linear, candidates, lambda c: c.effect)))
 
     def _expand(self, start: Explanation, columns: Sequence[LinearEffect]) -> None:
         """Fits the most promising additions, and the rest without each effect that is idle."""
         self._expanded.add(start)
         if offered := _that_fit(start, columns):
+            self._progress("choosing effects", self._done)
             proposals = Selection(self._problem, start, offered).additions()
+            self._done += _OF_THE_REST * (self._until - self._done)
             usual = self._at_usual_size(proposals, start)
             if start.effects:
                 self._fit([*self._promising(proposals), *usual])
@@ -176,7 +192,7 @@ class _Search:
         return found
 
     def _fit(self, proposals: Sequence[Proposal]) -> None:
-        for fitted in self._map(fit, proposals):
+        for fitted in self._map(fit, proposals, lambda p: " + ".join(p.effects)):
             self._keep_all(fitted)
 
     def _keep_all(self, explanations: Iterable[Explanation]) -> None:
@@ -247,6 +263,7 @@ class _Search:
     def _add_expensive(self) -> None:
         """Continues with history-dependent effects, on the sketch; all rows judge the results."""
         sketch = self._whole.sketch
+        self._until = 0.95
         if sketch is None:
             self._climb_with_expensive()
             return
@@ -256,7 +273,7 @@ class _Search:
         self._problem, self._none = sketch.problem, sketch.explanation(none)
         self._climb_with_expensive()
         self._compare()
-        self._progress("judging history-dependent effects on all rows", 0.95)
+        self._doing = "judging on all rows"
         most = 3.0 * _RIVAL * self._problem.cost_of(self._best())
         new = [
             (h, self._refined.get(h, sketch.problem.tolerance_columns))
@@ -272,15 +289,16 @@ class _Search:
         self._refined |= dict.fromkeys(judged, self._problem.tolerance_columns)
 
     def _climb_with_expensive(self) -> None:
-        columns = self._columns(self._expensive, None, 0.5)
+        columns = self._columns(self._expensive, None)
         self._expand(self._none, columns)
         best = self._best()
         if best.effects and not self._is_resolved():
-            self._expand(best, [*columns, *self._columns(self._cheap, best, 0.6)])
-        self._climb(columns, 0.7)
+            self._expand(best, [*columns, *self._columns(self._cheap, best)])
+        self._climb(columns)
 
     def _compare(self) -> None:
         """Refines the best explanations, and the best without each of its effects."""
+        self._until = 0.97
         self._refine_best()
         best, cost_of = self._best(), self._problem.cost_of
         while len(best.effects) > 1:

@@ -10,7 +10,13 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from cablesense_base import CableSenseError
 
@@ -83,9 +89,10 @@ def refuse_given(context: typer.Context, names: Iterable[str], why: str) -> None
 
 
 def task_bars(console: Console) -> Progress:
-    """Bars of tasks with their descriptions and the time that they have taken."""
-    columns = (TextColumn("{task.description:36}"), BarColumn(), TimeElapsedColumn())
-    return Progress(*columns, console=console)
+    """Bars of tasks with their descriptions, the time that they have taken, and the time left."""
+    times = (TimeElapsedColumn(), TextColumn("about"), TimeRemainingColumn(), TextColumn("left"))
+    columns = (TextColumn("{task.description:36}"), BarColumn(bar_width=20), *times)
+    return Progress(*columns, console=console, speed_estimate_period=3600.0)
 
 
 @contextmanager
