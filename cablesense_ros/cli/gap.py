@@ -332,13 +332,11 @@ def _outcome(found: Adaptation, first: Path) -> str:
         f"{errors.direction_mae_deg:.1f}°, segment right {errors.contact_accuracy:.1%}"
         for errors in (found.before.whole.errors, found.after.whole.errors)
     )
-    errors = (
-        f"on {found.before.whole.errors.contacts} loaded rows of {len(found.trials)} trials that "
-        f"neither diagnosis nor training had: {after}; before: {before}"
+    use = "Use the new estimator." if found.better else f"The new one is no better: keep {first}."
+    return (
+        f"On {found.before.whole.errors.contacts} loaded rows of {len(found.trials)} trials that "
+        f"neither diagnosis nor training had: before, {before}; after, {after}. {use}"
     )
-    if found.better:
-        return f"The estimator is corrected, {errors}."
-    return f"The second estimator is no better, {errors}. Keep {first}."
 
 
 gap = typer.Typer(

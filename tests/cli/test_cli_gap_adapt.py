@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -57,6 +58,7 @@ def test_the_folder_has_the_diagnosis_and_the_model(command, recorded, tmp_path,
     names = {"verdict.json", "amended_arm.yaml", "report.html", "estimator.onnx"}
     assert {path.name for path in folder.iterdir()} == names
     assert "-p arm:=adapted/amended_arm.yaml -p model:=adapted/estimator.onnx" in done.stdout
+    assert re.search(r"before, force off by \S+ N.*; after, force off by", done.stdout)
     assert len(limited) == 1
     assert read_verdict(folder / "verdict.json").estimator.use == "after"
     again = command("gap", "adapt", recorded, "--out", "adapted")
