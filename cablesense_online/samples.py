@@ -308,5 +308,6 @@ class InputHealth:
             silent = "the others are silent (one that was killed is counted for 5 s)"
             return Level.WARN, f"{others}; {silent}"
         if missing:
-            return Level.WARN, f"{missing} sample{'s' if missing != 1 else ''} dropped"
+            lost = f"{missing} sample{'s' if missing != 1 else ''} lost"
+            return Level.WARN, f"{lost} on the way, as on a busy machine; the others are used"
         return Level.OK, "receiving"

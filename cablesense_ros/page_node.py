@@ -57,6 +57,7 @@ class PageNode(Node):
             tare=partial(self._ask, tare, "Tared", "Not tared"),
             undo_tare=partial(self._ask, undo_tare, "Tare undone", "Not undone"),
             breathe=partial(self._ask, breathe, "Breathing", "No breath"),
+            can_breathe=breathe.service_is_ready,
         )
         controls = given["controls"]
         self._page = Page(arm, self._actions if controls else None, host=host, port=port)
@@ -98,7 +99,8 @@ class PageNode(Node):
 
         def show(future: Any) -> None:
             if (answer := future.result()) is not None:
-                self._page.notify(done if answer.success else refused, answer.message)
+                said = answer.message.replace("call ~/tare_undo", "press Undo the tare")
+                self._page.notify(done if answer.success else refused, said)
 
         client.call_async(Trigger.Request()).add_done_callback(show)
 

@@ -8,6 +8,7 @@ without its darkest tenth; the two forces and the segments use the palette of Ok
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -18,14 +19,31 @@ from cablesense_online.page.snapshot import ForceBounds, ShownContact
 from cablesense_sim.kinematics import joint_positions_m, segment_rotations
 from cablesense_sim.mechanism import Mechanism
 
-ARROW_METRES_PER_NEWTON = 0.002
-ARROW_LONGEST_M = 0.45
-ARROW_SHORTEST_M = 0.05
-"""Its head alone is this long."""
-ARROWS_APART_M = 0.008
-"""True and estimated arrow stand side by side along the segment: neither hides the other."""
 PLATE_MARGIN = 1.18
 """Radius of a guide plate over that of its outermost hole."""
+
+
+@dataclass(frozen=True)
+class Arrows:
+    """Sizes of the arrows of forces: they follow the arm, and the force that it bears.
+
+    Attributes:
+        reach_m: length of the arm.
+        strongest_n: the force whose arrow is three quarters as long as that.
+    """
+
+    reach_m: float
+    strongest_n: float
+
+    def length_m(self, magnitude_n: ArrayLike) -> Array:
+        """Length of the arrow of a force, within what can be seen and fits the view."""
+        share = 0.75 * np.asarray(magnitude_n) / self.strongest_n
+        return self.reach_m * np.clip(share, 0.1, 0.85)
+
+    @property
+    def apart_m(self) -> float:
+        """Distance of true and estimated arrow along the segment: neither hides the other."""
+        return 0.015 * self.reach_m
 
 
 def routing_radius_m(mechanism: Mechanism) -> float:
@@ -67,21 +85,14 @@ def unit(vector: Array) -> Array:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def arrow_m(contact_m: Array, force_n: Array, clearance_m: float) -> Array:
+def arrow_m(contact_m: Array, force_n: Array, clearance_m: float, arrows: Arrows) -> Array:
     """Tail and tip (2, 3) of the arrow that pushes on a contact.
 
-    It points at the arm and ends `clearance_m` before its axis. Its length is 2 mm per newton,
-    within what can be seen and fits the view.
+    It points at the arm and ends `clearance_m` before its axis.
     """
     direction = unit(force_n)
     tip = contact_m - clearance_m * direction
-    return np.stack([tip - arrow_length_m(np.linalg.norm(force_n)) * direction, tip])
-
-
-def arrow_length_m(magnitude_n: ArrayLike) -> Array:
-    """Length of the arrow of a force."""
-    length_m = ARROW_METRES_PER_NEWTON * np.asarray(magnitude_n)
-    return np.clip(length_m, ARROW_SHORTEST_M, ARROW_LONGEST_M)
+    return np.stack([tip - arrows.length_m(np.linalg.norm(force_n)) * direction, tip])
 
 
 INTERVAL_LINES = 66
@@ -94,6 +105,7 @@ def interval_m(
     estimate: ShownContact,
     bounds: ForceBounds,
     clearance_m: float,
+    arrows: Arrows,
 ) -> Array:
     """Lines (L, 2, 3) around the places where the arrow of a force in its interval may begin.
 
@@ -103,6 +115,7 @@ def interval_m(
         estimate: the force whose arrow the lines begin at; its part along the axis is left out.
         bounds: its intervals.
         clearance_m: as in `arrow_m`.
+        arrows: their sizes.
     """
     ahead = unit(estimate.force_base_n - (estimate.force_base_n @ normal) * normal)
     aside = np.cross(ahead, normal)  # contact angles grow from +z to +y, against the axis' screw
@@ -113,7 +126,7 @@ def interval_m(
     )
     rays = np.outer(np.cos(turn), ahead) + np.outer(np.sin(turn), aside)
     near, far = (
-        contact_m - (clearance_m + arrow_length_m(end_n)) * rays
+        contact_m - (clearance_m + arrows.length_m(end_n)) * rays
         for end_n in (bounds.low_n, bounds.high_n)
     )
     outline = np.concatenate([near, far[::-1], near[:1]])

@@ -43,6 +43,7 @@ MOST_MESSAGE_BYTES = 16_384
 PING_EVERY_S, SILENT_S = 5.0, 10.0
 """A browser that does not answer for so long has left: its force is taken off."""
 _PORT_TRIES = 20
+_TITLE = b"<title>Viser</title>"
 
 Answer = Callable[[ServerConnection, Request], Response | None]
 
@@ -134,8 +135,15 @@ def _checked(answer: Answer | None, host: str, token: str) -> Answer:
             why = f"{MOST_CLIENTS} browsers show the page already; close one."
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{why}\n")
         else:
-            response = answer and answer(connection, replace(request, path=f"/{path}"))
+            headers = request.headers.copy()
+            headers.pop("Accept-Encoding", None)  # what is not packed can be given a title
+            given_on = replace(request, path=f"/{path}", headers=headers)
+            response = answer and answer(connection, given_on)
             if response is not None:
+                if _TITLE in response.body:
+                    response.body = response.body.replace(_TITLE, b"<title>CableSense</title>")
+                    del response.headers["Content-Length"]
+                    response.headers["Content-Length"] = str(len(response.body))
                 response.headers["Referrer-Policy"] = "no-referrer"
                 response.headers["X-Frame-Options"] = "DENY"
             return response

@@ -7,10 +7,11 @@ import io
 import secrets
 import threading
 import time
+from functools import partial
 
 import viser
 
-from cablesense_online.page.drawing import VIEW_ANGLE_RAD, full_scale_n, view
+from cablesense_online.page.drawing import VIEW_ANGLE_RAD, Arrows, full_scale_n, view
 from cablesense_online.page.guard import free_port, guarded_server
 from cablesense_online.page.panel import Actions, Controls, ForceTrace, TensionTrace, html
 from cablesense_online.page.scene import ArmScene
@@ -23,6 +24,8 @@ from cablesense_sim.load_capacity import contact_range_n
 
 _FIGURES_EVERY_S = 0.15
 _NOTE_S = 5.0
+_OTHER_SHAPE = 0.1
+"""A window whose ratio of width and height changes by more than this share has another shape."""
 
 
 class Page:
@@ -58,9 +61,11 @@ class Page:
         self._controls: Controls | None = None
         self._joints_deg = [0.0] * mechanism.joint_count
         self._visitors: dict[int, viser.GuiHtmlHandle] = {}
-        self._scene = ArmScene(server.scene, mechanism, self._touch if actions else None)
+        end_m = mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1]
+        arrows = Arrows(float(end_m), self._force_limit_n)
+        self._scene = ArmScene(server.scene, mechanism, arrows, self._touch if actions else None)
         self._lay_out()
-        server.on_client_connect(self._fit_view)
+        server.on_client_connect(partial(self._follow_view, arrows.reach_m))
         if actions is not None:
             server.on_client_connect(self._assign_controls)
             server.on_client_disconnect(self._assign_controls)
@@ -89,13 +94,21 @@ class Page:
         dock.set_width(390)
         dock.expand()
 
-    def _fit_view(self, client: viser.ClientHandle) -> None:
-        """Shows the whole arm in a window of any shape."""
-        mechanism = self._mechanism
-        reach_m = mechanism.joint_position_straight_m[-1] + mechanism.segment_length_m[-1]
-        with client.atomic():
-            client.camera.near, client.camera.fov = 0.01, VIEW_ANGLE_RAD
-            client.camera.position, client.camera.look_at = view(reach_m, client.camera.aspect)
+    def _follow_view(self, reach_m: float, client: viser.ClientHandle) -> None:
+        """Shows the whole arm in a window of any shape, and again where the shape changes."""
+        camera, fitted = client.camera, 0.0
+
+        def fit(_: viser.CameraHandle) -> None:
+            nonlocal fitted
+            if abs(camera.aspect - fitted) <= _OTHER_SHAPE * fitted:
+                return
+            fitted = camera.aspect
+            with client.atomic():
+                camera.near, camera.fov = 0.02 * reach_m, VIEW_ANGLE_RAD
+                camera.position, camera.look_at = view(reach_m, fitted)
+
+        fit(camera)
+        camera.on_update(fit)
 
     def _assign_controls(self, _: object) -> None:
         """Gives the controls to who has been there longest, and shows everyone who that is.
@@ -152,6 +165,8 @@ class Page:
         self._figures_due_s = time.monotonic() + _FIGURES_EVERY_S
         with self._lock:
             errors = self._score.errors
+            if self._controls is not None and self._actions is not None:
+                self._controls.offer_breath(self._actions.can_breathe())
         estimate = html("estimate", snapshot)
         self._summary.content = f"<div class='cablesense-narrow'>{estimate}</div>"
         self._estimate.content = estimate

@@ -34,6 +34,7 @@ class Actions:
         tare: takes a tare.
         undo_tare: goes back to the tare before.
         breathe: asks for a breath.
+        can_breathe: whether a breather answers; the button is shown where one does.
     """
 
     push: Callable[[Contact, bool], None]
@@ -41,6 +42,7 @@ class Actions:
     tare: Callable[[], None]
     undo_tare: Callable[[], None]
     breathe: Callable[[], None]
+    can_breathe: Callable[[], bool]
 
 
 class Controls:
@@ -109,7 +111,9 @@ class Controls:
                 "Undo the tare", icon=viser.Icon.ARROW_BACK_UP, color="gray", hint=hint
             )
             hint = "moves the arm a little, so that friction hides no force"
-            breathe = gui.add_button("Breathe", icon=viser.Icon.LUNGS, hint=hint)
+            self._breathe = gui.add_button(
+                "Breathe", icon=viser.Icon.LUNGS, hint=hint, visible=actions.can_breathe()
+            )
         for joint in self._joints:
             self._on(joint.on_update, self._send_command)
         for handle in (self._segment, self._place, self._angle, self._newtons, self._along):
@@ -119,7 +123,7 @@ class Controls:
             (home, self._go_home),
             (tare, actions.tare),
             (undo, actions.undo_tare),
-            (breathe, actions.breathe),
+            (self._breathe, actions.breathe),
         ):
             self._on(button.on_click, act)
 
@@ -129,6 +133,11 @@ class Controls:
             self._closed = True
             if self._pushing:
                 self._actions.push(NO_CONTACT, False)
+
+    def offer_breath(self, offered: bool) -> None:
+        """Show or hide the button of a breath."""
+        if self._breathe.visible != offered:
+            self._breathe.visible = offered
 
     def touch(self, segment: int, place_m: float) -> None:
         """Choose where to push: segment 1 … N and the place nearest to `place_m` in its reach."""
@@ -209,6 +218,23 @@ def force_text(force_n: float) -> str:
     return f"{force_n:.{2 if force_n < 9.95 else 1}f} N"
 
 
+def _decimals(low: float, high: float) -> int:
+    """So many that the interval's width has one digit, two at most; angles may pass 360°."""
+    width = high - low if high >= low else high - low + 360.0
+    return min(2, max(0, -math.floor(math.log10(width)))) if width > 0.0 else 2
+
+
+def interval_text(low: float, high: float) -> str:
+    """`59.33 to 59.38`: both ends with the digits that their distance leaves."""
+    digits = _decimals(low, high)
+    return f"{low:.{digits}f} to {high:.{digits}f}"
+
+
+def known_text(value: float, low: float, high: float) -> str:
+    """A value with as many digits as its interval has."""
+    return f"{value:.{_decimals(low, high)}f}"
+
+
 def _number_text(value: float | None, form: str) -> str:
     return "–" if value is None else form % value
 
@@ -216,7 +242,7 @@ def _number_text(value: float | None, form: str) -> str:
 def _macros() -> Any:
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     environment.filters.update(newtons=force_text, number=_number_text)
-    environment.globals.update(_COLOURS)
+    environment.globals.update(_COLOURS, interval=interval_text, known=known_text)
     text = files("cablesense_online.page").joinpath("panel.html").read_text(encoding="utf-8")
     return environment.from_string(text).module
 

@@ -19,9 +19,11 @@ from cablesense_online.page.snapshot import ShownContact, Snapshot
 from cablesense_sim.kinematics import chain, joint_positions_m, segment_rotations
 from cablesense_sim.mechanism import Mechanism
 
-_CABLE_WIDTH_M = 0.0042
-_INTERVAL_WIDTH_M = 0.003
-_PLATE_THICKNESS_M = 0.004
+_CABLE_WIDTH, _INTERVAL_WIDTH, _PLATE_THICKNESS, _THINNEST_REGION = 0.008, 0.006, 0.0075, 0.006
+_SHAFT_RADIUS, _HEAD_RADIUS, _HEAD_LENGTH = 0.0071, 0.018, 0.056
+"""Shares of the arm's length."""
+_SQUARES_M = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+"""Sides that the squares of the ground may have."""
 _BODY_SHARE = 0.34
 """Radius of the drawn body over that of the holes."""
 _PLATE_RGB = (126, 138, 156)
@@ -33,7 +35,6 @@ _ALONG_X = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
 """Quaternion, w x y z, that lays a cylinder, which stands on z, along x."""
 _REGION_SHARE, _REGION_OPACITY = 1.35, 0.5
 """Radius of the band over that of the body."""
-_THINNEST_REGION_M = 0.003
 Touched = Callable[[int, int, float], None]
 """Takes a client, the segment, from 1, and the place on its axis, m from its joint centre."""
 _Place = tuple[float, float, float]
@@ -44,27 +45,34 @@ class ArmScene:
     """The arm in a viser scene, made once; `show` moves and colours it."""
 
     def __init__(
-        self, scene: viser.SceneApi, mechanism: Mechanism, touched: Touched | None = None
+        self,
+        scene: viser.SceneApi,
+        mechanism: Mechanism,
+        arrows: drawing.Arrows,
+        touched: Touched | None = None,
     ) -> None:
         """`touched` is called by a click on a segment."""
+        self._arrows, reach_m = arrows, arrows.reach_m
         self._scene, self._mechanism, self._touched = scene, mechanism, touched
         self._pose_rad = np.zeros(mechanism.joint_count)
         self._radius_m = drawing.routing_radius_m(mechanism)
         self._clearance_m = 1.1 * _BODY_SHARE * self._radius_m
+        square_m = min(_SQUARES_M, key=lambda side_m: abs(math.log(side_m / (0.1 * reach_m))))
         scene.add_grid(
             "/ground",
-            width=3.0,
-            height=3.0,
-            cell_size=0.05,
-            section_size=0.25,
+            width=6.0 * reach_m,
+            height=6.0 * reach_m,
+            cell_size=square_m,
+            section_size=5.0 * square_m,
             cell_color=(46, 53, 65),
             section_color=(62, 72, 88),
             plane_color=(20, 23, 29),
             plane_opacity=1.0,
-            fade_distance=2.6,
-            position=(0.25, 0.0, -0.32),
+            fade_distance=5.0 * reach_m,
+            position=(0.5 * reach_m, 0.0, -0.6 * reach_m),
         )
-        self._add_label("/ground/scale", "squares of 5 cm", (0.35, -0.3, 0.0), "center-center")
+        scale, at = f"squares of {100.0 * square_m:g} cm", (0.65 * reach_m, -0.55 * reach_m, 0.0)
+        self._add_label("/ground/scale", scale, at, "center-center")
         self._add_plates("/base", 0)
         self._add_label("/base/label", "base", (0.0, 0.0, 1.5 * self._radius_m), "bottom-center")
         numbers = range(1, mechanism.segment_count + 1)
@@ -76,13 +84,13 @@ class ArmScene:
             "/cables",
             ends_m,
             np.full(ends_m.shape, 128, dtype=np.uint8),  # one colour would stay the only one
-            thickness=_CABLE_WIDTH_M,
+            thickness=_CABLE_WIDTH * reach_m,
         )
         self._interval = scene.add_line_segments(
             "/interval",
             np.zeros((drawing.INTERVAL_LINES, 2, 3)),
             np.tile(drawing.linear_rgb(np.array(ESTIMATE_RGB)), (drawing.INTERVAL_LINES, 2, 1)),
-            thickness=_INTERVAL_WIDTH_M,
+            thickness=_INTERVAL_WIDTH * reach_m,
             visible=False,
         )
         self._region = scene.add_cylinder(
@@ -93,8 +101,8 @@ class ArmScene:
             cast_shadow=False,
             visible=False,
         )
-        self._true = _Forces(scene, mechanism, "true", TRUE_RGB, "bottom-right")
-        self._estimated = _Forces(scene, mechanism, "est.", ESTIMATE_RGB, "bottom-left")
+        self._true = _Forces(scene, mechanism, arrows, "true", TRUE_RGB, "bottom-right")
+        self._estimated = _Forces(scene, mechanism, arrows, "est.", ESTIMATE_RGB, "bottom-left")
 
     def show(self, snapshot: Snapshot, full_scale_n: float) -> None:
         """Draws a moment; cables are coloured against the legend's full scale, N."""
@@ -110,7 +118,7 @@ class ArmScene:
             rgb = drawing.linear_rgb(drawing.tension_rgb(snapshot.tensions_n, full_scale_n))
             self._cables.colors = np.repeat(rgb[self._piece_cable][:, None], 2, axis=1)
         self._pose_rad = pose
-        axes, aside_m = rotations[:, :, 0], 0.5 * drawing.ARROWS_APART_M
+        axes, aside_m = rotations[:, :, 0], 0.5 * self._arrows.apart_m
 
         def points_m(contacts: Sequence[ShownContact], further_m: float) -> list[Array]:
             at = [(each.segment - 1, each.contact_m + further_m) for each in contacts]
@@ -123,7 +131,9 @@ class ArmScene:
         self._interval.visible = bool(strongest and strongest.magnitude_n and bounds)
         if self._interval.visible and strongest and bounds:
             axis = axes[strongest.segment - 1]
-            lines_m = drawing.interval_m(behind_m[0], axis, strongest, bounds, self._clearance_m)
+            lines_m = drawing.interval_m(
+                behind_m[0], axis, strongest, bounds, self._clearance_m, self._arrows
+            )
             self._interval.points = lines_m.astype(np.float32)
         region = snapshot.region
         self._region.visible = region is not None
@@ -133,7 +143,11 @@ class ArmScene:
             lying = Rotation.from_quat(_ALONG_X, scalar_first=True)
             turn = Rotation.from_matrix(rotations[n]) * lying
             self._region.wxyz = turn.as_quat(scalar_first=True)
-            self._region.scale = 1.0, 1.0, max(high_m - low_m, _THINNEST_REGION_M)
+            self._region.scale = (
+                1.0,
+                1.0,
+                max(high_m - low_m, _THINNEST_REGION * self._arrows.reach_m),
+            )
 
     def _add_segment(self, segment: int) -> viser.FrameHandle:
         name, radius_m = f"/arm/segment_{segment}", _BODY_SHARE * self._radius_m
@@ -164,9 +178,10 @@ class ArmScene:
     def _add_plates(self, name: str, segment: int) -> None:
         radius_m = drawing.PLATE_MARGIN * self._radius_m
         opacity = 0.55 if segment else None
+        thick_m = _PLATE_THICKNESS * self._arrows.reach_m
         for number, x_m in enumerate(drawing.plate_positions_m(self._mechanism, segment)):
             plate = f"{name}/plate_{number}"
-            self._add_disc(plate, x_m, radius_m, _PLATE_THICKNESS_M, _PLATE_RGB, opacity)
+            self._add_disc(plate, x_m, radius_m, thick_m, _PLATE_RGB, opacity)
 
     def _add_disc(
         self,
@@ -192,18 +207,19 @@ class _Forces:
         self,
         scene: viser.SceneApi,
         mechanism: Mechanism,
+        sizes: drawing.Arrows,
         name: str,
         rgb: Rgb,
         anchor: _Anchor,
     ) -> None:
-        self._name = name
+        self._name, self._sizes = name, sizes
         self._arrows = scene.add_arrows(
             f"/forces/{name}",
             np.zeros((1, 2, 3)),
             drawing.linear_rgb(np.array(rgb)),
-            shaft_radius=0.0038,
-            head_radius=0.0095,
-            head_length=0.03,
+            shaft_radius=_SHAFT_RADIUS * sizes.reach_m,
+            head_radius=_HEAD_RADIUS * sizes.reach_m,
+            head_length=_HEAD_LENGTH * sizes.reach_m,
             visible=False,
         )
         self._labels = [
@@ -222,7 +238,7 @@ class _Forces:
     ) -> None:
         """Shows these forces and no others, each at a point (3,) in the base frame."""
         arrows_m = [
-            drawing.arrow_m(point_m, each.force_base_n, clearance_m)
+            drawing.arrow_m(point_m, each.force_base_n, clearance_m, self._sizes)
             for each, point_m in zip(contacts, points_m, strict=True)
         ]
         if contacts:

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from cablesense_online.page.drawing import (
-    ARROW_LONGEST_M,
-    ARROW_METRES_PER_NEWTON,
+    Arrows,
     arrow_m,
     cable_pieces,
     full_scale_n,
@@ -17,13 +16,14 @@ from cablesense_online.page.drawing import (
     place_m,
     tension_rgb,
 )
-from cablesense_online.page.panel import TraceBuffer
+from cablesense_online.page.panel import TraceBuffer, interval_text, known_text
 from cablesense_online.page.snapshot import ForceBounds, ShownContact
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import cable_lengths_m, joint_positions_m
 
 CONTACT = np.array([0.3, 0.01, -0.02])
+ARROWS = Arrows(reach_m=0.5, strongest_n=200.0)
 
 
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_table2"])
@@ -49,13 +49,15 @@ forces = arrays(float, 3, elements=st.floats(-300.0, 300.0)).filter(
 
 @given(force=forces)
 def test_an_arrow_pushes_towards_the_contact_and_is_as_long_as_its_force(force):
-    tail, tip = arrow_m(CONTACT, force, clearance_m=0.02)
+    tail, tip = arrow_m(CONTACT, force, 0.02, ARROWS)
     newtons, length = np.linalg.norm(force), np.linalg.norm(tip - tail)
     np.testing.assert_allclose((tip - tail) / length, force / newtons, atol=1e-9)
     np.testing.assert_allclose(CONTACT - tip, 0.02 * force / newtons, atol=1e-12)
     if 30.0 < newtons < 200.0:
-        assert length == pytest.approx(newtons * ARROW_METRES_PER_NEWTON)
-    assert 0.0 < length <= ARROW_LONGEST_M + 1e-12
+        assert length == pytest.approx(0.75 * newtons / 200.0 * 0.5)
+    assert 0.05 - 1e-12 <= length <= 0.425 + 1e-12
+    small = np.diff(arrow_m(CONTACT, force / 40.0, 0.0, Arrows(0.1, 5.0)), axis=0)
+    assert np.linalg.norm(small) == pytest.approx(length / 5.0)
 
 
 @pytest.mark.parametrize("angles_deg", [(350.0, 20.0), None])
@@ -67,12 +69,12 @@ def test_the_lines_of_an_interval_pass_the_tails_of_its_outermost_forces(angles_
     leaning = force(50.0, 5.0) + np.array([20.0, 0.0, 0.0])
     estimate = ShownContact(2, 5.0, 50.0, 0.08, 20.0, leaning)
     bounds, along = ForceBounds(30.0, 80.0, angles_deg), np.array([1.0, 0.0, 0.0])
-    lines_m = interval_m(CONTACT, along, estimate, bounds, 0.02)
+    lines_m = interval_m(CONTACT, along, estimate, bounds, 0.02, ARROWS)
     np.testing.assert_allclose(lines_m[1:, 0], lines_m[:-1, 1])
     np.testing.assert_allclose(lines_m[0, 0], lines_m[-1, 1])
     for newtons in bounds[:2]:
         for angle_deg in angles_deg or (0.0, 90.0, 180.0):
-            tail, _ = arrow_m(CONTACT, force(newtons, angle_deg), 0.02)
+            tail, _ = arrow_m(CONTACT, force(newtons, angle_deg), 0.02, ARROWS)
             assert np.linalg.norm(lines_m - tail, axis=-1).min() < 1e-9
 
 
@@ -99,6 +101,20 @@ def test_tension_colours_get_lighter_with_tension_so_that_grey_vision_reads_them
     ends = tension_rgb([-5.0, 0.0, 100.0, 900.0, np.nan], 100.0)
     np.testing.assert_array_equal(ends[[0, 2, 4]], ends[[1, 3, 0]])
     np.testing.assert_array_equal(linear_rgb(np.array([0, 255], dtype=np.uint8)), [0, 255])
+
+
+@pytest.mark.parametrize(
+    ("value", "ends", "stated"),
+    [
+        (59.3551, (59.331, 59.379), ("59.36", "59.33 to 59.38")),
+        (65.03, (64.9, 65.2), ("65.0", "64.9 to 65.2")),
+        (48.0, (20.4, 90.3), ("48", "20 to 90")),
+        (5.04, (355.2, 14.9), ("5", "355 to 15")),
+        (0.0, (0.0, 0.0), ("0.00", "0.00 to 0.00")),
+    ],
+)
+def test_numbers_have_the_digits_that_their_interval_leaves(value, ends, stated):
+    assert (known_text(value, *ends), interval_text(*ends)) == stated
 
 
 @given(peak=st.floats(0.0, 1e5))

@@ -56,6 +56,7 @@ def served():
         lambda: asked.append(("tare",)),
         lambda: asked.append(("undo",)),
         lambda: asked.append(("breathe",)),
+        lambda: True,
     )
     page = Page(ARM, actions, port=18_180)
     yield page, asked
