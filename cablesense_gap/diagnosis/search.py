@@ -66,7 +66,7 @@ class _Search:
     ) -> None:
         self._whole, self._problem, self._none = problem, problem, none
         self._pool, self._progress = pool, progress
-        self._doing, self._done, self._until = "", 0.05, 0.75
+        self._doing, self._done, self._until = "", 0.0, 0.75
         candidates = problem.simulator.candidates
         self._cheap = [c for c in candidates if not c.history_dependent]
         self._expensive = [c for c in candidates if c.history_dependent]
