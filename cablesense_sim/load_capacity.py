@@ -26,7 +26,7 @@ from cablesense_sim.equilibrium import (
     held_lengths_m,
     solve_equilibrium,
 )
-from cablesense_sim.kinematics import contact_points_m
+from cablesense_sim.kinematics import bend_rad, contact_points_m
 from cablesense_sim.loads import LoadError, normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import reading_variance_n2
@@ -42,6 +42,10 @@ SEARCHED_UP_TO_N = 2000.0
 
 _WORKING_SHARE = 2.0 / 3.0
 """Share of the load of the straight arm: a bent one bears less."""
+
+_MOST_SAG = 1.0 / 3.0
+"""Share of the bend at which guide plates touch that the weight of an arm may take: beyond it, a
+small error of its build moves the arm far."""
 
 DIRECTIONS = 12
 """From which forces come: they divide the circle evenly from +z."""
@@ -114,14 +118,20 @@ def contact_range_n(arm: Arm, usual_n: float = USUAL_CONTACT_N, contacts: int = 
 
 
 def _unloaded_rad(arm: Arm, mechanism: Mechanism) -> Array:
+    limit_rad = float(mechanism.bend_limit_rad.min())
     try:
-        return solve_equilibrium(mechanism, np.zeros(arm.joint_count)).joint_angles_rad
-    except EquilibriumError as error:
-        raise WeakArmError(
-            f"arm {arm.name} cannot stand: straight and without a load, its own weight bends it "
-            "until guide plates touch; lower segments.mass_kg, or raise cables.pretension_n, the "
-            "cables' stiffness or cables.routing_radius_m"
-        ) from error
+        angles_rad = solve_equilibrium(mechanism, np.zeros(arm.joint_count)).joint_angles_rad
+        sag_rad = float(bend_rad(angles_rad).max())
+    except EquilibriumError:
+        sag_rad = limit_rad
+    if sag_rad <= _MOST_SAG * limit_rad:
+        return angles_rad
+    raise WeakArmError(
+        f"arm {arm.name} cannot stand: straight and without a load, its own weight bends a joint "
+        f"by {np.rad2deg(sag_rad):.0f} degrees or more, and guide plates touch at "
+        f"{np.rad2deg(limit_rad):.0f}; lower segments.mass_kg, or raise cables.pretension_n, the "
+        "cables' stiffness or cables.routing_radius_m"
+    )
 
 
 def _greatest_n(arm: Arm, mechanism: Mechanism, most_n: float) -> Array:

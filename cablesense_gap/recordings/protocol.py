@@ -33,6 +33,7 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.contact_location import touched_at
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import reading_variance_n2
 
 STRONGEST_N = 60.0
@@ -218,14 +219,16 @@ def bearable_load_n(
     """Largest force in N along `direction` (3,) on segment 1..N that leaves every cable taut.
 
     It acts `at_m` from the segment's joint centre, by default at its contact point. It is at most
-    `STRONGEST_N`, in steps of a thirtieth; less on a weak arm. If no visible force (20 noise
-    floors in some cable) leaves all cables taut, the result is the weakest visible one.
+    `STRONGEST_N`, in steps of a thirtieth; less on a weak arm. The nominal arm still has an
+    equilibrium at 1.3 times the force. If no visible force (20 noise floors in some cable) leaves
+    all cables taut, the result is the weakest visible one.
 
     Raises:
         EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.
     """
     where = segment, at_m
-    loads_n, tensions, readable = _increasing_loads(arm, command_rad, where, direction, 1.0)
+    loads_n, tensions, readable, most = _increasing_loads(arm, command_rad, where, direction)
+    tensions, readable = tensions[: most + 1], readable[: most + 1]
     unloaded = tensions[0]
     least = np.minimum(_TAUT_SHARE * mechanism_of(arm).pretension_n, 0.5 * unloaded)
     taut = _last_in_row((tensions >= least).all(axis=1) & readable)
@@ -247,30 +250,26 @@ def slackening_load_n(
     Raises:
         EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.
     """
-    loads_n, tensions, readable = _increasing_loads(
-        arm, command_rad, (segment, at_m), direction, _REST_MARGIN
-    )
+    where = segment, at_m
+    loads_n, tensions, readable, most = _increasing_loads(arm, command_rad, where, direction)
     slack = (tensions <= 0.0).any(axis=1)
-    weakest_n = float(loads_n[np.argmax(slack)])
-    safe_n = float(loads_n[len(tensions) - 1]) / _REST_MARGIN
-    readable_n = float(loads_n[_last_in_row(readable)])
-    step_n = float(loads_n[1])
-    most_n = min(_LOAD_STEPS * step_n, _BEYOND_SLACK * weakest_n, safe_n, readable_n)
-    wanted_n = most_n // step_n * step_n
-    if not slack.any() or wanted_n <= weakest_n:
+    weakest = int(np.argmax(slack))
+    wanted = min(int(_BEYOND_SLACK * weakest), most, _last_in_row(readable))
+    if not slack.any() or wanted <= weakest:
         return bearable_load_n(arm, command_rad, segment, direction, at_m)
-    return wanted_n
+    return float(loads_n[wanted])
 
 
 def _increasing_loads(
-    arm: Arm, command_rad: Array, where: tuple[int, float | None], direction: Array, share: float
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Loads from 0 to a share of the strongest, N; as far as the arm finds rest, the tensions.
+    arm: Arm, command_rad: Array, where: tuple[int, float | None], direction: Array
+) -> tuple[Array, Array, NDArray[np.bool_], int]:
+    """Loads from 0 to 1.3 times the strongest, N; as far as the arm finds rest, the tensions.
 
-    Tensions (L, M), and whether (L,) no sensor is near the end of its range that is not there
-    unloaded. A step is a thirtieth of the strongest load: 2 N, or on a weak arm less, by 1, 2 or
-    5 times 10^k N. The strongest is at most three times the moment of the pretension about the
-    axis, by the reach.
+    Tensions (L, M), whether (L,) no sensor is near the end of its range that is not there
+    unloaded, and the position of the greatest load of which the arm bears 1.3 times. A step is a
+    thirtieth of the strongest load: 2 N, or less, by 1, 2 or 5 times 10^k N. The strongest is at
+    most three times the moment of the pretension about the axis, by the reach, and so weak that
+    the arm bears a third of it.
     """
     mechanism, (segment, at_m) = mechanism_of(arm), where
     if at_m is not None:
@@ -278,21 +277,33 @@ def _increasing_loads(
     radius_m = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)
     moment_nm = float((mechanism.pretension_n * radius_m).sum())
     most_n = min(STRONGEST_N, 3.0 * moment_nm / float(mechanism.segment_length_m.sum()))
-    steps = (10.0**k * digit for k in range(0, -10, -1) for digit in (2.0, 1.0, 0.5))
-    step_n = next(step for step in steps if _LOAD_STEPS * step <= most_n)
-    loads_n = np.arange(0.0, share * (_LOAD_STEPS * step_n) + step_n, step_n)
+    most, loads_n, tensions = 0, np.zeros(1), np.zeros((1, 0))
+    for step_n in (10.0**k * digit for k in range(0, -10, -1) for digit in (2.0, 1.0, 0.5)):
+        if _LOAD_STEPS * step_n > most_n:
+            continue
+        loads_n = step_n * np.arange(round(_REST_MARGIN * _LOAD_STEPS) + 1)
+        tensions = _borne_tensions_n(mechanism, command_rad, segment, loads_n[:, None] * direction)
+        most = min(_LOAD_STEPS, int((len(tensions) - 1) / _REST_MARGIN + 1e-9))
+        if 3 * most >= _LOAD_STEPS:
+            break
+    limit_n = np.inf if arm.sensors.range_n is None else _RANGE_SHARE * arm.sensors.range_n[1]
+    readable = (tensions <= max(limit_n, tensions[0].max())).all(axis=1)
+    return loads_n, tensions, readable, most
+
+
+def _borne_tensions_n(
+    mechanism: Mechanism, command_rad: Array, segment: int, loads_n: Array
+) -> Array:
+    """(K, M) tensions under the first K of loads (L, 3) on a segment, as far as it finds rest."""
     forces_n = np.zeros((len(loads_n), mechanism.segment_count, 3))
-    forces_n[:, segment - 1] = loads_n[:, None] * direction
+    forces_n[:, segment - 1] = loads_n
     try:
-        tensions = solve_equilibrium(mechanism, command_rad, forces_n).tensions_n
+        return solve_equilibrium(mechanism, command_rad, forces_n).tensions_n
     except EquilibriumError as error:
         if not error.failed.size or error.failed[0] == 0:
             raise
         borne = forces_n[: int(error.failed[0])]
-        tensions = solve_equilibrium(mechanism, command_rad, borne).tensions_n
-    limit_n = np.inf if arm.sensors.range_n is None else _RANGE_SHARE * arm.sensors.range_n[1]
-    readable = (tensions <= max(limit_n, tensions[0].max())).all(axis=1)
-    return loads_n, tensions, readable
+        return solve_equilibrium(mechanism, command_rad, borne).tensions_n
 
 
 def _last_in_row(holds: NDArray[np.bool_]) -> int:

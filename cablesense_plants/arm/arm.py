@@ -11,12 +11,15 @@ from cablesense_base import Array
 from cablesense_plants.arm.body import Body, Creep, Nominal, PlantFriction, rigid_body
 from cablesense_plants.arm.friction import QuasiStaticPath
 from cablesense_plants.arm.protocol import Schedule
-from cablesense_plants.arm.statics import cable_lengths_m, follow_path
-from cablesense_plants.cases import NO_FAULT
+from cablesense_plants.arm.statics import borne_shares, cable_lengths_m, follow_path
+from cablesense_plants.cases import NO_FAULT, PlantError
 
 DriftShape = Literal["linear", "slow sine", "random walk", "warm-up"]
 Filter = Literal["first order", "moving average", "second order, critically damped"]
 
+_MARGIN, _HALVINGS = 1.5, 6
+"""By how much an arm as drawn bears more than a load of a recording, so that a changed arm bears
+it too; how often the angles of poses are halved until it rests in all of them."""
 _FINE = 10
 """Samples of a filter between two readings."""
 _MASS_SHARE, _PRETENSION_N, _CONTACT_M, _HOLE_DEG, _ZERO_N = 0.005, 0.15, 0.0003, 0.05, 0.05
@@ -250,6 +253,43 @@ class RealArm:
         stated = np.isfinite(schedule.load_at_m)[:, None]
         shares = [~stated, *(stated * each for each in lever)]
         return np.concatenate([each[..., None] * schedule.forces_n for each in shares], axis=1)
+
+    def within_strength(self, schedule: Schedule) -> Schedule:
+        """The schedule with smaller angles and loads where the arm does not bear those given.
+
+        All angles are halved together until each pose leaves a rest. The load of a trial is
+        reduced as a whole, by what the arm bears at its peak.
+
+        Raises:
+            PlantError: the unloaded arm finds no rest even near straight.
+        """
+        starts = np.flatnonzero(np.diff(schedule.trial, prepend=schedule.trial[0] - 1))
+        size_n = np.linalg.norm(schedule.load_n, axis=1)
+        ends = np.append(starts[1:], len(size_n))
+        peaks = np.array([a + np.argmax(size_n[a:b]) for a, b in zip(starts, ends, strict=True)])
+        corners = np.concatenate([schedule.command_rad.argmin(0), schedule.command_rad.argmax(0)])
+        rows = np.concatenate([peaks, corners])
+        for _ in range(_HALVINGS):
+            command = schedule.command_rad[rows]
+            loads_n = self.point_loads_n(schedule)[rows]
+            loads_n[len(peaks) :] = 0.0
+            borne = borne_shares(self.body, command, self.held_m(command), _MARGIN * loads_n)
+            if (borne >= 0.0).all():
+                break
+            schedule = schedule._replace(command_rad=np.round(0.5 * schedule.command_rad, 6))
+        else:
+            raise PlantError(
+                "the arm finds no rest even near straight; raise cables.pretension_n or the "
+                "cables' stiffness"
+            )
+        share = np.repeat(np.minimum(_MARGIN * borne[: len(peaks)], 1.0), ends - starts)
+        load_n = np.round(share[:, None] * schedule.load_n, 3) + 0.0
+        loaded = (load_n != 0.0).any(axis=1)
+        return schedule._replace(
+            load_n=load_n,
+            load_segment=np.where(loaded, schedule.load_segment, 0),
+            load_at_m=np.where(loaded, schedule.load_at_m, np.nan),
+        )
 
     def held_m(self, command_rad: Array) -> Array:
         """(R, M) cable paid out by commands (R, 2N) as drawn, minus that of the straight arm."""

@@ -36,7 +36,7 @@ class Nominal:
         per_segment: cables that end on a segment.
         radius_m: (M,) of a cable's guide holes about the axis.
         hole_angle_rad: (M,) from +z towards +y.
-        stiffness_n_m: of cable and actuator in series.
+        stiffness_n_m: (M,) of cable and actuator in series.
         pretension_n: with the arm straight and weightless.
         run_m: from actuator to base plate.
         noise_std_n: of a reading, before it is rounded to whole steps `step_n`.
@@ -52,7 +52,7 @@ class Nominal:
     per_segment: int
     radius_m: Array
     hole_angle_rad: Array
-    stiffness_n_m: float
+    stiffness_n_m: Array
     pretension_n: float
     run_m: float
     rate_hz: float
@@ -99,11 +99,11 @@ def _nominal(text: Any) -> Nominal:
     if text.get("effects"):
         raise ValueError("effects are listed, and the plant draws its own from a nominal arm")
     count, per_segment = int(segments["count"]), int(cables["per_segment"])
-    if count < 2 or per_segment < 3:
-        raise ValueError("fewer than 2 segments or than 3 cables each")
+    if count < 1 or per_segment < 3:
+        raise ValueError("no segment, or fewer than 3 cables each")
     angle = cables["angle_deg"]
     segment, cable = np.divmod(np.arange(count * per_segment), per_segment)
-    angles = angle["first"] + angle["per_segment"] * segment + angle["per_cable"] * cable
+    angles = angle.get("first", 0.0) + angle["per_segment"] * segment + angle["per_cable"] * cable
 
     def by_segment(given: Any) -> Array:
         values = np.asarray(given, dtype=float)
@@ -115,12 +115,16 @@ def _nominal(text: Any) -> Nominal:
         name: float(part[name])
         for part, names in (
             (segments, ("plate_offset_m",)),
-            (cables, ("stiffness_n_m", "pretension_n", "run_m")),
+            (cables, ("pretension_n", "run_m")),
             (sensors, ("rate_hz", "noise_std_n", "step_n")),
         )
         for name in names
     }
     length_m = by_segment(segments["length_m"])
+    if (stiffness_n_m := cables.get("stiffness_n_m")) is None:
+        before_m = np.cumsum(length_m) - length_m + 2.0 * numbers["plate_offset_m"]
+        alone_m_n = (numbers["run_m"] + before_m[segment]) / float(cables["axial_rigidity_n"])
+        stiffness_n_m = 1.0 / (alone_m_n + 1.0 / float(text["actuators"]["kp_n_m"]))
     reach_m = (text.get("touch") or {}).get("reach_m")
     if reach_m is None:
         reach_m = np.stack([np.full(count, numbers["plate_offset_m"]), length_m], axis=1)
@@ -134,6 +138,7 @@ def _nominal(text: Any) -> Nominal:
         per_segment=per_segment,
         radius_m=by_segment(cables["routing_radius_m"])[segment],
         hole_angle_rad=np.deg2rad(angles.astype(float)),
+        stiffness_n_m=np.broadcast_to(np.asarray(stiffness_n_m, dtype=float), segment.shape),
         **numbers,
     )
 
@@ -261,7 +266,7 @@ def rigid_body(nominal: Nominal) -> Body:
         contact_joint=np.tile(joints, (4, 1)),
         contact_at_m=points_m[..., None] * on_axis,
         tip_at_m=nominal.length_m[-1] * on_axis,
-        stiffness_n_m=np.full(m, nominal.stiffness_n_m),
+        stiffness_n_m=nominal.stiffness_n_m,
         pretension_n=np.full(m, nominal.pretension_n),
         driven=joints,
     )

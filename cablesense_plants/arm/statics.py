@@ -8,6 +8,7 @@ all loads that begin unloaded are followed side by side.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,8 +21,13 @@ from cablesense_plants.cases import PlantError
 _LEFT, _RIGHT = [0, 0, 1], [0, 1, 1]
 _PITCH_ORDER, _YAW_ORDER = np.array([0, 1, 0, 2, 1, 0]), np.array([0, 0, 1, 0, 1, 2])
 _ENOUGH_NM = 1e-9
+_LEAST_SPAN_M = 1e-9
+"""Holes of a joint can meet where a step of the search folds it."""
+_LONGEST_STEP_RAD = 0.5
 _MOST_STEPS, _LOAD_STEPS = 150, 13
 _LEAST_DAMPING = 0.02
+_ROOM = 0.75
+"""Share of the bend at which plates touch that a load which the arm bears may use."""
 _SOFTEST_NM_RAD, _LEAST_NM_RAD = 10.0, 1e-3
 
 
@@ -93,7 +99,7 @@ def spans(body: Body, angles_rad: Array, turning: Array, with_bends: bool = Fals
     turned = turning @ np.swapaxes(body.after_m, -1, -2)
     v = turned[0] - np.swapaxes(body.before_m, -1, -2)
     first, second = turned[1:3], turned[3:6]
-    length = np.sqrt((v * v).sum(-2))
+    length = np.maximum(np.sqrt((v * v).sum(-2)), _LEAST_SPAN_M)
     slope = (first * v).sum(-2) / length
     pairs = (first[_LEFT] * first[_RIGHT] + second * v).sum(-2)
     curve = (pairs - slope[_LEFT] * slope[_RIGHT]) / length
@@ -288,10 +294,12 @@ def find_rest(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array) -
         PlantError: rows without rest.
     """
     angles, tensions, lost = _search(body, start_rad, paid_out_m, loads_n)
-    if len(lost):  # loads put on little by little, each from the rest under the last
+    lost = np.union1d(lost, np.flatnonzero(~_has_room(body, angles)))
+    if len(lost):  # weights and loads little by little, each from the rest under the last
         paid, loads, start = paid_out_m[lost], loads_n[lost], start_rad[lost]
         for share in np.linspace(0.0, 1.0, _LOAD_STEPS):
-            start, tension, still = _search(body, start, paid, share * loads)
+            lighter = replace(body, gravity_m_s2=share * body.gravity_m_s2)
+            start, tension, still = _search(lighter, start, paid, share * loads)
             if len(still):
                 raise PlantError(
                     f"no rest found in {len(still)} rows, the first is {lost[still[0]] + 1}; "
@@ -302,16 +310,52 @@ def find_rest(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array) -
     return BodyRest(angles, tensions)
 
 
+def borne_shares(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array) -> Array:
+    """(B,) largest share of loads, in twelfths, that leaves a rest and room between the plates.
+
+    Arguments as in `find_rest`; weights and then loads are put on little by little. -1 where even
+    the unloaded arm has no rest with that room.
+    """
+    shares = np.linspace(0.0, 1.0, _LOAD_STEPS)
+    angles, borne = np.array(start_rad), np.full(len(start_rad), -1.0)
+    rows = np.arange(len(borne))
+    for weight, load in [
+        *((each, 0.0) for each in shares[:-1]),
+        *((1.0, each) for each in shares),
+    ]:
+        lighter = replace(body, gravity_m_s2=weight * body.gravity_m_s2)
+        paid, loads = paid_out_m[rows], load * loads_n[rows]
+        angles[rows], _, lost = _search(lighter, angles[rows], paid, loads)
+        held = _has_room(body, angles[rows], _ROOM)
+        held[lost] = False
+        rows = rows[held]
+        if not len(rows):
+            break
+        borne[rows] = load if weight == 1.0 else -1.0
+    return borne
+
+
+def _has_room(body: Body, angles_rad: Array, share: float = 1.0) -> NDArray[np.bool_]:
+    """(B,) whether no joint bends by more than a share of the angle at which its plates touch."""
+    bend, limit = _bends_rad(body, angles_rad)
+    return np.asarray((bend <= share * limit).all(axis=1))
+
+
+def _bends_rad(body: Body, angles_rad: Array) -> tuple[Array, Array]:
+    """Bends (B, J) of joints at angles (B, 2J), and (J,) those at which their plates touch."""
+    turn = angles_rad.reshape(len(angles_rad), body.joint_count, 2)
+    radius = np.linalg.norm(body.after_m[..., 1:], axis=-1).max(axis=1)
+    limit = 2.0 * np.arctan2(-body.before_m[:, 0, 0], radius)
+    return np.arccos(np.clip(np.cos(turn).prod(axis=-1), -1.0, 1.0)), limit
+
+
 def require_room(body: Body, angles_rad: Array) -> None:
     """Refuse angles (B, 2J) at which the guide plates of a joint would cut into each other.
 
     Raises:
         PlantError: naming the first row and joint.
     """
-    turn = angles_rad.reshape(len(angles_rad), -1, 2)
-    bend = np.arccos(np.clip(np.cos(turn).prod(axis=-1), -1.0, 1.0))
-    radius = np.linalg.norm(body.after_m[..., 1:], axis=-1).max(axis=1)
-    limit = 2.0 * np.arctan2(-body.before_m[:, 0, 0], radius)
+    bend, limit = _bends_rad(body, angles_rad)
     beyond = np.argwhere(bend > limit)
     if len(beyond):
         row, joint = beyond[0]
@@ -358,7 +402,9 @@ def newton_step_rad(torque_nm: Array, slope_nm_rad: Array, damping: Array) -> Ar
     firmer[:, diagonal, diagonal] -= damping[:, None] * np.maximum(own, _SOFTEST_NM_RAD)
     unstable = softest > -_LEAST_NM_RAD
     firmer[:, diagonal, diagonal] -= (unstable * (2.0 * np.abs(softest) + 0.5))[:, None]
-    return np.asarray(np.linalg.solve(firmer, -torque_nm[..., None])[..., 0], dtype=float)
+    step = np.asarray(np.linalg.solve(firmer, -torque_nm[..., None])[..., 0], dtype=float)
+    longest = np.abs(step).max(axis=1, keepdims=True, initial=_LONGEST_STEP_RAD)
+    return step * (_LONGEST_STEP_RAD / longest)
 
 
 def damped(damping: Array, accepted: NDArray[np.bool_]) -> Array:

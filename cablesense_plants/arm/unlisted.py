@@ -109,7 +109,7 @@ def _with_middles(body: Body, stiffness_nm_rad: float) -> Body:
 def link_length(draw: ArmDraw) -> ArmChange:
     """A segment that is longer or shorter than drawn, so that the next joint is elsewhere."""
     count = draw.nominal.segment_count
-    share = marked(int(draw.rng.integers(1, count)), count, draw.sign())
+    share = marked(int(draw.rng.integers(min(1, count - 1), count)), count, draw.sign())
     return ArmChange(sets("body", spacing_m=added(share)))
 
 

@@ -207,8 +207,9 @@ def record_case(
             f"no effect {strange[0]!r}; the plant has none, unknown, {', '.join(draws)}, and "
             "several of the list joined by +"
         )
-    done = draw_schedule(nominal, rng), draw_history(nominal, rng)
-    plain_arm = with_tolerances(ideal_arm(nominal), rng)
+    drawn = ideal_arm(nominal)
+    done = _schedules(drawn, rng)
+    plain_arm = with_tolerances(drawn, rng)
     changes = []
     for name in sorted(names):
         for _ in range(_CHANGE_REDRAWS):
@@ -245,15 +246,21 @@ def record_case(
         sizes=json.dumps(sizes),
         gap_n=gap,
         gap_over_floor=gap / nominal.floor_n,
-        scatter_gap_n=gap_n(plain_n, ideal_arm(nominal).signals_n(*done)),
+        scatter_gap_n=gap_n(plain_n, drawn.signals_n(*done)),
         each_gap_n=" ".join(f"{value:.4f}" for value in each),
     )
     recorded = CaseRecording(done[0], nominal.read_n(signals, noise_rng), answer)
     if not second:
         return recorded
-    again = draw_schedule(nominal, noise_rng), draw_history(nominal, noise_rng)
+    again = _schedules(drawn, noise_rng)
     more_n = nominal.read_n(arm.signals_n(*again), noise_rng)
     return replace(recorded, second=(again[0], more_n))
+
+
+def _schedules(arm: RealArm, rng: np.random.Generator) -> tuple[Schedule, Schedule]:
+    """A recording's schedule and its history, of which the arm bears all poses and loads."""
+    made = draw_schedule(arm.nominal, rng), draw_history(arm.nominal, rng)
+    return arm.within_strength(made[0]), arm.within_strength(made[1])
 
 
 def size_for(

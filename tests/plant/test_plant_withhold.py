@@ -3,6 +3,7 @@
 import csv
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,18 +57,26 @@ def test_a_protocol_is_the_same_at_any_rate(rate_hz: float) -> None:
     np.testing.assert_array_equal(other.load_segment > 0, (other.load_n != 0.0).any(axis=1))
 
 
-def test_an_arm_with_lists_at_an_odd_rate_is_read_and_predicted(tmp_path: Path) -> None:
+LISTS = {
+    "segments.length_m": [0.15, 0.13, 0.12, 0.11],
+    "segments.mass_kg": [0.6, 0.5, 0.4, 0.3],
+    "segments.contact_m": [0.07, 0.06, 0.06, 0.05],
+    "cables.routing_radius_m": [0.06, 0.055, 0.05, 0.045],
+    "sensors.rate_hz": 3.0,
+}
+ELASTIC = {
+    "segments.count": 1,
+    "cables.angle_deg.first": None,
+    "cables.stiffness_n_m": None,
+    "cables.axial_rigidity_n": 3e4,
+    "actuators.kp_n_m": 4e5,
+}
+
+
+@pytest.mark.parametrize("changes", [LISTS, ELASTIC], ids=["lists", "one segment"])
+def test_an_arm_of_another_kind_is_read_and_predicted(tmp_path: Path, changes: Any) -> None:
     """Its tolerances alone part its readings from those of the simulator's arm."""
-    arm = variant(
-        {
-            "segments.length_m": [0.15, 0.13, 0.12, 0.11],
-            "segments.mass_kg": [0.6, 0.5, 0.4, 0.3],
-            "segments.contact_m": [0.07, 0.06, 0.06, 0.05],
-            "cables.routing_radius_m": [0.06, 0.055, 0.05, 0.045],
-            "sensors.rate_hz": 3.0,
-        },
-        "cdsm_lab",
-    )
+    arm = variant(changes, "cdsm_lab")
     file = tmp_path / "arm.yaml"
     write_arm(file, arm, "")
     (answer,) = withhold(tmp_path, tmp_path / "a.csv", read_nominal(file), 1, 4, ["none"])

@@ -1,0 +1,137 @@
+"""The commands of a diagnosis on arm files drawn at random: what runs, and what is right.
+
+    python benchmarks/gap_arms.py [--count 30] [--seed 9601] [--write]
+
+Draws arms of 2 to 6 segments with 3 or 4 cables each, of 5 kN/m to 10 MN/m, as `cablesense info`
+accepts them. On each it runs `gap protocol`, `gap withhold` with one effect (all come in turn),
+`train` with few samples and `gap diagnose`, as a user does. A command ran if it ends with 0 and
+warns of nothing; a verdict is right if it names the effect alone. `--folder` keeps the files and
+continues there; `--minutes` starts no further arm after that time.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import harness
+import numpy as np
+import yaml
+
+from cablesense_gap.amended_arm import write_arm
+from cablesense_gap.scoring import read_answers
+from cablesense_gap.verdict import read_verdict
+from cablesense_plants.arm.listed import LISTED
+from cablesense_plants.cases import in_turn
+from cablesense_sim.arm import Arm, parse_arm
+from cablesense_sim.load_capacity import WeakArmError, load_capacity
+
+RATES_HZ = (5.0, 10.0, 20.0)
+COMMANDS = {
+    "protocol": "protocol --out protocol.csv",
+    "withhold": "withhold --count 1 --seed {seed} --only {kind} --out cases",
+    "train": "--samples 512 --epochs 2 --out model.onnx",
+    "diagnose": "diagnose cases/case_001.csv --out diagnosis",
+}
+
+
+def main() -> None:
+    """Runs the commands on every arm, counts and prints; keeps the counts with `--write`."""
+    parser = harness.parser(__doc__, "gap_arms.json")
+    parser.add_argument("--count", type=int, default=30, help="arms")
+    parser.add_argument("--seed", type=int, default=9601, help="of arms, effects and recordings")
+    parser.add_argument("--minutes", type=float, default=np.inf, help="then no further arm")
+    parser.add_argument("--folder", type=Path, help="of the files, continued there")
+    options = parser.parse_args()
+    folder = options.folder or Path(tempfile.mkdtemp(prefix="gap_arms_"))
+    kinds = in_turn(np.random.default_rng(options.seed), list(LISTED))
+    until, cases = time.time() + 60.0 * options.minutes, []
+    for index in range(1, options.count + 1):
+        kind, own = next(kinds), folder / f"arm_{index:03d}"
+        if time.time() < until or (own / "diagnosis").exists():
+            cases.append(_case(own, np.random.default_rng([options.seed, index]), index, kind))
+            print(cases[-1], flush=True)
+    ran = {name: sum(name not in case["failed"] for case in cases) for name in COMMANDS}
+    counts = {"arms": len(cases), "ran": ran, "right": sum(case["right"] for case in cases)}
+    result = {**harness.origin(), "seed": options.seed, **counts, "each_case": cases}
+    harness.publish("gap_arms.json", result, options)
+
+
+def draw_arm(rng: np.random.Generator) -> Arm:
+    """An arm that stands and bears contacts, its holes evenly around the axis."""
+    while True:
+        count, each = int(rng.integers(2, 7)), int(rng.integers(3, 5))
+        length_m = rng.uniform(0.06, 0.25, count).round(3) * np.ones(count)
+        offset_m = round(float(rng.uniform(0.1, 0.2) * length_m.min()), 3)
+        arm = {
+            "name": "drawn",
+            "gravity_m_s2": [0.0, 0.0, -9.81],
+            "segments": {
+                "count": count,
+                "length_m": length_m.tolist(),
+                "mass_kg": _log_uniform(rng, 0.05, 1.0),
+                "plate_offset_m": offset_m,
+                "contact_m": (0.5 * length_m).round(3).tolist(),
+            },
+            "cables": {
+                "per_segment": each,
+                "routing_radius_m": round(float(rng.uniform(0.02, 0.07)), 3),
+                "angle_deg": {"per_segment": 360.0 / each / count, "per_cable": -360.0 / each},
+                "stiffness_n_m": _log_uniform(rng, 5e3, 1e7),
+                "pretension_n": _log_uniform(rng, 10.0, 200.0),
+                "run_m": 0.2,
+            },
+            "actuators": {"kind": "position", "kp_n_m": float("inf")},
+            "sensors": {
+                "place": "actuator end",
+                "rate_hz": float(rng.choice(RATES_HZ)),
+                "noise_std_n": _log_uniform(rng, 0.02, 0.2),
+                "step_n": 0.05,
+            },
+        }
+        drawn = parse_arm(yaml.safe_dump(arm))
+        try:
+            load_capacity(drawn)
+        except WeakArmError:
+            continue
+        return drawn
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(f"{np.exp(rng.uniform(np.log(low), np.log(high))):.3g}")
+
+
+def _case(folder: Path, rng: np.random.Generator, index: int, kind: str) -> dict[str, Any]:
+    """What failed on one arm, what was hidden, and what was named."""
+    arm = draw_arm(rng)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_arm(folder / "arm.yaml", arm, "")
+    failed: dict[str, str] = {}
+    for name, line in COMMANDS.items():
+        words = line.format(seed=index, kind=kind).split()
+        verb = [name] if name == "train" else ["gap"]
+        made = folder / words[words.index("--out") + 1]
+        if made.exists():
+            continue
+        command = [*harness.CABLESENSE, *verb, *words, "--arm", "arm.yaml"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if done.returncode or "Warning" in done.stderr:
+            failed[name] = done.stderr.strip()[-300:]
+    found, answers = folder / "diagnosis" / "verdict.json", folder / "cases/answers/answers.csv"
+    named = "+".join(read_verdict(found).effects) if found.exists() else ""
+    return {
+        "case": f"{index:03d}, {arm.segment_count} x {arm.cables.per_segment}",
+        "stiffness_n_m": arm.cables.stiffness_n_m,
+        "hidden": kind,
+        "gap_over_floor": read_answers(answers)[0].gap_over_floor if answers.exists() else None,
+        "named": named,
+        "right": named == kind,
+        "failed": failed,
+    }
+
+
+if __name__ == "__main__":
+    main()
