@@ -5,6 +5,7 @@
     python benchmarks/gap_blind.py --effects 3-5 --count 40 --seed 9304 [--write]
     python benchmarks/gap_blind.py --recordings FOLDER [--write]
     python benchmarks/gap_blind.py --speed cable_creep --seed 7 [--write]
+    python benchmarks/gap_blind.py --exchanged 20 --seed 9702 [--write]
 
 Draws the recordings, diagnoses each without its answer, and scores the verdicts. The cases are of
 all kinds in turn, followed by `--friction` cases with friction of cables, or they have several
@@ -13,7 +14,10 @@ predicts the second. Seeds below 9100 and 9302, 9303, 9311 were used during deve
 keeps recordings and verdicts and continues there; `--minutes` starts no further case after that
 time and scores the finished ones; `--first` stops after that number of cases. `--recordings`
 diagnoses recordings of another plant, whose answers are unknown. `--speed` measures time and
-memory of one diagnosis with two workers, as a user runs it.
+memory of one diagnosis with two workers, as a user runs it. `--exchanged` exchanges two columns,
+drawn at random, of recordings of all kinds, and counts how often they are named, in how many
+seconds, and how often an exchange is seen in the recordings as they were; the same for a tare of
+their first rows, where the arm is straight and untouched.
 """
 
 from __future__ import annotations
@@ -23,7 +27,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,7 +39,10 @@ from rich.progress import track
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.arm_simulator import removed_on
 from cablesense_gap.arm_system import diagnose
-from cablesense_gap.recordings.checks import read_recording
+from cablesense_gap.recordings.channels import EXCHANGED
+from cablesense_gap.recordings.checks import check_recording, read_recording
+from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.recordings.thinning import rows_to_use
 from cablesense_gap.scoring import Truth as Case
 from cablesense_gap.scoring import read_answers, score
 from cablesense_gap.verdict import (
@@ -45,9 +52,12 @@ from cablesense_gap.verdict import (
     read_verdict,
     write_verdict,
 )
+from cablesense_online.exchanged_plugs import exchanged_plugs
+from cablesense_online.tare import UnloadedTensions
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.withhold import ArmAnswer, draw_kinds, draw_several, withhold
 from cablesense_sim.arm import find_arm, open_arm
+from cablesense_sim.replay import replay_arm
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -70,7 +80,12 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=np.inf, help="then no further case")
     parser.add_argument("--folder", type=Path, help="of recordings and verdicts, continued there")
     parser.add_argument("--speed", metavar="EFFECT", help="time of a diagnosis of this effect")
+    parser.add_argument("--exchanged", type=int, help="recordings with two columns exchanged")
     options = parser.parse_args()
+    if options.exchanged:
+        result = {**harness.origin(), "arm": ARM, **_exchanged(options.exchanged, options.seed)}
+        harness.publish("gap_exchanged.json", result, options)
+        return
     if options.speed:
         harness.publish("gap_speed.json", _speed(options.speed, options.seed), options)
         return
@@ -195,6 +210,41 @@ def _speed(effect: str, seed: int) -> dict[str, Any]:
             "gap_after_n": round(verdict.gap.after_n, 4),
             "gap_floor_n": round(verdict.gap.floor_n, 4),
         },
+    }
+
+
+def _exchanged(count: int, seed: int) -> dict[str, Any]:
+    """How often exchanged columns are named by a diagnosis and at a tare; false alarms."""
+    arm, rng = open_arm(ARM), np.random.default_rng([seed])
+    straight_n = UnloadedTensions(arm).predict_n(np.zeros(arm.joint_count))
+    named, false, tared, false_tares, seconds = 0, 0, 0, 0, []
+    kinds = draw_kinds(rng, count)
+    with tempfile.TemporaryDirectory() as name:
+        drawn(Path(name), count, seed, kinds)
+        for path in sorted(Path(name).glob("*.csv")):
+            one, other = sorted(rng.choice(arm.cable_count, 2, replace=False).tolist())
+            order = np.arange(arm.cable_count)
+            order[[one, other]] = other, one
+            began = time.monotonic()
+            read = read_recording(path, arm)
+            try:
+                diagnose(replace(read, tensions_n=read.tensions_n[:, order]), arm)
+            except RecordingError as error:
+                named += f"tension_{one + 1}_n reads cable_{other + 1}, " in str(error)
+            seconds.append(time.monotonic() - began)
+            rows = rows_to_use(read)
+            nominal_n = replay_arm(arm, *read.rows(rows).inputs)
+            found = check_recording(read, arm, nominal_n, rows)
+            false += any(finding.kind == EXCHANGED for finding in found)
+            rest_n = read.tensions_n[read.trial == read.trial[0]].mean(axis=0)
+            pair = f"cable_{one + 1} and cable_{other + 1} look"
+            tared += pair in exchanged_plugs(rest_n[order], straight_n)
+            false_tares += bool(exchanged_plugs(rest_n, straight_n))
+    return {
+        "recordings": count,
+        "diagnosis": {"named": named, "false_alarms": false},
+        "seconds_until_named": harness.percentiles(seconds, ("median", "worst"), 1),
+        "tare": {"named": tared, "false_alarms": false_tares},
     }
 
 

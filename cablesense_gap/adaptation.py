@@ -96,6 +96,8 @@ def adapt(
     progress: Callable[[str, float], None] = lambda *_: None,
     workers: int = 1,
     on_finding: Callable[[str], None] = lambda _: None,
+    *,
+    force: bool = False,
 ) -> Adaptation:
     """Diagnose, train on the amended arm, and judge the models in the files `first` and `second`.
 
@@ -116,7 +118,7 @@ def adapt(
     def show_training(record: EpochRecord) -> None:
         progress("training for the amended arm", diagnosed + 0.1 * record.epoch / _EPOCHS)
 
-    found = diagnose(recording, arm, show, workers, on_finding, unseen)
+    found = diagnose(recording, arm, show, workers, on_finding, unseen, force=force)
     progress("drawing samples of the amended arm", diagnosed)
     adapted = adapt_to(found, recording, unseen, first, second, command, show_training)
     progress("done", 1.0)

@@ -16,7 +16,7 @@ from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, supported_r
 from cablesense_gap.diagnosis.problem import Explanation, Problem, unit_of
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.pipeline import FOLDS, System, Unlisted, diagnose_system, problem_of
-from cablesense_gap.recordings.channels import unborne_findings
+from cablesense_gap.recordings.channels import EXCHANGED, unborne_findings
 from cablesense_gap.recordings.checks import check_recording, refuse_unusable
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.recordings.thinning import rows_along_path, rows_to_use
@@ -189,6 +189,8 @@ def diagnose(
     workers: int = 1,
     on_finding: Callable[[str], None] = lambda _: None,
     unseen: Collection[int] = (),
+    *,
+    force: bool = False,
 ) -> Diagnosis:
     """Find what makes the recorded arm differ from the nominal one.
 
@@ -203,9 +205,10 @@ def diagnose(
         on_finding: receives each problem of the recording before the search starts.
         unseen: numbers of trials whose readings are only checked; neither the search nor any
             figure of the verdict uses them.
+        force: whether to continue if channels look exchanged; the findings then say so.
 
     Raises:
-        RecordingError: the recording cannot be used.
+        RecordingError: the recording cannot be used, or its channels look exchanged.
         ArmFileError: the arm's sensors are perfect.
         EquilibriumError: the nominal arm has no static equilibrium in too many rows, or depends
             on history and has none in one.
@@ -222,10 +225,15 @@ def diagnose(
     earlier: tuple[Earlier, ...] = ()
     if listed_values(arm):
         progress("judging what the arm file lists", 0.0)
-        arm, earlier = _with_needed_effects(arm, recording.rows(rows), unseen)
+        bare = ArmSystem(without_effects(arm), recording.rows(rows), unseen)
+        if np.isfinite(bare.nominal_n).all():  # else the arm needs its effects to be supported
+            findings = check_recording(recording, bare.arm, bare.nominal_n, rows)
+            exchanged = [finding for finding in findings if finding.kind == EXCHANGED]
+            refuse_unusable(recording, exchanged, force=force)
+            arm, earlier = judged_earlier(problem_of(bare), arm)
     system, rows, unsupported = _supported_system(arm, recording, rows, unseen)
     findings = check_recording(recording, arm, system.nominal_n, rows)
-    refuse_unusable(recording, findings)
+    refuse_unusable(recording, findings, force=force)
     findings += unborne_findings(unsupported, arm)
     for finding in findings:
         on_finding(finding.text)
@@ -263,15 +271,6 @@ def _supported_system(
         system = ArmSystem(arm, recording.rows(rows), unseen)
     system.row_count = len(recording)
     return system, rows, unsupported
-
-
-def _with_needed_effects(
-    arm: Arm, recording: Recording, unseen: Collection[int]
-) -> tuple[Arm, tuple[Earlier, ...]]:
-    system = ArmSystem(without_effects(arm), recording, unseen)
-    if not np.isfinite(system.nominal_n).all():  # the arm needs its listed effects to be supported
-        return arm, ()
-    return judged_earlier(problem_of(system), arm)
 
 
 def folds_of(recording: Recording, unseen: Collection[int] = ()) -> NDArray[np.int64]:

@@ -24,6 +24,7 @@ import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import Contact, Level, Status
+from cablesense_online.exchanged_plugs import exchanged_plugs
 from cablesense_online.state import EstimationSettings, Tare, TareState, utc_text
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
@@ -214,10 +215,13 @@ class Tares:
                 "and call again. If nothing touches the arm, the present tare is wrong: call "
                 "~/tare_undo, or set tare_force"
             )
-        off_n = np.mean(self._readings, axis=0) - self.state.predicted_n
+        measured_n = np.mean(self._readings, axis=0)
+        off_n = measured_n - self.state.predicted_n
         worst = int(np.argmax(np.abs(off_n)))
         if self._unloaded.incomplete or abs(off_n[worst]) <= self._deviation_n:
             return ""
+        if exchanged := exchanged_plugs(measured_n, self.state.predicted_n):
+            return f"{exchanged}; exchange them, or set tare_force if they are right"
         return (
             f"cable_{worst + 1} lies {off_n[worst]:+.1f} N from the arm file's unloaded tension "
             f"at the last command, straight before the first (at most {self._deviation_n:g} N, "
@@ -303,6 +307,9 @@ class Tares:
         level, message = Level.OK, f"tared since {tare.since}"
         if not self._unloaded.incomplete and tare.offset_n > self._deviation_n:
             level, message = Level.WARN, f"{message}, {tare.offset_n:.1f} N from the arm file"
+        exchanged = exchanged_plugs(tare.measured_n, tare.predicted_n)
+        if exchanged and not self._unloaded.incomplete:
+            level, message = Level.WARN, f"{message}; {exchanged}"
         return Status("tare", level, message, values)
 
     def _use(self, tare: Tare | None) -> None:

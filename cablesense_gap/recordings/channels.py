@@ -29,6 +29,10 @@ _BETTER = 0.4
 """A channel belongs to another cable whose prediction leaves less than this of the residual."""
 
 
+EXCHANGED = "exchanged"
+"""The kind of the finding that channels read each other's cables."""
+
+
 class Severity(StrEnum):
     """Whether a recording can still be used."""
 
@@ -42,7 +46,7 @@ class Finding:
 
     Attributes:
         severity: whether it rules the recording out.
-        kind: one word for programs, such as `time` or `swapped`.
+        kind: one word for programs, such as `time` or `exchanged`.
         text: what, where (rows from 1, columns by name) and what would be right.
     """
 
@@ -89,9 +93,9 @@ def channel_findings(
     cables = np.flatnonzero(predicted & (np.ptp(read, axis=0) > 0.0))
     own, expected = (v[:, cables] - v[:, cables].mean(axis=0) for v in (read, nominal_n))
     if len(cables) >= 2:
-        swapped = list(_swapped(own, expected, cables))
-        if swapped:  # other findings would be of the wrong channels
-            return [*findings, *swapped]
+        exchanged = list(_exchanged(own, expected, cables))
+        if exchanged:  # other findings would be of the wrong channels
+            return [*findings, *exchanged]
     findings += _stuck(compared, numbers, nominal_n, moved_n)
     if len(cables) < 2:
         return findings
@@ -172,13 +176,15 @@ def _stuck(
             )
 
 
-def _swapped(own: Array, predicted: Array, cables: NDArray[np.int64]) -> Iterator[Finding]:
+def _exchanged(own: Array, predicted: Array, cables: NDArray[np.int64]) -> Iterator[Finding]:
     """Channels that another cable's prediction explains better, if all fit an exchange.
 
     `own` and `predicted` (R, C) are of the C `cables`, less their means.
     """
     left_n = np.sqrt(((own[:, :, None] - predicted[:, None, :]) ** 2).mean(axis=0))
-    channel, cable = linear_sum_assignment(left_n)
+    # cables that answer alike would be exchanged by chance
+    costs = np.where(np.eye(len(cables), dtype=bool), left_n, left_n / _BETTER)
+    channel, cable = linear_sum_assignment(costs)
     moved = channel != cable
     better = left_n[channel, cable] < _BETTER * left_n[channel, channel]
     pairs = [
@@ -186,10 +192,10 @@ def _swapped(own: Array, predicted: Array, cables: NDArray[np.int64]) -> Iterato
         for i, j in zip(channel[moved & better], cable[moved & better], strict=True)
     ]
     if pairs and (better | ~moved).all():
-        yield warn(
-            "swapped",
-            f"{', '.join(pairs)}, by all that loads and poses do to it; see whether the plugs or "
-            "the columns are exchanged",
+        yield refuse(
+            EXCHANGED,
+            f"{', '.join(pairs)}, by all that loads and poses do to it: plugs or columns look "
+            "exchanged; correct the recording, or continue with --force",
         )
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.recordings.channels import (
+    EXCHANGED,
     Finding,
     Severity,
     channel_findings,
@@ -48,13 +49,19 @@ def _rank(finding: Finding) -> bool:
     return finding.severity is not Severity.REFUSE
 
 
-def refuse_unusable(recording: Recording, findings: Sequence[Finding]) -> None:
-    """Nothing, where no finding rules the recording out.
+def refuse_unusable(
+    recording: Recording, findings: Sequence[Finding], *, force: bool = False
+) -> None:
+    """Nothing, where no finding rules the recording out; with `force`, exchanged channels do not.
 
     Raises:
         RecordingError: the first reason that rules it out, and how many more there are.
     """
-    refusals = [f.text for f in findings if f.severity is Severity.REFUSE]
+    refusals = [
+        f.text
+        for f in findings
+        if f.severity is Severity.REFUSE and not (force and f.kind == EXCHANGED)
+    ]
     if refusals:
         more = f" (and {len(refusals) - 1} more)" if len(refusals) > 1 else ""
         raise RecordingError(f"{recording.name}: {refusals[0]}{more}")

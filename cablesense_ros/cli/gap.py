@@ -47,6 +47,14 @@ ForwardOption = Annotated[
         show_default="forward where commands and no torques are recorded",
     ),
 ]
+ForcedDiagnosisOption = Annotated[
+    bool,
+    typer.Option(
+        "--force",
+        help="Replace files of the same names that exist already, and diagnose a recording whose "
+        "columns look exchanged or reversed.",
+    ),
+]
 ZeroedOption = Annotated[
     bool,
     typer.Option(
@@ -70,14 +78,7 @@ def diagnose(
     forward: ForwardOption = None,
     zeroed: ZeroedOption = False,
     workers: WorkersOption = 2,
-    force: Annotated[
-        bool,
-        typer.Option(
-            "--force",
-            help="Replace files of the same names that exist already. With --model: also diagnose "
-            "a recording whose columns look exchanged or reversed.",
-        ),
-    ] = False,
+    force: ForcedDiagnosisOption = False,
     json_output: JsonOption = False,
 ) -> None:
     """Find where the gap lies, which effect causes it, and how far it shrinks with that effect.
@@ -138,7 +139,7 @@ def _diagnosed_arm(
     nominal = load_arm(arm_file)
     recorded = read_recording(recording, nominal)
     with diagnosis_progress(console) as (show, warn):
-        found = make(recorded, nominal, show, workers, warn)
+        found = make(recorded, nominal, show, workers, warn, force=force)
     write_diagnosis(out, found)
     lines = [headline(found.verdict), *map(earlier_sentence, found.verdict.earlier)]
     if len(found.recording) < len(recorded):
@@ -262,7 +263,7 @@ def adapt(
         ),
     ] = None,
     workers: WorkersOption = 2,
-    force: ForceOption = False,
+    force: ForcedDiagnosisOption = False,
     json_output: JsonOption = False,
 ) -> None:
     """Diagnose a recording, and train the force estimator on the arm as it is found to be.
@@ -298,7 +299,9 @@ def adapt(
     console = Console(stderr=json_output)
     with tempfile.TemporaryDirectory() as folder, diagnosis_progress(console) as (show, warn):
         second = Path(folder) / ADAPTED_MODEL
-        found = make(recorded, nominal, first, second, shlex.join(command), show, workers, warn)
+        found = make(
+            recorded, nominal, first, second, shlex.join(command), show, workers, warn, force=force
+        )
         if found.better:
             put_simulated_limit(second)
         models = {"before": found.before} | ({"after": found.after} if found.after else {})

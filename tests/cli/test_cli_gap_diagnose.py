@@ -71,6 +71,9 @@ def broken(recording: Recording, what: str) -> Recording:
     if what == "another arm":
         other = np.random.default_rng(0).normal(50.0, 5.0, recording.tensions_n.shape)
         return replace(recording, tensions_n=other)
+    if what == "exchanged plugs":
+        order = [0, 4, 2, 3, 1, *range(5, 12)]
+        return replace(recording, tensions_n=recording.tensions_n[:, order])
     return replace(recording, trial=0 * recording.trial)
 
 
@@ -80,6 +83,7 @@ def broken(recording: Recording, what: str) -> Recording:
         ("time that stands still", "time_s"),
         ("degrees", "rad"),
         ("another arm", "give the arm file of this arm"),
+        ("exchanged plugs", "tension_2_n reads cable_5, tension_5_n reads cable_2"),
         ("one trial", "2 trials"),
     ],
 )

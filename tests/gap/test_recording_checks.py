@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gap_recordings import small_recording
 
-from cablesense_gap.recordings.channels import Finding, Severity
+from cablesense_gap.recordings.channels import EXCHANGED, Finding, Severity
 from cablesense_gap.recordings.checks import (
     check_form,
     check_recording,
@@ -141,10 +141,14 @@ def test_a_break_within_a_trial_is_a_warning():
 def test_exchanged_channels_are_named(one, other):
     order = np.arange(12)
     order[[one - 1, other - 1]] = order[[other - 1, one - 1]]
-    finding = only(check_recording(with_tensions(lambda t: t[:, order]), LAB, NOMINAL))
-    assert finding.kind == "swapped"
+    exchanged = with_tensions(lambda t: t[:, order])
+    finding = only(check_recording(exchanged, LAB, NOMINAL))
+    assert (finding.severity, finding.kind) == (Severity.REFUSE, EXCHANGED)
     assert f"tension_{one}_n reads cable_{other}" in finding.text
     assert f"tension_{other}_n reads cable_{one}" in finding.text
+    with pytest.raises(RecordingError, match="or continue with --force"):
+        refuse_unusable(exchanged, [finding])
+    refuse_unusable(exchanged, [finding], force=True)
 
 
 def test_a_dead_and_a_dying_channel_are_stuck():

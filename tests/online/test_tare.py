@@ -163,6 +163,25 @@ def test_log_and_diagnostics_have_times_and_values_of_the_tare_in_force(tares):
 ARM = open_arm("cdsm")
 
 
+@pytest.mark.parametrize(("one", "other"), [(1, 4), (3, 10), (6, 9)])
+def test_exchanged_plugs_of_an_untouched_arm_are_named_at_the_tare(one, other):
+    unloaded = UnloadedTensions(ARM)
+    straight = unloaded.predict_n(np.zeros(8))
+    build = np.random.default_rng(one).normal(0.0, 0.2, 12)  # zeros, pretension and masses
+    order = np.arange(12)
+    order[[one - 1, other - 1]] = other - 1, one - 1
+    settings = estimation_settings(tare_samples=4, tare_deviation_n=2.0)
+    tares = Tares(unloaded, settings, np.zeros(8))
+    feed(tares, straight + build)
+    assert tares.take(np.zeros(8), NOW_NS)
+    assert "exchanged" not in tares.status().message
+    feed(tares, (straight + build)[order])
+    with pytest.raises(TareError, match=rf"cable_{one} and cable_{other} look exchanged"):
+        tares.take(np.zeros(8), NOW_NS)
+    tares.take(np.zeros(8), NOW_NS, forced=True)
+    assert f"cable_{one} and cable_{other} look exchanged" in tares.status().message
+
+
 STD_N = 0.07
 ALL = "all"
 
