@@ -7,6 +7,7 @@ stands twice, and values or nesting without end are refused.
 from __future__ import annotations
 
 import reprlib
+from difflib import get_close_matches
 from typing import Annotated, Any, TypeVar, get_args
 
 import yaml
@@ -117,6 +118,7 @@ def _refuse(what: str, where: Any) -> None:
     raise yaml.constructor.ConstructorError(None, None, what, where.start_mark)
 
 
+_UNKNOWN = "extra_forbidden"
 _MESSAGES = {
     "greater_than": "must be greater than {gt}",
     "greater_than_equal": "must be at least {ge}",
@@ -139,6 +141,8 @@ def describe_problem(error: ValidationError, root: type[BaseModel]) -> str:
     for problem in error.errors(include_url=False):
         if _is_of_the_branch_meant(problem):
             problems.setdefault(_key(problem), problem)
+    # a key that is written wrongly is missing too
+    problems = dict(sorted(problems.items(), key=lambda each: each[1]["type"] != _UNKNOWN))
     key, problem = next(iter(problems.items()))
     line = f"{key} {_message(problem, root)}"
     if len(problems) > 1:
@@ -149,8 +153,11 @@ def describe_problem(error: ValidationError, root: type[BaseModel]) -> str:
 def _message(problem: Any, root: type[BaseModel]) -> str:
     kind, location = problem["type"], problem["loc"]
     value = reprlib.repr(problem["input"])  # a text or a nest of lists may have no end
-    if kind == "extra_forbidden":
-        return f"is no known key; valid keys here: {_keys_of(root, location[:-1])}"
+    if kind == _UNKNOWN:
+        keys = _keys_of(root, location[:-1])
+        meant = get_close_matches(str(location[-1])[:80], keys.split(", "), 1)
+        question = f"is {meant[0]} meant? " if meant else ""
+        return f"is no known key; {question}valid keys here: {keys}"
     if kind == "missing" and isinstance(location[-1], int):
         return "is missing: the list is too short"
     if kind == "missing":
@@ -167,7 +174,7 @@ def _message(problem: Any, root: type[BaseModel]) -> str:
 def _key(problem: Any) -> str:
     *before, last = problem["loc"] or ("",)
     written = [part for part in before if not _is_type_tag(part)]
-    if problem["type"] == "extra_forbidden" or not _is_type_tag(last):
+    if problem["type"] == _UNKNOWN or not _is_type_tag(last):
         written.append(last)
     return ".".join(
         part if isinstance(part, str) and (part.isidentifier() or not part) else reprlib.repr(part)

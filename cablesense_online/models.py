@@ -35,7 +35,7 @@ from cablesense_training.inference.estimator import (
     MultiEstimator,
     SequenceEstimator,
 )
-from cablesense_training.inference.metadata import ANYWHERE, default_model, find_model
+from cablesense_training.inference.metadata import ANYWHERE, find_model_of
 from cablesense_training.inference.model_file import model_sha256, read_model
 from cablesense_training.inference.temporal_estimator import open_estimator
 
@@ -139,16 +139,13 @@ class LoadedModel:
 
 
 def load_model(arm: str, model: str) -> LoadedModel:
-    """Load by name or path; an empty `model` takes the arm's bundled one.
-
-    That is the one of contacts anywhere (`cdsm_anywhere`) if there is one, or else that of the
-    arm's name.
+    """Load by name or path; an empty `model` takes the arm's bundled one (`find_model_of`).
 
     Raises:
         CableSenseError: a file is missing or invalid, or the model was made for another arm.
     """
     description = open_arm(arm)
-    return LoadedModel.open(find_model(model or default_model(description.name)), description)
+    return LoadedModel.open(find_model_of(description, arm, model), description)
 
 
 class FoundContacts(NamedTuple):

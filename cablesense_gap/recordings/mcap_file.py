@@ -220,7 +220,7 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
         there = ", ".join(sorted({*others, *found.values()})[:8]) or "nothing"
         raise RecordingError(
             f"{path}: misses {' and '.join(missing)}, and has {there}; record with: cablesense "
-            "gap record"
+            "gap record --arm ARM --out FILE"
         )
 
 

@@ -282,16 +282,11 @@ def adapt(
     from cablesense_gap.report.text import FRICTION_HIDES, headline
     from cablesense_online.misfit_limit import put_simulated_limit
     from cablesense_sim.arm import find_arm, load_arm
-    from cablesense_training.inference.metadata import bundled_models, default_model, find_model
+    from cablesense_training.inference.metadata import find_model_of
 
     arm_file = find_arm(arm)
     nominal = load_arm(arm_file)
-    if model is None and nominal.name not in bundled_models():
-        raise OptionError(
-            f"no model is bundled for arm {nominal.name}: give the one in use with --model, or "
-            f"make one with `cablesense train --arm {arm} --out {nominal.name}.onnx`"
-        )
-    first = find_model(model or default_model(nominal.name))
+    first = find_model_of(nominal, arm, model or "")
     written = (*DIAGNOSIS_FILES, ADAPTED_MODEL)
     output_folder(out, written, force=force, inputs=(recording, arm_file, first))
     recorded = read_recording(recording, nominal)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -66,8 +67,10 @@ def _arm_protocol(arm: str, out: Path | None, force: bool) -> None:
     console.print(table)
     console.print(
         "Sides as seen along the arm from its base; places along a segment's axis from its joint "
-        "centre. Record with: cablesense gap record --out recording.mcap",
+        "centre. Record with: "
+        f"cablesense gap record --arm {shlex.quote(arm)} --out recording.mcap",
         style="dim",
+        soft_wrap=True,
     )
     if out is not None:
         rows = rows_of(blocks, description.sensors.rate_hz)

@@ -35,6 +35,8 @@ from cablesense_sim.load_capacity import (
 )
 
 Description = dict[str, Any]
+_SLOWEST_HZ = 2.0
+"""Slower sensors are questioned: an estimate that is so rare is of no use to a controller."""
 
 
 def info(
@@ -205,7 +207,19 @@ def _arm(name: str) -> Description:
         },
         "breath": _breath(arm),
         "effects": [_listed_effect(arm, entry) for entry in entries_of(arm)],
-    }
+    } | ({"questions": questions} if (questions := _questions(arm)) else {})
+
+
+def _questions(arm: Arm) -> list[str]:
+    """What is possible, and yet looks like a number in another unit."""
+    rate_hz = arm.sensors.rate_hz
+    if rate_hz >= _SLOWEST_HZ:
+        return []
+    return [
+        f"sensors.rate_hz = {rate_hz:g}: is a reading every {1.0 / rate_hz:g} s meant? A contact "
+        f"is over by then; it must be in Hz: {1e3 * rate_hz:g} if given in kHz, "
+        f"{1.0 / rate_hz:g} if it is a period in s"
+    ]
 
 
 def _listed_effect(arm: Arm, entry: Any) -> Description:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cablesense_base import CableSenseError
-from cablesense_base.plain_yaml import parse_plain_mapping
+from cablesense_base.plain_yaml import FilePart, parse_plain_mapping, read_plain
 
 
 class RefusedError(CableSenseError):
@@ -59,3 +59,20 @@ def test_more_than_plain_values_is_refused_at_once(text, says):
     line = str(caught.value)
     assert "\n" not in line
     assert len(line) < 400
+
+
+class Segments(FilePart):
+    count: int
+    length_m: float
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("count: 1\nlenght_m: 2.0", r"lenght_m is no known key; is length_m meant\?"),
+        ("count: 1\nlength_m: 2.0\ncolour: 3", "colour is no known key; valid keys here: count"),
+    ],
+)
+def test_a_key_that_is_written_wrongly_is_named_with_the_one_meant(text, says):
+    with pytest.raises(RefusedError, match=says):
+        read_plain(text, "my.yaml", Segments, RefusedError)

@@ -20,6 +20,7 @@ def test_the_table_has_a_line_for_every_block():
         app, ["gap", "protocol", "--arm", "cdsm_lab"], env={"COLUMNS": "200"}
     )
     assert result.exit_code == 0, result.output
+    assert "cablesense gap record --arm cdsm_lab --out recording.mcap" in result.output
     for block in standard_protocol(open_arm("cdsm_lab")):
         assert block.does.split(" (")[0][:60] in result.output
 

@@ -9,8 +9,10 @@ import time
 from urllib.request import urlopen
 
 import pytest
+from arm_variants import variant
 from typer.testing import CliRunner
 
+from cablesense_gap.amended_arm import write_arm
 from cablesense_gap.recordings.csv_file import all_columns
 from cablesense_ros.cli.app import app
 from cablesense_sim.arm import open_arm
@@ -63,6 +65,7 @@ def test_version_is_shown():
         (["info", "broken.onnx"], "not a valid ONNX file"),
         (["demo", "--arm", "nonsense"], "bundled arms are cdsm"),
         (["demo", "--headless", "--model", "missing.onnx"], "no model file missing.onnx"),
+        (["demo", "--arm", "own.yaml"], "cablesense train --arm own.yaml --out own.onnx"),
         (["demo", "--out", "/proc/none"], "give another --out"),
         (["gap", "diagnose", "missing.csv", "--out", "d"], "missing.csv: no such"),
         (["gap", "diagnose", "r.csv", "--arm", "x.yaml", "--out", "d"], "no arm file x.yaml"),
@@ -78,6 +81,7 @@ def test_version_is_shown():
 )
 def test_wrong_input_is_one_line_with_a_remedy(arguments, remedy, command, tmp_path):
     (tmp_path / "broken.onnx").write_bytes(b"not a model")
+    write_arm(tmp_path / "own.yaml", variant({"name": "own"}), "")
     result = command(*arguments)
     assert result.returncode == 2
     lines = result.stderr.strip().splitlines()

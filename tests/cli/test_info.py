@@ -10,6 +10,7 @@ import yaml
 from arm_variants import variant
 from typer.testing import CliRunner
 
+from cablesense_gap.amended_arm import write_arm
 from cablesense_ros.cli.app import app
 from cablesense_ros.cli.results import print_result
 from cablesense_sim.arm import Arm, parse_arm
@@ -38,6 +39,15 @@ def test_an_arm_is_described_with_its_cables() -> None:
     table = shown("cdsm_table2")
     assert "cable_9" in table
     assert "cable_10" not in table
+
+
+def test_a_sample_rate_in_another_unit_is_questioned(tmp_path: Path) -> None:
+    path = tmp_path / "slow.yaml"
+    write_arm(path, variant({"sensors.rate_hz": 0.5}), "")
+    (question,) = described(str(path))["questions"]
+    assert "sensors.rate_hz = 0.5" in question
+    assert "500 if given in kHz" in question
+    assert "questions" not in described("cdsm")
 
 
 def test_a_model_states_what_it_was_made_for() -> None:

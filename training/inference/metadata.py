@@ -217,10 +217,24 @@ def bundled_models() -> list[str]:
     return _BUNDLED.names()
 
 
-def default_model(arm_name: str) -> str:
-    """The name of the bundled model for an arm: of contacts anywhere if there is one."""
-    anywhere = f"{arm_name}_anywhere"
-    return anywhere if anywhere in bundled_models() else arm_name
+def find_model_of(arm: Arm, arm_file: str, model: str = "") -> Path:
+    """The model file of a name or a path; by default the arm's bundled one.
+
+    That is the one of contacts anywhere (`cdsm_anywhere`) if there is one, or else that of the
+    arm's name.
+
+    Raises:
+        ModelFileError: as `find_model`, or no model is bundled for the arm.
+    """
+    name = f"{arm.name}_anywhere"
+    if not model and name not in bundled_models():
+        name = arm.name
+        if name not in bundled_models():
+            raise ModelFileError(
+                f"no model is bundled for arm {name}: train one with `cablesense train --arm "
+                f"{arm_file} --out {name}.onnx`, and give it as the model (--model {name}.onnx)"
+            )
+    return find_model(model or name)
 
 
 def find_model(name_or_path: str | Path) -> Path:
