@@ -1,4 +1,4 @@
-"""The commands of a diagnosis on arm files drawn at random: what runs, and what is right.
+"""The commands of a diagnosis on arm files drawn at random: how many run, and are right.
 
     python benchmarks/gap_arms.py [--count 30] [--seed 9601] [--write]
 
@@ -105,7 +105,7 @@ def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def _case(folder: Path, rng: np.random.Generator, index: int, kind: str) -> dict[str, Any]:
-    """What failed on one arm, what was hidden, and what was named."""
+    """The failed commands on one arm, its hidden effect and the named one."""
     arm = draw_arm(rng)
     folder.mkdir(parents=True, exist_ok=True)
     write_arm(folder / "arm.yaml", arm, "")

@@ -15,9 +15,9 @@ keeps recordings and verdicts and continues there; `--minutes` starts no further
 time and scores the finished ones; `--first` stops after that number of cases. `--recordings`
 diagnoses recordings of another plant, whose answers are unknown. `--speed` measures time and
 memory of one diagnosis with two workers, as a user runs it. `--exchanged` exchanges two columns,
-drawn at random, of recordings of all kinds, and counts how often they are named, in how many
-seconds, and how often an exchange is seen in the recordings as they were; the same for a tare of
-their first rows, where the arm is straight and untouched.
+drawn at random, of recordings of all kinds. It counts how often they are named, and how often an
+exchange is seen in the recordings as they were. It does the same for a tare of their first rows,
+where the arm is straight and untouched.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ import numpy as np
 from cablesense_base import Array
 
 _APART_N: Final = 1.0
-"""Cables whose unloaded tensions differ by less are not told apart: no arm is built that well."""
+"""Cables whose unloaded tensions differ by less cannot be distinguished: builds scatter more."""
 _LEFT: Final = 0.5
 """An exchange is believed if it leaves at most this share of the deviation from the arm file."""
 
@@ -31,7 +31,7 @@ def exchanged_plugs(measured_n: Array, predicted_n: Array) -> str:
         return ""
     before_n, after_n = (math.sqrt(each / len(measured_n)) for each in (before_n2, after_n2))
     return (
-        f"the plugs of cable_{one + 1} and cable_{other + 1} look exchanged: with them put right "
-        f"the readings are {after_n:.2f} N from the arm file's unloaded tensions (RMS), as they "
-        f"are {before_n:.2f} N"
+        f"the plugs of cable_{one + 1} and cable_{other + 1} look exchanged: the readings are "
+        f"{before_n:.2f} N (RMS) from the arm file's unloaded tensions, and {after_n:.2f} N once "
+        "these two are exchanged"
     )

@@ -265,11 +265,11 @@ def _increasing_loads(
 ) -> tuple[Array, Array, NDArray[np.bool_], int]:
     """Loads from 0 to 1.3 times the strongest, N; as far as the arm finds rest, the tensions.
 
-    Tensions (L, M), whether (L,) no sensor is near the end of its range that is not there
-    unloaded, and the position of the greatest load of which the arm bears 1.3 times. A step is a
-    thirtieth of the strongest load: 2 N, or less, by 1, 2 or 5 times 10^k N. The strongest is at
-    most three times the moment of the pretension about the axis, by the reach, and so weak that
-    the arm bears a third of it.
+    Tensions (L, M), and whether (L,) no sensor is near the end of its range that is not there
+    unloaded. The last value is the position of the greatest load of which the arm bears 1.3 times.
+    A step is a thirtieth of the strongest load: 2 N, or less, by 1, 2 or 5 times 10^k N. The
+    strongest is at most three times the moment of the pretension about the axis, by the reach.
+    It is so weak that the arm bears a third of it.
     """
     mechanism, (segment, at_m) = mechanism_of(arm), where
     if at_m is not None:
@@ -277,7 +277,8 @@ def _increasing_loads(
     radius_m = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)
     moment_nm = float((mechanism.pretension_n * radius_m).sum())
     most_n = min(STRONGEST_N, 3.0 * moment_nm / float(mechanism.segment_length_m.sum()))
-    most, loads_n, tensions = 0, np.zeros(1), np.zeros((1, 0))
+    loads_n: Array = np.zeros(1)
+    most, tensions = 0, np.zeros((1, mechanism.cable_count))
     for step_n in (10.0**k * digit for k in range(0, -10, -1) for digit in (2.0, 1.0, 0.5)):
         if _LOAD_STEPS * step_n > most_n:
             continue
