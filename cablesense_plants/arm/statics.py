@@ -24,7 +24,8 @@ _ENOUGH_NM = 1e-9
 _LEAST_SPAN_M = 1e-9
 """Holes of a joint can meet where a step of the search folds it."""
 _LONGEST_STEP_RAD = 0.5
-_MOST_STEPS, _LOAD_STEPS = 150, 13
+_MOST_STEPS, _LOAD_STEPS = 500, 13
+"""Stiff arms whose weight leaves cables slack take hundreds of steps."""
 _LEAST_DAMPING = 0.02
 _ROOM = 0.75
 """Share of the bend at which plates touch that a load which the arm bears may use."""
