@@ -3,6 +3,7 @@
     python benchmarks/gap_blind.py [--count 60] [--seed 9104] [--write]
     python benchmarks/gap_blind.py --count 8 --friction 12 --seed 9403 [--write]
     python benchmarks/gap_blind.py --effects 3-5 --count 40 --seed 9304 [--write]
+    python benchmarks/gap_blind.py --imperfect [--reference] --count 8 --seed 9417 [--write]
     python benchmarks/gap_blind.py --recordings FOLDER [--write]
     python benchmarks/gap_blind.py --speed cable_creep --seed 7 [--write]
     python benchmarks/gap_blind.py --exchanged 20 --seed 9702 [--write]
@@ -10,14 +11,15 @@
 Draws the recordings, diagnoses each without its answer, and scores the verdicts. The cases are of
 all kinds in turn, followed by `--friction` cases with friction of cables, or they have several
 effects at once (`--effects`). Every arm is recorded twice: the amended arm of the first recording
-predicts the second. Seeds below 9100 and 9302, 9303, 9311 were used during development. `--folder`
-keeps recordings and verdicts and continues there; `--minutes` starts no further case after that
-time and scores the finished ones; `--first` stops after that number of cases. `--recordings`
-diagnoses recordings of another plant, whose answers are unknown. `--speed` measures time and
-memory of one diagnosis with two workers, as a user runs it. `--exchanged` exchanges two columns,
-drawn at random, of recordings of all kinds. It counts how often they are named, and how often an
-exchange is seen in the recordings as they were. It does the same for a tare of their first rows,
-where the arm is straight and untouched.
+predicts the second. With `--imperfect` the nominal arm lacks two changes that no verdict has a
+name for, and with `--reference` a recording with these alone is the reference. Seeds below 9100
+and 9302, 9303, 9311 were used during development. `--folder` keeps recordings and verdicts and
+continues there; `--minutes` starts no further case after that time and scores the finished ones;
+`--first` stops after that number of cases. `--recordings` diagnoses recordings of another plant,
+whose answers are unknown. `--speed` measures time and memory of one diagnosis with two workers, as
+a user runs it. `--exchanged` exchanges two columns, drawn at random, of recordings of all kinds.
+It counts how often they are named, and how often an exchange is seen in the recordings as they
+were. It does the same for a tare of their first rows, where the arm is straight and untouched.
 """
 
 from __future__ import annotations
@@ -78,6 +80,8 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--effects", help="how many in each case, from-to, instead of all kinds")
     parser.add_argument("--minutes", type=float, default=np.inf, help="then no further case")
+    parser.add_argument("--imperfect", action="store_true", help="a nominal arm that lacks things")
+    parser.add_argument("--reference", action="store_true", help="diagnose what changed")
     parser.add_argument("--folder", type=Path, help="of recordings and verdicts, continued there")
     parser.add_argument("--speed", metavar="EFFECT", help="time of a diagnosis of this effect")
     parser.add_argument("--exchanged", type=int, help="recordings with two columns exchanged")
@@ -103,11 +107,13 @@ def main() -> None:
         else:
             kinds = draw_kinds(rng, options.count)
         kinds += [_FRICTION[i % len(_FRICTION)] for i in range(options.friction)]
-        drawn(folder, len(kinds), options.seed, kinds, options.workers, second=True)
+        more = {"second": True, "imperfect": options.imperfect}
+        drawn(folder, len(kinds), options.seed, kinds, options.workers, **more)
     everything = read_answers(answers)
     chosen = everything[: options.first]
     recordings = [folder / f"{answer.recording}.csv" for answer in reversed(chosen)]
-    work = partial(_diagnosed, until=began + 60.0 * options.minutes)
+    since = "reference" if options.reference else ""
+    work = partial(_diagnosed, until=began + 60.0 * options.minutes, since=since)
     found = in_pool(work, recordings, options.workers)
     done = {path.stem: each for path, each in zip(recordings, found, strict=True) if each}
     verdicts = {name: verdict for name, (verdict, _) in done.items()}
@@ -133,6 +139,7 @@ def main() -> None:
         harness.case(a.recording, "+".join(a.effects), *done[a.recording]) for a in truth
     ]
     kind = "_several" if options.effects else "_friction" if options.friction else ""
+    kind += "_imperfect" * options.imperfect + "_reference" * options.reference
     harness.publish(f"gap_blind{kind}.json", result, options)
 
 
@@ -144,13 +151,17 @@ def drawn(
     workers: int = 1,
     *,
     second: bool = False,
+    imperfect: bool = False,
 ) -> dict[str, ArmAnswer]:
     """Recordings `case_….csv` by the independent plant, and the hidden effects by its name.
 
     The answers are in `answers/answers.csv` in the same folder.
     """
     nominal, answers = read_nominal(find_arm(ARM)), folder / "answers" / "answers.csv"
-    made = withhold(folder, answers, nominal, count, seed, tuple(only), workers, second=second)
+    made = withhold(
+        folder, answers, nominal, count, seed, tuple(only), workers,
+        second=second, imperfect=imperfect,
+    )  # fmt: skip
     return {each.recording: each for each in track(made, description="Recording", total=count)}
 
 
@@ -160,17 +171,20 @@ def in_pool(work: Callable[[Path], Any], paths: Sequence[Path], workers: int) ->
         return list(track(pool.map(work, paths), "Working", total=len(paths)))
 
 
-def _diagnosed(path: Path, until: float) -> tuple[Verdict, float] | None:
+def _diagnosed(path: Path, until: float, since: str = "") -> tuple[Verdict, float] | None:
     """The verdict, and the share of the gap that its arm removes on the second recording.
 
-    None where the time for new cases is over.
+    `since` is the folder of the references, if any. None where the time for new cases is over.
     """
-    kept, beside = (path.with_name(f"{path.stem}.{what}.json") for what in ("verdict", "second"))
+    kept, beside = (
+        path.with_name(f"{path.stem}.{since}{what}.json") for what in ("verdict", "second")
+    )
     if not beside.exists():
         if time.time() > until:
             return None
         arm = open_arm(ARM)
-        diagnosis = diagnose(read_recording(path, arm), arm)
+        healthy = read_recording(path.parent / since / path.name, arm) if since else None
+        diagnosis = diagnose(read_recording(path, arm), arm, reference=healthy)
         write_verdict(kept, diagnosis.verdict)
         again = read_recording(path.parent / "second" / path.name, arm)
         floor_n = diagnosis.verdict.gap.floor_n

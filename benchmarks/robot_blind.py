@@ -1,6 +1,7 @@
 """Diagnoses of robots whose hidden effects an independent simulator made.
 
     python benchmarks/robot_blind.py [--count 60] [--seed 8105] [--commands] [--write]
+    python benchmarks/robot_blind.py --imperfect [--reference] [--count 60] [--seed 9117] [--write]
 
 Three nominal models of `config/robots` (an arm of six joints, a double pendulum, a finger with
 tendons). The hidden side is the rigid-body code, friction, drives and sensors of
@@ -9,8 +10,11 @@ amended model of the first recording predicts the second. Seeds up to 8104, 8310
 while the diagnosis was made. With `--commands` no torque is recorded, and no cause shows in
 torques alone; with `--play` all that is hidden is backlash, which few joints of the other two
 show; with `--tendons` a finger has tendons over guides, which rub in half of the cases, while of
-the others half have other friction. With `--folder` it continues where it was stopped; after
-`--minutes` it begins no further case, and scores those that are done.
+the others half have other friction. With `--imperfect` the models lack friction by position,
+springs and ripples, which make 5 to 15 % of the torque; with `--reference` another recording,
+without the hidden effects, is the reference (seed 9001 was used while that was made). With
+`--folder` it continues where it was stopped; after `--minutes` it begins no further case, and
+scores those that are done.
 """
 
 from __future__ import annotations
@@ -55,7 +59,7 @@ _TOGETHER = 10
 
 def main() -> None:
     """Draws, records, diagnoses, scores and prints; keeps all of it with `--write`."""
-    parser = harness.parser(__doc__, "robot_blind.json, …_forward, …_play or …_tendons")
+    parser = harness.parser(__doc__, "robot_blind.json, or …_forward and so on")
     parser.add_argument("--count", type=int, default=60, help="cases")
     parser.add_argument("--seed", type=int, default=8105, help="of the plant")
     parser.add_argument("--first", type=int, help="run only the first cases of the set")
@@ -64,21 +68,24 @@ def main() -> None:
     parser.add_argument("--commands", action="store_true", help="record them, and no torques")
     parser.add_argument("--play", action="store_true", help="hide backlash alone, in two links")
     parser.add_argument("--tendons", action="store_true", help="hide friction over guides")
+    parser.add_argument("--imperfect", action="store_true", help="models that lack something")
+    parser.add_argument("--reference", action="store_true", help="diagnose what changed")
     options = parser.parse_args()
     folder = options.folder or Path(tempfile.mkdtemp(prefix="robot_blind_"))
-    usual = partial(drawn, commands=options.commands)
+    usual = partial(drawn, commands=options.commands, imperfect=options.imperfect)
     drawing = with_play if options.play else with_tendons if options.tendons else usual
     cases = drawing(options.count, options.seed)[: options.first]
     write_answers(folder / "answers" / "answers.csv", [case.answer for case in cases])
     until, done = time.monotonic() + 60.0 * options.minutes, {}
+    since = "since." if options.reference else ""
     _record(cases, folder, until)
     for case in cases:
-        if not _place(folder, case, "second.json").exists():
+        if not _place(folder, case, f"{since}second.json").exists():
             if time.monotonic() > until or not _second(folder, case).exists():
                 continue
-            _diagnose(case, folder, torques=not options.commands)
-        verdict = read_verdict(_place(folder, case, "verdict.json"))
-        removed = json.loads(_place(folder, case, "second.json").read_text())
+            _diagnose(case, folder, since, torques=not options.commands)
+        verdict = read_verdict(_place(folder, case, f"{since}verdict.json"))
+        removed = json.loads(_place(folder, case, f"{since}second.json").read_text())
         done[case.answer.recording] = verdict, removed
         print(_line(case.answer, verdict, removed), flush=True)
     hidden = [case.answer for case in cases if case.answer.recording in done]
@@ -98,7 +105,9 @@ def main() -> None:
     result["each_case"] = [
         harness.case(h.recording, h.effects, *done[h.recording]) for h in hidden
     ]
-    kind = "_forward" * options.commands + "_play" * options.play + "_tendons" * options.tendons
+    names = {"_forward": "commands", "_play": "play", "_tendons": "tendons"}
+    names |= {"_imperfect": "imperfect", "_reference": "reference"}
+    kind = "".join(part for part, option in names.items() if getattr(options, option))
     harness.publish(f"robot_blind{kind}.json", result, options)
 
 
@@ -181,20 +190,22 @@ def _read(path: Path, robot: Robot, *, torques: bool) -> RobotRecording:
     return recording if torques else replace(recording, torque=unread)
 
 
-def _diagnose(case: RobotCase, folder: Path, *, torques: bool) -> None:
+def _diagnose(case: RobotCase, folder: Path, since: str, *, torques: bool) -> None:
     """Leaves the verdict, and the share of the gap removed on the second recording."""
     robot = load_robot(case.kind.path)
     path = _place(folder, case, "csv.gz")
-    found = diagnose(_read(path, robot, torques=torques), robot)
-    motion = prepared(_read(_second(folder, case), robot, torques=torques), robot)
+    read = partial(_read, robot=robot, torques=torques)
+    healthy = read(path.parent / "reference" / path.name) if since else None
+    found = diagnose(read(path), robot, reference=healthy)
+    motion = prepared(read(_second(folder, case)), robot)
     simulator = RobotSystem(robot, motion, {})
     variants = (simulator.predict([each])[0] for each in ({}, found.amended))
     before, after = (
         float(np.sqrt(((simulator.readings - each) ** 2).mean())) for each in variants
     )
-    write(_place(folder, case, "verdict.json"), found.verdict)
+    write(_place(folder, case, f"{since}verdict.json"), found.verdict)
     share = removed_fraction(before, after, simulator.floor)
-    _place(folder, case, "second.json").write_text(json.dumps(share))
+    _place(folder, case, f"{since}second.json").write_text(json.dumps(share))
 
 
 def _long_s(

@@ -14,24 +14,29 @@ from cablesense_base import Array
 from cablesense_gap.amended_arm import amended_arm, judged_earlier, listed_values, without_effects
 from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, supported_rows
 from cablesense_gap.diagnosis.problem import Explanation, Problem, unit_of
+from cablesense_gap.diagnosis.reference import Conditions
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.pipeline import FOLDS, System, Unlisted, diagnose_system, problem_of
 from cablesense_gap.recordings.channels import EXCHANGED, unborne_findings
 from cablesense_gap.recordings.checks import check_recording, refuse_unusable
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.recordings.thinning import rows_along_path, rows_to_use
+from cablesense_gap.reference import Reference
 from cablesense_gap.residuals import decompose, regimes
 from cablesense_gap.simulator import Assignment, Simulator, Term
-from cablesense_gap.unlisted import describe_unlisted, repeat_largest_trial
+from cablesense_gap.unlisted import describe_unlisted, in_play, repeat_largest_trial
 from cablesense_gap.verdict import UNKNOWN, Earlier, FittedNumber, Verdict, Where
 from cablesense_sim.arm import Arm, ArmFileError
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import reading_variance_n2, replay_arm
 
 _LEAST_SUPPORTED = 0.98
 """Share of the rows in which the nominal arm must have an equilibrium; the others are left out."""
+_PLAY = 0.03
+"""Share of a cable's way after which it slides the other way, as seen by the reference."""
 _SKETCH_SHARE = 0.7
 """A sketch with more than this share of the rows saves too little time."""
 
@@ -47,7 +52,7 @@ class ArmSystem(ArmSimulator, System):
         """`recording` holds the rows to use; `unseen` are numbers of trials."""
         super().__init__(arm, recording)
         self.name, self.recording_name, self.row_count = arm.name, recording.name, len(recording)
-        self.recording = recording
+        self.recording, self._unseen = recording, tuple(unseen)
         self.readings, self.trial = recording.tensions_n, recording.trial
         self.fold = folds_of(recording, unseen)
         self.nominal_n = self.predict([{}])[0]
@@ -59,6 +64,19 @@ class ArmSystem(ArmSimulator, System):
     @property
     def _counted_recording(self) -> Recording:
         return self.recording.rows(self.counted)
+
+    def with_listed(self, values: Assignment) -> ArmSystem:
+        """They follow the effects of the arm file."""
+        system = ArmSystem(amended_arm(self.arm, {}, values), self.recording, self._unseen)
+        system.row_count = self.row_count
+        return system
+
+    def conditions(self) -> Conditions:
+        """Lengths of cable, the direction in which cable slides, and nominal tensions."""
+        mechanism = mechanism_of(self.arm)
+        held_m = held_lengths_m(mechanism, self.recording.command_rad)
+        stretched_m = self.nominal_n / mechanism.cable_stiffness_n_m
+        return Conditions(held_m, in_play(held_m - stretched_m, _PLAY), self.nominal_n)
 
     def sketch(self) -> tuple[Simulator, NDArray[np.int64]] | None:
         """Rows along the path of commands and loads."""
@@ -189,6 +207,7 @@ def diagnose(
     workers: int = 1,
     on_finding: Callable[[str], None] = lambda _: None,
     unseen: Collection[int] = (),
+    reference: Recording | None = None,
     *,
     force: bool = False,
 ) -> Diagnosis:
@@ -205,10 +224,11 @@ def diagnose(
         on_finding: receives each problem of the recording before the search starts.
         unseen: numbers of trials whose readings are only checked; neither the search nor any
             figure of the verdict uses them.
+        reference: of the same arm when it was healthy; what is found came since.
         force: whether to continue if channels look exchanged; the findings then say so.
 
     Raises:
-        RecordingError: the recording cannot be used, or its channels look exchanged.
+        RecordingError: the recording or the reference cannot be used, or channels look exchanged.
         ArmFileError: the arm's sensors are perfect.
         EquilibriumError: the nominal arm has no static equilibrium in too many rows, or depends
             on history and has none in one.
@@ -231,13 +251,20 @@ def diagnose(
             exchanged = [finding for finding in findings if finding.kind == EXCHANGED]
             refuse_unusable(recording, exchanged, force=force)
             arm, earlier = judged_earlier(problem_of(bare), arm)
+    healthy = None
+    if reference is not None:
+        progress("fitting the reference", 0.0)
+        refuse_unusable(reference, check_recording(reference, arm))
+        known = _supported_system(arm, reference, rows_to_use(reference), ())[0]
+        healthy = Reference(known)
+        arm = amended_arm(arm, {}, healthy.tolerances)
     system, rows, unsupported = _supported_system(arm, recording, rows, unseen)
     findings = check_recording(recording, arm, system.nominal_n, rows)
     refuse_unusable(recording, findings, force=force)
     findings += unborne_findings(unsupported, arm)
     for finding in findings:
         on_finding(finding.text)
-    found = diagnose_system(system, progress, workers, began_s)
+    found = diagnose_system(system, progress, workers, began_s, healthy)
     return Diagnosis(
         recording=system.recording,
         nominal=arm,

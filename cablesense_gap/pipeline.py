@@ -11,7 +11,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from cablesense_gap.diagnosis.probability import (
     rivals_of,
 )
 from cablesense_gap.diagnosis.problem import Explanation, Problem, prepare, sketched
+from cablesense_gap.diagnosis.reference import Conditions
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.explained import (
     candidate_results,
@@ -36,7 +37,14 @@ from cablesense_gap.explained import (
     trades,
 )
 from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term
-from cablesense_gap.verdict import ChannelGap, FittedNumber, Gap, Verdict, Where
+from cablesense_gap.verdict import (
+    ChannelGap,
+    FittedNumber,
+    Gap,
+    ReferenceGap,
+    Verdict,
+    Where,
+)
 
 FOLDS = 5
 """Fits without a fold keep four fifths of the trials."""
@@ -76,6 +84,8 @@ class System(ABC):
         counted: (R,) rows that count in fits and sizes.
         candidates, tolerances, floor: see `Simulator`.
         unit: of the channels.
+        scale: the factor (C,) by which readings are multiplied for units that all recordings of
+            the machine share.
         compared: the compared quantities and the method, as a sentence; empty for readings.
     """
 
@@ -90,6 +100,7 @@ class System(ABC):
     tolerances: tuple[Candidate, ...]
     floor: float
     unit: str = "N"
+    scale: Array | float = 1.0
     compared: str = ""
 
     @abstractmethod
@@ -102,6 +113,18 @@ class System(ABC):
         The rows suffice to choose among history-dependent effects.
         """
         return None
+
+    def with_listed(self, values: Assignment) -> System:
+        """The same with these numbers as a part of the nominal machine."""
+        raise NotImplementedError(f"{self.name}: has no diagnosis against a reference")
+
+    def conditions(self) -> Conditions | None:
+        """Position, speed and load of each channel, for functions of them; None has none."""
+        return None
+
+    def compared_columns(self, column: Array) -> Array:
+        """A function of the conditions as channels are compared, (R, C)."""
+        return column
 
     def completed(self, problem: Problem, found: Sequence[Explanation]) -> list[Explanation]:
         """The search's explanations, as this kind of machine weighs them."""
@@ -164,6 +187,51 @@ class Outcome:
     held_out: Array
 
 
+@dataclass(frozen=True)
+class Expected:
+    """The readings that are expected of the healthy machine beyond its model.
+
+    Attributes:
+        mean: (R, C).
+        weight: (R, C) ratio of the floor to the standard deviation of a reading.
+        floor: root mean square of these deviations.
+    """
+
+    mean: Array
+    weight: Array
+    floor: float
+
+    def read(self, predicted: Array) -> Array:
+        """Readings (R, C) as predicted, of weighted ones beyond the mean."""
+        return predicted / self.weight + self.mean
+
+
+class Healthy(Protocol):
+    """A machine as a recording shows it when healthy: `cablesense_gap.reference`.
+
+    Attributes:
+        left: the gap of the nominal machine there, for the verdict.
+    """
+
+    left: ReferenceGap
+
+    def expected(self, system: System, problem: Problem) -> Expected:
+        """In another recording; `system` has the tolerances of the healthy machine."""
+        ...
+
+
+class _Weighted:
+    """A simulator whose channels are less certain in some rows than in others."""
+
+    def __init__(self, simulator: Simulator, weight: Array, floor: float) -> None:
+        self._simulator, self._weight, self.floor = simulator, weight, floor
+        self.candidates, self.tolerances = simulator.candidates, simulator.tolerances
+
+    def predict(self, variants: Sequence[Assignment]) -> Array:
+        """As of the simulator, times the weight (R, C)."""
+        return self._simulator.predict(variants) * self._weight
+
+
 def problem_of(system: System) -> Problem:
     """The recording as the search works on it."""
     problem = prepare(system, system.readings, system.trial, system.fold, system.counted)
@@ -171,19 +239,42 @@ def problem_of(system: System) -> Problem:
     return problem if sketch is None else sketched(problem, *sketch)
 
 
+def _since(problem: Problem, expected: Expected) -> Problem:
+    """The problem of what changed: weighted readings beyond the expected ones."""
+    weight, sketch = expected.weight, problem.sketch
+    if sketch is not None:
+        part = replace(expected, mean=expected.mean[sketch.rows], weight=weight[sketch.rows])
+        sketch = replace(sketch, problem=_since(sketch.problem, part))
+    return replace(
+        problem,
+        simulator=_Weighted(problem.simulator, weight, expected.floor),
+        readings=(problem.readings - expected.mean) * weight,
+        nominal=problem.nominal * weight,
+        tolerance_columns=problem.tolerance_columns * weight,
+        sketch=sketch,
+    )
+
+
 def diagnose_system(
     system: System,
     progress: Callable[[str, float], None] = lambda *_: None,
     workers: int = 1,
     began_s: float | None = None,
+    reference: Healthy | None = None,
 ) -> Outcome:
     """Find what makes the recorded machine differ from the nominal one.
 
     `progress` receives the present step and the share that is done; `began_s` is when the
-    diagnosis started, by `time.monotonic`.
+    diagnosis started, by `time.monotonic`. With a `reference`, whose tolerances the system has,
+    it is what changed since then.
     """
     began_s = time.monotonic() if began_s is None else began_s
     problem, calibration = problem_of(system), bundled_calibration()
+    nothing = np.zeros_like(problem.readings)
+    usual = Expected(nothing, nothing + 1.0, problem.floor)
+    if reference is not None:
+        usual = reference.expected(system, problem)
+        problem = _since(problem, usual)
     found = system.completed(problem, search(problem, progress, workers))
     ranked = named(problem, posterior(found, problem.floor, calibration), calibration)
     progress("describing the verdict", 0.98)
@@ -203,7 +294,7 @@ def diagnose_system(
             question = f"how much is {one} and how much {other}"
             experiment = system.next_experiment([best.values, traded[0].elsewhere], question)
         elif rest.share >= _MUCH_UNEXPLAINED and not rivals:
-            experiment = system.repetition((problem.readings - best.held_out)[used])
+            experiment = system.repetition((system.readings - usual.read(best.held_out))[used])
         experiment = experiment or system.next_experiment([values, *rivals], "")
     else:
         described = system.unlisted(problem, problem.readings - none.held_out)
@@ -218,6 +309,10 @@ def diagnose_system(
         experiment = described.experiment
         predicted = held_out = none.held_out + described.correction
     before, after = ((problem.readings - each)[used] for each in (problem.nominal, held_out))
+    nominal, predicted, held_out = (
+        usual.read(each) for each in (problem.nominal, predicted, held_out)
+    )
+    measured = [(system.readings - each)[used] for each in (nominal, held_out)]
     alone = problem.readings - best.held_out_effects if best and best.effects else None
     gap = gap_size(
         before,
@@ -235,7 +330,7 @@ def diagnose_system(
         probability=ranked[0].probability,
         ambiguity_group=group,
         next_experiment=experiment,
-        where=system.where(values, before),
+        where=system.where(values, measured[0]),
         parameters=system.numbers(explained, values),
         shares=shares(problem, ranked, values),
         traded=tuple(trade.traded for trade in traded),
@@ -244,6 +339,7 @@ def diagnose_system(
         unexplained_share=rest.share,
         gap=gap,
         doubts=doubts,
+        reference=None if reference is None else reference.left,
         candidates=candidate_results(ranked),
         why=reasons,
         seconds=time.monotonic() - began_s,
@@ -253,8 +349,8 @@ def diagnose_system(
         rows_counted=int(used.sum()),
         arm=system.name,
         unit=system.unit,
-        channels=system.channels(before, after),
+        channels=system.channels(*measured),
         compared=system.compared,
     )
     progress("done", 1.0)
-    return Outcome(verdict, values, explained.tolerances, problem.nominal, predicted, held_out)
+    return Outcome(verdict, values, explained.tolerances, nominal, predicted, held_out)

@@ -94,7 +94,7 @@ def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Featu
     last = np.maximum.accumulate(np.where(changed, np.arange(len(state)), 0))
     recent = np.exp(-(recording.time_s - recording.time_s[last]) / 10.0)
     cables = arm.cable_names
-    plays = [_in_play(nominal_n, share) for share in (0.05, 0.3)]
+    plays = [in_play(nominal_n, share) for share in (0.05, 0.3)]
     parts = {
         "pose": (recording.command_rad, [f"{name} commanded" for name in arm.joint_names]),
         "load": (np.column_stack([loads_n, size_n]), [*load_names, "size of the load"]),
@@ -116,7 +116,7 @@ def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Featu
     )
 
 
-def _in_play(signal: Array, share: float) -> Array:
+def in_play(signal: Array, share: float) -> Array:
     """The signal minus the middle of a play that follows it, in half widths, from -1 to 1.
 
     `share` is the half width of the play as a share of the signal's range.

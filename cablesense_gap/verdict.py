@@ -206,6 +206,22 @@ class Earlier(FilePart):
     now: dict[str, FittedNumber] = Field(default_factory=dict)
 
 
+class ReferenceGap(FilePart):
+    """The healthy recording that a verdict is against; what it names came since.
+
+    Attributes:
+        recording: its name.
+        before_n: RMS gap of the nominal model there.
+        left_n: the same with tolerances and discrepancy, on trials that their fit has not seen.
+        channels: of a robot, both by joint.
+    """
+
+    recording: str
+    before_n: Newtons
+    left_n: Newtons
+    channels: dict[ChannelName, ChannelGap] = Field(default_factory=dict)
+
+
 class Verdict(FilePart):
     """The cause of the gap, its place, its probability, and how far the gap shrinks.
 
@@ -225,6 +241,7 @@ class Verdict(FilePart):
         parameters: `effect.parameter`, or `effect.place.parameter` for one place of several.
         candidates: all explanations weighed, in any order.
         estimator: present if the estimator was adapted.
+        reference: present if the verdict says what changed since a healthy recording.
         unit: of all sizes with `_n` at their ends; N of an arm. Channels of a robot are each in
             units of their floor, `floors`.
         channels: for a robot, the gap at each joint in its own unit.
@@ -254,6 +271,7 @@ class Verdict(FilePart):
     unexplained_share: Probability | None = None
     candidates: tuple[CandidateResult, ...] = ()
     estimator: EstimatorErrors | None = None
+    reference: ReferenceGap | None = None
     doubts: tuple[str, ...] = ()
     why: tuple[str, ...] = ()
     seconds: Newtons | None = None

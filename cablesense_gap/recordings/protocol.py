@@ -278,7 +278,8 @@ def _increasing_loads(
     moment_nm = float((mechanism.pretension_n * radius_m).sum())
     most_n = min(STRONGEST_N, 3.0 * moment_nm / float(mechanism.segment_length_m.sum()))
     loads_n: Array = np.zeros(1)
-    most, tensions = 0, np.zeros((1, mechanism.cable_count))
+    tensions: Array = np.zeros((1, mechanism.cable_count))
+    most = 0
     for step_n in (10.0**k * digit for k in range(0, -10, -1) for digit in (2.0, 1.0, 0.5)):
         if _LOAD_STEPS * step_n > most_n:
             continue

@@ -42,19 +42,28 @@ Known = Mapping[str, EffectDescription]
 def headline(verdict: Verdict, known: Known | None = None) -> str:
     """The first line: what, where, how sure; `known` are the effects of an arm by default."""
     sure, gap = _how_sure(verdict), size_text(verdict.gap.before_n, verdict.unit)
+    since = " since the reference" if verdict.reference else ""
     if verdict.effects == (NONE,):
+        if since:
+            return (
+                f"Nothing changed{since}: the gap of {gap} is what its model leaves of the "
+                f"healthy machine ({sure})."
+            )
         return (
             f"Nothing to add: the gap of {gap} is what noise and manufacturing tolerances leave "
             f"({sure})."
         )
     if verdict.effects == (UNKNOWN,):
         where = "" if verdict.channels else _at(verdict.where.places)
-        return f"Something that no known effect explains makes a gap of {gap}{where} ({sure})."
+        return (
+            f"Something that no known effect explains makes a gap of {gap}{where}{since} ({sure})."
+        )
     causes = ", and from ".join(cause(verdict, name, known) for name in verdict.effects)
     comes = "probably comes" if verdict.probability > PROBABLE else "may come"
     if verdict.probability >= SURE:
         comes = "comes"
-    return f"The gap {comes} from {causes} ({sure})."
+    what = f"What changed{since}" if since else "The gap"
+    return f"{what} {comes} from {causes} ({sure})."
 
 
 def _how_sure(verdict: Verdict) -> str:
@@ -259,7 +268,7 @@ def gap_bars(verdict: Verdict) -> list[Bar]:
         sizes.append(("with a flexible correction", gap.after_n, "other"))
     else:
         sizes.append(("with tolerances as fitted", gap.after_n, "other"))
-    sizes.append(("sensors alone", gap.floor_n, "floor"))
+    sizes.append((_floor_name(verdict), gap.floor_n, "floor"))
     return [Bar(name, 0.0, n, kind, size_text(n, verdict.unit)) for name, n, kind in sizes]
 
 
@@ -280,7 +289,12 @@ def steps(verdict: Verdict) -> list[Bar]:
         low, high = sorted((level, left))
         bars.append(Bar(name, low, high, kind, _signed(left - level, unit)))
         level = left
-    return [*bars, Bar("sensors alone", 0.0, gap.floor_n, "floor", size_text(gap.floor_n, unit))]
+    floor = size_text(gap.floor_n, unit)
+    return [*bars, Bar(_floor_name(verdict), 0.0, gap.floor_n, "floor", floor)]
+
+
+def _floor_name(verdict: Verdict) -> str:
+    return "healthy machine" if verdict.reference else "sensors alone"
 
 
 def _signed(change: float, unit: str) -> str:

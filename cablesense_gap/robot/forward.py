@@ -15,6 +15,7 @@ from mujoco.rollout import rollout
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_gap.diagnosis.reference import Conditions
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot import smoothing
 from cablesense_gap.robot.inverse import BacklashMotion
@@ -112,6 +113,12 @@ class ForwardComparison(MotionComparison):
         ends = self._ended(model, joints(*self._state), command, applied, change, load)
         position, speed = (each @ back.T for each in ends)
         return self._beyond_coasting(position * true + change.zero, speed * true)
+
+    def conditions(self, change: Change) -> Conditions:
+        """In the middle of each window."""
+        middle = self._path[0].shape[1] // 2
+        position, speed = (np.tile(each[:, middle], 2) for each in self._path[:2])
+        return Conditions(position, speed, self.predicted(change))
 
     def _by_torque(self, motion: Motion) -> Array:
         """(C,) what the least error of torques makes, where servos or springs hold against it."""

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from cablesense_base import Array
+from cablesense_gap.diagnosis.reference import Conditions
 from cablesense_gap.robot import smoothing
 from cablesense_gap.robot.model import Change, Robot, inverse_dynamics
 from cablesense_gap.robot.motion import Motion, MotionComparison, Recent, Trajectory
@@ -176,6 +177,19 @@ class InverseComparison(MotionComparison):
     def predicted(self, change: Change) -> Array:
         """(Q, C) by a variant of the robot."""
         return self._compared(self._dynamics.torques(change))
+
+    def conditions(self, change: Change) -> Conditions:
+        """At the motion's rows, before the low-pass."""
+        motion, load = self._motion, self._dynamics.torques(change)
+        return Conditions(
+            *(each[:, self._joints] for each in (motion.position, motion.speed, load))
+        )
+
+    def compared(self, column: Array) -> Array:
+        """As torques are."""
+        whole = np.zeros_like(self._motion.position)
+        whole[:, self._joints] = column
+        return self._compared(whole)
 
     def _compared(self, torque: Array) -> Array:
         return self._motion.compared(torque)[:, self._joints]

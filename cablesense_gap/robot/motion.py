@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_gap.diagnosis.reference import Conditions
 from cablesense_gap.robot import smoothing
 from cablesense_gap.robot.effects.effect import Scale
 from cablesense_gap.robot.model import Change
@@ -217,3 +218,11 @@ class MotionComparison(ABC):
     @abstractmethod
     def predicted(self, change: Change) -> Array:
         """(Q, C) by a variant of the robot."""
+
+    @abstractmethod
+    def conditions(self, change: Change) -> Conditions:
+        """Of each channel's joint, (R, C), with the load of a variant of the robot."""
+
+    def compared(self, column: Array) -> Array:
+        """(Q, C) of functions of these conditions (R, C)."""
+        return column

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
 from cablesense_gap.diagnosis.problem import Explanation, Problem
+from cablesense_gap.diagnosis.reference import Conditions
 from cablesense_gap.pipeline import FOLDS, System, Unlisted, diagnose_system
 from cablesense_gap.recordings.csv_file import write_table
 from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.reference import Reference
 from cablesense_gap.robot.amending import changed, known_effects
 from cablesense_gap.robot.effects.effect import RobotEffect
 from cablesense_gap.robot.exchanged import exchanged
@@ -46,6 +48,7 @@ class RobotSystem(System):
     """A robot with its motion as it was measured; all rows count.
 
     Attributes: see `System`, and
+        listed: effects that the nominal robot has.
         comparison: the channels in rad, N·m and so on; `readings` are in units of their noise.
     """
 
@@ -53,7 +56,7 @@ class RobotSystem(System):
 
     def __init__(self, robot: Robot, motion: Motion, listed: Assignment) -> None:
         """`motion` is the measured one, `listed` are effects that the nominal robot has."""
-        self.robot, self.name, self._listed = robot, robot.name, dict(listed)
+        self.robot, self.name, self.listed, self._motion = robot, robot.name, dict(listed), motion
         self.comparison: MotionComparison = (
             ForwardComparison(robot, motion)
             if motion.forward
@@ -64,6 +67,7 @@ class RobotSystem(System):
         self.candidates = tuple(candidate for candidate in named if candidate.places)
         self.tolerances = tuple(self._candidate(e, motion) for e in offered if e.tolerance)
         self.readings = self.comparison.readings / self.comparison.noise
+        self.scale = self.comparison.noise
         self.trial, self.compared = self.comparison.trial, self.comparison.description
         self.row_count, count = len(self.trial), int(self.trial.max()) + 1
         self.fold = np.arange(count) % min(FOLDS, count)
@@ -91,7 +95,7 @@ class RobotSystem(System):
 
     def _predicted(self, variant: Assignment) -> Array:
         try:
-            change = changed(self.robot, [self._listed, variant])
+            change = changed(self.robot, [self.listed, variant])
             found = self.comparison.predicted(change) / self.comparison.noise
         except RobotError:
             return np.full(self.readings.shape, np.nan)
@@ -105,7 +109,7 @@ class RobotSystem(System):
         trial, joints = self.comparison.trial, self.robot.joints
 
         def read(joint: int, off: float) -> Array:
-            change = changed(self.robot, [self._listed])
+            change = changed(self.robot, [self.listed])
             change.zero[joint] += off
             return self.comparison.predicted(change) / self.comparison.noise
 
@@ -117,6 +121,20 @@ class RobotSystem(System):
             known = own.T @ own + np.eye(len(joints)) / _USUAL**2
             found.append((rows, own, np.asarray(np.linalg.solve(known, own.T))))
         return tuple(found)
+
+    def with_listed(self, values: Assignment) -> RobotSystem:
+        """Values of the same number are added."""
+        system = RobotSystem(self.robot, self._motion, added(self.listed, values))
+        system.recording_name, system.row_count = self.recording_name, self.row_count
+        return system
+
+    def conditions(self) -> Conditions:
+        """Of the channels' joints, with the nominal robot's load."""
+        return self.comparison.conditions(changed(self.robot, [self.listed]))
+
+    def compared_columns(self, column: Array) -> Array:
+        """As the comparison does."""
+        return self.comparison.compared(column)
 
     def completed(self, problem: Problem, found: Sequence[Explanation]) -> list[Explanation]:
         """The same; far tolerances, implausible sizes and further places count against them."""
@@ -154,7 +172,7 @@ class RobotSystem(System):
         """Numbers that end at their bounds or far beyond the model's own; a gap that stays."""
         ranges, change = (
             parameters_of(self.candidates),
-            changed(self.robot, [self._listed, values]),
+            changed(self.robot, [self.listed, values]),
         )
         return (
             *at_bounds(ranges, values),
@@ -230,6 +248,7 @@ def diagnose(
     *,
     zeroed: bool = False,
     force: bool = False,
+    reference: RobotRecording | None = None,
 ) -> RobotDiagnosis:
     """Find what makes the recorded robot differ from its model.
 
@@ -245,9 +264,11 @@ def diagnose(
         zeroed: whether encoders were set to zero where each trial starts; each trial then has
             the zeros that fit it.
         force: whether to continue if columns look exchanged or reversed; the findings then say so.
+        reference: of the same robot when it was healthy; what is found came since.
 
     Raises:
-        RecordingError: the recording cannot be compared, or its columns look exchanged.
+        RecordingError: the recording or the reference cannot be compared, or columns look
+            exchanged.
     """
     began_s = time.monotonic()
     progress("smoothing", 0.0)
@@ -264,14 +285,19 @@ def diagnose(
             f"{recording.name}: {', '.join(doubts)}: the model then fits far better; correct the "
             "recording, or continue with --force"
         )
-    system = RobotSystem(robot, motion, beside or {})
+    system, healthy = RobotSystem(robot, motion, beside or {}), None
     system.recording_name, system.row_count = recording.name, len(recording)
-    found = diagnose_system(system, progress, workers, began_s)
+    if reference is not None:
+        progress("fitting the reference", 0.0)
+        healthy = _healthy(reference, system, motion)
+        system = system.with_listed(healthy.tolerances)
+    found = diagnose_system(system, progress, workers, began_s, healthy)
+    tolerances = {} if healthy is None else healthy.tolerances
     return RobotDiagnosis(
         robot=robot,
         motion=motion,
         verdict=found.verdict,
-        amended={**found.values, **found.tolerances},
+        amended={**found.values, **added(found.tolerances, tolerances)},
         comparison=system.comparison,
         before=found.nominal * system.comparison.noise,
         after=found.held_out * system.comparison.noise,
@@ -286,6 +312,30 @@ def diagnose(
             system.compared,
         ),
     )
+
+
+def _healthy(reference: RobotRecording, system: RobotSystem, motion: Motion) -> Reference:
+    """The reference, compared as the recording is.
+
+    Raises:
+        RecordingError: other channels are measured in it, or it cannot be compared.
+    """
+    as_compared = motion.compared_hz, motion.forward
+    own = prepared(reference, system.robot, *as_compared, zeroed=motion.zeroed)
+    known = RobotSystem(system.robot, own, system.listed)
+    known.recording_name = reference.name
+    columns, others = (set(each.comparison.columns) for each in (system, known))
+    if columns != others:
+        raise RecordingError(
+            f"{reference.name}: has not the channels of the recording: "
+            f"{some_of(sorted(columns ^ others))} in one of them alone; record both alike"
+        )
+    return Reference(known)
+
+
+def added(values: Assignment, others: Assignment) -> dict[Term, float]:
+    """Values, and those of others on top."""
+    return dict(values) | {t: values.get(t, 0.0) + value for t, value in others.items()}
 
 
 def beyond_range(recording: RobotRecording, robot: Robot) -> list[str]:

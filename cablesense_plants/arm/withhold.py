@@ -41,6 +41,10 @@ _VISIBLE_FLOORS, _WANTED_SHARE = 5.0, 0.1
 """The least gap of such a change, and of one alone as a share of the gap that it was to make."""
 _CHANGE_REDRAWS = 8
 
+_LACKING = ("actuator_ratio", "cogging", "hardening_cables", "screw_error", "tether")
+_LACKED = (4.0, 16.0)
+"""Changes that an imperfect nominal arm lacks, two of them, and the gap of each by the floor."""
+
 _TRIES = 6
 _NEAR = 1.25
 _TRIED_HZ, _STRIDE = 5.0, 6
@@ -59,11 +63,14 @@ def withhold(
     workers: int = 1,
     *,
     second: bool = False,
+    imperfect: bool = False,
 ) -> Iterator[ArmAnswer]:
     """Write `case_001.csv` … into a folder and, at the end, the answers; yields them as they come.
 
     With `second`, the folder `second/` in it gets another recording of each arm, with other
-    commands, loads and past. The same seed makes the same files, whatever the number of processes.
+    commands, loads and past. With `imperfect` the nominal arm lacks two changes that no verdict
+    has a name for; `reference/` gets a recording of each arm before anything else was hidden. The
+    same seed makes the same files, whatever the number of processes.
 
     Raises:
         PlantError: an unknown kind in `only`, sensors that are perfect, or a place that cannot be
@@ -77,13 +84,14 @@ def withhold(
     kinds = draw_kinds(np.random.default_rng([seed]), count, only)
     answers = []
     with WorkerPool(workers, nominal, seed, refusal=PlantError) as pool:
-        make = partial(make_case, second=second)
+        make = partial(make_case, second=second, imperfect=imperfect)
         for recorded in pool.map(make, range(1, count + 1), kinds):
             name = f"{recorded.answer.recording}.csv"
             hertz = nominal.rate_hz
             _write_recording(folder / name, hertz, recorded.schedule, recorded.tensions_n)
-            if recorded.second is not None:
-                _write_recording(folder / "second" / name, hertz, *recorded.second)
+            for part, other in (("second", recorded.second), ("reference", recorded.reference)):
+                if other is not None:
+                    _write_recording(folder / part / name, hertz, *other)
             answers.append(recorded.answer)
             yield recorded.answer
     write_answers(answers_file, answers, decimals=4)
@@ -116,13 +124,19 @@ def draw_kinds(rng: np.random.Generator, count: int, only: Sequence[str] = ()) -
 
 
 def make_case(
-    nominal: Nominal, seed: int, index: int, kind: str, *, second: bool = False
+    nominal: Nominal,
+    seed: int,
+    index: int,
+    kind: str,
+    *,
+    second: bool = False,
+    imperfect: bool = False,
 ) -> CaseRecording:
     """Case `index` (from 1) of the set of a seed; an arm that finds no rest is drawn anew."""
     for attempt in range(_REDRAWS):
         rng = np.random.default_rng([seed, index, attempt])
         with suppress(PlantError) if attempt + 1 < _REDRAWS else nullcontext():
-            return record_case(rng, index, nominal, kind, second=second)
+            return record_case(rng, index, nominal, kind, second=second, imperfect=imperfect)
     raise AssertionError
 
 
@@ -177,16 +191,24 @@ class CaseRecording:
 
     Attributes:
         second: another recording of the same arm.
+        reference: one of the arm before anything was hidden, if the nominal arm is imperfect.
     """
 
     schedule: Schedule
     tensions_n: Array
     answer: ArmAnswer
     second: tuple[Schedule, Array] | None = None
+    reference: tuple[Schedule, Array] | None = None
 
 
 def record_case(
-    rng: np.random.Generator, index: int, nominal: Nominal, kind: str, *, second: bool = False
+    rng: np.random.Generator,
+    index: int,
+    nominal: Nominal,
+    kind: str,
+    *,
+    second: bool = False,
+    imperfect: bool = False,
 ) -> CaseRecording:
     """Draw an arm, its hidden changes and its protocol, and record it, all from one `rng`.
 
@@ -210,6 +232,10 @@ def record_case(
     drawn = ideal_arm(nominal)
     done = _schedules(drawn, rng)
     plain_arm = with_tolerances(drawn, rng)
+    for name in rng.choice(_LACKING, 2, replace=False) if imperfect else ():
+        change = UNLISTED[str(name)](ArmDraw(rng, nominal))
+        lacked_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(_LACKED))))
+        plain_arm = change.apply(plain_arm, size_for(change, plain_arm, lacked_n, *done))
     changes = []
     for name in sorted(names):
         for _ in range(_CHANGE_REDRAWS):
@@ -250,11 +276,16 @@ def record_case(
         each_gap_n=" ".join(f"{value:.4f}" for value in each),
     )
     recorded = CaseRecording(done[0], nominal.read_n(signals, noise_rng), answer)
-    if not second:
-        return recorded
-    again = _schedules(drawn, noise_rng)
-    more_n = nominal.read_n(arm.signals_n(*again), noise_rng)
-    return replace(recorded, second=(again[0], more_n))
+
+    def recorded_again(arm: RealArm) -> tuple[Schedule, Array]:
+        again = _schedules(drawn, noise_rng)
+        return again[0], nominal.read_n(arm.signals_n(*again), noise_rng)
+
+    if second:
+        recorded = replace(recorded, second=recorded_again(arm))
+    if imperfect:
+        recorded = replace(recorded, reference=recorded_again(plain_arm))
+    return recorded
 
 
 def _schedules(arm: RealArm, rng: np.random.Generator) -> tuple[Schedule, Schedule]:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from cablesense_base import Array
 from cablesense_plants.cases import NONE, UNKNOWN, PlantError, different, in_turn, plant_file
 from cablesense_plants.robot.causes import (
     Drawing,
@@ -37,6 +39,8 @@ _TOLERANCES = 3.0
 """A cause is at least this many times the effect of tolerances."""
 _VISIBLE = 0.8
 """If the gap is below this share of the wanted one, the cause is drawn again."""
+_IMPERFECT = (0.05, 0.15)
+"""Share of each joint's torque, RMS, that an imperfect nominal robot leaves."""
 _TRIES, _REDRAWS, _OF_ONE_NAME = 5, 60, 6
 
 
@@ -70,19 +74,28 @@ class RobotAnswer:
 
 @dataclass(frozen=True)
 class RobotCase:
-    """A robot with hidden changes, and its references in two recordings."""
+    """A robot with hidden changes, and its recordings.
+
+    Attributes:
+        robots, asked, seeds: of each recording, by folder: the first, `second`, and of an
+            imperfect nominal robot `reference`, before anything was hidden.
+    """
 
     answer: RobotAnswer
     kind: RobotKind
-    robot: RealRobot
-    asked: tuple[Reference, Reference]
-    seeds: tuple[int, int]
+    robots: tuple[RealRobot, ...]
+    asked: tuple[Reference, ...]
+    seeds: tuple[int, ...]
 
 
-def drawn(count: int, seed: int, *, commands: bool = False) -> list[RobotCase]:
+def drawn(
+    count: int, seed: int, *, commands: bool = False, imperfect: bool = False
+) -> list[RobotCase]:
     """Cases of a seed: robots in turn; shares of `none`, `unknown`, one and several effects.
 
-    By `commands` causes are left out that show in torques alone.
+    By `commands` causes are left out that show in torques alone. With `imperfect` the nominal
+    robots lack friction by position, springs of cable bundles and ripples of gears, which all
+    recordings have.
     """
     rng = np.random.default_rng([seed])
     known = pools(commands=commands)
@@ -94,7 +107,7 @@ def drawn(count: int, seed: int, *, commands: bool = False) -> list[RobotCase]:
     sets += [[next(listed)] for _ in range(count - len(sets))]
     kinds = in_turn(rng, list(KINDS))
     return [
-        draw_case(KINDS[next(kinds)], sets[at], seed, index + 1, known)
+        draw_case(KINDS[next(kinds)], sets[at], seed, index + 1, known, imperfect=imperfect)
         for index, at in enumerate(rng.permutation(count))
     ]
 
@@ -121,11 +134,13 @@ def draw_case(
     seed: int,
     index: int,
     known: Sequence[Mapping[str, Drawing]],
+    *,
+    imperfect: bool = False,
 ) -> RobotCase:
     """One case; a cause that this robot cannot show is drawn anew, of another name if need be."""
     rng = np.random.default_rng([seed, index])
     nominal, joints, links = kind.nominal()
-    asked = reference(kind, rng), reference(kind, rng)
+    asked: tuple[Reference, ...] = (reference(kind, rng), reference(kind, rng))
     plain = with_tolerances(nominal, kind, rng)
     without = prescribed_n_m(kind, plain, asked[0])
 
@@ -135,6 +150,10 @@ def draw_case(
         return float(np.sqrt((off**2).mean()))
 
     scatter = gap_of(nominal)
+    if imperfect:
+        own = np.random.default_rng([seed, index, 1])
+        plain, asked = _imperfect(plain, kind, own, asked[0]), (*asked, reference(kind, own))
+        without = prescribed_n_m(kind, plain, asked[0])
     draw = RobotDraw(rng, kind, nominal, joints, links)
     causes: list[tuple[RobotChange, float, float]] = []
     for name in names:
@@ -165,8 +184,36 @@ def draw_case(
         scatter_over_floor=round(scatter, 2),
         each_gap_n=" ".join(f"{gap:.2f}" for *_, gap in causes),
     )
-    seeds = int(rng.integers(2**31)), int(rng.integers(2**31))
-    return RobotCase(answer, kind, robot, asked, seeds)
+    seeds = tuple(int(rng.integers(2**31)) for _ in asked)
+    return RobotCase(answer, kind, (robot, robot, plain)[: len(asked)], asked, seeds)
+
+
+def _imperfect(
+    robot: RealRobot, kind: RobotKind, rng: np.random.Generator, asked: Reference
+) -> RealRobot:
+    """The robot with what its model lacks, in random shares, joint by joint."""
+    count, whole = len(kind.home_rad), prescribed_n_m(kind, robot, asked)
+    mix = rng.uniform(0.2, 1.0, (3, count))
+    mix *= rng.uniform(*_IMPERFECT, count) / np.linalg.norm(mix, axis=0)
+    robot = replace(
+        robot,
+        worn_waves=rng.uniform(1.0, 6.0, count),
+        worn_phase=rng.uniform(0.0, 2.0 * np.pi, count),
+        harness_rad=kind.home_rad + rng.uniform(-0.5, 0.5, count) * kind.reach_rad,
+        harness_reach=kind.reach_rad,
+        ripple_waves=rng.uniform(6.0, 30.0, count),
+        ripple_phase=rng.uniform(0.0, 2.0 * np.pi, count),
+    )
+    sizes: dict[str, Any] = {}
+    for name, share in zip(("worn", "harness", "ripple"), mix, strict=True):
+        probe: Any = 0.1 * (np.ones(count) if name == "ripple" else whole.std(0))
+        made = prescribed_n_m(kind, replace(robot, **{name: probe}), asked) - whole
+        sizes[name] = probe * share * _rms(whole) / _rms(made)
+    return replace(robot, **sizes)
+
+
+def _rms(torque: Array) -> Array:
+    return np.asarray(np.sqrt((torque**2).mean(0)))
 
 
 def _sized(
@@ -218,9 +265,9 @@ def _size_for(
 
 
 def record(cases: list[RobotCase], folder: Path) -> None:
-    """Recordings of cases of one kind: `case_001.csv.gz` …, and the other in `second/`."""
+    """Recordings of cases of one kind, `case_001.csv.gz` …, also in `second/` and `reference/`."""
     kind = cases[0].kind
-    robots = stacked([case.robot for case in cases for _ in case.asked])
+    robots = stacked([robot for case in cases for robot in case.robots])
     asked = stacked_references([each for case in cases for each in case.asked])
     motion = simulate(kind, robots, asked)
     _, joints, _ = kind.nominal()
@@ -229,7 +276,7 @@ def record(cases: list[RobotCase], folder: Path) -> None:
     names = [
         folder / part / f"{case.answer.recording}.csv.gz"
         for case in cases
-        for part in ("", "second")
+        for part, _ in zip(("", "second", "reference"), case.asked, strict=False)
     ]
     for path, each in zip(names, columns, strict=True):
         table = {"time_s": each["time_s"], "trial": each["trial"].astype(int)}

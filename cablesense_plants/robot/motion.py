@@ -132,8 +132,8 @@ def prescribed_n_m(kind: RobotKind, robot: RealRobot, asked: Reference) -> Array
         for k in range(1, len(drive)):
             lost[k] = rubbing.lost_n_m(joint[0][k], drive[k] + lost[k - 1])
         drive = drive + lost
-    way = np.tanh(motor[1] / 0.01)
-    return robots.read_n_m(drive + way * robots.kinetic_n_m(motor[1], drive), time_s)[:, 0]
+    drive = drive + np.tanh(motor[1] / 0.01) * robots.kinetic_n_m(motor[0], motor[1], drive)
+    return robots.read_n_m(drive / robots.passed_share(motor[0]), time_s)[:, 0]
 
 
 def _push(robots: RealRobot, time_s: Array, trial_s: float) -> Array:
@@ -224,8 +224,9 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: Reference) -> DrivenMoti
         slip = -np.expm1(-rate * STEP_S)
         grown = np.where(rate > 1e-9, slip / np.maximum(rate, 1e-9), STEP_S)
         bristle = bristle * (1.0 - slip) + motor_speed * grown
-        friction = robots.kinetic_n_m(motor_speed, drive) * bristle / robots.presliding_rad
-        held = drive - friction + push[k]
+        slides = robots.kinetic_n_m(motor, motor_speed, drive)
+        friction = slides * bristle / robots.presliding_rad
+        held = drive * robots.passed_share(motor) - friction + push[k]
         if rubbing:
             held = held - rubbing.lost_n_m(angle[:, 1:], drive)
         for _ in range(steps):

@@ -79,6 +79,10 @@ class RealRobot:
         presliding_rad: how far a stuck joint gives until it slips.
         play_rad: between a motor and its joint, from one flank of the teeth to the other.
         cogging, cogging_phase, cogging_waves: a ripple of torque over a turn.
+        worn, worn_waves, worn_phase: friction, N·m at most, that comes and goes along the way.
+        harness, harness_rad, harness_reach: torque of a bundle of cables that stiffens as it is
+            bent, at a reach from where it lies straight.
+        ripple, ripple_waves, ripple_phase: share of the drive's torque that gears take and give.
         tie, tie_rad: stiffness of what catches a joint beyond an angle; its sign has the side.
         push, push_trial: torque by someone in the second half of one trial; () its number.
         zero, encoder_scale: encoders read (1 + scale) times the motor's angle, and zero.
@@ -103,6 +107,15 @@ class RealRobot:
     cogging: Array = NO_FAULT
     cogging_phase: Array = NO_FAULT
     cogging_waves: Array = NO_FAULT + 20.0
+    worn: Array = NO_FAULT
+    worn_waves: Array = NO_FAULT + 1.0
+    worn_phase: Array = NO_FAULT
+    harness: Array = NO_FAULT
+    harness_rad: Array = NO_FAULT
+    harness_reach: Array = NO_FAULT + 1.0
+    ripple: Array = NO_FAULT
+    ripple_waves: Array = NO_FAULT + 1.0
+    ripple_phase: Array = NO_FAULT
     tie: Array = NO_FAULT
     tie_rad: Array = NO_FAULT
     push: Array = NO_FAULT
@@ -117,10 +130,15 @@ class RealRobot:
     base_axis: Any = (0.0, 1.0, 0.0)
     base_stiffness: Array = NO_FAULT + _RIGID
 
-    def kinetic_n_m(self, speed: Array, drive_n_m: Array) -> Array:
+    def kinetic_n_m(self, angle: Array, speed: Array, drive_n_m: Array) -> Array:
         """Size of the friction that slipping meets."""
         more = self.stribeck * np.exp(-((speed / self.stribeck_speed) ** 2))
-        return (self.dry + self.proportional * np.abs(drive_n_m)) * (1.0 + more)
+        worn = 0.5 * self.worn * (1.0 + np.sin(self.worn_waves * angle + self.worn_phase))
+        return (self.dry + self.proportional * np.abs(drive_n_m)) * (1.0 + more) + worn
+
+    def passed_share(self, angle: Array) -> Array:
+        """The share of the drive's torque that gears with a ripple pass on."""
+        return 1.0 - self.ripple * np.sin(self.ripple_waves * angle + self.ripple_phase)
 
     def motor_n_m(self, angle: Array, speed: Array) -> Array:
         """Damping and cogging at the motors, at their angles and speeds."""
@@ -130,7 +148,9 @@ class RealRobot:
     def spring_n_m(self, angle: Array) -> Array:
         """Torque of springs at the joints, at their angles."""
         beyond = np.maximum((angle - self.tie_rad) * np.sign(self.tie), 0.0)
-        return self.stiffness * angle + np.abs(self.tie) * beyond * np.sign(self.tie)
+        bent = (angle - self.harness_rad) / self.harness_reach
+        held = 0.5 * self.harness * (bent + bent**3)
+        return self.stiffness * angle + held + np.abs(self.tie) * beyond * np.sign(self.tie)
 
     def flank_n_m(self, ahead: Array, closing: Array) -> Array:
         """Torque through touching teeth, by the lead of motors over joints and its speed."""

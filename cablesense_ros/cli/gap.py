@@ -15,6 +15,7 @@ from cablesense_base import CableSenseError
 from cablesense_base.files import output_file, output_folder, write_atomically
 from cablesense_ros.cli.gap_cases import score, withhold
 from cablesense_ros.cli.gap_recordings import protocol, record
+from cablesense_ros.cli.gap_watch import watch
 from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
@@ -62,6 +63,12 @@ ZeroedOption = Annotated[
         help="With --model: encoders were set to zero where each trial begins, wherever that was.",
     ),
 ]
+ReferenceOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="A recording of the same machine when healthy: the verdict is what changed since."
+    ),
+]
 OF_ROBOTS = ("bandwidth", "forward", "zeroed")
 ADAPTED_MODEL = "estimator.onnx"
 
@@ -77,6 +84,7 @@ def diagnose(
     bandwidth: BandwidthOption = None,
     forward: ForwardOption = None,
     zeroed: ZeroedOption = False,
+    reference: ReferenceOption = None,
     workers: WorkersOption = 2,
     force: ForcedDiagnosisOption = False,
     json_output: JsonOption = False,
@@ -94,7 +102,7 @@ def diagnose(
     console = Console(stderr=json_output)
     if model is None:
         refuse_given(context, OF_ROBOTS, "without --model")
-        verdict, lines = _diagnosed_arm(recording, out, arm, workers, force, console)
+        verdict, lines = _diagnosed_arm(recording, out, arm, reference, workers, force, console)
     else:
         from cablesense_gap.robot import amending, report, system
         from cablesense_gap.robot.recording import read_recording
@@ -103,10 +111,11 @@ def diagnose(
         robot, beside = amending.load_amended(model)
         output_folder(out, report.ROBOT_FILES, force=force, inputs=(recording, robot.path))
         recorded = read_recording(recording, robot)
+        healthy = None if reference is None else read_recording(reference, robot)
         with diagnosis_progress(console) as (show, _):
             found = system.diagnose(
                 recorded, robot, beside, bandwidth, show, workers, forward,
-                zeroed=zeroed, force=force,
+                zeroed=zeroed, force=force, reference=healthy,
             )  # fmt: skip
         report.write_robot_diagnosis(out, found, beside)
         verdict, lines = (
@@ -125,7 +134,13 @@ def diagnose(
 
 
 def _diagnosed_arm(
-    recording: Path, out: Path, arm: str, workers: int, force: bool, console: Console
+    recording: Path,
+    out: Path,
+    arm: str,
+    reference: Path | None,
+    workers: int,
+    force: bool,
+    console: Console,
 ) -> tuple[Any, list[str]]:
     """The verdict, and lines for people."""
     from cablesense_gap.arm_system import diagnose as make
@@ -138,8 +153,9 @@ def _diagnosed_arm(
     output_folder(out, DIAGNOSIS_FILES, force=force, inputs=(recording, arm_file))
     nominal = load_arm(arm_file)
     recorded = read_recording(recording, nominal)
+    healthy = None if reference is None else read_recording(reference, nominal)
     with diagnosis_progress(console) as (show, warn):
-        found = make(recorded, nominal, show, workers, warn, force=force)
+        found = make(recorded, nominal, show, workers, warn, reference=healthy, force=force)
     write_diagnosis(out, found)
     lines = [headline(found.verdict), *map(earlier_sentence, found.verdict.earlier)]
     if len(found.recording) < len(recorded):
@@ -344,5 +360,5 @@ gap = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
 )
-for verb in (diagnose, adapt, predict, protocol, record, score, withhold):
+for verb in (diagnose, adapt, predict, protocol, record, score, watch, withhold):
     gap.command()(verb)

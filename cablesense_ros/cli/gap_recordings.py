@@ -20,6 +20,11 @@ from cablesense_ros.cli.options import (
 )
 from cablesense_ros.cli.results import titled_table
 
+_KEEP_ONE = (
+    "Record one after commissioning, and keep it: cablesense gap diagnose NEW --reference IT then "
+    "says what changed."
+)
+
 
 def protocol(
     context: typer.Context,
@@ -68,7 +73,7 @@ def _arm_protocol(arm: str, out: Path | None, force: bool) -> None:
     console.print(
         "Sides as seen along the arm from its base; places along a segment's axis from its joint "
         "centre. Record with: "
-        f"cablesense gap record --arm {shlex.quote(arm)} --out recording.mcap",
+        f"cablesense gap record --arm {shlex.quote(arm)} --out recording.mcap\n{_KEEP_ONE}",
         style="dim",
         soft_wrap=True,
     )
@@ -94,7 +99,7 @@ def _robot_protocol(model: Path, out: Path | None, force: bool) -> None:
     console.print(table)
     console.print(
         "Record position.<joint>, and torque.<joint> or command.<actuator>, at 100 Hz or more; "
-        "smaller ranges will do where there is no room.",
+        f"smaller ranges will do where there is no room.\n{_KEEP_ONE}",
         style="dim",
     )
     if out is not None:

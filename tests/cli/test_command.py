@@ -19,7 +19,7 @@ from cablesense_sim.arm import open_arm
 
 COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
 VERBS = ("demo", "dataset", "train", "evaluate", "info", "paper", "gap", "sensors")
-GAP_VERBS = ("diagnose", "predict", "protocol", "record", "score", "withhold")
+GAP_VERBS = ("diagnose", "predict", "protocol", "record", "score", "watch", "withhold")
 
 
 @pytest.mark.parametrize(

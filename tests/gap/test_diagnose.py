@@ -17,6 +17,7 @@ from cablesense_gap.arm_system import ArmSystem, Diagnosis, diagnose, folds_of, 
 from cablesense_gap.pipeline import FOLDS, problem_of
 from cablesense_gap.recordings import thinning
 from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.reference import Reference
 from cablesense_gap.report.page import report_page
 from cablesense_gap.report.text import earlier_sentence
 from cablesense_gap.simulator import Assignment, Term
@@ -121,6 +122,26 @@ def test_a_long_recording_is_diagnosed_on_some_of_its_rows(monkeypatch):
 def test_manufacturing_tolerances_are_no_effect():
     verdict = diagnose(made({}, seed=1), LAB).verdict
     assert (verdict.effects, verdict.parameters) == (("none",), {})
+
+
+@pytest.mark.slow  # simulates every effect twice
+def test_a_reference_teaches_what_the_nominal_arm_lacks():
+    """Cables that are stiffer the more they carry, on an arm with tolerances of its own."""
+    healthy, again = (
+        ArmSystem(LAB, replace(r, tensions_n=r.tensions_n + 4e-3 * (nominal_n - 50.0) ** 2))
+        for r in (made({}), made({}, course=small_recording(peak_n=20.0)))
+        for nominal_n in (replay_arm(LAB, *r.inputs),)
+    )
+    reference = Reference(healthy)
+    assert reference.left.left_n < 0.5 * reference.left.before_n
+    system = again.with_listed(reference.tolerances)
+    usual = reference.expected(system, problem_of(system))
+    before_n, left_n = (
+        np.sqrt(((again.readings - each)[again.counted] ** 2).mean())
+        for each in (again.nominal_n, system.nominal_n + usual.mean)
+    )
+    assert left_n < 0.5 * before_n
+    assert left_n < 1.5 * usual.floor
 
 
 @pytest.mark.slow

@@ -1,0 +1,227 @@
+"""The residual of a healthy machine: a regression on position, speed and load.
+
+No model is exact. Each channel has a Bayesian linear regression on
+
+- the changes that the candidates would make, linear about the nominal machine, and
+- waves in the channel's own position, alone and times functions of its speed; and functions of
+  its load.
+
+Each effect, each wavelength and each further function has its own prior variance, which is that of
+the largest evidence (MacKay, Bayesian interpolation, 1992). Of another recording the posterior
+predicts the mean residual, which is no gap, and its variance, which replaces the floor. The
+residuals of held-out trials may make the variance larger.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array
+from cablesense_gap.diagnosis.columns import linear_effects
+from cablesense_gap.diagnosis.problem import Problem, unit_of
+from cablesense_gap.simulator import Term
+
+_WAVES, _SLIDING_WAVES = 40, 8
+"""Half waves over the range of positions, alone and times functions of the speed."""
+_SLOW = (0.05, 0.3, 1.0)
+"""Shares of the usual speed at which functions of the speed saturate: friction's direction, its
+rise at rest, and damping."""
+_MARGIN = 0.1
+"""Share of the range beyond which waves stay as they are at its end."""
+_BEYOND = 0.1
+"""Share of the range beyond which nothing is known any more."""
+_CORRELATED = 4.0
+"""Rows in turn that count as one."""
+_ITERATIONS = 30
+_LEAST = 1e-9
+
+Key = tuple[str, ...]
+"""The name of a column, the first part that of its group."""
+
+
+class Conditions(NamedTuple):
+    """Position, speed and load (R, C) at which each channel is measured, all in SI units."""
+
+    position: Array
+    speed: Array
+    load: Array
+
+
+def effect_columns(problem: Problem) -> dict[Key, Array]:
+    """Columns (R, C) of all candidates that do not depend on history, for values of one.
+
+    The last part of a name counts the shapes from which a candidate starts.
+    """
+    found: dict[Key, Array] = {}
+    for candidate in problem.simulator.candidates:
+        each = [] if candidate.history_dependent else linear_effects(problem, candidate)
+        numbers: Counter[Term] = Counter()
+        for term, column in chain(*(zip(e.varied, e.columns, strict=True) for e in each)):
+            if problem.parameters[term].role == "size":
+                unit = unit_of(problem.parameters[term], 0.0)
+                found[(*term, str(numbers[term]))] = column / unit
+                numbers[term] += 1
+    return found
+
+
+@dataclass(frozen=True)
+class SmoothColumns:
+    """Functions of the conditions, by what the reference's are like; (C,) each."""
+
+    low: Array
+    high: Array
+    speed: Array
+    load: Array
+
+    @staticmethod
+    def like(conditions: Conditions) -> SmoothColumns:
+        """For the ranges of these conditions."""
+        sizes = (np.sqrt((c**2).mean(0)) + _LEAST for c in (conditions.speed, conditions.load))
+        return SmoothColumns(conditions.position.min(0), conditions.position.max(0), *sizes)
+
+    def _place(self, conditions: Conditions) -> Array:
+        """Positions (R, C) as shares of the range."""
+        span = np.maximum(self.high - self.low, _LEAST)
+        return np.asarray((conditions.position - self.low) / span)
+
+    def beyond(self, conditions: Conditions) -> Array:
+        """(R, C) by how much positions are beyond the range; from 1 on nothing is known."""
+        place = self._place(conditions)
+        return np.asarray(np.abs(place - np.clip(place, 0.0, 1.0)) / _BEYOND)
+
+    def of(self, conditions: Conditions) -> dict[Key, Array]:
+        """(R, C) by name."""
+        at = np.clip(self._place(conditions), -_MARGIN, 1.0 + _MARGIN) + _MARGIN
+        at *= np.pi / (1.0 + 2.0 * _MARGIN)
+        load = conditions.load / self.load
+        waves = [(f"wave {k}", wave) for k in range(_WAVES) for wave in _wave(k, at)]
+        found: dict[Key, Array] = {}
+        for n, (name, wave) in enumerate(waves):
+            found[name, str(n)] = wave
+        for share in _SLOW:
+            way = np.tanh(conditions.speed / (share * self.speed))
+            for n, (name, wave) in enumerate(waves[: 2 * _SLIDING_WAVES + 1]):
+                found[f"{name} times speed", f"{share}", str(n)] = wave * way
+            found["load times speed", f"{share}"] = np.abs(load) * way
+        size = np.abs(load)
+        found |= {("load", "size"): size, ("load", "square"): load * size, ("load", ""): load}
+        return found
+
+
+def _wave(k: int, at: Array) -> Sequence[Array]:
+    return (np.cos(k * at), np.sin(k * at)) if k else (np.ones_like(at),)
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """The posterior of one channel's coefficients, of columns by name.
+
+    `square` is the mean square of the channel's residual.
+    """
+
+    keys: tuple[Key, ...]
+    mean: Array
+    covariance: Array
+    square: float
+    scatter: float
+    factor: float = 1.0
+
+    def of(self, columns: Mapping[Key, Array], c: int, beyond: Array) -> tuple[Array, Array]:
+        """Mean and variance (R,) of its readings; `beyond` (R,) as of `SmoothColumns`."""
+        none = np.zeros_like(beyond)
+        x = np.array([columns[k][:, c] if k in columns else none for k in self.keys])
+        x = x.reshape(len(self.keys), len(beyond))
+        spread = np.einsum("kr,kl,lr->r", x, self.covariance, x) + self.scatter
+        return self.mean @ x, self.factor * spread + self.square * beyond**2
+
+
+class Discrepancy:
+    """The residual of a healthy machine, learnt from a recording."""
+
+    def __init__(
+        self,
+        columns: Mapping[Key, Array],
+        residual: Array,
+        fold: NDArray[np.int64],
+    ) -> None:
+        """The residual is (R, C); rows of one fold (R,) are held out together."""
+        self.held_out = np.zeros_like(residual)
+        self._channels = []
+        for c in range(residual.shape[1]):
+            channel, self.held_out[:, c] = _fitted(columns, residual, c, fold)
+            self._channels.append(channel)
+
+    def of(self, columns: Mapping[Key, Array], beyond: Array) -> tuple[Array, Array]:
+        """Mean and standard deviation (R, C) of another recording's residuals."""
+        each = [channel.of(columns, c, beyond[:, c]) for c, channel in enumerate(self._channels)]
+        mean, variance = (np.stack(part, axis=1) for part in zip(*each, strict=True))
+        return mean, np.sqrt(variance)
+
+
+def _fitted(
+    columns: Mapping[Key, Array], residual: Array, c: int, fold: NDArray[np.int64]
+) -> tuple[_Channel, Array]:
+    """The posterior of a channel, and its held-out means (R,)."""
+    square = float((residual[:, c] ** 2).mean())
+    sizes = {key: float(np.sqrt((column[:, c] ** 2).mean())) for key, column in columns.items()}
+    keys = tuple(key for key, size in sizes.items() if size > _LEAST * max(sizes.values()))
+    none = np.zeros(len(residual))
+    nothing = _Channel((), none[:0], np.zeros((0, 0)), square, square), none
+    if not keys or not square > 0.0:
+        return nothing
+    own = np.array([sizes[key] for key in keys])
+    x = np.array([columns[key][:, c] for key in keys]) / own[:, None]
+    y = residual[:, c] / np.sqrt(square)
+    group = np.unique([key[0] for key in keys], return_inverse=True)[1]
+    precision, scatter = _of_most_evidence(x, y, group)
+
+    def posterior(rows: NDArray[np.bool_]) -> tuple[Array, Array]:
+        gram, moment = x[:, rows] @ x[:, rows].T, x[:, rows] @ y[rows]
+        covariance = np.linalg.inv(gram / (_CORRELATED * scatter) + np.diag(precision))
+        return covariance @ moment / (_CORRELATED * scatter), covariance
+
+    held_out, spread = np.zeros_like(y), np.zeros_like(y)
+    for k in np.unique(fold):
+        mean, covariance = posterior(fold != k)
+        out = x[:, fold == k]
+        held_out[fold == k] = mean @ out
+        spread[fold == k] = np.einsum("kr,kl,lr->r", out, covariance, out) + scatter
+    left = (y - held_out) ** 2
+    if left.mean() >= 1.0:
+        return nothing
+    mean, covariance = posterior(np.ones(len(y), dtype=bool))
+    unit = own / np.sqrt(square)
+    channel = _Channel(
+        keys,
+        mean / unit,
+        covariance / np.outer(unit, unit),
+        square,
+        scatter * square,
+        max(float((left / spread).mean()), 1.0),
+    )
+    return channel, held_out * np.sqrt(square)
+
+
+def _of_most_evidence(x: Array, y: Array, group: NDArray[np.int64]) -> tuple[Array, float]:
+    """The precision (K,) of each coefficient's prior, and the variance of the noise.
+
+    Columns (K, R) and values (R,) have a mean square of one.
+    """
+    gram, moment, count = x @ x.T / _CORRELATED, x @ y / _CORRELATED, len(y) / _CORRELATED
+    precision, scatter = np.full(len(x), float(len(x))), 0.1
+    for _ in range(_ITERATIONS):
+        covariance = np.linalg.inv(gram / scatter + np.diag(precision))
+        mean = covariance @ moment / scatter
+        known = 1.0 - precision * covariance.diagonal()
+        found, size = np.bincount(group, known), np.bincount(group, mean**2)
+        precision = np.clip(found / np.maximum(size, 1e-12), 1e-3, 1e9)[group]
+        left = count - 2.0 * moment @ mean + mean @ gram @ mean
+        scatter = float(max(left / max(count - known.sum(), 0.1 * count), 1e-8))
+    return precision, scatter

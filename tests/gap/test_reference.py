@@ -1,0 +1,60 @@
+"""What a healthy recording teaches of another one of the same machine."""
+
+import numpy as np
+import pytest
+
+from cablesense_gap.diagnosis.reference import Conditions, Discrepancy, SmoothColumns
+
+TRIALS, ROWS, NOISE = 6, 150, 0.05
+FOLD = np.repeat(np.arange(TRIALS), ROWS)
+
+
+def moved(seed, reach=1.0):
+    """Conditions of two channels in trials of their own sines."""
+    rng, at = np.random.default_rng(seed), np.linspace(0.0, 1.0, ROWS)[:, None]
+    position, speed = [], []
+    for _ in range(TRIALS):
+        turns, phase = rng.uniform(2.0, 12.0, 2), rng.uniform(0.0, 6.0, 2)
+        position.append(reach * np.sin(turns * at + phase))
+        speed.append(reach * turns * np.cos(turns * at + phase))
+    place = np.concatenate(position)
+    return Conditions(place, np.concatenate(speed), 3.0 * np.cos(place))
+
+
+def left(conditions, seed, wavy=1.0):
+    """What a model lacks that knows neither gears nor bearings that are rough in places."""
+    place, speed, _ = conditions
+    rough = 0.5 * (1.0 + np.sin(3.0 * place)) * np.sign(speed)
+    noise = np.random.default_rng(seed).normal(0.0, NOISE, place.shape)
+    return wavy * (np.sin(9.0 * place) + rough) + noise
+
+
+def learnt(wavy=1.0):
+    conditions = moved(1)
+    smooth = SmoothColumns.like(conditions)
+    return smooth, Discrepancy(smooth.of(conditions), left(conditions, 2, wavy), FOLD)
+
+
+def test_what_repeats_is_predicted_and_the_rest_is_as_large_as_stated():
+    smooth, discrepancy = learnt()
+    again = moved(3)
+    residual = left(again, 4)
+    mean, deviation = discrepancy.of(smooth.of(again), smooth.beyond(again))
+    assert np.std(residual - mean) < 0.15 * np.std(residual)
+    assert np.sqrt((((residual - mean) / deviation) ** 2).mean()) == pytest.approx(1.0, abs=0.4)
+
+
+def test_places_where_the_reference_has_not_been_are_less_certain():
+    smooth, discrepancy = learnt()
+    far = moved(3, reach=1.5)
+    _, deviation = discrepancy.of(smooth.of(far), smooth.beyond(far))
+    unseen = np.abs(far.position) > 1.2
+    assert np.median(deviation[unseen]) > 5.0 * np.median(deviation[~unseen])
+
+
+def test_noise_teaches_its_size_alone():
+    smooth, discrepancy = learnt(wavy=0.0)
+    again = moved(3)
+    mean, deviation = discrepancy.of(smooth.of(again), smooth.beyond(again))
+    assert np.abs(mean).max() < NOISE
+    assert deviation == pytest.approx(NOISE, rel=0.5)

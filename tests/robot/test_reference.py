@@ -1,0 +1,102 @@
+"""What changed since a healthy recording, with a model that leaves a tenth of the torque."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from two_link import JOINTS, recorded, write_model
+from typer.testing import CliRunner
+
+from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.robot.model import load_robot
+from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.system import diagnose
+from cablesense_gap.verdict import read_verdict
+from cablesense_gap.watch import SeriesError
+from cablesense_ros.cli.app import app
+
+
+def worn(path, seed, **planted):
+    """A recording of a pendulum with a cable harness, and bearings that are rough in places."""
+    recorded(path, seed=seed, **planted)
+    table = pd.read_csv(path)
+    for joint, size in zip(JOINTS, (0.3, 0.1), strict=True):
+        at, speed = table[f"position.{joint}"], table[f"velocity.{joint}"]
+        harness = 2.0 * (at - 0.1) + 6.0 * (at - 0.1) ** 3 + np.sin(11.0 * at)
+        rough = (1.0 + np.sin(5.0 * at)) * np.sign(speed)
+        table[f"torque.{joint}"] += size * (harness + 0.5 * rough)
+    table.to_csv(path, index=False)
+    return path
+
+
+@pytest.fixture
+def machine(tmp_path):
+    robot = load_robot(write_model(tmp_path))
+    return robot, read_recording(worn(tmp_path / "healthy.csv", 1), robot)
+
+
+@pytest.mark.slow  # a whole search
+def test_without_a_reference_a_wrong_model_is_not_the_healthy_machine(machine):
+    robot, healthy = machine
+    assert diagnose(healthy, robot).verdict.effects != ("none",)
+
+
+@pytest.mark.slow
+def test_a_healthy_machine_has_not_changed_although_its_model_is_wrong(tmp_path, machine):
+    robot, healthy = machine
+    again = read_recording(worn(tmp_path / "again.csv", 2), robot)
+    verdict = diagnose(again, robot, reference=healthy).verdict
+    assert verdict.effects == ("none",)
+    assert verdict.gap.before_n < 1.5 * verdict.gap.floor_n
+    assert verdict.reference.recording == "healthy"
+    assert verdict.reference.left_n < 0.5 * verdict.reference.before_n
+
+
+@pytest.mark.slow
+def test_what_changed_is_named_and_sized(tmp_path, machine):
+    robot, healthy = machine
+    later = read_recording(worn(tmp_path / "later.csv", 3, payload=0.1), robot)
+    verdict = diagnose(later, robot, reference=healthy).verdict
+    assert verdict.effects == ("payload",)
+    assert verdict.where.bodies == ("lower",)
+    assert verdict.parameters["payload.mass_kg"].value == pytest.approx(0.1, rel=0.2)
+
+
+@pytest.mark.slow
+def test_the_command_says_since_when_and_refuses_another_machine(tmp_path):
+    model = write_model(tmp_path)
+    healthy = worn(tmp_path / "healthy.csv", 1)
+    later = worn(tmp_path / "later.csv", 4, friction=(0.3, 0.0))
+    asked = ["gap", "diagnose", later, "--model", model, "--out", tmp_path / "out"]
+    since = ["--reference", str(healthy), "--workers", "1"]
+    ran = CliRunner().invoke(app, [*map(str, asked), *since])
+    assert ran.exit_code == 0, ran.output
+    assert "since the reference" in ran.output
+    assert "since the reference" in (tmp_path / "out" / "report.html").read_text()
+    verdict = read_verdict(tmp_path / "out" / "verdict.json")
+    assert verdict.effects == ("joint_friction",)
+    for missing in ("position.elbow", "torque.elbow"):
+        pd.read_csv(healthy).drop(columns=missing).to_csv(tmp_path / "other.csv", index=False)
+        asked[-1] = tmp_path / missing
+        others = [*map(str, asked), "--reference", str(tmp_path / "other.csv")]
+        with pytest.raises(RecordingError, match=f"other.*{missing.split('.')[0]}.*elbow"):
+            CliRunner().invoke(app, others, catch_exceptions=False)
+
+
+@pytest.mark.slow
+def test_a_series_of_recordings_shows_what_drifts(tmp_path):
+    dated, out = tmp_path / "dated", tmp_path / "drift"
+    dated.mkdir()
+    for month, size in enumerate((0.0, 0.0, 0.3), start=1):
+        worn(dated / f"2031-0{month}.csv", month, friction=(size, 0.0))
+    asked = ["gap", "watch", dated, "--model", write_model(tmp_path), "--out", out]
+    ran = CliRunner().invoke(app, [*map(str, asked), "--workers", "1"])
+    assert ran.exit_code == 0, ran.output
+    table = pd.read_csv(out / "drift.csv")
+    assert table["effects"].tolist() == ["none", "joint_friction"]
+    found = table["joint_friction.shoulder.torque_n_m, N·m"]
+    assert found[1] == pytest.approx(0.3, rel=0.2)
+    assert (out / "drift.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(SeriesError, match="holds 0 recordings"):
+        CliRunner().invoke(
+            app, ["gap", "watch", str(out / "none"), "--out", str(out)], catch_exceptions=False
+        )
