@@ -283,7 +283,7 @@ def _increasing_loads(
     for step_n in (10.0**k * digit for k in range(0, -10, -1) for digit in (2.0, 1.0, 0.5)):
         if _LOAD_STEPS * step_n > most_n:
             continue
-        loads_n = step_n * np.arange(round(_REST_MARGIN * _LOAD_STEPS) + 1)
+        loads_n = step_n * np.arange(_REST_MARGIN * _LOAD_STEPS + 0.5)
         tensions = _borne_tensions_n(mechanism, command_rad, segment, loads_n[:, None] * direction)
         most = min(_LOAD_STEPS, int((len(tensions) - 1) / _REST_MARGIN + 1e-9))
         if 3 * most >= _LOAD_STEPS:
