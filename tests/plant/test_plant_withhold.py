@@ -130,7 +130,7 @@ def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
     [
         (("name: cdsm_lab", "name: ["), "not plain YAML"),
         (("mass_kg: 0.50", "mass: 0.5"), "'mass_kg' is missing"),
-        (("count: 4", "count: 1"), "fewer than 2 segments"),
+        (("count: 4", "count: 0"), "no segment"),
         (("length_m: 0.130", "length_m: long"), "one number or one for each segment"),
         (("length_m: 0.130", "length_m: [0.1, 0.2]"), "nor 4, one for each segment"),
         (("name: cdsm_lab", "effects: [{effect: payload}]"), "effects are listed"),
