@@ -30,7 +30,7 @@ SHARE = Share(share_n=1.0, ci95_n=(0.9, 1.1), left_n=0.1, probability=1.0)
 def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """A healthy arm's recording, diagnosed as having a payload; training gives the same model."""
 
-    def diagnose(recording, arm, *_) -> Diagnosis:
+    def diagnose(recording, arm, *_, force=False) -> Diagnosis:
         rest = {"tolerances_n": 0.1, "unexplained_n": 0.0, "unexplained_share": 0.0}
         verdict = verdict_of("payload", shares={"payload": SHARE}, **rest)
         read = recording.tensions_n

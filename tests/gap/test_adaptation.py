@@ -57,7 +57,11 @@ def diagnosed_as(monkeypatch: pytest.MonkeyPatch):
 
     def put(*effects: ListedEffect) -> list[Collection[int]]:
         def diagnose(
-            recording: Recording, arm: Arm, *others: object, unseen: Collection[int] = ()
+            recording: Recording,
+            arm: Arm,
+            *others: object,
+            unseen: Collection[int] = (),
+            force: bool = False,
         ) -> Diagnosis:
             asked.append(unseen or others[-1])
             shares = {effect.effect: SHARE for effect in effects}

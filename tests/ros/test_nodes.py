@@ -200,6 +200,7 @@ def test_several_contacts_at_once_have_a_wrench_each_and_are_replayed(
         wanted = recorded() + 1500
         tared.until(lambda wanted=wanted: recorded() > wanted, "wrenches in the recording")
     tared.executor.remove_node(listener)
+    tared.spin(0.5)  # what the executor has taken of its messages reaches it
     recorder.close()
     run = RecordedRun(tmp_path / "several.mcap")
     assert run.segments == (1, 2, 3, 4)
