@@ -1,7 +1,7 @@
 """Diagnoses of robots whose hidden effects an independent simulator made.
 
     python benchmarks/robot_blind.py [--count 60] [--seed 8105] [--commands] [--write]
-    python benchmarks/robot_blind.py --imperfect [--reference] [--count 60] [--seed 9117] [--write]
+    python benchmarks/robot_blind.py --imperfect [--reference] [--count 60] [--seed 9127] [--write]
 
 Three nominal models of `config/robots` (an arm of six joints, a double pendulum, a finger with
 tendons). The hidden side is the rigid-body code, friction, drives and sensors of

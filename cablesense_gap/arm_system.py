@@ -224,7 +224,7 @@ def diagnose(
         on_finding: receives each problem of the recording before the search starts.
         unseen: numbers of trials whose readings are only checked; neither the search nor any
             figure of the verdict uses them.
-        reference: of the same arm when it was healthy; what is found came since.
+        reference: of the same arm when it was healthy; the verdict says what changed since.
         force: whether to continue if channels look exchanged; the findings then say so.
 
     Raises:
@@ -255,7 +255,9 @@ def diagnose(
     if reference is not None:
         progress("fitting the reference", 0.0)
         refuse_unusable(reference, check_recording(reference, arm))
-        known = _supported_system(arm, reference, rows_to_use(reference), ())[0]
+        known, compared, _ = _supported_system(arm, reference, rows_to_use(reference), ())
+        findings = check_recording(reference, arm, known.nominal_n, compared)
+        refuse_unusable(reference, findings, force=force)
         healthy = Reference(known)
         arm = amended_arm(arm, {}, healthy.tolerances)
     system, rows, unsupported = _supported_system(arm, recording, rows, unseen)

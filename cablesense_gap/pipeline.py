@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cablesense_base import Array
+from cablesense_base import Array, CableSenseError
 from cablesense_gap.diagnosis.probability import (
     ambiguity,
     bundled_calibration,
@@ -115,8 +115,12 @@ class System(ABC):
         return None
 
     def with_listed(self, values: Assignment) -> System:
-        """The same with these numbers as a part of the nominal machine."""
-        raise NotImplementedError(f"{self.name}: has no diagnosis against a reference")
+        """The same with these numbers as a part of the nominal machine.
+
+        Raises:
+            CableSenseError: this kind of machine has no diagnosis against a reference.
+        """
+        raise CableSenseError(f"{self.name}: this kind of machine has no reference; leave it out")
 
     def conditions(self) -> Conditions | None:
         """Position, speed and load of each channel, for functions of them; None has none."""

@@ -15,8 +15,8 @@ misfit.
 
 A fit proves nothing: a fault with the pattern of a force looks like that force. Therefore a
 contact is `unconfirmed` if one wrong reading would pass, or if the average of a steady contact's
-readings, which has less noise, does not fit it. Once an average fits, a wrong reading must pass
-the smaller limit of averages too.
+readings, which has less noise, does not fit it. A wrong reading must pass the smaller limit of
+an average too, once one has fitted.
 """
 
 from __future__ import annotations

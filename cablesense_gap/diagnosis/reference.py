@@ -7,8 +7,9 @@ No model is exact. Each channel has a Bayesian linear regression on
   its load.
 
 Each effect, each wavelength and each further function has its own prior variance, which is that of
-the largest evidence (MacKay, Bayesian interpolation, 1992). Of another recording the posterior
-predicts the mean residual, which is no gap, and its variance, which replaces the floor. The
+the largest evidence (MacKay, Bayesian interpolation, 1992). The posterior
+predicts the mean residual of another recording, which is no gap, and its variance, which replaces
+the floor. The
 residuals of held-out trials may make the variance larger.
 """
 

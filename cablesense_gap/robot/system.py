@@ -264,7 +264,7 @@ def diagnose(
         zeroed: whether encoders were set to zero where each trial starts; each trial then has
             the zeros that fit it.
         force: whether to continue if columns look exchanged or reversed; the findings then say so.
-        reference: of the same robot when it was healthy; what is found came since.
+        reference: of the same robot when it was healthy; the verdict says what changed since.
 
     Raises:
         RecordingError: the recording or the reference cannot be compared, or columns look

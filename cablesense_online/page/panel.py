@@ -219,7 +219,10 @@ def force_text(force_n: float) -> str:
 
 
 def _decimals(low: float, high: float) -> int:
-    """So many that the interval's width has one digit, two at most; angles may pass 360°."""
+    """The number of decimals, at most two, that leaves one digit of the interval's width.
+
+    The ends of an interval of angles may be on both sides of 360°.
+    """
     width = high - low if high >= low else high - low + 360.0
     return min(2, max(0, -math.floor(math.log10(width)))) if width > 0.0 else 2
 

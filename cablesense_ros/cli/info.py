@@ -211,7 +211,7 @@ def _arm(name: str) -> Description:
 
 
 def _questions(arm: Arm) -> list[str]:
-    """What is possible, and yet looks like a number in another unit."""
+    """Questions about numbers that are allowed, but look as if given in another unit."""
     rate_hz = arm.sensors.rate_hz
     if rate_hz >= _SLOWEST_HZ:
         return []

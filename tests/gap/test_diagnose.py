@@ -16,7 +16,7 @@ from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.arm_system import ArmSystem, Diagnosis, diagnose, folds_of, places_of
 from cablesense_gap.pipeline import FOLDS, problem_of
 from cablesense_gap.recordings import thinning
-from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_gap.reference import Reference
 from cablesense_gap.report.page import report_page
 from cablesense_gap.report.text import earlier_sentence
@@ -142,6 +142,15 @@ def test_a_reference_teaches_what_the_nominal_arm_lacks():
     )
     assert left_n < 0.5 * before_n
     assert left_n < 1.5 * usual.floor
+
+
+@pytest.mark.slow
+def test_a_reference_with_exchanged_plugs_is_refused():
+    recording = made({})
+    order = [0, 4, 2, 3, 1, *range(5, 12)]
+    exchanged = replace(recording, tensions_n=recording.tensions_n[:, order])
+    with pytest.raises(RecordingError, match="tension_2_n reads cable_5"):
+        diagnose(recording, LAB, reference=exchanged)
 
 
 @pytest.mark.slow
