@@ -8,16 +8,18 @@ It uses rclpy and the standard messages alone, as a node of another package woul
 from __future__ import annotations
 
 import math
+import signal
 import sys
+import threading
 from collections.abc import Callable
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
+from rclpy.signals import SignalHandlerOptions
 
 PERIOD_S = 0.5
 
@@ -57,14 +59,15 @@ class ReadTopics(Node):
 
 
 def spin(make_node: Callable[[], Node]) -> int:
-    """Run a node until Ctrl-C."""
-    rclpy.init()
-    try:
-        rclpy.spin(make_node())
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    finally:
-        rclpy.try_shutdown()
+    """Run a node until Ctrl-C, which ends no callback halfway."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    ended = threading.Event()
+    for end in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(end, lambda *_: ended.set())
+    node = make_node()
+    while not ended.is_set():
+        rclpy.spin_once(node, timeout_sec=0.2)
+    rclpy.shutdown()
     return 0
 
 

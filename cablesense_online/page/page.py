@@ -127,14 +127,15 @@ class Page:
                 self._controls = None
             if self._controls is None and clients:
                 self._commander = min(clients)
-                self._controls = Controls(
-                    clients[self._commander].gui,
-                    self._mechanism,
-                    self._actions,
-                    self._joints_deg,
-                    self._force_limit_n,
-                    self._reach_m,
-                )
+                with clients[self._commander].atomic():  # shown once a click is heard
+                    self._controls = Controls(
+                        clients[self._commander].gui,
+                        self._mechanism,
+                        self._actions,
+                        self._joints_deg,
+                        self._force_limit_n,
+                        self._reach_m,
+                    )
             for number, shown in self._visitors.items():
                 shown.content = html("visitors", number == self._commander, len(clients))
 
