@@ -82,6 +82,7 @@ EXTRAS = {
         "packaging",  # reads requirements, in tests and `make lock`
         "pillow",  # looks at what the browser shows, in the page's test
         "pytest",  # the tests
+        "pytest-rerunfailures",  # repeats tests of several processes that fail, and lists them
         "pytest-timeout",  # a test that hangs fails instead
         "pytest-xdist",  # the tests on all cores
         "ruff",  # style
