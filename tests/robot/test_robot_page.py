@@ -1,4 +1,4 @@
-"""The example of `docs/robot.md` runs, and says what the page says."""
+"""The example of `docs/robot_method.md` runs, and says what the page says."""
 
 import re
 from pathlib import Path
@@ -16,7 +16,7 @@ from cablesense_gap.robot.report import report_page
 from cablesense_gap.robot.system import RobotDiagnosis, RobotSystem
 from cablesense_gap.verdict import ChannelGap
 
-PAGE = Path(__file__).parents[2] / "docs" / "robot.md"
+PAGE = Path(__file__).parents[2] / "docs" / "robot_method.md"
 
 
 def test_the_simulator_of_the_page_finds_the_sticking_pointer(capsys):
