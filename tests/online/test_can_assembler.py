@@ -88,15 +88,6 @@ def test_a_missing_channel_costs_its_sample_alone_and_is_named(bench):
     assert bench.assembler.dropped == 1
 
 
-def test_a_late_channel_costs_its_sample_and_is_named(counted):
-    counted.cycle(0)
-    counted.cycle(1, groups=(0, 1))
-    counted.take(data(2, 1.0), 1.6e-3)
-    counted.cycle(2)
-    assert [sample.tensions_n[0] for sample in counted.samples] == [0.0, 2.0]
-    assert counted.faults == {FaultKind.LATE_CHANNEL: {"cable_5": 1, "cable_6": 1}}
-
-
 def test_without_a_counter_a_late_channel_is_named_and_the_order_found_again(plain):
     plain.cycle(0)
     plain.cycle(1, groups=(0, 1))
@@ -124,15 +115,6 @@ def test_without_a_counter_samples_are_of_one_cycle_again_soon_after_a_lost_fram
     assert all(whole[32:])
     assert len(bench.samples) > 55
     assert bench.faults[FaultKind.LATE_CHANNEL]["cycle"] == 1
-
-
-def test_nodes_with_their_own_timers_have_no_pause_to_begin_at():
-    bench = Assembly(0, skew_s=CYCLE_S)
-    for number in range(60):
-        for group, phase_s in enumerate((0.0, 3.5e-4, 7e-4)):
-            bench.take(data(group, float(number)), number * CYCLE_S + phase_s)
-    assert len(bench.samples) == 60
-    assert bench.faults == {}
 
 
 @pytest.mark.parametrize("place", range(3))
@@ -164,15 +146,6 @@ def test_a_frame_that_was_sent_again_with_the_same_content_costs_nothing(bench):
         bench.cycle(number, groups=(0, 1, 2, 2))
     assert [sample.tensions_n[0] for sample in bench.samples] == [0.0, 1.0, 2.0]
     assert bench.faults == {FaultKind.DUPLICATE_ID: {"group_2": 3}}
-
-
-def test_a_sample_is_held_until_its_cycle_is_over(bench):
-    bench.cycle(0)
-    assert not any(bench.given)
-    assert bench.assembler.lapse().tensions_n[0] == 0.0
-    bench.cycle(3)
-    bench.cycle(4)
-    assert [one.tensions_n[0] for one in bench.given if one is not None] == [3.0]
 
 
 @pytest.mark.parametrize("lost", [None, *range(3)])
@@ -243,13 +216,6 @@ def test_frames_of_two_cycles_are_no_sample_where_the_time_of_the_bus_is_unknown
     assert [s.tensions_n[0] for s in counted.samples] == ([0.0, 2.0] if given else [2.0])
 
 
-def test_without_counter_and_bus_time_a_sample_is_given_at_once():
-    bench = Assembly(0, stamped=False)
-    for number in range(3):
-        bench.cycle(number)
-        assert bench.given[-1].tensions_n[0] == number
-
-
 def test_a_lost_cycle_is_counted_and_the_next_sample_is_given(counted):
     for number in (254, 255, 256, 259, 260):
         counted.cycle(number)
@@ -266,25 +232,6 @@ def test_a_counter_that_stands_still_means_old_values(counted):
         counted.cycle(number, count=7)
     assert len(counted.samples) == 0
     assert counted.faults == {FaultKind.COUNTER_GAP: {"cycle counter": 3}}
-
-
-def test_data_before_the_first_counter_is_no_fault(counted):
-    counted.take(data(1), 0.5e-3)
-    counted.cycle(1)
-    assert len(counted.samples) == 1
-    assert counted.faults == {}
-
-
-def test_an_invalid_reading_costs_its_sample_without_a_missing_channel(bench):
-    bench.cycle(0)
-    if bench.counted:
-        bench.take(opening(1), 1e-3)
-    for group in range(3):
-        bench.take(data(group, valid=group != 1), 1e-3 + (group + 1) * 1e-4)
-    bench.cycle(2)
-    assert [sample.tensions_n[0] for sample in bench.samples] == [0.0, 2.0]
-    assert bench.faults == {}
-    assert bench.assembler.dropped == 1
 
 
 @given(

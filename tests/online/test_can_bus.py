@@ -1,7 +1,5 @@
 """Opening an interface, its error state, CANopen node control, and the count of faults."""
 
-from threading import Thread
-
 import can
 import pytest
 
@@ -71,33 +69,11 @@ def test_bus_off_counts_once_and_a_restart_ends_it(watch, ledger):
     assert ledger.report().recent == {FaultKind.BUS_OFF: 1, FaultKind.ERROR_FRAME: 1}
 
 
-def test_a_data_frame_proves_that_the_controller_is_back(watch):
-    watch.error_frame(0x40, bytes(8))
-    watch.error_frame(0x04, bytes([0, 0x40]))
-    assert watch.condition == BUS_OFF
-    watch.data_frame()
-    watch.data_frame()
-    assert watch.condition == ERROR_ACTIVE
-    assert watch.recoveries == 1
-
-
 def test_codes_of_other_drivers_are_not_read_as_classes(ledger):
     watch = BusState(CanInterface("pcan", "PCAN_USBBUS1"), ledger)
     watch.error_frame(0x44, bytes([0, 0x30]))
     assert watch.condition == ERROR_ACTIVE
     assert ledger.report().recent == {FaultKind.ERROR_FRAME: 1}
-
-
-@pytest.mark.parametrize(
-    ("number", "data", "text"),
-    [
-        (0x24, bytes([0, 0x01]), "controller, no acknowledge"),
-        (0x200, b"", "error frame 0x200 of no known class"),
-    ],
-)
-def test_the_meaning_of_an_error_frame_is_kept(watch, ledger, number, data, text):
-    watch.error_frame(number, data)
-    assert ledger.report().last == {FaultKind.ERROR_FRAME: text}
 
 
 def test_each_node_is_started_by_command_and_number_on_id_0():
@@ -122,10 +98,6 @@ def test_a_boot_up_message_of_a_node_of_ours(number, data, node):
     assert booted_node(frame, [3, 12]) == node
 
 
-def test_an_extended_frame_is_no_boot_up():
-    assert booted_node(can.Message(arbitration_id=0x703, data=[0]), [3]) is None
-
-
 def test_a_report_covers_the_time_since_the_last_and_totals_go_on(ledger):
     ledger.note(FaultKind.MISSING_CHANNEL, "cable_5")
     ledger.note(FaultKind.MISSING_CHANNEL, "cable_5")
@@ -136,18 +108,3 @@ def test_a_report_covers_the_time_since_the_last_and_totals_go_on(ledger):
     assert first.last[FaultKind.MISSING_CHANNEL] == "cable_7 did not come"
     assert second.recent == {}
     assert second.total == {FaultKind.MISSING_CHANNEL: 3}
-
-
-def test_two_threads_lose_no_count(ledger):
-    def count():
-        for _ in range(2_000):
-            ledger.note(FaultKind.ERROR_FRAME, "can0")
-
-    threads = [Thread(target=count) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    seen = 0
-    while any(thread.is_alive() for thread in threads):
-        seen += ledger.report().recent.get(FaultKind.ERROR_FRAME, 0)
-    seen += ledger.report().recent.get(FaultKind.ERROR_FRAME, 0)
-    assert seen == ledger.report().total[FaultKind.ERROR_FRAME] == 4_000

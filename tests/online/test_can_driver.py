@@ -95,17 +95,6 @@ def test_canopen_nodes_are_started_and_started_again_after_a_loss_of_power(singl
     single.cycles_until_samples(5)
 
 
-def test_a_missing_channel_stops_the_samples_and_is_reported(packed):
-    packed.cycles_until_samples(5)
-    packed.emulator.request("missing_channel cable_6")
-    missing = "missing channel (cable_5, cable_6, cable_7, cable_8)"
-    packed.cycles_until(lambda: missing in packed.statuses["samples"].message)
-    count = len(packed.samples)
-    for _ in range(20):
-        packed.cycle()
-    assert len(packed.samples) == count
-
-
 def test_an_adapter_that_is_pulled_and_plugged_in_again(tmp_path):
     link = str(tmp_path / "adapter")
     samples, emulator = [], None
@@ -272,13 +261,6 @@ def test_an_interface_that_vanishes_is_opened_again_until_it_is_there(bench, err
     assert bench.openings == 2
 
 
-def test_a_line_that_is_no_frame_is_counted_and_the_next_one_taken(bench):
-    bench.interface.buses[0].put(ValueError("not hexadecimal"), FRAME, IndexError("short"), FRAME)
-    bench.until_frames(2)
-    assert bench.values()["unreadable frame in all"] == "2"
-    assert bench.openings == 1
-
-
 def test_a_second_sender_is_named_until_the_driver_is_started_again(bench):
     cycles = [packed_cycle(TENSIONS_N, n, 100.0 + n * 1e-3) for n in range(10)]
     cycles[4].insert(3, packed_cycle(TENSIONS_N + 5.0, 4, 100.004)[3])
@@ -293,26 +275,7 @@ def test_a_second_sender_is_named_until_the_driver_is_started_again(bench):
     until(lambda: len(bench.samples) == 8)
 
 
-def test_a_flood_is_reported(idle):
-    idle.driver._map = PACKED.model_copy(update={"flood_frames_s": 1.0})
-    idle.driver.start()
-    until(lambda: idle.interface.buses)
-    idle.interface.buses[0].put(*[FRAME] * 100)
-    until(lambda: "flooded bus" in idle.report()[1].message)
-
-
 def test_a_silent_interface_is_opened_again(bench, monkeypatch):
     monkeypatch.setattr(driver_module, "REOPEN_AFTER_SILENCE_S", 0.1)
     until(lambda: bench.openings >= 2)
     assert bench.values()["silent bus in all"] != "0"
-
-
-def test_it_can_be_stopped_twice_and_started_again(bench):
-    bench.interface.away = True
-    bench.interface.buses[0].put(OSError("device gone"))
-    until(lambda: bench.values()["interface lost in all"] != "0")
-    bench.driver.stop()
-    bench.driver.stop()
-    bench.interface.away = False
-    bench.driver.start()
-    until(lambda: bench.openings == 2)

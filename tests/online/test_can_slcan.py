@@ -49,15 +49,6 @@ def test_a_line_that_is_no_frame_is_refused(line):
         line_frame(line)
 
 
-@given(st.binary(max_size=40))
-def test_any_bytes_are_a_frame_or_refused(line):
-    try:
-        frame = line_frame(line)
-    except ValueError:
-        return
-    assert len(frame.data) <= 8
-
-
 @pytest.fixture
 def port():
     port = SlcanPort()
@@ -116,14 +107,6 @@ def test_frames_of_the_host_reach_the_adapter(port):
     assert [bytes(frame.data) for frame in found] == [bytes(f.data) for f in FRAMES]
 
 
-def test_frames_before_the_channel_is_open_and_error_frames_are_dropped(port):
-    assert send(port, FRAMES) == 4
-    with host_of(port) as host:
-        assert send(port, [can.Message(arbitration_id=0x40, is_error_frame=True)]) == 1
-        assert send(port, FRAMES[:1]) == 0
-        assert len(receive(host)) == 1
-
-
 def test_a_host_that_falls_behind_loses_whole_frames_and_leaves_nothing_to_the_next(port):
     frames = [
         can.Message(arbitration_id=number, is_extended_id=False, data=bytes(number % 9))
@@ -144,17 +127,6 @@ def test_a_host_that_falls_behind_loses_whole_frames_and_leaves_nothing_to_the_n
     with host_of(port) as host:
         assert send(port, FRAMES[2:3]) == 0
         assert [frame.arbitration_id for frame in receive(host)] == [0x7FF]
-
-
-def test_pulling_it_makes_the_hosts_reads_fail(port):
-    host = host_of(port)
-    port.shutdown()
-    with pytest.raises((can.CanError, OSError)):
-        receive(host)
-    assert send(port, FRAMES) == 4
-    with pytest.raises((can.CanError, OSError)):
-        host.shutdown()
-    host.serialPortOrig.close()
 
 
 def test_a_link_gives_it_a_name_that_outlives_a_restart(tmp_path):

@@ -10,11 +10,8 @@ from cablesense_online.page.drawing import (
     Arrows,
     arrow_m,
     cable_pieces,
-    full_scale_n,
     interval_m,
-    linear_rgb,
     place_m,
-    tension_rgb,
 )
 from cablesense_online.page.panel import TraceBuffer, interval_text, known_text
 from cablesense_online.page.snapshot import ForceBounds, ShownContact
@@ -90,19 +87,6 @@ def test_a_ray_through_the_axis_meets_it_at_its_place(along_m, eye, turn):
     assert place_m(CONTACT, axis, eye, 3.0 * ray) == pytest.approx(along_m, abs=1e-6)
 
 
-def test_a_ray_along_the_axis_meets_it_nowhere():
-    axis = np.array([1.0, 0.0, 0.0])
-    assert np.isnan(place_m(CONTACT, axis, CONTACT - axis, axis))
-
-
-def test_tension_colours_get_lighter_with_tension_so_that_grey_vision_reads_them():
-    colours = tension_rgb(np.linspace(0.0, 100.0, 50), 100.0).astype(float)
-    assert (np.diff(colours @ [0.2126, 0.7152, 0.0722]) > 0).all()
-    ends = tension_rgb([-5.0, 0.0, 100.0, 900.0, np.nan], 100.0)
-    np.testing.assert_array_equal(ends[[0, 2, 4]], ends[[1, 3, 0]])
-    np.testing.assert_array_equal(linear_rgb(np.array([0, 255], dtype=np.uint8)), [0, 255])
-
-
 @pytest.mark.parametrize(
     ("value", "ends", "stated"),
     [
@@ -115,13 +99,6 @@ def test_tension_colours_get_lighter_with_tension_so_that_grey_vision_reads_them
 )
 def test_numbers_have_the_digits_that_their_interval_leaves(value, ends, stated):
     assert (known_text(value, *ends), interval_text(*ends)) == stated
-
-
-@given(peak=st.floats(0.0, 1e5))
-def test_full_scale_covers_the_peak_without_waste(peak):
-    scale = full_scale_n(peak)
-    assert scale >= peak
-    assert scale == 100.0 or scale <= 1.51 * peak
 
 
 def test_traces_keep_the_last_window_thinned_evenly():

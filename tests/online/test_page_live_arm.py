@@ -11,7 +11,6 @@ from cablesense_msgs_py.messages import Contact, ForceState, Level
 from cablesense_online.page.live_arm import STALE_S, LiveArm
 from cablesense_online.page.snapshot import ForceBounds, KnownMoment, PlaceInterval
 from cablesense_sim.arm import open_arm
-from cablesense_sim.kinematics import contact_points_m
 
 ARM = open_arm("cdsm")
 TENSIONS = Message(name=list(ARM.cable_names), effort=[50.0] * 12)
@@ -78,21 +77,6 @@ def approx(contact):
     names = ("segment", "angle_deg", "magnitude_n", "contact_m", "along_n")
     numbers = {name: pytest.approx(getattr(contact, name)) for name in names}
     return numbers | {"force_base_n": None}
-
-
-def test_a_load_about_the_base_is_that_of_its_segment(live):
-    (usual,) = push(live, "segment_3", (0, 0, 20))
-    assert push(live, "segment_3") == ()
-    at_m = contact_points_m(live.mechanism, np.zeros(8))[2]
-    (based,) = push(live, "base_link", (0, 0, 20), np.cross(at_m, (0, 0, 20)))
-    assert (based.segment, based.magnitude_n) == (3, pytest.approx(usual.magnitude_n))
-
-
-def test_the_part_of_a_load_along_its_segment_is_shown_apart(live):
-    (true,) = push(live, "segment_2", (50, 3, 4))
-    assert (true.segment, true.magnitude_n) == (2, pytest.approx(5.0))
-    assert true.along_n == pytest.approx(50.0)
-    np.testing.assert_allclose(true.force_base_n, (50, 3, 4))
 
 
 def test_a_push_releases_the_previous_one_unless_both_are_wanted(live):

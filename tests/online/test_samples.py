@@ -46,18 +46,6 @@ def test_a_stamp_that_is_not_of_a_present_sample_is_refused(before, stamp, compl
     assert caught.value.kind is ProblemKind.CLOCK
 
 
-def test_interleaved_stamps_do_not_pass():
-    """Two clocks so far apart that the second's stamps might be those of a clock set back."""
-    clock, accepted = SampleClock(0.2), []
-    for number in range(100):
-        now = NOW + 10 * MS * number
-        for lead_ms in (150, -150):
-            with suppress(SampleError):
-                clock.accept(now + lead_ms * MS, now)
-                accepted.append(lead_ms)
-    assert set(accepted) == {150}
-
-
 def test_stamps_step_back_where_the_clock_does():
     clock = SampleClock(0.2)
     clock.accept(NOW, NOW)
@@ -155,13 +143,6 @@ def in_turn(*sources):
     return [sample for samples in zip(*sources, strict=True) for sample in samples]
 
 
-@pytest.mark.parametrize("lead", [-5000, -3, -1, 2, 5000])
-def test_two_publishers_in_turn_are_not_mixed(lead):
-    samples = in_turn(numbered(9000, 200), numbered(9000 + lead, 200, "b"))
-    accepted, _ = heard(samples)
-    assert accepted == numbered(9000, 200)
-
-
 @pytest.mark.parametrize("lead", [0, 1])
 def test_two_publishers_with_the_same_numbers_are_not_used(lead):
     """Except the first sample of each, with which the arm's wait begins anew."""
@@ -209,10 +190,3 @@ def test_lost_samples_of_one_publisher_are_counted_by_their_numbers_and_are_no_o
     report = status(fed(publisher=publisher), 1.0)
     assert (report.level, report.message) == (Level.WARN, LOST.format(285))
     assert publisher.lost == 0
-
-
-def test_middleware_without_numbers_serves_one_publisher_alone():
-    samples = [("a", 2**64 - 1)] * 200
-    assert heard(samples, publishers=1) == (samples, [])
-    accepted, changes = heard(samples)
-    assert accepted == changes

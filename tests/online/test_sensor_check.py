@@ -11,12 +11,10 @@ from sensor_series import ARM, EXPECTED, RATE_HZ, STEP_N, good_tensions_n, serie
 
 from cablesense_online.commissioning import CommissioningError
 from cablesense_online.commissioning.sensor_check import (
-    LEAST_FLOOR_N,
     SETTLING_S,
     Pull,
     channel_statistics,
     check_sensors,
-    expectation,
     judge_pull,
     quantisation_step_n,
     series_of,
@@ -70,14 +68,6 @@ def test_drift_of_an_arm_that_was_moved_in_between_is_a_note():
     assert pulled.usable
 
 
-def test_an_end_of_the_range_is_found():
-    tensions_n = good_tensions_n()
-    tensions_n[17, 4] = 3276.0
-    expected = replace(EXPECTED, range_n=(-50.0, 3276.0))
-    assert ("range", "cable_5") in wrong(check_sensors(series(tensions_n), expected))
-    assert ("range", "cable_5") not in wrong(check_sensors(series(tensions_n), EXPECTED))
-
-
 def test_a_channel_that_stands_still_is_wrong_only_while_others_move():
     tensions_n = good_tensions_n()
     tensions_n[:, 4] = 50.0
@@ -119,17 +109,6 @@ def test_pulls_show_a_swap_and_are_no_rest():
     assert weak.findings[0].kind == "pull"
 
 
-def test_bounds_are_the_arm_files():
-    expected = expectation(ARM.sensors)
-    assert expected.rate_hz == ARM.sensors.rate_hz
-    assert expected.floor_n == pytest.approx((0.05**2 + 0.1813**2 / 12) ** 0.5)
-    assert expected.noise_n == pytest.approx(2.0 * expected.floor_n)
-    assert expected.jitter_s == pytest.approx(0.5 / expected.rate_hz)
-    assert expectation(ARM.sensors, 1000.0).rate_hz == 1000.0
-    ideal = ARM.sensors.model_copy(update={"noise_std_n": 0.0, "step_n": 0.0})
-    assert expectation(ideal).floor_n == LEAST_FLOOR_N
-
-
 TIME_S = np.arange(2000) / 100.0
 REST = np.ones(2000, dtype=bool)
 
@@ -150,30 +129,11 @@ def test_noise_is_estimated_beside_drift():
     assert figures.mean_n == pytest.approx(51.0, abs=0.05)
 
 
-def test_only_what_was_read_at_rest_counts_as_noise():
-    moving = 50.0 + noise_n(0.1) + np.where(TIME_S > 10.0, 40.0 * np.sin(20.0 * TIME_S), 0.0)
-    figures = figures_of(moving, TIME_S <= 10.0)
-    assert figures.noise_n == pytest.approx(0.1, rel=0.1)
-    assert figures.highest_n > 85.0
-    assert figures.mean_n == pytest.approx(50.0, abs=0.05)
-
-
-def test_without_rest_noise_and_drift_are_unknown():
-    figures = figures_of(50.0 + noise_n(0.1), ~REST)
-    assert (figures.noise_n, figures.drift_n) == (None, None)
-
-
 @given(st.floats(1e-4, 1.0), st.floats(-100.0, 100.0), st.floats(1.0, 50.0))
 def test_the_step_of_quantised_readings_is_found(step_n, start_n, spread_steps):
     true_n = np.random.default_rng(0).normal(0.0, spread_steps * step_n, 2000)
     read_n = start_n + step_n * np.round(true_n / step_n)
     assert quantisation_step_n(read_n) == pytest.approx(step_n, rel=1e-3)
-
-
-def test_the_step_survives_rounding_in_a_file():
-    true_n = 50.0 + 40.0 * np.sin(TIME_S)
-    read_n = np.round(0.1813 * np.round(true_n / 0.1813), 4)
-    assert quantisation_step_n(read_n) == pytest.approx(0.1813, abs=1e-3)
 
 
 def test_readings_on_no_steps_have_none():
@@ -195,22 +155,11 @@ def test_missing_samples_are_counted_and_do_not_lower_the_rate(rate_hz, missing)
     assert figures.jitter_s < 1e-6 / rate_hz
 
 
-def test_jitter_is_what_intervals_differ_by():
-    time_s = np.arange(1000) / 100.0
-    time_s[1::2] += 0.002
-    assert timing_statistics(at(time_s)).jitter_s == pytest.approx(0.004, abs=1e-4)
-
-
 def test_a_wanted_break_is_no_loss():
     time_s = np.concatenate([np.arange(50), 500.0 + np.arange(50)]) / 100.0
     broken = replace(at(time_s), block=np.repeat([0, 1], 50))
     assert timing_statistics(broken).lost == 0
     assert timing_statistics(at(time_s)).lost == 450
-
-
-def test_a_handful_of_samples_is_refused():
-    with pytest.raises(CommissioningError, match="only 10 samples; at least 21"):
-        timing_statistics(at(np.arange(10.0)))
 
 
 def test_rest_is_the_usual_pose_without_a_load_once_settled():

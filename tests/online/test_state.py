@@ -12,11 +12,9 @@ from estimation_settings import estimation_settings
 from cablesense_msgs_py.messages import Level
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.state import (
-    MOST_EVENTS,
     EstimatorState,
     Event,
     EventKind,
-    EventLog,
     GateState,
     Tare,
     TareState,
@@ -65,17 +63,6 @@ def changed(**parts):
         name: getattr(STATE, name).model_copy(update=fields) for name, fields in parts.items()
     }
     return STATE.model_copy(update=update)
-
-
-def test_without_samples_the_last_event_of_each_kind_is_kept_and_no_more_than_a_bound():
-    log = EventLog()
-    log.note(EventKind.SETTINGS)
-    for angle in range(3 * MOST_EVENTS):
-        log.note(EventKind.COMMAND, np.array([float(angle)]))
-    events = log.taken()
-    assert len(events) == MOST_EVENTS
-    assert events[0] == Event(EventKind.SETTINGS)
-    assert events[-1] == Event(EventKind.COMMAND, (3.0 * MOST_EVENTS - 1.0,))
 
 
 def message_of(state):
@@ -195,13 +182,6 @@ def test_a_file_with_an_impossible_value_is_refused(path, change, problem):
     with pytest.raises(StateFileError, match=problem) as caught:
         StateFile(path, 60.0).read("cdsm-1")
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("text", ["{", "[]", "[" * 100_000, "x" * 300_000])
-def test_a_broken_file_is_refused(path, text):
-    path.write_text(text)
-    with pytest.raises(StateFileError, match="state"):
-        StateFile(path, 60.0).read("cdsm-1")
 
 
 @contextmanager
