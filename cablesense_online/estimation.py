@@ -24,15 +24,9 @@ from cablesense_msgs_py.messages import (
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.answer import Answer
-from cablesense_online.anywhere_check import AnywhereCheck
 from cablesense_online.breathing import BreathReadings
 from cablesense_online.contact_statics import ContactStatics
-from cablesense_online.models import (
-    AnyEstimator,
-    FoundContacts,
-    HistoryDependentModel,
-    contact_model,
-)
+from cablesense_online.models import AnyEstimator, FoundContacts, contact_model
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.plausibility import PlausibilityCheck
 from cablesense_online.samples import (
@@ -54,7 +48,6 @@ from cablesense_online.state import (
 )
 from cablesense_online.tare import DriftWatch, Tares, UnloadedTensions
 from cablesense_sim.arm import Arm
-from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import SequenceEstimator
 
 _STEPS = {-1: EventKind.CLOCK, 1: EventKind.CLOCK_AHEAD}
@@ -80,6 +73,7 @@ class Estimation:
         breathing: what readings would be without friction.
         tares, drift: the unloaded state, and its drift over the time without contact.
         plausibility: whether readings fit the estimates.
+        model: finds the contacts.
         command_received: whether any joint command has come; until then the arm is assumed to be
             straight.
         reproducible: whether the answers after `restore` are those of the object that made the
@@ -111,17 +105,17 @@ class Estimation:
         self.tares = Tares(unloaded, settings, straight)
         self.drift = DriftWatch(unloaded, settings)
         in_motion = isinstance(estimator, SequenceEstimator)
-        check = AnywhereCheck if isinstance(estimator, AnywhereEstimator) else PlausibilityCheck
-        self.plausibility = check(
+        self.plausibility = PlausibilityCheck(
             unloaded,
             settings.tare_samples,
             settings.largest_misfit,
             # without a limit the estimator may be any object that answers
             estimator.metadata if settings.largest_misfit else None,
-            HistoryDependentModel.unchecked if in_motion else "",
+            "the model is history-dependent" if in_motion else "",
         )
-        fits = self.plausibility.fits
-        self._model = contact_model(estimator, self.tares, self.gate, fits, settings)
+        self.model = contact_model(
+            estimator, self.tares, self.gate, self.plausibility.arm, settings
+        )
         self.reproducible = not in_motion
         self.breathing = BreathReadings(settings.settle_s)
         self._breath_rad: Array | None = None
@@ -168,7 +162,7 @@ class Estimation:
             stage = ProblemKind.NAMES
             readings_n = self._cable_order.pick(message.names, message.values, "effort")
             self.check.check(readings_n)
-            if moving and not self._model.in_motion:
+            if moving and not self.model.in_motion:
                 self.gate.estimated(known=False)
                 answer = Answer(force=ForceState.MOVING)
             else:
@@ -217,7 +211,7 @@ class Estimation:
         tensions_n = np.array(freed_n)
         if not moving and (self.breathing.known or not self._settings.await_breath):
             self.tares.add(freed_n)
-        found = self._model.find(tensions_n, stamp_ns, self._settings.contact_threshold)
+        found = self.model.find(tensions_n, stamp_ns, self._settings.contact_threshold)
         if self.tares.automatic and not moving and not self.tares.refusal():
             tare = self.take_tare(stamp_ns, EventKind.AUTO_TARE)
             return Answer(force=ForceState.UNTARED, new_tare=tare)
@@ -291,7 +285,7 @@ class Estimation:
                 at this command; the previous command stays in force.
         """
         command = joint_command_rad(message, self._joint_order, self.gate.command_rad)
-        turn = None if self._model.in_motion else breath_turn(message)
+        turn = None if self.model.in_motion else breath_turn(message)
         if turn is None:
             return self._go_to(command)
         self._breath_rad = None if turn == BREATH_END else command
@@ -364,7 +358,7 @@ class Estimation:
         self.publisher = FollowedPublisher(self.clock.stale_after_s)
         self.health = InputHealth(self.clock, self.publisher, now_s)
         self.tares.forget_readings()
-        self._model.restart(self.gate.command_rad)
+        self.model.restart(self.gate.command_rad)
         self._events.note(EventKind.START, self.gate.command_rad)
 
     def restore(self, state: EstimatorState) -> None:
@@ -393,16 +387,6 @@ class Estimation:
         """Contacts in base axes and at the joints, at the pose of the last estimate."""
         return self._statics.at(self.gate.pose_rad)
 
-    @property
-    def several(self) -> bool:
-        """Whether the model estimates several contacts at once."""
-        return self._model.several
-
-    @property
-    def answers_in_motion(self) -> bool:
-        """Whether the model estimates while the arm moves."""
-        return self._model.in_motion
-
     def _go_to(self, command_rad: Array) -> bool:
         """As `command`, with angles (2N,)."""
         dropped = False
@@ -417,7 +401,7 @@ class Estimation:
                     self.drift.tared()
                 self.breathing.moved()
             self.gate.command(command_rad)
-            self._model.command(command_rad)
+            self.model.command(command_rad)
             self._events.note(EventKind.COMMAND, command_rad)
         self.command_received = True
         return dropped
@@ -431,13 +415,13 @@ class Estimation:
             self._events.note(EventKind.BREATH)
 
     def _tared(self, how: EventKind) -> None:
-        self._model.tared()
+        self.model.tared()
         self.drift.tared()
         self._events.note(how)
 
     def _repeat(self, events: Sequence[Event], command_rad: Array) -> None:
         """Bring the model to where the events brought it when the state was made."""
-        model = self._model
+        model = self.model
         if model.in_motion and not self.reproducible:
             model.restart(command_rad)
         for event in events:

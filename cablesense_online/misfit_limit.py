@@ -12,7 +12,6 @@ quantile are not noise: the estimate is wrong by itself, or the arm has two posi
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -22,8 +21,8 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_online.answer import decide
 from cablesense_online.models import MOST_OF_NOISE, LoadedModel
-from cablesense_online.plausibility import FALSE_ALARM_RATE, PlausibilityCheck, noise_limit
-from cablesense_online.samples import SampleError
+from cablesense_online.plausibility import FALSE_ALARM_RATE, noise_limit
+from cablesense_online.stated_contacts import RestingArm
 from cablesense_online.tare import UnloadedTensions
 from cablesense_sim.contact_location import touched_at
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
@@ -36,8 +35,6 @@ from cablesense_training.inference.model_file import replace_misfit_limit
 
 JUDGED_AT: Final = 0.9
 POSES, LOADS, READINGS = 10, 20, 50
-_UNLIMITED = 1e-6
-"""A limit that no reading fits, so that every misfit is that of the best fit."""
 
 
 def simulated_misfits(loaded: LoadedModel, seed: int = 0, poses: int = POSES) -> Iterator[float]:
@@ -46,7 +43,7 @@ def simulated_misfits(loaded: LoadedModel, seed: int = 0, poses: int = POSES) ->
     assert isinstance(estimator, Estimator)
     metadata, rng = estimator.metadata, np.random.default_rng(seed)
     statics, count = UnloadedTensions(arm), arm.segment_count
-    check = PlausibilityCheck(statics, metadata.tare_samples, _UNLIMITED, metadata)
+    resting = RestingArm(statics, metadata.tare_samples)
     mechanism, range_rad = statics.mechanism, np.deg2rad(metadata.pose_range_deg)
     contact_m, (reach, _) = mechanism.contact_m, touched_at(arm)
 
@@ -56,7 +53,8 @@ def simulated_misfits(loaded: LoadedModel, seed: int = 0, poses: int = POSES) ->
 
     for _ in range(poses):
         command = rng.uniform(-range_rad, range_rad, arm.joint_count)
-        tare_n = readings(statics.predict_n(command), metadata.tare_samples).mean(axis=0)
+        resting.command(command)
+        tare_n = readings(resting.unloaded_n, metadata.tare_samples).mean(axis=0)
         for _ in range(LOADS):
             segment, angle_deg = rng.integers(0, count + 1), rng.uniform(0.0, 360.0)
             size_n = rng.uniform(0.0, metadata.force_range_n)
@@ -64,9 +62,8 @@ def simulated_misfits(loaded: LoadedModel, seed: int = 0, poses: int = POSES) ->
             if isinstance(estimator, AnywhereEstimator):
                 contact_m = rng.uniform(reach[:, 0], reach[:, 1])
             touched = replace(mechanism, contact_m=contact_m)
-            held_m = statics.held_m(command)
             try:
-                rest = solve_equilibrium(touched, command, forces, held_m=held_m)
+                rest = solve_equilibrium(touched, command, forces, held_m=resting.held_m)
             except EquilibriumError:
                 continue  # the arm collapses
             differences_n = readings(rest.tensions_n, READINGS) - tare_n
@@ -84,9 +81,7 @@ def simulated_misfits(loaded: LoadedModel, seed: int = 0, poses: int = POSES) ->
             )
             for difference_n, probabilities, angle, size in answers:
                 contact = decide(probabilities, angle, size, 0.5, contact_m.tolist())
-                with suppress(SampleError):
-                    check.check(difference_n, command, [contact] if contact.segment else [], 0)
-                yield check.misfit
+                yield resting.misfit(difference_n, [contact] if contact.segment else [])
 
 
 def put_simulated_limit(path: Path) -> MisfitLimit | None:

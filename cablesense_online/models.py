@@ -17,11 +17,10 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact, Level, Status
 from cablesense_online.answer import decide
-from cablesense_online.anywhere_check import AnywhereCheck
-from cablesense_online.force_fit import LARGEST_MISFIT, ForceFits
 from cablesense_online.motion_gate import MotionGate
-from cablesense_online.plausibility import FORCE_OFF_N, PlausibilityCheck, noise_limit
+from cablesense_online.plausibility import LARGEST_MISFIT, noise_limit, numbers_of
 from cablesense_online.state import EstimationSettings
+from cablesense_online.stated_contacts import FORCE_OFF_N, RestingArm
 from cablesense_online.tare import Tares
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.contact_location import ContactPair
@@ -35,7 +34,7 @@ from cablesense_training.inference.estimator import (
     MultiEstimator,
     SequenceEstimator,
 )
-from cablesense_training.inference.metadata import ANYWHERE, find_model_of
+from cablesense_training.inference.metadata import find_model_of
 from cablesense_training.inference.model_file import model_sha256, read_model
 from cablesense_training.inference.temporal_estimator import open_estimator
 
@@ -117,9 +116,7 @@ class LoadedModel:
     @property
     def free(self) -> int:
         """Readings that are left over by one contact."""
-        anywhere = self.estimator.metadata.kind == ANYWHERE
-        check = AnywhereCheck if anywhere else PlausibilityCheck
-        return max(self.arm.cable_count - check.numbers, 1)
+        return max(self.arm.cable_count - numbers_of(self.estimator.metadata.kind), 1)
 
     def status(self, largest_force_n: float, active: bool) -> Status:
         """Which model and arm, and whether the latest forces were within its training."""
@@ -172,15 +169,13 @@ class ContactModel:
     Attributes:
         in_motion: whether it estimates while the arm moves.
         several: whether it estimates several contacts at once.
-        unchecked: why its answers cannot be checked against readings; empty where they can.
     """
 
     in_motion = several = False
-    unchecked = ""
 
-    def __init__(self, estimator: Any, tares: Tares, gate: MotionGate, fits: ForceFits) -> None:
-        self._estimator, self._tares, self._gate, self._fits = estimator, tares, gate, fits
-        self._contact_m = fits.statics.mechanism.contact_m.tolist()
+    def __init__(self, estimator: Any, tares: Tares, gate: MotionGate, arm: RestingArm) -> None:
+        self._estimator, self._tares, self._gate, self._arm = estimator, tares, gate, arm
+        self._contact_m = arm.statics.mechanism.contact_m.tolist()
 
     def find(self, tensions_n: Array, stamp_ns: int, threshold: float) -> FoundContacts | None:
         """The contacts behind tensions (M,), of a probability `threshold`; None without a tare.
@@ -218,17 +213,16 @@ class HistoryDependentModel(ContactModel):
     """
 
     in_motion = True
-    unchecked = "the model is history-dependent"
 
     def __init__(
         self,
         estimator: SequenceEstimator,
         tares: Tares,
         gate: MotionGate,
-        fits: ForceFits,
+        arm: RestingArm,
         joint_speed_rad_s: float,
     ) -> None:
-        super().__init__(estimator, tares, gate, fits)
+        super().__init__(estimator, tares, gate, arm)
         self._speed_rad_s = joint_speed_rad_s
         self._last_ns: int | None = None
         self._predicted: tuple[Array, Array] | None = None
@@ -271,13 +265,13 @@ class HistoryDependentModel(ContactModel):
             return self._tares.unloaded_n
         at = self._predicted
         if at is None or np.abs(angle_rad - at[0]).max() > PREDICTED_EVERY_RAD:
-            self._predicted = at = angle_rad, self._fits.statics.predict_n(angle_rad)
+            self._predicted = at = angle_rad, self._arm.statics.predict_n(angle_rad)
         tare = self._tares.present
         return None if tare is None else tare.unloaded_n(at[1])
 
 
 class MultiContactModel(ContactModel):
-    """A memoryless estimator of several contacts; a force fit gives their directions.
+    """A memoryless estimator of several contacts; statics gives their directions.
 
     No estimate is stated: the model has the uncertainty of each force, not of its direction.
     """
@@ -293,18 +287,18 @@ class MultiContactModel(ContactModel):
         estimates = self._estimator.estimate_batch(difference_n, pose_rad)
         touching, force_n = estimates.probabilities[0], estimates.magnitude_n[0].tolist()
         probabilities = [float(np.prod(1.0 - touching)), *touching.tolist()]
-        touched = tuple(
-            n
+        touched = [
+            Contact(n, 0.0, force, self._contact_m[n - 1])
             for n, force in enumerate(force_n, start=1)
             if probabilities[n] >= threshold and force > 0.0
-        )
+        ]
         if not touched:
             return FoundContacts(probabilities, ())
-        self._fits.command(pose_rad)
-        angles = self._fits.angles_deg(difference_n, touched)
+        self._arm.command(pose_rad)
+        directed, _ = self._arm.explained(difference_n, touched)
         contacts = [
-            Contact(n, angle_deg, force_n[n - 1], self._contact_m[n - 1])
-            for n, angle_deg in zip(touched, angles, strict=True)
+            contact._replace(angle_deg=best.angle_deg)
+            for contact, best in zip(touched, directed, strict=True)
         ]
         contacts.sort(key=lambda contact: -contact.magnitude_n)
         return FoundContacts(probabilities, tuple(contacts))
@@ -316,9 +310,9 @@ class AnywhereModel(ContactModel):
     several = True
 
     def __init__(
-        self, estimator: AnywhereEstimator, tares: Tares, gate: MotionGate, fits: ForceFits
+        self, estimator: AnywhereEstimator, tares: Tares, gate: MotionGate, arm: RestingArm
     ) -> None:
-        super().__init__(estimator, tares, gate, fits)
+        super().__init__(estimator, tares, gate, arm)
         estimator.prepare()
 
     def _decided(self, estimate: Estimate, threshold: float) -> FoundContacts:
@@ -379,15 +373,15 @@ def contact_model(
     estimator: AnyEstimator,
     tares: Tares,
     gate: MotionGate,
-    fits: ForceFits,
+    arm: RestingArm,
     settings: EstimationSettings,
 ) -> ContactModel:
     """The model of an estimator's kind."""
     if isinstance(estimator, SequenceEstimator):
-        return HistoryDependentModel(estimator, tares, gate, fits, settings.joint_speed_rad_s)
+        return HistoryDependentModel(estimator, tares, gate, arm, settings.joint_speed_rad_s)
     kind = ContactModel
     if isinstance(estimator, MultiEstimator):
         kind = MultiContactModel
     elif isinstance(estimator, AnywhereEstimator):
         kind = AnywhereModel
-    return kind(estimator, tares, gate, fits)
+    return kind(estimator, tares, gate, arm)

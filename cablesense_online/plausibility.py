@@ -1,14 +1,11 @@
 """Whether readings can come from the contacts that were estimated from them.
 
-M readings determine the two components of each of K forces, mostly of one, and M - 2 K further
-combinations of them must vanish within noise, slack cables included:
-
-    r = (reading - unloaded) - (T(c, f) - T(c, 0))
-
-with T the static equilibrium at the command c under the forces f on the touched segments, and f
-fitted too (`force_fit`). The misfit is the RMS of r in its expected standard deviations, so 1 for
-a healthy arm. These include the noise and step of the sensors and of the tare, and forces along
-the segments, which friction at a contact may add and no estimate has.
+M readings determine two numbers of each of K contacts at the points of the arm file, or four of
+each anywhere; the residuals of all further combinations must vanish within noise, slack cables
+included. The misfit is their root mean square in their expected standard deviations, so 1 for a
+healthy arm. These include the noise and step of the sensors and of the tare, and forces along the
+segments, which friction at a contact may add. A model of contacts anywhere states it; for others
+the contacts that fit best do (`RestingArm.explained`).
 
 A verdict depends on nothing before its sample, except the time that forces are withheld after a
 misfit.
@@ -16,31 +13,39 @@ misfit.
 A fit proves nothing: a fault with the pattern of a force looks like that force. Therefore a
 contact is `unconfirmed` if one wrong reading would pass, or if the average of a steady contact's
 readings, which has less noise, does not fit it. A wrong reading must pass the smaller limit of
-an average too, once one has fitted.
+an average too, once one has fitted. Both are judged against the static equilibrium when the
+contact changes, and every two seconds.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import combinations
-from typing import Any, ClassVar, Final, Protocol
+from typing import Final
 
 import numpy as np
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact, Level, Status
-from cablesense_online.force_fit import LARGEST_MISFIT, ForceFit, ForceFits
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.state import MisfitState
-from cablesense_online.steady_contact import JUDGED_EVERY_NS, SteadyContact
+from cablesense_online.stated_contacts import (
+    ANYWHERE_NUMBERS,
+    FORCE_OFF_N,
+    LEAST_SPREAD_N,
+    POINT_NUMBERS,
+    RestingArm,
+    StatedContacts,
+)
+from cablesense_online.steady_contact import AVERAGED_EVERY_NS, SteadyContact
 from cablesense_online.tare import UnloadedTensions
-from cablesense_sim.replay import difference_variance_n2, mean_variance_n2
+from cablesense_sim.contact_location import touched_at
+from cablesense_sim.replay import mean_variance_n2
 from cablesense_training.inference.metadata import ANYWHERE, ModelMetadata
 
-FORCE_OFF_N: Final = 5.0
-"""Largest distance of an estimate from the force that fits best, and largest effect of one wrong
-reading on it."""
+LARGEST_MISFIT: Final = 2.3
+"""Unless a model file states another: by noise alone one sample of twelve cables in ten million
+exceeds it."""
 
 BEYOND_TRAINING: Final = 1.25
 """Estimates beyond this multiple of the model's training range give no force."""
@@ -60,32 +65,6 @@ _FEWEST_AVERAGED = 5
 
 FALSE_ALARM_RATE: Final = 1e-7
 """Share of healthy samples that exceed the limits of model files by noise alone."""
-_REFITTED_UP_TO = 10.0
-"""A misfit up to this multiple of the largest that passes may be due to the linearisation."""
-_LEAST_SPREAD_N = 0.01
-"""Assumed of a sensor without noise and step."""
-
-
-class Explanation(Protocol):
-    """Contacts that explain readings.
-
-    Attributes:
-        segments: the touched ones, from 1 on.
-        force_n: y and z of each force, N.
-        response: of the tensions near these forces; another object is another one.
-    """
-
-    segments: tuple[int, ...]
-    force_n: Sequence[float]
-    response: object
-
-    def without(self, cables: Sequence[int]) -> float:
-        """The misfit without the readings of some cables."""
-        ...
-
-    def hidden_n(self, difference_n: Array, largest: float) -> Array:
-        """(M,) largest error of a force due to one wrong reading, at a misfit of `largest`."""
-        ...
 
 
 class PlausibilityCheck:
@@ -93,16 +72,11 @@ class PlausibilityCheck:
 
     Attributes:
         state: until when forces are withheld.
-        fits: the fits of forces to readings.
+        arm: the arm at the command of the last sample.
         unchecked: why nothing is checked; empty where all is.
         doubt: why the contact of the last sample that fits is unconfirmed; empty where it is not.
         misfit: misfit of the last sample; infinite if it was compared with no equilibrium.
-        numbers: that readings determine of one contact.
-        judged_every_ns: how often a contact is judged while its tensions respond alike.
     """
-
-    numbers: ClassVar[int] = 2
-    judged_every_ns: ClassVar[int] = JUDGED_EVERY_NS
 
     def __init__(
         self,
@@ -118,24 +92,23 @@ class PlausibilityCheck:
         """
         self._sensors, self._tare_samples = statics.arm.sensors, tare_samples
         self._cable_names = statics.arm.cable_names
-        spread_n = difference_variance_n2(self._sensors, tare_samples) ** 0.5
-        self.fits = ForceFits(statics, max(spread_n, _LEAST_SPREAD_N))
+        self.arm = RestingArm(statics, tare_samples)
         self.unchecked = unchecked or statics.incomplete
         if not largest_misfit:
             self.unchecked = "switched off (largest_misfit is 0)"
         self._largest, self._model = largest_misfit, model
         self._largest_force_n = BEYOND_TRAINING * (model.force_range_n if model else 0.0)
+        kind = model.kind if model else ""
+        self._reach_m = touched_at(statics.arm)[0] if kind == ANYWHERE else None
         most = {"multi-contact": statics.arm.segment_count, ANYWHERE: 2}
         self._limits = _limits(
-            largest_misfit,
-            statics.arm.cable_count,
-            most.get(model.kind, 1) if model else 1,
-            self.numbers,
+            largest_misfit, statics.arm.cable_count, most.get(kind, 1), numbers_of(kind)
         )
         self.state = MisfitState()
         self.misfit = self._worst = 0.0
         self._withheld, self._last_problem, self._suspects = 0, "", ""
-        self._fit: Any = None
+        self._fit: StatedContacts | None = None
+        self._judged: StatedContacts | None = None
         self.doubt = self._last_doubt = ""
         self._steady: SteadyContact | None = None
         self._command_rad: Array | None = None
@@ -162,8 +135,8 @@ class PlausibilityCheck:
         """
         if command_rad is not self._command_rad:
             self._command_rad = command_rad
-            self.fits.command(command_rad)
-            self._steady = None
+            self.arm.command(command_rad)
+            self._steady = self._judged = None
         misfit = self._misfit_text(difference_n, contacts, stated_misfit)
         self._worst = max(self._worst, self.misfit)
         most = SETTLING_TIMES * self._largest
@@ -226,7 +199,7 @@ class PlausibilityCheck:
         """Why the readings do not fit, as text; empty where they do."""
         self._fit = None
         if not contacts:
-            self.misfit = self._free_misfit(difference_n)
+            self.misfit = self.arm.misfit(difference_n, [])
             return "" if self.misfit <= self._largest else self._described("no contact")
         self.misfit = math.inf
         force = contacts[0].magnitude_n
@@ -241,34 +214,27 @@ class PlausibilityCheck:
     def _explained(
         self, difference_n: Array, contacts: Sequence[Contact], stated_misfit: float | None
     ) -> str:
-        """Fit forces on the touched segments; gives why readings do not fit, as text, or none."""
-        segments = tuple([contact.segment for contact in contacts])
-        largest, where = self._limits[len(segments)], on_segments(segments)
-        estimated_n = [c.magnitude_n * part for c in contacts for part in c.direction]
-        self._fit = fit = self.fits.best(difference_n, segments, estimated_n, largest)
-        if fit is None:
-            force = max(contact.magnitude_n for contact in contacts)
-            return f"the arm cannot rest under {where} of up to {force:.0f} N"
-        self.misfit = fit.misfit * self._largest / largest
-        if fit.misfit > largest:
-            return self._described(where)
-        if (off_n := math.dist(fit.force_n, estimated_n)) > FORCE_OFF_N:
-            return f"the estimate lies {off_n:.1f} N from {where} that would fit"
-        if fit.holds:
-            return ""
-        if fit.consistent or not fit.near:
-            return f"the arm cannot rest under {where} with the cables slack that read so"
-        tension_n = fit.elastic_n
-        cable = max(fit.response.slack, key=tension_n.__getitem__)
-        return (
-            f"{self._cable_names[cable]} is slack and would carry {tension_n[cable]:.1f} N under "
-            f"{where} that fit all others: a broken cable, or a channel that reads zero"
+        """Why readings do not fit contacts in the order of their segments, or others near."""
+        largest = self._limits[len(contacts)]
+        where = on_segments([contact.segment for contact in contacts])
+        off_n = 0.0
+        if stated_misfit is None:
+            estimated, (contacts, stated_misfit) = (
+                contacts,
+                self.arm.explained(difference_n, contacts),
+            )
+            off_n = max(map(_apart_n, estimated, contacts))
+        self._fit = fit = StatedContacts(
+            self.arm, difference_n, contacts, stated_misfit, self._reach_m
         )
-
-    def _free_misfit(self, difference_n: Array) -> float:
-        """The misfit of readings less unloaded tensions, of all cables or some, to no contact."""
-        free = difference_n / self.fits.spread_n
-        return math.sqrt(float(free.dot(free)) / max(len(free), 1))
+        if self._judged is not None and self._judged.is_near(fit):
+            fit.response = self._judged.response
+        self.misfit = stated_misfit * self._largest / largest
+        if stated_misfit > largest:
+            return self._described(where)
+        if off_n > FORCE_OFF_N:
+            return f"the estimate lies {off_n:.1f} N from {where} that would fit"
+        return ""
 
     def _described(self, contact: str) -> str:
         return (
@@ -280,13 +246,13 @@ class PlausibilityCheck:
         """The cable, or the cables of a segment, without which all other readings fit."""
         if self.misfit <= self._largest:
             return ""
-        ends_on = self.fits.statics.mechanism.cable_segment
+        ends_on = self.arm.statics.mechanism.cable_segment
         segments = [np.flatnonzero(ends_on == segment).tolist() for segment in np.unique(ends_on)]
         for sets in ([[cable] for cable in range(len(ends_on))], segments):
             names = [
                 ", ".join(self._cable_names[cable] for cable in cables)
                 for cables in sets
-                if self._free_misfit(np.delete(difference_n, cables)) <= self._largest
+                if self.arm.misfit(np.delete(difference_n, cables), []) <= self._largest
                 or (self._fit is not None and self._fit.without(cables) <= self._largest)
             ]
             if names:
@@ -295,8 +261,7 @@ class PlausibilityCheck:
 
     def _doubted(self, difference_n: Array, stamp_ns: int) -> str:
         """Why a contact that fits is unconfirmed; empty where it is not."""
-        fit: Explanation | None = self._fit
-        steady = self._steady
+        fit, steady = self._fit, self._steady
         if fit is None:
             self._steady = None
             return ""
@@ -304,15 +269,16 @@ class PlausibilityCheck:
             self._steady = steady = SteadyContact(fit.segments, 0.0 * difference_n)
         steady.add(difference_n, tuple(fit.force_n), stamp_ns)
         passed = steady.passed or (difference_n, self._limits[len(fit.segments)])
-        if steady.to_be_judged(fit.response, stamp_ns, self.judged_every_ns, passed[1]):
+        if steady.to_be_judged(fit.response, stamp_ns, passed[1]):
+            self._judged = fit
             hidden = self._hidden(fit, *passed) or self._paired(fit, difference_n)
             steady.judge(fit.response, stamp_ns, hidden, passed[1])
-        if stamp_ns - steady.averaged_ns >= JUDGED_EVERY_NS and steady.count >= _FEWEST_AVERAGED:
+        if stamp_ns - steady.averaged_ns >= AVERAGED_EVERY_NS and steady.count >= _FEWEST_AVERAGED:
             steady.averaged_ns = stamp_ns
             self._judge_average(steady, stamp_ns)
         return steady.hidden or steady.off_average
 
-    def _hidden(self, fit: Explanation, difference_n: Array, largest: float) -> str:
+    def _hidden(self, fit: StatedContacts, difference_n: Array, largest: float) -> str:
         """The cables whose readings no others confirm in a contact, as text; else empty."""
         hidden_n = fit.hidden_n(difference_n, largest)
         of = np.flatnonzero(hidden_n > FORCE_OFF_N).tolist()
@@ -324,7 +290,7 @@ class PlausibilityCheck:
             f"up to {min(float(hidden_n.max()), self._largest_force_n):.0f} N"
         )
 
-    def _paired(self, fit: Any, difference_n: Array) -> str:
+    def _paired(self, fit: StatedContacts, difference_n: Array) -> str:
         """Two cables whose readings may be wrong, as text; else empty.
 
         Either all others are those of an untouched arm, as for a moment on segment 1 normal to
@@ -334,28 +300,18 @@ class PlausibilityCheck:
         segments = fit.segments
         if len(segments) == 1:
             *others, one, other = np.argsort(np.abs(difference_n)).tolist()
-            if fit.size_n < FORCE_OFF_N or self._free_misfit(difference_n[others]) > self._largest:
+            if (
+                fit.size_n < FORCE_OFF_N
+                or self.arm.misfit(difference_n[others], []) > self._largest
+            ):
                 return ""
             names = " and ".join(self._cable_names[cable] for cable in sorted((one, other)))
             return f"wrong readings of {names} on an untouched arm would look the same"
-        largest = self._limits[len(segments)]
-        for two in combinations(range(len(difference_n)), 2):
-            here, there = list(two), list(two[::-1])
-            other_n, taut = difference_n + self.fits.unloaded_n, fit.response.taut.copy()
-            other_n[here], taut[here] = other_n[there], taut[there]
-            other_n -= self.fits.unloaded_n
-            near: ForceFit | None = fit.pose.with_taut(other_n, taut, largest)
-            if near is not None and largest < near.misfit < _REFITTED_UP_TO * largest:
-                near = self.fits.best(other_n, segments, near.force_n, largest)
-            if near is None or near.misfit > largest or not near.consistent:
-                continue
-            if (off_n := math.dist(near.force_n, fit.force_n)) > FORCE_OFF_N:
-                names = " and ".join(self._cable_names[cable] for cable in two)
-                return (
-                    f"several contacts can hide exchanged plugs of {names}; forces would then be "
-                    f"wrong by up to {off_n:.0f} N"
-                )
-        return ""
+        found = fit.exchanged(difference_n, self._limits[len(segments)])
+        if found is None:
+            return ""
+        names = " and ".join(self._cable_names[cable] for cable in found)
+        return f"several contacts can hide exchanged plugs of {names}"
 
     def _judge_average(self, steady: SteadyContact, stamp_ns: int) -> None:
         """Judge whether the average of a contact's readings fits.
@@ -364,10 +320,11 @@ class PlausibilityCheck:
         """
         count, full = steady.count, stamp_ns - steady.began_ns >= AVERAGED_S * 1e9
         variances_n2 = (mean_variance_n2(self._sensors, n) for n in (count, self._tare_samples))
-        spread_n = max(sum(variances_n2) ** 0.5, _LEAST_SPREAD_N)
-        largest = self._limits[len(steady.segments)] * spread_n / self.fits.spread_n
+        spread_n = max(sum(variances_n2) ** 0.5, LEAST_SPREAD_N)
+        largest = self._limits[len(steady.segments)] * spread_n / self.arm.spread_n
         mean_n = steady.sum_n / count
-        misfit = self._misfit_of_average(mean_n, steady, largest)
+        # contacts whose forces are steady within a newton are near those that were judged
+        misfit = 0.0 if self._judged is None else self._judged.misfit_of(mean_n)
         if misfit <= largest:
             steady.passed = mean_n, largest
         else:
@@ -381,10 +338,15 @@ class PlausibilityCheck:
                 steady.off_average = ""
             steady.begin(stamp_ns)
 
-    def _misfit_of_average(self, mean_n: Array, steady: SteadyContact, largest: float) -> float:
-        """Misfit of averaged readings less unloaded tensions (M,); zero where nothing is known."""
-        fit = self.fits.best(mean_n, steady.segments, steady.force_n, largest)
-        return 0.0 if fit is None else fit.misfit
+
+def numbers_of(kind: str) -> int:
+    """How many numbers readings determine of each contact that a model of a kind states."""
+    return ANYWHERE_NUMBERS if kind == ANYWHERE else POINT_NUMBERS
+
+
+def _apart_n(one: Contact, other: Contact) -> float:
+    """The distance of two forces across a segment."""
+    return math.dist(one.wrench[1:3], other.wrench[1:3])
 
 
 def on_segments(segments: Sequence[int]) -> str:

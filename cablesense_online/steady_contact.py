@@ -7,8 +7,11 @@ from dataclasses import dataclass
 
 from cablesense_base import Array
 
-JUDGED_EVERY_NS, _SOONEST_NS = 100_000_000, 20_000_000
-"""How often a contact is judged, and how soon again if its tensions respond differently."""
+AVERAGED_EVERY_NS = 100_000_000
+"""How often the average of a contact's readings is judged."""
+_JUDGED_EVERY_NS, _SOONEST_NS = 2_000_000_000, 20_000_000
+"""How often a contact is judged, which takes a millisecond, and how soon again if its tensions
+respond differently."""
 _SHARPER = 0.8
 """An unconfirmed contact is judged again when the limit has fallen below this share."""
 _STEADY_N = 1.0
@@ -36,13 +39,12 @@ class SteadyContact:
     began_ns: int = 0
     last_ns: int = 0
     force_n: tuple[float, ...] = ()
-    averaged_ns: int = -JUDGED_EVERY_NS
+    averaged_ns: int = -AVERAGED_EVERY_NS
     passed: tuple[Array, float] | None = None
     hidden: str = ""
     off_average: str = ""
-    _judged: tuple[object, int] = (None, -JUDGED_EVERY_NS)
+    _judged: tuple[object, int] = (None, -_JUDGED_EVERY_NS)
     _judged_by: float = math.inf
-    _found: tuple[object, int] = (None, 0)
 
     def continues(self, segments: tuple[int, ...], stamp_ns: int) -> bool:
         """Whether a sample is of the same contact."""
@@ -62,18 +64,13 @@ class SteadyContact:
         self.sum_n[:] = 0.0
         self.count, self.began_ns = 0, stamp_ns
 
-    def to_be_judged(self, response: object, stamp_ns: int, every_ns: int, largest: float) -> bool:
+    def to_be_judged(self, response: object, stamp_ns: int, largest: float) -> bool:
         """Whether readings with this response of the tensions are due, by a limit of misfits."""
         last, at_ns = self._judged
         if self.hidden and largest < _SHARPER * self._judged_by:
             return True
-        return stamp_ns - at_ns >= (every_ns if response is last else _SOONEST_NS)
+        return stamp_ns - at_ns >= (_JUDGED_EVERY_NS if response is last else _SOONEST_NS)
 
     def judge(self, response: object, stamp_ns: int, hidden: str, largest: float) -> None:
-        """Take a finding; it outlasts others a while, as two alternate at the edge of slack."""
-        self._judged, self._judged_by = (response, stamp_ns), largest
-        by, at_ns = self._found
-        if hidden:
-            self.hidden, self._found = hidden, self._judged
-        elif response is by or stamp_ns - at_ns >= 2 * JUDGED_EVERY_NS:
-            self.hidden = ""
+        """Take a finding."""
+        self._judged, self._judged_by, self.hidden = (response, stamp_ns), largest, hidden

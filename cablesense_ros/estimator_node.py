@@ -240,7 +240,7 @@ class EstimatorNode(ConfiguredNode):
                 self._loaded.estimator.metadata.pose_range_deg,
                 self._refuse_command.count,
                 received=estimation.command_received,
-                in_motion=estimation.answers_in_motion,
+                in_motion=estimation.model.in_motion,
             ),
             estimation.tares.status(),
             estimation.drift.status(),

@@ -46,15 +46,6 @@ def test_a_push_after_the_tare_is_a_contact_whatever_the_order_of_the_cables():
         np.testing.assert_array_equal(command, np.zeros(8))
 
 
-def test_threshold_and_slack_cables_may_be_set_while_running():
-    feed = Feed(AnyDifference(probability=0.6)).tared()
-    assert feed.sample(spoiled(0.0)).contact.segment == 3
-    assert feed.estimation.check.slack == (5,)
-    feed.estimation.adjust(contact_threshold=0.7, stale_after_s=0.2, slack_below_n=-1.0)
-    assert feed.sample(spoiled(0.0)).contact == NO_CONTACT
-    assert feed.estimation.check.slack == ()
-
-
 def spoiled(value):
     return [*PUSHED[:4], value, *PUSHED[5:]]
 

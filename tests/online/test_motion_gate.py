@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_msgs_py.messages import Level
-from cablesense_online.force_fit import ForceFits
-from cablesense_online.models import ContactModel, HistoryDependentModel
+from cablesense_online.models import HistoryDependentModel
 from cablesense_online.motion_gate import MotionGate
+from cablesense_online.stated_contacts import RestingArm
 from cablesense_online.tare import Tares, UnloadedTensions
 from cablesense_sim.arm import open_arm
 from cablesense_sim.joint_motion import JointMotion, move_duration_s
@@ -139,17 +139,6 @@ def test_a_faster_motion_shuts_the_gate_and_is_reported_once_it_lasts():
     assert watched.status_now().level is Level.OK
 
 
-def test_readings_that_fit_nothing_at_rest_are_no_motion():
-    watched = Gate(STILL, FOLLOW)
-    for step in range(3):
-        watched.command(np.array([0.0, 0.05 * step]))
-        watched.moving(10 * MS * step)
-    for step in range(3, 1000):
-        watched.moving(10 * MS * step)
-        watched.estimated(known=False)
-    assert watched.status_now().message == "at rest"
-
-
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 160), st.booleans())
 def test_a_gate_restored_anywhere_answers_the_same(seed, restored_at, follows):
@@ -177,7 +166,7 @@ def test_a_gate_restored_anywhere_answers_the_same(seed, restored_at, follows):
 
 UNLOADED = UnloadedTensions(open_arm("cdsm"))
 predicted_n = UNLOADED.predict_n
-FITS = ForceFits(UNLOADED, 0.07)
+RESTING = RestingArm(UNLOADED, 50)
 JOINTS_RAD_S = 0.35
 ONE_SAMPLE = estimation_settings(tare_samples=1)
 STRAIGHT, AWAY = np.zeros(8), np.deg2rad([8.0, -5.0, 3.0, 0.0, -9.0, 4.0, 2.0, 7.0])
@@ -211,7 +200,7 @@ def tare():
 
 def history_dependent(estimator, tares):
     gate = MotionGate(STRAIGHT, ONE_SAMPLE)
-    return HistoryDependentModel(estimator, tares, gate, FITS, JOINTS_RAD_S)
+    return HistoryDependentModel(estimator, tares, gate, RESTING, JOINTS_RAD_S)
 
 
 def _through(answers, tare, ticks=120):
@@ -235,15 +224,3 @@ def test_set_points_and_tare_are_those_of_the_joints_on_their_way(tare):
         motion.advance(0.01)
     np.testing.assert_array_equal(model.asked[-1][1], AWAY)
     assert (model.asked[-1][2] == 0.0).all()
-
-
-def test_without_a_tare_there_is_no_estimate_but_the_trajectory_is_followed():
-    nothing = Tares(UNLOADED, ONE_SAMPLE, STRAIGHT)
-    model = Listener()
-    along = history_dependent(model, nothing)
-    memoryless = SimpleNamespace(pose_aware=True, estimate=None)
-    at_rest = ContactModel(memoryless, nothing, MotionGate(STRAIGHT, ONE_SAMPLE), FITS)
-    for answers in (along, at_rest):
-        assert answers.find(np.full(12, 50.0), 1, 0.5) is None
-    (difference, *_), *_ = model.asked
-    assert (difference == 0.0).all()

@@ -12,8 +12,8 @@ assumed if none explains them.
 The friction state of an arm that has not moved yet is unknown and assumed to be none. Motion
 erases it, so the arm should have moved before it is tared.
 
-The search for a load cannot use the force fit of `cablesense_online.force_fit`: that is a law of
-equilibrium without friction, and here readings depend on the friction state.
+The search for a load cannot use the statics of the other models: those are without friction, and
+here readings depend on the friction state.
 """
 
 from __future__ import annotations

@@ -1,0 +1,381 @@
+"""Contacts that are stated of an arm at rest, and what its readings say of them.
+
+Which forces at the contact points of the arm file explain readings best follows from the lengths
+of the taut cables, which determine the pose, and from the torques of the joints there. Near stated
+contacts the readings respond linearly: that tells which other contacts would have these readings
+if one or two of them were wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from itertools import combinations
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array
+from cablesense_msgs_py.messages import Contact
+from cablesense_online.tare import UnloadedTensions
+from cablesense_sim import kinematics, rest_pose
+from cablesense_sim.contact_location import AXIAL_STD_N, contact_response
+from cablesense_sim.equilibrium import EquilibriumError
+from cablesense_sim.replay import difference_variance_n2
+
+FORCE_OFF_N: Final = 5.0
+"""Largest distance of an estimate from the force that fits best, and largest effect of one wrong
+reading on it."""
+
+_ALONG_SHARE, _ALONG_LEAST_N = 0.5, 5.0
+"""Standard deviation of the force along a segment over that across it, and at least: friction at a
+contact, or a hung weight on a bent arm."""
+
+POINT_NUMBERS: Final = 2
+"""That readings determine of a contact at the contact point of the arm file: the force across."""
+ANYWHERE_NUMBERS: Final = 4
+"""Of a contact anywhere: three components of the force, and the place."""
+
+_PLACE_STD_M = 1e-6
+"""Of a contact at the contact point of the arm file."""
+
+_NEAR_N, _LEVERS_M = 2.0, (1.0, 1.0, 0.1, 0.1, 0.1)
+"""The response of the tensions counts as the same over this change of a normal force, or of a
+moment at a lever of 0.1 m."""
+
+LEAST_SPREAD_N: Final = 0.01
+"""Assumed of a sensor without noise and step."""
+_TAUT_SPREADS = 4.0
+"""Standard deviations of a reading above which a cable is read as taut."""
+_SLACK_WEIGHT = 1e-5
+"""Of a slack cable's length in the fit of the pose: it holds the pose where few cables are taut,
+and does not bend it where a cable lacks a hundred newtons."""
+_NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
+"""The axes that follow x, y and z."""
+_POSE_STEPS, _POSE_FOUND_RAD = 6, 3e-5
+"""Each step squares the error of the pose."""
+
+
+class RestingArm:
+    """An arm at rest at a command, whose readings are compared with contacts.
+
+    Attributes:
+        statics: the arm.
+        spread_n: expected standard deviation of a reading minus the unloaded one, N.
+        command_rad: (2N,) the command in force.
+        unloaded_n: (M,) its unloaded tensions.
+        held_m: (M,) the cable lengths that are held there.
+    """
+
+    def __init__(self, statics: UnloadedTensions, tare_samples: int) -> None:
+        spread_n = difference_variance_n2(statics.arm.sensors, tare_samples) ** 0.5
+        self.statics, self.spread_n = statics, max(spread_n, LEAST_SPREAD_N)
+        self.command_rad = self.unloaded_n = self.held_m = np.zeros(0)
+        mechanism = statics.mechanism
+        self._plates = rest_pose.plates_of(mechanism, 1)
+        self._weight_n_m = kinematics.load_arms(mechanism, np.zeros((mechanism.segment_count, 3)))
+        self._springs_n_m_rad = np.repeat(mechanism.joint_stiffness_n_m_rad, 2)
+        straight = kinematics.spans(mechanism, np.zeros(mechanism.joint_count))
+        loose_m = mechanism.pretension_n / mechanism.stiffness_n_m
+        self._loose_m = straight.length_m.sum(axis=-1) - loose_m
+
+    def command(self, command_rad: Array) -> None:
+        """The arm rests at a command (2N,); another array is another command."""
+        if command_rad is not self.command_rad:
+            self.command_rad = command_rad
+            self.unloaded_n = self.statics.predict_n(command_rad)
+            self.held_m = self.statics.held_m(command_rad)
+            self._axes = kinematics.segment_rotations(self.statics.mechanism, command_rad)
+
+    def misfit(self, difference_n: Array, contacts: Sequence[Contact]) -> float:
+        """Of readings less unloaded tensions (M,), of all cables or some where nothing touches.
+
+        The root mean square of the residuals in their expected standard deviations, 1 for a
+        healthy arm, of the forces on the touched segments that fit best.
+        """
+        if contacts:
+            return self.explained(difference_n, contacts)[1]
+        free = difference_n / self.spread_n
+        return math.sqrt(float(free.dot(free)) / max(len(free), 1))
+
+    def explained(
+        self, difference_n: Array, contacts: Sequence[Contact]
+    ) -> tuple[list[Contact], float]:
+        """The contacts on the same segments that fit readings less unloaded tensions (M,) best.
+
+        They act at the contact points of the arm file, with axial forces as friction makes them
+        beside those of the given `contacts`. Gives their misfit too.
+        """
+        # variances are in those of a reading
+        reading_n = self.unloaded_n + difference_n
+        taut = reading_n > _TAUT_SPREADS * self.spread_n
+        at = self._pose(reading_n, taut)
+        leverage = ((at.by_turn @ at.variance_rad2) * at.by_turn).sum(axis=1)
+        residual_n = reading_n - np.maximum(at.elastic_n, 0.0)
+        squared_n2 = float((residual_n**2 / (1.0 + ~taut * leverage)).sum())
+
+        tension_n = np.where(taut, at.elastic_n, reading_n)
+        torque_n_m = at.lever_m.T @ tension_n + self._springs_n_m_rad * at.angles_rad
+        torque_n_m -= rest_pose.load_torques_n_m(at.pose, self._weight_n_m[None])[0]
+        by_taut_m, slack_m = at.lever_m[taut].T @ at.by_turn[taut], at.lever_m[~taut]
+        variance_m2 = by_taut_m @ at.variance_rad2 @ by_taut_m.T + slack_m.T @ slack_m
+        precision = np.linalg.inv(variance_m2)
+
+        touched = [contact.segment - 1 for contact in contacts]
+        columns_m = np.vstack([self._by_force_m(at.pose, n) for n in touched])
+        prior = np.zeros((len(touched), 3))
+        prior[:, 0] = [(self.spread_n / along_std_n(contact)) ** 2 for contact in contacts]
+        weighted = columns_m @ precision
+        information = weighted @ columns_m.T + np.diag(prior.ravel())
+        force_n = np.linalg.solve(information, weighted @ torque_n_m)
+        left_n_m = torque_n_m - force_n @ columns_m
+        squared_n2 += left_n_m @ precision @ left_n_m + prior.ravel() @ force_n**2
+        free = max(len(reading_n) - POINT_NUMBERS * len(touched), 1)
+        best = [
+            Contact(
+                contact.segment,
+                math.degrees(math.atan2(y, z)) % 360.0,
+                math.hypot(y, z),
+                contact.contact_m,
+                x,
+            )
+            for contact, (x, y, z) in zip(contacts, force_n.reshape(-1, 3).tolist(), strict=True)
+        ]
+        return best, math.sqrt(squared_n2 / free) / self.spread_n
+
+    def _pose(self, reading_n: Array, taut: NDArray[np.bool_]) -> _ReadPose:
+        """The pose whose tensions are nearest to the readings of taut cables."""
+        stiffness_n_m = self.statics.mechanism.stiffness_n_m
+        weight = np.where(taut, 1.0, _SLACK_WEIGHT)
+        angles_rad = self.command_rad
+        for _ in range(_POSE_STEPS):
+            pose = rest_pose.posed(self._plates, angles_rad[None])
+            stretch_m = pose.span_m[0].sum(axis=1) - self._loose_m - self.held_m
+            elastic_n = stiffness_n_m * stretch_m
+            lever_m = pose.by_turn_m[0].reshape(len(taut), -1)
+            by_turn = stiffness_n_m[:, None] * lever_m
+            # a slack cable may hang as loosely as the pose leaves it
+            missing_n = np.where(taut, reading_n - elastic_n, np.minimum(-elastic_n, 0.0))
+            weighted = by_turn.T * weight
+            variance_rad2 = np.linalg.inv(weighted @ by_turn)
+            turn_rad = variance_rad2 @ (weighted @ missing_n)
+            angles_rad = angles_rad + turn_rad
+            if np.abs(turn_rad).max() < _POSE_FOUND_RAD:
+                break
+        elastic_n = elastic_n + by_turn @ turn_rad
+        return _ReadPose(angles_rad, pose, lever_m, by_turn, elastic_n, variance_rad2)
+
+    def _by_force_m(self, pose: rest_pose.Pose, n: int) -> Array:
+        """Joint torques (3, 2N) of unit forces at the contact point of a segment, from 0 on.
+
+        Forces are along the axes of the segment at the command.
+        """
+        mechanism, axis = self.statics.mechanism, pose.axis[0]
+        joint_m = np.zeros((n + 2, 3))
+        joint_m[1:] = (mechanism.segment_length_m[: n + 1, None] * axis[: n + 1]).cumsum(axis=0)
+        point_m = joint_m[n] + mechanism.contact_m[n] * axis[n]
+        moved = 2 * (n + 1)
+        turning, arms_m = pose.joint_axis[0, :moved], np.repeat(point_m - joint_m[:-1], 2, axis=0)
+        # np.cross takes ten times as long
+        crossed = turning[:, _NEXT] * arms_m[:, _AFTER] - turning[:, _AFTER] * arms_m[:, _NEXT]
+        columns = np.zeros((3, mechanism.joint_count))
+        columns[:, :moved] = (crossed @ self._axes[n]).T
+        return columns
+
+
+class _ReadPose(NamedTuple):
+    """A pose that readings show.
+
+    Attributes:
+        angles_rad: (2N,) of the joints.
+        pose: there, but for the last step, which is small.
+        lever_m: (M, 2N) derivative of the cable lengths by the angles.
+        by_turn: (M, 2N) that of the elastic tensions, N/rad.
+        elastic_n: (M,) tensions, negative where a slack cable lacks length.
+        variance_rad2: (2N, 2N) of the angles, over that of a reading in N².
+    """
+
+    angles_rad: Array
+    pose: rest_pose.Pose
+    lever_m: Array
+    by_turn: Array
+    elastic_n: Array
+    variance_rad2: Array
+
+
+def along_std_n(contact: Contact) -> float:
+    """Standard deviation of the axial force at a contact point before the tensions."""
+    return max(_ALONG_SHARE * contact.magnitude_n, _ALONG_LEAST_N)
+
+
+class StatedContacts:
+    """Contacts that a model states, and the linear response of the readings to other ones.
+
+    Attributes:
+        segments: the touched ones, from 1 on, ascending.
+        force_n: y and z of each normal force.
+        misfit: that the model states.
+        response: an object that contacts near one another share.
+    """
+
+    def __init__(
+        self,
+        arm: RestingArm,
+        difference_n: Array,
+        contacts: Sequence[Contact],
+        misfit: float,
+        reach_m: Array | None = None,
+    ) -> None:
+        """Readings less unloaded tensions (M,); contacts in the order of their segments.
+
+        Contacts act within the reach (N, 2) of the segments; without it at the points of the arm
+        file.
+        """
+        self.segments = tuple([contact.segment for contact in contacts])
+        self.force_n = [c.magnitude_n * part for c in contacts for part in c.direction]
+        self.misfit, self.response = misfit, object()
+        self._arm, self._difference_n, self._contacts = arm, difference_n, contacts
+        self._reach_m = reach_m
+        numbers = POINT_NUMBERS if reach_m is None else ANYWHERE_NUMBERS
+        self._free = max(len(difference_n) - numbers * len(contacts), 1)
+
+    @property
+    def size_n(self) -> float:
+        """The size of the normal forces together; of a known moment that at its place."""
+        return float(np.linalg.norm(self._forces[:, 1:]))
+
+    def is_near(self, other: StatedContacts) -> bool:
+        """Whether other contacts are on the same segments, with normal forces and moments near."""
+        if self.segments != other.segments:
+            return False
+        for ours, theirs in zip(self._contacts, other._contacts, strict=True):
+            _, *our_parts = ours.wrench
+            _, *their_parts = theirs.wrench
+            for ours_n, theirs_n, lever in zip(our_parts, their_parts, _LEVERS_M, strict=True):
+                if abs(ours_n - theirs_n) > _NEAR_N * lever:
+                    return False
+        return True
+
+    def without(self, cables: Sequence[int]) -> float:
+        """The misfit without the readings of some cables."""
+        if self._linear is None:
+            return math.inf
+        _, left, _, _ = self._linear
+        residual, of = left @ self._residual(self._difference_n), left[:, cables]
+        residual = residual - of @ np.linalg.lstsq(of, residual, rcond=1e-9)[0]
+        return self._rms(residual, len(cables))
+
+    def misfit_of(self, difference_n: Array) -> float:
+        """The misfit of other readings less unloaded tensions (M,), near these contacts."""
+        if self._linear is None:
+            return math.inf
+        return self._rms(self._linear[1] @ self._residual(difference_n))
+
+    def hidden_n(self, difference_n: Array, largest: float) -> Array:
+        """(M,) largest error of a force due to one wrong reading, at a misfit of `largest`.
+
+        The error of a moment counts at the lever of its contact.
+
+        A cable that reads slack may be taut, and its reading of zero wrong: that is the contact
+        nearest by, in which it would be taut.
+        """
+        if self._linear is None:
+            return np.full(len(difference_n), np.inf)
+        elastic_n, left, to_numbers, covariance = self._linear
+        passes = largest * math.sqrt(self._free)
+        seen = np.sqrt(np.maximum(np.diagonal(left), 1e-12))
+        hidden_n = passes * self._off_n(to_numbers) / seen
+        residual = left @ self._residual(difference_n)
+        for cable in np.flatnonzero(elastic_n <= 0.0):
+            gain = self._gain[cable] / self._arm.spread_n
+            lacks = -elastic_n[cable] / self._arm.spread_n
+            variance = float(gain @ covariance @ gain)
+            raised = residual @ residual + lacks**2 / max(variance, 1e-18)
+            moved = covariance @ gain * (lacks / max(variance, 1e-18))
+            hidden_n[cable] = self._off_n(moved[:, None])[0] if raised <= passes**2 else 0.0
+        return hidden_n
+
+    def exchanged(self, difference_n: Array, largest: float) -> tuple[int, int] | None:
+        """Two cables whose exchanged readings would fit other contacts on these segments."""
+        if self._linear is None:
+            return None
+        _, left, to_numbers, _ = self._linear
+        residual = left @ self._residual(difference_n)
+        reading_n = difference_n + self._arm.unloaded_n
+        for i, j in combinations(range(len(reading_n)), 2):
+            swap = (reading_n[j] - reading_n[i]) / self._arm.spread_n
+            off_n = self._off_n((to_numbers[:, i] - to_numbers[:, j])[:, None] * swap)[0]
+            if off_n > FORCE_OFF_N and self._rms(residual + swap * (left[:, i] - left[:, j])) <= (
+                2.0 * largest
+            ):
+                return i, j
+        return None
+
+    def _off_n(self, numbers: Array) -> Array:
+        """The largest change of a normal force by changes (4 K, R) of the contacts' numbers."""
+        off_n = np.zeros(numbers.shape[1])
+        for k, contact in enumerate(self._contacts):
+            _, y, z, place = numbers[4 * k : 4 * k + 4]
+            if not contact.magnitude_n:  # its moment is known
+                (of_y, of_z), at_m = self._forces[k, 1:], contact.contact_m
+                y, z = y + of_y / at_m * place, z + of_z / at_m * place
+            off_n = np.maximum(off_n, np.hypot(y, z))
+        return off_n
+
+    def _rms(self, residual: Array, left_out: int = 0) -> float:
+        return math.sqrt(float(residual @ residual) / max(self._free - left_out, 1))
+
+    def _residual(self, difference_n: Array) -> Array:
+        """(M,) readings less those under these contacts, in standard deviations."""
+        assert self._linear is not None
+        expected_n = np.maximum(self._linear[0], 0.0) - self._arm.unloaded_n
+        return (difference_n - expected_n) / self._arm.spread_n
+
+    @cached_property
+    def _forces(self) -> Array:
+        """(K, 3) along the axes of the segments; of a known moment the one at its place."""
+        rows = []
+        for contact in self._contacts:
+            size_n = contact.magnitude_n or (contact.moment_n_m or 0.0) / contact.contact_m
+            y, z = contact.direction
+            rows.append([contact.along_n, size_n * y, size_n * z])
+        return np.array(rows)
+
+    @property
+    def _prior(self) -> Array:
+        """(4 K,) information of the contacts' numbers before the tensions."""
+        information = np.zeros((len(self._contacts), 4))
+        for row, contact in zip(information, self._contacts, strict=True):
+            if self._reach_m is None:
+                row[0], row[3] = along_std_n(contact) ** -2, _PLACE_STD_M**-2
+            else:
+                low_m, high_m = self._reach_m[contact.segment - 1]
+                row[0], row[3] = AXIAL_STD_N**-2, 12.0 / (high_m - low_m) ** 2
+        return information.ravel()
+
+    @cached_property
+    def _linear(self) -> tuple[Array, Array, Array, Array] | None:
+        """The static equilibrium near these contacts; None where the arm cannot rest under them.
+
+        Elastic tensions (M,), negative of slack cables; maps of readings to residuals (M, M) and
+        to the contacts' numbers (4 K, M); covariance of the numbers (4 K, 4 K).
+        """
+        arm, command = self._arm, self._arm.command_rad
+        try:
+            elastic_n, gain = contact_response(
+                arm.statics.mechanism,
+                command[None],
+                np.array([self.segments]),
+                np.array([[contact.contact_m for contact in self._contacts]]),
+                self._forces[None],
+                arm.held_m[None],
+            )
+        except EquilibriumError:
+            return None
+        self._gain = gain[0]
+        seen = self._gain * (elastic_n[0] > 0.0)[:, None] / self._arm.spread_n
+        covariance = np.linalg.inv(seen.T @ seen + np.diag(self._prior))
+        to_numbers = covariance @ seen.T
+        return elastic_n[0], np.eye(len(seen)) - seen @ to_numbers, to_numbers, covariance
