@@ -230,7 +230,7 @@ class PlausibilityCheck:
         if self._judged is not None and self._judged.is_near(fit):
             fit.response = self._judged.response
         self.misfit = stated_misfit * self._largest / largest
-        if stated_misfit > largest:
+        if not stated_misfit <= largest:
             return self._described(where)
         if off_n > FORCE_OFF_N:
             return f"the estimate lies {off_n:.1f} N from {where} that would fit"

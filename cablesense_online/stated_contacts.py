@@ -1,9 +1,9 @@
 """Contacts that are stated of an arm at rest, and what its readings say of them.
 
-Which forces at the contact points of the arm file explain readings best follows from the lengths
-of the taut cables, which determine the pose, and from the torques of the joints there. Near stated
-contacts the readings respond linearly: that tells which other contacts would have these readings
-if one or two of them were wrong.
+The lengths of the taut cables determine the pose. The joint torques there determine which forces
+at the contact points of the arm file explain the readings best. Near stated contacts the readings
+respond linearly: that tells which other contacts would have these readings if one or two of them
+were wrong.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ _ALONG_SHARE, _ALONG_LEAST_N = 0.5, 5.0
 contact, or a hung weight on a bent arm."""
 
 POINT_NUMBERS: Final = 2
-"""That readings determine of a contact at the contact point of the arm file: the force across."""
+"""Readings determine the two components across a segment of a force at its contact point."""
 ANYWHERE_NUMBERS: Final = 4
-"""Of a contact anywhere: three components of the force, and the place."""
+"""They determine three components of a force anywhere, and its place."""
 
 _PLACE_STD_M = 1e-6
-"""Of a contact at the contact point of the arm file."""
+"""The place of a contact at the contact point of the arm file is known."""
 
 _NEAR_N, _LEVERS_M = 2.0, (1.0, 1.0, 0.1, 0.1, 0.1)
 """The response of the tensions counts as the same over this change of a normal force, or of a
@@ -50,8 +50,8 @@ LEAST_SPREAD_N: Final = 0.01
 _TAUT_SPREADS = 4.0
 """Standard deviations of a reading above which a cable is read as taut."""
 _SLACK_WEIGHT = 1e-5
-"""Of a slack cable's length in the fit of the pose: it holds the pose where few cables are taut,
-and does not bend it where a cable lacks a hundred newtons."""
+"""A slack cable's length has this weight in the fit of the pose. It holds the pose where few
+cables are taut, and does not bend it where a cable lacks a hundred newtons."""
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
 """The axes that follow x, y and z."""
 _POSE_STEPS, _POSE_FOUND_RAD = 6, 3e-5
@@ -90,10 +90,10 @@ class RestingArm:
             self._axes = kinematics.segment_rotations(self.statics.mechanism, command_rad)
 
     def misfit(self, difference_n: Array, contacts: Sequence[Contact]) -> float:
-        """Of readings less unloaded tensions (M,), of all cables or some where nothing touches.
+        """The misfit of readings less unloaded tensions (M,) to contacts on these segments.
 
-        The root mean square of the residuals in their expected standard deviations, 1 for a
-        healthy arm, of the forces on the touched segments that fit best.
+        It is the root mean square of the residuals in their expected standard deviations, 1 for a
+        healthy arm. Without contacts the readings may be of some cables only.
         """
         if contacts:
             return self.explained(difference_n, contacts)[1]
@@ -105,8 +105,8 @@ class RestingArm:
     ) -> tuple[list[Contact], float]:
         """The contacts on the same segments that fit readings less unloaded tensions (M,) best.
 
-        They act at the contact points of the arm file, with axial forces as friction makes them
-        beside those of the given `contacts`. Gives their misfit too.
+        They act at the contact points of the arm file. The sizes of the given `contacts` state how
+        large axial forces by friction may be. Gives their misfit too.
         """
         # variances are in those of a reading
         reading_n = self.unloaded_n + difference_n
