@@ -191,42 +191,6 @@ def test_a_restarted_amplifier_is_believed_after_a_pause_or_after_a_while(counte
     assert len(given) == pytest.approx(10_010 if at_once else 10, abs=2)
 
 
-def test_a_reader_that_was_held_up_and_lost_cycles_goes_on():
-    """Over a serial adapter: what waited is read at once, and a part of it is lost."""
-    counted = Assembly(256, stamped=False)
-    for number in range(10):
-        counted.cycle(number)
-    for number in (*range(10, 60), *range(160, 170), *range(400, 410)):
-        counted.take(opening(number % 256), 0.5 + number * 1e-5)
-        for group in range(3):
-            counted.take(data(group, float(number)), 0.5 + number * 1e-5 + group * 1e-6)
-    assert len(counted.samples) == 78  # not those before a gap, which may be of two cycles
-    assert counted.faults == {FaultKind.COUNTER_GAP: {"cycle counter": 2}}
-
-
-@pytest.mark.parametrize(("lost", "given"), [((), True), ((1, 2), False)])
-def test_frames_of_two_cycles_are_no_sample_where_the_time_of_the_bus_is_unknown(lost, given):
-    """The counter frame between them was lost, alone or with others."""
-    counted = Assembly(256, skew_s=0.1, stamped=False)
-    counted.take(opening(0), 0.0)
-    for place, (group, cycle) in enumerate([(0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (2, 1)]):
-        if place not in {*lost, 3 if lost else None}:
-            counted.take(data(group, float(cycle)), place * 2e-4)
-    counted.cycle(2)
-    assert [s.tensions_n[0] for s in counted.samples] == ([0.0, 2.0] if given else [2.0])
-
-
-def test_a_lost_cycle_is_counted_and_the_next_sample_is_given(counted):
-    for number in (254, 255, 256, 259, 260):
-        counted.cycle(number)
-    assert len(counted.samples) == 5
-    report = counted.ledger.report()
-    assert report.recent == {FaultKind.COUNTER_GAP: 1}
-    assert (
-        report.last[FaultKind.COUNTER_GAP] == "the cycle counter went from 0 to 3: 2 cycles lost"
-    )
-
-
 def test_a_counter_that_stands_still_means_old_values(counted):
     for number in range(4):
         counted.cycle(number, count=7)

@@ -12,7 +12,6 @@ from cablesense_online.can.bus import (
     FaultKind,
     FaultLedger,
     booted_node,
-    start_frames,
 )
 
 
@@ -44,21 +43,6 @@ def watch(ledger):
     return BusState(CanInterface("socketcan", "can0"), ledger)
 
 
-@pytest.mark.parametrize(
-    ("bits", "condition"),
-    [
-        (0x04, "error warning"),
-        (0x08, "error warning"),
-        (0x10, "error passive"),
-        (0x24, "error passive"),
-        (0x40, ERROR_ACTIVE),
-    ],
-)
-def test_the_controllers_state_is_followed(watch, bits, condition):
-    watch.error_frame(0x04, bytes([0, bits, 0, 0, 0, 0, 0, 0]))
-    assert watch.condition == condition
-
-
 def test_bus_off_counts_once_and_a_restart_ends_it(watch, ledger):
     watch.error_frame(0x40, bytes(8))
     watch.error_frame(0x40, bytes(8))
@@ -76,13 +60,6 @@ def test_codes_of_other_drivers_are_not_read_as_classes(ledger):
     assert ledger.report().recent == {FaultKind.ERROR_FRAME: 1}
 
 
-def test_each_node_is_started_by_command_and_number_on_id_0():
-    frames = start_frames([3, 12])
-    assert [frame.arbitration_id for frame in frames] == [0, 0]
-    assert [bytes(frame.data) for frame in frames] == [b"\x01\x03", b"\x01\x0c"]
-    assert not any(frame.is_extended_id for frame in frames)
-
-
 @pytest.mark.parametrize(
     ("number", "data", "node"),
     [
@@ -96,15 +73,3 @@ def test_each_node_is_started_by_command_and_number_on_id_0():
 def test_a_boot_up_message_of_a_node_of_ours(number, data, node):
     frame = can.Message(arbitration_id=number, is_extended_id=False, data=data)
     assert booted_node(frame, [3, 12]) == node
-
-
-def test_a_report_covers_the_time_since_the_last_and_totals_go_on(ledger):
-    ledger.note(FaultKind.MISSING_CHANNEL, "cable_5")
-    ledger.note(FaultKind.MISSING_CHANNEL, "cable_5")
-    ledger.note(FaultKind.MISSING_CHANNEL, "cable_7", "cable_7 did not come")
-    first, second = ledger.report(), ledger.report()
-    assert first.recent == {FaultKind.MISSING_CHANNEL: 3}
-    assert first.places[FaultKind.MISSING_CHANNEL] == {"cable_5": 2, "cable_7": 1}
-    assert first.last[FaultKind.MISSING_CHANNEL] == "cable_7 did not come"
-    assert second.recent == {}
-    assert second.total == {FaultKind.MISSING_CHANNEL: 3}

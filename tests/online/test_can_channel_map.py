@@ -8,14 +8,12 @@ from pydantic import ValidationError
 
 from cablesense_base.installation import config_path
 from cablesense_base.plain_yaml import read_plain
-from cablesense_msgs_py.messages import Level
 from cablesense_online.can.channel_map import (
     CalibratedSensor,
     Calibration,
     ChannelMap,
     ChannelMapError,
     calibrated,
-    calibration_status,
     check_fit,
     load_calibration,
     open_channel_map,
@@ -240,13 +238,3 @@ def test_a_broken_calibration_is_refused_by_name(tmp_path, text, remedy):
         load_calibration(path)
     assert remedy in str(refusal.value)
     assert "\n" not in str(refusal.value)
-
-
-def test_the_origin_of_scales_is_reported_and_cables_without_are_a_warning():
-    assert calibration_status(None).level is Level.OK
-    whole = calibration_status(calibration(WHOLE))
-    assert whole.level is Level.OK
-    assert whole.values["cable_3"] == "1.25 N per unit from zero -3"
-    status = calibration_status(calibration(TWO, OTHERS))
-    assert status.level is Level.WARN
-    assert "cable_12" in status.message

@@ -65,22 +65,6 @@ def test_canopen_nodes_boot_and_wait_to_be_started():
     assert len(sink.sent) == 25
 
 
-def test_an_interface_is_pulled_and_plugged_in_again_on_request(bench):
-    bench.emulator.request("interface_lost")
-    assert bench.sinks[0].closed
-    bench.emulator.cycle(TENSIONS_N)
-    bench.emulator.request("")
-    bench.emulator.cycle(TENSIONS_N)
-    assert [f.arbitration_id for f in bench.sinks[1].sent] == [0x120, 0x121, 0x122, 0x123]
-    assert (bench.emulator.cycles, bench.emulator.dropped) == (2, 0)
-    bench.sinks[1].full = True
-    bench.emulator.cycle(TENSIONS_N)
-    assert bench.emulator.dropped == 4
-    bench.emulator.close()
-    bench.emulator.close()
-    assert bench.sinks[1].closed
-
-
 class Pair:
     """An amplifier and a reader on one clock, without a bus between."""
 

@@ -152,12 +152,3 @@ def test_a_link_that_cannot_be_made_is_refused(tmp_path):
             SlcanPort(str(link))
     assert taken.exists()
     assert elsewhere.is_symlink()
-
-
-@given(lines=st.lists(st.binary(max_size=80), max_size=20))
-def test_any_bytes_of_a_host_are_answered_or_ignored(lines):
-    port = SlcanPort()
-    with open(port.path, "wb", buffering=0) as host:  # noqa: PTH123 (a terminal)
-        host.write(b"O\r" + b"\r".join(lines))
-        port.recv(0.0)
-    port.shutdown()

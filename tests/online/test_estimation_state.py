@@ -140,17 +140,6 @@ def test_a_tare_before_any_command_is_dropped_after_a_restart_too(confirmed):
     assert again.estimation.tares.automatic is not confirmed
 
 
-def test_the_command_that_confirms_a_pose_is_told_from_one_right_behind_it():
-    feed = Feed(tare_deviation_n=2.0).tared()
-    feed.sample()
-    feed.command(np.zeros(8))
-    feed.command(np.full(8, 0.1))
-    assert feed.sample().state.events == (
-        Event(EventKind.POSE_CONFIRMED, (0.0,) * 8),
-        Event(EventKind.COMMAND, (0.1,) * 8),
-    )
-
-
 def test_another_arm_carries_the_tare_over_by_its_own_model():
     feed = every_bit()
     for _ in range(5):

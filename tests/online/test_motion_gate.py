@@ -1,6 +1,4 @@
-"""The gate is shut as long as the arm can be moving; models are asked at rest or on the way."""
-
-from types import SimpleNamespace
+"""The gate is shut as long as the arm can be moving."""
 
 import numpy as np
 import pytest
@@ -9,11 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_msgs_py.messages import Level
-from cablesense_online.models import HistoryDependentModel
 from cablesense_online.motion_gate import MotionGate
-from cablesense_online.stated_contacts import RestingArm
-from cablesense_online.tare import Tares, UnloadedTensions
-from cablesense_sim.arm import open_arm
 from cablesense_sim.joint_motion import JointMotion, move_duration_s
 
 SPEED, SETTLE = 0.5, 0.2
@@ -162,65 +156,3 @@ def test_a_gate_restored_anywhere_answers_the_same(seed, restored_at, follows):
             other = gate()
             other.restore(watched.snapshot())
             other.moving(10 * MS * step)
-
-
-UNLOADED = UnloadedTensions(open_arm("cdsm"))
-predicted_n = UNLOADED.predict_n
-RESTING = RestingArm(UNLOADED, 50)
-JOINTS_RAD_S = 0.35
-ONE_SAMPLE = estimation_settings(tare_samples=1)
-STRAIGHT, AWAY = np.zeros(8), np.deg2rad([8.0, -5.0, 3.0, 0.0, -9.0, 4.0, 2.0, 7.0])
-
-
-class Listener:
-    """Stands in for a history-dependent estimator and keeps its inputs."""
-
-    def __init__(self):
-        self.asked, self.forgot, self.tared = [], 0, 0
-
-    def estimate(self, tension_difference_n, angle, speed, acceleration, time_s):
-        self.asked.append((tension_difference_n, angle, speed, acceleration, time_s))
-        plain = {"angle_deg": 0.0, "magnitude_n": 0.0, "segment": 0}
-        return SimpleNamespace(probabilities=np.eye(5)[0], **plain)
-
-    def forget(self):
-        self.forgot += 1
-
-    def tare(self):
-        self.tared += 1
-
-
-@pytest.fixture
-def tare():
-    tares = Tares(UNLOADED, ONE_SAMPLE, STRAIGHT)
-    tares.add((predicted_n(STRAIGHT) + 0.5).tolist())
-    tares.take(STRAIGHT, 0)
-    return tares
-
-
-def history_dependent(estimator, tares):
-    gate = MotionGate(STRAIGHT, ONE_SAMPLE)
-    return HistoryDependentModel(estimator, tares, gate, RESTING, JOINTS_RAD_S)
-
-
-def _through(answers, tare, ticks=120):
-    answers.command(AWAY)
-    tare.command(AWAY)
-    for tick in range(ticks):
-        answers.find(predicted_n(STRAIGHT), 10**18 + 10_000_000 * tick, 0.5)
-
-
-@pytest.mark.slow
-def test_set_points_and_tare_are_those_of_the_joints_on_their_way(tare):
-    model = Listener()
-    _through(history_dependent(model, tare), tare)
-    motion = JointMotion(STRAIGHT, JOINTS_RAD_S)
-    motion.go_to(AWAY)
-    for difference, angle, speed, acceleration, _ in model.asked:
-        unloaded = predicted_n(angle) + 0.5
-        np.testing.assert_allclose(predicted_n(STRAIGHT) - difference, unloaded, atol=0.1)
-        for found, wanted in zip((angle, speed, acceleration), motion.state, strict=True):
-            np.testing.assert_allclose(found, wanted, atol=1e-9)
-        motion.advance(0.01)
-    np.testing.assert_array_equal(model.asked[-1][1], AWAY)
-    assert (model.asked[-1][2] == 0.0).all()

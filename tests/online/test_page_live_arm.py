@@ -180,15 +180,6 @@ def test_an_estimate_acts_where_its_torque_says_within_its_region(live):
     assert live.snapshot(1.1).region is None
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [region("segment_9", 0.0, 0.1), region("segment_1", 0.1), region("segment_1", 0.1, np.nan)],
-)
-def test_a_region_that_is_none_is_refused(live, wrong):
-    with pytest.raises(CableSenseError):
-        live.take(topics.CONTACT_REGION, wrong, 1.0)
-
-
 def test_of_a_moment_one_sentence_states_what_is_known(live):
     force = np.array([0.0, 3.0, 4.0])
     moment = wrench("segment_1", (0, 0, 0), np.cross([0.64, 0.0, 0.0], force))

@@ -73,21 +73,6 @@ def test_of_a_known_moment_segment_and_direction_count_and_neither_place_nor_for
     assert scored(elsewhere)[2:] == (0.0, None, GUESS_DEG, 40.0)
 
 
-def test_a_change_of_load_or_pose_starts_the_settling_anew():
-    score = Score(settling_s=1.0)
-    before = moment(0.0, [contact()], [contact()])
-    score.add(before)
-    assert score.add(dataclasses.replace(before, time_s=1.5))
-    for since_s, changed in (
-        (2.0, moment(2.0, [contact(newtons=60.0)], [contact()])),
-        (4.0, moment(4.0, [contact(newtons=60.0)], [contact()], pose=0.05)),
-        (6.0, moment(6.0, [contact(newtons=60.0, place_m=0.09)], [contact()], pose=0.05)),
-    ):
-        assert not score.add(changed)
-        assert not score.add(dataclasses.replace(changed, time_s=since_s + 0.9))
-        assert score.add(dataclasses.replace(changed, time_s=since_s + 1.1))
-
-
 def test_moments_without_an_answer_are_counted_apart_and_those_in_motion_not_at_all():
     states = (ForceState.HIDDEN, ForceState.SILENT, ForceState.MOVING, ForceState.REFUSED)
     silent = [moment(0.0, [contact()], [], state=state) for state in states]

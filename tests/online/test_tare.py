@@ -7,8 +7,6 @@ import pytest
 from arm_at_rest import BENT, PERIOD_NS, STRAIGHT, Arm
 from arm_variants import variant
 from estimation_settings import estimation_settings
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from cablesense_msgs_py.messages import Level
 from cablesense_online.tare import (
@@ -16,7 +14,6 @@ from cablesense_online.tare import (
     TareError,
     Tares,
     UnloadedTensions,
-    tare_undone_line,
 )
 from cablesense_sim.arm import open_arm
 
@@ -41,15 +38,6 @@ def model(samples=4, predict_n=predict, incomplete="", **changes):
 def feed(tare, readings_n, count=4):
     for _ in range(count):
         tare.add(readings_n)
-
-
-def test_a_tare_is_the_average_of_the_last_readings():
-    tare = model()
-    for shift in (9.0, -0.1, 0.1, -0.3, 0.3):
-        tare.add(predict([0.0]) + OFFSET + shift)
-    taken = tare.take(ZERO, NOW_NS)
-    np.testing.assert_allclose(tare.unloaded_n, predict([0.0]) + OFFSET)
-    assert taken.offset_n == pytest.approx(2.0)
 
 
 def test_undo_goes_back_step_by_step_also_at_another_command():
@@ -128,38 +116,6 @@ def test_a_first_command_elsewhere_drops_the_automatic_tare(by_itself, first, an
     assert dropped or tares.present is tare
 
 
-CABLES = ("cable_1", "cable_2")
-LATE_NS = NOW_NS + 3_600_000_000_000
-
-
-@pytest.fixture
-def tares():
-    made = model(1, lambda _: np.array([50.0, 60.0]))
-    made.add((50.25, 58.5))
-    return made
-
-
-def test_log_and_diagnostics_have_times_and_values_of_the_tare_in_force(tares):
-    first = tares.take(ZERO, NOW_NS)
-    line = first.described(CABLES)
-    assert "at 2023-11-14 22:13:20 UTC" in line
-    assert "cable_1 50.25 (+0.25), cable_2 58.50 (-1.50)" in line
-    tares.add((70.0, 80.0))
-    second = tares.take(ZERO, LATE_NS)
-    status = tares.status()
-    assert status.message == "tared since 2023-11-14 23:13:20 UTC"
-    assert status.values["tares that can be undone"] == "2"
-    assert status.values["unloaded tensions (N)"] == "70.00, 80.00"
-    assert tares.undo() is first
-    line = tare_undone_line(second, first, CABLES, tares.undoable)
-    assert "tare of 2023-11-14 23:13:20 UTC undone" in line
-    assert "at 2023-11-14 22:13:20 UTC" in line
-    assert "cable_1 50.25" in line
-    assert "1 left to undo" in line
-    assert tares.undo() is None
-    assert "no estimate" in tare_undone_line(first, None, CABLES, 0)
-
-
 ARM = open_arm("cdsm")
 
 
@@ -204,16 +160,6 @@ def noise(count, seed=0):
     return np.random.default_rng(seed).normal(0.0, STD_N, (count, 12))
 
 
-@given(st.lists(st.floats(-3.0, 3.0), min_size=12, max_size=12), st.integers(0, 2**32 - 1))
-@settings(max_examples=10, deadline=None)
-def test_its_size_is_found_and_only_what_exceeds_the_limit_is_warned_of(offsets, seed):
-    drift = watched(watch(), np.array(offsets) + noise(160, seed))
-    np.testing.assert_allclose(drift.drift_n, offsets, atol=0.06)
-    largest_n = np.abs(drift.drift_n).max()
-    assert (drift.status().level is Level.WARN) == (largest_n >= drift.limit_n)
-    assert largest_n <= np.abs(offsets).max() + 0.04
-
-
 @pytest.mark.parametrize("rate_hz", [5.0, 1000.0])
 def test_noise_alone_is_no_drift(rate_hz):
     for seed in range(2):
@@ -229,18 +175,6 @@ def test_a_contact_is_no_drift_and_single_false_ones_do_not_hide_it():
     for i, difference_n in enumerate(0.5 + noise(400)):
         drift.add(difference_n, (400 + i) * 10_000_000, touched=i % 3 == 0)
     assert drift.status().level is Level.WARN
-
-
-def test_it_stands_in_a_contact_and_goes_with_a_fresh_tare():
-    drift = watched(watch(), 0.5 + noise(200))
-    drift.interrupt()
-    status = drift.status()
-    assert status.level is Level.WARN
-    assert "most cables" in status.message
-    assert "1970-01-01 00:00:00 UTC" in status.message
-    assert "call ~/tare" in status.message
-    drift.tared()
-    assert drift.status().level is Level.OK
 
 
 def drifted(arm, cable, drift_n):
