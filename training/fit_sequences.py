@@ -58,7 +58,7 @@ class SequenceSamples(NamedTuple):
 
     Attributes:
         ticks: inputs (S, T, …), float64.
-        torque_n_m: (S, T, 2N) of the environment by statics alone, in the order of the joints.
+        torque_n_m: (S, T, 2N) of the environment by statics alone.
         past: (S, T, `DrawnCables.size`) of the commands, known since before the tare.
         true_torque_n_m: (S, T, 2N) of the true contact.
         target: true contacts, each (S, T).
@@ -86,12 +86,12 @@ class SequenceSamples(NamedTuple):
             for rows in torch.arange(len(truth.segment)).split(ROWS_AT_ONCE):
                 balance = network.balance(take(flat, rows))
                 segment, angle_deg, magnitude_n = (part[rows] for part in truth)
-                levers = balance.lever[torch.arange(len(rows)), (segment - 1).clamp(min=0)]
+                levers = network.closed_form.contact_levers(balance)
+                levers = levers[torch.arange(len(rows)), (segment - 1).clamp(min=0)]
                 force = direction_of(angle_deg) * magnitude_n[:, None]
                 force = force.where((segment > 0)[:, None], 0.0)
                 true = (force[:, None].to(levers.dtype) @ levers)[:, 0]
-                torque = network.joint_torque_n_m(balance)
-                parts.append((balance.commanded_m, torque, network.in_joint_order(true)))
+                parts.append((balance.commanded_m, balance.torque_n_m, true))
         lengths_m, torque_n_m, true_torque_n_m = (
             torch.cat(part).unflatten(0, target.segment.shape) for part in zip(*parts, strict=True)
         )
@@ -224,7 +224,7 @@ class _SequenceObjective(Objective[SequenceSamples]):
         force = answer.force_n[touched, target.segment[touched] - 1]
         off_n = functional.huber_loss(force, true_force, reduction="sum") / max(1, len(touched))
         scale = self._network.error.std.double()
-        error = self._network.in_joint_order(answer.torque_n_m) - judged.true_torque_n_m
+        error = answer.torque_n_m - judged.true_torque_n_m
         spread = gaussian_nll(error / scale, answer.torque_std_n_m / scale).mean()
         total = contact + off_n
         return LossTerms(total, contact, torch.zeros_like(total), off_n, spread)

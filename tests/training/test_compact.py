@@ -1,4 +1,4 @@
-"""Compact kinematics say, pitches first, what `cablesense_sim.kinematics` says."""
+"""Compact kinematics say what `cablesense_sim.kinematics` says."""
 
 import numpy as np
 import torch
@@ -9,6 +9,8 @@ from joint_torques import gravity_torques_n_m
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.contact_location import contact_torques, twist_torques
+from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_training.networks.compact import CompactKinematics
 
 CDSM = open_arm("cdsm").model_dump()
@@ -52,47 +54,24 @@ def _poses(mechanism, seed, rows=3, reach_rad=0.3):
     return rng.uniform(-reach_rad, reach_rad, (rows, mechanism.joint_count))
 
 
-def _column(joint_angles_rad):
-    """Pitches, then yaws, as a column."""
-    halves = np.concatenate([joint_angles_rad[:, 0::2], joint_angles_rad[:, 1::2]], axis=1)
-    return torch.as_tensor(halves[..., None])
-
-
-def _pitch_first(values):
-    """Joint angles along the last axis, pitches first."""
-    return np.concatenate([values[..., 0::2], values[..., 1::2]], axis=-1)
-
-
 @settings(max_examples=40, deadline=None)
 @given(mechanisms(), st.integers(0, 2**32 - 1))
-def test_spans_and_jacobian_agree_for_any_arm_at_any_pose(mechanism, seed):
-    q = _poses(mechanism, seed)
-    pose = CompactKinematics(mechanism)(_column(q))
-    span = pose.span_m.numpy()[:, 0].swapaxes(1, 2)
-    expected = kinematics.spans(mechanism, q).length_m
-    passes = mechanism.passes_joint
-    np.testing.assert_allclose(span[:, passes], expected[:, passes], atol=1e-12)
-    np.testing.assert_array_equal(span[:, ~passes], 1.0)
-    jacobian = _pitch_first(kinematics.cable_jacobian_m(mechanism, q))
-    np.testing.assert_allclose(pose.jacobian_t_m.numpy(), jacobian.swapaxes(1, 2), atol=1e-12)
-
-
-@settings(max_examples=40, deadline=None)
-@given(mechanisms(), st.integers(0, 2**32 - 1))
-def test_frames_levers_and_weight_agree_for_any_arm_at_any_pose(mechanism, seed):
+def test_kinematics_agree_for_any_arm_at_any_pose(mechanism, seed):
     n = mechanism.segment_count
-    commanded, loaded = _poses(mechanism, seed), _poses(mechanism, seed + 1)
     compact = CompactKinematics(mechanism)
-    pose = compact(_column(loaded))
+    q, commanded = _poses(mechanism, seed), _poses(mechanism, seed + 1)
+    pose, there = (compact(torch.as_tensor(each)) for each in (q, commanded))
+    drawn_m = held_lengths_m(mechanism, q) - held_lengths_m(mechanism, commanded)
+    np.testing.assert_allclose((pose.length_m - there.length_m).numpy(), drawn_m, atol=1e-12)
+    jacobian = kinematics.cable_jacobian_m(mechanism, q)
+    np.testing.assert_allclose(pose.jacobian_t_m.numpy(), jacobian.swapaxes(1, 2), atol=1e-12)
     frames = pose.frames.numpy().reshape(-1, 3, n + 1, 3).swapaxes(1, 2)
     np.testing.assert_array_equal(frames[:, 0], np.broadcast_to(np.eye(3), (3, 3, 3)))
-    expected = kinematics.segment_rotations(mechanism, loaded)
-    np.testing.assert_allclose(frames[:, 1:], expected, atol=1e-12)
-
-    lever, weight = compact.levers(pose, compact.normal_cross(compact(_column(commanded))))
-    normals = kinematics.segment_rotations(mechanism, commanded)[..., 1:]
-    contact = kinematics.contact_jacobians_m(mechanism, loaded)
-    torques = _pitch_first(np.einsum("bsik,bsic->bsck", contact, normals))
-    np.testing.assert_allclose(lever.numpy(), torques, atol=1e-12)
-    gravity = _pitch_first(gravity_torques_n_m(mechanism, loaded))
-    np.testing.assert_allclose(weight.numpy()[..., 0], gravity, atol=1e-11)
+    axes = kinematics.segment_rotations(mechanism, q)
+    np.testing.assert_allclose(frames[:, 1:], axes, atol=1e-12)
+    weight = gravity_torques_n_m(mechanism, q)
+    np.testing.assert_allclose(compact.weight_n_m(pose).numpy(), weight, atol=1e-11)
+    turned = kinematics.segment_rotations(mechanism, commanded)
+    expected = *contact_torques(mechanism, q, turned), twist_torques(mechanism, q)
+    for found, torques in zip(compact.levers(pose, there.frames), expected, strict=True):
+        np.testing.assert_allclose(found.numpy(), torques, atol=1e-12)

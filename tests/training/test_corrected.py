@@ -45,13 +45,9 @@ def _readings(arm, rows, reach_deg=10.0, seed=0):
 
 
 def _statics(network, tension, command):
-    """Candidates by statics alone, weighed by the misfit that each explains."""
+    """Candidates by statics alone."""
     with torch.no_grad():
-        return network.closed_form.weigh(
-            tension,
-            command,
-            lambda information, covariance_n2: (information, 0.0 * covariance_n2[..., 0, 0]),
-        )
+        return network.closed_form.candidates(network.closed_form(tension, command))
 
 
 def _force(output):

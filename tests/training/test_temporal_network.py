@@ -61,10 +61,10 @@ def _answered_in_any_state(network):
     with torch.no_grad():
         balance = network.balance(ticks)
         past = torch.zeros(50, network.drawn.size).double()
-        encoded = network.encode(network.joint_torque_n_m(balance), past, ticks)
+        encoded = network.encode(balance.torque_n_m, past, ticks)
         still = torch.zeros(50, CDSM.joint_count).double()
         answer = network.answer(balance, encoded, 100.0 * torch.randn(50, 96).double(), still)
-    return balance, (answer.torque_n_m - balance.torque_n_m[..., 0]).abs()
+    return balance, (answer.torque_n_m - balance.torque_n_m).abs()
 
 
 def test_whatever_the_state_each_cable_is_corrected_by_a_bounded_amount(network):
@@ -74,7 +74,7 @@ def test_whatever_the_state_each_cable_is_corrected_by_a_bounded_amount(network)
     torch.nn.init.normal_(network.factor.weight, std=50.0)
     balance, moved_n_m = _answered_in_any_state(network)
     off_n = LARGEST_OFFSET * 0.5 + math.expm1(LARGEST_LOG_FACTOR) * balance.tension_n.abs()
-    most_n_m = (balance.jacobian_t_m.abs() @ off_n)[..., 0]
+    most_n_m = (balance.jacobian_t_m.abs() @ off_n[..., None])[..., 0]
     assert moved_n_m.max() > 0.01
     assert (moved_n_m <= most_n_m + 1e-6).all()
 

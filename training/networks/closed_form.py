@@ -21,22 +21,32 @@ loss.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from cablesense_base import Array
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_training.networks.compact import CompactKinematics, CompactPose
+from cablesense_training.networks.layers import one_hot_of_argmax
 
 SLACK_WEIGHT = 1e-3
 """Variance of a slack cable's tension over that of a taut one's reading."""
 
+POSE_SLACK_WEIGHT = 1e-5
+"""Weight of a slack cable's length in the fit of the pose, over that of a taut one. It lacks up to
+100 N, a thousand standard deviations, and must not bend the pose, but holds it where few are taut.
+"""
+
 NUDGE_N = 1e-6
-"""Added to weighed forces to keep them off zero, so that they always have a direction."""
+"""Added to forces to keep them off zero, so that they always have a direction."""
+
+LOG_PRIOR = -2.0 * math.log(200.0)
+"""Of a contact: uniform over the disc of forces up to 200 N, but for pi."""
 
 _MOST_POSE_CORRECTIONS = 4
 _POSE_TOLERANCE_RAD = 1e-5
@@ -62,81 +72,92 @@ def pose_corrections_for(mechanism: Mechanism, force_n: float = 200.0) -> int:
     return steps
 
 
-class Candidates(NamedTuple):
-    """The contacts by statics, one for each segment, with the evidence for them.
+class Balance(NamedTuple):
+    """Statics of B samples of an arm with N segments and M cables, at their true poses.
 
     Attributes:
-        force_n: (B, N, 2) y and z components in the frame of each segment at the commanded angles.
-        covariance_n2: (B, N, 2, 2) of the force, N².
+        torque_n_m: (B, 2N) torques of the environment on the joints.
+        precision: (B, 2N, 2N) inverse covariance of them.
+        by_force_m: (B, N, 3, 2N) torques of unit forces at the joint centre of each segment, along
+            the axes of the segment at the commanded angles.
+        by_place: (B, N, 3, 2N) their derivative by the place on the segment.
+        by_twist: (B, N, 2N) torques of unit moments about the axes of the segments.
+        missing_m: (B, M) stretch by the readings, less that by the pose. Of a slack cable it is
+            zero, unless the cable would be taut in the pose.
         taut: (B, M) one for taut cables, zero for slack ones.
-        evidence: (B, 1, N) log evidence of a contact on each segment against none.
-    """
-
-    force_n: Tensor
-    covariance_n2: Tensor
-    taut: Tensor
-    evidence: Tensor
-
-
-Weighing = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-"""Maps information and covariance (B, N, 2, 2) to matrices W (B, N, 2, 2) and constants (B, N):
-the evidence of a force f is f' W f plus the constant."""
-
-
-class JointBalance(NamedTuple):
-    """Statics of B samples at their true poses; joints ordered pitches, then yaws.
-
-    Attributes:
-        lever: (B, N, 2, 2N) joint torques of unit forces along the normals of each segment at the
-            commanded angles.
-        precision: (B, 2N, 2N) inverse covariance of the torques.
-        torque_n_m: (B, 2N, 1) torques of the environment on the joints.
-        taut: (B, M) one for taut cables, zero for slack ones.
-        tension_n: (B, M, 1) tensions that the torques were made of.
+        tension_n: (B, M) tensions that the torques were made of.
         jacobian_t_m: (B, 2N, M) torques that one newton in each cable makes.
-        commanded_m: (B, M) cable lengths at the command.
+        commanded_m: (B, M) cable lengths at the command, each but for a constant.
     """
 
-    lever: Tensor
-    precision: Tensor
     torque_n_m: Tensor
+    precision: Tensor
+    by_force_m: Tensor
+    by_place: Tensor
+    by_twist: Tensor
+    missing_m: Tensor
     taut: Tensor
     tension_n: Tensor
     jacobian_t_m: Tensor
     commanded_m: Tensor
 
 
-class TruePose(NamedTuple):
-    """An arm of B samples where it stands, with what it was commanded; joints as `JointBalance`.
+class Candidates(NamedTuple):
+    """The contacts by statics, one for each segment.
 
     Attributes:
-        pose, commanded: kinematics there and at the command.
-        normal_cross: `CompactKinematics.normal_cross` of the command.
-        lever: (B, N, 2, 2N) as in `JointBalance`.
-        taut: (B, M, 1) one for taut cables, zero for slack ones.
-        tension_n: (B, M, 1).
-        torque_n_m: (B, 2N, 1) torques of the environment on the joints.
-        gram_inverse: (B, 2N, 2N) covariance of the torques, inverted, for readings of variance 1.
-        residual_m: (B, M, 1) stretch by the readings, less that by the pose.
+        force_n: (B, N, 2) y and z components in the frame of each segment at the commanded angles.
+        covariance_n2: (B, N, 2, 2) of the force.
+        explained: (B, N) chi² that each contact explains.
     """
 
-    pose: CompactPose
-    commanded: CompactPose
-    normal_cross: Tensor
-    lever: Tensor
-    taut: Tensor
-    tension_n: Tensor
-    torque_n_m: Tensor
-    gram_inverse: Tensor
-    residual_m: Tensor
+    force_n: Tensor
+    covariance_n2: Tensor
+    explained: Tensor
+
+    def log_evidence(self, trust: Tensor) -> Tensor:
+        """(B, N) log evidence of a contact on each segment against none.
+
+        Half the explained misfit, times a trust in it, minus the Occam factor of two free
+        components: with a prior density of 1 / (pi F_max²), the evidence integral over f is
+        2 sqrt(det C) / F_max² at the best fit (Laplace; MacKay, Information Theory, Inference, and
+        Learning Algorithms, 2003, chapter 28).
+        """
+        c = self.covariance_n2
+        determinant = c[..., 0, 0] * c[..., 1, 1] - c[..., 0, 1] * c[..., 1, 0]
+        occam = 0.5 * torch.log(determinant) + math.log(2.0) + LOG_PRIOR
+        return 0.5 * trust * self.explained + occam
+
+    def likeliest(self, evidence: Tensor) -> Likeliest:
+        """The contact of most evidence (B, N)."""
+        chosen = one_hot_of_argmax(evidence)[:, None].to(self.force_n.dtype)
+        force_n = (chosen @ self.force_n)[:, 0]
+        covariance_n2 = (chosen @ self.covariance_n2.flatten(2)).reshape(-1, 2, 2)
+        along = force_n / torch.linalg.vector_norm(force_n, dim=-1, keepdim=True)
+        across = torch.stack([-along[:, 1], along[:, 0]], dim=-1)
+        axes = torch.stack([along, across], dim=1)
+        variance_n2 = ((axes @ covariance_n2) * axes).sum(-1)
+        return Likeliest(chosen, force_n, axes, torch.sqrt(variance_n2))
+
+
+class Likeliest(NamedTuple):
+    """One contact for each of B samples.
+
+    Attributes:
+        chosen: (B, 1, N) one for its segment, zero elsewhere.
+        force_n: (B, 2) as in `Candidates`.
+        axes: (B, 2, 2) unit vectors in rows: along the force, and across it.
+        std_n: (B, 2) standard deviations of the force along these axes.
+    """
+
+    chosen: Tensor
+    force_n: Tensor
+    axes: Tensor
+    std_n: Tensor
 
 
 class ClosedForm(nn.Module):
-    """Candidates from tension differences (B, M) and commanded joint angles (B, 2N), float64.
-
-    Attributes:
-        pose_slack_weight: that of a slack cable's length in the fit of the pose, over that of a
-            taut one.
+    """`Balance` of tension differences (B, M) at commanded joint angles (B, 2N), in float64.
 
     Args:
         mechanism: the arm.
@@ -147,12 +168,16 @@ class ClosedForm(nn.Module):
             is recognised by the sensor's own.
         held_by: the arm whose cable lengths the actuators hold at a command, where that is not
             `mechanism`: an arm whose holes are elsewhere than its controller assumes.
+        unread: (M, M) by which rows of differences as read become those of the tensions; None
+            where readings are tensions.
     """
 
+    unread: Tensor | None
     compliance_m_n: Tensor
     pretension_n: Tensor
-    excess_straight_m: Tensor
+    contact_m: Tensor
     spring_n_m_rad: Tensor
+    excess_straight_m: Tensor
 
     def __init__(
         self,
@@ -161,163 +186,135 @@ class ClosedForm(nn.Module):
         pose_corrections: int,
         unexplained_n2: float = 0.0,
         held_by: Mechanism | None = None,
+        unread: Array | None = None,
     ) -> None:
         super().__init__()
         self.kinematics = CompactKinematics(mechanism)
+        self.register_buffer("unread", None if unread is None else torch.as_tensor(unread))
         sensor_n2 = max(reading_variance_n2, 1e-12)
         self.reading_variance_n2 = sensor_n2 + unexplained_n2
-        self.pose_corrections = pose_corrections
-        self.pose_slack_weight = SLACK_WEIGHT
         self.slack_below_n = 4.0 * sensor_n2**0.5
-        compliance = 1.0 / mechanism.stiffness_n_m
-        self.register_buffer("compliance_m_n", torch.as_tensor(compliance[:, None]))
-        self.register_buffer("pretension_n", torch.as_tensor(mechanism.pretension_n[:, None]))
+        self.pose_corrections = pose_corrections
+        self.springy = bool(mechanism.joint_stiffness_n_m_rad.any())
+        for name, value in (
+            ("compliance_m_n", 1.0 / mechanism.stiffness_n_m),
+            ("pretension_n", mechanism.pretension_n),
+            ("contact_m", mechanism.contact_m[:, None, None]),
+            ("spring_n_m_rad", np.repeat(mechanism.joint_stiffness_n_m_rad, 2)),
+        ):
+            self.register_buffer(name, torch.as_tensor(value))
         self.held_by = None if held_by is None else CompactKinematics(held_by)
         if self.held_by is not None:
-            straight = torch.zeros(1, mechanism.joint_count, 1, dtype=torch.float64)
+            straight = torch.zeros(1, mechanism.joint_count, dtype=torch.float64)
             excess = self._excess_m(straight, self.kinematics(straight))
             self.register_buffer("excess_straight_m", excess)
-        self.springy = bool(mechanism.joint_stiffness_n_m_rad.any())
-        if self.springy:
-            spring = np.tile(mechanism.joint_stiffness_n_m_rad, 2)[:, None]
-            self.register_buffer("spring_n_m_rad", torch.as_tensor(spring))
 
-    def weigh(
-        self, tension_difference_n: Tensor, joint_command_rad: Tensor, weighing: Weighing
-    ) -> Candidates:
-        """The candidates, and the evidence for them."""
-        balance = self.balance(tension_difference_n, joint_command_rad)
-        force, covariance, information, _ = self.least_squares(balance)
-        trusted, constant = weighing(information, covariance)
-        rows = force[:, :, None]
-        evidence = (rows @ trusted * rows).sum((2, 3)) + constant
-        return Candidates(force + NUDGE_N, covariance, balance.taut, evidence[:, None])
-
-    def balance(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> JointBalance:
-        """Torques of the environment on the joints at the true pose."""
-        found = self.true_pose(tension_difference_n, joint_command_rad)
-        return JointBalance(
-            lever=found.lever,
-            precision=found.gram_inverse * (1.0 / self.reading_variance_n2),
-            torque_n_m=found.torque_n_m,
-            taut=found.taut[..., 0],
-            tension_n=found.tension_n,
-            jacobian_t_m=found.pose.jacobian_t_m,
-            commanded_m=found.commanded.span_m.sum((1, 2)),
-        )
-
-    def true_pose(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> TruePose:
-        """Where the arm stands, by the stretches of its taut cables."""
-        angles, commanded, normal_cross = self.at_command(joint_command_rad)
-        unloaded_tension, unloaded_torque = self.unloaded(angles, commanded, normal_cross)
-
-        tension = tension_difference_n[:, :, None] + unloaded_tension
+    def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Balance:
+        """The balance; the arm stands where the stretches of its taut cables say."""
+        commanded = self.kinematics(joint_command_rad)
+        unloaded_n, unbalanced = self.unloaded(joint_command_rad, commanded)
+        tension = self.as_tensions(tension_difference_n) + unloaded_n
         taut = (tension > self.slack_below_n).to(tension.dtype)
         tension = tension * taut
-        weight = taut * (1.0 - self.pose_slack_weight) + self.pose_slack_weight
-        stretch = (tension - self._at_command_n(angles, commanded)) * self.compliance_m_n
-        pose, stretched = commanded, 0.0 * stretch
-        inverse_gram = gram_inverse(commanded.jacobian_t_m, weight)
-        for step in range(self.pose_corrections):
-            if step:
-                inverse_gram = gram_inverse(pose.jacobian_t_m, weight)
-                missing = stretch - stretched
-                # a slack cable may hang as loosely as the pose leaves it
-                missing = taut * missing + (1.0 - taut) * missing.clamp(max=0.0)
-                moved = inverse_gram @ (pose.jacobian_t_m @ (weight * missing))
-            else:
-                moved = inverse_gram @ (pose.jacobian_t_m @ (weight * stretch))
-            angles = angles + moved
+        stretch = tension - self._at_command_n(joint_command_rad, commanded)
+        missing = stretch = stretch * self.compliance_m_n
+        weight = weights(taut, POSE_SLACK_WEIGHT)
+        angles, pose = joint_command_rad, commanded
+        for _ in range(self.pose_corrections):
+            pull = pose.jacobian_t_m @ (weight * missing)[..., None]
+            angles = angles + (gram_inverse(pose.jacobian_t_m, weight) @ pull)[..., 0]
             pose = self.kinematics(angles)
-            stretched = (pose.span_m - commanded.span_m).sum((1, 2))[..., None]
-        if self.pose_slack_weight != SLACK_WEIGHT:
-            weight = taut * (1.0 - SLACK_WEIGHT) + SLACK_WEIGHT
-            inverse_gram = gram_inverse(pose.jacobian_t_m, weight)
-        lever, weight_torque = self.kinematics.levers(pose, normal_cross)
-        torque = pose.jacobian_t_m @ tension - weight_torque - unloaded_torque
-        if self.springy:
-            torque = torque + self.spring_n_m_rad * angles
-        return TruePose(
-            pose,
-            commanded,
-            normal_cross,
-            lever,
+            missing = missing_of(stretch - (pose.length_m - commanded.length_m), taut)
+        gram = gram_inverse(pose.jacobian_t_m, weights(taut, SLACK_WEIGHT))
+        torque = (pose.jacobian_t_m @ tension[..., None])[..., 0]
+        torque = torque - self.kinematics.weight_n_m(pose) - unbalanced
+        return Balance(
+            self._sprung(torque, angles),
+            gram * (1.0 / self.reading_variance_n2),
+            *self.kinematics.levers(pose, commanded.frames),
+            missing,
             taut,
             tension,
-            torque,
-            inverse_gram,
-            stretch - stretched,
+            pose.jacobian_t_m,
+            commanded.length_m,
         )
 
-    def at_command(self, joint_command_rad: Tensor) -> tuple[Tensor, CompactPose, Tensor]:
-        """Angles (B, 2N, 1), pitches first, pose and `normal_cross` of joint commands (B, 2N)."""
-        n = self.kinematics.segment_count
-        angles = joint_command_rad.reshape(-1, n, 2).transpose(1, 2).reshape(-1, 2 * n, 1)
-        commanded = self.kinematics(angles)
-        return angles, commanded, self.kinematics.normal_cross(commanded)
+    def as_tensions(self, tension_difference_n: Tensor) -> Tensor:
+        """Differences (B, M) of the tensions behind differences as read."""
+        if self.unread is None:
+            return tension_difference_n
+        return tension_difference_n @ self.unread
 
-    def unloaded(
-        self, angles: Tensor, commanded: CompactPose, normal_cross: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Tensions under the arm's own weight, and the joint torque that they leave unbalanced.
+    def unloaded(self, angles: Tensor, commanded: CompactPose) -> tuple[Tensor, Tensor]:
+        """Tensions (B, M) under the arm's own weight, and the torque (B, 2N) left unbalanced.
 
-        Tensions are (B, M, 1), of cables assumed taut; the torque is (B, 2N, 1), that at the pose
-        where the unloaded arm is assumed to stand: the command, without corrections.
+        Cables are assumed taut. The torque is that at the pose where the unloaded arm is assumed
+        to stand: the command, without corrections.
         """
-        pose = commanded
-        stretched = (commanded.span_m - commanded.span_m).sum((1, 2))[..., None]
-        at_command = self._at_command_n(angles, commanded)
-        tension = at_command + stretched
+        tension = at_command = self._at_command_n(angles, commanded) + 0.0 * commanded.length_m
+        stiffness = self.compliance_m_n.reciprocal() + 0.0 * tension
+        pose, taken, at_angles = commanded, commanded, 0.0 * angles
         for _ in range(max(1, self.pose_corrections)):
-            _, weight_torque = self.kinematics.levers(pose, normal_cross)
-            stiffness = self.compliance_m_n.reciprocal() + 0.0 * tension
-            inverse_gram = gram_inverse(pose.jacobian_t_m, stiffness)
-            unbalanced = weight_torque - pose.jacobian_t_m @ tension
-            if self.springy:
-                unbalanced = unbalanced - self.spring_n_m_rad * angles
-            angles = angles + inverse_gram @ unbalanced
+            excess = self._unbalanced(pose, tension, angles)
+            turn = gram_inverse(pose.jacobian_t_m, stiffness) @ excess[..., None]
+            angles = angles - turn[..., 0]
             pose = self.kinematics(angles)
-            stretched = (pose.span_m - commanded.span_m).sum((1, 2))[..., None]
-            tension = at_command + stretched / self.compliance_m_n
-        taken = pose if self.pose_corrections else commanded
-        _, weight_torque = self.kinematics.levers(taken, normal_cross)
-        unbalanced = taken.jacobian_t_m @ tension - weight_torque
-        if self.springy and self.pose_corrections:
-            unbalanced = unbalanced + self.spring_n_m_rad * angles
-        return tension, unbalanced
+            stretched = pose.length_m - commanded.length_m
+            tension = at_command + stretched * stiffness
+        if self.pose_corrections:
+            taken, at_angles = pose, angles
+        return tension, self._unbalanced(taken, tension, at_angles)
+
+    def _unbalanced(self, pose: CompactPose, tension: Tensor, angles: Tensor) -> Tensor:
+        """(B, 2N) torque of tensions and springs less that of the weight."""
+        torque = (pose.jacobian_t_m @ tension[..., None])[..., 0]
+        return self._sprung(torque - self.kinematics.weight_n_m(pose), angles)
+
+    def _sprung(self, torque: Tensor, angles: Tensor) -> Tensor:
+        return torque + self.spring_n_m_rad * angles if self.springy else torque
 
     def _at_command_n(self, angles: Tensor, commanded: CompactPose) -> Tensor:
-        """Tensions (M, 1) or (B, M, 1) if the arm stood where it is commanded."""
+        """Tensions (M,) or (B, M) if the arm stood where it is commanded."""
         if self.held_by is None:
             return self.pretension_n
         excess = self._excess_m(angles, commanded) - self.excess_straight_m
         return self.pretension_n + excess / self.compliance_m_n
 
     def _excess_m(self, angles: Tensor, commanded: CompactPose) -> Tensor:
-        """(B, M, 1) by which cables of this arm are longer than of the one that holds them."""
+        """(B, M) by which cables of this arm are longer than of the one that holds them."""
         assert self.held_by is not None
-        return (commanded.span_m - self.held_by(angles).span_m).sum((1, 2))[..., None]
+        return commanded.length_m - self.held_by(angles).length_m
 
-    def least_squares(self, balance: JointBalance) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Generalised least squares of the torques on every segment's two force components.
+    def contact_levers(self, balance: Balance) -> Tensor:
+        """(B, N, 2, 2N) torques of unit forces, y and z, at the contact points of the arm file."""
+        return balance.by_force_m[:, :, 1:] + self.contact_m * balance.by_place[:, :, 1:]
 
-        Gives forces (B, N, 2), their covariance and its inverse, the information (B, N, 2, 2), and
-        chi² of "no contact" (B,) with 2N degrees of freedom.
-        """
+    def candidates(self, balance: Balance) -> Candidates:
+        """Generalised least squares of the torques on every segment's two force components."""
         n = self.kinematics.segment_count
-        lever, precision, torque = balance[:3]
-        weighted = lever.reshape(-1, 2 * n, 2 * n) @ precision
+        lever, torque = self.contact_levers(balance), balance.torque_n_m[..., None]
+        weighted = lever.reshape(-1, 2 * n, 2 * n) @ balance.precision
         pull = (weighted @ torque).reshape(-1, n, 2, 1)
         information = weighted.reshape(-1, n, 2, 2 * n) @ lever.transpose(-1, -2)
         covariance = inverse(information)
-        force = covariance @ pull
-        misfit_none = (torque * (precision @ torque)).sum((1, 2))
-        return force.reshape(-1, n, 2), covariance, information, misfit_none
+        force = covariance @ pull + NUDGE_N
+        explained = (force * (information @ force)).sum((2, 3))
+        return Candidates(force[..., 0], covariance, explained)
+
+
+def weights(taut: Tensor, slack: float) -> Tensor:
+    """One for taut cables, and that of `slack` for slack ones."""
+    return taut * (1.0 - slack) + slack
+
+
+def missing_of(residual_m: Tensor, taut: Tensor) -> Tensor:
+    """Residuals (B, M) of cable lengths; a slack cable may be longer than the pose needs."""
+    return taut * residual_m + (1.0 - taut) * residual_m.clamp(max=0.0)
 
 
 def gram_inverse(jacobian_t: Tensor, weight: Tensor) -> Tensor:
-    """Inverse (B, 2N, 2N) of J' W J, with weights (B, M, 1)."""
-    return inverse(jacobian_t @ (jacobian_t.transpose(1, 2) * weight))
+    """Inverse (B, 2N, 2N) of J' W J, with weights (B, M)."""
+    return inverse((jacobian_t * weight[:, None]) @ jacobian_t.transpose(1, 2))
 
 
 def inverse(matrix: Tensor) -> Tensor:
@@ -329,9 +326,3 @@ def inverse(matrix: Tensor) -> Tensor:
         )
         return inverted
     return torch.linalg.inv(matrix)
-
-
-def own_blocks(matrix: Tensor, segments: int) -> Tensor:
-    """The 2 by 2 blocks (B, N, 2, 2) on the diagonal of (B, 2N, 2N)."""
-    blocks = matrix.reshape(-1, segments, 2, segments, 2)
-    return torch.stack([blocks[:, s, :, s] for s in range(segments)], dim=1)

@@ -21,22 +21,30 @@ from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.history import sensed_along_n
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.networks.closed_form import ClosedForm, pose_corrections_for
-from cablesense_training.networks.second_order import SecondOrderClosedForm
+from cablesense_training.networks.near_command import NearCommand
 
 _JUDGED_SAMPLES, _BORNE_BENT = 256, 0.5
 """How many contacts spread is judged on, and up to which share of what the straight arm bears."""
-_LEAST_CORRECTIONS_OF_ANOTHER_GEOMETRY = 2
+_LEAST_CORRECTIONS = 2
+"""Residuals of a stiff arm's cable lengths need one more than its torques."""
 
 
-def exact_statics(
+def statics(
     arm: Arm,
     tare_samples: int,
+    *,
+    exact: bool = False,
     pose_corrections: int | None = None,
     unexplained_n2: float | None = None,
 ) -> ClosedForm:
-    """The closed form of an arm, with as many pose corrections as it calls for, or as given.
+    """The closed form of an arm, expanded near the command where that is enough, which is faster.
 
-    `unexplained_n2` is what no statics carries, N²; by default what the arm's effects make of it.
+    Args:
+        arm: the arm.
+        tare_samples: readings averaged into a tare.
+        exact: never expanded.
+        pose_corrections: by default as many as the arm calls for.
+        unexplained_n2: what no statics carries, N²; by default what the arm's effects make of it.
     """
     nominal = mechanism_of(arm)
     mechanism = amended(nominal, entries_of(arm))
@@ -46,27 +54,18 @@ def exact_statics(
         and np.array_equal(mechanism.hole_y_m, nominal.hole_y_m)
         and np.array_equal(mechanism.hole_z_m, nominal.hole_z_m)
     )
+    needed = pose_corrections_for(mechanism)
+    stiff = needed <= 1 and own_lengths and not mechanism.joint_stiffness_n_m_rad.any()
     if pose_corrections is None:
-        pose_corrections = pose_corrections_for(mechanism)
-        if not own_lengths:
-            pose_corrections = max(pose_corrections, _LEAST_CORRECTIONS_OF_ANOTHER_GEOMETRY)
-    return ClosedForm(
+        pose_corrections = needed if exact and stiff else max(_LEAST_CORRECTIONS, needed)
+    return (NearCommand if stiff and not exact else ClosedForm)(
         mechanism,
         difference_variance_n2(arm.sensors, tare_samples),
         pose_corrections,
         unexplained_variance_n2(arm) if unexplained_n2 is None else unexplained_n2,
-        None if own_lengths else nominal,
+        held_by=None if own_lengths else nominal,
+        unread=unreading(arm),
     )
-
-
-def statics(
-    arm: Arm, tare_samples: int, unexplained_n2: float | None = None
-) -> ClosedForm | SecondOrderClosedForm:
-    """`exact_statics` of an arm; to second order where that is enough, which is faster."""
-    exact = exact_statics(arm, tare_samples, unexplained_n2=unexplained_n2)
-    if exact.springy or exact.held_by is not None or exact.pose_corrections > 1:
-        return exact
-    return SecondOrderClosedForm(exact)
 
 
 def unexplained_variance_n2(arm: Arm) -> float:

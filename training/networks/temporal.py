@@ -21,18 +21,14 @@ from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.estimator import NORMAL_95
 from cablesense_training.inference.temporal_estimator import TemporalState
-from cablesense_training.networks.closed_form import NUDGE_N, ClosedForm, JointBalance, inverse
-from cablesense_training.networks.corrected import LOG_PRIOR
-from cablesense_training.networks.layers import (
-    SingleContactOutput,
-    Standardiser,
-    one_hot_of_argmax,
-)
-from cablesense_training.networks.statics import exact_statics
+from cablesense_training.networks.closed_form import Balance, ClosedForm, inverse
+from cablesense_training.networks.layers import SingleContactOutput, Standardiser
+from cablesense_training.networks.statics import statics
 
 GIVES_M = (2e-5, 2e-4, 2e-3)
 """Lengths of cable drawn from the middle of a stop operator to its end."""
@@ -115,8 +111,8 @@ class CorrectedAnswer(NamedTuple):
         output: contacts with their uncertainty.
         seen: (B, features) of the network that `StatedInterval` sees.
         force_n: (B, N, 2) y and z components of the contact that each segment would have.
-        torque_n_m: (B, 2N) of the environment as corrected, pitches first.
-        torque_std_n_m: (B, 2N) its stated deviation, in the order of the joints.
+        torque_n_m: (B, 2N) of the environment as corrected.
+        torque_std_n_m: (B, 2N) its stated deviation.
     """
 
     output: SingleContactOutput
@@ -208,8 +204,7 @@ class TemporalNetwork(nn.Module):
     """One contact from a sequence of ticks.
 
     Args:
-        arm: the arm.
-        closed_form: its statics.
+        closed_form: statics of the arm.
         hidden: size of the recurrent unit's state.
 
     Attributes:
@@ -221,9 +216,11 @@ class TemporalNetwork(nn.Module):
     several: ClassVar[bool] = False
     pose_aware: ClassVar[bool] = True
 
-    def __init__(self, arm: Arm, closed_form: ClosedForm, hidden: int = 96) -> None:
+    def __init__(self, closed_form: ClosedForm, hidden: int = 96) -> None:
         super().__init__()
-        joints, segments, cables = arm.joint_count, arm.segment_count, arm.cable_count
+        cables = closed_form.kinematics.cable_count
+        segments = closed_form.kinematics.segment_count
+        joints = 2 * segments
         self.cable_count, self.segment_count = cables, segments
         self.drawn = DrawnCables(cables, joints, hidden)
         self.hidden, self.memory = hidden, self.drawn.layout.size
@@ -250,7 +247,7 @@ class TemporalNetwork(nn.Module):
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> TemporalNetwork:
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
-        return cls(arm, exact_statics(arm, tare_samples, unexplained_n2=0.0))
+        return cls(statics(arm, tare_samples, exact=True, unexplained_n2=0.0))
 
     def adapt(self, torque_n_m: Tensor, ticks: Ticks, error_n_m: Tensor) -> None:
         """Set all scales from training rows: torques, inputs, and what the torques are off by."""
@@ -259,11 +256,12 @@ class TemporalNetwork(nn.Module):
         self.course.adapt(torch.cat(ticks[1:], dim=-1))
         self.error.adapt(error_n_m)
 
-    def balance(self, ticks: Ticks) -> JointBalance:
+    def balance(self, ticks: Ticks) -> Balance:
         """Statics at the set-points of flat ticks, in float64."""
-        return self.closed_form.balance(
+        found: Balance = self.closed_form(
             ticks.tension_difference_n.double(), ticks.joint_command_rad.double()
         )
+        return found
 
     def encode(self, torque_n_m: Tensor, past: Tensor, ticks: Ticks) -> Tensor:
         """(…, hidden) of torques (…, 2N), the commands' past (…, `drawn.size`) and ticks alike."""
@@ -295,7 +293,7 @@ class TemporalNetwork(nn.Module):
         return following
 
     def answer(
-        self, balance: JointBalance, encoded: Tensor, states: Tensor, speed_rad_s: Tensor
+        self, balance: Balance, encoded: Tensor, states: Tensor, speed_rad_s: Tensor
     ) -> CorrectedAnswer:
         """Answers for B flat ticks, from the encoded and remembered features (B, hidden) of each.
 
@@ -308,47 +306,33 @@ class TemporalNetwork(nn.Module):
         std = torch.exp(self.log_std(read).clamp(*_LOG_STD_RANGE)).double()
         std = std * self.error.std.double()
         factor = LARGEST_LOG_FACTOR * torch.tanh(self.factor(read) / LARGEST_LOG_FACTOR)
-        lost = balance.tension_n * (torch.exp(factor.double()) - 1.0)[..., None]
+        lost = balance.tension_n * (torch.exp(factor.double()) - 1.0)
         offset = LARGEST_OFFSET * torch.tanh(self.offset(read) / LARGEST_OFFSET)
-        lost = lost + (offset * self.tension.std).double()[..., None]
-        torque = balance.torque_n_m - self.pitches_first(shift)[..., None]
-        torque = torque + balance.jacobian_t_m @ lost
-        noise = inverse(balance.precision)
-        precision = inverse(noise + torch.diag_embed(self.pitches_first(std * std)))
-        found, covariance, information, _ = self.closed_form.least_squares(
+        lost = lost + (offset * self.tension.std).double()
+        torque = balance.torque_n_m - shift + (balance.jacobian_t_m @ lost[..., None])[..., 0]
+        precision = inverse(inverse(balance.precision) + torch.diag_embed(std * std))
+        candidates = self.closed_form.candidates(
             balance._replace(torque_n_m=torque, precision=precision)
         )
-        force = found + NUDGE_N
-        determinant = covariance[..., 0, 0] * covariance[..., 1, 1] - covariance[..., 0, 1] ** 2
-        occam = 0.5 * torch.log(determinant) + math.log(2.0) + LOG_PRIOR
-        explained = (force[:, :, None] @ information * force[:, :, None]).sum((2, 3))
-        evidence = 0.5 * torch.exp(self.log_trust) * explained + occam + self.belief(read)
-        none = 0.0 * evidence[:, :1]
-        chosen = one_hot_of_argmax(evidence)
-        weight = chosen[..., None].to(force.dtype)
-        best = (weight * force).sum(1)
-        spread = (weight[..., None] * covariance).sum(1)
-        magnitude = torch.sqrt((best * best).sum(-1))
-        along = best / magnitude[:, None]
-        across = torch.stack([-along[:, 1], along[:, 0]], dim=-1)
-        std_n, turned_n = (
-            torch.sqrt(((axis[:, None] @ spread)[:, 0] * axis).sum(-1)) for axis in (along, across)
-        )
-        logits = torch.cat([none, evidence], dim=-1)
+        evidence = candidates.log_evidence(torch.exp(self.log_trust)) + self.belief(read)
+        found = candidates.likeliest(evidence)
+        magnitude = torch.linalg.vector_norm(found.force_n, dim=-1)
+        std_n, turned_n = found.std_n.unbind(-1)
+        logits = functional.pad(evidence, (1, 0))
         output = SingleContactOutput(
             contact_logits=logits,
-            direction=along,
+            direction=found.force_n / magnitude[:, None],
             magnitude_n=magnitude,
             magnitude_std_n=std_n,
             angle_std_deg=torch.rad2deg(turned_n / magnitude),
         )
         seen = [
             torch.softmax(logits, dim=-1),
-            _asinh(torch.sqrt((force * force).sum(-1))),
+            _asinh(torch.linalg.vector_norm(candidates.force_n, dim=-1)),
             torch.log(torch.stack([std_n, turned_n, speed + _STILL_RAD_S], dim=-1)),
         ]
         seen_of = torch.cat([part.to(read.dtype) for part in seen], dim=-1).detach()
-        return CorrectedAnswer(output, seen_of, force, torque[..., 0], std)
+        return CorrectedAnswer(output, seen_of, candidates.force_n, torque, std)
 
     def forward(self, ticks: Ticks, state: Tensor) -> tuple[SingleContactOutput, Tensor, Tensor]:
         """One tick: answers for inputs of B rows with states (B, memory).
@@ -360,23 +344,11 @@ class TemporalNetwork(nn.Module):
         before, past = state.split([self.hidden, self.drawn.size], dim=-1)
         inputs = Ticks(*(part.to(kind) for part in ticks))
         past = self.drawn.follow(past, balance.commanded_m.to(kind), inputs.joint_command_rad)
-        encoded = self.encode(self.joint_torque_n_m(balance).to(kind), past, inputs)
+        encoded = self.encode(balance.torque_n_m.to(kind), past, inputs)
         following = self.next_state(encoded, before)
         answer = self.answer(balance, encoded, following, ticks.joint_speed_rad_s)
         stated, interval_n = self.interval.stated(answer.seen, answer.output)
         return stated, torch.cat([following, past], dim=-1), interval_n
-
-    def joint_torque_n_m(self, balance: JointBalance) -> Tensor:
-        """(B, 2N) torques of the environment in the order of the joints, by statics alone."""
-        return self.in_joint_order(balance.torque_n_m[..., 0])
-
-    def pitches_first(self, joints: Tensor) -> Tensor:
-        """Reorder from the order of the joints to that of `JointBalance`."""
-        return joints.unflatten(-1, (self.segment_count, 2)).transpose(-1, -2).flatten(-2)
-
-    def in_joint_order(self, pitches_first: Tensor) -> Tensor:
-        """Reorder from the order of `JointBalance` to that of the joints."""
-        return pitches_first.unflatten(-1, (2, self.segment_count)).transpose(-1, -2).flatten(-2)
 
 
 def _asinh(values: Tensor) -> Tensor:
