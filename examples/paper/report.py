@@ -21,20 +21,11 @@ def claim_folder(folder: Path, force: bool = False) -> None:
         PaperError: it holds something and not `force`, or cannot be made or written to.
     """
     output_folder(folder, ("report.html", "results.json", "*.png"), PaperError, force=True)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if not force and any(folder.iterdir()):
-            raise PaperError(
-                f"{folder}: is not empty; give a new --out, or replace its files with --force"
-            )
-        trial = folder / ".writable"
-        trial.touch()
-        trial.unlink()
-    except OSError as error:
-        reason = error.strerror or error
+    folder.mkdir(parents=True, exist_ok=True)
+    if not force and any(folder.iterdir()):
         raise PaperError(
-            f"{folder}: cannot be written to ({reason}); give another --out"
-        ) from error
+            f"{folder}: is not empty; give a new --out, or replace its files with --force"
+        )
 
 
 def write_report(folder: Path, outcomes: Sequence[StudyOutcome], quick: bool) -> dict[str, Any]:

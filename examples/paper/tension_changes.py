@@ -25,7 +25,7 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.kinematics import cable_jacobian_m
-from cablesense_sim.replay import difference_variance_n2, read_tensions_n
+from cablesense_sim.replay import difference_variance_n2
 
 VALUES = 81
 """The number of values that are tried over a range."""
@@ -76,7 +76,6 @@ class ChangeSimulator:
         self, arm: Arm, changes: TensionChanges, effects: Collection[str] | None = None
     ) -> None:
         """Candidates are those among `effects`, or all; never those that need the time."""
-        self._sensors = arm.sensors
         self._arm = ArmSimulator(arm, changes.protocol(2 * arm.segment_count))
         self.floor = float(np.sqrt(difference_variance_n2(arm.sensors, tare_samples=1)))
         known = known_effects()
@@ -89,22 +88,8 @@ class ChangeSimulator:
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
         """Changes (P, K, M), N, without noise; NaN where the arm finds no rest."""
-        return _changes_n(self._arm.predict(variants))
-
-    def measured(
-        self, variant: Assignment, rng: np.random.Generator, beyond_n: Array | float = 0.0
-    ) -> Array:
-        """Changes (K, M) as sensors would read them, N: each reading has its own noise and step.
-
-        `beyond_n` (K, M) is added to the loaded tensions: what no effect of the library does.
-        """
-        tensions = self._arm.predict([variant])[0]
-        tensions[1::2] += beyond_n
-        return _changes_n(read_tensions_n(tensions, self._sensors, rng))
-
-
-def _changes_n(readings_n: Array) -> Array:
-    return np.asarray(readings_n[..., 1::2, :] - readings_n[..., 0::2, :])
+        readings_n = self._arm.predict(variants)
+        return np.asarray(readings_n[..., 1::2, :] - readings_n[..., 0::2, :])
 
 
 def internal_n(arm: Arm, changes_n: Array) -> Array:
@@ -170,14 +155,12 @@ class Explained:
         number: which.
         value: that fits all rows best.
         rmse: the error that it leaves in them.
-        squares: (R,) sum of squares left in each row by the value that fits the others best.
-        held_out_rmse: the same over all rows.
+        held_out_rmse: that of each row under the value that fits the others best.
     """
 
     number: OneNumber
     value: float
     rmse: float
-    squares: Array
     held_out_rmse: float
 
 
@@ -220,7 +203,6 @@ def explain(found: Scan, readings: Array) -> Explained:
         found.number,
         value=float(found.values[best]),
         rmse=float(np.sqrt(squares[best].sum() / readings.size)),
-        squares=held_out,
         held_out_rmse=float(np.sqrt(held_out.sum() / readings.size)),
     )
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any
@@ -12,19 +11,12 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_gap.report.style import AFTER, BEFORE, GRID, INK, OTHER, newtons, percent
 from cablesense_gap.report.text import candidate_name
-from cablesense_gap.verdict import NONE, UNKNOWN, listed
+from cablesense_gap.verdict import listed
 from cablesense_sim.effects.registry import known_effects
 from cablesense_training.evaluation.table2 import STANDARD_GRAVITY_M_S2
 from examples.paper.drawing import GREEN, one_panel, panels
 from examples.paper.study import Figures, Numbers, Progress
-from examples.paper.table_2_gap import (
-    KINDS,
-    PRIOR_UNLISTED,
-    STEP_N,
-    TableDiagnosis,
-    best_of_each,
-    diagnose_table,
-)
+from examples.paper.table_2_gap import STEP_N, TableDiagnosis, best_of_each, diagnose_table
 from examples.paper.tension_changes import Explained, OneNumber
 
 _ALIKE = 1.05
@@ -45,8 +37,7 @@ _UNITS = (
 
 def sim_to_real(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
     """Diagnose the 54 measured changes as `cablesense gap` diagnoses a recording."""
-    workers = min(2, os.cpu_count() or 1)
-    found = diagnose_table(size["tables"], lambda done: progress(0.95 * done), workers)
+    found = diagnose_table(progress)
     return numbers_of(found), figures_of(found)
 
 
@@ -60,7 +51,7 @@ def figures_of(found: TableDiagnosis) -> Figures:
 
 def numbers_of(found: TableDiagnosis) -> Numbers:
     """All that the text of the study names."""
-    measured, gap_n, verdict = found.changes.changes_n, found.gap_n, found.verdict
+    measured, gap_n = found.changes.changes_n, found.gap_n
     paper_gap_n, apart_n = measured - found.paper_n, found.paper_n - found.nominal_n
     largest_n = float(np.abs(gap_n).max())
     disproportion_n = measured[3:] - 2.0 * measured[:3]
@@ -69,30 +60,25 @@ def numbers_of(found: TableDiagnosis) -> Numbers:
     near = [s for s in ranked if s.held_out_rmse <= _ALIKE * ranked[0].held_out_rmse]
     best, *no_worse = dict.fromkeys(f"{number_name(s.number)} ({value_of(s)})" for s in near)
     slack = min(
-        (s for s in found.judged.singles if s.number.effect == "pretension_error"),
+        (s for s in found.singles if s.number.effect == "pretension_error"),
         key=lambda s: (s.number.terms[0].place != "arm", s.rmse),
     )
     return {
-        "probability": percent(verdict.probability),
         "gap": newtons(rms(gap_n)),
-        "gap_n": verdict.gap.before_n,
+        "gap_n": rms(gap_n),
         "largest": newtons(largest_n),
         "largest_n": largest_n,
-        "best_listed": newtons(best_listed_n(found)),
-        "proportional": newtons(verdict.gap.after_n),
+        "best_listed": newtons(min(found.held_out_n.values())),
+        "proportional": newtons(found.proportional_n),
         "inner": percent((found.internal_n**2).sum() / (gap_n**2).sum()),
-        "floor": newtons(verdict.gap.floor_n),
-        "times_floor": rms(gap_n) / verdict.gap.floor_n,
-        "of_changes": percent(verdict.gap.before_n / rms(measured)),
+        "floor": newtons(found.floor_n),
+        "times_floor": rms(gap_n) / found.floor_n,
+        "of_changes": percent(rms(gap_n) / rms(measured)),
         "last_cables": listed([f"{value:+.2f}" for value in measured[0, 6:]]),
         "best_number": best,
         "best_number_left": newtons(ranked[0].held_out_rmse),
         "no_worse": listed(no_worse),
         "explanations": tuple(_best_explanations(found)),
-        "least_left": percent(found.judged.least_left),
-        "count": found.rehearsal.count,
-        "unexplained": [found.rehearsal.unexplained[kind] for kind in KINDS],
-        "prior": percent(PRIOR_UNLISTED),
         "blind": listed([_spaced(name) for name in found.blind]),
         "timed": listed([_spaced(n) for n, e in known_effects().items() if e.needs_time]),
         "disproportion": newtons(rms(np.delete(disproportion_n.ravel(), [21, 22, 23]))),
@@ -114,12 +100,12 @@ def numbers_of(found: TableDiagnosis) -> Numbers:
         "constant": ", ".join(f"{v:+.2f}" for v in apart_n.mean(0)),
         "left_rows": [
             (number_name(s.number), value_of(s), s.rmse, s.held_out_rmse)
-            for s in best_of_each(found.judged.singles)
+            for s in best_of_each(found.singles)
         ],
         "candidate_rows": [
-            (candidate_name(c.effects), c.held_out_rmse_n, percent(c.probability))
-            for c in verdict.ranked[:_MOST]
-        ],
+            ("a law in proportion to the load, whatever its cause", found.proportional_n),
+            *((candidate_name(effects), n) for effects, n in found.held_out_n.items()),
+        ][:_MOST],
         "share_rows": [(what, 100.0 * share) for what, share in shares(found).items()],
     }  # fmt: skip
 
@@ -180,20 +166,13 @@ def _spaced(name: str) -> str:
 
 def ranked_singles(found: TableDiagnosis) -> list[Explained]:
     """All numbers, the best first; among equals that of the effect with fewer places to choose."""
-    singles = found.judged.singles
-    tried = Counter(s.number.effect for s in singles)
-    return sorted(singles, key=lambda s: (round(s.held_out_rmse, 2), tried[s.number.effect]))
-
-
-def best_listed_n(found: TableDiagnosis) -> float:
-    """The error that the best one or two listed effects leave in held-out rows, N."""
-    candidates = found.verdict.candidates
-    return min(c.held_out_rmse_n for c in candidates if c.effects[0] not in (NONE, UNKNOWN))
+    tried = Counter(s.number.effect for s in found.singles)
+    return sorted(found.singles, key=lambda s: (round(s.held_out_rmse, 2), tried[s.number.effect]))
 
 
 def _best_explanations(found: TableDiagnosis) -> Iterator[str]:
     """The best single effect and the best pair, as sentences."""
-    ranked = sorted(found.judged.explanations, key=lambda h: h.held_out_rmse)
+    ranked = sorted(found.explanations, key=lambda h: h.held_out_rmse)
     for count, what in ((1, "one effect"), (2, "two effects at once")):
         best = next((h for h in ranked if len(h.effects) == count), None)
         if best is not None:
@@ -231,7 +210,7 @@ def proportion_figure(found: TableDiagnosis) -> Any:
     one, two = found.gap_n[:3], found.gap_n[3:]
     along = np.array([one.min() - 0.2, one.max() + 0.2])
     # 95 % of a difference between one number and two others
-    band = 1.96 * np.sqrt(5.0) * found.verdict.gap.floor_n
+    band = 1.96 * np.sqrt(5.0) * found.floor_n
     axes.fill_between(along, 2.0 * along - band, 2.0 * along + band, color=GRID, lw=0)
     axes.plot(along, 2.0 * along, color=OTHER, lw=1.2)
     for k, (name, colour) in enumerate(_SETS.items()):
