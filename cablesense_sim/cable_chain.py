@@ -65,7 +65,6 @@ class CableChains:
             slips=np.zeros((natural[..., 0].size, nodes[-1])),
             passed_m=np.zeros((natural[..., 0].size, nodes[-1])),
         )
-        self._any_rigid = not self._cables.give_m.all()
 
     def pull(self, lengths_m: Array, limit: Array) -> CablePull:
         """At lengths (..., K), m, and limits (..., K - 1) of now, from the state as it is."""
@@ -77,28 +76,6 @@ class CableChains:
     def settle(self, lengths_m: Array, limit: Array) -> None:
         """Stay there. In a slack cable the material comes to lie evenly."""
         cable_law.settle(self._cables, self._flat(lengths_m), self._flat(limit))
-
-    def balancing_turn_rad(
-        self, lengths_m: Array, limit: Array, by_turn_m: Array, torque_n_m: Array, slope_n_m: Array
-    ) -> Array | None:
-        """The turn (P, 2N) of P arms' joints after which the torques on them are balanced.
-
-        It is sought along with the nodes that slip and the cables that are slack, so that no
-        search runs within another. None where no node sticks rigidly: there is nothing to seek.
-
-        Args:
-            lengths_m: (P, M, 1 + N) of the cables' pieces now.
-            limit: (P, M, N) of the nodes.
-            by_turn_m: (P, M, N, 2) derivative of the pieces but the first, each by the two angles
-                of its joint.
-            torque_n_m: (P, 2N) of all but the cables.
-            slope_n_m: (P, 2N, 2N) its derivative, with what cables add that keep their tensions.
-        """
-        if not self._any_rigid:
-            return None
-        given = (lengths_m, limit, by_turn_m, torque_n_m, slope_n_m)
-        contiguous = (np.ascontiguousarray(values, dtype=float) for values in given)
-        return cable_law.balancing_turn(self._cables, *contiguous)
 
     def _flat(self, values: Array) -> Array:
         """Values (..., K) of cables as (C, K) in one contiguous copy."""

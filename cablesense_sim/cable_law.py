@@ -17,8 +17,6 @@ from cablesense_sim.compiled import compiled
 _MOST_STEPS, _CIRCLES_AFTER = 40, 10
 _SWEEPS, _HALVINGS = 30, 40
 _ROUNDING = 1e-12
-_TURNS, _CUT_AFTER = 30, 8
-_CLOSE_RAD = 1e-8
 
 
 class Cables(NamedTuple):
@@ -104,99 +102,6 @@ def settle(cables: Cables, lengths_m: Array, limit: Array) -> None:
 
 
 @compiled
-def balancing_turn(
-    cables: Cables,
-    lengths_m: Array,
-    limit: Array,
-    by_turn_m: Array,
-    torque_n_m: Array,
-    slope_n_m: Array,
-) -> Array:
-    """The turn (P, 2N) after which P arms' joints are balanced, as `CableChains` says.
-
-    Takes lengths (P, M, 1 + N), limits (P, M, N), the derivative (P, M, N, 2) of each piece by the
-    two angles of its joint, torques (P, 2N) and slopes (P, 2N, 2N).
-    """
-    turn = np.zeros(torque_n_m.shape)
-    each = lengths_m.shape[1]
-    for p in range(len(turn)):
-        given = (lengths_m[p], limit[p], by_turn_m[p], torque_n_m[p], slope_n_m[p])
-        _balance(cables, p * each, given, turn[p])
-    return turn
-
-
-@compiled
-def _balance(
-    cables: Cables, first: int, given: tuple[Array, Array, Array, Array, Array], turn: Array
-) -> None:
-    """The turn (2N,) of one arm, whose cables begin at `first`, in place; NaN where torques are.
-
-    All is linear in it but which nodes slip and which cables are slack: these are sought with it.
-    """
-    lengths_m, limit, by_turn_m, torque_n_m, slope_n_m = given
-    count, pieces = lengths_m.shape
-    nodes = pieces - 1
-    own = slice(first, first + count)
-    rigid = not (cables.give_m[own] > 0.0).any()
-    stretch = lengths_m - cables.natural_m[own]
-    tensions = cables.stiffness_n_m[own] * stretch
-    passed, room, taut = np.zeros((count, nodes)), np.empty(count), np.empty(count)
-    rows, right = _empty_rows(nodes), np.empty((nodes, pieces + 1))
-    passed_by = np.empty((count, nodes, 2 * nodes))
-    tensions_by = np.empty((count, pieces, 2 * nodes))
-    for c in range(count):
-        room[c] = _ROUNDING * np.abs(tensions[c]).max()
-    changed = False
-    for turns in range(_TURNS):
-        missing = torque_n_m + slope_n_m @ turn
-        whole = slope_n_m.copy()
-        for c in range(count):
-            stiffness = cables.stiffness_n_m[first + c]
-            taut[c] = 1.0 if stretch[c].sum() > 0.0 else 0.0
-            held = stiffness * stretch[c] * taut[c]
-            if not taut[c]:
-                cables.slips[first + c] = 0.0
-            _set_rows(cables, first + c, taut[c] > 0.0, passed[c], tensions[c], limit[c], rows)
-            _by_stretch(stiffness, rows, right)
-            for k in range(nodes):
-                right[k, pieces] = held[k] - rows.ratio[k] * held[k + 1] + rows.offset_n[k]
-            _eliminate(stiffness, rows, right)
-            passed[c] = right[:, pieces]
-            _stretched(stiffness, held, passed[c], tensions[c])
-            for j in range(2 * nodes):
-                lever = by_turn_m[c, j // 2, j % 2]
-                for k in range(nodes):
-                    passed_by[c, k, j] = right[k, j // 2 + 1] * lever
-                for k in range(pieces):
-                    longer = _gained(passed_by[c, :, j], k) + (lever if k == j // 2 + 1 else 0.0)
-                    tensions_by[c, k, j] = stiffness[k] * taut[c] * longer
-            for i in range(2 * nodes):
-                lever = by_turn_m[c, i // 2, i % 2]
-                missing[i] += lever * tensions[c, i // 2 + 1]
-                for j in range(2 * nodes):
-                    whole[i, j] += lever * tensions_by[c, i // 2 + 1, j]
-        if not (np.isfinite(whole).all() and np.isfinite(missing).all()):
-            turn[:] = np.nan
-            return
-        step = -np.linalg.solve(whole, missing)
-        cut = changed and turns > _CUT_AFTER  # or it may go in circles
-        if cut:
-            step *= 0.5
-        turn += step
-        changed = False
-        for c in range(count):
-            for j in range(2 * nodes):
-                stretch[c, j // 2 + 1] += by_turn_m[c, j // 2, j % 2] * step[j]
-            passed[c] += passed_by[c] @ step
-            tensions[c] += tensions_by[c] @ step
-            changed |= (stretch[c].sum() > 0.0) != (taut[c] > 0.0)
-            if taut[c]:
-                changed |= _slip(cables, first + c, passed[c], tensions[c], limit[c], room[c])
-        if not (changed or cut) and (rigid or np.abs(step).max() < _CLOSE_RAD):
-            return
-
-
-@compiled
 def _empty_rows(nodes: int) -> _Rows:
     every = np.empty((5, nodes))
     return _Rows(every[0], every[1], every[2], every[3], every[4])
@@ -265,7 +170,7 @@ def _pass(cables: Cables, c: int, held: Array, limit: Array, rows: _Rows) -> Non
                 slips = abs(bent) >= 1.0 or give[k] == 0.0
                 cables.slips[c, k] = np.sign(bent) if slips else 0.0
         last[:] = passed
-        _set_rows(cables, c, True, passed, tensions, limit, rows)
+        _set_rows(cables, c, passed, tensions, limit, rows)
         for k in range(len(passed)):
             passed[k] = held[k] - rows.ratio[k] * held[k + 1] + rows.offset_n[k]
         _eliminate(stiffness, rows, passed.reshape(-1, 1))
@@ -285,7 +190,7 @@ def _pass(cables: Cables, c: int, held: Array, limit: Array, rows: _Rows) -> Non
         if np.abs(passed - last).max() <= _ROUNDING:
             break
     _stretched(stiffness, held, passed, tensions)
-    _set_rows(cables, c, True, passed, tensions, limit, rows)
+    _set_rows(cables, c, passed, tensions, limit, rows)
 
 
 @compiled
@@ -314,13 +219,13 @@ def _slip(
 
 @compiled
 def _set_rows(
-    cables: Cables, c: int, taut: bool, passed: Array, tensions: Array, limit: Array, rows: _Rows
+    cables: Cables, c: int, passed: Array, tensions: Array, limit: Array, rows: _Rows
 ) -> None:
     """The rows that hold, linear about a guess where bristles carry."""
     rows.moves[:] = rows.steeper_n_m[:] = rows.offset_n[:] = 0.0
     rows.ratio[:] = 1.0
     for k in range(len(passed)):
-        if not taut or cables.stiffness_n_m[c, k + 1] == 0.0:
+        if cables.stiffness_n_m[c, k + 1] == 0.0:
             continue
         if cables.slips[c, k] != 0.0:
             rows.moves[k], rows.ratio[k] = 1.0, np.exp(cables.slips[c, k] * limit[k])

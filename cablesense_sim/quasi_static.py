@@ -22,11 +22,10 @@ from cablesense_base import Array
 from cablesense_sim import kinematics, rest_pose
 from cablesense_sim.effects.effect import ArmRest, CablePull
 from cablesense_sim.effects.registry import Variants, transmissions
-from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.equilibrium import RESIDUAL_LIMIT_N_M, EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism, stack
 from cablesense_sim.rest_search import escape_step
 
-_ENOUGH_N_M = 1e-6
 _TOLERATED_N_M = 1e-4
 _MOST_STEPS = 80
 _SHORTEST = 1e-3
@@ -35,14 +34,12 @@ _LONGEST_TURN_RAD = 0.05
 _FOLLOWED_FROM_N = 10.0
 _FOLLOWING_STEPS = 2
 _SMALL_STEPS = 5
-_WHOLE_STEPS = 6
 
 
 class _TrialPose(NamedTuple):
     angles_rad: Array
     shape: rest_pose.Pose
     tensions_n: Array
-    tensions_by_run_n_m: Array
     balance: rest_pose.Balance
 
 
@@ -81,13 +78,6 @@ class QuasiStaticArm:
     def joint_angles_rad(self) -> Array:
         """(P, 2N) where the arms rest; straight before the first step."""
         return self._angles_rad.copy()
-
-    @property
-    def residual_n_m(self) -> Array:
-        """(P,) largest joint torque left unbalanced at the last rest; zero before the first."""
-        if self._last is None:
-            return np.zeros(len(self._each))
-        return np.asarray(np.abs(self._last[2].balance.torque_n_m).max(-1))
 
     def step(
         self, time_s: float, held_m: Array, forces_n: Array, contact_m: Array | None = None
@@ -148,9 +138,8 @@ class QuasiStaticArm:
             last_rest_m, last_arms, pose = self._last
             if np.array_equal(rest_m, last_rest_m) and np.array_equal(arms, last_arms):
                 return pose
-        start = self._ahead(self._followed(rest_m), rest_m, arms)
         try:
-            pose = self._search(start, rest_m, arms)
+            pose = self._search(self._followed(rest_m), rest_m, arms)
         except EquilibriumError:
             pose = self._in_small_steps(rest_m, arms)
         self._last = rest_m, arms, pose
@@ -177,31 +166,6 @@ class QuasiStaticArm:
             missing = (wanted - shape.span_m.sum(-1))[..., None]
             angles = angles + np.linalg.solve(pull @ jacobian, pull @ missing)[..., 0]
         return np.asarray(angles)
-
-    def _ahead(self, start: Array, rest_m: Array, arms: Array) -> Array:
-        """A first Newton step, with the slopes of the last rest instead of those at a new pose."""
-        if self._last is None or start is not self._angles_rad:
-            return start
-        last_m, last_arms, pose = self._last
-        loads = rest_pose.load_torques_n_m(pose.shape, arms - last_arms)
-        turn = self._balancing_turn_rad(pose, pose.balance.uncabled_n_m - loads)
-        if turn is None:
-            along = pose.tensions_by_run_n_m * (last_m - rest_m)[..., None]
-            torque = rest_pose.cable_torques_n_m(pose.shape, along) - loads
-            turn = _step_rad(torque, pose.balance.slope_n_m)
-        return pose.angles_rad + turn
-
-    def _balancing_turn_rad(self, pose: _TrialPose, uncabled_n_m: Array) -> Array | None:
-        """The turn from a pose to rest as transmissions tell it, (P, 2N), if they do."""
-        shape = pose.shape
-        for transmission in self._transmissions:
-            slope = pose.balance.held_slope_n_m
-            turn = transmission.balancing_turn_rad(
-                shape.span_m, shape.bend_rad, shape.by_turn_m, uncabled_n_m, slope
-            )
-            if turn is not None:
-                return _shortened(np.where(np.isfinite(turn), turn, 0.0))
-        return None
 
     def _in_small_steps(self, rest_m: Array, arms: Array) -> _TrialPose:
         """The same rest by way of others, which change no state."""
@@ -237,28 +201,12 @@ class QuasiStaticArm:
 
     def _search(self, start: Array, rest_m: Array, arms: Array) -> _TrialPose:
         pose = self._pose(start, rest_m, arms)
-        for _ in range(_WHOLE_STEPS):
-            torque = pose.balance.torque_n_m
-            if np.abs(torque).max() <= _ENOUGH_N_M:
-                return pose
-            turn = self._balancing_turn_rad(pose, pose.balance.uncabled_n_m)
-            if turn is None:
-                break
-            ahead = self._pose(pose.angles_rad + turn, rest_m, arms)
-            better = np.abs(ahead.balance.torque_n_m).max(-1) < np.abs(torque).max(-1)
-            if not better.any():
-                break
-            if better.all():
-                pose = ahead
-            else:
-                angles = np.where(better[:, None], ahead.angles_rad, pose.angles_rad)
-                pose = self._pose(angles, rest_m, arms)
         count = len(start)
         step, driven = np.zeros_like(start), np.zeros(count)
         fraction, near, far = np.ones(count), np.zeros(count), np.full(count, np.inf)
         for _ in range(_MOST_STEPS):
             torque = pose.balance.torque_n_m
-            if np.abs(torque).max() <= _ENOUGH_N_M:
+            if np.abs(torque).max() <= RESIDUAL_LIMIT_N_M:
                 return pose
             # Over a kink, where cables go slack or slip, whole steps can go to and fro for ever: a
             # step is cut while the torques at its end drive the arm back as hard as it was driven,
@@ -310,12 +258,12 @@ class QuasiStaticArm:
             if own is not None:
                 resisted, stiffer = resisted + own[0], stiffer + own[1]
         # copies, so that the compiled code is of one kind of array
-        along, by_length = pull.tensions_n[..., 1:].copy(), pull.by_length_n_m[..., 1:, :]
-        by_span = by_length[..., 1:].copy()
+        along = pull.tensions_n[..., 1:].copy()
+        by_span = pull.by_length_n_m[..., 1:, 1:].copy()
         balance = rest_pose.balanced(shape, along, by_span, arms, resisted, stiffer)
         balance.torque_n_m[self._lost] = 0.0
         balance.slope_n_m[self._lost] = np.eye(angles.shape[-1])
-        return _TrialPose(angles, shape, pull.tensions_n[..., 0], by_length[..., 0], balance)
+        return _TrialPose(angles, shape, pull.tensions_n[..., 0], balance)
 
     def _pull(self, spans_m: Array, bends_rad: Array, rest_m: Array) -> CablePull:
         for transmission in self._transmissions:
@@ -337,9 +285,5 @@ def _step_rad(torque_n_m: Array, slope_n_m: Array) -> Array:
     for arm in np.flatnonzero((torque_n_m * step).sum(-1) > 0.0):
         symmetric = 0.5 * (slope_n_m[arm] + slope_n_m[arm].T)
         step[arm] = escape_step(symmetric, torque_n_m[arm])
-    return _shortened(np.asarray(step))
-
-
-def _shortened(step: Array) -> Array:
     longest = np.abs(step).max(-1, keepdims=True)
     return np.asarray(step * np.minimum(1.0, _LONGEST_TURN_RAD / np.maximum(longest, 1e-300)))

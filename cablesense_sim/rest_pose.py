@@ -22,13 +22,11 @@ class Plates(NamedTuple):
 
     Attributes:
         offset_m: of the plates before and after each joint centre.
-        reach_m: (N,) of each segment.
         holes_m: (P, M, N, 4) y and z before a joint, and behind it.
         passes: (M, N) 1 where a cable passes a joint.
     """
 
     offset_m: float
-    reach_m: Array
     holes_m: Array
     passes: Array
 
@@ -59,14 +57,10 @@ class Balance(NamedTuple):
     Attributes:
         torque_n_m: (P, 2N) left unbalanced.
         slope_n_m: (P, 2N, 2N) its derivative by the joint angles.
-        uncabled_n_m: (P, 2N) of all but the cables.
-        held_slope_n_m: (P, 2N, 2N) the slope if cables kept their tensions.
     """
 
     torque_n_m: Array
     slope_n_m: Array
-    uncabled_n_m: Array
-    held_slope_n_m: Array
 
 
 def plates_of(mechanism: Mechanism, count: int) -> Plates:
@@ -74,8 +68,7 @@ def plates_of(mechanism: Mechanism, count: int) -> Plates:
     passes = mechanism.passes_joint.astype(float)
     before, after = mechanism.plate_holes_m
     holes = [np.broadcast_to(each, (count, *passes.shape)) for each in (*before, *after)]
-    reach = np.asarray(mechanism.segment_length_m, float)
-    return Plates(mechanism.plate_offset_m, reach, np.stack(holes, axis=-1), passes)
+    return Plates(mechanism.plate_offset_m, np.stack(holes, axis=-1), passes)
 
 
 @compiled
@@ -154,15 +147,6 @@ def turn_axes(cos: Array, sin: Array, axis: Array, joint_axis: Array) -> None:
 
 
 @compiled
-def load_torques_n_m(pose: Pose, arms_n_m: Array) -> Array:
-    """Joint torques (P, 2N) of generalised forces (P, N, 3) on the segments' axis vectors."""
-    torque = np.zeros(pose.joint_axis.shape[:2])
-    for p in range(len(torque)):
-        take_load_torque(pose.axis[p], pose.joint_axis[p], arms_n_m[p], torque[p])
-    return -torque
-
-
-@compiled
 def take_load_torque(axis: Array, joint_axis: Array, arms_n_m: Array, torque_n_m: Array) -> None:
     """Takes the joint torques of loads (N, 3) off those (2N,)."""
     x = y = z = 0.0
@@ -171,18 +155,6 @@ def take_load_torque(axis: Array, joint_axis: Array, arms_n_m: Array, torque_n_m
         x, y, z = x + b * h - c * g, y + c * f - a * h, z + a * g - b * f
         for k in (2 * n, 2 * n + 1):
             torque_n_m[k] -= joint_axis[k, 0] * x + joint_axis[k, 1] * y + joint_axis[k, 2] * z
-
-
-@compiled
-def cable_torques_n_m(pose: Pose, along_n: Array) -> Array:
-    """Joint torques (P, 2N) of tensions (P, M, N) in the spans."""
-    arms, cables, joints = along_n.shape
-    torque = np.zeros((arms, 2 * joints))
-    for p in range(arms):
-        for m in range(cables):
-            for k in range(2 * joints):
-                torque[p, k] += along_n[p, m, k // 2] * pose.by_turn_m[p, m, k // 2, k % 2]
-    return torque
 
 
 @compiled
@@ -200,30 +172,28 @@ def balanced(
     (P, 2N) has a slope by each joint's own angle.
     """
     arms, cables, joints = along_n.shape
-    uncabled = resisted_n_m - load_torques_n_m(pose, arms_n_m)
-    torque = uncabled + cable_torques_n_m(pose, along_n)
-    held_slope = np.zeros((arms, 2 * joints, 2 * joints))
-    slope = np.empty_like(held_slope)
+    torque = resisted_n_m.copy()
+    slope = np.zeros((arms, 2 * joints, 2 * joints))
     for p in range(arms):
-        held = held_slope[p]
+        take_load_torque(pose.axis[p], pose.joint_axis[p], arms_n_m[p], torque[p])
+        own = slope[p]
         for k in range(2 * joints):
-            held[k, k] = resisted_slope_n_m[p, k]
+            own[k, k] = resisted_slope_n_m[p, k]
         for m in range(cables):
             for n in range(joints):
                 pitch, both, yaw = along_n[p, m, n] * pose.by_turns_m[p, m, n]
-                held[2 * n, 2 * n] += pitch
-                held[2 * n, 2 * n + 1] += both
-                held[2 * n + 1, 2 * n] += both
-                held[2 * n + 1, 2 * n + 1] += yaw
-        take_load_slope(pose.axis[p], pose.joint_axis[p], arms_n_m[p], held)
-        slope[p] = held
-        for m in range(cables):
+                own[2 * n, 2 * n] += pitch
+                own[2 * n, 2 * n + 1] += both
+                own[2 * n + 1, 2 * n] += both
+                own[2 * n + 1, 2 * n + 1] += yaw
             for i in range(2 * joints):
                 lever = pose.by_turn_m[p, m, i // 2, i % 2]
+                torque[p, i] += along_n[p, m, i // 2] * lever
                 for j in range(2 * joints):
                     stiffness = by_span_n_m[p, m, i // 2, j // 2]
-                    slope[p, i, j] += lever * stiffness * pose.by_turn_m[p, m, j // 2, j % 2]
-    return Balance(torque, slope, uncabled, held_slope)
+                    own[i, j] += lever * stiffness * pose.by_turn_m[p, m, j // 2, j % 2]
+        take_load_slope(pose.axis[p], pose.joint_axis[p], arms_n_m[p], own)
+    return Balance(torque, slope)
 
 
 @compiled

@@ -268,25 +268,6 @@ class Transmission:
         """Tensions (P, M, 1 + N) at the actuator and in each span, if not all alike."""
         return None
 
-    def balancing_turn_rad(
-        self,
-        spans_m: Array,
-        bends_rad: Array,
-        by_turn_m: Array,
-        torque_n_m: Array,
-        slope_n_m: Array,
-    ) -> Array | None:
-        """The turn (P, 2N) from a pose to the rest, if a transmission with `pull` can tell.
-
-        Args:
-            spans_m: (P, M, N) there.
-            bends_rad: (P, M, N, 2).
-            by_turn_m: (P, M, N, 2) derivative of the spans, each by the angles of its joint.
-            torque_n_m: (P, 2N) of all but the cables.
-            slope_n_m: (P, 2N, 2N) its derivative, with what cables add that keep their tensions.
-        """
-        return None
-
     def joint_torque_n_m(self, angles_rad: Array) -> tuple[Array, Array] | None:
         """Torques (P, 2N) that resist, and their derivative by each joint's own angle."""
         return None

@@ -106,17 +106,6 @@ class _Guides(Transmission):
     def pull(self, spans_m: Array, bends_rad: Array) -> CablePull:
         return self._chains.pull(self._lengths_m(spans_m), self._limit(bends_rad))
 
-    def balancing_turn_rad(
-        self,
-        spans_m: Array,
-        bends_rad: Array,
-        by_turn_m: Array,
-        torque_n_m: Array,
-        slope_n_m: Array,
-    ) -> Array | None:
-        lengths, limit = self._lengths_m(spans_m), self._limit(bends_rad)
-        return self._chains.balancing_turn_rad(lengths, limit, by_turn_m, torque_n_m, slope_n_m)
-
     def settle(self, rest: ArmRest) -> None:
         self._chains.settle(self._lengths_m(rest.spans_m), self._limit(rest.bends_rad))
 

@@ -143,33 +143,3 @@ def test_bristles_near_their_limit_as_dahl_has_it(rounding: float, start: float)
     for _ in range(round(passed / step)):
         u = max(u - step * u**rounding / give, 0.0)
     assert np.log(near / far) == pytest.approx(PHI * (1.0 - u), abs=1e-3 * PHI)
-
-
-@pytest.mark.parametrize("give", [0.0, 1e-4])
-def test_the_balancing_turn_balances_whatever_slips(give: float) -> None:
-    """Joints on springs that taut cables turn by fixed radii, pushed and let go by steps."""
-    rng = np.random.default_rng(5)
-    arms, cables, joints = 20, 6, 2
-    compliance = 10.0 ** rng.uniform(-6.5, -5.0, (arms, cables, 1 + joints))
-    limit = rng.uniform(0.0, 0.4, (arms, cables, joints))
-    sticks = np.where(np.arange(joints) == 0, 0.0, give)  # some do rigidly
-    lengths = 100.0 * compliance
-    chain = CableChains(compliance, lengths, limit, np.zeros_like(limit), sticks)
-    by_turn = rng.normal(0.0, 0.05, (arms, cables, joints, 2))
-    spring = np.broadcast_to(20.0 * np.eye(2 * joints), (arms, 4, 4))
-    balanced = []
-    most = rng.normal(0.0, 1.0, (arms, 2 * joints))
-    last = np.zeros_like(most)
-    for share in np.concatenate([np.linspace(0.1, 1.0, 10), np.linspace(0.9, 0.0, 10)]):
-        load = share * most
-        others = load + 20.0 * last
-        turn = chain.balancing_turn_rad(lengths, limit, by_turn, others, spring)
-        assert turn is not None
-        last = last + turn
-        own = turn.reshape(arms, 1, joints, 2)
-        lengths[..., 1:] += (by_turn * own).sum(-1)
-        along = chain.pull(lengths, limit).tensions_n[..., 1:, None]
-        left = load + 20.0 * last + (by_turn * along).sum(1).reshape(arms, -1)
-        chain.settle(lengths, limit)
-        balanced.append(np.abs(left).max(-1) < 1e-9)
-    assert np.mean(balanced) >= 0.97
