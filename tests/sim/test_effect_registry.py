@@ -54,23 +54,6 @@ def test_an_effect_says_what_it_is(effect: Effect) -> None:
             assert parameter.default == 0.0
 
 
-@pytest.mark.parametrize("effect", effects(), ids=lambda e: e.name)
-def test_where_an_effect_acts_is_where_it_says(effect: Effect) -> None:
-    place = effect.places(4, 12)[0]
-    values = {p.name: np.array([p.default]) for p in effect.parameters}
-    acting = {
-        "load": effect.loading(place, values),
-        "actuator": effect.actuation(place, values),
-        "transmission": effect.transmission(place, values),
-        "sensor": effect.sensing(place, values),
-    }
-    if effect.tolerance:
-        return
-    assert [where for where, what in acting.items() if what is not None] == (
-        [] if effect.acts_on == "arm" else [effect.acts_on]
-    )
-
-
 GAIN = {"effect": "sensor_gain", "at": "cable_3", "parameters": {"gain": 0.04}}
 CREEP = {"effect": "cable_creep", "parameters": {"share": 0.2}}
 

@@ -1,12 +1,8 @@
-"""Effects on the arm, its actuators and sensors: closed forms, and nothing at size zero."""
-
-from dataclasses import fields
+"""Effects on the arm, its actuators and sensors: closed forms."""
 
 import numpy as np
 import pytest
 from effect_arms import ARM, MECHANISM, STRAIGHT, bent, course, entry, push, readings
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from joint_torques import load_torques_n_m
 
 from cablesense_sim import kinematics
@@ -32,30 +28,6 @@ def unbalanced_n_m(mechanism: Mechanism, rest, forces: np.ndarray) -> np.ndarray
     forces = np.broadcast_to(forces, (len(POSES), 4, 3))
     torque = load_torques_n_m(mechanism, rest.joint_angles_rad, forces)
     return np.einsum("bmj,bm->bj", jacobian, rest.tensions_n) - torque
-
-
-ON_ARMS = [
-    entry("payload", "segment_2"),
-    entry("base_tilt"),
-    entry("cable_stiffness", "segment_3"),
-    entry("contact_offset", "segment_3"),
-    entry("joint_elasticity", "joint_2"),
-    entry("pretension_error", "cable_5"),
-    entry("routing_geometry", "segment_2"),
-    entry("cable_tolerance", "cable_5"),
-    entry("segment_tolerance", "segment_3"),
-]
-
-
-@pytest.mark.parametrize("nothing", ON_ARMS, ids=lambda e: e.effect.name)
-def test_size_zero_leaves_the_arm_as_it_is(nothing: EffectEntry) -> None:
-    same = amended(MECHANISM, [nothing])
-    for field in fields(Mechanism):
-        before, after = getattr(MECHANISM, field.name), getattr(same, field.name)
-        if before is None:
-            assert after is None
-        else:
-            np.testing.assert_allclose(after, before, rtol=1e-14, atol=1e-16, err_msg=field.name)
 
 
 def test_a_payload_is_its_weight_at_its_place() -> None:
@@ -204,39 +176,6 @@ def test_a_lag_follows_a_step_as_one_lag_or_two_in_a_row(share: float) -> None:
     for p, tau in enumerate(taus):
         np.testing.assert_allclose(read[p, :, 2], 10.0 * share_through(tau, share), atol=1e-3)
         np.testing.assert_array_equal(read[p][:, ~THIRD], STEP_N[:, ~THIRD])
-
-
-@given(st.floats(0.01, 20.0), st.floats(0.0, 1.0), st.integers(2, 30), st.integers(0, 1000))
-@settings(max_examples=10, deadline=None)
-def test_a_lag_does_not_care_how_often_it_is_asked(
-    tau: float, share: float, parts: int, seed: int
-) -> None:
-    """While the tension holds, many short steps and one long one are the same."""
-    rng = np.random.default_rng(seed)
-    moments = np.concatenate([[0.0], np.sort(rng.uniform(0.0, 5.0, parts)), [5.0]])
-    tensions = np.full((len(moments), 12), 7.0)
-    tensions[0] = 3.0
-    late = [entry("sensor_lag", time_constant_s=tau, second_share=share)]
-    often = sensed(late, tensions, moments)[0, -1]
-    once = sensed(late, tensions[[0, -1]], moments[[0, -1]])[0, -1]
-    np.testing.assert_allclose(often, once, rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    "nothing",
-    [
-        entry("sensor_gain", "cable_3"),
-        entry("sensor_offset", "cable_3"),
-        entry("sensor_drift", "cable_3"),
-        entry("sensor_lag"),
-        entry("sensor_crosstalk", "cable_7_into_cable_3"),
-        entry("cable_tolerance", "cable_3"),
-    ],
-    ids=lambda e: e.effect.name,
-)
-def test_size_zero_reads_the_truth(nothing: EffectEntry) -> None:
-    tensions, times = some_tensions()
-    np.testing.assert_allclose(sensed([nothing], tensions, times)[0], tensions, atol=1e-12)
 
 
 def held_by(entries: list[EffectEntry], commanded_m: np.ndarray) -> np.ndarray:

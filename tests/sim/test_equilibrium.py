@@ -41,7 +41,7 @@ def test_two_thousand_hard_cases_come_to_rest(hard: Equilibrium) -> None:
 @pytest.mark.slow
 def test_the_arm_never_balances_on_a_saddle() -> None:
     """A joint with a taut cable too few may balance like a pencil; there no arm stays."""
-    cases = random_cases(SOFT, 3000, degrees=8, contacts=1, largest_n=190)
+    cases = random_cases(SOFT, 800, degrees=8, contacts=1, largest_n=190)
     rest = solve_equilibrium(SOFT, *cases)
     stiffness = stiffness_matrix_n_m(SOFT, rest.joint_angles_rad, rest.tensions_n, cases.forces_n)
     assert np.linalg.eigvalsh(stiffness).min() > 0
@@ -177,10 +177,10 @@ def left_over_torques_n_m(mechanism: Mechanism, cases: Cases, rest: Equilibrium)
     return np.array(left)
 
 
-@pytest.mark.slow
-def test_mujoco_finds_nothing_unbalanced(hard: Equilibrium) -> None:
-    assert np.abs(left_over_torques_n_m(STIFF, HARD, hard)).max() < 1e-6
-    cases = random_cases(SOFT, 300, degrees=10, contacts=1, largest_n=120)
+def test_mujoco_finds_nothing_unbalanced() -> None:
+    some = Cases(*(part[:200] for part in HARD))
+    assert np.abs(left_over_torques_n_m(STIFF, some, solve_equilibrium(STIFF, *some))).max() < 1e-6
+    cases = random_cases(SOFT, 100, degrees=10, contacts=1, largest_n=120)
     rest = solve_equilibrium(SOFT, *cases)
     assert np.abs(rest.joint_angles_rad - cases.command_rad).max() > np.deg2rad(3)
     assert np.abs(left_over_torques_n_m(SOFT, cases, rest)).max() < 1e-6

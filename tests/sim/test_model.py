@@ -15,33 +15,6 @@ from cablesense_sim.effects.registry import amended, checked_entry
 from cablesense_sim.model import build_spec, unstretched_length_m, urdf_xml
 
 
-@pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
-def test_straight_the_cables_bear_their_pretension(name: str) -> None:
-    arm = open_arm(name)
-    mechanism = mechanism_of(arm)
-    model = build_spec(mechanism).compile()
-    data = mujoco.MjData(model)
-    if not model.nmocap:
-        data.qpos[:] = 0
-        for i, give in enumerate(mechanism.pretension_n / mechanism.actuator_stiffness_n_m):
-            data.joint(f"screw_{i + 1}").qpos = -give
-    mujoco.mj_forward(model, data)
-    tension = model.tendon_stiffness * (data.ten_length - model.tendon_lengthspring[:, 1])
-    np.testing.assert_allclose(tension, 50.0, rtol=1e-6)
-    np.testing.assert_allclose(
-        unstretched_length_m(mechanism), model.tendon_lengthspring[:, 1], rtol=1e-12
-    )
-
-
-def test_a_slack_cable_does_not_push() -> None:
-    mechanism = mechanism_of(open_arm("cdsm_lab"))
-    model = build_spec(mechanism).compile()
-    data = mujoco.MjData(model)
-    data.mocap_pos[:, 0] += 0.05  # pay out, so that all cables go slack
-    mujoco.mj_forward(model, data)
-    assert not data.qfrc_spring.any()
-
-
 @pytest.mark.parametrize(
     ("name", "place", "values"),
     [

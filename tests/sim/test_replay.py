@@ -40,24 +40,17 @@ def test_without_effects_it_is_the_static_solver() -> None:
 
 
 @pytest.mark.parametrize("name", list(known_effects()))
-def test_every_effect_is_seen_and_none_of_size_zero(name: str) -> None:
+def test_every_effect_is_seen_none_of_size_zero_and_side_by_side_as_alone(name: str) -> None:
     """A lag is seen after a step, a play after a reversal, a drift after a while."""
     effect, seen_n = known_effects()[name], []
     for period_s in (0.2, 3.0) if effect.needs_time else (0.2,):
         replay = course(COMMANDS, LOADS, period_s=period_s)
         ideal = readings(replay)
-        np.testing.assert_allclose(readings(replay, any_entry(effect, 0.0)), ideal, atol=1e-3)
-        seen_n.append(np.abs(readings(replay, any_entry(effect)) - ideal).max())
+        none, whole = replay.readings_n([[any_entry(effect, size)] for size in (0.0, 1.0)])
+        np.testing.assert_allclose(none, ideal, atol=1e-3)
+        np.testing.assert_allclose(whole, readings(replay, any_entry(effect)), atol=1e-3)
+        seen_n.append(np.abs(whole - ideal).max())
     assert max(seen_n) > (0.005 if effect.tolerance else 0.05)
-
-
-@pytest.mark.parametrize("name", list(known_effects()))
-def test_side_by_side_is_as_alone(name: str) -> None:
-    replay = course(COMMANDS, LOADS)
-    variants = [[any_entry(known_effects()[name], size)] for size in (0.5, 1.0)]
-    together = replay.readings_n(variants)
-    for one, alone in zip(together, variants, strict=True):
-        np.testing.assert_allclose(one, readings(replay, *alone), atol=1e-3)
 
 
 FRICTION = {"effect": "capstan_friction", "parameters": {"coefficient": 0.1}}
