@@ -39,11 +39,11 @@ import numpy as np
 from rich.progress import track
 
 from cablesense_base.workers import WorkerPool
-from cablesense_gap.arm_simulator import removed_on
+from cablesense_gap.arm_simulator import counted_rows, settled
 from cablesense_gap.arm_system import diagnose
 from cablesense_gap.recordings.channels import EXCHANGED
 from cablesense_gap.recordings.checks import check_recording, read_recording
-from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_gap.recordings.thinning import rows_to_use
 from cablesense_gap.scoring import Truth as Case
 from cablesense_gap.scoring import read_answers, score
@@ -52,13 +52,14 @@ from cablesense_gap.verdict import (
     UNKNOWN,
     Verdict,
     read_verdict,
+    removed_fraction,
     write_verdict,
 )
 from cablesense_online.exchanged_plugs import exchanged_plugs
 from cablesense_online.tare import UnloadedTensions
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.withhold import ArmAnswer, draw_kinds, draw_several, withhold
-from cablesense_sim.arm import find_arm, open_arm
+from cablesense_sim.arm import Arm, find_arm, open_arm
 from cablesense_sim.replay import replay_arm
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -188,9 +189,27 @@ def _diagnosed(path: Path, until: float, since: str = "") -> tuple[Verdict, floa
         write_verdict(kept, diagnosis.verdict)
         again = read_recording(path.parent / "second" / path.name, arm)
         floor_n = diagnosis.verdict.gap.floor_n
-        removed = removed_on(again, arm, diagnosis.amended, SETTLED_ROWS, floor_n)
+        removed = _removed_on(again, arm, diagnosis.amended, floor_n)
         beside.write_text(json.dumps(removed))
     return read_verdict(kept), json.loads(beside.read_text())
+
+
+def _removed_on(recording: Recording, nominal: Arm, amended: Arm, floor_n: float) -> float:
+    """The share of the removable gap that an amended arm removes on a new recording of it.
+
+    Its state is estimated from the first rows, which do not count.
+    """
+    nominal_n, amended_n = (
+        replay_arm(arm, *recording.inputs)
+        for arm in (nominal, settled(amended, recording, SETTLED_ROWS))
+    )
+    judged = counted_rows(nominal, recording, nominal_n)
+    judged[:SETTLED_ROWS] = False
+    before_n, after_n = (
+        float(np.sqrt(((recording.tensions_n - each)[judged] ** 2).mean()))
+        for each in (nominal_n, amended_n)
+    )
+    return removed_fraction(before_n, after_n, floor_n)
 
 
 def _second(removed: dict[str, float], truth: Sequence[Case]) -> dict[str, object]:

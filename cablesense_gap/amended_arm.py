@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from cablesense_base.files import write_atomically
-from cablesense_gap.diagnosis.gauss_newton import refit
+from cablesense_gap.diagnosis.fitting import refit
 from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.simulator import Term, parameters_of
 from cablesense_gap.verdict import Earlier, FittedNumber

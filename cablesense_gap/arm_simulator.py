@@ -9,15 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_gap.recordings.recording import Recording, RecordingError
+from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Assignment, Candidate
-from cablesense_gap.verdict import removed_fraction
 from cablesense_sim.arm import Arm, ListedEffect
 from cablesense_sim.build import entries_of
 from cablesense_sim.effects.effect import Effect, Parameter, Transmission
 from cablesense_sim.effects.registry import EffectEntry, known_effects, transmissions
 from cablesense_sim.equilibrium import EquilibriumError
-from cablesense_sim.replay import Replay, reading_variance_n2, replay_arm
+from cablesense_sim.replay import Replay, reading_variance_n2
 
 SLACK_SHARE = 0.05
 """A cable with less than this share of its pretension is slack or about to be."""
@@ -158,33 +157,6 @@ def settled(arm: Arm, recording: Recording, rows: int) -> Arm:
         max_nfev=_EVALUATIONS,
     )
     return _with_states(arm, states, found.x * typical)
-
-
-def removed_on(
-    recording: Recording, nominal: Arm, amended: Arm, rows: int, floor_n: float
-) -> float:
-    """The share of the removable gap that an amended arm removes on a new recording of it.
-
-    Its state is estimated from the first `rows`, which do not count.
-
-    Raises:
-        RecordingError: no rows are left to count.
-        EquilibriumError: an arm has no equilibrium.
-    """
-    nominal_n, amended_n = (
-        replay_arm(arm, *recording.inputs) for arm in (nominal, settled(amended, recording, rows))
-    )
-    judged = counted_rows(nominal, recording, nominal_n)
-    judged[:rows] = False
-    if not judged.any():
-        raise RecordingError(
-            f"{recording.name}: no rows are left to judge after the first {rows}; settle on fewer"
-        )
-    before_n, after_n = (
-        float(np.sqrt(((recording.tensions_n - each)[judged] ** 2).mean()))
-        for each in (nominal_n, amended_n)
-    )
-    return removed_fraction(before_n, after_n, floor_n)
 
 
 def _states(arm: Arm) -> list[tuple[int, Parameter]]:

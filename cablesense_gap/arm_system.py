@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_gap.amended_arm import amended_arm, judged_earlier, listed_values, without_effects
 from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, supported_rows
+from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.diagnosis.problem import Explanation, Problem, unit_of
-from cablesense_gap.diagnosis.reference import Conditions
 from cablesense_gap.experiments import next_experiment
-from cablesense_gap.pipeline import FOLDS, System, Unlisted, diagnose_system, problem_of
+from cablesense_gap.pipeline import FOLDS, Reference, System, Unlisted, diagnose_system, problem_of
 from cablesense_gap.recordings.channels import EXCHANGED, unborne_findings
 from cablesense_gap.recordings.checks import check_recording, refuse_unusable
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.recordings.thinning import rows_along_path, rows_to_use
-from cablesense_gap.reference import Reference
 from cablesense_gap.residuals import decompose, regimes
 from cablesense_gap.simulator import Assignment, Simulator, Term
 from cablesense_gap.unlisted import describe_unlisted, in_play, repeat_largest_trial
@@ -110,7 +109,7 @@ class ArmSystem(ArmSimulator, System):
 
     def unlisted(self, problem: Problem, residual: Array) -> Unlisted:
         """Its pattern over cables, loads and time, and a flexible model of it."""
-        return describe_unlisted(problem, residual, self.recording, self.arm)
+        return describe_unlisted(problem, residual, self.recording, self.arm, self.conditions())
 
 
 def with_product(
@@ -162,9 +161,8 @@ class Diagnosis:
     Attributes:
         recording: the R rows that were used (`recordings.thinning`).
         amended: the arm with the effects and tolerances that were found.
-        predicted_before_n: (R, M) by the nominal arm.
-        predicted_after_n: (R, M) by the amended arm.
-        held_out_n: (R, M) by the amended arm, each trial fitted without its fold; NaN where none.
+        predicted_n: (R, M) by the nominal arm.
+        held_out_n: (R, M) by the amended arm, each trial fitted without its fold.
         counted: (R,) rows that count in sizes of the gap (`counted_rows`).
         findings: of the checks of the recording, as sentences.
     """
@@ -173,8 +171,7 @@ class Diagnosis:
     nominal: Arm
     verdict: Verdict
     amended: Arm
-    predicted_before_n: Array
-    predicted_after_n: Array
+    predicted_n: Array
     held_out_n: Array
     counted: NDArray[np.bool_]
     findings: tuple[str, ...] = ()
@@ -182,7 +179,7 @@ class Diagnosis:
     @property
     def before_n(self) -> Array:
         """Residual (R, M) of the nominal arm, measured minus predicted; NaN where none counts."""
-        return self._residual_n(self.predicted_before_n)
+        return self._residual_n(self.predicted_n)
 
     @property
     def after_n(self) -> Array:
@@ -272,8 +269,7 @@ def diagnose(
         nominal=arm,
         verdict=found.verdict.model_copy(update={"earlier": earlier}),
         amended=amended_arm(arm, found.values, found.tolerances),
-        predicted_before_n=found.nominal,
-        predicted_after_n=found.predicted,
+        predicted_n=found.nominal,
         held_out_n=found.held_out,
         counted=system.counted,
         findings=tuple(finding.text for finding in findings),

@@ -168,8 +168,17 @@ def trades(problem: Problem, best: Explanation) -> list[Trade]:
             correlation=float(np.clip(correlation, -1.0, 1.0)),
         )
         step = -1.96 * (best.covariance @ less.slope) / less.deviation
-        found.append(Trade(traded, _stepped(problem, best, step)))
+        elsewhere = {
+            term: from_scaled(problem.parameters[term], own)
+            for term, own in zip(best.values, _scaled(problem, best) + step, strict=True)
+        }
+        found.append(Trade(traded, elsewhere))
     return sorted(found, key=lambda trade: -trade.traded.share_n)
+
+
+def _scaled(problem: Problem, fitted: Explanation) -> Array:
+    """(K,) the fitted numbers in the units of the fit."""
+    return np.array([to_scaled(problem.parameters[t], v) for t, v in fitted.values.items()])
 
 
 class _Part(NamedTuple):
@@ -196,15 +205,6 @@ def _part(problem: Problem, best: Explanation, effects: set[str]) -> _Part:
         by_number = (best.columns[:, problem.used] * change).mean(axis=(1, 2)) / size
         slope = np.where([term.effect in effects for term in best.values], by_number, 0.0)
     return _Part(size, max(float(slope @ best.covariance @ slope), 0.0) ** 0.5, slope)
-
-
-def _stepped(problem: Problem, best: Explanation, step: Array) -> dict[Term, float]:
-    """The fitted numbers after a step (K,) of the scaled ones."""
-    known = parameters_of(problem.simulator.candidates)
-    return {
-        term: from_scaled(known[term], to_scaled(known[term], value) + float(own))
-        for (term, value), own in zip(best.values.items(), step, strict=True)
-    }
 
 
 def _alternatives(ranked: Sequence[Ranked], effect: str) -> tuple[str, ...]:

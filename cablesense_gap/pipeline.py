@@ -11,12 +11,20 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError
+from cablesense_gap.diagnosis.discrepancy import (
+    Conditions,
+    Discrepancy,
+    Key,
+    SmoothColumns,
+    effect_columns,
+)
+from cablesense_gap.diagnosis.fitting import refine
 from cablesense_gap.diagnosis.probability import (
     ambiguity,
     bundled_calibration,
@@ -25,7 +33,6 @@ from cablesense_gap.diagnosis.probability import (
     rivals_of,
 )
 from cablesense_gap.diagnosis.problem import Explanation, Problem, prepare, sketched
-from cablesense_gap.diagnosis.reference import Conditions
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.explained import (
     candidate_results,
@@ -179,15 +186,14 @@ class Outcome:
         values: of the named effects in the places that matter.
         tolerances: as fitted.
         nominal: (R, C) predicted by the nominal machine.
-        predicted: (R, C) by the amended machine, or with the flexible correction.
-        held_out: (R, C) the same, each trial without its fold.
+        held_out: (R, C) by the amended machine, or with the flexible correction, each trial
+            without its fold.
     """
 
     verdict: Verdict
     values: dict[Term, float]
     tolerances: Mapping[Term, float]
     nominal: Array
-    predicted: Array
     held_out: Array
 
 
@@ -210,18 +216,61 @@ class Expected:
         return predicted / self.weight + self.mean
 
 
-class Healthy(Protocol):
-    """A machine as a recording shows it when healthy: `cablesense_gap.reference`.
+def problem_of(system: System) -> Problem:
+    """The recording as the search works on it."""
+    problem = prepare(system, system.readings, system.trial, system.fold, system.counted)
+    sketch = system.sketch()
+    return problem if sketch is None else sketched(problem, *sketch)
+
+
+class Reference:
+    """A machine as a recording shows it when healthy.
 
     Attributes:
+        tolerances: of the machine.
         left: the gap of the nominal machine there, for the verdict.
     """
 
-    left: ReferenceGap
+    def __init__(self, system: System) -> None:
+        """`system` is the nominal machine with the reference."""
+        problem = problem_of(system)
+        none = refine(problem, {}, [[]])
+        assert none is not None
+        used, nominal = problem.used, problem.readings - problem.nominal
+        self.tolerances = dict(none.tolerances)
+        system = system.with_listed(self.tolerances)
+        problem = replace(problem, simulator=system, nominal=system.predict([{}])[0])
+        conditions = system.conditions()
+        self._smooth = None if conditions is None else SmoothColumns.like(conditions)
+        columns = {name: column[used] for name, column in self._columns(system, problem).items()}
+        residual, trial = (problem.readings - problem.nominal)[used], problem.trial[used]
+        found = Discrepancy(columns, residual * system.scale, problem.fold[trial])
+        self._discrepancy = found
+        before, left = nominal[used], residual - found.held_out / system.scale
+        self.left = ReferenceGap(
+            recording=system.recording_name,
+            before_n=float(np.sqrt((before**2).mean())),
+            left_n=float(np.sqrt((left**2).mean())),
+            channels=system.channels(before, left),
+        )
 
     def expected(self, system: System, problem: Problem) -> Expected:
-        """In another recording; `system` has the tolerances of the healthy machine."""
-        ...
+        """In another recording, in its units; `system` has the reference's tolerances."""
+        beyond, conditions = np.zeros_like(system.readings), system.conditions()
+        if self._smooth is not None and conditions is not None:
+            beyond = np.abs(system.compared_columns(self._smooth.beyond(conditions)))
+        mean, deviation = self._discrepancy.of(self._columns(system, problem), beyond)
+        deviation = np.maximum(deviation / system.scale, system.floor)
+        floor = float(np.sqrt((deviation[system.counted] ** 2).mean()))
+        return Expected(mean / system.scale, floor / deviation, floor)
+
+    def _columns(self, system: System, problem: Problem) -> dict[Key, Array]:
+        columns = {name: own * system.scale for name, own in effect_columns(problem).items()}
+        conditions = system.conditions()
+        if self._smooth is not None and conditions is not None:
+            smooth = self._smooth.of(conditions)
+            columns |= {name: system.compared_columns(own) for name, own in smooth.items()}
+        return columns
 
 
 class _Weighted:
@@ -234,13 +283,6 @@ class _Weighted:
     def predict(self, variants: Sequence[Assignment]) -> Array:
         """As of the simulator, times the weight (R, C)."""
         return self._simulator.predict(variants) * self._weight
-
-
-def problem_of(system: System) -> Problem:
-    """The recording as the search works on it."""
-    problem = prepare(system, system.readings, system.trial, system.fold, system.counted)
-    sketch = system.sketch()
-    return problem if sketch is None else sketched(problem, *sketch)
 
 
 def _since(problem: Problem, expected: Expected) -> Problem:
@@ -264,7 +306,7 @@ def diagnose_system(
     progress: Callable[[str, float], None] = lambda *_: None,
     workers: int = 1,
     began_s: float | None = None,
-    reference: Healthy | None = None,
+    reference: Reference | None = None,
 ) -> Outcome:
     """Find what makes the recorded machine differ from the nominal one.
 
@@ -290,7 +332,7 @@ def diagnose_system(
     traded = trades(problem, best) if best else []
     rest = remainder(problem, explained)
     group, reasons = ambiguity(problem, ranked, system.unit)
-    predicted, held_out, experiment = explained.prediction, explained.held_out, ""
+    held_out, experiment = explained.held_out, ""
     if best:
         rivals = [r.explanation.values for r in rivals_of(ranked) if r.explanation is not None]
         if traded and not rivals:
@@ -311,11 +353,9 @@ def diagnose_system(
         )
         reasons = (left, *described.reasons)
         experiment = described.experiment
-        predicted = held_out = none.held_out + described.correction
+        held_out = none.held_out + described.correction
     before, after = ((problem.readings - each)[used] for each in (problem.nominal, held_out))
-    nominal, predicted, held_out = (
-        usual.read(each) for each in (problem.nominal, predicted, held_out)
-    )
+    nominal, held_out = (usual.read(each) for each in (problem.nominal, held_out))
     measured = [(system.readings - each)[used] for each in (nominal, held_out)]
     alone = problem.readings - best.held_out_effects if best and best.effects else None
     gap = gap_size(
@@ -357,4 +397,4 @@ def diagnose_system(
         compared=system.compared,
     )
     progress("done", 1.0)
-    return Outcome(verdict, values, explained.tolerances, nominal, predicted, held_out)
+    return Outcome(verdict, values, explained.tolerances, nominal, held_out)

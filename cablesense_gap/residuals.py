@@ -35,7 +35,6 @@ _REGIME_TEXT = {
     "time": "{} in the recording",
 }
 """The text of a regime, by its group."""
-REGIMES = tuple(_REGIME_TEXT)
 
 BENT_RAD = float(np.deg2rad(1.5))
 """A joint bent by less counts as straight: the small reversals of the protocol stay below."""

@@ -1,8 +1,9 @@
 """A gap that no listed effect explains: its pattern, and what to record to narrow it down.
 
-A flexible model (`diagnosis.discrepancy`) is fitted to the residual after tolerances, on features
-of commands, loads and time. The pattern is a list of sentences for a person who looks for the
-cause at the arm: the cables, what the residual depends on, its period, its steps and jumps.
+A flexible model without physics (`diagnosis.discrepancy`) is fitted to the residual after
+tolerances, on features of commands, loads and time. The pattern is a list of sentences for a
+person who looks for the cause at the arm: the cables, what the residual depends on, its period,
+its steps and jumps.
 """
 
 from __future__ import annotations
@@ -13,7 +14,12 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.diagnosis.discrepancy import Discrepancy, Features, discrepancy
+from cablesense_gap.diagnosis.discrepancy import (
+    Conditions,
+    Features,
+    FlexibleModel,
+    flexible_model,
+)
 from cablesense_gap.diagnosis.problem import Problem
 from cablesense_gap.pipeline import Unlisted
 from cablesense_gap.recordings.protocol import DIRECTIONS
@@ -51,20 +57,30 @@ _GROUPS = {
 
 
 def describe_unlisted(
-    problem: Problem, residual: Array, recording: Recording, arm: Arm
+    problem: Problem, residual: Array, recording: Recording, arm: Arm, conditions: Conditions
 ) -> Unlisted:
     """The pattern of a held-out residual (R, M), and the experiment to repeat."""
+    used, floor_n = problem.used, problem.floor
     features = residual_features(recording, problem.nominal, arm)
-    found = discrepancy(
-        features, residual, problem.trial, problem.fold, problem.used, problem.floor
+    rows, left = recording.rows(used), residual[used]
+    found = flexible_model(
+        {
+            group: {name: own[used] for name, own in each.items()}
+            for group, each in features.items()
+        },
+        Conditions(*(own[used] for own in conditions)),
+        left,
+        problem.fold[problem.trial[used]],
+        floor_n,
     )
-    rows, left = recording.rows(problem.used), residual[problem.used]
     reasons = (
         "A flexible model of commands, loads, directions and time, without physics, explains "
         f"{max(found.explained_share, 0.0):.0%} of the residual on held-out trials.",
-        *residual_patterns(rows, left, found, arm, problem.floor),
+        *residual_patterns(rows, left, found, arm, floor_n),
     )
-    return Unlisted(reasons, repeat_largest_trial(rows, left, problem.floor), found.held_out)
+    correction = np.zeros_like(residual)
+    correction[used] = found.held_out
+    return Unlisted(reasons, repeat_largest_trial(rows, left, floor_n), correction)
 
 
 def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Features:
@@ -81,39 +97,34 @@ def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Featu
     step_m[np.diff(trial, prepend=trial[0]) != 0] = 0.0
     forces_n, segments = recording.forces_n, range(1, arm.segment_count + 1)
     loads_n = forces_n.reshape(len(recording), -1)
-    size_n = np.linalg.norm(forces_n, axis=-1).sum(-1)
     load_names = [f"load on segment_{n} along {axis}" for n in segments for axis in "xyz"]
+    load = dict(zip(load_names, loads_n.T, strict=True))
+    load["size of the load"] = np.linalg.norm(forces_n, axis=-1).sum(-1)
     places_m = recording.inputs[3]
     if places_m is not None:
         beyond_m = np.nan_to_num(places_m - mechanism_of(arm).contact_m, nan=0.0)
         moments = (beyond_m[..., None] * forces_n).reshape(len(recording), -1)
-        loads_n = np.concatenate([loads_n, moments], axis=1)
-        load_names += [f"place of the {name}" for name in load_names]
-    state = np.concatenate([recording.command_rad, loads_n], axis=1)
+        load |= {
+            f"place of the {name}": own for name, own in zip(load_names, moments.T, strict=True)
+        }
+    state = np.column_stack([recording.command_rad, *load.values()])
     changed = (np.diff(state, axis=0, prepend=state[:1]) != 0.0).any(axis=1)
     last = np.maximum.accumulate(np.where(changed, np.arange(len(state)), 0))
     recent = np.exp(-(recording.time_s - recording.time_s[last]) / 10.0)
-    cables = arm.cable_names
-    plays = [in_play(nominal_n, share) for share in (0.05, 0.3)]
-    parts = {
-        "pose": (recording.command_rad, [f"{name} commanded" for name in arm.joint_names]),
-        "load": (np.column_stack([loads_n, size_n]), [*load_names, "size of the load"]),
-        "tension": (nominal_n, [f"tension of {name}" for name in cables]),
-        "motion": (
-            np.sign(np.where(np.abs(step_m) > 1e-9, step_m, 0.0)),
-            [f"motion of {name}" for name in cables],
-        ),
-        "history": (np.column_stack(plays), [f"reversals of {name}" for name in cables] * 2),
-        "time": (
-            np.column_stack([recording.time_s, recent]),
-            ["time", "time since the last change"],
-        ),
+
+    def of_cables(text: str, columns: Array) -> dict[str, Array]:
+        return {text.format(c): own for c, own in zip(arm.cable_names, columns.T, strict=True)}
+
+    narrow, wide = (in_play(nominal_n, share) for share in (0.05, 0.3))
+    commands = zip(arm.joint_names, recording.command_rad.T, strict=True)
+    return {
+        "pose": {f"{name} commanded": own for name, own in commands},
+        "load": load,
+        "tension": of_cables("tension of {}", nominal_n),
+        "motion": of_cables("motion of {}", np.sign(np.where(np.abs(step_m) > 1e-9, step_m, 0.0))),
+        "history": of_cables("reversals of {}", narrow) | of_cables("large reversals of {}", wide),
+        "time": {"time": recording.time_s, "time since the last change": recent},
     }
-    return Features(
-        values=np.concatenate([values for values, _ in parts.values()], axis=1),
-        names=tuple(name for _, names in parts.values() for name in names),
-        groups=tuple(group for group, (_, names) in parts.items() for _ in names),
-    )
 
 
 def in_play(signal: Array, share: float) -> Array:
@@ -131,7 +142,7 @@ def in_play(signal: Array, share: float) -> Array:
 
 
 def residual_patterns(
-    recording: Recording, residual_n: Array, found: Discrepancy, arm: Arm, floor_n: float
+    recording: Recording, residual_n: Array, found: FlexibleModel, arm: Arm, floor_n: float
 ) -> tuple[str, ...]:
     """The pattern of a residual (R, M) in sentences; none if the residual is near the floor.
 
@@ -191,7 +202,7 @@ def _modes(residual_n: Array, arm: Arm) -> Iterator[str]:
         )
 
 
-def _dependence(found: Discrepancy) -> Iterator[str]:
+def _dependence(found: FlexibleModel) -> Iterator[str]:
     group, share = max(found.alone.items(), key=lambda item: item[1], default=("", 0.0))
     if share >= 0.3:
         yield (

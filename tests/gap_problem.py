@@ -9,7 +9,7 @@ from itertools import groupby
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.diagnosis.gauss_newton import refine
+from cablesense_gap.diagnosis.fitting import refine
 from cablesense_gap.diagnosis.problem import Explanation, Problem, prepare
 from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.effects.effect import Parameter

@@ -1,112 +1,181 @@
-"""A flexible model of the residual: how much of it repeats, whatever its cause.
+"""What a model leaves of a recording: a regression without physics, judged on held-out folds.
 
-Kernel ridge regression on features of the arm's motion and load, judged on held-out folds. It
-knows no physics and names no cause. The kernel is a sum: for each group of features a linear term
-and bumps of two widths, and for each two groups a bump in both. Additive models learn from fewer
-trials than one bump in all features (Duvenaud, Nickisch and Rasmussen, Additive Gaussian
-processes, NIPS 2011). Far from all trials, bumps predict nothing.
+No model is exact. Each channel's residual has a Bayesian linear regression on columns in groups.
+Each group has its own prior variance, which is that of the largest evidence (MacKay, Bayesian
+interpolation, 1992). For a healthy machine, against which another recording is diagnosed, the
+columns are
 
-scikit-learn's KernelRidge solves again for each ridge. Here one eigendecomposition serves all
-ridges, and each channel has its own, chosen on the other folds.
+- the changes that the candidates would make, linear about the nominal machine, and
+- waves in the channel's own position, alone and times functions of its speed; and functions of
+  its load.
+
+The posterior predicts the mean residual of another recording, which is no gap, and its variance,
+which replaces the floor. The residuals of held-out trials may make the variance larger.
 """
 
 from __future__ import annotations
 
+from collections import ChainMap, Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_gap.diagnosis.problem import Problem, unit_of
+from cablesense_gap.diagnosis.selection import linear_effects
+from cablesense_gap.simulator import Term
 
-_RIDGES = np.logspace(-3.0, 2.0, 6)
-"""They range from hardly any smoothing to hardly any fit, for standardised features."""
+_WAVES, _SLIDING_WAVES = 40, 8
+"""Half waves over the range of positions, alone and times functions of the speed."""
+_SLOW = (0.05, 0.3, 1.0)
+"""Shares of the usual speed at which functions of the speed saturate: friction's direction, its
+rise at rest, and damping."""
+_MARGIN = 0.1
+"""Share of the range beyond it where waves end, and nothing is known any more."""
+_CORRELATED = 4.0
+"""Rows in turn that count as one."""
+_ITERATIONS = 30
+_LEAST = 1e-9
 
-Indices = NDArray[np.int64]
-Rows = NDArray[np.bool_]
+Key = tuple[str, ...]
+"""The name of a column, the first part that of its group."""
 
 
-def kernel(groups: Sequence[Array]) -> Array:
-    """(R, R) from groups of standardised features, each (R, F).
+class Conditions(NamedTuple):
+    """Position, speed and load (R, C) at which each channel is measured, all in SI units."""
 
-    Widths are in standard deviations. Bumps in two groups weigh less: they are rarely needed.
+    position: Array
+    speed: Array
+    load: Array
+
+
+def effect_columns(problem: Problem) -> dict[Key, Array]:
+    """Columns (R, C) of all candidates that do not depend on history, for values of one.
+
+    The last part of a name counts the shapes from which a candidate starts.
     """
-    count = len(groups[0])
-    total = np.ones((count, count))
-    for x in groups:
-        apart = _squared_distance(x) / x.shape[1]
-        total += x @ x.T / x.shape[1]
-        total += sum(np.exp(-apart / (2.0 * width**2)) for width in (0.5, 1.5))
-    for one, other in combinations(groups, 2):
-        apart = (_squared_distance(one) + _squared_distance(other)) / (
-            one.shape[1] + other.shape[1]
-        )
-        total += 0.3 * np.exp(-apart / 2.0)
-    return total
-
-
-def held_out(kernel_: Array, y: Array, fold: Indices, used: Rows) -> Array:
-    """(R, C) each fold 0 … F - 1 predicted by a fit to the used rows (R,) of the others.
-
-    Each channel has the ridge that predicts best among these other folds, and the prediction zero
-    if no ridge is better than that.
-    """
-    count = int(fold.max()) + 1
-    left = _left_by_two(kernel_, y, fold, used)
-    predicted = np.zeros_like(y)
-    for k in range(count):
-        errors = np.sum([left[k, j] for j in range(count) if j != k], axis=0)
-        nothing = (y[used & (fold != k)] ** 2).sum(0)
-        fit = used & (fold != k)
-        values, vectors = np.linalg.eigh(kernel_[np.ix_(fit, fit)])
-        along = (vectors.T @ y[fit]) / (values[:, None] + _RIDGES[errors.argmin(0)])
-        fitted = kernel_[np.ix_(fold == k, fit)] @ vectors @ along
-        predicted[fold == k] = np.where(errors.min(0) < nothing, fitted, 0.0)
-    return predicted
-
-
-def _left_by_two(
-    kernel_: Array, y: Array, fold: Indices, used: Rows
-) -> dict[tuple[int, int], Array]:
-    """By folds (k, j): squares (ridges, C) left in fold j by fits without both."""
-    found = {}
-    for one, other in combinations(range(int(fold.max()) + 1), 2):
-        fit = used & (fold != one) & (fold != other)
-        values, vectors = np.linalg.eigh(kernel_[np.ix_(fit, fit)])
-        along = vectors.T @ y[fit]
-        for k, j in ((one, other), (other, one)):
-            rows = used & (fold == j)
-            across = kernel_[np.ix_(rows, fit)] @ vectors
-            tried = [across @ (along / (values + ridge)[:, None]) for ridge in _RIDGES]
-            found[k, j] = np.array([((y[rows] - each) ** 2).sum(0) for each in tried])
+    found: dict[Key, Array] = {}
+    for candidate in problem.simulator.candidates:
+        each = [] if candidate.history_dependent else linear_effects(problem, candidate)
+        numbers: Counter[Term] = Counter()
+        for term, column in chain(*(zip(e.varied, e.columns, strict=True) for e in each)):
+            if problem.parameters[term].role == "size":
+                unit = unit_of(problem.parameters[term], 0.0)
+                found[(*term, str(numbers[term]))] = column / unit
+                numbers[term] += 1
     return found
 
 
-def _squared_distance(x: Array) -> Array:
-    square = (x**2).sum(1)
-    return np.maximum(square[:, None] + square - 2.0 * x @ x.T, 0.0)
+@dataclass(frozen=True)
+class SmoothColumns:
+    """Functions of the conditions, by what the reference's are like; (C,) each."""
+
+    low: Array
+    high: Array
+    speed: Array
+    load: Array
+
+    @staticmethod
+    def like(conditions: Conditions) -> SmoothColumns:
+        """For the ranges of these conditions."""
+        sizes = (np.sqrt((c**2).mean(0)) + _LEAST for c in (conditions.speed, conditions.load))
+        return SmoothColumns(conditions.position.min(0), conditions.position.max(0), *sizes)
+
+    def _place(self, conditions: Conditions) -> Array:
+        """Positions (R, C) as shares of the range."""
+        span = np.maximum(self.high - self.low, _LEAST)
+        return np.asarray((conditions.position - self.low) / span)
+
+    def beyond(self, conditions: Conditions) -> Array:
+        """(R, C) by how much positions are beyond the range; from 1 on nothing is known."""
+        place = self._place(conditions)
+        return np.asarray(np.abs(place - np.clip(place, 0.0, 1.0)) / _MARGIN)
+
+    def of(self, conditions: Conditions) -> dict[Key, Array]:
+        """(R, C) by name."""
+        at = np.clip(self._place(conditions), -_MARGIN, 1.0 + _MARGIN) + _MARGIN
+        at *= np.pi / (1.0 + 2.0 * _MARGIN)
+        load = conditions.load / self.load
+        waves = [(f"wave {k}", wave) for k in range(_WAVES) for wave in _wave(k, at)]
+        found: dict[Key, Array] = {}
+        for n, (name, wave) in enumerate(waves):
+            found[name, str(n)] = wave
+        for share in _SLOW:
+            way = np.tanh(conditions.speed / (share * self.speed))
+            for n, (name, wave) in enumerate(waves[: 2 * _SLIDING_WAVES + 1]):
+                found[f"{name} times speed", f"{share}", str(n)] = wave * way
+            found["load times speed", f"{share}"] = np.abs(load) * way
+        size = np.abs(load)
+        found |= {("load", "size"): size, ("load", "square"): load * size, ("load", ""): load}
+        return found
+
+
+def _wave(k: int, at: Array) -> Sequence[Array]:
+    return (np.cos(k * at), np.sin(k * at)) if k else (np.ones_like(at),)
 
 
 @dataclass(frozen=True)
-class Features:
-    """Possible causes of a residual: values (R, F) in any units, names (F,) and groups (F,).
+class _Channel:
+    """The posterior of one channel's coefficients, of columns by name.
 
-    Groups say which features belong together, as in `pose` or `load`.
+    `square` is the mean square of the channel's residual.
     """
 
-    values: Array
-    names: tuple[str, ...]
-    groups: tuple[str, ...]
+    keys: tuple[Key, ...]
+    mean: Array
+    covariance: Array
+    square: float
+    scatter: float
+    factor: float = 1.0
+
+    def of(self, columns: Mapping[Key, Array], c: int, beyond: Array) -> tuple[Array, Array]:
+        """Mean and variance (R,) of its readings; `beyond` (R,) as of `SmoothColumns`."""
+        none = np.zeros_like(beyond)
+        x = np.array([columns[k][:, c] if k in columns else none for k in self.keys])
+        x = x.reshape(len(self.keys), len(beyond))
+        spread = (x * (self.covariance @ x)).sum(0) + self.scatter
+        return self.mean @ x, self.factor * spread + self.square * beyond**2
+
+
+class Discrepancy:
+    """A residual, learnt from a recording.
+
+    Attributes:
+        held_out: (R, C) each fold predicted by a fit to the others; zero in channels where that
+            is no better than nothing.
+    """
+
+    def __init__(
+        self, columns: Mapping[Key, Array], residual: Array, fold: NDArray[np.int64]
+    ) -> None:
+        """Columns and residual are (R, C); rows of one fold (R,) are held out together."""
+        self.held_out = np.zeros_like(residual)
+        self._channels = []
+        for c in range(residual.shape[1]):
+            channel, self.held_out[:, c] = _fitted(columns, residual, c, fold)
+            self._channels.append(channel)
+
+    def of(self, columns: Mapping[Key, Array], beyond: Array) -> tuple[Array, Array]:
+        """Mean and standard deviation (R, C) of another recording's residuals."""
+        each = [channel.of(columns, c, beyond[:, c]) for c, channel in enumerate(self._channels)]
+        mean, variance = (np.stack(part, axis=1) for part in zip(*each, strict=True))
+        return mean, np.sqrt(variance)
+
+
+Features = Mapping[str, Mapping[str, Array]]
+"""Possible causes of a residual by group and name, (R,) each in any unit."""
 
 
 @dataclass(frozen=True)
-class Discrepancy:
-    """The part of a residual that the flexible model explains.
+class FlexibleModel:
+    """The part of a residual that repeats, whatever its cause.
 
     Attributes:
-        held_out: (R, C) each stretch predicted by a fit without its fold.
+        held_out: (R, C) each trial predicted by a fit without its fold.
         explained_share: of the mean square beyond the floor; zero or less where nothing repeats.
         alone: the share that each group of features explains without the others.
         foremost: the feature with the strongest linear relation to the residual.
@@ -118,81 +187,104 @@ class Discrepancy:
     foremost: str
 
 
-def discrepancy(
-    features: Features, residual: Array, trial: Indices, fold: Indices, used: Rows, floor: float
-) -> Discrepancy:
-    """Explain a residual (R, C) as far as it repeats.
+def flexible_model(
+    features: Features,
+    conditions: Conditions,
+    residual: Array,
+    fold: NDArray[np.int64],
+    floor: float,
+) -> FlexibleModel:
+    """A regression of a residual (R, C) on features, and on functions of the conditions.
 
-    `trial` (R,) counts from 0, `fold` (T,) says which trials are held out together, `used` (R,)
-    which rows count; `floor` is the root mean square of what cannot be explained.
-
-    Raises:
-        ValueError: with fewer than three folds none is left to choose on.
+    `fold` (R,) says which rows are held out together; `floor` is the root mean square of what
+    cannot be explained.
     """
-    row_fold = _fold_of_rows(trial, fold)
-    if row_fold.max() < 2:
-        raise ValueError(f"{row_fold.max() + 1} folds of trials; at least 3 are needed")
-    part = _parts(trial, row_fold, used)
-    x = _averaged(_standardised(features.values, used), part)
-    y = _averaged(residual, part)
-    first = np.unique(part, return_index=True)[1]
-    groups = tuple(dict.fromkeys(features.groups))
-    members = {g: x[:, [name == g for name in features.groups]] for g in groups}
-
-    def predicted(by: Sequence[str]) -> Array:
-        fitted = held_out(kernel([members[g] for g in by]), y, row_fold[first], used[first])
-        return fitted[part]
+    columns: dict[str, dict[Key, Array]] = {group: {} for group in features}
+    strength: dict[str, float] = {}
+    for group, each in features.items():
+        for name, values in each.items():
+            own = values - values.mean()
+            columns[group][group, name] = np.broadcast_to(own[:, None], residual.shape)
+            strength[name] = float(((own @ residual) ** 2).sum() / max(own @ own, _LEAST))
+    for key, smooth in SmoothColumns.like(conditions).of(conditions).items():
+        group = "motion" if "speed" in key[0] else "tension" if key[0] == "load" else "pose"
+        columns.setdefault(group, {})[key] = smooth
 
     def share(prediction: Array) -> float:
         """Share of the mean square beyond the floor."""
-        removable = float((residual[used] ** 2).mean()) - floor**2
-        left = max(float(((residual - prediction)[used] ** 2).mean()) - floor**2, 0.0)
+        removable = float((residual**2).mean()) - floor**2
+        left = max(float(((residual - prediction) ** 2).mean()) - floor**2, 0.0)
         return 1.0 - left / removable if removable > 0.0 else 0.0
 
-    whole, every = predicted(groups), _standardised(features.values, used)[used]
-    straight = every.T @ (residual[used] - residual[used].mean(0))
-    strength = (straight**2).sum(1) / np.maximum((every**2).sum(0), 1e-12)
-    return Discrepancy(
-        held_out=whole,
-        explained_share=share(whole),
-        alone={group: share(predicted([group])) for group in groups},
-        foremost=features.names[int(strength.argmax())],
+    held_out = Discrepancy(dict(ChainMap(*columns.values())), residual, fold).held_out
+    return FlexibleModel(
+        held_out,
+        share(held_out),
+        {
+            group: share(Discrepancy(own, residual, fold).held_out)
+            for group, own in columns.items()
+        },
+        max(strength, key=lambda name: strength[name]),
     )
 
 
-def _standardised(values: Array, used: Rows) -> Array:
-    mean, spread = values[used].mean(0), values[used].std(0)
-    scaled = (values - mean) / np.where(spread > 1e-12, spread, np.inf)
-    return np.clip(scaled, -3.0, 3.0)  # a trial may be far from all others
+def _fitted(
+    columns: Mapping[Key, Array], residual: Array, c: int, fold: NDArray[np.int64]
+) -> tuple[_Channel, Array]:
+    """The posterior of a channel, and its held-out means (R,)."""
+    square = float((residual[:, c] ** 2).mean())
+    sizes = {key: float(np.sqrt((column[:, c] ** 2).mean())) for key, column in columns.items()}
+    keys = tuple(key for key, size in sizes.items() if size > _LEAST * max(sizes.values()))
+    none = np.zeros(len(residual))
+    nothing = _Channel((), none[:0], np.zeros((0, 0)), square, square), none
+    if not keys or not square > 0.0:
+        return nothing
+    own = np.array([sizes[key] for key in keys])
+    x = np.array([columns[key][:, c] for key in keys]) / own[:, None]
+    y = residual[:, c] / np.sqrt(square)
+    group = np.unique([key[0] for key in keys], return_inverse=True)[1]
+    precision, scatter = _of_most_evidence(x, y, group)
+
+    def posterior(rows: NDArray[np.bool_]) -> tuple[Array, Array]:
+        gram, moment = x[:, rows] @ x[:, rows].T, x[:, rows] @ y[rows]
+        covariance = np.linalg.inv(gram / (_CORRELATED * scatter) + np.diag(precision))
+        return covariance @ moment / (_CORRELATED * scatter), covariance
+
+    held_out, spread = np.zeros_like(y), np.zeros_like(y)
+    for k in np.unique(fold):
+        mean, covariance = posterior(fold != k)
+        out = x[:, fold == k]
+        held_out[fold == k] = mean @ out
+        spread[fold == k] = (out * (covariance @ out)).sum(0) + scatter
+    left = (y - held_out) ** 2
+    if left.mean() >= 1.0:
+        return nothing
+    mean, covariance = posterior(np.ones(len(y), dtype=bool))
+    unit = own / np.sqrt(square)
+    channel = _Channel(
+        keys,
+        mean / unit,
+        covariance / np.outer(unit, unit),
+        square,
+        scatter * square,
+        max(float((left / spread).mean()), 1.0),
+    )
+    return channel, held_out * np.sqrt(square)
 
 
-def _fold_of_rows(trial: Indices, fold: Indices) -> Indices:
-    """(R,) fold of each row from 0 on.
+def _of_most_evidence(x: Array, y: Array, group: NDArray[np.int64]) -> tuple[Array, float]:
+    """The precision (K,) of each coefficient's prior, and the variance of the noise.
 
-    A trial of more than 120 rows is held out in stretches of 50: no other trial has the poses of a
-    sweep.
+    Columns (K, R) and values (R,) have a mean square of one.
     """
-    fold = np.unique(fold, return_inverse=True)[1]
-    found = fold[trial]
-    count = int(fold.max()) + 1
-    for t in range(len(fold)):
-        rows = np.flatnonzero(trial == t)
-        if len(rows) > 120:
-            stretch = np.arange(len(rows)) // 50
-            found[rows] = (fold[t] + stretch) % count
-    return np.asarray(found)
-
-
-def _parts(trial: Indices, row_fold: Indices, used: Rows) -> Indices:
-    """(R,) part of each row. Rows of a part are averaged: they differ by noise alone."""
-    state = np.column_stack([trial, row_fold, used])
-    changes = (np.diff(state, axis=0, prepend=state[:1]) != 0).any(1)
-    begin = np.maximum.accumulate(np.where(changes, np.arange(len(state)), 0))
-    since = np.arange(len(state)) - begin
-    return np.cumsum(changes | ((since % 3 == 0) & (since > 0)))
-
-
-def _averaged(values: Array, part: Indices) -> Array:
-    total = np.zeros((int(part.max()) + 1, values.shape[1]))
-    np.add.at(total, part, values)
-    return total / np.bincount(part)[:, None]
+    gram, moment, count = x @ x.T / _CORRELATED, x @ y / _CORRELATED, len(y) / _CORRELATED
+    precision, scatter = np.full(len(x), float(len(x))), 0.1
+    for _ in range(_ITERATIONS):
+        covariance = np.linalg.inv(gram / scatter + np.diag(precision))
+        mean = covariance @ moment / scatter
+        known = 1.0 - precision * covariance.diagonal()
+        found, size = np.bincount(group, known), np.bincount(group, mean**2)
+        precision = np.clip(found / np.maximum(size, 1e-12), 1e-3, 1e9)[group]
+        left = count - 2.0 * moment @ mean + mean @ gram @ mean
+        scatter = float(max(left / max(count - known.sum(), 0.1 * count), 1e-8))
+    return precision, scatter

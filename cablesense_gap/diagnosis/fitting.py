@@ -1,17 +1,313 @@
-"""The simulator fits the additions that were scored linearly."""
+"""Effects fitted to the recording with the simulator itself: damped Gauss-Newton.
+
+Tolerances enter linearly and are fitted along. The unexplained part is correlated from row to row,
+so its weight is not that of white noise (`linear_fit.weight`). Held-out trials are predicted by
+fits to the other folds, linear about the fit to all (the one-step estimate of Giordano et al.,
+A Swiss Army infinitesimal jackknife, AISTATS 2019).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
-from cablesense_gap.diagnosis.columns import own_columns
-from cablesense_gap.diagnosis.gauss_newton import MOST_STEPS, refine, refit, refit_part
-from cablesense_gap.diagnosis.problem import Explanation, Problem, to_scaled
-from cablesense_gap.diagnosis.selection import Proposal, Selection
+from cablesense_base import Array
+from cablesense_gap.diagnosis.linear_fit import Products, fold_solutions, products, solve, weight
+from cablesense_gap.diagnosis.problem import (
+    Explanation,
+    Problem,
+    from_scaled,
+    prior_precision,
+    to_scaled,
+    unit_of,
+)
+from cablesense_gap.diagnosis.selection import Proposal, Selection, own_columns
 from cablesense_gap.simulator import Candidate, Term
+from cablesense_sim.effects.effect import Parameter
+
+MOST_STEPS = 8
+"""Of Gauss-Newton; a fit that has not converged by then is no better than its rivals."""
+
+_STEP, _NEAR, _CONVERGED = 0.03, 0.25, 5e-3
+"""Scaled steps: for derivatives, far above the rounding of the simulator and small enough to be
+linear; to where derivatives still serve; and, also as a relative gain, too small to continue."""
+
+
+def refine(
+    problem: Problem,
+    parameters: Mapping[Term, Parameter],
+    starts: Sequence[Sequence[float]],
+    most_steps: int = MOST_STEPS,
+    most_left: float = np.inf,
+    start_at: tuple[Array, Array] | None = None,
+) -> Explanation | None:
+    """Fit values, from the best of several scaled starts.
+
+    None if nothing there can be simulated, or if several starts all leave a mean square of more
+    than `most_left`. For a single start, `start_at` may give the prediction and its columns.
+    """
+    return _Fit(problem, parameters).run(np.array(starts, float), most_steps, most_left, start_at)
+
+
+def refit(
+    problem: Problem,
+    values: Mapping[Term, float],
+    most_steps: int,
+    start_at: tuple[Array, Array] | None = None,
+) -> Explanation | None:
+    """Fit values again, from `values`; None if these cannot be simulated.
+
+    With no step allowed, they stay and only the tolerances are fitted.
+    """
+    parameters = {term: problem.parameters[term] for term in values}
+    start = [to_scaled(parameters[term], value) for term, value in values.items()]
+    return refine(problem, parameters, [start], most_steps, start_at=start_at)
+
+
+def refit_part(
+    problem: Problem, explanation: Explanation, values: Mapping[Term, float], most_steps: int
+) -> Explanation | None:
+    """As `refit`, from some values of an explanation and its sensitivities to them."""
+    own = [k for k, term in enumerate(explanation.values) if term in values]
+    predicted = problem.simulator.predict([values])[0]
+    return refit(problem, values, most_steps, (predicted, explanation.columns[own]))
+
+
+def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explanation, Array]:
+    """Fit the same effects with tolerances that are linear about these effects.
+
+    The search takes tolerances linear about the nominal mechanism, which is near enough to choose
+    by. Gives the columns of the tolerances, (K, R, C), too.
+    """
+    if not explanation.values or not problem.tolerance_terms:
+        return explanation, problem.tolerance_columns
+    base = {**explanation.values, **dict.fromkeys(problem.tolerance_terms, 0.0)}
+    terms = zip(problem.tolerance_terms, problem.tolerance_std, strict=True)
+    predicted = problem.simulator.predict([{**base, t: float(std)} for t, std in terms])
+    columns = predicted - explanation.without_tolerances
+    if not np.isfinite(columns).all():
+        columns = problem.tolerance_columns
+    about = replace(problem, tolerance_columns=columns)
+    start_at = explanation.without_tolerances, explanation.columns
+    fitted = refit(about, explanation.values, 3, start_at)
+    if fitted is None or problem.cost_of(fitted) > problem.cost_of(explanation):
+        return explanation, problem.tolerance_columns
+    return fitted, columns
+
+
+class _Fit:
+    def __init__(self, problem: Problem, parameters: Mapping[Term, Parameter]) -> None:
+        self._problem = problem
+        self._terms, self._parameters = tuple(parameters), tuple(parameters.values())
+        self._tolerances = len(problem.tolerance_columns)
+        self._prior = np.array([prior_precision(p) for p in self._parameters])
+        self._precision = np.concatenate([np.ones(self._tolerances), self._prior])
+        self._low = np.array([to_scaled(p, p.low) for p in self._parameters])
+        self._high = np.array([to_scaled(p, p.high) for p in self._parameters])
+        self._lasting = np.flatnonzero([not p.fades for p in self._parameters])
+        self._shape = np.array([p.role == "shape" for p in self._parameters], dtype=bool)
+        history = {c.effect for c in problem.simulator.candidates if c.history_dependent}
+        effects = {term.effect for term in self._terms}
+        self._slow = bool(effects & history)
+        several = len(effects) > 2 and self._slow
+        self._static = np.array([several and t.effect not in history for t in self._terms], bool)
+
+    def run(
+        self,
+        starts: Array,
+        most_steps: int,
+        most_left: float,
+        start_at: tuple[Array, Array] | None,
+    ) -> Explanation | None:
+        point, left = self._best(np.clip(starts, self._low, self._high))
+        if left > most_left:
+            return None
+        self._expected = np.where(self._shape, point, 0.0)
+        predicted, columns = start_at or self._linear(point)
+        if not np.isfinite(predicted).all():
+            return None
+        damping, mean_square = 1e-3, self._cost(point, predicted, None)[1]
+        linear_at = point
+        for _ in range(most_steps):
+            step = self._step(point, predicted, columns, mean_square, damping)
+            tried = np.clip(point + step, self._low, self._high)
+            if np.abs(tried - point).max(initial=0.0) < _CONVERGED:
+                break
+            far = bool(np.abs(tried - linear_at).max() > _NEAR)
+            there = self._linear(tried, columns) if far and self._slow else None
+            ahead = self._predicted(tried) if there is None else there[0]
+            before = self._cost(point, predicted, mean_square)
+            after = self._cost(tried, ahead, mean_square)
+            if not after[0] < before[0]:
+                if damping > 30.0:
+                    break
+                damping *= 30.0
+                continue
+            point, predicted, mean_square = tried, ahead, after[1]
+            damping = max(damping / 10.0, 1e-6)
+            if far:
+                columns = self._linear(tried, columns)[1] if there is None else there[1]
+                linear_at = tried
+            if (before[0] - after[0]) / before[0] < _CONVERGED:
+                break
+        return self._explanation(point, predicted, columns, mean_square)
+
+    def _best(self, starts: Array) -> tuple[Array, float]:
+        """The start with the least residual, tolerances fitted, and its mean square."""
+        if len(starts) == 1:
+            return starts[0], 0.0
+        self._expected = starts[0]
+        predicted = self._problem.simulator.predict([self._assignment(s) for s in starts])
+        left = [self._cost(starts[0], prediction, None)[1] for prediction in predicted]
+        best = int(np.argmin(left))
+        return starts[best], left[best]
+
+    def _predicted(self, point: Array) -> Array:
+        return self._problem.simulator.predict([self._assignment(point)])[0]
+
+    def _linear(self, point: Array, known: Array | None = None) -> tuple[Array, Array]:
+        """The prediction (R, C) at one point, with its derivatives (K, R, C).
+
+        Known derivatives by parameters that fade stay: they are many and matter in few rows.
+        With several effects, derivatives by static effects are taken without the history-dependent
+        ones, which are expensive to simulate.
+        """
+        steps = np.where(point + _STEP <= self._high, _STEP, -_STEP)
+        varied = np.arange(len(point)) if known is None else self._lasting
+        columns = np.zeros((len(point), *self._problem.nominal.shape))
+        if known is not None:
+            columns[:] = known
+        about: Array = np.empty(0)
+        for static in (True, False) if self._static.any() else (False,):
+            own = varied[self._static[varied] == static]
+            variants = [self._assignment(p) for p in (point, *(point + np.diag(steps)[own]))]
+            if static:
+                kept = {self._terms[k] for k in np.flatnonzero(self._static)}
+                variants = [{t: v for t, v in each.items() if t in kept} for each in variants]
+            about, *moved = self._problem.simulator.predict(variants)
+            change = np.array(moved).reshape(len(own), *about.shape) - about
+            change[~np.isfinite(change).all(axis=(1, 2))] = 0.0
+            columns[own] = change / steps[own].reshape(-1, 1, 1)
+        return about, columns
+
+    def _assignment(self, point: Array) -> dict[Term, float]:
+        numbers = zip(self._terms, self._parameters, point, strict=True)
+        return {term: from_scaled(parameter, value) for term, parameter, value in numbers}
+
+    def _offset(self, point: Array) -> Array:
+        return np.concatenate([np.zeros(self._tolerances), point - self._expected])
+
+    def _step(
+        self, point: Array, predicted: Array, columns: Array, mean_square: float, damping: float
+    ) -> Array:
+        every = np.concatenate([self._problem.tolerance_columns, columns])
+        data, none = self._products(predicted, every), self._tolerances
+        weight_, offset = weight(mean_square, self._problem.floor), self._offset(point)
+        gram, moment = data.gram.sum(0), data.moment.sum(0)
+        own = np.where(np.arange(len(gram)) < none, 0.0, gram.diagonal())
+        damped = gram + damping * np.diag(own)
+        free = np.ones(len(gram), dtype=bool)
+        for _ in range(3):  # values that leave their range stay at its end, the others continue
+            step, at = np.zeros(len(gram)), np.flatnonzero(free)
+            step[at] = solve(
+                damped[np.ix_(at, at)], moment[at], self._precision[at], offset[at], weight_
+            )
+            ahead = point + step[none:]
+            below = (ahead < self._low) & (point <= self._low)
+            stuck = below | ((ahead > self._high) & (point >= self._high))
+            if not (stuck & free[none:]).any():
+                break
+            free[none:] &= ~stuck
+        return step[none:]
+
+    def _products(self, predicted: Array, columns: Array) -> Products:
+        """Products of columns (K, R, C) and the residual of a prediction."""
+        problem = self._problem
+        return products(columns, problem.readings - predicted, problem.trial, problem.used)
+
+    def _cost(
+        self, point: Array, prediction: Array, mean_square: float | None
+    ) -> tuple[float, float]:
+        """Negative log posterior, tolerances fitted, and the mean square residual."""
+        problem = self._problem
+        if not np.isfinite(prediction).all():
+            return np.inf, np.inf
+        data = self._products(prediction, problem.tolerance_columns)
+        gram, moment = data.gram.sum(0), data.moment.sum(0)
+        none = np.zeros(len(moment))
+        used = data.mean_square if mean_square is None else mean_square
+        for _ in range(2):
+            weight_ = weight(used, problem.floor)
+            found = solve(gram, moment, np.ones(len(moment)), none, weight_)
+            left = data.square.sum() - 2.0 * moment @ found + found @ gram @ found
+            if mean_square is None:
+                used = float(left / data.count.sum())
+        prior = found @ found + self._prior @ (point - self._expected) ** 2
+        return float(weight_ * left + prior), float(left / data.count.sum())
+
+    def _explanation(
+        self, point: Array, predicted: Array, columns: Array, mean_square: float
+    ) -> Explanation:
+        problem, none = self._problem, self._tolerances
+        every = np.concatenate([problem.tolerance_columns, columns])
+        data, weight_ = self._products(predicted, every), weight(mean_square, problem.floor)
+        off = self._offset(point)
+        # at a bound the one-step refits of the folds may not move either
+        inside = (point > self._low) & (point < self._high)
+        at = np.flatnonzero(np.concatenate([np.ones(none, dtype=bool), inside]))
+        part, precision, offset = data.columns(at), self._precision[at], off[at]
+        found = solve(part.gram.sum(0), part.moment.sum(0), precision, offset, weight_)
+        every = every[at]
+        held_out_effects, tolerated = predicted.copy(), np.zeros_like(predicted)
+        without = fold_solutions(part, precision, offset, weight_, problem.fold)
+        for k, coefficients in enumerate(without):
+            rows = problem.fold[problem.trial] == k
+            tolerated[rows] = np.tensordot(coefficients[:none], every[:none, rows], axes=1)
+            held_out_effects[rows] += np.tensordot(coefficients[none:], every[none:, rows], axes=1)
+        held_out = held_out_effects + tolerated
+        covariance = np.zeros(2 * self._precision.shape)
+        covariance[np.ix_(at, at)] = _covariance(part, found, precision, weight_)
+        # a value at its bound gets the deviation that it would have with all values free
+        freed = solve(data.gram.sum(0), data.moment.sum(0), self._precision, off, weight_)
+        spread = np.sqrt(_covariance(data, freed, self._precision, weight_).diagonal())
+        spread[at] = np.sqrt(covariance.diagonal()[at])
+        values = self._assignment(point)
+        units = [unit_of(p, v) for p, v in zip(self._parameters, values.values(), strict=True)]
+        tolerances = dict(
+            zip(problem.tolerance_terms, found[:none] * problem.tolerance_std, strict=True)
+        )
+        acts = dict(zip(problem.tolerance_terms, problem.acting_tolerances, strict=True))
+        return Explanation(
+            effects=tuple(sorted({term.effect for term in self._terms})),
+            values=values,
+            deviations=dict(zip(self._terms, 1.96 * spread[none:] * units, strict=True)),
+            tolerances={term: value for term, value in tolerances.items() if acts[term]},
+            prediction=predicted + np.tensordot(found[:none], problem.tolerance_columns, axes=1),
+            without_tolerances=predicted,
+            columns=columns,
+            covariance=covariance[none:, none:],
+            held_out=held_out,
+            held_out_effects=held_out_effects,
+            squares=problem.squares_by_trial(held_out)[0],
+            count=data.count,
+            sizes=int((~self._shape & columns.any(axis=(1, 2))).sum()),
+            tolerance_chi2=float((found[:none] ** 2).sum()),
+        )
+
+
+def _covariance(part: Products, found: Array, precision: Array, weight_: float) -> Array:
+    """Covariance (K, K) that allows for residuals that are correlated within a trial.
+
+    The sandwich of White, generalised to clusters (Liang and Zeger, Biometrika 1986); the priors
+    count as one more, or an effect like a tolerance would be known better than the tolerance is.
+    """
+    bread = np.linalg.inv(weight_ * part.gram.sum(0) + np.diag(precision))
+    scores = weight_ * (part.moment - part.gram @ found)
+    return np.asarray(bread @ (scores.T @ scores + np.diag(precision)) @ bread)
+
 
 _SCALES = (0.3, 1.0, 3.0)
 """In typical sizes: where a fit starts if linear columns say little about the size."""

@@ -18,11 +18,22 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
-from cablesense_gap.diagnosis.columns import LinearEffect, linear_effects, own_columns
-from cablesense_gap.diagnosis.fitting import fit, refitted, without
-from cablesense_gap.diagnosis.gauss_newton import final_refinement, refine, refit
+from cablesense_gap.diagnosis.fitting import (
+    final_refinement,
+    fit,
+    refine,
+    refit,
+    refitted,
+    without,
+)
 from cablesense_gap.diagnosis.problem import Explanation, Problem, excess
-from cablesense_gap.diagnosis.selection import Proposal, Selection
+from cablesense_gap.diagnosis.selection import (
+    LinearEffect,
+    Proposal,
+    Selection,
+    linear_effects,
+    own_columns,
+)
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import WHOLE_ARM
 

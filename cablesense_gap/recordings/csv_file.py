@@ -180,20 +180,16 @@ def write_csv(path: str | Path, recording: Recording) -> None:
     """
     joints = command_columns(recording.command_rad.shape[1])
     cables = tension_columns(recording.tensions_n.shape[1])
-    stated = recording.load_at_m is not None
-    names = [TIME, TRIAL, *joints, LOAD_SEGMENT, *LOAD, *[LOAD_AT] * stated, *cables]
-    values = [
-        _rounded(recording.time_s[:, None]),
-        recording.trial[None],
-        _rounded(recording.command_rad),
-        recording.load_segment[None],
-        _rounded(recording.load_n),
-        _rounded(recording.tensions_n),
-    ]
+    columns = {TIME: recording.time_s, TRIAL: recording.trial}
+    columns |= zip(joints, recording.command_rad.T, strict=True)
+    columns[LOAD_SEGMENT] = recording.load_segment
+    columns |= zip(LOAD, recording.load_n.T, strict=True)
     if recording.load_at_m is not None:
-        values.insert(-1, _rounded(recording.load_at_m[:, None]))
-    columns = [column for several in values for column in several]
-    write_table(path, dict(zip(names, columns, strict=True)), "%.12g")
+        columns[LOAD_AT] = recording.load_at_m
+    columns |= zip(cables, recording.tensions_n.T, strict=True)
+    # rounded, and without -0
+    rounded = {name: np.round(values, _DECIMALS) + 0 for name, values in columns.items()}
+    write_table(path, rounded, "%.12g")
 
 
 def _check_header(path: Path, names: list[str], prefixes: Collection[str]) -> None:
@@ -221,8 +217,3 @@ def _check_columns(path: Path, found: Collection[str], wanted: list[str], arm: A
             f"q1_cmd_rad … q{arm.joint_count}_cmd_rad, load_segment, load_x_n, load_y_n, "
             f"load_z_n, tension_1_n … tension_{arm.cable_count}_n"
         )
-
-
-def _rounded(values: Array) -> Array:
-    """Columns (C, R) of values (R, C), without -0."""
-    return np.asarray(np.round(values, _DECIMALS).T + 0.0)

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_base.files import write_atomically
 from cablesense_gap.amended_arm import AMENDED_ARM, write_arm
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recorded_contacts import RecordedErrors
@@ -25,7 +24,6 @@ from cablesense_gap.report.style import (
     INK,
     LOADED,
     OTHER,
-    ReportError,
     as_uri,
     newtons,
     percent,
@@ -43,15 +41,14 @@ from cablesense_gap.report.text import (
     headline,
     numbers,
     place_text,
+    write_common,
 )
 from cablesense_gap.residuals import ALL, EVERYWHERE, TRIAL, decompose
 from cablesense_gap.verdict import (
     NONE,
     UNKNOWN,
     Verdict,
-    VerdictError,
     listed,
-    write_verdict,
 )
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
@@ -79,23 +76,8 @@ def write_diagnosis(
         ArmFileError: the arm file cannot be written.
         ReportError: the report cannot be written.
     """
-    make_folder(folder)
-    verdict, arm, report = (folder / name for name in DIAGNOSIS_FILES)
-    write_verdict(verdict, found.verdict)
-    write_arm(arm, found.amended, headline(found.verdict))
-    write_atomically(report, report_page(found, models), ReportError)
-
-
-def make_folder(folder: Path) -> None:
-    """Make the folder of a diagnosis where there is none.
-
-    Raises:
-        VerdictError: it cannot be made.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise VerdictError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    write_common(folder, found.verdict, report_page(found, models))
+    write_arm(folder / AMENDED_ARM, found.amended, headline(found.verdict))
 
 
 def report_page(

@@ -21,8 +21,6 @@ BEFORE, AFTER, FLOOR = "#E69F00", "#0072B2", "#555555"
 OTHER, INK, GRID, LOADED = "#9AA3AD", "#1C2126", "#DDE1E6", "#EEF1F4"
 WIDTH_IN = 10.2
 PNG_DPI = 130
-LEAST_N = 1e-4
-"""A logarithmic axis has no zero; simulated readings without noise would need it."""
 
 _STYLE: Any = {
     "font.size": 9.5,

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from cablesense_base.files import write_atomically
 from cablesense_gap.diagnosis.probability import NEAR_BEST
-from cablesense_gap.report.style import newtons, percent, size_text, with_interval
+from cablesense_gap.report.style import ReportError, newtons, percent, size_text, with_interval
 from cablesense_gap.verdict import (
     NONE,
     UNKNOWN,
@@ -18,8 +20,10 @@ from cablesense_gap.verdict import (
     EstimatorErrors,
     FittedNumber,
     Verdict,
+    VerdictError,
     joined,
     listed,
+    write_verdict,
 )
 from cablesense_sim.arm import Arm
 from cablesense_sim.effects.effect import EffectDescription, Parameter
@@ -314,3 +318,18 @@ def common_content(verdict: Verdict, known: Known | None = None) -> dict[str, An
         "bars": gap_bars(verdict),
         "steps": steps(verdict),
     }
+
+
+def write_common(folder: Path, verdict: Verdict, page: str) -> None:
+    """Write the verdict and the report into a folder, which is made where there is none.
+
+    Raises:
+        VerdictError: the folder cannot be made, or the verdict not be written.
+        ReportError: the report cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise VerdictError(f"{folder}: cannot be made ({error.strerror or error})") from error
+    write_verdict(folder / "verdict.json", verdict)
+    write_atomically(folder / "report.html", page, ReportError)

@@ -15,7 +15,7 @@ from mujoco.rollout import rollout
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_gap.diagnosis.reference import Conditions
+from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot import smoothing
 from cablesense_gap.robot.inverse import BacklashMotion

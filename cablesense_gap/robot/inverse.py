@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from cablesense_base import Array
-from cablesense_gap.diagnosis.reference import Conditions
+from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.robot import smoothing
 from cablesense_gap.robot.model import Change, Robot, inverse_dynamics
 from cablesense_gap.robot.motion import Motion, MotionComparison, Recent, Trajectory

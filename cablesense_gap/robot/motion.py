@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_gap.diagnosis.reference import Conditions
+from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.robot import smoothing
 from cablesense_gap.robot.effects.effect import Scale
 from cablesense_gap.robot.model import Change

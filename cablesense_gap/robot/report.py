@@ -8,14 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_base.files import write_atomically
-from cablesense_gap.report.page import make_folder
 from cablesense_gap.report.style import (
     AFTER,
     BEFORE,
     INK,
     WIDTH_IN,
-    ReportError,
     as_uri,
     percent,
     rendered,
@@ -23,11 +20,11 @@ from cablesense_gap.report.style import (
     style,
     with_interval,
 )
-from cablesense_gap.report.text import common_content, headline
+from cablesense_gap.report.text import common_content, headline, write_common
 from cablesense_gap.robot.amending import AMENDED_MODEL, BESIDE_MODEL, known_effects, write_amended
 from cablesense_gap.robot.system import UNIT, RobotDiagnosis
 from cablesense_gap.simulator import Term
-from cablesense_gap.verdict import Verdict, listed, write_verdict
+from cablesense_gap.verdict import Verdict, listed
 
 ROBOT_FILES = ("verdict.json", AMENDED_MODEL, BESIDE_MODEL, "report.html")
 
@@ -44,10 +41,8 @@ def write_robot_diagnosis(
         RobotError: the amended model cannot be written.
         ReportError: the report cannot be written.
     """
-    make_folder(folder)
-    write_verdict(folder / "verdict.json", found.verdict)
+    write_common(folder, found.verdict, report_page(found, folder.name))
     write_amended(folder, found.robot, found.amended, beside)
-    write_atomically(folder / "report.html", report_page(found, folder.name), ReportError)
 
 
 def robot_headline(verdict: Verdict) -> str:

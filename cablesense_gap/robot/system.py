@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
+from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.diagnosis.problem import Explanation, Problem
-from cablesense_gap.diagnosis.reference import Conditions
-from cablesense_gap.pipeline import FOLDS, System, Unlisted, diagnose_system
+from cablesense_gap.pipeline import FOLDS, Reference, System, Unlisted, diagnose_system
 from cablesense_gap.recordings.csv_file import write_table
 from cablesense_gap.recordings.recording import RecordingError
-from cablesense_gap.reference import Reference
 from cablesense_gap.robot.amending import changed, known_effects
 from cablesense_gap.robot.effects.effect import RobotEffect
 from cablesense_gap.robot.exchanged import exchanged

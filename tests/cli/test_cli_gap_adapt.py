@@ -35,7 +35,7 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         verdict = verdict_of("payload", shares={"payload": SHARE}, **rest)
         read = recording.tensions_n
         every = np.ones(len(recording), dtype=bool)
-        return Diagnosis(recording, arm, verdict, LAB, read, read, read, every)
+        return Diagnosis(recording, arm, verdict, LAB, read, read, every)
 
     def train(arm, first, recording, path, *_) -> None:
         shutil.copy(find_model("cdsm_lab"), path)

@@ -14,7 +14,7 @@ from gap_recordings import LAB, small_recording
 from verdict_cases import verdict_of
 
 from cablesense_gap import adaptation
-from cablesense_gap.adaptation import AdaptationError, adapt, train_for, withheld_trials
+from cablesense_gap.adaptation import AdaptationError, adapt, withheld_trials
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import Share
@@ -69,7 +69,7 @@ def diagnosed_as(monkeypatch: pytest.MonkeyPatch):
             read = recording.tensions_n
             verdict = verdict_of(names, shares=shares)
             every = np.ones(len(recording), dtype=bool)
-            return Diagnosis(recording, arm, verdict, having(*effects), read, read, read, every)
+            return Diagnosis(recording, arm, verdict, having(*effects), read, read, every)
 
         monkeypatch.setattr(adaptation, "diagnose", diagnose)
         return asked
@@ -121,19 +121,6 @@ def test_an_arm_that_differs_gets_an_estimator_that_knows_it(
     before, after = (each.whole.errors.magnitude_mae_n for each in (found.before, found.after))
     assert after < 0.1 * before
     assert found.diagnosis.verdict.estimator.use == "after"
-
-
-@pytest.mark.slow  # exports a model
-def test_a_model_that_finds_no_load_of_the_recording_is_trained_to_its_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    for name, value in (("_SAMPLES", 256), ("_EPOCHS", 1), ("_TEST_SAMPLES", 64)):
-        monkeypatch.setattr(adaptation, name, value)
-    loaded = PROTOCOL.load_segment > 0
-    elsewhere = replace(healthy(), load_segment=np.where(loaded, PROTOCOL.load_segment % 4 + 1, 0))
-    second = tmp_path / "second.onnx"
-    train_for(having(GAIN), open_estimator(SHIPPED), elsewhere, second, "by a test")
-    assert open_estimator(second).metadata.arm.effects
 
 
 def test_where_nothing_is_found_nothing_is_trained(tmp_path: Path, diagnosed_as):

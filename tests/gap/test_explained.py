@@ -20,11 +20,10 @@ from gap_problem import (
     size,
 )
 
-from cablesense_gap.diagnosis.gauss_newton import refine, refit
+from cablesense_gap.diagnosis.fitting import refine, refit
 from cablesense_gap.diagnosis.probability import Ranked
 from cablesense_gap.explained import (
     NEGLIGIBLE,
-    estimates,
     gap_size,
     remainder,
     rmse_interval_n,
@@ -102,7 +101,6 @@ def test_effects_that_one_recording_hardly_distinguishes_are_one_item():
 
 LEAK = Candidate("leak", ("a", "b", "c"), (size("amount"), rate()))
 HEAVY = Candidate("heavy", ("a",), (size("amount"),))
-RATES = Term("leak", "a", "rate"), Term("leak", "b", "rate")
 
 
 @pytest.mark.parametrize(
@@ -120,13 +118,6 @@ def test_places_that_change_next_to_nothing_are_left_out(changes, left_out):
     assert list(kept) == [term for term in by_term if term.place not in left_out]
 
 
-def test_a_place_keeps_its_shapes_and_loses_them_with_its_size():
-    found = changing(
-        {amount("leak", "a"): 1.0, RATES[0]: 0.0, amount("leak", "b"): 0.01, RATES[1]: 5.0}
-    )
-    assert list(significant_values(found, (LEAK,))) == [amount("leak", "a"), RATES[0]]
-
-
 def changing(by_term: dict[Term, float]):
     """An explanation whose terms each change the readings by so much (root mean square)."""
     columns = [np.full((len(TRIAL), CHANNELS), change) for change in by_term.values()]
@@ -136,14 +127,6 @@ def changing(by_term: dict[Term, float]):
         deviations=dict.fromkeys(by_term, 0.2),
         columns=np.array(columns),
     )
-
-
-def test_numbers_have_units_and_intervals_and_the_place_if_there_are_several():
-    values = {amount("heavy", "a"): 2.0, amount("leak", "a"): 1.0, amount("leak", "b"): -1.0}
-    found = estimates(values, dict.fromkeys(values, 0.5), (LEAK, HEAVY))
-    assert list(found) == ["heavy.a.amount", "leak.a.amount", "leak.b.amount"]
-    assert found["heavy.a.amount"].ci95 == pytest.approx((1.5, 2.5))
-    assert found["leak.b.amount"].unit == "1"
 
 
 CABLES, ROWS, TRIALS = 3, 40, 20
@@ -166,14 +149,6 @@ def test_sizes_are_root_mean_squares():
     )
 
 
-def test_trials_that_differ_widen_the_interval():
-    """As many rows and as large a gap: the agreement of the trials counts."""
-    alike = 1.0 + 0.1 * WHITE
-    by_trial = np.repeat(RNG.uniform(0.2, 1.8, TRIALS), ROWS)[:, None] * alike
-    narrow, wide = (gap_size(2.0 * alike, r, TRIALS_OF, 0.01).ci95 for r in (alike, by_trial))
-    assert wide[1] - wide[0] > 5.0 * (narrow[1] - narrow[0])
-
-
 def test_trials_whose_rows_do_not_count_say_nothing():
     """If only two of three trials are left, a draw must not meet the empty one alone."""
     few = np.isin(TRIALS_OF, [1, 4])
@@ -185,9 +160,9 @@ def test_trials_whose_rows_do_not_count_say_nothing():
 
 def test_the_interval_of_a_size_holds_it_as_often_as_it_says():
     held = 0
-    for seed in range(100):
+    for seed in range(50):
         rng = np.random.default_rng(seed)
         squares = (rng.normal(size=(30, 50)) ** 2).sum(1)
         low, high = rmse_interval_n(squares, np.full(30, 50.0))
         held += low <= 1.0 <= high
-    assert 0.85 < held / 100 < 1.0
+    assert 0.85 < held / 50 < 1.0

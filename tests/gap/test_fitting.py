@@ -10,7 +10,6 @@ from gap_problem import (
     FLOOR,
     SIGNALS,
     TIME,
-    TRIAL,
     Sums,
     amount,
     fading,
@@ -20,19 +19,14 @@ from gap_problem import (
     scatter,
     size,
 )
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
-from cablesense_gap.diagnosis.columns import linear_effects
-from cablesense_gap.diagnosis.fitting import fit
-from cablesense_gap.diagnosis.gauss_newton import final_refinement, refine, refit
+from cablesense_gap.diagnosis.fitting import final_refinement, fit, refine
 from cablesense_gap.diagnosis.problem import (
-    excess,
     from_scaled,
-    prepare,
-    prior_precision,
     to_scaled,
 )
-from cablesense_gap.diagnosis.selection import Selection
+from cablesense_gap.diagnosis.selection import Selection, linear_effects
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
@@ -41,16 +35,6 @@ AMOUNT, RATE = amount("fading", "x"), Term("fading", "x", "rate")
 PLAIN = linear("gain", "abc")
 ((FADING, FADES),) = fading("fading", "xy", history_dependent=True).items()
 TRIED = replace(FADING, parameters=(size("amount"), replace(rate(), trials=(1.0, 5.0, 25.0))))
-
-
-def test_the_problem_has_columns_of_tolerances_and_trials_from_zero():
-    used = np.ones(len(TRIAL), dtype=bool)
-    problem = prepare(Sums({}, scatter(0.2)), SIGNALS[0], 5 * TRIAL + 7, np.arange(12) % 4, used)
-    assert problem.tolerance_terms == (amount("scatter", "a"), amount("scatter", "b"))
-    assert_allclose(problem.tolerance_std, 0.2)
-    assert_allclose(problem.tolerance_columns[0], 0.2)
-    assert_allclose(problem.tolerance_columns[1], 0.2 * np.outer(TIME, [1.0, 0.0, -1.0]))
-    assert_array_equal(problem.trial, TRIAL)
 
 
 SIZE = size("amount", typical=4.0, most=100.0)
@@ -64,21 +48,6 @@ def test_scaled_values_return_and_stay_in_the_plausible_range(parameter):
         assert from_scaled(parameter, to_scaled(parameter, value)) == pytest.approx(value)
     for scaled in (-50.0, 0.3, 50.0):
         assert parameter.low <= from_scaled(parameter, scaled) <= parameter.high
-
-
-def test_a_scaled_value_is_in_typical_sizes_or_a_logarithm():
-    assert (to_scaled(SIZE, 4.0), from_scaled(SIZE, -1.0)) == (1.0, -4.0)
-    assert to_scaled(rate(), np.e) == pytest.approx(1.0)
-    assert to_scaled(STIFFNESS, 0.2) == pytest.approx(1.0)
-    # a quarter is as far from nominal as four times
-    assert to_scaled(STIFFNESS, -0.75) == pytest.approx(-to_scaled(STIFFNESS, 3.0))
-
-
-def test_the_excess_grows_with_the_residual_and_is_not_resolved_below_the_floor():
-    sizes = [excess(mean_square, 0.3) for mean_square in (0.0, 0.09, 0.1, 1.0, 100.0)]
-    assert sizes[0] == sizes[1] < 0.3
-    assert sizes == sorted(sizes)
-    assert sizes[-1] == pytest.approx(10.0, rel=1e-2)
 
 
 def linearised(effects):
@@ -95,30 +64,6 @@ def test_a_linear_effect_has_the_change_of_its_typical_size_as_column_in_each_pl
         assert_allclose(effect.columns, 0.2 * by_place[effect.place][None], atol=1e-12)
         assert effect.terms == (Term("gain", effect.place, "amount"),)
         assert_allclose(effect.start, 0.0)
-
-
-@pytest.mark.parametrize("history_dependent", [False, True])
-def test_every_starting_shape_has_its_own_columns(history_dependent):
-    parameters = size("amount"), rate((1.0, 8.0))
-    candidate = Candidate("fading", ("x", "y"), parameters, history_dependent)
-    found = linearised({candidate: FADES})
-    expected = [(rate, signal) for rate in (1.0, 8.0) for signal in SIGNALS[6:]]
-    for effect, (rate_, signal) in zip(found, expected, strict=True):
-        assert_allclose(effect.columns, [np.exp(-rate_ * TIME)[:, None] * signal], atol=1e-12)
-        assert_allclose(effect.start, [0.0, np.log(rate_)])
-
-
-def test_two_sizes_and_a_shape_that_may_be_zero_have_a_column_each():
-    candidate = Candidate("moved", ("x",), (size("amount", 2.0), size("other", 0.3), SHIFT))
-
-    def change(_, n):
-        return n["amount"] * (SIGNALS[0] + n["shift"] * SIGNALS[1]) + n["other"] * SIGNALS[2]
-
-    (effect,) = linearised({candidate: change})
-    assert [term.parameter for term in effect.varied] == ["amount", "other", "shift"]
-    expected = [2.0 * SIGNALS[0], 0.3 * SIGNALS[2], 2.0 * 0.5 * SIGNALS[1]]
-    assert_allclose(effect.columns, expected, atol=1e-12)
-    assert_allclose(effect.precision, [prior_precision(p) for p in candidate.parameters])
 
 
 def fitted(problem, *starts, **options):
@@ -159,21 +104,6 @@ def tone_of(frequency, **options):
     return {candidate: tone}, *candidate.terms("x")
 
 
-def test_of_several_starts_the_best_is_taken():
-    effect, size_, rate_ = tone_of(replace(rate(), high=500.0))
-    problem = problem_of(Sums(effect), {size_: 1.0, rate_: 12.0})
-    found = fitted(problem, *({size_: 1.0, rate_: r} for r in (1.0, 11.0, 40.0)))
-    assert found.values[rate_] == pytest.approx(12.0, rel=0.05)
-
-
-def test_numbers_stay_in_their_plausible_range():
-    simulator = Sums(linear("gain", ["a"], most=0.5))
-    problem = problem_of(simulator, {GAIN: 2.0})
-    simulator.asked.clear()
-    assert fitted(problem, {GAIN: 50.0}).values[GAIN] == 0.5
-    assert all(abs(variant[GAIN]) <= 0.5 for variant in simulator.asked)
-
-
 def test_one_number_at_its_end_leaves_the_others_free():
     """If the truth is beyond the range, the others are best for the end of the range."""
     mixed = SIGNALS[1] + 0.5 * SIGNALS[0]
@@ -202,16 +132,6 @@ def test_a_fit_turns_back_from_what_cannot_be_simulated():
     found = fitted(problem(1.2), {GAIN: 0.2}, most_steps=20)
     assert found.values[GAIN] == pytest.approx(1.0, abs=0.05)
     assert fitted(problem(-99.0), {GAIN: 1.0}) is None
-
-
-def test_without_effects_only_tolerances_are_fitted():
-    off, other = amount("scatter", "a"), amount("scatter", "b")
-    problem = problem_of(Sums(PLAIN, scatter(0.5)), {off: 0.8})
-    found = refine(problem, {}, [[]])
-    assert (found.effects, found.values) == ((), {})
-    assert found.tolerances[off] == pytest.approx(0.8, abs=0.05)
-    assert found.tolerances[other] == pytest.approx(0.0, abs=0.1)
-    assert found.held_out_rmse == pytest.approx(FLOOR, rel=0.15)
 
 
 def test_prediction_and_sensitivities_are_those_of_the_simulator():
@@ -260,7 +180,7 @@ def test_intervals_hold_the_truth(effects, truth, std):
     """In 95 % of workshops; few trials and a prior leave the intervals somewhat narrow."""
     simulator = Sums(effects, scatter(std))
     inside = []
-    for seed in range(60):
+    for seed in range(30):
         rng = np.random.default_rng([seed, 9])
         left = {amount("scatter", place): rng.normal(0.0, std) for place in "ab"}
         found = fitted(problem_of(simulator, {**truth, **left}, seed), truth)
@@ -275,11 +195,6 @@ def test_a_number_at_its_bound_is_known_as_far_as_the_readings_tell(truth):
     alone = 1.96 * FLOOR / np.sqrt((SIGNALS[0] ** 2).sum())
     assert found.values[GAIN] < alone
     assert 0.5 * alone < found.deviations[GAIN] < 3.0 * alone
-
-
-def test_without_a_step_the_numbers_stay():
-    problem = problem_of(Sums(linear("gain", ["a", "b"])), {GAIN: 2.0})
-    assert refit(problem, {GAIN: 1.0}, 0).values == {GAIN: 1.0}
 
 
 def proposed(library, truth, about=None):
@@ -325,14 +240,6 @@ def test_a_fit_starts_at_the_shape_that_explains_most():
     assert found.values[rate_] == pytest.approx(48.0, rel=0.05)
 
 
-def test_an_effect_that_saturates_starts_smaller_too():
-    """At its typical size there is no slope."""
-    candidate = Candidate("saturating", ("x",), (size("amount"),), history_dependent=True)
-    effect = {candidate: lambda _, numbers: np.tanh(3.0 * numbers["amount"]) * SIGNALS[0]}
-    truth = {amount("saturating", "x"): 0.3}
-    assert added(effect, truth).values == pytest.approx(truth, rel=0.1)
-
-
 def test_an_explanation_and_its_additions_are_fitted_together():
     """The first alone was wrong, because the second was missing."""
     resembling = linear("gain", "ab", [SIGNALS[0], SIGNALS[1] + 0.7 * SIGNALS[6]])
@@ -343,12 +250,6 @@ def test_an_explanation_and_its_additions_are_fitted_together():
     first = min(fit(problem, alone), key=problem.judged)
     assert first.values[RATE] < 4.0
     assert added(library, truth, first).values == pytest.approx(truth, rel=0.1)
-
-
-def test_if_every_start_leaves_too_much_there_is_no_fit():
-    problem, proposals = proposed({TRIED: FADES}, {AMOUNT: 6.0, RATE: 6.0})
-    assert fit(problem, replace(proposals[0], most_left=1e-6)) == []
-    assert fit(problem, replace(proposals[0], most_left=1e3)) != []
 
 
 OFF = amount("scatter", "b")

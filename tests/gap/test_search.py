@@ -32,7 +32,7 @@ LIBRARY = {
     **linear("zero", ["a", "b"], SIGNALS[3:5]),
     **fading("fading", ["x", "y"], history_dependent=True),
 }
-GAIN_A, ZERO = amount("gain", "b"), amount("zero", "a")
+GAIN_A = amount("gain", "b")
 FADING_X = {Term("fading", "x", "amount"): 3.0, Term("fading", "x", "rate"): 4.0}
 
 
@@ -76,14 +76,6 @@ def test_what_a_sketch_chooses_is_judged_on_all_rows():
     assert found.held_out_rmse < 1.2 * FLOOR
     whole = [v for v in problem.simulator.asked if any(t.effect == "fading" for t in v)]
     assert len(whole) < 0.1 * len(on_some.asked)
-
-
-def test_a_sketch_says_between_its_rows_what_lies_straight_between_them():
-    problem = problem_of(Sums({}), {})
-    sketch = sketched(problem, OnSomeRows({}), ROWS_OF_THE_SKETCH).sketch
-    assert sketch is not None
-    straight = np.outer(np.arange(len(TRIAL)), [1.0, -2.0, 0.5])[None]
-    np.testing.assert_allclose(sketch.over_all_rows(straight[:, sketch.rows]), straight)
 
 
 def test_a_second_effect_that_has_nothing_to_do_is_not_named():
