@@ -88,13 +88,6 @@ def test_places_of_loads_are_read_back_and_an_empty_column_is_none(tmp_path):
     assert got.load_at_m is None
 
 
-def test_tensions_have_six_decimals_and_no_minus_zero(tmp_path):
-    sent, tensions_n = recording(), np.full((5, 12), -1e-7)
-    tensions_n[:, 10] = 123.4567894
-    write_csv(tmp_path / "a.csv", replace(sent, tensions_n=tensions_n))
-    assert lines_of(tmp_path / "a.csv")[1].endswith(",0,123.456789,0")
-
-
 def test_columns_are_found_by_name_and_unknown_ones_left_out(tmp_path):
     def reversed_with_note(lines):
         turned = [",".join(line.split(",")[::-1]) for line in lines]
@@ -102,11 +95,6 @@ def test_columns_are_found_by_name_and_unknown_ones_left_out(tmp_path):
 
     got = read_csv(written(tmp_path, reversed_with_note), LAB)
     np.testing.assert_allclose(got.tensions_n, recording().tensions_n, atol=1e-6)
-
-
-def test_an_empty_cell_is_left_to_the_checks(tmp_path):
-    got = read_csv(written(tmp_path, in_cell(3, "tension_7_n", "")), LAB)
-    assert np.argwhere(np.isnan(got.tensions_n)).tolist() == [[2, 6]]
 
 
 @pytest.mark.parametrize(
@@ -158,11 +146,6 @@ def test_no_file_a_folder_bytes_and_too_large_a_file_are_refused(tmp_path, monke
     monkeypatch.setattr(csv_file, "MAX_FILE_BYTES", 1000)
     with pytest.raises(RecordingError, match="at most"):
         read_csv(written(tmp_path), LAB)
-
-
-def test_a_place_that_cannot_be_written_to_is_said(tmp_path):
-    with pytest.raises(RecordingError, match="cannot be written"):
-        write_csv(tmp_path / "none" / "a.csv", recording())
 
 
 def test_a_packed_file_is_read_and_too_many_numbers_are_refused(tmp_path, monkeypatch):

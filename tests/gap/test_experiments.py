@@ -67,24 +67,9 @@ def test_a_block_that_confirms_either_distinguishes_them():
 
 
 @pytest.mark.slow
-def test_the_nearest_of_several_rivals_counts():
-    found = next_experiment(LAB, [SPRING, CONTACT, PAYLOAD], FLOOR_N, [SWEEP])
-    alone = [next_experiment(LAB, [SPRING, r], FLOOR_N, [SWEEP]) for r in (CONTACT, PAYLOAD)]
-    assert found.separation_n == pytest.approx(min(each.separation_n for each in alone))
-    assert "from contact offset or payload" in found.text
-
-
-@pytest.mark.slow
 def test_creep_shows_in_a_long_hold():
     found = next_experiment(LAB, [CREEP, PAYLOAD], FLOOR_N, (REST, LOADED[1], HOLD))
     assert found.block == HOLD.does
-
-
-@pytest.mark.slow
-def test_an_effect_with_itself_is_told_by_nothing():
-    found = next_experiment(LAB, [PAYLOAD, PAYLOAD], FLOOR_N, LOADED)
-    assert found.text.startswith("No block of the protocol distinguishes payload from payload")
-    assert found.separation_n == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.slow

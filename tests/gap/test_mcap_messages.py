@@ -92,7 +92,7 @@ def test_rosbags_and_the_mcap_library_read_it_too(whole):
 
 @pytest.mark.slow
 @given(share=st.floats(0.0, 1.0, exclude_max=True))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_a_file_cut_anywhere_gives_all_but_its_last_chunk(whole, share, tmp_path_factory):
     content = whole.read_bytes()
     size = int(share * len(content))
@@ -123,7 +123,7 @@ def _layout(content):
 
 @pytest.mark.slow
 @given(at=st.floats(0.0, 1.0, exclude_max=True), flip=st.integers(1, 255))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_a_damaged_byte_is_refused_or_read_and_never_raises_another_error(
     whole, at, flip, tmp_path_factory
 ):

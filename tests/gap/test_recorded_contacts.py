@@ -46,16 +46,6 @@ def test_a_healthy_arm_is_estimated_right_on_every_segment(
         assert each.errors.direction_mae_deg < 2.0
 
 
-def test_a_sensor_that_answers_half_as_much_shows_on_the_segments_that_it_reads(
-    recording: Recording, estimator: Estimator
-) -> None:
-    tensions = recording.tensions_n.copy()
-    tensions[:, 11] = 50.0 + 0.5 * (tensions[:, 11] - 50.0)  # ends on segment 4
-    found = recorded_errors(replace(recording, tensions_n=tensions), estimator)
-    first, *_, last = (each.errors.magnitude_mae_n for each in found.by_segment.values())
-    assert last > 3.0 * first
-
-
 def test_the_tare_of_a_release_is_that_of_the_load_before() -> None:
     made = small_recording()
     tensions = 0.1 * np.arange(float(len(made)))[:, None] * np.ones(12)
@@ -112,12 +102,6 @@ def test_a_model_of_contacts_anywhere_is_judged_on_loads_anywhere(at_m: float) -
     for each in found.by_segment.values():
         assert each.contact_accuracy > 0.95
         assert each.errors.magnitude_mae_n < 0.5
-
-
-def test_some_trials_are_judged_alone(recording: Recording, estimator: Estimator) -> None:
-    found = recorded_errors(recording, estimator, [1, 6])
-    assert set(found.by_segment) == {1, 2}
-    assert found.whole.errors.contacts == 2 * np.count_nonzero(CYCLE)
 
 
 def test_a_history_dependent_model_answers_along_the_recording(recording: Recording) -> None:

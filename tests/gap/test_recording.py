@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from cablesense_gap.recordings.recording import derive_trials, rows_named
+from cablesense_gap.recordings.recording import derive_trials
 
 
 def trials(loads=(), commands=None, time_s=None, rows=60):
@@ -22,12 +20,6 @@ def trials(loads=(), commands=None, time_s=None, rows=60):
 
 def begins(found):
     return np.flatnonzero(np.diff(found) > 0).tolist()
-
-
-def test_rest_alone_is_one_trial():
-    assert set(trials()) == {0}
-    assert len(trials(rows=1)) == 1
-    assert len(trials(rows=0)) == 0
 
 
 def test_a_load_begins_a_trial_and_what_follows_it_belongs_to_it():
@@ -59,23 +51,3 @@ def test_a_gap_parts():
     time_s = 0.2 * np.arange(60)
     time_s[33:] += 5.0
     assert begins(trials(time_s=time_s)) == [32]
-
-
-@given(st.lists(st.tuples(st.integers(0, 4), st.integers(1, 30)), min_size=1, max_size=12))
-def test_trials_count_up_from_zero_by_one(runs):
-    segment = np.repeat([s for s, _ in runs], [n for _, n in runs])
-    force = (segment > 0)[:, None] * np.array([0.0, 0.0, -5.0])
-    rows = len(segment)
-    found = derive_trials(0.2 * np.arange(rows), np.zeros((rows, 8)), segment, force)
-    assert found[0] == 0
-    assert set(np.diff(found)) <= {0, 1}
-
-
-@given(st.lists(st.booleans(), min_size=1, max_size=60).filter(any))
-def test_rows_are_named_from_one(marked):
-    text = rows_named(np.array(marked))
-    first = marked.index(True) + 1
-    assert text.startswith(("row ", "rows "))
-    assert str(first) in text
-    if sum(marked) == 1:
-        assert text == f"row {first}"

@@ -129,14 +129,6 @@ def test_what_is_odd_is_a_warning(odd, kind, said):
     assert any(said in finding.text for finding in of_kind(found, kind)), found
 
 
-def test_a_break_within_a_trial_is_a_warning():
-    time_s = SOUND.time_s.copy()
-    time_s[4:] += 30.0  # within the rest of trial 0
-    finding = only(check_recording(replace(SOUND, time_s=time_s), LAB))
-    assert (finding.severity, finding.kind) == (Severity.WARN, "gap")
-    assert "before row 5" in finding.text
-
-
 @pytest.mark.parametrize(("one", "other"), [(1, 2), (2, 9), (5, 12)])
 def test_exchanged_channels_are_named(one, other):
     order = np.arange(12)
@@ -178,14 +170,6 @@ def test_saturation_is_found_with_and_without_a_stated_range():
     stated = LAB.model_copy(update={"sensors": sensors})
     found = of_kind(check_recording(clipped, stated), "saturated")
     assert any("tension_1_n is at the end of the sensors' range, 90 N" in f.text for f in found)
-
-
-def test_slack_cables_that_read_nothing_are_no_saturation():
-    """The protocol takes cables slack, and noise takes their readings below zero."""
-    slack = with_tensions(lambda t: np.where(t < np.median(t), -0.1, t))
-    sensors = LAB.sensors.model_copy(update={"range_n": (0.0, 500.0)})
-    stated = LAB.model_copy(update={"sensors": sensors})
-    assert not of_kind(check_recording(slack, stated), "saturated")
 
 
 def test_another_arm_and_other_units_are_refused():

@@ -4,22 +4,17 @@ from __future__ import annotations
 
 import json
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 from verdict_cases import gap_of, verdict_of
 
 from cablesense_gap.scoring import (
-    Proportion,
-    Reliability,
     ScoreError,
     Truth,
     budget_score,
     places_right,
-    proportion,
     read_answers,
     read_verdicts,
-    reliability,
     score,
 )
 from cablesense_gap.verdict import Share, VerdictError, write_verdict
@@ -102,28 +97,6 @@ def test_the_verb_prints_a_table_or_json(tmp_path):
     figures = json.loads(result.stdout)
     assert figures["exact"]["value"] == 0.5
     assert figures["confusion"]["sensor_lag"] == {"none": 1}
-
-
-RNG = np.random.default_rng(8)
-STATED = RNG.uniform(0.0, 1.0, 40_000)
-
-
-def test_outcomes_drawn_as_stated_are_calibrated_and_others_are_not():
-    found = reliability(STATED, RNG.uniform(size=len(STATED)) < STATED)
-    assert found.expected_error < 0.015
-    assert found.brier == pytest.approx(1 / 6, abs=0.01)  # the mean of p (1 - p)
-    assert reliability([0.0, 1.0, 1.0], [False, True, True]) == Reliability(0.0, 0.0)
-    confident = reliability(np.full(10_000, 0.95), RNG.uniform(size=10_000) < 0.75)
-    assert confident.expected_error == pytest.approx(0.2, abs=0.02)
-
-
-@pytest.mark.parametrize("truth", [0.05, 0.5, 0.9])
-def test_the_interval_holds_the_truth_about_as_often_as_stated(truth):
-    drawn = np.random.default_rng(5).binomial(40, truth, 2000)
-    of_40 = [proportion([True] * k + [False] * (40 - k)) for k in range(41)]
-    assert proportion([]) == Proportion(None, (0.0, 1.0), 0, 0)
-    held = np.mean([low <= truth <= high for low, high in (of_40[k].ci95 for k in drawn)])
-    assert held == pytest.approx(0.95, abs=0.03)
 
 
 def answer(name, effects, where="", **more):

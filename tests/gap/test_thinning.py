@@ -80,16 +80,6 @@ def test_turns_of_a_sweep_are_kept_to_the_row():
     assert np.diff(rows).max() <= 60_000 / 5_000
 
 
-def test_both_sides_of_a_leap_of_the_load_are_kept_and_noise_takes_no_room():
-    load_n = np.repeat([0.0, 30.0, 0.0, -20.0], 25_000)
-    load_n = load_n + (load_n != 0.0) * np.random.default_rng(0).normal(0.0, 0.5, len(load_n))
-    rows = rows_to_use(recording(np.zeros(100_000), load_n))
-    for leap in (25_000, 50_000, 75_000):
-        assert np.isin([leap - 1, leap], rows).all()
-    assert len(rows) <= thinning.MOST_ROWS
-    assert np.diff(rows).max() <= 100_000 / 2_900
-
-
 def test_the_way_keeps_turns_and_stops_and_few_rows_between():
     up, down = np.linspace(0.0, 1.0, 12), np.linspace(1.0, 0.0, 12)
     load_n = np.concatenate([up, np.ones(40), down, np.zeros(30)])

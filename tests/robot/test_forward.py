@@ -8,8 +8,7 @@ import pytest
 from two_link import recorded, write_model
 
 from cablesense_gap.recordings.recording import RecordingError
-from cablesense_gap.robot.amending import changed, known_effects
-from cablesense_gap.robot.effects.effect import Scale
+from cablesense_gap.robot.amending import changed
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import read_recording
@@ -46,12 +45,6 @@ def test_without_torques_the_way_is_forward_and_the_closed_form_moves_alike(tmp_
     assert (np.sqrt((found.readings**2).mean(0)) > 4.0 * found.floor).all()
 
 
-def test_torques_are_inverse_unless_asked_otherwise(tmp_path, robot):
-    recording = read_recording(recorded(tmp_path / "recording.csv"), robot)
-    assert "inverse dynamics" in compared(recording, robot).description
-    assert "measured torques" in compared(recording, robot, forward=True).description
-
-
 def test_a_window_adds_to_coasting_what_force_by_mass_makes_of_it(tmp_path):
     path, mass, force = tmp_path / "slide.xml", 2.0, 0.5
     path.write_text(
@@ -71,15 +64,6 @@ def test_a_window_adds_to_coasting_what_force_by_mass_makes_of_it(tmp_path):
     over_s = found.span_s
     expected = np.tile([0.5 * force / mass * over_s**2, force / mass * over_s], (len(gone), 1))
     assert gone == pytest.approx(expected, rel=1e-3)
-
-
-def test_a_fine_time_step_leaves_windows_of_a_slow_recording(tmp_path, robot):
-    path, names = tmp_path / "fine.xml", ("time_s", "trial", "position", "torque", "command")
-    fine = "<option timestep='2e-4'/><worldbody>"
-    path.write_text(robot.path.read_text().replace("<worldbody>", fine, 1))
-    whole = commanded(tmp_path, robot, trials=8)
-    slow = replace(whole, **{name: getattr(whole, name)[::5] for name in names})
-    assert len(compared(slow, load_robot(path)).readings) >= 30
 
 
 def servo(tmp_path, kp):
@@ -110,29 +94,6 @@ def test_the_floor_of_a_stiff_servo_is_what_its_stiffness_allows(tmp_path):
     (said,) = servos_read(slide, motion)
     assert "servos servo are taken to act on the recorded positions" in said
     assert not servos_read(slide, replace(motion, forward=False))
-
-
-@pytest.mark.parametrize(
-    ("kinds", "damping", "play", "rotor"),
-    [
-        (["slide"], "N s/m", "m", "kg"),
-        (["hinge", "slide"], "N·m s/rad or N s/m", "rad or m", "kg·m² or kg"),
-    ],
-)
-def test_sizes_are_in_the_units_of_the_joints(tmp_path, kinds, damping, play, rotor):
-    path = tmp_path / "robot.xml"
-    joints = "".join(f"<joint name='{kind}' type='{kind}'/>" for kind in kinds)
-    body = f"<body>{joints}<geom size='0.1' mass='1'/></body>"
-    path.write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
-    robot, typical = load_robot(path), Scale(*[np.ones(len(kinds))] * 5)
-    units = {
-        name: known_effects()[name].parameters(robot, typical)[0].unit
-        for name in ("viscous_friction", "backlash", "rotor_inertia")
-    }
-    assert units == {"viscous_friction": damping, "backlash": play, "rotor_inertia": rotor}
-    assert "presliding" in [
-        p.name for p in known_effects()["joint_friction"].parameters(robot, typical)
-    ]
 
 
 @pytest.mark.parametrize(

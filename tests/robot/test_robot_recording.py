@@ -19,13 +19,11 @@ from cablesense_gap.robot.model import RobotError, load_robot
 from cablesense_gap.robot.motion import Trajectory
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import bag_table, read_recording
-from cablesense_gap.robot.smoothing import smoothed
 from cablesense_gap.robot.system import RobotSystem
 from cablesense_gap.simulator import Term
 from cablesense_msgs_py.topics import CABLE_TENSIONS, JOINT_COMMANDS
 
 BODY = "<mujoco><worldbody><body>{}<geom size='1'/></body></worldbody></mujoco>"
-STILL = {"position.shoulder": 0.0, "position.elbow": 0.0}
 
 
 @pytest.fixture(scope="module")
@@ -82,15 +80,6 @@ def test_what_cannot_be_used_is_refused_in_one_line(tmp_path, table, robot, chan
     with pytest.raises(RecordingError, match=says) as refused:
         read(tmp_path, change(table), robot)
     assert "\n" not in str(refused.value)
-
-
-@pytest.mark.parametrize(("turns", "seconds"), [(67.0, 20.0), (1.0, 100.1)])
-def test_a_drum_that_turns_far_and_rows_a_second_apart_are_read(
-    tmp_path, table, robot, turns, seconds
-):
-    drum = turns * table["position.shoulder"] / table["position.shoulder"].abs().max()
-    found = table.assign(time_s=seconds * table.time_s, **{"position.shoulder": drum})
-    assert read(tmp_path, found, robot).position[:, 0] == pytest.approx(drum.to_numpy())
 
 
 def test_without_torques_and_commands_nothing_can_be_compared(tmp_path, table, robot):
@@ -201,14 +190,6 @@ def test_a_trial_too_short_to_be_compared_leaves_no_gap_in_the_numbers(tmp_path,
         prepared(replace(recording, trial=(trial > 4).astype(int)), robot, 3.0)
 
 
-def test_a_single_glitch_changes_nothing(tmp_path, table, robot):
-    glitch = table.copy()
-    glitch.loc[glitch.index[150], "torque.elbow"] += 5.0
-    clean, with_it = (prepared(read(tmp_path, t, robot), robot) for t in (table, glitch))
-    apart = clean.compared(clean.torque) - with_it.compared(with_it.torque)
-    assert np.abs(apart).max() < 0.01
-
-
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -293,26 +274,6 @@ def test_a_drive_that_moves_two_joints_keeps_its_rotor_and_gives_the_power(robot
     bodies = InverseDynamics(robot, course(*joint)).torques(robot.nominal())
     own = change.armature * acceleration + change.damping * speed
     assert (drive * speed).sum(1) == pytest.approx((bodies * joint[1] + own * speed).sum(1))
-
-
-@pytest.mark.parametrize("hold", [0.0, 2.0])
-def test_noise_that_a_filter_made_is_known_from_rests(tmp_path, robot, hold):
-    rng, rate_hz, std = np.random.default_rng(2), 200.0, 0.05
-    time_s = np.arange(0.0, 24.0, 1.0 / rate_hz)
-    runs = np.where(time_s % 2.0 < 1.0, np.sin(np.pi * time_s) ** 2, 0.0)
-    position = np.column_stack([runs * np.sin(2.0 * np.pi * time_s), runs])
-    position += rng.normal(0.0, 1e-5, position.shape)
-    noise = smoothed(rng.normal(size=(len(time_s), 2)), rate_hz, 12.0)
-    noise *= std / noise.std(0)
-    held = hold * (time_s % 2.0 - 1.5) * (time_s % 2.0 > 1.0)  # a joint that sticks bears more
-    torque = np.sin(2.0 * np.pi * time_s)[:, None] + noise + held[:, None]
-    table = pd.DataFrame({"time_s": time_s, "trial": (time_s // 2.0).astype(int)})
-    for j, joint in enumerate(robot.joints):
-        table[f"position.{joint}"], table[f"torque.{joint}"] = position[:, j], torque[:, j]
-    motion = prepared(read(tmp_path, table, robot), robot, 4.0)
-    left = smoothed(noise, rate_hz, 4.0).std(0)
-    assert (motion.floor > 0.7 * left).all()
-    assert (motion.floor < 1.5 * left).all()
 
 
 def test_what_drives_a_geared_joint_bears_its_torque_less_its_load(tmp_path):
