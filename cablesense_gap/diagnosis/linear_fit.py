@@ -137,22 +137,17 @@ class Reduced:
         self._system, self._moment = np.array(system), np.array(moment)
         self._form, self._slope, self._constant = np.array(form), np.array(slope), constant
 
-    def mean_squares(self, sets: NDArray[np.int64]) -> Array:
-        """(N,) left by each of N sets (N, K) of columns, counted from behind the base."""
-        found = self._solved(sets)[:-1]
+    def left(self, sets: NDArray[np.int64], count: int) -> tuple[Array, Array]:
+        """(N,) mean squares that N sets (N, K) of columns leave, counted from behind the base.
+
+        Also (N,) the sums of squares of the first `count` base columns, fitted to all trials.
+        """
+        system = self._system[:, sets[:, :, None], sets[:, None, :]]
+        solved = np.linalg.solve(system, self._moment[:, sets][..., None])[..., 0]
+        found, of_all = solved[:-1], solved[-1]
         form = self._form[:, sets[:, :, None], sets[:, None, :]]
         pulled = (form @ found[..., None])[..., 0] - 2.0 * self._slope[:, sets]
-        left = (found * pulled).sum((0, -1)) + self._constant
-        return np.asarray(np.maximum(left, 0.0) / self._count)
-
-    def base_chi2(self, sets: NDArray[np.int64], count: int) -> Array:
-        """(N,) sums of squares of the first base columns with each set, fitted to all trials."""
-        found = self._solved(sets)[-1]
+        square = (found * pulled).sum((0, -1)) + self._constant
         by = np.moveaxis(self._by[:count][:, sets], 0, 1)
-        base = self._first[:count] - (by * found[:, None]).sum(-1)
-        return np.asarray((base**2).sum(-1))
-
-    def _solved(self, sets: NDArray[np.int64]) -> Array:
-        """(F + 1, N, K) coefficients without each fold, and last with all of them."""
-        system = self._system[:, sets[:, :, None], sets[:, None, :]]
-        return np.asarray(np.linalg.solve(system, self._moment[:, sets][..., None])[..., 0])
+        base = self._first[:count] - (by * of_all[:, None]).sum(-1)
+        return np.maximum(square, 0.0) / self._count, np.asarray((base**2).sum(-1))

@@ -332,7 +332,7 @@ class Selection:
             by_count.setdefault(sum(len(at[k]) for k in option), []).append(option)
         for group in by_count.values():
             sets = np.array([np.concatenate([at[k] for k in option]) for option in group])
-            left, chi2 = reduced.mean_squares(sets), reduced.base_chi2(sets, count)
+            left, chi2 = reduced.left(sets, count)
             for option, square, off in zip(group, left, chi2, strict=True):
                 both = [*chosen, *option]
                 yield self._problem.cost(float(square), float(off)) * self._penalty(both), both

@@ -30,7 +30,7 @@ _MAX_BYTES = 10_000_000
 @cache
 def known_effects() -> Mapping[str, RobotEffect]:
     """Effects by name, tolerances included: those of the folder `effects`."""
-    found = effects_in(effects, RobotEffect)  # type: ignore[type-abstract]
+    found = effects_in(effects, RobotEffect)
     return MappingProxyType(dict(sorted(found.items())))
 
 

@@ -74,7 +74,7 @@ def test_each_set_of_columns_leaves_what_a_fit_of_all_leaves(seed, base, sets, w
     precision = np.random.default_rng(seed).uniform(0.1, 3.0, len(x))
     fold = np.arange(TRIALS) % folds
     reduced = Reduced(data, base, precision, weight_, fold)
-    found = reduced.mean_squares(np.array(sets)), reduced.base_chi2(np.array(sets), base)
+    found = reduced.left(np.array(sets), base)
     for chosen, *each in zip(sets, *found, strict=True):
         at = np.concatenate([np.arange(base), base + np.array(chosen, dtype=int)])
         part, none = data.columns(at), np.zeros(len(at))

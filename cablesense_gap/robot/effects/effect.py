@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -58,6 +57,8 @@ class RobotEffect(EffectDescription):
 
     Attributes:
         at: the kind of places where it can be, `arm` for the whole robot.
+        numbers: those that are the same on every robot and recording; `parameters` has others.
+            Units are as of `joint_unit`.
         adds: the array of `Change` to which its one number is added, unless `act` does otherwise.
         in_model: whether MJCF has a place for it.
         presliding_forward: whether the forward comparison uses its presliding displacement too.
@@ -66,6 +67,7 @@ class RobotEffect(EffectDescription):
 
     source: ClassVar[str] = "Siciliano et al., Robotics: Modelling, Planning and Control, 2009"
     at: ClassVar[Literal["joints", "bodies", "tendons", "arm"]] = "joints"
+    numbers: ClassVar[tuple[Parameter, ...]] = ()
     adds: ClassVar[str] = ""
     in_model: ClassVar[bool] = True
     presliding_forward: ClassVar[bool] = False
@@ -78,9 +80,9 @@ class RobotEffect(EffectDescription):
         }  # fmt: skip
         return names.get(self.at, (WHOLE_ARM,))
 
-    @abstractmethod
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
         """Its numbers, with ranges and typical sizes on this robot and recording."""
+        return tuple(replace(p, unit=joint_unit(robot, p.unit)) for p in self.numbers)
 
     def act(self, change: Change, at: int, values: Values) -> None:
         """Change the robot; `at` is the index of the place in `places`."""

@@ -127,10 +127,9 @@ class Backlash(RobotEffect):
     source = "Nordin and Gutman, Controlling mechanical systems with backlash, Automatica 38, 2002"
     advice = "Hold the drive and move the joint by hand: gears, couplings, belts that are slack."
     in_model = False
-
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        unit = joint_unit(robot, "{position}")
-        return (size("play_rad", unit, 0.3, 0.01, "from one side of the gap to the other", 0.0),)
+    numbers = (
+        size("play_rad", "{position}", 0.3, 0.01, "from one side of the gap to the other", 0.0),
+    )
 
 
 class JointCoupling(RobotEffect):
@@ -140,6 +139,7 @@ class JointCoupling(RobotEffect):
     about = "a joint that moves with its neighbour's drive"
     advice = "Hold all drives but one, turn that, and look whether another joint moves."
     in_model = False
+    numbers = (size("share", "1", 1.2, 0.05, "of the drive's motion"),)
 
     def places(self, robot: Robot) -> tuple[str, ...]:
         """`a_into_b` for neighbours: the drive of a moves joint b."""
@@ -148,9 +148,6 @@ class JointCoupling(RobotEffect):
             for pair in pairwise(robot.joints)
             for drive, joint in (pair, pair[::-1])
         )
-
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        return (size("share", "1", 1.2, 0.05, "of the drive's motion"),)
 
     def act(self, change: Change, at: int, values: Values) -> None:
         i, back = divmod(at, 2)
@@ -179,9 +176,7 @@ class LinkMass(RobotEffect):
     at = "bodies"
     about = "a wrong link mass"
     advice = "Weigh the link, or compare its mass with the drawing's."
-
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        return (size("share", "1", 3.0, 0.1, "heavier than modelled", -0.9, spread=5.0),)
+    numbers = (size("share", "1", 3.0, 0.1, "heavier than modelled", -0.9, spread=5.0),)
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.mass_kg[at] *= 1.0 + values["share"]

@@ -27,9 +27,7 @@ class EncoderScale(RobotEffect):
     adds = "encoder_scale"
     advice = "Compare the gear ratio and the encoder's counts with the data sheet."
     in_model = False
-
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        return (size("share", "1", 0.5, 0.02, "read too much"),)
+    numbers = (size("share", "1", 0.5, 0.02, "read too much"),)
 
 
 class JointZero(RobotEffect):
@@ -41,10 +39,7 @@ class JointZero(RobotEffect):
     advice = "Home the joint again, against a mark or a level."
     in_model = False
     of_zeros = True
-
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        unit = joint_unit(robot, "{position}")
-        return (size("zero_rad", unit, 0.6, 0.03, "read at the true zero"),)
+    numbers = (size("zero_rad", "{position}", 0.6, 0.03, "read at the true zero"),)
 
 
 class TorqueScale(RobotEffect):
@@ -54,13 +49,11 @@ class TorqueScale(RobotEffect):
     about = "a wrong torque constant"
     advice = "Measure the torque constant with a weight on a lever, and compare the gear ratio."
     in_model = False
+    numbers = (size("share", "1", 0.9, 0.05, "read too much"),)
 
     def places(self, robot: Robot) -> tuple[str, ...]:
         """Every joint, and the whole robot."""
         return (*robot.joints, *((WHOLE_ARM,) if len(robot.joints) > 1 else ()))
-
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        return (size("share", "1", 0.9, 0.05, "read too much"),)
 
     def act(self, change: Change, at: int, values: Values) -> None:
         joints = slice(None) if at == len(change.torque_scale) else slice(at, at + 1)
@@ -90,9 +83,7 @@ class TorqueDelay(RobotEffect):
     about = "a delay between motion and torque"
     advice = "Compare the filters and stamps of encoders and currents."
     in_model = False
-
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        return (size("time_s", "s", 0.1, 0.005, "torques later than positions"),)
+    numbers = (size("time_s", "s", 0.1, 0.005, "torques later than positions"),)
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.delay_s += values["time_s"]
@@ -105,12 +96,10 @@ class LinkTolerance(RobotEffect):
     at = "bodies"
     about = "tolerances of masses and centres"
     tolerance = True
-
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        return (
-            size("share", "1", 0.1, 0.01, "heavier than modelled"),
-            *(size(f"{axis}_m", "m", 0.01, 0.001, f"along the link's {axis}") for axis in "xyz"),
-        )
+    numbers = (
+        size("share", "1", 0.1, 0.01, "heavier than modelled"),
+        *(size(f"{axis}_m", "m", 0.01, 0.001, f"along the link's {axis}") for axis in "xyz"),
+    )
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.mass_kg[at] *= 1.0 + values["share"]
@@ -146,7 +135,7 @@ class DriveTolerance(RobotEffect):
         change.armature[at] *= 1.0 + values["rotor_share"]
 
 
-class TimingTolerance(RobotEffect):
+class TimingTolerance(TorqueDelay):
     """Torques later than positions, or earlier, by 2 ms, at most 5: filters and buses."""
 
     name = "timing_tolerance"
@@ -154,9 +143,4 @@ class TimingTolerance(RobotEffect):
     about = "tolerances of timing"
     tolerance = True
     in_model = False
-
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        return (size("time_s", "s", 0.005, 0.002, "torques later than positions"),)
-
-    def act(self, change: Change, at: int, values: Values) -> None:
-        change.delay_s += values["time_s"]
+    numbers = (size("time_s", "s", 0.005, 0.002, "torques later than positions"),)
