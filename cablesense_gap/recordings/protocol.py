@@ -214,7 +214,13 @@ def rows_of(blocks: Sequence[Block], rate_hz: float) -> Recording:
 
 
 def bearable_load_n(
-    arm: Arm, command_rad: Array, segment: int, direction: Array, at_m: float | None = None
+    arm: Arm,
+    command_rad: Array,
+    segment: int,
+    direction: Array,
+    at_m: float | None = None,
+    *,
+    slacken: bool = False,
 ) -> float:
     """Largest force in N along `direction` (3,) on segment 1..N that leaves every cable taut.
 
@@ -223,29 +229,8 @@ def bearable_load_n(
     equilibrium at 1.3 times the force. If no visible force (20 noise floors in some cable) leaves
     all cables taut, the result is the weakest visible one.
 
-    Raises:
-        EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.
-    """
-    where = segment, at_m
-    loads_n, tensions, readable, most = _increasing_loads(arm, command_rad, where, direction)
-    tensions, readable = tensions[: most + 1], readable[: most + 1]
-    unloaded = tensions[0]
-    least = np.minimum(_TAUT_SHARE * mechanism_of(arm).pretension_n, 0.5 * unloaded)
-    taut = _last_in_row((tensions >= least).all(axis=1) & readable)
-    floor_n = float(np.sqrt(reading_variance_n2(arm.sensors)))
-    shows = np.abs(tensions - unloaded).max(axis=1) >= _WORTH_FLOORS * floor_n
-    weakest = int(np.argmax(shows)) if shows.any() else len(shows) - 1
-    return float(loads_n[max(taut, weakest)])
-
-
-def slackening_load_n(
-    arm: Arm, command_rad: Array, segment: int, direction: Array, at_m: float | None = None
-) -> float:
-    """A force in N along `direction` (3,) on segment 1..N that takes some cable slack, safely.
-
-    It acts as in `bearable_load_n`. It is 1.5 times the weakest such force. The nominal arm still
-    has an equilibrium at 1.3 times the force, and no sensor is near the end of its range. If no
-    load up to the strongest takes a cable slack, the result is that of `bearable_load_n`.
+    To `slacken` a cable it is 1.5 times the weakest force that does, where the arm bears that and
+    no sensor comes near the end of its range.
 
     Raises:
         EquilibriumError: the arm finds no rest at the command (2N,) even unloaded.
@@ -255,9 +240,16 @@ def slackening_load_n(
     slack = (tensions <= 0.0).any(axis=1)
     weakest = int(np.argmax(slack))
     wanted = min(int(_BEYOND_SLACK * weakest), most, _last_in_row(readable))
-    if not slack.any() or wanted <= weakest:
-        return bearable_load_n(arm, command_rad, segment, direction, at_m)
-    return float(loads_n[wanted])
+    if slacken and slack.any() and wanted > weakest:
+        return float(loads_n[wanted])
+    tensions, readable = tensions[: most + 1], readable[: most + 1]
+    unloaded = tensions[0]
+    least = np.minimum(_TAUT_SHARE * mechanism_of(arm).pretension_n, 0.5 * unloaded)
+    taut = _last_in_row((tensions >= least).all(axis=1) & readable)
+    floor_n = float(np.sqrt(reading_variance_n2(arm.sensors)))
+    shows = np.abs(tensions - unloaded).max(axis=1) >= _WORTH_FLOORS * floor_n
+    visible = int(np.argmax(shows)) if shows.any() else len(shows) - 1
+    return float(loads_n[max(taut, visible)])
 
 
 def _increasing_loads(
@@ -330,9 +322,9 @@ def _load(
     arm: Arm, kind: BlockKind, command: Array, where: tuple[int, float], side: str, pose: str
 ) -> Block:
     """A load that holds each level for a while, and steps to the next."""
-    strength_n = slackening_load_n if kind is BlockKind.SLACKENING else bearable_load_n
-    segment, at_m = where
-    peak_n = strength_n(arm, command, segment, np.asarray(DIRECTIONS[side]), at_m)
+    (segment, at_m), direction = where, np.asarray(DIRECTIONS[side])
+    slacken = kind is BlockKind.SLACKENING
+    peak_n = bearable_load_n(arm, command, segment, direction, at_m, slacken=slacken)
     shares, each_s = _LEVELS[kind]
     levels = ", ".join(f"{share * peak_n:.3g}" for share in _UP)
     place = f"segment {segment}, {1e3 * at_m:.0f} mm from its joint"
