@@ -17,7 +17,7 @@ from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.diagnosis.problem import Explanation, Problem, unit_of
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.pipeline import FOLDS, Reference, System, Unlisted, diagnose_system, problem_of
-from cablesense_gap.recordings.channels import EXCHANGED, unborne_findings
+from cablesense_gap.recordings.channels import EXCHANGED, Finding, unborne_findings
 from cablesense_gap.recordings.checks import check_recording, refuse_unusable
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.recordings.thinning import rows_along_path, rows_to_use
@@ -237,52 +237,47 @@ def diagnose(
             "by what the sensors add to a reading, so one of them must be above 0"
         )
     refuse_unusable(recording, check_recording(recording, arm))
-    rows = rows_to_use(recording)
     progress("predicting the nominal arm", 0.0)
     earlier: tuple[Earlier, ...] = ()
     if listed_values(arm):
         progress("judging what the arm file lists", 0.0)
+        rows = rows_to_use(recording)
         bare = ArmSystem(without_effects(arm), recording.rows(rows), unseen)
         if np.isfinite(bare.nominal_n).all():  # else the arm needs its effects to be supported
-            findings = check_recording(recording, bare.arm, bare.nominal_n, rows)
-            exchanged = [finding for finding in findings if finding.kind == EXCHANGED]
+            found = check_recording(recording, bare.arm, bare.nominal_n, rows)
+            exchanged = [finding for finding in found if finding.kind == EXCHANGED]
             refuse_unusable(recording, exchanged, force=force)
             arm, earlier = judged_earlier(problem_of(bare), arm)
     healthy = None
     if reference is not None:
         progress("fitting the reference", 0.0)
-        refuse_unusable(reference, check_recording(reference, arm))
-        known, compared, _ = _supported_system(arm, reference, rows_to_use(reference), ())
-        findings = check_recording(reference, arm, known.nominal_n, compared)
-        refuse_unusable(reference, findings, force=force)
-        healthy = Reference(known)
+        healthy = Reference(_checked_system(arm, reference, (), force=force)[0])
         arm = amended_arm(arm, {}, healthy.tolerances)
-    system, rows, unsupported = _supported_system(arm, recording, rows, unseen)
-    findings = check_recording(recording, arm, system.nominal_n, rows)
-    refuse_unusable(recording, findings, force=force)
-    findings += unborne_findings(unsupported, arm)
+    system, findings = _checked_system(arm, recording, unseen, force=force)
     for finding in findings:
         on_finding(finding.text)
-    found = diagnose_system(system, progress, workers, began_s, healthy)
+    outcome = diagnose_system(system, progress, workers, began_s, healthy)
     return Diagnosis(
         recording=system.recording,
         nominal=arm,
-        verdict=found.verdict.model_copy(update={"earlier": earlier}),
-        amended=amended_arm(arm, found.values, found.tolerances),
-        predicted_n=found.nominal,
-        held_out_n=found.held_out,
+        verdict=outcome.verdict.model_copy(update={"earlier": earlier}),
+        amended=amended_arm(arm, outcome.values, outcome.tolerances),
+        predicted_n=outcome.nominal,
+        held_out_n=outcome.held_out,
         counted=system.counted,
         findings=tuple(finding.text for finding in findings),
     )
 
 
-def _supported_system(
-    arm: Arm, recording: Recording, rows: NDArray[np.int64], unseen: Collection[int]
-) -> tuple[ArmSystem, NDArray[np.int64], NDArray[np.bool_]]:
-    """The system of the rows (K,) in which the arm has an equilibrium.
+def _checked_system(
+    arm: Arm, recording: Recording, unseen: Collection[int], *, force: bool
+) -> tuple[ArmSystem, list[Finding]]:
+    """The system of a recording that can be used, and what its checks found.
 
-    Also their numbers, and which rows of the whole recording (R,) have no equilibrium.
+    A few rows in which the arm has no equilibrium are left out.
     """
+    refuse_unusable(recording, check_recording(recording, arm))
+    rows = rows_to_use(recording)
     system = ArmSystem(arm, recording.rows(rows), unseen)
     unsupported = np.zeros(len(recording), dtype=bool)
     if not np.isfinite(system.nominal_n).all():
@@ -295,7 +290,9 @@ def _supported_system(
         rows = rows[supported]
         system = ArmSystem(arm, recording.rows(rows), unseen)
     system.row_count = len(recording)
-    return system, rows, unsupported
+    findings = check_recording(recording, arm, system.nominal_n, rows)
+    refuse_unusable(recording, findings, force=force)
+    return system, [*findings, *unborne_findings(unsupported, arm)]
 
 
 def folds_of(recording: Recording, unseen: Collection[int] = ()) -> NDArray[np.int64]:
