@@ -70,10 +70,8 @@ def test_a_sound_recording_has_nothing_to_find():
     "changes",
     [
         {"stiffness_n_m": 0.4 * MECHANISM.stiffness_n_m},
-        {"stiffness_n_m": 2.5 * MECHANISM.stiffness_n_m},
         {"mass_kg": MECHANISM.mass_kg + np.array([0.0, 0.0, 0.0, 0.5])},
         {"pretension_n": MECHANISM.pretension_n - 15.0},
-        {"gravity_m_s2": np.array([0.8, 0.8, -9.7])},
         {"contact_m": MECHANISM.contact_m + 0.03},
     ],
     ids=lambda changes: next(iter(changes)),
@@ -183,18 +181,6 @@ def test_another_arm_and_other_units_are_refused():
         found = check_recording(replace(BARE, tensions_n=tensions), LAB, NOMINAL)
         assert refused(found)
         assert of_kind(found, kind), found
-
-
-def test_springs_that_outweigh_all_else_over_poses_are_not_taken_for_another_arm():
-    """The arm still answers loads as its file says."""
-    springs = replace(MECHANISM, joint_stiffness_n_m_rad=MECHANISM.joint_stiffness_n_m_rad + 15.0)
-    tensions = tensions_of(springs, BARE)
-    over_poses = np.corrcoef(
-        (tensions - tensions.mean(0)).ravel(), (NOMINAL - NOMINAL.mean(0)).ravel()
-    )
-    assert over_poses[0, 1] < 0.6
-    found = check_recording(replace(BARE, tensions_n=tensions), LAB, NOMINAL)
-    assert not refused(found), found
 
 
 def test_reading_refuses_what_has_no_form_and_takes_what_is_merely_short(tmp_path):
