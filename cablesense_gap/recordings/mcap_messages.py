@@ -152,20 +152,16 @@ def _parsed(opcode: int, content: bytes, left: int) -> list[McapRecord]:
     """
     from mcap.data_stream import ReadDataStream
     from mcap.opcode import Opcode
-    from mcap.records import Channel, Chunk, Message, Schema
+    from mcap.records import Chunk
     from mcap.stream_reader import breakup_chunk
 
-    stream = ReadDataStream(BytesIO(content))
-    match opcode:
-        case Opcode.SCHEMA:
-            return [Schema.read(stream)]
-        case Opcode.CHANNEL:
-            return [Channel.read(stream)]
-        case Opcode.MESSAGE:
-            return [Message.read(stream, len(content))]
-    chunk = Chunk.read(stream)
-    unpacked = replace(chunk, compression="", data=_unpacked(chunk, left))
-    records = breakup_chunk(unpacked, validate_crc=True)
+    if opcode == Opcode.CHUNK:
+        chunk = Chunk.read(ReadDataStream(BytesIO(content)))
+        chunk = replace(chunk, compression="", data=_unpacked(chunk, left))
+    else:
+        record = _HEAD.pack(opcode, len(content)) + content
+        chunk = Chunk("", record, 0, 0, 0, len(record))
+    records = breakup_chunk(chunk, validate_crc=True)
     return sorted(records, key=lambda record: getattr(record, "log_time", -1))
 
 
