@@ -9,8 +9,8 @@ setting, the decoupled networks and shared backbone of the paper on the straight
 poses. `--write` puts `accuracy.json` and the tables `accuracy.md` into `benchmarks/results/`.
 
 With `--several` there are none to four forces of 0 to 60 N at once on the straight arm, answered
-by gradient boosting too, which also answers Table II's physical rows: `multi_contact.json`.
-Recognition counts contacts from 5 N and all untouched segments.
+by gradient boosting too: `multi_contact.json`. Recognition counts contacts from 5 N and all
+untouched segments.
 """
 
 from __future__ import annotations
@@ -18,16 +18,15 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import Any
 
 import harness
-import numpy as np
 
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
-from cablesense_training.data.protocols import Protocol, SingleContact
+from cablesense_training.data.protocols import Protocol
 from cablesense_training.evaluation.comparison import (
     MULTI_ARM,
     SETTINGS,
@@ -44,7 +43,7 @@ from cablesense_training.evaluation.comparison import (
 )
 from cablesense_training.evaluation.metrics import ContactAnswer
 from cablesense_training.evaluation.noise_bound import multi_contact_bound_n
-from cablesense_training.evaluation.table2 import evaluate_table2, read_table2
+from cablesense_training.evaluation.table2 import evaluate_table2
 from cablesense_training.fit import FitSettings, fit
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
@@ -136,27 +135,11 @@ def _several(samples: int) -> dict[str, Any]:
     metrics["gradient_boosting"] = asdict(evaluate_multi_answer(*answer, test).metrics)
     bound = multi_contact_bound_n(test, WEAKEST_MULTI_N)
     metrics["noise_bound"] = {"magnitude_mae_n": bound.tolist()}
-    arm, rows = open_arm("cdsm_table2"), [r for r in read_table2() if r.source == "physical"]
-    straight = SingleContact(samples=BOOSTING_SAMPLES, pose="straight")
-    trees = BoostingBaseline(draw_dataset(arm, straight, TRAIN_SEED))
-    blank = draw_dataset(arm, replace(straight, samples=len(rows)), 1)
-    measured = np.stack([row.tension_difference_n for row in rows])
-    told = trees.answer(replace(blank, tension_difference_n=measured))
     return {
         **harness.origin(),
         "seed": TEST_SEED,
         "samples": samples,
         "several_contacts": metrics,
-        "table2_gradient_boosting": [
-            {
-                "true_segment": row.segment,
-                "true_n": row.weight_n,
-                "segment": int(told.segment[i]),
-                "angle_deg": float(told.angle_deg[i]),
-                "magnitude_n": float(told.magnitude_n[i]),
-            }
-            for i, row in enumerate(rows)
-        ],
     }
 
 

@@ -13,25 +13,20 @@ contact from the one before the fault.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import harness
 import numpy as np
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
+from estimated_arm import START_NS, EstimatedArm
 
 from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
-from cablesense_online.estimation import Estimation
-from cablesense_online.models import load_model
-from cablesense_sim.build import mechanism_of
+from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.replay import read_tensions_n
 from examples.admittance.controller import AdmittanceController
 from examples.admittance.law import AdmittanceSettings
 
@@ -46,97 +41,73 @@ TOUCHED_S, GIVEN_WAY_S, TOUCHED_LIMIT_DEG = 3.0, 12.0, 1.5
 LOOSE_N = -1e5
 """Pretension of a broken cable: it would have to stretch by centimetres to be taut."""
 
-opened = cache(load_model)
+KINDS: dict[str, tuple[float, ...]] = {
+    "zero": (0.0,),
+    "broken cable": (0.0,),
+    "scale": (0.5, 0.8, 0.9, 1.1, 2.0),
+    "offset": (-20.0, -5.0, 2.0, 5.0, 20.0),
+    "stuck": (0.0, 0.5, -0.5, 1.0, -1.0),
+    "exchanged": (1, 2, 3, 5, 6),
+    "drift": (0.03, 0.1, 0.3, 1.0, 5.0),
+}
+"""Sizes of every kind: a factor, newtons, newtons a second, or how many cables further on."""
 
-Change = Callable[[Array, float], None]
-"""Changes readings (M,) in place, so long after the fault began, s."""
 
+class Fault:
+    """A fault of one cable, from 0; `none` has none."""
 
-class Fault(NamedTuple):
-    """One fault and its size with its unit; `change` is of the readings."""
+    def __init__(self, kind: str, size: float, cable: int) -> None:
+        self.kind, self.size, self.cable = kind, size, cable
+        self._stuck_at_n: float | None = None
 
-    kind: str
-    size: str
-    cable: int
-    change: Change
-    broken: bool = False
+    def change(self, reading_n: Array, since_s: float) -> None:
+        """Change readings (M,) in place, so long after the fault began, s."""
+        at, size = self.cable, self.size
+        match self.kind:
+            case "zero":
+                reading_n[at] = 0.0
+            case "scale":
+                reading_n[at] *= size
+            case "offset":
+                reading_n[at] += size
+            case "drift":
+                reading_n[at] += size * since_s
+            case "stuck":
+                if self._stuck_at_n is None:
+                    self._stuck_at_n = reading_n[at] + size
+                reading_n[at] = self._stuck_at_n
+            case "exchanged":
+                other = (at + round(size)) % len(reading_n)
+                reading_n[[at, other]] = reading_n[[other, at]]
 
 
 def faults(cables: int) -> Iterator[Fault]:
-    """Every kind of every cable in five sizes; cables count from 0."""
-
-    def none(_: Array, __: float) -> None:
-        pass
-
-    def scaled(cable: int, by: float) -> Change:
-        def change(reading_n: Array, _: float) -> None:
-            reading_n[cable] *= by
-
-        return change
-
-    def offset(cable: int, n: float, n_s: float = 0.0) -> Change:
-        def change(reading_n: Array, since_s: float) -> None:
-            reading_n[cable] += n + n_s * since_s
-
-        return change
-
-    def stuck(cable: int, off_n: float) -> Change:
-        held: list[float] = []
-
-        def change(reading_n: Array, _: float) -> None:
-            if not held:
-                held.append(reading_n[cable] + off_n)
-            reading_n[cable] = held[0]
-
-        return change
-
-    def exchanged(cable: int, other: int) -> Change:
-        def change(reading_n: Array, _: float) -> None:
-            reading_n[[cable, other]] = reading_n[[other, cable]]
-
-        return change
-
-    yield Fault("none", "", 0, none)
+    """Every kind of every cable in all its sizes."""
+    yield Fault("none", 0.0, 0)
     for cable in range(cables):
-        yield Fault("zero", "0 N", cable, scaled(cable, 0.0))
-        yield Fault("broken cable", "", cable, none, broken=True)
-        for by in (0.5, 0.8, 0.9, 1.1, 2.0):
-            yield Fault("scale", f"{by:g}", cable, scaled(cable, by))
-        for n in (-20.0, -5.0, 2.0, 5.0, 20.0):
-            yield Fault("offset", f"{n:+g} N", cable, offset(cable, n))
-        for n in (0.0, 0.5, -0.5, 1.0, -1.0):
-            yield Fault("stuck", f"{n:+g} N off", cable, stuck(cable, n))
-        for step in (1, 2, 3, 5, 6):
-            other = (cable + step) % cables
-            yield Fault("exchanged", f"with {other + 1}", cable, exchanged(cable, other))
-        for n_s in (0.03, 0.1, 0.3, 1.0, 5.0):
-            yield Fault("drift", f"{n_s:g} N/s", cable, offset(cable, 0.0, n_s))
+        for kind, sizes in KINDS.items():
+            yield from (Fault(kind, size, cable) for size in sizes)
 
 
-class Run:
+class Run(EstimatedArm):
     """Arm, estimator and controller; every message is answered as the nodes do."""
 
     def __init__(self, arm_name: str, seed: int, **limits: Any) -> None:
-        loaded = opened(arm_name, arm_name)
-        self.arm, self.rng = loaded.arm, np.random.default_rng(seed)
-        self.mechanism = mechanism_of(self.arm)
-        settings = harness.estimation_settings(
-            tare_samples=50,
+        super().__init__(
+            arm_name,
+            np.random.default_rng(seed),
+            arm_name,
             joint_speed_rad_s=float(np.deg2rad(20.0)),
             tare_deviation_n=2.0,
             tare_drift_n=0.1,
-            largest_misfit=loaded.largest_misfit(-1.0),
         )
-        self.estimation = Estimation(self.arm, loaded.estimator, settings, 0.0)
         self.controller = AdmittanceController(self.mechanism, AdmittanceSettings(**limits), 0.0)
         self.forces_n: Array | None = None
-        self._message = JointState(name=list(self.arm.cable_names))
         self.commanded(np.zeros(self.arm.joint_count), 0.0)
 
     def commanded(self, command_rad: Array, now_s: float) -> None:
         """A command is on the topic; all receive it, and the arm goes there."""
-        names, angles_rad = list(self.arm.joint_names), command_rad.tolist()
-        self.estimation.command(JointState(name=names, position=angles_rad))
+        self.command(command_rad)
         self.controller.received_command(command_rad, now_s)
         self.command_rad = command_rad
         self.rest()
@@ -150,18 +121,14 @@ class Run:
         rest = solve_equilibrium(self.mechanism, self.command_rad, self.forces_n)
         self._tensions_n = rest.tensions_n
 
-    def tick(self, number: int, change: Change | None, since_s: float) -> float:
+    def tick(self, now_s: float, fault: Fault | None, since_s: float) -> float:
         """One sample and what follows; gives the force that was estimated, N."""
-        now_s, now_ns = number / RATE_HZ, 10**18 + round(number * 1e9 / RATE_HZ)
-        read_n = np.maximum(read_tensions_n(self._tensions_n, self.arm.sensors, self.rng), 0.0)
-        if change is not None:
-            change(read_n, since_s)
-        stamp = self._message.header.stamp
-        stamp.sec, stamp.nanosec = divmod(now_ns, 10**9)
-        self._message.effort = np.maximum(read_n, 0.0).tolist()
-        answer = self.estimation.sample(serialize_message(self._message), now_ns, now_s)
+        read_n = self.read(self._tensions_n)
+        if fault is not None:
+            fault.change(read_n, since_s)
+        answer = self.sample(np.maximum(read_n, 0.0), now_s)
         contact, controller = answer.contact, self.controller
-        force_n = np.array(contact.wrench[:3])
+        force_n, now_ns = np.array(contact.wrench[:3]), START_NS + round(now_s * 1e9)
         given = controller.received(answer.force, contact.segment, force_n, now_ns, now_ns, now_s)
         for command in (given, controller.repeated(now_s)):
             if command is not None:
@@ -184,7 +151,7 @@ def moved(arm_name: str, fault: Fault, seed: int, *, touched: bool) -> tuple[flo
             run.rest()
         if math.isclose(now_s, fault_s):
             before_rad = run.controller.command_rad
-            if fault.broken:
+            if fault.kind == "broken cable":
                 pretension_n = run.mechanism.pretension_n.copy()
                 pretension_n[fault.cable] = LOOSE_N
                 run.mechanism = replace(run.mechanism, pretension_n=pretension_n)
@@ -193,7 +160,7 @@ def moved(arm_name: str, fault: Fault, seed: int, *, touched: bool) -> tuple[flo
             run.commanded(pose, now_s)
             before_rad = pose
         failing = now_s >= fault_s
-        force_n = run.tick(number, fault.change if failing else None, now_s - fault_s)
+        force_n = run.tick(now_s, fault if failing else None, now_s - fault_s)
         if failing:
             largest_n = max(largest_n, force_n)
             away_rad = run.controller.command_rad - before_rad
@@ -202,13 +169,13 @@ def moved(arm_name: str, fault: Fault, seed: int, *, touched: bool) -> tuple[flo
     return float(np.rad2deg(turned_rad)), largest_n
 
 
-Row = tuple[str, str, int, float, float]
+Row = tuple[str, float, int, float, float]
 
 
 def cable_rows(arm_name: str, touched: bool, cable: int) -> list[Row]:
     """Kind, size, cable, turn (degrees) and largest force (N) of its faults."""
     rows = []
-    for number, fault in enumerate(faults(opened(arm_name, arm_name).arm.cable_count)):
+    for number, fault in enumerate(faults(open_arm(arm_name).cable_count)):
         if fault.cable == cable:
             with suppress(EquilibriumError):  # the arm collapses
                 found = moved(arm_name, fault, number, touched=touched)
@@ -218,7 +185,7 @@ def cable_rows(arm_name: str, touched: bool, cable: int) -> list[Row]:
 
 def measure(arm_name: str, workers: int, *, touched: bool) -> dict[str, Any]:
     """All faults of one arm, by kind."""
-    count = opened(arm_name, arm_name).arm.cable_count
+    count = open_arm(arm_name).cable_count
     with WorkerPool(workers, arm_name, touched) as pool:
         rows = [row for found in pool.map(cable_rows, range(count)) for row in found]
     result = {}
@@ -228,7 +195,7 @@ def measure(arm_name: str, workers: int, *, touched: bool) -> dict[str, Any]:
             "cases": len(of),
             "moved": sum(row[3] > 0.0 for row in of),
             "beyond_the_bar": [
-                f"cable_{cable} {size}: {turned_deg:.2f} degrees, {force_n:.1f} N"
+                f"cable_{cable} {size:g}: {turned_deg:.2f} degrees, {force_n:.1f} N"
                 for _, size, cable, turned_deg, force_n in of
                 if turned_deg > BAR_DEG
             ],

@@ -206,14 +206,8 @@ def main() -> None:
     result["bars"] = bars
     if given.write:
         panels.savefig(harness.RESULTS / "anywhere.png", dpi=90)
-    harness.publish("anywhere.json", _rounded(result), given)
+    harness.publish("anywhere.json", result, given)
     harness.print_bars(bars)
-
-
-def _rounded(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _rounded(each) for key, each in value.items()}
-    return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
 if __name__ == "__main__":

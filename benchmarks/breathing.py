@@ -7,11 +7,7 @@ straight and half bent by up to 8 degrees. They are loaded with 5 to 100 N on on
 is lowered, then removed. At each of these rests they breathe once. The shipped static model, of
 the arm without friction, answers from one reading after the breath, with noise and step. So does
 that of contacts anywhere, which is not told the place. The same
-course is also run without breathing (`passive`), with a simulation of each arm that knows its
-friction and not its loads (`simulated`), and with the shape of a demagnetisation: joints to and
-fro with shrinking amplitude, all cables in and out by 0.1 mm, the geometric mean of these two
-readings (`to and fro`), and breaths of 0.6 of the least circle that turns every guide (`gentle
-breath`), both on the soft arm.
+course is also run without breathing (`passive`).
 
     python benchmarks/breathing.py --hidden [--write]
 
@@ -26,7 +22,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import harness
@@ -51,7 +46,6 @@ from cablesense_sim.loads import normal_force_n
 from cablesense_sim.replay import read_tensions_n
 from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.history_simulation import HistorySimulation
 from cablesense_training.inference.metadata import find_model
 
 SEED = 20_261_122
@@ -59,8 +53,6 @@ TURN_S, SETTLE_S = 0.4, 0.5
 _PULLEY_RAD, _BENT_DEG, _FORCES_N = np.pi / 2, 8.0, (5.0, 100.0)
 _STEPS = 4
 """The steps of a load, and of a move."""
-_STEP_S, _TARE_SAMPLES = 0.1, 50
-_GENTLE = 0.6
 _BARS_N = {0.05: 0.3, 0.10: 0.4, 0.15: 0.6}
 HIDING_ARM, HIDING_SEGMENT, HIDDEN_LOAD_N = "cdsm_lab", 3, 20.0
 _FRICTIONS = (0.0, 0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2)
@@ -92,10 +84,10 @@ class Course:
             for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
                 self.step(before + share * (pose - before))
 
-    def step(self, command_rad: Array, offset_m: float = 0.0) -> None:
-        """Go to commands (B, 8) at once, all cables longer by an offset."""
+    def step(self, command_rad: Array) -> None:
+        """Go to commands (B, 8) at once."""
         self._command_rad = command_rad
-        self._stepped.step(self._plant.held_m(command_rad) + offset_m, self._forces_n)
+        self._stepped.step(self._plant.held_m(command_rad), self._forces_n)
 
     def load(self, forces_n: Array) -> None:
         """Come to loads (B, 4, 3) step by step."""
@@ -114,39 +106,6 @@ class Course:
         return tip_m(mechanism_of(self.arm), self._stepped.angles_rad)
 
 
-class SimulatedCourse(Course):
-    """The same, with a simulation of each arm that knows its friction."""
-
-    def __init__(self, name: str, coefficient: float, arms: int) -> None:
-        known = with_friction(open_arm(name), coefficient)
-        self._simulations = [HistorySimulation(known, _TARE_SAMPLES) for _ in range(arms)]
-        self._time_s, self._tare_n = 0.0, np.zeros(0)
-        super().__init__(name, coefficient, arms)
-
-    def step(self, command_rad: Array, offset_m: float = 0.0) -> None:
-        """See the base class."""
-        super().step(command_rad, offset_m)
-        self._time_s += _STEP_S
-        if not self._tare_n.size:
-            for simulation, command in zip(self._simulations, command_rad, strict=True):
-                simulation.unloaded(self._time_s, command)
-            return
-        each = zip(self._simulations, self.read_n() - self._tare_n, command_rad, strict=True)
-        self._left_n = np.array(
-            [
-                simulation.without_n(read, self._time_s, command)
-                for simulation, read, command in each
-            ]
-        )
-
-    def without_history_n(self) -> Array:
-        """(B, M) what readings have changed by since the first call, without history."""
-        if not self._tare_n.size:
-            self._tare_n = self.read_n()
-            self._left_n = np.zeros_like(self._tare_n)
-        return self._left_n
-
-
 class Breathing:
     """Breathes the arms of a course.
 
@@ -155,15 +114,11 @@ class Breathing:
         took_s: from the beginning of a breath to the first reading that is corrected.
     """
 
-    def __init__(self, course: Course, coefficient: float, share: float = 1.0) -> None:
-        """With a share of the least circle that turns every guide."""
+    def __init__(self, course: Course, coefficient: float) -> None:
+        """With the least circle that turns every guide."""
         arm = with_friction(course.arm, coefficient)
         self._course = course
-        least_rad = [breath_circle(arm, base).least_rad for base in course.base_rad]
-        self.circles = [
-            breath_circle(arm, base, share * least)
-            for base, least in zip(course.base_rad, least_rad, strict=True)
-        ]
+        self.circles = [breath_circle(arm, base) for base in course.base_rad]
         self.tip_mm: list[float] = []
         self.took_s = 0.0
 
@@ -194,23 +149,6 @@ class Breathing:
             ]
         self.took_s = 1e-9 * now_ns
         return np.array(answers)
-
-
-def to_and_fro(course: Course) -> Array:
-    """Joints to and fro, then all cables in and out: the mean of these two readings (B, M)."""
-    for degrees in (0.5, 0.35, 0.2, 0.1):
-        for side in (1.0, -1.0):
-            middle = course.base_rad
-            course.step(middle)
-            course.step(middle + side * np.radians(degrees))
-    course.step(course.base_rad)
-    logs = []
-    for offset_m in (-1e-4, 1e-4):
-        course.step(course.base_rad, 0.5 * offset_m)
-        course.step(course.base_rad, offset_m)
-        logs.append(np.log(np.maximum(course.read_n(), 0.01)))
-    course.step(course.base_rad)
-    return np.asarray(np.exp(np.mean(logs, axis=0)))
 
 
 def with_friction(arm: Arm, coefficient: float) -> Arm:
@@ -270,10 +208,10 @@ def errors(course: Course, read: Callable[[], Array], loads: int) -> dict[str, A
     }
 
 
-def breathed(name: str, coefficient: float, options: Any, share: float) -> dict[str, Any]:
-    """Figures of a course with breaths of a share of the least circle."""
+def breathed(name: str, coefficient: float, options: Any) -> dict[str, Any]:
+    """Figures of a course with breaths."""
     course = Course(name, coefficient, options.arms)
-    breathing = Breathing(course, coefficient, share)
+    breathing = Breathing(course, coefficient)
     found = errors(course, breathing.read_n, options.loads)
     joints_deg = np.degrees(max(circle.largest_rad for circle in breathing.circles))
     return found | {
@@ -336,16 +274,10 @@ def main() -> None:
     for name in ("cdsm", "cdsm_lab"):
         for coefficient in options.friction:
             began = time.monotonic()
-            breath = breathed(name, coefficient, options, 1.0)
+            breath = breathed(name, coefficient, options)
             case = {"arm": name, "friction": coefficient, "breath": breath}
             course = Course(name, coefficient, options.arms)
             case["passive"] = errors(course, course.read_n, options.loads)
-            simulated = SimulatedCourse(name, coefficient, options.arms)
-            case["simulated"] = errors(simulated, simulated.without_history_n, options.loads)
-            if name == "cdsm_lab":
-                case["gentle breath"] = breathed(name, coefficient, options, _GENTLE)
-                course = Course(name, coefficient, options.arms)
-                case["to and fro"] = errors(course, partial(to_and_fro, course), options.loads)
             cases.append(case | {"seconds": round(time.monotonic() - began)})
             there = breath["anywhere"]
             what = f"{name}, friction {coefficient:g}: "

@@ -167,14 +167,6 @@ def replay(line: Line) -> list[Frames]:
     return [*recorded, *line.cycles(ATTACKED_CYCLES), *again]
 
 
-def replay_alone(line: Line) -> list[Frames]:
-    """The amplifiers fall silent, and their cycles are sent again from the next one on."""
-    recorded = line.cycles(line.rng.randrange(5, 250))
-    later_s = len(recorded) * line.map.cycle_time_s
-    again = [[_again(one, later_s) for one in old] for old in recorded[:ATTACKED_CYCLES]]
-    return [*recorded, *again]
-
-
 def steady(line: Line) -> list[Frames]:
     """Nothing but the amplifiers."""
     return line.cycles(HEALTHY_CYCLES)
@@ -255,7 +247,7 @@ def main() -> int:
     parser = harness.parser(__doc__, "results/can_intruders.json")
     parser.add_argument("--runs", type=int, default=100, help="of each kind and amplifier")
     given = parser.parse_args()
-    kinds = [(PACKED, one, "SYNC") for one in (*ATTACKS, replay_alone, *HEALTHY)]
+    kinds = [(PACKED, one, "SYNC") for one in (*ATTACKS, *HEALTHY)]
     kinds += [(CIA404, one, "both") for one in ATTACKS]
     kinds += [(CIA404, one, "SYNC") for one in HEALTHY] + [(CIA404, steady, "own")]
     figures = [measure(name, one, given.runs, timers) for name, one, timers in kinds]

@@ -1,13 +1,11 @@
-"""Mutated files: arms, channel maps, their DBC files, calibrations, models, recordings, states.
+"""Edited files: arms, channel maps, their DBC files, calibrations, models, recordings, states.
 
-An item is one file: written, read, and either refused in one line or found to be usable.
+An example is one file: written, read, and either refused in one line or found to be usable.
 """
 
 from __future__ import annotations
 
 import itertools
-import json
-import random
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
@@ -18,19 +16,18 @@ from typing import Any
 import can
 import numpy as np
 import onnx
-from fuzz_messages import ARM, SETTINGS, TaredEstimation
-from fuzz_mutation import (
+from fuzz_edits import (
+    Check,
+    Draw,
     FalseAnswerError,
-    ItemOutcome,
-    Run,
+    Outcome,
     Target,
-    item_random,
-    mutated_bytes,
-    mutated_text,
-    mutated_tree,
-    mutated_yaml,
+    edited_bytes,
+    edited_text,
     require_one_line,
 )
+from fuzz_messages import ARM, SETTINGS, TaredEstimation
+from hypothesis import strategies as st
 
 from cablesense_base import CableSenseError
 from cablesense_base.installation import config_path
@@ -61,29 +58,27 @@ _MODELS = {
 
 MOST_ROWS = 2_400
 _EXAMPLES = Path(__file__).parent / "fuzz_examples"
-Mutation = Callable[[random.Random, Any, Sequence[Any]], bytes]
+Edit = Callable[[Draw, Any], bytes]
 Use = Callable[[Path], None]
 """Reads a file and judges its content; raises `CableSenseError` for a refused one."""
 
 
-def _make(name: str, seed: int) -> Run:
-    """Items are files: an example of one kind mutated, written, and taken or refused."""
-    suffix, mutated, use = _READERS[name][:3]
-    examples = _examples(name)
+def _check(name: str) -> Check:
+    """Examples are files in the working folder: one of a kind edited, and taken or refused."""
+    suffix, edit, use, _ = _READERS[name]
+    contents = _examples(name)
+    path = Path(f"item.{suffix}").absolute()
 
-    def run(item: int) -> ItemOutcome:
-        rng = item_random(name, seed, item)
-        with tempfile.TemporaryDirectory(prefix="fuzz_") as folder:
-            path = Path(folder, f"item.{suffix}")
-            path.write_bytes(mutated(rng, rng.choice(examples), examples))
-            try:
-                use(path)
-            except CableSenseError as error:
-                require_one_line(error)
-                return ItemOutcome(refused=1)
-        return ItemOutcome(taken=1)
+    def check(draw: Draw) -> Outcome:
+        path.write_bytes(edit(draw, draw(st.sampled_from(contents))))
+        try:
+            use(path)
+        except CableSenseError as error:
+            require_one_line(error)
+            return Outcome(refused=1)
+        return Outcome(taken=1)
 
-    return run
+    return check
 
 
 def _examples(name: str) -> Sequence[Any]:
@@ -131,10 +126,6 @@ def _write_state(state: EstimatorState, path: Path) -> None:
     file.flush()
 
 
-def _text_or_yaml(rng: random.Random, text: str, others: Sequence[str]) -> bytes:
-    return mutated_yaml(rng, text) if rng.random() < 0.5 else mutated_text(rng, text, others)
-
-
 def _use_arm(path: Path) -> None:
     arm = load_arm(path)
     if parse_arm(path.read_text(encoding="utf-8-sig")).identity != arm.identity:
@@ -145,8 +136,8 @@ def _use_arm(path: Path) -> None:
         raise FalseAnswerError(f"an arm with {numbers}")
 
 
-def _mutated_database(rng: random.Random, text: str, _: Sequence[str]) -> bytes:
-    return mutated_text(rng, text, [text, _text("statements.dbc")])
+def _edited_database(draw: Draw, text: str) -> bytes:
+    return edited_text(draw, text, _text("statements.dbc").splitlines(keepends=True))
 
 
 def _use_database(path: Path) -> None:
@@ -192,21 +183,19 @@ def _use_calibration(path: Path) -> None:
             raise FalseAnswerError(f"a calibration of {channel}")
 
 
-def _mutated_model(rng: random.Random, content: bytes, contents: Sequence[bytes]) -> bytes:
+def _edited_model(draw: Draw, content: bytes) -> bytes:
     """As bytes, or in its metadata, or with a tensor that lies in another file."""
-    if rng.random() < 0.5:
-        return mutated_bytes(rng, content, contents)
+    if draw(st.booleans()):
+        return edited_bytes(draw, content)
     model = onnx.load_model_from_string(content)
-    if rng.random() < 0.1:
-        tensor = rng.choice(model.graph.initializer)
+    if draw(st.integers(0, 9)) == 9:
+        tensor = draw(st.sampled_from(list(model.graph.initializer)))
         tensor.external_data.add(key="location", value="/etc/passwd")
         tensor.data_location = onnx.TensorProto.EXTERNAL
-    for entry in model.metadata_props:
-        if rng.random() < 0.5:
-            entry.value = json.dumps(mutated_tree(rng, json.loads(entry.value)))
-        else:
-            text = mutated_text(rng, entry.value).decode("utf-8", errors="replace")
-            entry.value = text.replace("\0", "")
+    entry = draw(st.sampled_from(list(model.metadata_props)))
+    entry.value = (
+        edited_text(draw, entry.value).decode("utf-8", errors="replace").replace("\0", "")
+    )
     return bytes(model.SerializeToString())
 
 
@@ -233,24 +222,17 @@ def _use_recording(path: Path) -> None:
         raise FalseAnswerError(f"{rows} rows whose time does not ascend")
 
 
-def _mutated_dataset(rng: random.Random, content: bytes, _: Sequence[bytes]) -> bytes:
+def _edited_dataset(draw: Draw, content: bytes) -> bytes:
     at = 0
-    if rng.random() < 0.5:  # offsets and sizes stand at the end
-        at = rng.randrange(max(0, len(content) - 12_000), len(content))
-    return content[:at] + mutated_bytes(rng, content[at:], most=2)
+    if draw(st.booleans()):  # offsets and sizes stand at the end
+        at = draw(st.integers(max(0, len(content) - 12_000), len(content)))
+    return content[:at] + edited_bytes(draw, content[at:], most=2)
 
 
 def _use_dataset(path: Path) -> None:
     read = read_dataset(path, ARM)
     if not np.isfinite(read.tension_difference_n).all() or len(read) > 2_000_000:
         raise FalseAnswerError(f"a dataset of {len(read)} rows that are not all numbers")
-
-
-def _mutated_state(rng: random.Random, text: str, others: Sequence[str]) -> bytes:
-    if rng.random() < 0.5:
-        return mutated_text(rng, text, others)
-    tree = mutated_tree(rng, json.loads(text))
-    return json.dumps(tree).encode("utf-8", errors="surrogatepass")
 
 
 def _use_state(path: Path) -> None:
@@ -264,20 +246,20 @@ def _use_state(path: Path) -> None:
         raise FalseAnswerError(f"unloaded tensions {restored_n}")
 
 
-_READERS: dict[str, tuple[str, Mutation, Use, int, int]] = {
-    "arms": ("yaml", _text_or_yaml, _use_arm, 3_000, 12),
-    "models": ("onnx", _mutated_model, _use_model, 3_000, 12),
-    "csv": ("csv", mutated_text, _use_recording, 1_500, 8),
-    "mcap": ("mcap", mutated_bytes, _use_recording, 2_000, 8),
-    "parquet": ("parquet", _mutated_dataset, _use_dataset, 1_500, 8),
-    "dbc": ("dbc", _mutated_database, _use_database, 2_000, 8),
-    "maps": ("yaml", _text_or_yaml, _use_map, 1_000, 8),
-    "calibrations": ("yaml", _text_or_yaml, _use_calibration, 1_000, 8),
-    "states": ("json", _mutated_state, _use_state, 1_000, 8),
+_READERS: dict[str, tuple[str, Edit, Use, int]] = {
+    "arms": ("yaml", edited_text, _use_arm, 3_000),
+    "models": ("onnx", _edited_model, _use_model, 3_000),
+    "csv": ("csv", edited_text, _use_recording, 1_500),
+    "mcap": ("mcap", edited_bytes, _use_recording, 2_000),
+    "parquet": ("parquet", _edited_dataset, _use_dataset, 1_500),
+    "dbc": ("dbc", _edited_database, _use_database, 2_000),
+    "maps": ("yaml", edited_text, _use_map, 1_000),
+    "calibrations": ("yaml", edited_text, _use_calibration, 1_000),
+    "states": ("json", edited_text, _use_state, 1_000),
 }
-"""Suffix, mutation, use, items in a full run and in a quick one."""
+"""Suffix, edit, use, and how many examples."""
 
 FILE_TARGETS = {
-    name: Target("files", partial(_make, name), items, quick)
-    for name, (*_, items, quick) in _READERS.items()
+    name: Target("files", partial(_check, name), examples)
+    for name, (*_, examples) in _READERS.items()
 }

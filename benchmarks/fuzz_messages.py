@@ -1,4 +1,4 @@
-"""Mutated serialized messages to an estimation, without ROS.
+"""Edited serialized messages to an estimation, without ROS.
 
 An oracle reads each message by rosbags, which the estimator does not use. A contact is right if
 the bytes are a message with every cable's plausible tension and a present stamp, and if the model
@@ -8,22 +8,22 @@ estimates that contact from those tensions; from anything else there must be non
 from __future__ import annotations
 
 import math
-import random
-import struct
 from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
-import harness
 import numpy as np
-from fuzz_mutation import (
+from estimated_arm import estimation_settings
+from fuzz_edits import (
+    Check,
+    Draw,
     FalseAnswerError,
-    ItemOutcome,
-    Run,
-    item_random,
-    mutated_bytes,
+    Outcome,
+    edited,
+    edited_bytes,
     require_one_line,
 )
+from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from cablesense_base import Array
@@ -41,14 +41,23 @@ _KIND = "sensor_msgs/msg/JointState"
 _STORE = get_typestore(Stores.ROS2_JAZZY)
 _DEFINITION = _STORE.get_msgdef(_KIND)
 
-MESSAGES = 100
+MESSAGES = 10
 TARED_NS = 10**18
-SETTINGS = harness.estimation_settings()
+SETTINGS = estimation_settings()
 ARM = open_arm("cdsm")
 PUSHES = 40
 
-_NUMBERS = (math.nan, math.inf, -math.inf, 1e308, -1e308, 1e6, -21.0, 57.0, 1.0, -0.6, 5e-324)
-_NAMES = ("", "cable_1", "cable_13", "joint_1_pitch", "cable_1\0", "\0", "é" * 40, "x" * 5000)
+_NUMBERS = [
+    *([n] for n in (math.nan, math.inf, -math.inf, 1e308, 1e6, -21.0, 57.0, 1.0, -0.6, 5e-324)),
+    [0.0] * 10_000,
+]
+_NAMES = [
+    *(
+        [name]
+        for name in ("", "cable_1", "cable_13", "joint_1_pitch", "cable_1\0", "\0", "é" * 40)
+    ),
+    ["x"] * 5000,
+]
 _STAMPS_NS = (-(2**31) * 10**9, 2**31 * 10**9 - 1)
 
 
@@ -56,18 +65,7 @@ class Content(NamedTuple):
     """The parts of a message that the estimator reads."""
 
     stamp_ns: int
-    names: tuple[str, ...]
-    efforts: tuple[float, ...]
-
-    @property
-    def plausible(self) -> bool:
-        """Whether it holds a plausible tension of every cable, in any order."""
-        low, high = PLAUSIBLE_N
-        return (
-            sorted(self.names) == sorted(ARM.cable_names)
-            and len(self.efforts) == len(self.names)
-            and all(low < effort < high for effort in self.efforts)
-        )
+    tensions_n: dict[str, float]
 
 
 def joint_state(
@@ -89,60 +87,49 @@ def joint_state(
 
 
 def content_of(raw: bytes) -> Content | None:
-    """None where the bytes are no joint state; more may stand behind it."""
+    """What is in a joint state with a plausible tension of every cable; else None.
+
+    More may stand behind it.
+    """
     try:
         if raw[0] != 0 or raw[1] > 1:
             return None
         read = _DEFINITION.deserialize_cdr_le if raw[1] else _DEFINITION.deserialize_cdr_be
         message: Any = read(raw[4:], 0, _DEFINITION.cls, _STORE)[0]
-        stamp = message.header.stamp
-        stamp_ns = stamp.sec * 10**9 + stamp.nanosec
-        content = Content(stamp_ns, tuple(message.name), tuple(map(float, message.effort)))
+        tensions_n = dict(zip(message.name, map(float, message.effort), strict=True))
     except Exception:  # whatever fails, it is no message
         return None
-    return content if stamp.nanosec < 10**9 else None
+    stamp, (low_n, high_n) = message.header.stamp, PLAUSIBLE_N
+    every = len(message.name) == len(tensions_n) and set(tensions_n) == set(ARM.cable_names)
+    within = all(low_n < tension_n < high_n for tension_n in tensions_n.values())
+    if not every or not within or stamp.nanosec >= 10**9:
+        return None
+    return Content(stamp.sec * 10**9 + stamp.nanosec, tensions_n)
 
 
-def mutated_joint_state(rng: random.Random, stamp_ns: int, tensions_n: Array) -> bytes:
+def edited_joint_state(draw: Draw, stamp_ns: int, tensions_n: Array) -> bytes:
     """The message of a sample changed in its bytes, or written with other fields."""
-    if rng.random() < 0.5:
-        return mutated_bytes(rng, joint_state(stamp_ns, tensions_n), most=3)
+    if draw(st.booleans()):
+        return edited_bytes(draw, joint_state(stamp_ns, tensions_n), most=3)
     names, efforts = list(ARM.cable_names), tensions_n.tolist()
     more: dict[str, Any] = {}
-    for _ in range(rng.randint(1, 2)):
-        match rng.randrange(9):
-            case 0:
-                stamp_ns = rng.choice((0, 1, stamp_ns - 10**9, stamp_ns + 10**9, *_STAMPS_NS))
-            case 1:
-                more["frame_id"] = rng.choice(("", "x" * 3000, "\0"))
-                more["little"] = rng.random() < 0.5
-            case 2:
-                more["position"] = [math.nan] * rng.choice((1, 12, 5000))
-            case _:
-                _mutate(rng, names, efforts)
-    written = joint_state(stamp_ns, efforts, names, **more)
-    if rng.random() < 0.2:
-        at = 4 * rng.randrange(1, len(written) // 4)
-        written = written[:at] + struct.pack("<I", rng.getrandbits(32)) + written[at + 4 :]
-    return written
-
-
-def _mutate(rng: random.Random, names: list[str], values: list[float]) -> None:
-    """One change of the names of a joint state, or of its numbers, in place."""
-    at = rng.randrange(len(values)) if values else 0
-    match rng.randrange(6):
-        case 0 if values:
-            values[at] = rng.choice(_NUMBERS)
-        case 1:
-            del values[at : at + rng.randint(1, 12)]
-        case 2:
-            values += [0.0] * rng.choice((1, 12, 10_000))
-        case 3:
-            names[rng.randrange(len(names))] = rng.choice(_NAMES)
-        case 4:
-            names += rng.choice((names[:1], ["x"] * 5000, list(names)))
+    match draw(st.sampled_from(("stamp", "frame", "position", "names", "efforts", "both"))):
+        case "stamp":
+            near = st.sampled_from((0, 1, stamp_ns - 10**9, stamp_ns + 10**9, *_STAMPS_NS))
+            stamp_ns = draw(near)
+        case "frame":
+            more["frame_id"] = draw(st.sampled_from(("", "x" * 3000, "\0")))
+            more["little"] = draw(st.booleans())
+        case "position":
+            more["position"] = [math.nan] * draw(st.sampled_from((1, 12, 5000)))
+        case "both":
+            order = draw(st.permutations(range(len(names))))
+            names, efforts = [names[at] for at in order], [efforts[at] for at in order]
+        case "names":
+            names = edited(draw, names, st.sampled_from(_NAMES), most=2)
         case _:
-            rng.shuffle(names)
+            efforts = edited(draw, efforts, st.sampled_from(_NUMBERS), most=2)
+    return joint_state(stamp_ns, efforts, names, **more)
 
 
 @cache
@@ -187,9 +174,9 @@ class TaredEstimation:
         if contact.segment == 0:
             return answer
         content = content_of(raw)
-        if content is None or not content.plausible:
+        if content is None:
             raise FalseAnswerError(f"a contact from no message of this arm: {raw.hex()[:400]}")
-        tensions = [content.efforts[content.names.index(name)] for name in ARM.cable_names]
+        tensions = [content.tensions_n[name] for name in ARM.cable_names]
         if content.stamp_ns and abs(content.stamp_ns - self.now_ns) > 0.2e9:
             raise FalseAnswerError(f"a contact from {content.stamp_ns - self.now_ns} ns ago")
         right = self._model.estimate(
@@ -204,25 +191,21 @@ class TaredEstimation:
         return self.take(joint_state(self.next_ns, self.pushed_n[0]))
 
 
-def make_messages(seed: int) -> Run:
-    """Items are a hundred mutated messages, and half as many good ones, to a tared estimation."""
+def messages_check() -> Check:
+    """Examples are some edited messages, with good ones between, to a tared estimation."""
 
-    def run(item: int) -> ItemOutcome:
-        rng = item_random("messages", seed, item)
+    def check(draw: Draw) -> Outcome:
         tared = TaredEstimation()
-        refused = mutated = 0
-        while mutated < MESSAGES:
-            tensions_n = rng.choice(tared.pushed_n)
-            stamp_ns = tared.next_ns - rng.randint(0, 10**6)
-            if rng.random() < 0.67:
-                mutated += 1
-                raw = mutated_joint_state(rng, stamp_ns, tensions_n)
-            else:
-                raw = joint_state(stamp_ns, tensions_n)
+        refused = 0
+        for _ in range(MESSAGES):
+            tensions_n = tared.pushed_n[draw(st.integers(0, PUSHES - 1))]
+            if draw(st.booleans()):
+                tared.take(joint_state(tared.next_ns, tensions_n))
+            raw = edited_joint_state(draw, tared.next_ns, tensions_n)
             refused += tared.take(raw).problem is not None
         tared.now_ns += 10**9
         if tared.take_pushed().contact.segment != 1:
             raise FalseAnswerError("a good message after bad ones was not answered")
-        return ItemOutcome(inputs=mutated, refused=refused, taken=max(0, mutated - refused))
+        return Outcome(inputs=MESSAGES, refused=refused, taken=MESSAGES - refused)
 
-    return run
+    return check

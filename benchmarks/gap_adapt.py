@@ -11,11 +11,10 @@ was stopped; after `--minutes` it begins no further arm, and reports those that 
 
 from __future__ import annotations
 
-import json
 import os
-import pickle
 import time
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from rich.console import Console
 
 from cablesense_base.installation import config_path
 from cablesense_gap.adaptation import adapt_to, withheld_trials
-from cablesense_gap.arm_system import Diagnosis, diagnose
+from cablesense_gap.arm_system import diagnose
 from cablesense_gap.recorded_contacts import at_contact_points, tares_n
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.recordings.csv_file import write_csv
@@ -63,31 +62,25 @@ def main() -> None:
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     kinds = draw_several(np.random.default_rng([options.seed]), _MOST_DRAWN, 2, 5)
-    until = time.monotonic() + 60.0 * options.minutes
+    until_s = time.time() + 60.0 * options.minutes
     cases: list[dict[str, Any]] = []
     for index, kind in enumerate(kinds, start=1):
         if sum("before" in case for case in cases) == options.count:
             break
-        if HURTING.isdisjoint(kind.split("+")):
-            continue
-        kept = options.folder / f"arm_{index:03d}.json"
-        if not kept.exists():
-            if time.monotonic() > until:
-                continue
-            case = _case(options.folder / f"arm_{index:03d}", kind, index, options)
-            kept.write_text(json.dumps(case))
-        cases.append(json.loads(kept.read_text()))
+        if not HURTING.isdisjoint(kind.split("+")):
+            own = options.folder / f"arm_{index:03d}"
+            work = partial(_case, own, kind, index, options)
+            cases += filter(None, [harness.kept(own.with_suffix(".json"), work, until_s)])
     harness.publish(RESULT, {**harness.origin(), "arm": ARM, **_summary(cases)}, options)
 
 
 def _case(folder: Path, kind: str, index: int, options: Any) -> dict[str, Any]:
     arm, shipped = open_arm(ARM), config_path(f"models/{ARM}.onnx")
     folder.mkdir(exist_ok=True)
-    path, kept = folder / "recording.csv", folder / "diagnosis.pickle"
-    if not path.exists():
-        made = make_case(read_nominal(find_arm(ARM)), options.seed, index, kind)
-        columns = {name: getattr(made.schedule, name) for name in Schedule._fields}
-        write_csv(path, Recording(folder.name, tensions_n=made.tensions_n, **columns))
+    path, second = folder / "recording.csv", folder / "estimator.onnx"
+    made = make_case(read_nominal(find_arm(ARM)), options.seed, index, kind)
+    columns = {name: getattr(made.schedule, name) for name in Schedule._fields}
+    write_csv(path, Recording(folder.name, tensions_n=made.tensions_n, **columns))
     recording = read_recording(path, arm)
     misled_n = _error_at_peaks_n(recording, Estimator.load(shipped, arm))
     case: dict[str, Any] = {"hidden": kind.split("+"), "misled_n": round(misled_n, 3)}
@@ -95,10 +88,8 @@ def _case(folder: Path, kind: str, index: int, options: Any) -> dict[str, Any]:
     if misled_n < options.least:
         return case
     unseen = withheld_trials(recording, arm)
-    if not kept.exists():
-        kept.write_bytes(pickle.dumps(diagnose(recording, arm, unseen=unseen)))
-    found: Diagnosis = pickle.loads(kept.read_bytes())
-    began, second = time.monotonic(), folder / "estimator.onnx"
+    found = diagnose(recording, arm, unseen=unseen)
+    began = time.monotonic()
     adapted = adapt_to(found, recording, unseen, shipped, second, "cablesense gap adapt")
     estimator = adapted.diagnosis.verdict.estimator
     assert estimator is not None

@@ -8,32 +8,29 @@
     python benchmarks/gap_blind.py --speed cable_creep --seed 7 [--write]
     python benchmarks/gap_blind.py --exchanged 20 --seed 9702 [--write]
 
-Draws the recordings, diagnoses each without its answer, and scores the verdicts. The cases are of
-all kinds in turn, followed by `--friction` cases with friction of cables, or they have several
-effects at once (`--effects`). Every arm is recorded twice: the amended arm of the first recording
-predicts the second. With `--imperfect` the nominal arm lacks two changes that no verdict has a
-name for, and with `--reference` a recording with these alone is the reference. Seeds below 9100
-and 9302, 9303, 9311 were used during development. `--folder` keeps recordings and verdicts and
-continues there; `--minutes` starts no further case after that time and scores the finished ones;
-`--first` stops after that number of cases. `--recordings` diagnoses recordings of another plant,
-whose answers are unknown. `--speed` measures time and memory of one diagnosis with two workers, as
-a user runs it. `--exchanged` exchanges two columns, drawn at random, of recordings of all kinds.
-It counts how often they are named, and how often an exchange is seen in the recordings as they
-were. It does the same for a tare of their first rows, where the arm is straight and untouched.
+The cases are of all kinds in turn, followed by `--friction` cases with friction of cables, or they
+have several effects at once (`--effects`). With `--imperfect` the nominal arm lacks two changes
+that no verdict has a name for, and with `--reference` a recording with these alone is the
+reference. Seeds below 9100 and 9302, 9303, 9311 were used during
+development. `--recordings` diagnoses recordings of another plant, whose answers are unknown.
+`--speed` measures time and memory of one diagnosis with two workers, as a user runs it.
+`--exchanged` exchanges two columns, drawn at random, of recordings of all kinds. It counts how
+often they are named, and how often an exchange is seen in the recordings as they were. It does the
+same for a tare of their first rows, where the arm is straight and untouched.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+import blind_sets
 import harness
 import numpy as np
 from rich.progress import track
@@ -45,16 +42,8 @@ from cablesense_gap.recordings.channels import EXCHANGED
 from cablesense_gap.recordings.checks import check_recording, read_recording
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_gap.recordings.thinning import rows_to_use
-from cablesense_gap.scoring import Truth as Case
-from cablesense_gap.scoring import read_answers, score
-from cablesense_gap.verdict import (
-    NONE,
-    UNKNOWN,
-    Verdict,
-    read_verdict,
-    removed_fraction,
-    write_verdict,
-)
+from cablesense_gap.scoring import Truth, read_answers
+from cablesense_gap.verdict import Verdict, read_verdict, removed_fraction
 from cablesense_online.exchanged_plugs import exchanged_plugs
 from cablesense_online.tare import UnloadedTensions
 from cablesense_plants.arm.body import read_nominal
@@ -71,36 +60,35 @@ _FRICTION = ["capstan_friction"] * 3 + ["cable_creep+capstan_friction"]
 
 
 def main() -> None:
-    """Draws, diagnoses, scores and prints; keeps answers, verdicts and scores with `--write`."""
-    parser = harness.parser(__doc__, "gap_blind.json, …_friction, …_several or withheld.json")
-    parser.add_argument("--count", type=int, default=60, help="cases")
+    """Draws, diagnoses, scores and prints; keeps the scores with `--write`."""
+    names = "gap_blind.json, …_friction, …_several, withheld.json, gap_speed.json, gap_exchanged"
+    parser = blind_sets.parser(__doc__, names, seed=9104)
     parser.add_argument("--friction", type=int, default=0, help="cases more with friction")
-    parser.add_argument("--seed", type=int, default=9104, help="of the plant")
-    parser.add_argument("--first", type=int, help="diagnose only the first cases of the set")
     parser.add_argument("--recordings", type=Path, help="of another plant, without answers")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--effects", help="how many in each case, from-to, instead of all kinds")
-    parser.add_argument("--minutes", type=float, default=np.inf, help="then no further case")
-    parser.add_argument("--imperfect", action="store_true", help="a nominal arm that lacks things")
-    parser.add_argument("--reference", action="store_true", help="diagnose what changed")
-    parser.add_argument("--folder", type=Path, help="of recordings and verdicts, continued there")
     parser.add_argument("--speed", metavar="EFFECT", help="time of a diagnosis of this effect")
     parser.add_argument("--exchanged", type=int, help="recordings with two columns exchanged")
+    parser.add_argument("--imperfect", action="store_true", help="a nominal arm that lacks things")
+    parser.add_argument("--reference", action="store_true", help="diagnose what changed")
     options = parser.parse_args()
     if options.exchanged:
-        result = {**harness.origin(), "arm": ARM, **_exchanged(options.exchanged, options.seed)}
-        harness.publish("gap_exchanged.json", result, options)
-        return
-    if options.speed:
-        harness.publish("gap_speed.json", _speed(options.speed, options.seed), options)
-        return
-    if options.recordings:
-        result = {**harness.origin(), "each_case": _without_answers(options)}
-        harness.publish("withheld.json", result, options)
-        return
-    folder = options.folder or Path(tempfile.mkdtemp(prefix="gap_blind_"))
-    answers, began = folder / "answers" / "answers.csv", time.time()
-    if not answers.exists():
+        name, found = "gap_exchanged.json", _exchanged(options.exchanged, options.seed)
+    elif options.speed:
+        name, found = "gap_speed.json", _speed(options.speed, options.seed)
+    elif options.recordings:
+        name, found = "withheld.json", {"each_case": _without_answers(options)}
+    else:
+        kind = "_several" if options.effects else "_friction" if options.friction else ""
+        kind += "_imperfect" * options.imperfect + "_reference" * options.reference
+        name, found = f"gap_blind{kind}.json", _blind(options)
+    harness.publish(name, {**harness.origin(), "arm": ARM, **found}, options)
+
+
+def _blind(options: Any) -> dict[str, Any]:
+    folder = blind_sets.folder_of(options)
+    answers_file, began = folder / "answers" / "answers.csv", time.time()
+    if not answers_file.exists():
         rng = np.random.default_rng([options.seed])
         if options.effects:
             least, most = map(int, options.effects.split("-"))
@@ -110,38 +98,16 @@ def main() -> None:
         kinds += [_FRICTION[i % len(_FRICTION)] for i in range(options.friction)]
         more = {"second": True, "imperfect": options.imperfect}
         drawn(folder, len(kinds), options.seed, kinds, options.workers, **more)
-    everything = read_answers(answers)
-    chosen = everything[: options.first]
-    recordings = [folder / f"{answer.recording}.csv" for answer in reversed(chosen)]
+    everything = read_answers(answers_file)
+    recordings = [folder / f"{a.recording}.csv" for a in reversed(everything[: options.first])]
     since = "reference" if options.reference else ""
-    work = partial(_diagnosed, until=began + 60.0 * options.minutes, since=since)
+    work = partial(_finished, until_s=began + 60.0 * options.minutes, since=since)
     found = in_pool(work, recordings, options.workers)
-    done = {path.stem: each for path, each in zip(recordings, found, strict=True) if each}
-    verdicts = {name: verdict for name, (verdict, _) in done.items()}
-    truth = [answer for answer in everything if answer.recording in done]
-    if not truth:
-        print(f"no case was done in time; go on with --folder {folder}")
-        return
-    rough = [answer for answer in truth if "capstan_friction" in answer.effects]
-    seconds = [verdict.seconds for verdict in verdicts.values()]
-    result = {
-        **harness.origin(),
-        "arm": ARM,
-        "seed": options.seed,
-        "seconds_of_a_diagnosis": {
-            "median": round(np.median(seconds)),
-            "most": round(max(seconds)),
-        },
-        **asdict(score(verdicts, [a for a in truth if a in everything[: options.count]])),
-        "second_recording": _second({a.recording: done[a.recording][1] for a in truth}, truth),
-        **({"friction": asdict(score(verdicts, rough))} if rough else {}),
-    }
-    result["each_case"] = [
-        harness.case(a.recording, "+".join(a.effects), *done[a.recording]) for a in truth
-    ]
-    kind = "_several" if options.effects else "_friction" if options.friction else ""
-    kind += "_imperfect" * options.imperfect + "_reference" * options.reference
-    harness.publish(f"gap_blind{kind}.json", result, options)
+    done = {path.stem: one for path, one in zip(recordings, found, strict=True) if one}
+    result = {"seed": options.seed, **blind_sets.scored(everything[: options.count], done)}
+    if options.friction:
+        result["friction"] = blind_sets.scored(everything[options.count :], done)
+    return result
 
 
 def drawn(
@@ -172,26 +138,19 @@ def in_pool(work: Callable[[Path], Any], paths: Sequence[Path], workers: int) ->
         return list(track(pool.map(work, paths), "Working", total=len(paths)))
 
 
-def _diagnosed(path: Path, until: float, since: str = "") -> tuple[Verdict, float] | None:
-    """The verdict, and the share of the gap that its arm removes on the second recording.
+def _finished(path: Path, until_s: float, since: str) -> blind_sets.Finished | None:
+    beside = path.with_name(f"{path.stem}.{since}")
+    return blind_sets.finished(beside, until_s, partial(_diagnosed, path, since))
 
-    `since` is the folder of the references, if any. None where the time for new cases is over.
-    """
-    kept, beside = (
-        path.with_name(f"{path.stem}.{since}{what}.json") for what in ("verdict", "second")
-    )
-    if not beside.exists():
-        if time.time() > until:
-            return None
-        arm = open_arm(ARM)
-        healthy = read_recording(path.parent / since / path.name, arm) if since else None
-        diagnosis = diagnose(read_recording(path, arm), arm, reference=healthy)
-        write_verdict(kept, diagnosis.verdict)
-        again = read_recording(path.parent / "second" / path.name, arm)
-        floor_n = diagnosis.verdict.gap.floor_n
-        removed = _removed_on(again, arm, diagnosis.amended, floor_n)
-        beside.write_text(json.dumps(removed))
-    return read_verdict(kept), json.loads(beside.read_text())
+
+def _diagnosed(path: Path, since: str) -> tuple[Verdict, float]:
+    """`since` is the folder of the references, if any."""
+    arm = open_arm(ARM)
+    healthy = read_recording(path.parent / since / path.name, arm) if since else None
+    diagnosis = diagnose(read_recording(path, arm), arm, reference=healthy)
+    again = read_recording(path.parent / "second" / path.name, arm)
+    floor_n = diagnosis.verdict.gap.floor_n
+    return diagnosis.verdict, _removed_on(again, arm, diagnosis.amended, floor_n)
 
 
 def _removed_on(recording: Recording, nominal: Arm, amended: Arm, floor_n: float) -> float:
@@ -212,12 +171,6 @@ def _removed_on(recording: Recording, nominal: Arm, amended: Arm, floor_n: float
     return removed_fraction(before_n, after_n, floor_n)
 
 
-def _second(removed: dict[str, float], truth: Sequence[Case]) -> dict[str, object]:
-    """Share of the gap removed on second recordings of arms with effects of the library."""
-    listed = [removed[a.recording] for a in truth if a.effects[0] not in (NONE, UNKNOWN)]
-    return {"median_removed_fraction": float(np.median(listed)) if listed else None}
-
-
 def _speed(effect: str, seed: int) -> dict[str, Any]:
     loads, workers = [round(load, 1) for load in os.getloadavg()], 2
     with tempfile.TemporaryDirectory() as name:
@@ -228,7 +181,6 @@ def _speed(effect: str, seed: int) -> dict[str, Any]:
         seconds, peak_mb = harness.run_watched(command)
         verdict = read_verdict(folder / "out" / "verdict.json")
     return {
-        **harness.origin(),
         "load_average_before": loads,
         "rows": verdict.rows,
         "hidden": {key: getattr(answer, key) for key in ("effects", "where", "form")}
@@ -285,7 +237,8 @@ def _without_answers(options: Any) -> list[dict[str, Any]]:
     paths = sorted(options.recordings.rglob("*.csv"))
     paths = [path for path in paths if path.name != "answers.csv"][: options.first]
     found = in_pool(_verdict, paths, options.workers)
-    return [harness.case(p.stem, "", verdict) for p, verdict in zip(paths, found, strict=True)]
+    hidden = [Truth(path.stem, ()) for path in paths]
+    return [blind_sets.case(*one, None) for one in zip(hidden, found, strict=True)]
 
 
 def _verdict(path: Path) -> Verdict:

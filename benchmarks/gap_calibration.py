@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -60,23 +61,22 @@ def main() -> None:
         harness.write_result(str(TARGET), asdict(calibration))
 
 
-def _searched(path: Path) -> dict[str, object]:
-    kept = path.with_suffix(".search.json")
-    if not kept.exists():
-        arm = open_arm(ARM)
-        recording = read_recording(path, arm)
-        problem = problem_of(ArmSystem(arm, recording))
-        explanations = search(problem)
-        content = {
-            "floor": problem.floor,
-            "effects": [h.effects for h in explanations],
-            "left": [h.held_out_rmse for h in explanations],
-            "sizes": [h.sizes for h in explanations],
-            "strains": [h.tolerance_chi2 for h in explanations],
-            "tolerances": int(problem.acting_tolerances.sum()),
-        }
-        kept.write_text(json.dumps(content))
-    return dict(json.loads(kept.read_text()))
+def _searched(path: Path) -> Any:
+    return harness.kept(path.with_suffix(".search.json"), partial(_search, path))
+
+
+def _search(path: Path) -> dict[str, object]:
+    arm = open_arm(ARM)
+    problem = problem_of(ArmSystem(arm, read_recording(path, arm)))
+    explanations = search(problem)
+    return {
+        "floor": problem.floor,
+        "effects": [h.effects for h in explanations],
+        "left": [h.held_out_rmse for h in explanations],
+        "sizes": [h.sizes for h in explanations],
+        "strains": [h.tolerance_chi2 for h in explanations],
+        "tolerances": int(problem.acting_tolerances.sum()),
+    }
 
 
 def _calibration(offsets: np.ndarray) -> ProbabilityCalibration:

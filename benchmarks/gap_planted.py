@@ -12,7 +12,6 @@ than one floor is counted separately. With `--history` friction and creep are pl
 
 from __future__ import annotations
 
-import json
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
@@ -108,40 +107,42 @@ def _case(
 ) -> dict[str, Any] | None:
     candidate, place, multiple = planted
     kept = folder / f"{candidate.effect}.{place}.{multiple:g}.json"
-    if not kept.exists():
-        if time.time() > until:
-            return None
-        arm, rng = open_arm(ARM), np.random.default_rng([seed, *kept.name.encode()])
-        simulator = ArmSimulator(arm, asked)
-        off = {
-            term: float(rng.normal(0.0, parameter.typical))
-            for tolerance in simulator.tolerances
-            for at in tolerance.places
-            for term, parameter in zip(tolerance.terms(at), tolerance.parameters, strict=True)
-        }
-        truth = _truth(candidate, place, multiple, rng)
-        ideal, without = (simulator.predict([{**off, **v}])[0] for v in (truth, {}))
-        if not np.isfinite(ideal).all():
-            return None
-        read = read_tensions_n(ideal, arm.sensors, rng)
-        began = time.process_time()
-        try:
-            verdict = diagnose(replace(asked, tensions_n=read), arm).verdict
-        except RecordingError:  # so large that the recording seems to be of another arm
-            verdict = None
-        case = {
-            "effect": candidate.effect,
-            "place": place,
-            "multiple": multiple,
-            "gap_over_floor": round(_rms(ideal - without) / simulator.floor, 2),
-            "cpu_s": round(time.process_time() - began, 1),
-            "verdict": "+".join(verdict.effects) if verdict else "refused",
-            "probability": round(verdict.probability, 3) if verdict else 0.0,
-            **_judged(verdict, candidate, place, truth),
-        }
-        kept.write_text(json.dumps(case), encoding="utf-8")
-    found: dict[str, Any] = json.loads(kept.read_text("utf-8"))
-    return found
+    work = partial(_planted, *planted, asked, [seed, *kept.name.encode()])
+    return harness.kept(kept, work, until) or None
+
+
+def _planted(
+    candidate: Candidate, place: str, multiple: float, asked: Recording, seeds: list[int]
+) -> dict[str, Any]:
+    """A case; an arm that collapses gives none."""
+    arm, rng = open_arm(ARM), np.random.default_rng(seeds)
+    simulator = ArmSimulator(arm, asked)
+    off = {
+        term: float(rng.normal(0.0, parameter.typical))
+        for tolerance in simulator.tolerances
+        for at in tolerance.places
+        for term, parameter in zip(tolerance.terms(at), tolerance.parameters, strict=True)
+    }
+    truth = _truth(candidate, place, multiple, rng)
+    ideal, without = (simulator.predict([{**off, **v}])[0] for v in (truth, {}))
+    if not np.isfinite(ideal).all():
+        return {}
+    read = read_tensions_n(ideal, arm.sensors, rng)
+    began = time.process_time()
+    try:
+        verdict = diagnose(replace(asked, tensions_n=read), arm).verdict
+    except RecordingError:  # so large that the recording seems to be of another arm
+        verdict = None
+    return {
+        "effect": candidate.effect,
+        "place": place,
+        "multiple": multiple,
+        "gap_over_floor": round(_rms(ideal - without) / simulator.floor, 2),
+        "cpu_s": round(time.process_time() - began, 1),
+        "verdict": "+".join(verdict.effects) if verdict else "refused",
+        "probability": round(verdict.probability, 3) if verdict else 0.0,
+        **_judged(verdict, candidate, place, truth),
+    }
 
 
 def _truth(

@@ -14,7 +14,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -27,8 +27,6 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # examples are imported from
 
 from cablesense_base import CableSenseError
 from cablesense_base.files import write_atomically
-from cablesense_gap.verdict import Verdict
-from cablesense_online.state import EstimationSettings
 
 _CASE = re.compile(r'\{\s+"case".*?\}', re.DOTALL)
 """A case of a blind set is one line of a result."""
@@ -38,21 +36,6 @@ CABLESENSE = [
     "import sys; from cablesense_ros.cli.app import main; sys.exit(main())",
 ]
 """The command `cablesense` in this Python, also where it is not installed."""
-
-
-def estimation_settings(**changes: Any) -> EstimationSettings:
-    """The estimator's settings that benchmarks share: the node's, with a tare of few readings."""
-    shared = {
-        "contact_threshold": 0.5,
-        "stale_after_s": 0.2,
-        "slack_below_n": 1.0,
-        "tare_samples": 5,
-        "tare_steady_n": 1.0,
-        "auto_tare": True,
-        "joint_speed_rad_s": 0.35,
-        "settle_s": 0.5,
-    }
-    return EstimationSettings(**shared | changes)
 
 
 def parser(doc: str | None, writes: str) -> argparse.ArgumentParser:
@@ -87,21 +70,16 @@ def publish(name: str, result: dict[str, Any], options: argparse.Namespace) -> N
         write_result(name, result)
 
 
-def case(
-    name: str, hidden: str, verdict: Verdict, second_removed: float | None = None
-) -> dict[str, Any]:
-    """One case of a blind set: the hidden and the named effects, and how far the gap shrinks."""
-    return {
-        "case": name,
-        "hidden": hidden,
-        "named": "+".join(verdict.effects),
-        "probability": round(verdict.probability, 3),
-        "places": " ".join(verdict.where.places),
-        "before": round(verdict.gap.before_n, 3),
-        "after": round(verdict.gap.after_n, 3),
-        "second_removed": None if second_removed is None else round(second_removed, 4),
-        "seconds": round(verdict.seconds or 0.0, 1),
-    }
+def kept(path: Path, make: Callable[[], Any], until_s: float = np.inf) -> Any:
+    """What a file of JSON has, or what is made now and kept there.
+
+    None where the time for new ones is over (`until_s`, of `time.time`).
+    """
+    if not path.exists():
+        if time.time() > until_s:
+            return None
+        path.write_text(json.dumps(make()))
+    return json.loads(path.read_text())
 
 
 def print_bars(bars: dict[str, bool]) -> None:
@@ -178,11 +156,3 @@ def cpu_s(pid: int) -> float:
         return float("nan")
     fields = stat.rpartition(")")[2].split()  # behind the name, which may hold spaces
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def shared_memory_mb() -> float:
-    """Content of /dev/shm, MB: Fast DDS's segments, also those of processes that were killed."""
-    try:
-        return sum(file.stat().st_blocks for file in Path("/dev/shm").iterdir()) * 512 / 1e6
-    except OSError:
-        return float("nan")

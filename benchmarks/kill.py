@@ -2,11 +2,11 @@
 
     python benchmarks/kill.py [--times 50] [--write]
 
-The sim, amplifiers as CAN frames over slcan on a pseudo-terminal, `can_driver`, `estimator` and a
-recorder run as processes while the load on the arm changes. Each victim in turn is killed at a
+The sim, amplifiers as CAN frames over slcan on a pseudo-terminal, `can_driver` and `estimator` run
+as processes while the load on the arm changes. Each victim in turn is killed at a
 random moment (in half of the kills the load changes while it is dead), started again, and watched
 from here: do the others continue, how soon is the wrench reported as stale, how soon is it right
-again, is any false force published. Then recorders are killed, and their files are read.
+again, is any false force published.
 
 When driver or sim are dead, stale is a zero wrench with a fresh stamp. When the estimator itself
 is dead nothing is published on its topic; the subscriber's own middleware reports it, by the
@@ -17,56 +17,237 @@ N or 3 % of the load, ten times in a row.
 from __future__ import annotations
 
 import itertools
+import re
 import sys
 import time
-from collections.abc import Sequence
-from functools import partial
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping
+from math import nan
+from typing import Any, NamedTuple
 
 import harness
 import numpy as np
 import pandas as pd
-from kill_trials import (
-    LEASE_S,
-    STALE_AFTER_S,
-    VICTIMS,
-    KillTrials,
-    start_chain,
-)
-from live_run import LiveRun
-from numpy.typing import NDArray
+from geometry_msgs.msg import WrenchStamped
+from live_run import LiveRun, SpunNode, load_message
+from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
+from sensor_msgs.msg import JointState
 
-from cablesense_base import CableSenseError
-from cablesense_gap.recordings.checks import read_recording
-from cablesense_gap.recordings.mcap_messages import McapMessages
-from cablesense_msgs_py import topics
-from cablesense_msgs_py.serialized import EffortReader
+from cablesense_base import Array
+from cablesense_msgs_py.qos import Qos
+from cablesense_ros.endpoints import qos_profile
+from cablesense_ros.processes import Process, node_command
 from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.loads import normal_force_n
 
 STALE_WITHIN_S, RIGHT_WITHIN_S = 0.1, 1.0
 ARM, RATE_HZ = "cdsm", 200.0
-WRITING_S = (0.0, 2.0)
-"""A recorder is killed at such a time after the first tensions are in its file."""
-DRIVER_AWAY_S = 0.1
+STALE_AFTER_S = 0.05
+LEASE_S = 0.08
+"""After so long without a sign of life of the estimator, the middleware reports it as gone."""
+
+LOAD_EVERY_S, COMMAND_EVERY_S = 0.05, 0.5
+TOLERANCE_N, TOLERANCE = 2.0, 0.03
+"""A wrench is right when its force is no further from the load than the larger of these."""
+
+STEADY = 10
+"""The number of right wrenches in a row that counts as right."""
+
+SETTLED_S = 1.0
+"""A change of load has swung out by then; a wrench that differs from the load later is wrong."""
+
+SWING_S = 0.2
+DEAD_S = (0.15, 0.6)
+AT_ANY_MOMENT_S = 0.5
+
+_SET_UP = {
+    "driver": r"\[INFO\] \[([\d.]+)\] \[can_driver\]: arm ",
+    "sim": r"\[INFO\] \[([\d.]+)\] \[sim\]: arm ",
+    "estimator": r"\[INFO\] \[([\d.]+)\] \[estimator\]: arm .*: configured",
+}
+VICTIMS = tuple(_SET_UP)
+
+
+def start_chain(run: LiveRun, arm: str, rate_hz: float) -> None:
+    """Start sim, amplifiers, driver and estimator."""
+    link = run.folder / "adapter"
+    adapter = {"interface": "slcan", "channel": link, "bitrate_bit_s": 1_000_000}
+    stale = {"arm": arm, "stale_after_s": STALE_AFTER_S}
+    simulated = {"cable_tensions": "simulated_tensions"}
+    state = {"state_file": run.folder / "estimator_state.json"}
+    run.start("sim", node_command("sim", {"arm": arm, "rate_hz": float(rate_hz)}, simulated))
+    run.start("amplifiers", node_command("can_emulator", {"arm": arm, "channel": link}))
+    run.start("driver", node_command("can_driver", stale | adapter))
+    run.start("estimator", node_command("estimator", stale | state))
+
+
+class Received(NamedTuple):
+    """One wrench: its arrival (monotonic), segment (0: none) and force (3,), N."""
+
+    arrived_s: float
+    segment: int
+    force_n: Array
+
+
+class KillTrials(SpunNode):
+    """Pushes the arm and commands it periodically, notes every wrench, and kills."""
+
+    def __init__(self, arm: Arm, chain: Mapping[str, Process], seed: int) -> None:
+        super().__init__("watcher")
+        self._arm, self._mechanism, self._chain = arm, mechanism_of(arm), chain
+        self._rng = np.random.default_rng(seed)
+        self._wrenches: list[Received] = []
+        self._living: list[tuple[float, int]] = []
+        self._load_since_s = time.monotonic()
+        self._force_n: Array = np.zeros(3)
+        self._segment = 1
+        names = list(arm.joint_names)
+        self._command = JointState(name=names, position=[0.0] * len(names))
+        self._load_out = self.create_publisher(WrenchStamped, "applied_wrench", 10)
+        self._command_out = self.create_publisher(JointState, "joint_commands", 10)
+        self.create_timer(LOAD_EVERY_S, self._publish_load)
+        self.create_timer(COMMAND_EVERY_S, self._publish_command)
+        self.create_subscription(
+            WrenchStamped,
+            "estimator/wrench",
+            self._on_wrench,
+            qos_profile(Qos(depth=2000, reliable=True, lease_s=LEASE_S)),
+            event_callbacks=SubscriptionEventCallbacks(liveliness=self._on_liveliness),
+        )
+
+    def bring_up(self) -> None:
+        """Wait until the unloaded arm is tared and wrenches follow the load."""
+        self.spin_until(lambda: len(self._wrenches) > 100, "wrenches")
+        self.spin(2.0)
+        self._push()
+        self._until_right("the first right wrench")
+
+    def kill(self, victim: str) -> dict[str, float]:
+        """Kill one and see it come back; times in s, NaN where one does not apply.
+
+        Gives `others_lived`: 1 where every other process kept its id; `stale_s`: from the kill to
+        the first zero wrench, or for the estimator to the report of the subscriber's own
+        middleware that it is gone; `right_after_set_up_s`: from the log line that the process is
+        set up to the first wrench of those that are right and stay so; `wrong`: wrenches with
+        another force than the load's, a second after the load last changed; `false_deaths`:
+        reports that a living estimator is gone.
+
+        Raises:
+            TimeoutError: what should come did not come in time.
+        """
+        process = self._chain[victim]
+        self._push()
+        self._until_right(f"a right wrench before {victim} is killed")
+        self.spin(float(self._rng.uniform(0.0, AT_ANY_MOMENT_S)))
+        before, set_ups = self._other_pids(victim), len(self._set_up_epoch_s(victim))
+        self._wrenches.clear()
+        self._living.clear()
+        killed_s = process.kill()
+        if self._rng.random() < 0.5:
+            self._push()  # the process must not come back to the old load
+        self.spin(float(self._rng.uniform(*DEAD_S)))
+        stale_s = [one.arrived_s for one in self._wrenches if not one.segment]
+        started_epoch_s = time.time()
+        process.start()
+        started_s = process.started_s
+        self.spin_until(
+            lambda: len(self._set_up_epoch_s(victim)) > set_ups, f"{victim} to be set up again"
+        )
+        right_s = self._until_right(f"a right wrench after {victim} came back", since_s=started_s)
+        gone_s = [at for at, alive in self._living if alive == 0]
+        if victim == "estimator":
+            stale_s = [at for at in gone_s if at < started_s]
+        set_up_s = self._set_up_epoch_s(victim)[-1] - started_epoch_s
+        return {
+            "others_lived": before == self._other_pids(victim),
+            "stale_s": min((at for at in stale_s if at >= killed_s), default=nan) - killed_s,
+            "right_after_set_up_s": right_s - started_s - set_up_s,
+            "wrong": self._wrong(victim, started_s),
+            "false_deaths": sum(victim != "estimator" or at > right_s for at in gone_s),
+        }
+
+    def _right(self, wrench: Received) -> bool:
+        """Whether a wrench is the present load. The arm is straight: base axes are its own."""
+        limit_n = max(TOLERANCE_N, TOLERANCE * float(np.linalg.norm(self._force_n)))
+        off_n = np.linalg.norm(wrench.force_n - self._force_n)
+        return wrench.segment == self._segment and bool(off_n <= limit_n)
+
+    def _publish_load(self) -> None:
+        segments = range(1, self._arm.segment_count + 1)
+        for segment in sorted(segments, key=lambda one: one == self._segment):  # zeros first
+            force_n = self._force_n if segment == self._segment else np.zeros(3)
+            self._load_out.publish(load_message(segment, force_n))
+
+    def _publish_command(self) -> None:
+        self._command.header.stamp = self.get_clock().now().to_msg()
+        self._command_out.publish(self._command)
+
+    def _on_wrench(self, message: WrenchStamped) -> None:
+        force = message.wrench.force
+        frame = message.header.frame_id
+        segment = int(frame.rpartition("_")[2]) if frame.startswith("segment_") else 0
+        force_n = np.array([force.x, force.y, force.z])
+        self._wrenches.append(Received(time.monotonic(), segment, force_n))
+
+    def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
+        self._living.append((time.monotonic(), event.alive_count))
+
+    def _other_pids(self, victim: str) -> dict[str, int]:
+        return {k: one.pid for k, one in self._chain.items() if k != victim and one.alive}
+
+    def _set_up_epoch_s(self, victim: str) -> list[float]:
+        """The times at which a victim logged that it was set up, s since the epoch."""
+        return [float(at) for at in re.findall(_SET_UP[victim], self._chain[victim].log)]
+
+    def _wrong(self, victim: str, started_s: float) -> int:
+        """Number of wrenches with a force that is not the load.
+
+        A sim that comes back is unloaded, and swings when it takes the load again.
+        """
+        forces = [one for one in self._wrenches if one.force_n.any()]
+        settled_s = self._load_since_s + SETTLED_S
+        back = [one.arrived_s for one in forces if one.arrived_s > started_s]
+        if victim == "sim" and back:
+            settled_s = max(settled_s, back[0] + SWING_S)
+        return sum(one.arrived_s > settled_s and not self._right(one) for one in forces)
+
+    def _push(self) -> None:
+        self._segment = segment = int(self._rng.integers(1, self._arm.segment_count + 1))
+        forces = normal_force_n(
+            self._mechanism,
+            np.zeros(self._arm.joint_count),
+            segment=segment,
+            angle_deg=float(self._rng.uniform(0.0, 360.0)),
+            magnitude_n=float(self._rng.uniform(20.0, 100.0)),
+        )
+        self._force_n = forces[segment - 1]
+        self._publish_load()
+        self._load_since_s = time.monotonic()
+
+    def _until_right(self, what: str, since_s: float = 0.0) -> float:
+        """When the first of `STEADY` right wrenches in a row came, of those that stay right."""
+        wrenches = self._wrenches
+
+        def right(one: Received) -> bool:
+            return one.arrived_s >= since_s and self._right(one)
+
+        self.spin_until(
+            lambda: len(wrenches) >= STEADY and all(map(right, wrenches[-STEADY:])), what
+        )
+        return list(itertools.takewhile(right, reversed(wrenches)))[-1].arrived_s
 
 
 def measure(times: int) -> dict[str, Any]:
-    """All kills; statistics by victim, and of the recordings."""
-    arm = open_arm(ARM)
+    """All kills; statistics by victim."""
     kills: dict[str, list[dict[str, float]]] = {victim: [] for victim in VICTIMS}
-    shared_mb = harness.shared_memory_mb()
     with LiveRun() as run:
         start_chain(run, ARM, RATE_HZ)
-        trials = KillTrials(arm, run.processes, seed=0)
+        trials = KillTrials(open_arm(ARM), run.processes, seed=0)
         trials.bring_up()
         for _, victim in itertools.product(range(times), VICTIMS):
             kills[victim].append(trials.kill(victim))
-        trials.spin(1.0)
-        recorders = _kill_recorders(times, run, trials)
         codes = run.stop()
         trials.destroy_node()
-        recording = _whole(run.folder / "recorder.mcap", trials.samples, arm)
     statistics = {victim: _statistics(pd.DataFrame(ones)) for victim, ones in kills.items()}
     return {
         "arm": ARM,
@@ -74,89 +255,9 @@ def measure(times: int) -> dict[str, Any]:
         "stale_after_s": STALE_AFTER_S,
         "lease_s": LEASE_S,
         "kills": statistics,
-        "recording through all kills": recording,
-        "recorders killed": recorders,
-        "left in /dev/shm (MB)": round(harness.shared_memory_mb() - shared_mb, 1),
         "exit codes": codes,
-        "bars": _bars(statistics, recording, recorders),
+        "bars": _bars(statistics),
     }
-
-
-def _whole(path: Path, received_ns: Sequence[int], arm: Arm) -> dict[str, Any]:
-    """Whether a recording has every sample between its first and its last that came here.
-
-    Samples missing in a row behind a pause came before the middleware of the recorder knew of a
-    driver that is new; the watcher had found the driver sooner. They are counted apart.
-    """
-    try:
-        stamps_ns, _ = _samples(path)
-        rows = len(read_recording(path, arm))
-    except (CableSenseError, OSError) as error:
-        return {"readable": False, "why": str(error), "samples missing": -1}
-    here = np.unique(np.array(received_ns))
-    here = here[(here >= stamps_ns.min()) & (here <= stamps_ns.max())]
-    missing = ~np.isin(here, stamps_ns)
-    early = np.zeros_like(missing)
-    for begin in np.flatnonzero(np.diff(here) > DRIVER_AWAY_S * 1e9) + 1:
-        early[begin : begin + int(np.argmin([*missing[begin:], False]))] = True
-    return {
-        "readable": True,
-        "size (MB)": round(path.stat().st_size / 1e6, 2),
-        "samples": len(stamps_ns),
-        "samples heard in its time": len(here),
-        "samples before the recorder had found the new driver": int(early.sum()),
-        "samples missing": int((missing & ~early).sum()),
-        "rows as the diagnosis reads it": rows,
-    }
-
-
-def _kill_recorders(times: int, run: LiveRun, trials: KillTrials) -> dict[str, Any]:
-    """Kill recorders while they write, and read their files."""
-    rng = np.random.default_rng(1)
-    lost_s: list[float] = []
-    problems: list[str] = []
-    for number in range(times):
-        path = run.folder / f"killed_{number}.mcap"
-        killed = run.record(path.stem)
-        trials.spin_until(partial(_begun, path), "tensions in a recording")
-        trials.spin(float(rng.uniform(*WRITING_S)))
-        killed_ns = time.time_ns()
-        killed.kill()
-        del run.processes[path.stem]
-        try:
-            _, logged_ns = _samples(path)
-            lost_s.append((killed_ns - int(logged_ns.max())) * 1e-9)
-        except (CableSenseError, OSError, ValueError) as error:
-            problems.append(f"{number}: {error}")
-    spread = harness.percentiles(lost_s, ("median", "95 %", "worst"))
-    return {
-        "killed": times,
-        "read": times - len(problems),
-        "lost at the end (s): median, 95 %, worst": list(spread.values()),
-        "problems": problems[:10],
-    }
-
-
-def _begun(path: Path) -> bool:
-    try:
-        _samples(path)
-    except (CableSenseError, OSError):
-        return False
-    return True
-
-
-def _samples(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Stamps of the tensions in a file, and when each was recorded, ns."""
-    read = EffortReader().read
-    pairs = [
-        (read(one.data).stamp_ns, one.log_ns)
-        for one in McapMessages(path)
-        if one.topic.rpartition("/")[2] == topics.CABLE_TENSIONS
-    ]
-    if not pairs:
-        raise OSError(f"{path.name}: holds no tensions")
-    columns = np.array(pairs, dtype=np.int64)
-    return columns[:, 0], columns[:, 1]
 
 
 def _statistics(kills: pd.DataFrame) -> dict[str, Any]:
@@ -173,9 +274,7 @@ def _statistics(kills: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def _bars(
-    statistics: dict[str, Any], recording: dict[str, Any], recorders: dict[str, Any]
-) -> dict[str, bool]:
+def _bars(statistics: dict[str, Any]) -> dict[str, bool]:
     bars: dict[str, bool] = {}
     for victim, one in statistics.items():
         stale, right = one["stale_s"], one["right_after_set_up_s"]
@@ -187,10 +286,7 @@ def _bars(
             <= RIGHT_WITHIN_S,
             f"{victim}: no wrong force": one["wrong forces"] == 0,
         }
-    return bars | {
-        "the recording is whole": recording["readable"] and recording["samples missing"] == 0,
-        "killed recorders leave files that are read": recorders["read"] == recorders["killed"],
-    }
+    return bars
 
 
 def main() -> int:

@@ -17,22 +17,18 @@ from typing import Any
 
 import harness
 import numpy as np
-from rclpy.serialization import serialize_message
+from estimated_arm import EstimatedArm, estimation_settings
 from rich.progress import track
-from sensor_msgs.msg import JointState
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import ForceState, Load
 from cablesense_online.answer import Answer
-from cablesense_online.estimation import Estimation
-from cablesense_online.models import load_model
 from cablesense_online.simulated_arm import SimulatedArm
-from cablesense_sim.build import mechanism_of
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.kinematics import segment_rotations
 
-RATE_HZ, COMMANDS_HZ, START_NS = 500, 50, 10**18
+RATE_HZ, COMMANDS_HZ = 500, 50
 PUSH_N, OFF_N, BEND_DEG = 20.0, 1.0, (5.0, 8.0)
 REST_S, AFTER_S = 1.5, 2.0
 JOINT_SPEED_RAD_S = float(np.deg2rad(20.0))
@@ -81,21 +77,18 @@ MOVES = {
 }
 
 
-class Bench:
-    """The estimator's core with the simulated arm that it answers."""
+class Bench(EstimatedArm):
+    """The simulated arm that the estimator's core answers."""
 
     def __init__(self, name: str, rng: np.random.Generator) -> None:
-        loaded = load_model(name, "")
-        self.arm, self._rng, self._tick = loaded.arm, rng, 0
-        self.settings = harness.estimation_settings(
+        super().__init__(
+            name,
+            rng,
             joint_speed_rad_s=JOINT_SPEED_RAD_S,
             still_rad=float(np.deg2rad(0.02)),
             follow_rad_s=float(np.deg2rad(4.0)),
-            tare_samples=50,
-            largest_misfit=loaded.largest_misfit(-1.0),
         )
-        dynamics = ArmDynamics(self.arm)
-        self._estimation = Estimation(self.arm, loaded.estimator, self.settings, 0.0)
+        self._tick, dynamics = 0, ArmDynamics(self.arm)
         self._simulated = SimulatedArm(dynamics, 1e-3, JOINT_SPEED_RAD_S, 0.0, now_s=0.0)
         self._set_points = JointMotion(dynamics.command_rad, JOINT_SPEED_RAD_S)
 
@@ -113,9 +106,7 @@ class Bench:
         """Command arm and estimator."""
         self._simulated.go_to(angles_rad)
         self._set_points.go_to(angles_rad)
-        self._estimation.command(
-            JointState(name=list(self.arm.joint_names), position=angles_rad.tolist())
-        )
+        super().command(angles_rad)
 
     def push(self, segment: int, angle_rad: float, command_rad: Array) -> None:
         """Push on a segment at its middle."""
@@ -129,23 +120,19 @@ class Bench:
         return float(np.linalg.norm(np.cross(axis, self._push_n)))
 
     def _axes(self, segment: int, angles_rad: Array) -> Array:
-        return segment_rotations(mechanism_of(self.arm), angles_rad)[segment - 1]
+        return segment_rotations(self.mechanism, angles_rad)[segment - 1]
 
-    def sample(self) -> Answer:
+    def next(self) -> Answer:
         """The answer to the next sample."""
         self._tick += 1
         self._set_points.advance(1.0 / RATE_HZ)
         self._simulated.advance_to(self.now_s)
-        read_n = self._simulated.reading_n(self.arm.sensors, self._rng)
-        stamp_ns = START_NS + round(1e9 * self.now_s)
-        message = JointState(name=list(self.arm.cable_names), effort=read_n.tolist())
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
-        return self._estimation.sample(serialize_message(message), stamp_ns, self.now_s)
+        return self.sample(self._simulated.reading_n(self.arm.sensors, self.rng), self.now_s)
 
     def rest(self) -> None:
         """Let the arm settle."""
         for _ in range(round(REST_S * RATE_HZ)):
-            self.sample()
+            self.next()
 
 
 def away_s(name: str, course: Course, rng: np.random.Generator) -> list[float]:
@@ -166,7 +153,7 @@ def away_s(name: str, course: Course, rng: np.random.Generator) -> list[float]:
     while commands or bench.moving or bench.now_s < arrived_s + AFTER_S:
         while commands and bench.now_s >= began_s + commands[0][0]:
             bench.command(start_rad + signs * commands.pop(0)[1])
-        answer = bench.sample()
+        answer = bench.next()
         contact = answer.contact
         if not contact.segment:
             away_s = bench.now_s
@@ -201,7 +188,7 @@ def main() -> None:
                 for what, each in zip(FIGURES, np.transpose(times), strict=True)
             }
             worst_s = max(worst_s, *(late_s for late_s, *_ in times))
-    settle_s = harness.estimation_settings().settle_s
+    settle_s = estimation_settings().settle_s
     result["bars"] = {f"back within {settle_s + LATE_S:g} s": worst_s <= settle_s + LATE_S}
     harness.print_bars(result["bars"])
     harness.publish("motion.json", result, given)

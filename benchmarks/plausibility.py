@@ -5,17 +5,11 @@
 Healthy arms: random commands within 10 degrees, a tare of 50 readings at each; 20 loads, one
 fifth none, the others 0 to 200 N on any segment in any direction; 50 readings of each. Faulty
 arms: every cable has every fault under each load; a force is wrong by the length of the difference
-between the estimated and the true one, or by the larger of the two where segments differ. Of a
-wrong one that passes it is searched whether the sound arm has these readings under another force,
-so that no check of one sample can tell. `--commands 0` or `--faulty 0` leaves those figures as
-they are; the time of a check is always measured.
+between the estimated and the true one, or by the larger of the two where segments differ.
 """
 
 from __future__ import annotations
 
-import json
-import re
-import time
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -23,7 +17,6 @@ from typing import Any, NamedTuple
 import harness
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
@@ -36,7 +29,7 @@ from cablesense_online.tare import UnloadedTensions
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.replay import difference_variance_n2, read_tensions_n
+from cablesense_sim.replay import read_tensions_n
 from cablesense_training.inference.estimator import Estimator
 
 ARMS = ("cdsm", "cdsm_lab")
@@ -118,23 +111,22 @@ def wrong_n(contact: Contact, segment: int, force_n: Array) -> float:
 
 
 def healthy(arm_name: str, number: int) -> Array:
-    """Misfit, error (N), slack cables, whether it passes, segment, and which doubt of each sample.
+    """Misfit, whether it passes, segment, and which doubt of each sample.
 
     A doubt is 1 where no other readings confirm one, and 2 where the average does not fit.
     """
     bench = Bench(arm_name, number)
     segments, forces = bench.loads(LOADS)
-    tensions = bench.tensions_n(bench.mechanism, segments, forces)
     rows = []
-    for segment, force, true in zip(segments, forces, tensions, strict=True):
+    for segment, true in zip(
+        segments, bench.tensions_n(bench.mechanism, segments, forces), strict=True
+    ):
         readings = bench.read(np.tile(true, (READINGS, 1)))
         apart_ns = APART_NS
         for reading, contact in zip(readings, bench.contacts(readings), strict=True):
             passes, apart_ns = bench.passes(reading, contact, apart_ns), PERIOD_NS
             doubt = 1 + ("average" in bench.check.doubt) if bench.check.doubt else 0
-            error = wrong_n(contact, segment, force)
-            slack = int((true <= 0.0).sum())
-            rows.append((bench.check.misfit, error, slack, passes, segment, doubt * passes))
+            rows.append((bench.check.misfit, passes, segment, doubt * passes))
     return np.array(rows)
 
 
@@ -164,7 +156,7 @@ def faults(bench: Bench, reading_n: Array, cable: int) -> Iterator[tuple[str, Ar
 
 
 class FaultCase(NamedTuple):
-    """One fault under one load, and its judgement."""
+    """One fault under one load: the error of the force, and whether it passes."""
 
     fault: str
     cable: int
@@ -173,27 +165,6 @@ class FaultCase(NamedTuple):
     wrong_n: float
     passes: bool
     unconfirmed: bool
-    named: bool
-    rightly_named: bool
-    look_alike: bool
-
-
-def look_alike(bench: Bench, reading_n: Array, contact: Contact) -> bool:
-    """Whether the sound arm has these readings under a force on the estimated segment."""
-    segment = np.array([contact.segment])
-    if not contact.segment:
-        return True
-    spread_n = difference_variance_n2(bench.arm.sensors, TARE_SAMPLES) ** 0.5
-    unloaded = bench.tensions_n(bench.mechanism, segment, np.zeros((1, 2)))[0]
-    difference = reading_n - bench.tare
-
-    def left_over(force_n: Array) -> Array:
-        tensions = bench.tensions_n(bench.mechanism, segment, force_n[None])[0]
-        return (difference - tensions + unloaded) / spread_n
-
-    start = contact.magnitude_n * np.array(contact.direction)
-    left = least_squares(left_over, start, diff_step=1e-4, max_nfev=20).fun
-    return float(left @ left) <= (len(left) - 2) * LARGEST_MISFIT**2
 
 
 def faulty(arm_name: str, number: int) -> list[FaultCase]:
@@ -221,70 +192,26 @@ def faulty(arm_name: str, number: int) -> list[FaultCase]:
     judged = []
     for (name, reading, i, cable), contact in zip(cases, contacts, strict=True):
         off_n, passes = wrong_n(contact, segments[i], forces[i]), bench.passes(reading, contact)
-        report = bench.check.status()
-        named = report.message.partition("all but the reading of ")[2].partition(" would fit")[0]
+        unconfirmed = bench.check.status().level is Level.WARN
         judged.append(
-            FaultCase(
-                name,
-                cable,
-                int(segments[i]),
-                slack[i],
-                off_n,
-                passes,
-                unconfirmed=report.level is Level.WARN,
-                named=bool(named),
-                rightly_named=bench.arm.cable_names[cable] in re.split(", | or ", named),
-                look_alike=passes and off_n > WRONG_N and look_alike(bench, reading, contact),
-            )
+            FaultCase(name, cable, int(segments[i]), slack[i], off_n, passes, unconfirmed)
         )
     return judged
 
 
-def check_us(arm_name: str) -> dict[str, Any]:
-    """Time of a check of a stream at 100 Hz under a steady contact, µs.
-
-    The run with the least median of five, as `timeit` advises: the others show other work of the
-    machine.
-    """
-    runs = [_check_times_us(arm_name) for _ in range(5)]
-    least = min(runs, key=np.median)
-    return harness.origin() | harness.percentiles(least, ("median", "90 %", "99 %"), 1)
-
-
-def _check_times_us(arm_name: str) -> list[float]:
-    bench = Bench(arm_name, 0)
-    true = bench.tensions_n(bench.mechanism, np.array([3]), np.array([[30.0, 20.0]]))
-    readings = bench.read(np.tile(true, (2000, 1)))
-    differences, times = readings - bench.tare, []
-    for number, contact in enumerate(bench.contacts(readings)):
-        difference, contacts = differences[number], [contact] * bool(contact.segment)
-        begin = time.perf_counter()
-        bench.check.check(difference, bench.command, contacts, (number + 1) * PERIOD_NS)
-        times.append((time.perf_counter() - begin) * 1e6)
-    return times
-
-
 def healthy_figures(options: Any, arm_name: str) -> dict[str, Any]:
-    """The samples of a healthy arm that are withheld."""
+    """The samples of a healthy arm that are withheld or unconfirmed."""
     with WorkerPool(options.workers, arm_name) as pool:
         sound = np.concatenate(list(pool.map(healthy, range(options.commands))))
-    misfit, error, slack, passes, segment, doubt = sound.T
-    at = ("median", "99 %", "99.9 %", "99.99 %", "99.999 %", "worst")
+    misfit, passes, segment, doubt = sound.T
     return {
-        **harness.origin(),
         "samples": len(sound),
         "withheld": int((passes == 0).sum()),
         "contacts": int((segment > 0).sum()),
         "unconfirmed_as_one_reading_is": int((doubt == 1).sum()),
         "of_these_on_segment_1": int(((doubt == 1) & (segment == 1)).sum()),
         "unconfirmed_as_the_average_does_not_fit": int((doubt == 2).sum()),
-        "misfit": harness.percentiles(misfit, at),
-        "misfit_by_slack_cables": {
-            str(int(n)): {"samples": int((slack == n).sum())}
-            | harness.percentiles(misfit[slack == n], at)
-            for n in np.unique(slack)
-        },
-        "error_n": harness.percentiles(error, at),
+        "misfit": harness.percentiles(misfit, ("median", "99 %", "99.99 %", "worst")),
     }
 
 
@@ -292,40 +219,12 @@ def fault_figures(options: Any, arm_name: str) -> dict[str, Any]:
     """Which faults make a wrong force, and which of these pass."""
     with WorkerPool(options.workers, arm_name) as pool:
         found = [row for rows in pool.map(faulty, range(options.faulty)) for row in rows]
-    table = {}
-    for name in dict.fromkeys(row.fault for row in found):
-        of = [row for row in found if row.fault == name]
-        passed = [row for row in of if row.wrong_n > WRONG_N and row.passes]
-        table[name] = {
-            "cases": len(of),
-            "noticed": round(1.0 - np.mean([row.passes for row in of]), 4),
-            "wrong": sum(row.wrong_n > WRONG_N for row in of),
-            "wrong_and_passed": len(passed),
-            "of_these_not_reported_as_unconfirmed": sum(not row.unconfirmed for row in passed),
-            "share_of_all": round(len(passed) / len(of), 5),
-            "largest_passed_n": round(
-                max((row.wrong_n for row in of if row.passes), default=0), 1
-            ),
-        }
-    wrong = [row for row in found if row.wrong_n > WRONG_N]
-    passed = [row for row in wrong if row.passes]
-    one = [row for row in wrong if not row.passes and row.named]
+    passed = [row for row in found if row.wrong_n > WRONG_N and row.passes]
     return {
-        **harness.origin(),
-        "cases": len(found),
-        "wrong": len(wrong),
-        "wrong_and_passed": len(passed),
-        "of_these_not_reported_as_unconfirmed": sum(not row.unconfirmed for row in passed),
-        "of_these_readings_of_another_force": sum(row.look_alike for row in passed),
-        "wrong_noticed_with_names": len(one),
-        "of_these_with_the_faulty_cable": round(np.mean([row.rightly_named for row in one]), 4),
-        "faults": table,
-        "passed_by_segment_and_slack_cables": {
-            f"{segment}, {slack}": [
-                sum((row.segment, row.slack) == (segment, slack) for row in rows)
-                for rows in (passed, found)
-            ]
-            for segment, slack in sorted({(row.segment, row.slack) for row in found})
+        **_counts(found),
+        "faults": {
+            name: _counts([row for row in found if row.fault == name])
+            for name in dict.fromkeys(row.fault for row in found)
         },
         "worst_passed": [
             [row.fault, round(row.wrong_n, 1), f"cable_{row.cable + 1}", row.segment, row.slack]
@@ -334,25 +233,32 @@ def fault_figures(options: Any, arm_name: str) -> dict[str, Any]:
     }
 
 
+def _counts(rows: list[FaultCase]) -> dict[str, int]:
+    passed = [row for row in rows if row.wrong_n > WRONG_N and row.passes]
+    return {
+        "cases": len(rows),
+        "noticed": sum(not row.passes for row in rows),
+        "wrong": sum(row.wrong_n > WRONG_N for row in rows),
+        "wrong_and_passed": len(passed),
+        "of_these_not_reported_as_unconfirmed": sum(not row.unconfirmed for row in passed),
+    }
+
+
 def main() -> None:
-    """Measures and prints; with `--write` replaces the measured figures."""
+    """Measures and prints; writes with `--write`."""
     parser = harness.parser(__doc__, "results/plausibility.json")
     parser.add_argument("--arm", choices=ARMS, action="append", help="only this one")
     parser.add_argument("--commands", type=int, default=500, help="of 1000 healthy samples each")
     parser.add_argument("--faulty", type=int, default=60, help="commands with every fault")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     options = parser.parse_args()
-    measured = {
-        name: {"check_us": check_us(name)}
-        | ({"healthy": healthy_figures(options, name)} if options.commands else {})
+    arms = {
+        name: ({"healthy": healthy_figures(options, name)} if options.commands else {})
         | ({"faulty": fault_figures(options, name)} if options.faulty else {})
         for name in options.arm or ARMS
     }
-    file = harness.RESULTS / "plausibility.json"
-    arms = json.loads(file.read_text(encoding="utf-8"))["arms"] if file.exists() else {}
-    for name, parts in measured.items():
-        arms[name] = arms.get(name, {}) | parts
-    harness.publish("plausibility.json", {"largest_misfit": LARGEST_MISFIT, "arms": arms}, options)
+    result = {**harness.origin(), "largest_misfit": LARGEST_MISFIT, "arms": arms}
+    harness.publish("plausibility.json", result, options)
 
 
 if __name__ == "__main__":

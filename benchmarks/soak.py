@@ -233,9 +233,6 @@ def measure_lifecycle(loops: int) -> dict[str, Any]:
         "wrenches received": wrenches,
         "tracebacks": tracebacks,
         "memory": grown,
-        "MB after each tenth": [
-            round(one["estimator"], 1) for _, one in notes[loops // 10 - 1 :: loops // 10]
-        ],
         "exit codes": codes,
         "bars": {
             "every process ends well": not any(codes.values()) and not tracebacks,
@@ -259,7 +256,7 @@ def _judged(arm: Arm, map_name: str, played: dict[str, Any], sink: Sink) -> dict
     rate_hz, written_ns = RATES_HZ[map_name], played["written_ns"]
     sequence = marked_sequence(arm, channel_map, database, rate_hz)
     tensions = sink.tensions.table()
-    delivered, cycle = delivery(sequence, played["dropped"], written_ns, tensions, rate_hz)
+    delivered, cycle = delivery(sequence, played["dropped"], written_ns, tensions)
     names = ("can_driver: interface", "can_driver: samples", "estimator: cable_tensions")
     bus, samples, estimator = (sink.diagnostics[name] for name in names)
     faults = {
@@ -269,7 +266,6 @@ def _judged(arm: Arm, map_name: str, played: dict[str, Any], sink: Sink) -> dict
     }
     return {
         "map": map_name,
-        "amplifiers scheduled in real time": bool(played["real_time"]),
         "delivery": delivered,
         "driver says": {
             "frames in all": int(bus["frames in all"]),
@@ -317,8 +313,7 @@ def main() -> int:
     """Measure, or play the amplifiers."""
     parser = harness.parser(__doc__, "results/soak.json or lifecycle.json")
     parser.add_argument("--minutes", type=float, default=10.0, help="of the packed amplifier")
-    parser.add_argument("--lifecycle", type=int, metavar="LOOPS", help="loops, ten or more")
-    parser.add_argument("--only", choices=(PACKED, CIA404), help="one map alone")
+    parser.add_argument("--lifecycle", type=int, metavar="LOOPS", help="loops")
     parser.add_argument("--role", choices=("amplifiers",), help=argparse.SUPPRESS)
     parser.add_argument("--map", help=argparse.SUPPRESS)
     parser.add_argument("--link", help=argparse.SUPPRESS)
@@ -334,7 +329,7 @@ def main() -> int:
         return 0 if all(loops["bars"].values()) else 1
     minutes = {PACKED: given.minutes, CIA404: min(CIA404_MINUTES, given.minutes)}
     runs = []
-    for map_name in [given.only] if given.only else [PACKED, CIA404]:
+    for map_name in (PACKED, CIA404):
         run = measure(map_name, minutes[map_name])
         runs.append({**run, "bars": bars(run)})
     result = {**harness.origin("rclpy"), "arm": ARM, "runs": runs}

@@ -4,10 +4,10 @@
 
 Fresh sequences of commands and contacts, seeds that no training has seen, sensor noise on.
 Memoryless estimators get the set-point at every tick, which is more than the node gives them:
-there they are silent until the arm rests again, and that is a separate row. Long sequences show
+there they are silent until the arm rests again. Long sequences show
 whether the state stays right; under friction there are several, as a late start weighs more than
-the time since. Stated intervals are judged by what the load does, as friction hides most of it
-while it falls and after it went. `--write` puts `temporal_ARM.json` of each arm into
+the time since. Stated intervals are judged under a load and after it, as friction hides most of it
+then. `--write` puts `temporal_ARM.json` of each arm into
 `benchmarks/results/`.
 """
 
@@ -29,7 +29,6 @@ from cablesense_training.evaluation.metrics import (
     SequenceMetrics,
     sequence_estimates,
     sequence_metrics,
-    unsettled,
 )
 from cablesense_training.inference.estimator import Estimates, SequenceEstimator
 from cablesense_training.inference.metadata import find_model
@@ -38,8 +37,6 @@ from cablesense_training.inference.temporal_estimator import open_estimator
 SEED, LONG_SEED = 7_000_001, 7_000_002
 LONG_S = 300.0
 RELEASED_S = 2.0
-
-GATED = "statics, silent in motion (as the node runs it)"
 
 
 class SequenceCase(NamedTuple):
@@ -109,7 +106,6 @@ def _arm(case: SequenceCase, protocol: MotionProtocol, workers: int) -> dict[str
         long_protocol = replace(protocol, sequences=case.long_sequences, duration_s=LONG_S)
         long = _drawn(case.arm, long_protocol, LONG_SEED, workers)
     metrics: dict[str, Any] = {}
-    moving = unsettled(sequences)  # or did within half a second
     for name, model in case.estimators.items():
         estimator = open_estimator(find_model(model))
         found = sequence_estimates(estimator, sequences)
@@ -125,9 +121,6 @@ def _arm(case: SequenceCase, protocol: MotionProtocol, workers: int) -> dict[str
             told = ContactAnswer.of(sequence_estimates(estimator, long))
             metrics[name] |= _along(long, _force_error_n(told, long))
         metrics[name]["trained by"] = estimator.metadata.command
-        if model == "cdsm":
-            gated = replace(answer, segment=np.where(moving.ravel(), 0, answer.segment))
-            metrics[GATED] = _plain(sequence_metrics(gated, sequences))
     return {
         "why": case.why,
         "sequences": len(sequences),
@@ -183,21 +176,14 @@ def _intervals(found: Estimates, sequences: Sequences) -> dict[str, dict[str, fl
     low = np.where(found.segment > 0, found.low_n, 0.0).ravel()
     high = found.high_n.ravel()
     force, touched = sequences.magnitude_n, sequences.segment > 0
-    change = np.diff(force, axis=1, prepend=0.0)
     since = round(RELEASED_S / sequences.protocol.tick_s)
     padded = np.pad(touched, ((0, 0), (since, 0)))
     lately = np.lib.stride_tricks.sliding_window_view(padded, since + 1, axis=1).any(-1)
     phases = {
         "all": np.ones_like(touched),
         "touched": touched,
-        "in motion": touched & unsettled(sequences),
-        "at rest": touched & ~unsettled(sequences),
-        "rising": touched & (change > 0.0),
-        "holding": touched & (change == 0.0),
-        "falling": touched & (change < 0.0),
         f"within {RELEASED_S:g} s of a release": lately & ~touched,
         "untouched for longer": ~lately,
-        "a contact is told": (low > 0.0).reshape(touched.shape),
     }
     holds = (low <= force.ravel()) & (force.ravel() <= high)
     return {

@@ -1,4 +1,4 @@
-"""Contacts anywhere through the estimation: which are stated, and whether one is wrong.
+"""Contacts through the estimation, healthy and faulty: which are stated, and which are wrong.
 
     python benchmarks/trust.py [--samples 2500] [--faulty 1250] [--healthy 0] [--write]
 
@@ -23,26 +23,22 @@ from typing import Any, NamedTuple
 
 import harness
 import numpy as np
-from rclpy.serialization import serialize_message
+from estimated_arm import EstimatedArm
 from rich.progress import track
-from sensor_msgs.msg import JointState
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact, ForceState
 from cablesense_online.answer import Answer
-from cablesense_online.estimation import Estimation
 from cablesense_online.misfit_limit import LOADS, READINGS, simulated_misfits
 from cablesense_online.models import load_model
 from cablesense_sim import kinematics
-from cablesense_sim.build import mechanism_of
 from cablesense_sim.contact_location import touched_at
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
-from cablesense_sim.replay import read_tensions_n
 
 ARMS = {"cdsm": 150.0, "cdsm_lab": 45.0}
 """The strongest push, N, that an arm bears in nearly every pose within 10 degrees."""
 WRONG_N, WRONG_SHARE = 5.0, 0.2
-PERIOD_NS, JUDGED_AFTER, RELEASED = 10_000_000, 12, 25
+PERIOD_S, JUDGED_AFTER, RELEASED = 0.01, 12, 25
 CONTACTS_AT_A_POSE = 20
 UNTOUCHED = 0.25
 FAULTS = {
@@ -62,23 +58,22 @@ class Push(NamedTuple):
     force_n: Array
 
 
-class TestedArm:
-    """An arm at rest at a command, tared, with its estimation."""
+class TestedArm(EstimatedArm):
+    """An arm at rest at a command, tared."""
 
     def __init__(self, name: str, command_rad: Array, rng: np.random.Generator) -> None:
-        loaded = load_model(name, "")
-        self.arm, self.rng, self.command_rad = loaded.arm, rng, command_rad
-        self.mechanism = mechanism_of(self.arm)
-        settings = harness.estimation_settings(
-            tare_samples=50, largest_misfit=loaded.largest_misfit(-1.0)
-        )
-        self.estimation = Estimation(self.arm, loaded.estimator, settings, 0.0)
-        names, positions = list(self.arm.joint_names), command_rad.tolist()
-        self.estimation.command(JointState(name=names, position=positions))
-        self._now_ns = 10**18
+        super().__init__(name, rng)
+        self.command_rad = command_rad
+        self.command(command_rad)
+        self._now_s = 0.0
         self.unloaded_n = self.tensions_n([])
         while self.estimation.tares.present is None:
-            self.sample(self.read(self.unloaded_n))
+            self.next(self.read(self.unloaded_n))
+
+    def next(self, reading_n: Array) -> Answer:
+        """The answer to the next readings."""
+        self._now_s += PERIOD_S
+        return self.sample(reading_n, self._now_s)
 
     def tensions_n(self, pushes: Sequence[Push]) -> Array:
         """(M,) under pushes; raises EquilibriumError where the arm does not bear them."""
@@ -90,25 +85,34 @@ class TestedArm:
         touched = replace(self.mechanism, contact_m=at_m)
         return solve_equilibrium(touched, self.command_rad, forces).tensions_n
 
-    def read(self, tensions_n: Array) -> Array:
-        """(M,) with noise and step, never below zero."""
-        return np.maximum(read_tensions_n(tensions_n, self.arm.sensors, self.rng), 0.0)
+    def drawn(self, largest_n: float) -> list[Push]:
+        """One contact, or two in a quarter of the cases."""
+        rng = self.rng
+        count = 2 if rng.random() < 0.25 else 1
+        reach, _ = touched_at(self.arm)
+        pushes = []
+        for n in sorted(rng.permutation(self.arm.segment_count)[:count]):
+            size_n, angle = rng.uniform(2.0, largest_n / count), rng.uniform(0.0, 2.0 * np.pi)
+            force_n = size_n * np.array([rng.uniform(-0.3, 0.3), np.sin(angle), np.cos(angle)])
+            pushes.append(Push(int(n) + 1, rng.uniform(*reach[n]), force_n))
+        return pushes
 
-    def sample(self, reading_n: Array) -> Answer:
-        """The answer to one message."""
-        self._now_ns += PERIOD_NS
-        message = JointState(name=list(self.arm.cable_names), effort=reading_n.tolist())
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(self._now_ns, 10**9)
-        raw = serialize_message(message)
-        return self.estimation.sample(bytes(raw), self._now_ns, self._now_ns * 1e-9)
+    def cables(self, count: int) -> list[int]:
+        """Some cables, of one segment in half of the cases."""
+        ends_on = self.mechanism.cable_segment
+        among = np.arange(len(ends_on))
+        if self.rng.random() < 0.5:
+            among = np.flatnonzero(ends_on == self.rng.choice(ends_on))
+        chosen: list[int] = self.rng.choice(among, count, replace=False).tolist()
+        return chosen
 
     def answer(self, tensions_n: Array, fault: str = "", cables: Sequence[int] = ()) -> Answer:
         """The answer after `JUDGED_AFTER` samples; the arm is free again afterwards."""
         found = Answer()
         for _ in range(JUDGED_AFTER):
-            found = self.sample(faulty(self.read(tensions_n), fault, cables))
+            found = self.next(faulty(self.read(tensions_n), fault, cables))
         for _ in range(RELEASED):
-            self.sample(self.read(self.unloaded_n))
+            self.next(self.read(self.unloaded_n))
         return found
 
 
@@ -127,28 +131,6 @@ def faulty(reading_n: Array, fault: str, cables: Sequence[int]) -> Array:
         if kind == "apart":
             reading_n[of[1]] -= 2.0 * float(size)
     return np.maximum(reading_n, 0.0)
-
-
-def cables_at_random(arm: TestedArm, count: int, rng: np.random.Generator) -> list[int]:
-    """Some cables, of one segment in half of the cases."""
-    ends_on = arm.mechanism.cable_segment
-    among = np.arange(len(ends_on))
-    if rng.random() < 0.5:
-        among = np.flatnonzero(ends_on == rng.choice(ends_on))
-    chosen: list[int] = rng.choice(among, count, replace=False).tolist()
-    return chosen
-
-
-def drawn(arm: TestedArm, largest_n: float, rng: np.random.Generator) -> list[Push]:
-    """One contact, or two in a quarter of the cases."""
-    count = 2 if rng.random() < 0.25 else 1
-    reach, _ = touched_at(arm.arm)
-    pushes = []
-    for n in sorted(rng.permutation(arm.arm.segment_count)[:count]):
-        size_n, angle = rng.uniform(2.0, largest_n / count), rng.uniform(0.0, 2.0 * np.pi)
-        force_n = size_n * np.array([rng.uniform(-0.3, 0.3), np.sin(angle), np.cos(angle)])
-        pushes.append(Push(int(n) + 1, rng.uniform(*reach[n]), force_n))
-    return pushes
 
 
 def wrong_n(pushes: Sequence[Push], contacts: Sequence[Contact], length_m: Array) -> float:
@@ -193,18 +175,16 @@ def trial(name: str, given: argparse.Namespace, seed: int, channels: int) -> dic
         arm = TestedArm(name, command, rng)
         for _ in range(CONTACTS_AT_A_POSE):
             untouched = channels and rng.random() < UNTOUCHED
-            pushes = [] if untouched else drawn(arm, ARMS[name], rng)
+            pushes = [] if untouched else arm.drawn(ARMS[name])
             try:
                 tensions_n = arm.tensions_n(pushes)
             except EquilibriumError:
                 continue
             fault = str(rng.choice(FAULTS[channels])) if channels else ""
-            cables = cables_at_random(arm, channels, rng) if channels else []
+            cables = arm.cables(channels) if channels else []
             answer = arm.answer(tensions_n, fault, cables)
             judged += 1
-            of = ("untouched", *(f"segment {push.segment}" for push in pushes))[
-                min(len(pushes), 1)
-            ]
+            of = f"segment {pushes[0].segment}" if pushes else "untouched"
             of = "two contacts" if len(pushes) > 1 else of
             states[f"{of}: {answer.force.value}"] += 1
             off_n = wrong_n(pushes, answer.contacts, arm.mechanism.segment_length_m)

@@ -1,0 +1,67 @@
+"""An arm with its model in the estimator's core, which answers serialized readings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+
+from cablesense_base import Array
+from cablesense_online.answer import Answer
+from cablesense_online.estimation import Estimation
+from cablesense_online.models import load_model
+from cablesense_online.state import EstimationSettings
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.replay import read_tensions_n
+
+START_NS = 10**18
+
+
+def estimation_settings(**changes: Any) -> EstimationSettings:
+    """The estimator's settings that benchmarks share: the node's, with a tare of few readings."""
+    shared = {
+        "contact_threshold": 0.5,
+        "stale_after_s": 0.2,
+        "slack_below_n": 1.0,
+        "tare_samples": 5,
+        "tare_steady_n": 1.0,
+        "auto_tare": True,
+        "joint_speed_rad_s": 0.35,
+        "settle_s": 0.5,
+    }
+    return EstimationSettings(**shared | changes)
+
+
+class EstimatedArm:
+    """One arm, its shipped model, and the estimation that answers its readings."""
+
+    def __init__(
+        self, name: str, rng: np.random.Generator, model: str = "", **settings: Any
+    ) -> None:
+        """`settings` differ from those that benchmarks share; a tare takes 50 readings."""
+        loaded = load_model(name, model)
+        self.arm, self.rng = loaded.arm, rng
+        self.mechanism = mechanism_of(self.arm)
+        limit = {"tare_samples": 50, "largest_misfit": loaded.largest_misfit(-1.0)}
+        self.settings = estimation_settings(**limit | settings)
+        self.estimation = Estimation(self.arm, loaded.estimator, self.settings, 0.0)
+        self._message = JointState(name=list(self.arm.cable_names))
+
+    def command(self, angles_rad: Array) -> None:
+        """Command angles (2N,) of the joints."""
+        names = list(self.arm.joint_names)
+        self.estimation.command(JointState(name=names, position=angles_rad.tolist()))
+
+    def read(self, tensions_n: Array) -> Array:
+        """Readings of tensions (M,) with noise and step, never below zero."""
+        return np.maximum(read_tensions_n(tensions_n, self.arm.sensors, self.rng), 0.0)
+
+    def sample(self, reading_n: Array, now_s: float) -> Answer:
+        """The answer to readings (M,) at a time since the start."""
+        now_ns = START_NS + round(now_s * 1e9)
+        stamp = self._message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(now_ns, 10**9)
+        self._message.effort = reading_n.tolist()
+        return self.estimation.sample(bytes(serialize_message(self._message)), now_ns, now_s)
