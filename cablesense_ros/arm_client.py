@@ -117,15 +117,9 @@ def _put(vector: Any, numbers: Array) -> None:
 def record(
     moment: Callable[[float], Moment], duration_s: float, check: Callable[[], object]
 ) -> tuple[Array, list[Moment]]:
-    """Act and observe every `RECORD_EVERY_S`.
+    """Act and observe every `RECORD_EVERY_S`; gives times (K,) since the start, s, and K moments.
 
-    Args:
-        moment: takes the time since the start, s; acts and gives an observation.
-        duration_s: of the whole.
-        check: called at every step; raises to end it.
-
-    Returns:
-        Times (K,) since the start, s, and the K moments.
+    `moment` takes the time since the start, acts and gives an observation; `check` raises to end.
     """
     start_s = time.monotonic()
     times, moments = [], []

@@ -137,16 +137,8 @@ def subscribe_to_one(
 ) -> Subscription:
     """A raw subscription of which `take` gets the messages of one publisher, never of two in turn.
 
-    Args:
-        node: subscribes.
-        kind: of the messages.
-        topic: of theirs.
-        qos: asked for.
-        publisher: who is followed.
-        take: takes a serialized message of that publisher.
-        refuse: takes why a message of another is not used.
-        accept: in place of `publisher.accept`, which it calls.
-        events: callbacks of other events, by the names of rclpy.
+    `refuse` takes why a message of another is not used. `accept` stands in place of
+    `publisher.accept`, which it calls. `events` are callbacks by the names of rclpy.
     """
     accept = accept or publisher.accept
 

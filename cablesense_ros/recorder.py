@@ -45,17 +45,11 @@ class Recorder:
         arm: Arm | None,
         force: bool = False,
     ) -> None:
-        """Listen.
-
-        Args:
-            node: subscribes, in its namespace.
-            path: of the file.
-            wanted: what to record; topics whose message type is not installed are left out.
-            arm: whose contract is checked, if any.
-            force: whether to replace a file that is there already, at once.
+        """Listen in the node's namespace; topics of a type that is not installed are left out.
 
         Raises:
-            RecordingError: the file exists already, or cannot be written.
+            RecordingError: the file exists already and `force` does not replace it, or it cannot
+                be written.
         """
         self._file = TopicFile(path, force)
         self._node, self._wanted = node, wanted
@@ -168,16 +162,9 @@ def record_topics(
     namespace: str = "",
     force: bool = False,
 ) -> None:
-    """Record until `duration_s` have passed, or a signal to end; the file is whole then.
+    """Record nodes of a namespace until `duration_s` have passed, or a signal to end.
 
-    Args:
-        path: of the file.
-        wanted: topics of the contract.
-        duration_s: none until a signal.
-        arm: whose contract is checked, if any.
-        console: for people.
-        namespace: of the recorded nodes.
-        force: whether to replace a file that is there already.
+    The file is whole then. Inputs are checked by the contract of an `arm`, if one is given.
 
     Raises:
         RecordingError: the file exists, cannot be written, or no tensions came.

@@ -35,16 +35,10 @@ def capture_tensions(
     say: Callable[[str], object],
     namespace: str = "",
 ) -> tuple[TensionSeries, list[Pull]]:
-    """Readings at rest, then while a person pulls one cable after another as `say` asks.
+    """Readings at rest, then while a person pulls the `pulled` cables in turn as `say` asks.
 
-    Times are those of the samples' stamps, or of arrival if they have none.
-
-    Args:
-        cable_names: (M,) in the order wanted.
-        rest_s: how long the arm is left alone first.
-        pulled: cables to pull, in this order.
-        say: takes a line for the person.
-        namespace: of the arm's nodes.
+    Columns are in the order of `cable_names`. Times are those of the samples' stamps, or of
+    arrival if they have none.
 
     Raises:
         CommissioningError: nothing comes, two nodes publish, a reading is not finite, or stamps

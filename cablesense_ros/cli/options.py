@@ -70,10 +70,7 @@ class OptionError(CableSenseError):
 def refuse_given(context: typer.Context, names: Iterable[str], why: str) -> None:
     """Refuse options that this run would ignore; a default that is spelled out is harmless.
 
-    Args:
-        context: of the command.
-        names: the function's parameters that are without effect.
-        why: ends the sentence "… has no effect".
+    `names` are the function's parameters; `why` ends the sentence "… has no effect".
 
     Raises:
         OptionError: one of them has another value than its default.

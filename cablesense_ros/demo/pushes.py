@@ -64,12 +64,8 @@ def make_script(
 ) -> list[ScriptedPush]:
     """Pushes on one segment after another, the last first: the straight arm, then random poses.
 
-    Args:
-        reach_m: (N, 2) where on each segment they act, from its joint centre.
-        duration_s: of the whole.
-        seed: of everything random.
-        range_n: the strongest contact to expect of the arm.
-        most_along: largest axial part, as a share of the normal force.
+    They act within `reach_m` (N, 2) of each segment, from its joint centre, with up to 0.6 of
+    `range_n`, the strongest contact to expect, and `most_along` of their force along the axis.
 
     Raises:
         ScriptError: the duration is too short for one push.
@@ -127,12 +123,8 @@ def play_script(
 ) -> PushRecord:
     """Play the script in real time.
 
-    Args:
-        client: pushes and commands the arm.
-        live: gives the snapshots.
-        script: what to do when.
-        check: called at every step; raises to end the play.
-        progress: takes the seconds since the start, as `completed`.
+    At every step `check` is called, which raises to end the play, and `progress` with the seconds
+    since the start as `completed`.
     """
     due: deque[tuple[float, Callable[[], None]]] = deque()
     for push in script:

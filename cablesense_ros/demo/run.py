@@ -189,12 +189,7 @@ def _check_files(options: DemoOptions) -> LoadedModel:
 
 
 def node_commands(options: DemoOptions, live: bool) -> dict[str, list[str]]:
-    """The command lines of all nodes but this process's own, by name.
-
-    Args:
-        options: of the demo.
-        live: with the page.
-    """
+    """The command lines of all nodes but this process's own, by name; with the page if `live`."""
     arm: dict[str, object] = {"arm": options.arm}
     simulation = arm | {"seed": options.seed}
     if options.source is Source.SIM:
