@@ -107,25 +107,15 @@ def bound(pid):
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="looks in Linux's /proc")
-@pytest.mark.parametrize(
-    ("name", "parameters"), [("page", {"port": 18080}), ("sim", {}), ("estimator", {})]
-)
-def test_nodes_of_the_demo_wait_on_loopback_alone(name, parameters, monkeypatch, tmp_path):
+def test_a_node_of_the_demo_waits_on_loopback_alone(monkeypatch, tmp_path):
     for variable in (RANGE, *PROFILES):
         monkeypatch.delenv(variable, raising=False)
     environment = own_graph()
     first = FIRST_DDS_PORT + PORTS_OF_A_DOMAIN * int(environment["ROS_DOMAIN_ID"])
-    ready = {"page": "page: ", "sim": "cables at", "estimator": "configured"}[name]
-    with Process(name, node_command(name, parameters), tmp_path / "log", environment) as node:
-        wait_until(lambda: ready in node.log, 60.0, f"{name} is not ready", node.check)
+    command = node_command("page", {"port": 18080})
+    with Process("page", command, tmp_path / "log", environment) as node:
+        wait_until(lambda: "page: " in node.log, 60.0, "the page is not ready", node.check)
         found = bound(node.pid)
-    assert len([kind for kind, _, _ in found if kind.startswith("tcp")]) == (name == "page")
+    assert len([kind for kind, _, _ in found if kind.startswith("tcp")]) == 1
     assert any(first <= port < first + PORTS_OF_A_DOMAIN for _, _, port in found)
     assert {address for _, address, _ in found} <= {"127.0.0.1", "::1"}
-
-
-def test_the_page_says_when_it_is_open_to_the_network(tmp_path):
-    command = node_command("page", {"port": 18090, "host": "0.0.0.0"})
-    with Process("page", command, tmp_path / "log", own_graph()) as node:
-        wait_until(lambda: "page: " in node.log, 60.0, "no page", node.check)
-        assert node.log.count("without encryption") == 1

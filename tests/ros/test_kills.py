@@ -55,34 +55,34 @@ def zero_since(wrench, time_s):
     return later and wrench.header.frame_id == "base_link" and force(wrench) == (0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("victim", ["can_driver", "sim", "estimator"])
-def test_the_others_go_on_and_it_is_right_again(graph, nodes, victim):
-    until_right(graph, "the load before the kill")
-    killed_s = time.time()
-    nodes[victim].kill()
-    if victim != "estimator":
-        graph.until(lambda: zero_since(graph.wrenches[-1], killed_s), "a zero wrench")
-    nodes[victim].start()
-    until_right(graph, f"the load after {victim} came back")
-    assert all(node.alive for node in nodes.values())
-
-
-def test_liveliness_shows_a_subscriber_that_the_estimator_died_and_came_back(graph, nodes):
-    nodes["estimator"].kill()
-    alive = []
+@pytest.fixture
+def living(graph):
+    """Reports of a subscriber that asks for liveliness: how many estimators are alive."""
+    living = []
     subscription = graph.node.create_subscription(
         WrenchStamped,
         "/estimator/wrench",
         lambda _: None,
         qos_profile(Qos(depth=10, reliable=True, lease_s=0.5)),
         event_callbacks=SubscriptionEventCallbacks(
-            liveliness=lambda event: alive.append(event.alive_count)
+            liveliness=lambda event: living.append(event.alive_count)
         ),
     )
-    nodes["estimator"].start()
-    graph.until(lambda: alive and alive[-1] == 1, "a living estimator")
-    nodes["estimator"].kill()
-    graph.until(lambda: alive[-1] == 0, "its death")
-    nodes["estimator"].start()
-    graph.until(lambda: alive[-1] == 1, "its return")
+    yield living
     graph.node.destroy_subscription(subscription)
+
+
+@pytest.mark.parametrize("victim", ["can_driver", "sim", "estimator"])
+def test_the_others_go_on_and_it_is_right_again(graph, nodes, living, victim):
+    until_right(graph, "the load before the kill")
+    graph.until(lambda: living and living[-1] == 1, "a living estimator")
+    killed_s = time.time()
+    nodes[victim].kill()
+    if victim == "estimator":
+        graph.until(lambda: living[-1] == 0, "its death")
+    else:
+        graph.until(lambda: zero_since(graph.wrenches[-1], killed_s), "a zero wrench")
+    nodes[victim].start()
+    until_right(graph, f"the load after {victim} came back")
+    graph.until(lambda: living[-1] == 1, "a living estimator at the end")
+    assert all(node.alive for node in nodes.values())

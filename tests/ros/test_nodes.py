@@ -197,7 +197,7 @@ def test_several_contacts_at_once_have_a_wrench_each_and_are_replayed(
     tared.until(recorded, "the recorder's subscriptions")
     for force_n in (30.0, 0.0):  # recorded from here on, with its journal from the start
         tared.push(2, (0.0, 0.0, force_n))
-        wanted = recorded() + 1500
+        wanted = recorded() + 300
         tared.until(lambda wanted=wanted: recorded() > wanted, "wrenches in the recording")
     tared.executor.remove_node(listener)
     tared.spin(0.5)  # what the executor has taken of its messages reaches it
@@ -208,8 +208,6 @@ def test_several_contacts_at_once_have_a_wrench_each_and_are_replayed(
     assert 10 < sum(whole) < len(whole)  # a busy machine loses samples
     got = replay_in_process(run)
     assert got.same, got.first_difference
-    other = replay_in_process(run, model="cdsm")
-    assert not other.same
     tared.push(4, (0.0, 0.0, 0.0))
     tared.until(touched(tared, 0), "the contacts to end")
 
