@@ -12,8 +12,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from cablesense_base import Array
 from cablesense_sim.compiled import compiled
+from cablesense_sim.contact_location import TorqueBalance
 
 _LEAST_AXIAL_N = 0.01
 """The bound of an axial force by friction where the lateral force is zero."""
@@ -58,27 +61,14 @@ class Force(NamedTuple):
 
 
 @compiled
-def pulled_by(torque_n_m: Array, precision: Array, pulled: Array) -> float:
-    """Weight a torque (2N,) with its precision, into `pulled` (2N,); gives its chi²."""
-    chi2 = 0.0
-    for i in range(len(pulled)):
-        pulled[i] = 0.0
-        for j in range(len(pulled)):
-            pulled[i] += precision[i, j] * torque_n_m[j]
-        chi2 += pulled[i] * torque_n_m[i]
-    return chi2
-
-
-@compiled
-def true_torques(
-    by_force_m: Array, by_place: Array, by_twist: Array, n: int, turn: Array, torques: Array
-) -> None:
-    """The seven torques (7, 2N) of a contact on segment n, along the true axes of the segment.
+def true_torques(balance: TorqueBalance, b: int, n: int, turn: Array, torques: Array) -> None:
+    """The seven torques (7, 2N) of a contact on segment n of a sample, along its true axes.
 
     The touched surface is around the true axis. That is normal to the motion by the segment's own
     two joints; `turn` (3, 3) becomes the true axes, in rows, along those at the commanded angles.
     """
-    pitch, yaw = by_place[n, :, 2 * n], by_place[n, :, 2 * n + 1]
+    by_place = balance.by_place[b, n]
+    pitch, yaw = by_place[:, 2 * n], by_place[:, 2 * n + 1]
     x = pitch[1] * yaw[2] - pitch[2] * yaw[1]
     y = pitch[2] * yaw[0] - pitch[0] * yaw[2]
     z = pitch[0] * yaw[1] - pitch[1] * yaw[0]
@@ -87,41 +77,8 @@ def true_torques(
     turn[0, 0], turn[0, 1], turn[0, 2] = x, y, z
     turn[1, 0], turn[1, 1], turn[1, 2] = -y, 1.0 - y * y / (1.0 + x), -y * z / (1.0 + x)
     turn[2, 0], turn[2, 1], turn[2, 2] = -z, -y * z / (1.0 + x), 1.0 - z * z / (1.0 + x)
-    for j in range(by_twist.shape[1]):
-        for i in range(3):
-            torques[i, j], torques[i + 3, j] = 0.0, 0.0
-            for k in range(3):
-                torques[i, j] += turn[i, k] * by_force_m[n, k, j]
-                torques[i + 3, j] += turn[i, k] * by_place[n, k, j]
-        torques[6, j] = by_twist[n, j]
-
-
-@compiled
-def products(
-    torques: Array, precision: Array, pulled: Array, weighted: Array, gram: Array, pull: Array
-) -> None:
-    """Gram and pull of K torques (K, 2N), by the weighted torque of the environment (2N,).
-
-    `weighted` (K, 2N) is overwritten.
-    """
-    many, joints = torques.shape
-    for i in range(many):
-        pull[i] = 0.0
-        for j in range(joints):
-            weighted[i, j] = 0.0
-            pull[i] += torques[i, j] * pulled[j]
-        for k in range(joints):
-            t = torques[i, k]
-            if t != 0.0:  # a joint beyond the contact feels nothing of it
-                for j in range(joints):
-                    weighted[i, j] += t * precision[k, j]
-    for i in range(many):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(joints):
-                total += weighted[i, k] * torques[j, k]
-            gram[i, j] = total
-            gram[j, i] = total
+    torques[:3], torques[3:6] = turn @ balance.by_force_m[b, n], turn @ by_place
+    torques[6] = balance.by_twist[b, n]
 
 
 @compiled
@@ -178,20 +135,22 @@ def add_friction(gram: Array, pull: Array, x: int, side_y: float, side_z: float)
     An axial force f_x at the radius r turns the segment as the lateral force does at r f_x / f.
     The seven torques of the contact begin at row `x`.
     """
-    for j in range(len(pull)):
-        gram[x, j] += side_y * gram[x + 4, j] + side_z * gram[x + 5, j]
-    for i in range(len(pull)):
-        gram[i, x] += side_y * gram[i, x + 4] + side_z * gram[i, x + 5]
-    pull[x] += side_y * pull[x + 4] + side_z * pull[x + 5]
+    _shift(gram, pull, x, x + 4, side_y, side_z)
+
+
+@compiled
+def _shift(gram: Array, pull: Array, row: int, lateral: int, y: float, z: float) -> None:
+    """Add shares of the two lateral torques from row `lateral` on to the torque of a row."""
+    gram[row] += y * gram[lateral] + z * gram[lateral + 1]
+    gram[:, row] += y * gram[:, lateral] + z * gram[:, lateral + 1]
+    pull[row] += y * pull[lateral] + z * pull[lateral + 1]
 
 
 @compiled
 def fixed_twist(gram: Array, pull: Array, twist_n_m: float) -> float:
     """Take a known moment about the axis off the torque; gives by how much that lowers chi²."""
-    for i in range(6):
-        pull[i] -= twist_n_m * gram[i, 6]
     gain = twist_n_m * (2.0 * pull[6] - twist_n_m * gram[6, 6])
-    pull[6] -= twist_n_m * gram[6, 6]
+    pull -= twist_n_m * gram[:, 6]
     return gain
 
 
@@ -206,20 +165,12 @@ def free_twist(
     moment thereby turns the segment as (turns_y, turns_z) of the lateral force, further along.
     Gives by how much the moment lowers chi², and its log share of the evidence.
     """
-    t, rows = x + 6, len(pull)
-    for j in range(rows):
-        gram[t, j] += turns_y * gram[x + 4, j] + turns_z * gram[x + 5, j]
-    for i in range(rows):
-        gram[i, t] += turns_y * gram[i, x + 4] + turns_z * gram[i, x + 5]
-    pull[t] += turns_y * pull[x + 4] + turns_z * pull[x + 5]
-    variance = std_n_m * std_n_m
-    share = variance / (1.0 + variance * gram[t, t])
-    for i in range(rows):
-        if i != t:
-            pull[i] -= share * gram[i, t] * pull[t]
-            for j in range(rows):
-                if j != t:
-                    gram[i, j] -= share * gram[i, t] * gram[t, j]
+    t, variance = x + 6, std_n_m * std_n_m
+    _shift(gram, pull, t, x + 4, turns_y, turns_z)
+    share, along = variance / (1.0 + variance * gram[t, t]), gram[t].copy()
+    along[t] = 0.0
+    pull -= share * pull[t] * along
+    gram -= share * np.outer(along, along)
     gain = share * pull[t] ** 2
     return gain, 0.5 * (gain - math.log(1.0 + variance * gram[t, t]))
 

@@ -29,7 +29,7 @@ class Grid(NamedTuple):
     Attributes:
         place_m, log_density, weight: (N, K), by range; weights of a segment have the sum 1.
         force_n: (N, K, 3).
-        covariance_n2: (N, K, 3, 3) of it; its upper triangle is not filled.
+        covariance_n2: (N, K, 9) of it, row by row.
         lateral_n, lateral_std_n: (N, K).
         moment_n_m, moment_variance: (N, K, 2).
     """
@@ -48,14 +48,12 @@ class Grid(NamedTuple):
 @compiled
 def weigh(grid: Grid, n: int) -> float:
     """Fill the weights of segment n; gives the log evidence, up to the prior's volume."""
-    top, total = grid.log_density[n].max(), 0.0
-    for first in range(0, grid.weight.shape[1], FINE):
-        apart_m = grid.place_m[n, first + 1] - grid.place_m[n, first]
-        for k in range(first, first + FINE):
-            grid.weight[n, k] = apart_m * math.exp(grid.log_density[n, k] - top)
-            total += grid.weight[n, k]
-    for k in range(grid.weight.shape[1]):
-        grid.weight[n, k] /= total
+    top, weight = grid.log_density[n].max(), grid.weight[n]
+    weight[:] = np.exp(grid.log_density[n] - top)
+    for first in range(0, len(weight), FINE):
+        weight[first : first + FINE] *= grid.place_m[n, first + 1] - grid.place_m[n, first]
+    total = weight.sum()
+    weight /= total
     return top + math.log(total)
 
 
@@ -63,55 +61,30 @@ def weigh(grid: Grid, n: int) -> float:
 def compare(evidence: Array, found: Location, b: int) -> None:
     """Probabilities of no contact and of a contact on each segment, equal before."""
     probability, top = found.probability[b], max(evidence.max(), 0.0)
-    probability[0] = math.exp(-top)
-    for n in range(len(evidence)):
-        probability[n + 1] = math.exp(evidence[n] - top)
-    touched, total = probability[1:].sum(), probability.sum()
-    found.log_evidence[b] = top + math.log(touched)
-    probability /= total
+    probability[0], probability[1:] = math.exp(-top), np.exp(evidence - top)
+    found.log_evidence[b] = top + math.log(probability[1:].sum())
+    probability /= probability.sum()
     found.segment[b] = probability.argmax()
 
 
 @compiled
 def summarise(grid: Grid, n: int, largest_n: float, found: Location, b: int) -> None:
     """Means and intervals over the places of segment n, into row b."""
-    force, covariance = found.force_n[b], found.covariance[b]
-    moment, moment_std = found.moment_n_m[b], found.moment_std_n_m[b]
-    place, lateral = 0.0, 0.0
-    force[:], covariance[:], moment[:], moment_std[:] = 0.0, 0.0, 0.0, 0.0
-    for k in range(grid.weight.shape[1]):
-        s, w = grid.place_m[n, k], grid.weight[n, k]
-        if not w:
-            continue
-        place += w * s
-        lateral += w * grid.lateral_n[n, k]
-        covariance[0, 0] += w * s * s
-        for i in range(3):
-            f = grid.force_n[n, k, i]
-            force[i] += w * f
-            covariance[i + 1, 0] += w * f * s
-            for j in range(i + 1):
-                shared = grid.covariance_n2[n, k, i, j] + f * grid.force_n[n, k, j]
-                covariance[i + 1, j + 1] += w * shared
-        for i in range(2):
-            m = grid.moment_n_m[n, k, i]
-            moment[i] += w * m
-            moment_std[i] += w * (grid.moment_variance[n, k, i] + m * m)
-    covariance[0, 0] = max(covariance[0, 0] - place * place, 0.0)
-    for i in range(3):
-        covariance[i + 1, 0] -= force[i] * place
-        for j in range(i + 1):
-            covariance[i + 1, j + 1] -= force[i] * force[j]
-        covariance[i + 1, i + 1] = max(covariance[i + 1, i + 1], 0.0)
-    for i in range(4):
-        for j in range(i):
-            covariance[j, i] = covariance[i, j]
+    weight, covariance = grid.weight[n], found.covariance[b]
+    numbers = np.empty((len(weight), 4))
+    numbers[:, 0], numbers[:, 1:] = grid.place_m[n], grid.force_n[n]
+    mean = weight @ numbers
+    numbers -= mean
+    covariance[:] = numbers.T @ (weight.reshape(-1, 1) * numbers)
+    covariance[1:, 1:] += (weight @ grid.covariance_n2[n]).reshape(3, 3)
+    found.place_m[b], found.force_n[b] = mean[0], mean[1:]
+    moment = weight @ grid.moment_n_m[n]
+    variance = grid.moment_variance[n] + (grid.moment_n_m[n] - moment) ** 2
+    found.moment_n_m[b], found.moment_std_n_m[b] = moment, np.sqrt(weight @ variance)
     for i in range(2):
-        moment_std[i] = math.sqrt(max(moment_std[i] - moment[i] ** 2, 0.0))
         share = 0.975 if i else 0.025
-        found.place_ci95_m[b, i] = _place(grid.place_m[n], grid.weight[n], share)
+        found.place_ci95_m[b, i] = _place(grid.place_m[n], weight, share)
         found.magnitude_ci95_n[b, i] = _magnitude_n(grid, n, share, largest_n)
-    found.place_m[b] = place
 
 
 @compiled
@@ -137,33 +110,14 @@ def bound_region(
 
 @compiled
 def _place(place_m: Array, weight: Array, share: float) -> float:
-    """The place below which a share of the weights lies, each half below its own place."""
-    if len(weight) > FINE:
-        return _place_of_several(place_m, weight, share)
-    before, centre = 0.5 * weight[0], 0.0
-    if before >= share:
-        return float(place_m[0])
-    for k in range(1, FINE):
-        centre = before + 0.5 * (weight[k - 1] + weight[k])
-        if centre >= share:
-            back = (centre - share) / (centre - before)
-            return float(place_m[k] - back * (place_m[k] - place_m[k - 1]))
-        before = centre
-    return float(place_m[-1])
-
-
-@compiled
-def _place_of_several(place_m: Array, weight: Array, share: float) -> float:
-    """The same over several grids, by bisection."""
-    low, high = np.inf, -np.inf
-    for k in range(len(weight)):
-        if weight[k] > 0.0:
-            low, high = min(low, place_m[k]), max(high, place_m[k])
+    """The place below which a share of the weights lies, each spread over its own interval."""
+    used = place_m[weight > 0.0]
+    low, high = used.min(), used.max()
     for _ in range(_HALVED):
         at, below = 0.5 * (low + high), 0.0
         for first in range(0, len(weight), FINE):
             start, apart = place_m[first], place_m[first + 1] - place_m[first]
-            for k in range(first, first + FINE):  # each weight is spread over its own interval
+            for k in range(first, first + FINE):
                 if weight[k] > 0.0:
                     part = (at - start) / apart - (k - first) + 0.5
                     below += weight[k] * min(max(part, 0.0), 1.0)

@@ -111,12 +111,6 @@ class TorqueBalance(NamedTuple):
     by_place: Array
     by_twist: Array
 
-    @property
-    def chi2(self) -> Array:
-        """(B,) misfit of an untouched arm, with 2N degrees of freedom."""
-        torque = self.torque_n_m[:, None]
-        return np.asarray((torque @ self.precision @ np.swapaxes(torque, 1, 2))[:, 0, 0])
-
 
 def torque_balance(
     mechanism: Mechanism, command_rad: ArrayLike, difference_n: Array, variance_n2: float

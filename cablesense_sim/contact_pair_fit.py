@@ -1,8 +1,9 @@
 """The fit of two contacts on an arm, sample by sample, compiled: see `locate_two`.
 
-The gram of the torques that contacts can make (`contact_force`) is computed once a sample. The
-information of both forces is a polynomial in both places by blocks of it. For one place of the
-first contact, the torques that its force cannot explain leave a problem of a single contact.
+The gram of the torques that contacts can make (`contact_force`) is computed once a sample. Eight
+numbers describe a pair, both forces and both places, and the derivative of its torques by them
+combines rows of that gram. For given places the forces follow from linear equations, and
+Gauss-Newton steps of the places start from every peak of a grid.
 """
 
 from __future__ import annotations
@@ -23,8 +24,6 @@ from cablesense_sim.contact_force import (
     best_force,
     free_twist,
     polynomials,
-    products,
-    pulled_by,
     true_torques,
 )
 from cablesense_sim.contact_location import ContactPair, TorqueBalance
@@ -54,8 +53,7 @@ class _Pair(NamedTuple):
         axial: (2,) information of the axial forces before the tensions.
         low, high: (2,) ends of the places' ranges.
         place: (2,); force: (6,) of both.
-        root: (8, 8) lower Cholesky factor of the information of forces, then places.
-        inverse: (8, 8) of that factor.
+        root: (8, 8) lower Cholesky factor of the information of forces, then places, at these.
         slope: (2,) of half the gain by the places.
     """
 
@@ -67,27 +65,7 @@ class _Pair(NamedTuple):
     place: Array
     force: Array
     root: Array
-    inverse: Array
     slope: Array
-
-
-class _Grid(NamedTuple):
-    """The first grid over both places, and room for the problem of the second contact alone.
-
-    Attributes:
-        gain: (K, K) over the places of the first, then of the second.
-        gram, pull: (7, 7), (7,) of the second contact's torques, less what the first one explains.
-        shape: (9, 3) polynomials of a single contact.
-        near, solved: (3, 7) information that the first force shares with these torques, and the
-            force that explains them.
-    """
-
-    gain: Array
-    gram: Array
-    pull: Array
-    shape: Array
-    near: Array
-    solved: Array
 
 
 def fit_each(balance: TorqueBalance, prior: Prior) -> ContactPair:
@@ -109,14 +87,7 @@ def fit_each(balance: TorqueBalance, prior: Prior) -> ContactPair:
 @compiled
 def _fit_each(balance: TorqueBalance, prior: Prior, found: ContactPair) -> None:
     count, segments, _, joints = balance.by_place.shape
-    by_force_m, by_place, by_twist = balance.by_force_m, balance.by_place, balance.by_twist
-    rows = _ROWS * segments
-    torques, weighted, pulled = (
-        np.empty((rows, joints)),
-        np.empty((rows, joints)),
-        np.empty(joints),
-    )
-    gram, pull, turn = np.empty((rows, rows)), np.empty(rows), np.empty((segments, 3, 3))
+    torques, turn = np.empty((_ROWS * segments, joints)), np.empty((segments, 3, 3))
     pair = _Pair(
         np.empty((2 * _ROWS, 2 * _ROWS)),
         np.empty(2 * _ROWS),
@@ -125,42 +96,34 @@ def _fit_each(balance: TorqueBalance, prior: Prior, found: ContactPair) -> None:
         np.empty(2),
         np.empty(2),
         np.empty(6),
-        np.zeros((8, 8)),
-        np.zeros((8, 8)),
+        np.empty((8, 8)),
         np.empty(2),
     )
-    grid = _Grid(
-        np.empty((_COARSE, _COARSE)),
-        np.empty((_ROWS, _ROWS)),
-        np.empty(_ROWS),
-        np.zeros((9, 3)),
-        np.empty((3, _ROWS)),
-        np.empty((3, _ROWS)),
-    )
     for b in range(count):
-        chi2 = pulled_by(balance.torque_n_m[b], balance.precision[b], pulled)
         for n in range(segments):
-            own = torques[_ROWS * n : _ROWS * (n + 1)]
-            true_torques(by_force_m[b], by_place[b], by_twist[b], n, turn[n], own)
-        products(torques, balance.precision[b], pulled, weighted, gram, pull)
+            true_torques(balance, b, n, turn[n], torques[_ROWS * n : _ROWS * (n + 1)])
+        weighted, torque = torques @ balance.precision[b], balance.torque_n_m[b]
+        gram, pull = weighted @ torques.T, weighted @ torque
+        chi2 = torque @ balance.precision[b] @ torque
         for first in range(segments - 1):
             for second in range(first + 1, segments):
                 _select(gram, pull, first, second, prior, pair)
-                gain, twist_gain, log_twist = _fit(pair, grid), 0.0, 0.0
+                gain, twist_gain, log_twist = _fit(pair), 0.0, 0.0
                 if prior.radius_m >= 0.0:
                     gain, twist_gain, log_twist = _rub(pair, first, second, prior)
-                evidence = _log_evidence(pair, gain, prior) + log_twist
+                inverse = np.linalg.inv(np.tril(pair.root))
+                covariance = inverse.T @ inverse
+                evidence = _log_evidence(pair, covariance, gain, prior) + log_twist
                 if second == 1 or evidence > found.log_evidence[b]:  # the first pair, or a better
                     found.log_evidence[b], found.chi2[b] = evidence, chi2 - gain - twist_gain
-                    _state(pair, first, turn[first], 0, found, b)
-                    _state(pair, second, turn[second], 1, found, b)
+                    _state(pair, covariance, first, turn[first], 0, found, b)
+                    _state(pair, covariance, second, turn[second], 1, found, b)
 
 
 @compiled
 def _select(gram: Array, pull: Array, first: int, second: int, prior: Prior, pair: _Pair) -> None:
     """Take the torques and the ranges of two segments, from 0 on."""
-    for k in range(2):
-        n = second if k else first
+    for k, n in enumerate((first, second)):
         pair.low[k], pair.high[k] = prior.reach_m[n, 0], prior.reach_m[n, 1]
         pair.axial[k] = prior.axial_std_n**-2
         if prior.radius_m >= 0.0:
@@ -168,30 +131,27 @@ def _select(gram: Array, pull: Array, first: int, second: int, prior: Prior, pai
             beyond = prior.radius_m * prior.friction * (1.0 + SOFT)  # friction shifts it thus far
             pair.low[k] -= beyond
             pair.high[k] += beyond
-        for i in range(_ROWS):
-            pair.pull[_ROWS * k + i] = pull[_ROWS * n + i]
-            for j in range(_ROWS):
-                pair.gram[_ROWS * k + i, j] = gram[_ROWS * n + i, _ROWS * first + j]
-                pair.gram[_ROWS * k + i, _ROWS + j] = gram[_ROWS * n + i, _ROWS * second + j]
+        own, rows = slice(_ROWS * k, _ROWS * (k + 1)), slice(_ROWS * n, _ROWS * (n + 1))
+        pair.pull[own] = pull[rows]
+        pair.gram[own, :_ROWS] = gram[rows, _ROWS * first : _ROWS * (first + 1)]
+        pair.gram[own, _ROWS:] = gram[rows, _ROWS * second : _ROWS * (second + 1)]
 
 
 @compiled
-def _fit(pair: _Pair, grid: _Grid) -> float:
-    """The best places from every peak of a grid; gives their gain. `root` is of these."""
-    _fill(pair, grid)
+def _fit(pair: _Pair) -> float:
+    """The best places from every peak of a grid; gives their gain."""
+    gains = _grid_gains(pair)
     most, first, second = -np.inf, pair.low[0], pair.low[1]
     for i in range(_COARSE):
         for j in range(_COARSE):
-            if _is_peak(grid.gain, i, j):
-                pair.place[0] = _grid_place(pair, 0, i)
-                pair.place[1] = _grid_place(pair, 1, j)
+            near = gains[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2]
+            if gains[i, j] >= near.max():
+                pair.place[0], pair.place[1] = _grid_place(pair, 0, i), _grid_place(pair, 1, j)
                 gain = _refine(pair)
                 if gain > most:
                     most, first, second = gain, pair.place[0], pair.place[1]
     pair.place[0], pair.place[1] = first, second
-    most = _profile(pair)
-    _extend(pair)
-    return most
+    return _profile(pair)
 
 
 @compiled
@@ -207,26 +167,19 @@ def _rub(pair: _Pair, first: int, second: int, prior: Prior) -> tuple[float, flo
             pair.axial[k] = (BOUND_STD * axial_bound(prior, lateral)) ** -2
         _refine(pair)
     twist_gain, log_twist = 0.0, 0.0
-    for k in range(2):
+    for k, n in enumerate((first, second)):
         x, y, z = pair.force[3 * k], pair.force[3 * k + 1], pair.force[3 * k + 2]
         lateral = max(math.hypot(y, z), 1e-12)
         bound = BOUND_STD * axial_bound(prior, lateral)
         ratio = min(max(x / lateral, -prior.friction), prior.friction) / lateral
-        gain, share = free_twist(
-            pair.gram, pair.pull, _ROWS * k, -ratio * z, ratio * y, prior.radius_m * bound
-        )
+        row, radius, side = _ROWS * k, prior.radius_m, prior.radius_m / lateral
+        gain, share = free_twist(pair.gram, pair.pull, row, -ratio * z, ratio * y, radius * bound)
         twist_gain, log_twist = twist_gain + gain, log_twist + share
-    for k in range(2):
-        y, z = pair.force[3 * k + 1], pair.force[3 * k + 2]
-        lateral, n = max(math.hypot(y, z), 1e-12), second if k else first
-        side = prior.radius_m / lateral
-        add_friction(pair.gram, pair.pull, _ROWS * k, side * y, side * z)
+        add_friction(pair.gram, pair.pull, row, side * y, side * z)
         pair.low[k], pair.high[k] = prior.reach_m[n, 0], prior.reach_m[n, 1]
         pair.place[k] = min(max(pair.place[k], pair.low[k]), pair.high[k])
-        pair.axial[k] = (BOUND_STD * axial_bound(prior, lateral)) ** -2
-    gain = _refine(pair)
-    _extend(pair)
-    return gain, twist_gain, log_twist
+        pair.axial[k] = bound**-2
+    return _refine(pair), twist_gain, log_twist
 
 
 @compiled
@@ -237,54 +190,36 @@ def _grid_place(pair: _Pair, k: int, i: int) -> float:
 
 
 @compiled
-def _is_peak(gain: Array, i: int, j: int) -> bool:
-    """Whether no neighbour on the grid has more gain."""
-    for k in range(max(i - 1, 0), min(i + 2, _COARSE)):
-        for m in range(max(j - 1, 0), min(j + 2, _COARSE)):
-            if gain[k, m] > gain[i, j]:
-                return False
-    return True
+def _grid_gains(pair: _Pair) -> Array:
+    """The gains (K, K) over places of the first contact, then of the second.
 
-
-@compiled
-def _fill(pair: _Pair, grid: _Grid) -> None:
-    """The gains of a grid of places."""
+    For one place of the first contact, the torques that its force cannot explain leave a problem
+    of a single contact.
+    """
+    gains = np.empty((_COARSE, _COARSE))
+    first, second = np.zeros((9, 3)), np.zeros((9, 3))
+    polynomials(pair.gram, pair.pull, first)
     for i in range(_COARSE):
         s = _grid_place(pair, 0, i)
-        polynomials(pair.gram, pair.pull, grid.shape)
-        f = best_force(grid.shape, pair.axial[0], s)
-        for k in range(_ROWS):
-            for j in range(3):
-                grid.near[j, k] = pair.gram[j, _ROWS + k] + s * pair.gram[3 + j, _ROWS + k]
-            x, y, z = grid.near[0, k], grid.near[1, k], grid.near[2, k]
-            grid.solved[0, k] = f.xx * x + f.xy * y + f.xz * z
-            grid.solved[1, k] = f.xy * x + f.yy * y + f.yz * z
-            grid.solved[2, k] = f.xz * x + f.yz * y + f.zz * z
-            grid.pull[k] = pair.pull[_ROWS + k] - (f.x * x + f.y * y + f.z * z)
-        for k in range(_ROWS):
-            for m in range(_ROWS):
-                grid.gram[k, m] = pair.gram[_ROWS + k, _ROWS + m]
-                for j in range(3):
-                    grid.gram[k, m] -= grid.near[j, k] * grid.solved[j, m]
-        polynomials(grid.gram, grid.pull, grid.shape)
+        f = best_force(first, pair.axial[0], s)
+        force = np.array((f.x, f.y, f.z))
+        covariance = np.array(((f.xx, f.xy, f.xz), (f.xy, f.yy, f.yz), (f.xz, f.yz, f.zz)))
+        shared = pair.gram[:3, _ROWS:] + s * pair.gram[3:6, _ROWS:]
+        left = pair.gram[_ROWS:, _ROWS:] - shared.T @ covariance @ shared
+        polynomials(left, pair.pull[_ROWS:] - shared.T @ force, second)
         for j in range(_COARSE):
-            t = _grid_place(pair, 1, j)
-            grid.gain[i, j] = f.gain + best_force(grid.shape, pair.axial[1], t).gain
+            gain = best_force(second, pair.axial[1], _grid_place(pair, 1, j)).gain
+            gains[i, j] = f.gain + gain
+    return gains
 
 
 @compiled
 def _refine(pair: _Pair) -> float:
-    """Gauss-Newton steps of the places within their ranges; gives the gain.
-
-    `force` and the rows of the forces in `root` are then of these places.
-    """
+    """Gauss-Newton steps of the places within their ranges; gives the gain."""
     gain = _profile(pair)
     for _ in range(_STEPS):
-        _extend(pair)
         a, c, d = pair.root[6, 6], pair.root[7, 6], pair.root[7, 7]
         first, second = pair.place[0], pair.place[1]
-        std_second = 1.0 / d
-        std_first = math.hypot(1.0, c / d) / a
         second_step = (pair.slope[1] - c * pair.slope[0] / a) / (d * d)
         first_step = (pair.slope[0] / a - c * second_step) / a
         # next to an end of its range a place stays, and the other one goes on alone
@@ -294,7 +229,8 @@ def _refine(pair: _Pair) -> float:
             first_step, second_step = pair.slope[0] / (a * a), 0.0
         first_step = min(max(first + first_step, pair.low[0]), pair.high[0]) - first
         second_step = min(max(second + second_step, pair.low[1]), pair.high[1]) - second
-        if abs(first_step) < _CONVERGED * std_first and abs(second_step) < _CONVERGED * std_second:
+        small_first, small_second = _CONVERGED * math.hypot(1.0, c / d) / a, _CONVERGED / d
+        if abs(first_step) < small_first and abs(second_step) < small_second:
             break
         share = 1.0
         for _ in range(_HALVINGS + 1):
@@ -321,99 +257,61 @@ def _held(pair: _Pair, k: int, step: float) -> bool:
 
 @compiled
 def _profile(pair: _Pair) -> float:
-    """The forces that fit best at the places, and their rows of the root; gives the gain."""
-    gram, root, force, gain = pair.gram, pair.root, pair.force, 0.0
-    for a in range(2):
-        s, p = pair.place[a], _ROWS * a
-        for i in range(3):
-            row = 3 * a + i
-            for b in range(a + 1):
-                t, q = pair.place[b], _ROWS * b
-                for j in range(i + 1 if a == b else 3):
-                    root[row, 3 * b + j] = (
-                        gram[p + i, q + j]
-                        + s * gram[p + i + 3, q + j]
-                        + t * (gram[p + i, q + j + 3] + s * gram[p + i + 3, q + j + 3])
-                    )
-            if i == 0:
-                root[row, row] += pair.axial[a]
-            _eliminate(root, row)
-            total = pair.pull[p + i] + s * pair.pull[p + i + 3]
-            for j in range(row):
-                total -= root[row, j] * force[j]
-            force[row] = total / root[row, row]
-            gain += force[row] * force[row]
+    """The forces that fit best at the places, and the root there; gives the gain."""
+    gram, pull, root, force = pair.gram, pair.pull, pair.root, pair.force
+    weighted = np.empty((6, 2 * _ROWS))
+    for k in range(2):
+        row, s = _ROWS * k, pair.place[k]
+        weighted[3 * k : 3 * k + 3] = gram[row : row + 3] + s * gram[row + 3 : row + 6]
+        force[3 * k : 3 * k + 3] = pull[row : row + 3] + s * pull[row + 3 : row + 6]
+    for k in range(2):
+        row, s = _ROWS * k, pair.place[k]
+        of_force = weighted[:, row : row + 3] + s * weighted[:, row + 3 : row + 6]
+        root[:6, 3 * k : 3 * k + 3] = of_force
+        root[3 * k, 3 * k] += pair.axial[k]
+    _factorise(root, 0, 6)
+    for i in range(6):
+        for j in range(i):
+            force[i] -= root[i, j] * force[j]
+        force[i] /= root[i, i]
+    gain = (force * force).sum()
     for i in range(5, -1, -1):
         for j in range(i + 1, 6):
             force[i] -= root[j, i] * force[j]
         force[i] /= root[i, i]
+    by_place = np.zeros((2, 2 * _ROWS))
+    for k in range(2):
+        by_place[k, _ROWS * k + 3 : _ROWS * k + 6] = force[3 * k : 3 * k + 3]
+    root[6:, :6], root[6:, 6:] = by_place @ weighted.T, by_place @ gram @ by_place.T
+    pair.slope[:] = by_place @ (pull - force @ weighted)
+    for k in range(2):
+        root[6 + k, 6 + k] += 12.0 / (pair.high[k] - pair.low[k]) ** 2
+    _factorise(root, 6, 8)
     return gain
 
 
 @compiled
-def _eliminate(root: Array, row: int) -> None:
-    """One row of a Cholesky factor, in place of the row of the matrix."""
-    for j in range(row):
-        total = root[row, j]
-        for k in range(j):
-            total -= root[row, k] * root[j, k]
-        root[row, j] = total / root[j, j]
-    own = root[row, row]
-    left = own
-    for k in range(row):
-        left -= root[row, k] * root[row, k]
-    # contacts at one place make the same torques; what the second adds is then unknown
-    root[row, row] = math.sqrt(left if left > _SINGULAR * own else own)
+def _factorise(root: Array, first: int, last: int) -> None:
+    """Rows of a lower Cholesky factor, in place of the rows of the matrix."""
+    for row in range(first, last):
+        own = left = root[row, row]
+        for j in range(row):
+            for k in range(j):
+                root[row, j] -= root[row, k] * root[j, k]
+            root[row, j] /= root[j, j]
+            left -= root[row, j] ** 2
+        # contacts at one place make the same torques; what the second adds is then unknown
+        root[row, row] = math.sqrt(left if left > _SINGULAR * own else own)
 
 
 @compiled
-def _extend(pair: _Pair) -> None:
-    """The rows of the places in the root, and the slope, at the forces that fit best."""
-    gram, root, force = pair.gram, pair.root, pair.force
-    for a in range(2):
-        row, p = 6 + a, _ROWS * a + 3
-        x, y, z = force[3 * a], force[3 * a + 1], force[3 * a + 2]
-        slope = x * pair.pull[p] + y * pair.pull[p + 1] + z * pair.pull[p + 2]
-        for b in range(2):
-            t = pair.place[b]
-            for j in range(3):
-                q = _ROWS * b + j
-                shared = (
-                    x * (gram[p, q] + t * gram[p, q + 3])
-                    + y * (gram[p + 1, q] + t * gram[p + 1, q + 3])
-                    + z * (gram[p + 2, q] + t * gram[p + 2, q + 3])
-                )
-                root[row, 3 * b + j] = shared
-                slope -= shared * force[3 * b + j]
-        pair.slope[a] = slope
-        for b in range(a + 1):
-            total = 0.0
-            for i in range(3):
-                q = _ROWS * b + 3 + i
-                along = x * gram[p, q] + y * gram[p + 1, q] + z * gram[p + 2, q]
-                total += along * force[3 * b + i]
-            root[row, 6 + b] = total
-        root[row, row] += 12.0 / (pair.high[a] - pair.low[a]) ** 2
-        _eliminate(root, row)
-
-
-@compiled
-def _log_evidence(pair: _Pair, gain: float, prior: Prior) -> float:
-    """Laplace's approximation against no contact; leaves the inverse of the root."""
-    root, inverse = pair.root, pair.inverse
-    evidence = 0.5 * gain + 4.0 * math.log(2.0 * math.pi)
-    for i in range(8):
-        evidence -= math.log(root[i, i])
-        inverse[i, i] = 1.0 / root[i, i]
-        for j in range(i):
-            total = 0.0
-            for k in range(j, i):
-                total += root[i, k] * inverse[k, j]
-            inverse[i, j] = -total / root[i, i]
+def _log_evidence(pair: _Pair, covariance: Array, gain: float, prior: Prior) -> float:
+    """Laplace's approximation against no contact."""
+    evidence = 0.5 * gain + 4.0 * math.log(2.0 * math.pi) - np.log(np.diag(pair.root)).sum()
     total_m = (prior.reach_m[:, 1] - prior.reach_m[:, 0]).sum()
     for k in range(2):
         y, z = 3 * k + 1, 3 * k + 2
-        variance = _shared(inverse, y, y) + _shared(inverse, z, z)
+        variance = covariance[y, y] + covariance[z, z]
         square = pair.force[y] ** 2 + pair.force[z] ** 2
         disc = 2.0 * math.pi * math.sqrt(square + variance) * prior.largest_n
         evidence -= math.log(disc * math.sqrt(2.0 * math.pi / pair.axial[k]) * total_m)
@@ -422,25 +320,14 @@ def _log_evidence(pair: _Pair, gain: float, prior: Prior) -> float:
 
 
 @compiled
-def _shared(inverse: Array, i: int, j: int) -> float:
-    """Covariance of two unknowns, by the inverse of the root."""
-    total = 0.0
-    for k in range(max(i, j), 8):
-        total += inverse[k, i] * inverse[k, j]
-    return total
-
-
-@compiled
-def _state(pair: _Pair, n: int, turn: Array, k: int, found: ContactPair, b: int) -> None:
+def _state(
+    pair: _Pair, covariance: Array, n: int, turn: Array, k: int, found: ContactPair, b: int
+) -> None:
     """Write contact k, on segment n from 0 on, into row b, along the axes at the command."""
+    own = slice(3 * k, 3 * k + 3)
     found.segments[b, k] = n + 1
     found.place_m[b, k] = pair.place[k]
-    found.place_std_m[b, k] = math.sqrt(_shared(pair.inverse, 6 + k, 6 + k))
-    for i in range(3):
-        force, variance = 0.0, 0.0
-        for p in range(3):
-            force += turn[p, i] * pair.force[3 * k + p]
-            for q in range(3):
-                covariance = _shared(pair.inverse, 3 * k + p, 3 * k + q)
-                variance += turn[p, i] * turn[q, i] * covariance
-        found.force_n[b, k, i], found.force_std_n[b, k, i] = force, math.sqrt(variance)
+    found.place_std_m[b, k] = math.sqrt(covariance[6 + k, 6 + k])
+    found.force_n[b, k] = pair.force[own] @ turn
+    turned = turn.T @ covariance[own, own].copy() @ turn
+    found.force_std_n[b, k] = np.sqrt(np.diag(turned))

@@ -22,8 +22,6 @@ from cablesense_sim.contact_force import (
     free_twist,
     of_sum,
     polynomials,
-    products,
-    pulled_by,
     true_torques,
     turned,
 )
@@ -98,10 +96,8 @@ class _Fit(NamedTuple):
 def locate_each(balance: TorqueBalance, prior: Prior, found: Location) -> None:
     """Fill the posteriors of B samples, whose arrays are contiguous."""
     count, segments, _, joints = balance.by_place.shape
-    by_force_m, by_place, by_twist = balance.by_force_m, balance.by_place, balance.by_twist
-    torques, weighted, pulled = np.empty((7, joints)), np.empty((7, joints)), np.empty(joints)
-    ranges = TWISTS if prior.radius_m >= 0.0 else 1
-    gram, pull, shape = np.empty((7, 7)), np.empty(7), np.zeros((segments, ranges, 9, 3))
+    torques, ranges = np.empty((7, joints)), TWISTS if prior.radius_m >= 0.0 else 1
+    shape = np.zeros((segments, ranges, 9, 3))
     evidence, turn = np.empty(segments), np.empty((segments, 3, 3))
     fits = [_Fit(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(segments * ranges)]
     filled = np.empty(segments, dtype=np.bool_)
@@ -110,19 +106,21 @@ def locate_each(balance: TorqueBalance, prior: Prior, found: Location) -> None:
         np.empty((segments, places)),
         np.empty((segments, places)),
         np.empty((segments, places)),
-        np.empty((segments, places, 3)),
-        np.empty((segments, places, 3, 3)),
-        np.empty((segments, places)),
-        np.empty((segments, places)),
-        np.empty((segments, places, 2)),
-        np.empty((segments, places, 2)),
+        np.zeros((segments, places, 3)),
+        np.zeros((segments, places, 9)),
+        np.zeros((segments, places)),
+        np.zeros((segments, places)),
+        np.zeros((segments, places, 2)),
+        np.zeros((segments, places, 2)),
     )
     log_volume = math.log(prior.largest_n * (prior.reach_m[:, 1] - prior.reach_m[:, 0]).sum())
     for b in range(count):
-        chi2 = pulled_by(balance.torque_n_m[b], balance.precision[b], pulled)
+        torque = balance.torque_n_m[b]
+        chi2 = torque @ balance.precision[b] @ torque
         for n in range(segments):
-            true_torques(by_force_m[b], by_place[b], by_twist[b], n, turn[n], torques)
-            products(torques, balance.precision[b], pulled, weighted, gram, pull)
+            true_torques(balance, b, n, turn[n], torques)
+            weighted = torques @ balance.precision[b]
+            gram, pull = weighted @ torques.T, weighted @ torque
             evidence[n] = _best_places(gram, pull, n, prior, shape[n], fits) - log_volume
         least, best, gain = evidence.max() - _OUT_OF_QUESTION, -1, 0.0
         for n in range(segments):
@@ -347,8 +345,8 @@ def _fill_range(
         most = max(most, force.gain)
         grid.place_m[n, k], grid.log_density[n, k] = s, density
         grid.lateral_n[n, k], grid.lateral_std_n[n, k] = lateral, spread
-        mean, covariance = grid.force_n[n, k], grid.covariance_n2[n, k]
-        mean[0], mean[1], mean[2] = force.x, force.y, force.z
-        covariance[0, 0], covariance[1, 1], covariance[2, 2] = force.xx, force.yy, force.zz
-        covariance[1, 0], covariance[2, 0], covariance[2, 1] = force.xy, force.xz, force.yz
+        f, mean, shared = force, grid.force_n[n, k], grid.covariance_n2[n, k]
+        mean[0], mean[1], mean[2] = f.x, f.y, f.z
+        for j, c in enumerate((f.xx, f.xy, f.xz, f.xy, f.yy, f.yz, f.xz, f.yz, f.zz)):
+            shared[j] = c
     return most + fit.twist_gain
