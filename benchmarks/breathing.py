@@ -37,7 +37,7 @@ from cablesense_online.breathing import (
     breath_circle,
     tip_m,
 )
-from cablesense_plants.arm.arm import SteppedArms, ideal_arm
+from cablesense_plants.arm.arm import ideal_arm
 from cablesense_plants.arm.body import PlantFriction, read_nominal
 from cablesense_sim.arm import Arm, find_arm, open_arm
 from cablesense_sim.build import mechanism_of
@@ -77,7 +77,8 @@ class Course:
         self.base_rad[: arms // 2] = 0.0
         self._command_rad, self._forces_n = np.zeros((arms, 8)), np.zeros((arms, 4, 3))
         straight = self._plant.held_m(self._command_rad)
-        self._stepped = SteppedArms(self._plant, self._command_rad, straight, self._forces_n)
+        self._path = self._plant.path()
+        self._state = self._path.start(self._command_rad, straight, self._forces_n)
         overshot = 1.1 * self.base_rad + np.radians(0.5) * self.rng.uniform(-1.0, 1.0, (arms, 8))
         for pose in (overshot, self.base_rad):
             before = self._command_rad
@@ -87,7 +88,8 @@ class Course:
     def step(self, command_rad: Array) -> None:
         """Go to commands (B, 8) at once."""
         self._command_rad = command_rad
-        self._stepped.step(self._plant.held_m(command_rad), self._forces_n)
+        held_m = self._plant.held_m(command_rad)
+        self._state = self._path.advance(self._state, held_m, self._forces_n, 1.0)
 
     def load(self, forces_n: Array) -> None:
         """Come to loads (B, 4, 3) step by step."""
@@ -98,12 +100,12 @@ class Course:
 
     def read_n(self) -> Array:
         """(B, M) readings."""
-        return read_tensions_n(self._stepped.tensions_n, self.arm.sensors, self.rng)
+        return read_tensions_n(self._state.sensed_n, self.arm.sensors, self.rng)
 
     @property
     def tips_m(self) -> Array:
         """(B, 3) where the arms' ends are."""
-        return tip_m(mechanism_of(self.arm), self._stepped.angles_rad)
+        return tip_m(mechanism_of(self.arm), self._state.angles_rad)
 
 
 class Breathing:

@@ -297,55 +297,25 @@ class RealArm:
         straight = cable_lengths_m(drawn, np.zeros((1, command_rad.shape[1])))
         return cable_lengths_m(drawn, command_rad) - straight
 
+    def path(self) -> QuasiStaticPath:
+        """Takes arms like this one, with friction and creep, from rest to rest."""
+        return QuasiStaticPath(self.body, self.friction, self.creep, self.nominal.run_m)
+
     def _path_tensions_n(
         self, command: Array, paid_out: Array, loads: Array, time_s: Array
     ) -> Array:
-        stepped = SteppedArms(self, command[:1], paid_out[:1], loads[:1])
+        path = self.path()
+        state = path.start(command[:1], paid_out[:1], loads[:1])
         tension = np.empty_like(paid_out)
-        tension[0] = stepped.tensions_n[0]
+        tension[0] = state.sensed_n[0]
         timeless = not self.creep.compliance_m_n.any() and self.friction.joint_breakaway == 1.0
         for row in range(1, len(tension)):
             still = np.array_equal(paid_out[row], paid_out[row - 1])
             if not (timeless and still and np.array_equal(loads[row], loads[row - 1])):
                 period_s = float(time_s[row] - time_s[row - 1])
-                stepped.step(paid_out[row, None], loads[row, None], period_s)
-            tension[row] = stepped.tensions_n[0]
+                state = path.advance(state, paid_out[row, None], loads[row, None], period_s)
+            tension[row] = state.sensed_n[0]
         return tension
-
-
-class SteppedArms:
-    """B arms with the same friction and creep side by side, moved from rest to rest."""
-
-    def __init__(self, arm: RealArm, command_rad: Array, held_m: Array, forces_n: Array) -> None:
-        """Rests before any sliding, at commands (B, 2N), and as `step` has the others."""
-        self._path = QuasiStaticPath(arm.body, arm.friction, arm.creep, arm.nominal.run_m)
-        self._state = self._path.start(command_rad, held_m, forces_n)
-
-    def step(self, held_m: Array, forces_n: Array, period_s: float = 1.0) -> Array:
-        """Tensions at the actuators, N (B, M), at the next rests.
-
-        Args:
-            held_m: (B, M) cable that the actuators have paid out, less that of the straight arm:
-                `RealArm.held_m` of the commands, and offsets.
-            forces_n: (B, N, 3) at the segments' contact points, in base axes; (B, 4N, 3) at the
-                points of `Body.contact_at_m`.
-            period_s: since the last rests, for creep and what depends on the joints' speed.
-
-        Raises:
-            PlantError: an arm has no rest; all stay where they were.
-        """
-        self._state = self._path.advance(self._state, held_m, forces_n, period_s)
-        return self.tensions_n
-
-    @property
-    def tensions_n(self) -> Array:
-        """(B, M) at the actuators, noise-free; 0 where a cable is slack."""
-        return np.maximum(self._state.tension_n[..., 0], 0.0)
-
-    @property
-    def angles_rad(self) -> Array:
-        """(B, 2J) at which the joints rest."""
-        return self._state.angles_rad
 
 
 def ideal_arm(nominal: Nominal) -> RealArm:

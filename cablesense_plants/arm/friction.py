@@ -280,6 +280,11 @@ class PathState(NamedTuple):
     paid_out_m: Array
     loads_n: Array
 
+    @property
+    def sensed_n(self) -> Array:
+        """(B, M) at the actuators, noise-free; 0 where a cable is slack."""
+        return np.maximum(self.tension_n[..., 0], 0.0)
+
 
 class PathBalance(NamedTuple):
     """The balance of the joints at guesses of their angles, with the cables at rest.
@@ -339,6 +344,9 @@ class QuasiStaticPath:
         self, state: PathState, paid_out_m: Array, loads_n: Array, period_s: float
     ) -> PathState:
         """The next rows (B, M), (B, P, 3), after a period.
+
+        `paid_out_m` is cable by the actuators, less that of the straight arm: `RealArm.held_m` of
+        commands, and offsets.
 
         Raises:
             PlantError: one has no rest.

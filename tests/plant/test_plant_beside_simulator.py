@@ -9,7 +9,7 @@ from plant_arm import ARM_FILE, NOMINAL
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
-from cablesense_plants.arm.arm import SteppedArms, ideal_arm
+from cablesense_plants.arm.arm import ideal_arm
 from cablesense_plants.arm.body import PlantFriction
 from cablesense_plants.arm.protocol import draw_schedule
 from cablesense_sim.arm import open_arm
@@ -25,10 +25,12 @@ def plant_n(friction: PlantFriction) -> np.ndarray:
     arm = replace(ideal_arm(NOMINAL), friction=friction)
     loads = arm.point_loads_n(SCHEDULE)
     held = arm.held_m(SCHEDULE.command_rad)
-    stepped = SteppedArms(arm, SCHEDULE.command_rad[:1], held[:1], loads[:1])
-    return np.concatenate(
-        [stepped.step(held[i, None], loads[i, None]) for i in range(1, len(held))]
-    )
+    path, sensed = arm.path(), []
+    state = path.start(SCHEDULE.command_rad[:1], held[:1], loads[:1])
+    for i in range(1, len(held)):
+        state = path.advance(state, held[i, None], loads[i, None], 1.0)
+        sensed.append(state.sensed_n)
+    return np.concatenate(sensed)
 
 
 def simulated_n(**parameters: float) -> np.ndarray:

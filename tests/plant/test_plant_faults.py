@@ -67,16 +67,6 @@ def test_zeros_drift_within_their_size(shape: str) -> None:
     assert np.abs(np.diff(zeros, axis=0)).max() < 0.4
 
 
-def test_readings_have_noise_and_whole_steps() -> None:
-    rng = np.random.default_rng(0)
-    signal = rng.uniform(10.0, 90.0, (50_000, 3))
-    readings = NOMINAL.read_n(signal, rng)
-    steps = readings / 0.1813
-    np.testing.assert_allclose(steps, np.round(steps), atol=1e-9)
-    spread = np.sqrt(0.05**2 + 0.1813**2 / 12.0)
-    assert (readings - signal).std() == pytest.approx(spread, rel=0.02)
-
-
 DRAWN = ideal_arm(NOMINAL)
 ARMS = [with_tolerances(DRAWN, np.random.default_rng(seed)) for seed in range(200)]
 

@@ -15,7 +15,6 @@ from cablesense_plants.arm.body import Body, Creep, PlantError, PlantFriction
 from cablesense_plants.arm.friction import (
     PathState,
     QuasiStaticPath,
-    friction_state,
     piece_compliance_m_n,
 )
 from cablesense_plants.arm.statics import cable_lengths_m, follow_path, spans, turns
@@ -59,36 +58,6 @@ def sensed_n(states: list[PathState]) -> np.ndarray:
     return np.array([state.tension_n[0, :, 0] for state in states])
 
 
-FRICTIONS = [
-    friction(),
-    friction(breakaway=1.4, pulley_rad=1.0),
-    friction(reach_m=2e-5),
-    friction(rounded=True, reach_m=1e-4, pulley_rad=1.0),
-    friction(joint_nm=np.full((4, 2), 0.2), joint_rounded=True, joint_reach_rad=1e-3),
-]
-
-
-@given(
-    moves=st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=12),
-    rounded=st.booleans(),
-    start=st.floats(-1.0, 1.0),
-)
-def test_friction_stays_within_its_bounds_and_does_not_depend_on_time(
-    moves: list[float], rounded: bool, start: float
-) -> None:
-    state = np.array([start])
-    for move in moves:
-        new, slope = friction_state(rounded, state, np.array([move]), 0.5)
-        assert abs(new[0]) <= 1.0
-        assert slope[0] >= 0.0
-        assert (new[0] - state[0]) * move >= -1e-9
-        halves = friction_state(rounded, state, np.array([0.5 * move]), 0.5)[0]
-        twice = friction_state(rounded, halves, np.array([0.5 * move]), 0.5)[0]
-        assert twice[0] == pytest.approx(new[0], abs=1e-12)
-        state = new
-    assert friction_state(rounded, state, np.zeros(1), 0.5)[0][0] == state[0]
-
-
 def test_without_friction_it_is_the_path_of_rests() -> None:
     command = np.tile(POSE, (len(UP_DOWN), 1))
     load = np.concatenate([load_n(share) for share in UP_DOWN])
@@ -98,18 +67,15 @@ def test_without_friction_it_is_the_path_of_rests() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-4)
 
 
-@pytest.mark.parametrize("law", FRICTIONS[1::3])
-def test_loading_and_unloading_differ_and_the_difference_stays(law: PlantFriction) -> None:
-    rest = np.full(20, UP_DOWN[-1])
-    tension = sensed_n(states_along(law, Creep(), np.concatenate([UP_DOWN, rest])))
-    loop = np.abs(tension[4] - tension[12]).max()
-    assert loop > 0.2
-    left = tension[len(UP_DOWN) - 1]
-    assert np.abs(left - tension[0]).max() > 0.05
-    np.testing.assert_allclose(tension[len(UP_DOWN) :], np.tile(left, (20, 1)), atol=1e-4)
-
-
-@pytest.mark.parametrize("law", FRICTIONS[1:4])
+@pytest.mark.parametrize(
+    "law",
+    [
+        friction(breakaway=1.4, pulley_rad=1.0),
+        friction(reach_m=2e-5),
+        friction(rounded=True, reach_m=1e-4, pulley_rad=1.0),
+    ],
+    ids=["breakaway", "bristles", "rounded"],
+)
 def test_tension_falls_over_a_guide_by_no_more_than_capstan_friction(law: PlantFriction) -> None:
     """Equation: exp(-mu theta) <= T2 / T1 <= exp(mu theta), met with equality while it slides."""
     worst = 0.0

@@ -9,12 +9,10 @@ from plant_arm import BODY, NOMINAL
 from cablesense_plants.arm.arm import ideal_arm
 from cablesense_plants.arm.body import Body, CableContact, PlantError, TipSpring, rigid_body
 from cablesense_plants.arm.listed import ArmDraw
-from cablesense_plants.arm.protocol import Schedule, draw_schedule
+from cablesense_plants.arm.protocol import Schedule
 from cablesense_plants.arm.statics import (
     cable_lengths_m,
-    commanded_angles_rad,
     find_rest,
-    follow_path,
     frames,
     spans,
     tension_law,
@@ -56,14 +54,6 @@ def lengths(body: Body, angles: np.ndarray) -> np.ndarray:
     return spans(body, angles, turns(body, angles)).length_m
 
 
-def test_the_straight_arm_is_straight() -> None:
-    straight = np.zeros((1, JOINTS))
-    np.testing.assert_allclose(lengths(BODY, straight)[0, 0], 0.03)
-    assert (lengths(BODY, straight)[0, 1, :3] == 0.0).all()  # segment 1's cables have ended
-    placed = frames(BODY, straight, turns(BODY, straight))
-    np.testing.assert_allclose(placed.centre_m[0, :, 0], 0.015 + 0.13 * np.arange(4))
-
-
 @pytest.mark.parametrize("angle", [-0.3, 0.1])
 def test_a_span_in_the_plane_of_bending_has_its_closed_form(angle: float) -> None:
     """The hole at +z when a joint pitches: the law of cosines about the joint's centre."""
@@ -103,15 +93,6 @@ def test_a_contact_of_cables_lengthens_them_beyond_its_angle_alone() -> None:
     assert not more[0].any()
     np.testing.assert_allclose(more[1, [4, 7]], 0.02 * 0.1**2)
     assert np.count_nonzero(more[1]) == 2
-
-
-def test_a_cable_bends_by_half_the_pitch_at_either_plate() -> None:
-    angles = np.zeros((1, JOINTS))
-    angles[0, 0] = 0.2
-    bends = spans(BODY, angles, turns(BODY, angles), with_bends=True).bend_rad[0]
-    np.testing.assert_allclose(bends[0, :, 3:], 0.1)
-    assert not bends[1:].any()
-    assert (bends[0, 1, :3] == 0.0).all()  # anchored behind the first joint: no guide there
 
 
 def energy_j(body: Body, angles: np.ndarray, loads: np.ndarray) -> np.ndarray:
@@ -196,18 +177,3 @@ def test_a_load_at_a_place_is_one_on_an_arm_with_its_contact_points_there(at_m: 
     stiff = limber.apply(ideal, 1e-6).body
     bent = find_rest(stiff, np.zeros((1, 16)), np.zeros((1, 12)), loads)
     np.testing.assert_allclose(bent.tensions_n, wanted.tensions_n, atol=2e-3)
-
-
-@pytest.mark.slow
-def test_following_a_recording_meets_each_rest() -> None:
-    schedule = draw_schedule(NOMINAL, np.random.default_rng(3))
-    command, loads = schedule.command_rad, schedule.forces_n
-    paid = cable_lengths_m(BODY, command) - cable_lengths_m(BODY, STRAIGHT)
-    rest = follow_path(BODY, command, paid, loads)
-    start = commanded_angles_rad(BODY, command)
-    again = find_rest(BODY, rest.angles_rad, paid, loads)
-    np.testing.assert_allclose(again.tensions_n, rest.tensions_n, atol=1e-6)
-    near = find_rest(BODY, start, paid, loads)
-    same = np.abs(near.tensions_n - rest.tensions_n).max(axis=1) < 1e-6
-    assert same.mean() > 0.95  # the others have two rests, and the way there decides
-    assert same[(loads == 0.0).all(axis=(1, 2))].all()
