@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -35,61 +35,56 @@ ARROW_M_N = 0.0013
 FRAMES_A_SECOND, DPI = 10, 90
 
 
-class Course:
-    """The pushes, frame by frame: poses of the arm, readings, and estimates from them.
-
-    Attributes:
-        true: (frames,) segment, place in m, force in N.
-        joints_m: (frames, N + 1, 3) joint centres and the end of the arm.
-        difference_n: (frames, M) readings minus tare.
-        estimates: one for each frame.
-    """
-
-    def __init__(self, frames: int) -> None:
-        arm = open_arm(ARM)
-        self.mechanism, rng = mechanism_of(arm), np.random.default_rng(0)
-        turn = np.linspace(0.0, len(PUSHES), frames, endpoint=False)
-        self.true, joints_m, readings_n = [], [], []
-        for number, within in zip(turn.astype(int), turn % 1.0, strict=True):
-            segment, first_m, last_m, angle_deg, largest_n = PUSHES[number]
-            force_n = largest_n * np.sin(np.pi * within) ** 2
-            place_m = first_m + (last_m - first_m) * within
-            pushed = replace(self.mechanism, contact_m=np.full(arm.segment_count, place_m))
-            load_n = normal_force_n(pushed, COMMAND_RAD, segment, angle_deg, force_n)
-            rest = solve_equilibrium(pushed, COMMAND_RAD, load_n)
-            bones = chain(pushed, rest.joint_angles_rad)
-            end_m = bones.joint_m[-1] + pushed.segment_length_m[-1] * bones.rotation[-1, :, 0]
-            joints_m.append(np.vstack([bones.joint_m, end_m]))
-            readings_n.append(read_tensions_n(rest.tensions_n, arm.sensors, rng))
-            self.true.append((segment, place_m, load_n[segment - 1]))
-        self.joints_m = np.array(joints_m)
-        free_n = solve_equilibrium(self.mechanism, COMMAND_RAD).tensions_n
-        self.difference_n = np.array(readings_n) - free_n
-        estimator = open_estimator(find_model(MODEL), arm)
-        assert isinstance(estimator, Estimator)
-        self.estimates = [estimator.estimate(row, COMMAND_RAD) for row in self.difference_n]
-
-    def estimated(self, frame: int) -> tuple[int, float, Array] | None:
-        """Segment, place and force (3,) of the contact that is estimated, if there is one."""
-        found = self.estimates[frame]
-        if not found.segment or found.place is None:
-            return None
-        force_n = normal_force_n(
-            self.mechanism, COMMAND_RAD, found.segment, found.angle_deg, found.magnitude_n
-        )
-        return found.segment, found.place.place_m, force_n[found.segment - 1]
+Contact = tuple[int, float, Array]
+"""Segment, place in m, force (3,) in N."""
 
 
-def draw(course: Course, frame: int, side: Any, bars: Any) -> None:
+class Frame(NamedTuple):
+    """One moment: joint centres and the arm's end (N + 1, 3), readings less tare (M,), contacts."""
+
+    joints_m: Array
+    difference_n: Array
+    true: Contact
+    estimated: Contact | None
+
+
+def simulated(frames: int) -> list[Frame]:
+    """The pushes frame by frame, and an estimator's answers."""
+    arm, rng = open_arm(ARM), np.random.default_rng(0)
+    mechanism, estimator = mechanism_of(arm), open_estimator(find_model(MODEL), arm)
+    assert isinstance(estimator, Estimator)
+    free_n = solve_equilibrium(mechanism, COMMAND_RAD).tensions_n
+    turn, course = np.linspace(0.0, len(PUSHES), frames, endpoint=False), []
+    for number, within in zip(turn.astype(int), turn % 1.0, strict=True):
+        segment, first_m, last_m, angle_deg, largest_n = PUSHES[number]
+        place_m = first_m + (last_m - first_m) * within
+        pushed = replace(mechanism, contact_m=np.full(arm.segment_count, place_m))
+        size_n = largest_n * np.sin(np.pi * within) ** 2
+        load_n = normal_force_n(pushed, COMMAND_RAD, segment, angle_deg, size_n)
+        rest = solve_equilibrium(pushed, COMMAND_RAD, load_n)
+        bones = chain(pushed, rest.joint_angles_rad)
+        end_m = bones.joint_m[-1] + pushed.segment_length_m[-1] * bones.rotation[-1, :, 0]
+        difference_n = read_tensions_n(rest.tensions_n, arm.sensors, rng) - free_n
+        found, estimated = estimator.estimate(difference_n, COMMAND_RAD), None
+        if found.segment and found.place is not None:
+            stated = found.segment, found.angle_deg, found.magnitude_n
+            force_n = normal_force_n(mechanism, COMMAND_RAD, *stated)[found.segment - 1]
+            estimated = found.segment, found.place.place_m, force_n
+        true = segment, place_m, load_n[segment - 1]
+        course.append(Frame(np.vstack([bones.joint_m, end_m]), difference_n, true, estimated))
+    return course
+
+
+def draw(course: list[Frame], at: int, side: Any, bars: Any) -> None:
     """Draw one frame: the arm from its side with both forces, and the tension differences."""
     side.clear()
-    joints_m = course.joints_m[frame]
+    joints_m, difference_n, true, estimated = course[at]
     side.plot(joints_m[:, 0], joints_m[:, 2], color=ARM_COLOUR, lw=14, solid_capstyle="round")
     side.plot(joints_m[:, 0], joints_m[:, 2], "o", color="white", ms=6)
     lines = []
     for contact, colour, name, beside_m in (
-        (course.true[frame], TRUE, "true", 0.0),
-        (course.estimated(frame), ESTIMATED, "estimated", 0.004),
+        (true, TRUE, "true", 0.0),
+        (estimated, ESTIMATED, "estimated", 0.004),
     ):
         if contact is None or np.linalg.norm(contact[2]) < 0.5:
             lines.append(("no contact", colour, name))
@@ -108,13 +103,13 @@ def draw(course: Course, frame: int, side: Any, bars: Any) -> None:
     for row, (text, colour, name) in enumerate(lines):
         said = f"{name + ':':11}{text}"
         side.text(0.0, 0.115 - 0.018 * row, said, color=colour, family="monospace", weight="bold")
-    reach_m = course.joints_m[..., 0].max()
+    reach_m = max(frame.joints_m[:, 0].max() for frame in course)
     side.set(xlim=(-0.02, reach_m + 0.02), ylim=(-0.09, 0.13), aspect="equal")
     side.axis("off")
     bars.clear()
-    cables = np.arange(1, course.difference_n.shape[1] + 1)
-    bars.bar(cables, course.difference_n[frame], color=ARM_COLOUR)
-    most_n = 1.1 * np.abs(course.difference_n).max()
+    cables = np.arange(1, len(difference_n) + 1)
+    bars.bar(cables, difference_n, color=ARM_COLOUR)
+    most_n = 1.1 * max(np.abs(frame.difference_n).max() for frame in course)
     bars.set(ylim=(-most_n, most_n), xticks=cables, xlabel="cable", title="tension − tare, N")
     bars.tick_params(labelsize=7)
 
@@ -122,11 +117,11 @@ def draw(course: Course, frame: int, side: Any, bars: Any) -> None:
 def main(out: Path = OUT, frames: int = 60) -> None:
     """Draw the animation."""
     out.parent.mkdir(parents=True, exist_ok=True)
-    course = Course(frames)
+    course = simulated(frames)
     figure, (side, bars) = plt.subplots(
         1, 2, figsize=(8.4, 3.2), width_ratios=(2.4, 1.0), layout="constrained"
     )
-    drawn = FuncAnimation(figure, lambda frame: draw(course, frame, side, bars), frames=frames)
+    drawn = FuncAnimation(figure, lambda at: draw(course, at, side, bars), frames=frames)
     drawn.save(out, writer=PillowWriter(FRAMES_A_SECOND), dpi=DPI)
     plt.close(figure)
     print(out)
