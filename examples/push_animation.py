@@ -40,7 +40,7 @@ Contact = tuple[int, float, Array]
 
 
 class Frame(NamedTuple):
-    """One moment: joint centres and the arm's end (N + 1, 3), readings less tare (M,), contacts."""
+    """One moment: joints and the arm's end (N + 1, 3), readings less tare (M,), contacts."""
 
     joints_m: Array
     difference_n: Array
