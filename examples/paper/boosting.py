@@ -15,7 +15,6 @@ from sklearn.ensemble import HistGradientBoostingClassifier, HistGradientBoostin
 
 from cablesense_base import Array
 from cablesense_training.data.dataset import Dataset
-from cablesense_training.errors import TrainingError
 from cablesense_training.evaluation.metrics import ContactAnswer, angle_difference_deg
 from cablesense_training.inference.estimator import NORMAL_95
 
@@ -57,9 +56,6 @@ class BoostingBaseline:
 
         Trees state no uncertainty; the stated deviations are those that hold 95 % of held-out
         errors.
-
-        Raises:
-            TrainingError: the dataset lacks contacts, contact-free samples or enough of both.
         """
         settings = settings or BoostingSettings()
         self._pose_aware = settings.pose_aware
@@ -67,11 +63,6 @@ class BoostingBaseline:
         held_out = max(1, round(_HELD_OUT * len(dataset)))
         validation, training = dataset.select(order[:held_out]), dataset.select(order[held_out:])
         touched = training.segment > 0
-        if touched.sum() < 10 or len(np.unique(training.segment)) < 2:
-            raise TrainingError(
-                f"{int(touched.sum())} contacts of {len(training)} samples are too few kinds to "
-                "boost on; give samples with and without contact"
-            )
         x, options = self._inputs(training), settings.options
         angle = np.deg2rad(training.angle_deg[touched])
         self._contact = HistGradientBoostingClassifier(**options).fit(x, training.segment)
@@ -110,20 +101,11 @@ class MultiBoostingBaseline:
     """A classifier and a regressor for each segment, from the tension differences alone."""
 
     def __init__(self, dataset: Dataset, settings: BoostingSettings | None = None) -> None:
-        """Fit to a multi-contact dataset.
-
-        Raises:
-            TrainingError: a segment that is always, or never, touched.
-        """
+        """Fit to a multi-contact dataset."""
         options = (settings or BoostingSettings()).options
         self._contacts, self._forces = [], []
-        for segment, touched in enumerate(dataset.contacts.T):
-            if touched.all() or not touched.any():
-                raise TrainingError(
-                    f"segment {segment + 1} is touched in {int(touched.sum())} of {len(dataset)} "
-                    "samples; give samples with and without a contact on every segment"
-                )
-            x, force = dataset.tension_difference_n, dataset.magnitudes_n[:, segment]
+        x = dataset.tension_difference_n
+        for touched, force in zip(dataset.contacts.T, dataset.magnitudes_n.T, strict=True):
             self._contacts.append(HistGradientBoostingClassifier(**options).fit(x, touched))
             self._forces.append(
                 HistGradientBoostingRegressor(**options).fit(x[touched], force[touched])
