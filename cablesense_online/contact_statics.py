@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact
 from cablesense_sim import kinematics
-from cablesense_sim.contact_location import contact_torques
 from cablesense_sim.mechanism import Mechanism
 
 
@@ -51,8 +50,8 @@ class ContactStatics:
             self._axes = kinematics.segment_rotations(mechanism, pose_rad)
             at_joints = replace(mechanism, contact_m=np.zeros(mechanism.segment_count))
             self._joints_m = kinematics.contact_points_m(at_joints, pose_rad)
-            by_force, by_place = contact_torques(mechanism, pose_rad[None], self._axes[None])
-            self._by_force_m, self._by_place = by_force[0], by_place[0]
+            torques = kinematics.contact_torques(mechanism, pose_rad, self._axes)
+            self._by_force_m, self._by_place = torques
         return self
 
     def base_wrench(self, contacts: Sequence[Contact]) -> list[float]:

@@ -143,7 +143,7 @@ def torque_balance(
     covariance = variance_n2 * (jacobian_t * weight) @ np.swapaxes(jacobian_t, 1, 2)
     unloaded = np.zeros((mechanism.segment_count, 3))
     axes = kinematics.segment_rotations(mechanism, command)
-    at_joint, slope = contact_torques(mechanism, angles, axes)
+    at_joint, slope = kinematics.contact_torques(mechanism, angles, axes)
     return TorqueBalance(
         balance_at(mechanism, angles, tension_n, unloaded).torque_n_m,
         np.asarray(np.linalg.inv(covariance)),
@@ -159,23 +159,6 @@ def twist_torques(mechanism: Mechanism, angles_rad: Array) -> Array:
     joints, segments = np.arange(mechanism.joint_count), np.arange(mechanism.segment_count)
     moves = joints // 2 <= segments[:, None]
     return np.asarray(moves * (pose.rotation[..., 0] @ np.swapaxes(pose.joint_axis, -1, -2)))
-
-
-def contact_torques(mechanism: Mechanism, angles_rad: Array, axes: Array) -> tuple[Array, Array]:
-    """Joint torques (B, N, 3, 2N) of unit forces at joint centres, and their slope by the place.
-
-    Angles are (B, 2N); forces are along the columns of `axes` (B, N, 3, 3), one for each segment.
-    """
-    pose = kinematics.chain(mechanism, angles_rad)
-    joint = np.arange(mechanism.joint_count) // 2
-    moves = (joint <= np.arange(mechanism.segment_count)[:, None])[..., None]
-    turning = pose.joint_axis[:, None]
-    arms_m = pose.joint_m[:, :, None] - pose.joint_m[:, None, joint]
-    at_joint, slope = (
-        np.swapaxes(np.cross(turning, arm) * moves @ axes, -1, -2)
-        for arm in (arms_m, pose.rotation[:, :, None, :, 0])
-    )
-    return at_joint, slope
 
 
 class Location(NamedTuple):
@@ -360,7 +343,9 @@ def contact_response(
     touched = replace(mechanism, contact_m=at_m)
     rest = solve_equilibrium(touched, command_rad, forces, held_m=held_m)
     angles = rest.joint_angles_rad
-    at_joint, slope = (each[rows, n] for each in contact_torques(mechanism, angles, axes))
+    at_joint, slope = (
+        each[rows, n] for each in kinematics.contact_torques(mechanism, angles, axes)
+    )
     by_force = at_joint + places_m[..., None, None] * slope
     by_place = forces_n[:, :, None] @ slope
     columns = np.concatenate([by_force, by_place], axis=2)

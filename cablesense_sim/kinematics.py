@@ -148,12 +148,24 @@ def load_arms(mechanism: Mechanism, forces_n: Array) -> Array:
 
 def contact_jacobians_m(mechanism: Mechanism, joint_angles_rad: Array) -> Array:
     """Derivative (..., N, 3, 2N) of the contact points by the joint angles, m/rad."""
+    at_joint, slope = contact_torques(mechanism, joint_angles_rad, np.eye(3))
+    return np.asarray(at_joint + mechanism.contact_m[..., None, None] * slope)
+
+
+def contact_torques(
+    mechanism: Mechanism, joint_angles_rad: Array, axes: Array
+) -> tuple[Array, Array]:
+    """Joint torques (..., N, 3, 2N) of unit forces at joint centres, and their slope by the place.
+
+    Forces are along the columns of `axes` (..., 3, 3), or (..., N, 3, 3) for each segment its own.
+    """
     pose = chain(mechanism, joint_angles_rad)
-    reach = mechanism.contact_m
-    points = pose.joint_m + reach[:, None] * pose.rotation[..., 0]
-    arm = points[..., :, None, :] - np.repeat(pose.joint_m, 2, axis=-2)[..., None, :, :]
-    axis = np.broadcast_to(pose.joint_axis[..., None, :, :], arm.shape)
-    columns = np.cross(axis, arm)
-    n, k = mechanism.segment_count, mechanism.joint_count
-    moves = np.arange(k) // 2 <= np.arange(n)[:, None]
-    return np.moveaxis(columns * moves[..., None], -1, -2)
+    joint = np.arange(mechanism.joint_count) // 2
+    moves = (joint <= np.arange(mechanism.segment_count)[:, None])[..., None]
+    turning = pose.joint_axis[..., None, :, :]
+    arms_m = pose.joint_m[..., :, None, :] - pose.joint_m[..., None, joint, :]
+    at_joint, slope = (
+        np.swapaxes(np.cross(turning, arm) * moves @ axes, -1, -2)
+        for arm in (arms_m, pose.rotation[..., :, None, :, 0])
+    )
+    return at_joint, slope

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from cablesense_base import Array
 from cablesense_sim import kinematics
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.contact_location import AXIAL_STD_N, contact_torques
+from cablesense_sim.contact_location import AXIAL_STD_N
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.evaluation.anywhere import LocatedContacts
@@ -35,7 +35,7 @@ def commanded_profile(dataset: Dataset) -> LocatedContacts:
     variance_n2 = difference_variance_n2(dataset.arm.sensors, dataset.protocol.tare_samples)
     precision = np.linalg.inv(variance_n2 * np.swapaxes(jacobian, 1, 2) @ jacobian)
     untouched = np.einsum("bi,bij,bj->b", torque, precision, torque)
-    at_joint, by_place = contact_torques(mechanism, command, axes)
+    at_joint, by_place = kinematics.contact_torques(mechanism, command, axes)
     most = np.full(len(dataset), -np.inf)
     segment, place_m = np.zeros(len(dataset), dtype=np.int64), np.zeros(len(dataset))
     force_n = np.zeros((len(dataset), 3))
