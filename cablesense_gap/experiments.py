@@ -1,23 +1,20 @@
 """The experiment that distinguishes explanations best, chosen among the blocks of the protocol.
 
 Each explanation is simulated with its fitted numbers. The block is proposed where the predictions
-differ most, without a constant of each channel and without what tolerances can change: both are
-fitted to every recording anew.
+differ most, without a constant of each channel, which is fitted to every recording anew.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_gap.arm_simulator import ArmSimulator, entries_from, has_one_equilibrium
+from cablesense_gap.arm_simulator import entries_from, has_one_equilibrium
 from cablesense_gap.recordings.protocol import Block, rows_of, standard_protocol
-from cablesense_gap.simulator import Term, parameters_of
+from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import listed, short
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of
@@ -29,14 +26,10 @@ Rival = Mapping[Term, float]
 
 _SLOW_HZ = 2.5
 """The rate of history-dependent simulations: two samples and more for each level of a load."""
-_FINALISTS = 3
-"""Blocks whose tolerances are simulated: that costs far more than the first comparison."""
 _CLEAR_FLOORS, _HIDDEN_FLOORS = 1.0, 0.1
 """In noise floors: a difference that one recording shows, and one that no repetition shows."""
 _AS_FAR = 0.9
 """The first block with this share of the largest difference is proposed: it is the simplest."""
-_TOLERANCE_REACH = 2.0
-"""Standard deviations to which each tolerance may reduce a difference."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +77,8 @@ def next_experiment(
     if any(e.effect.acts_on == "transmission" for r in compared for e in entries_from(r)):
         rate_hz = min(rate_hz, _SLOW_HZ)
     offered = standard_protocol(arm) if blocks is None else blocks
-    tried = [_tried(arm, block, compared, rate_hz) for block in offered]
-    best = _furthest([each for each in tried if each is not None], floor_n)
+    tried = [(block, _differences_n(arm, block, compared, rate_hz)) for block in offered]
+    best = _furthest([each for each in tried if each[1]], floor_n)
     if best is None:
         return Experiment("No block of the protocol can be simulated with these explanations.")
     block, by_cable_n = best
@@ -104,86 +97,40 @@ def _without_history(arm: Arm, rival: Rival) -> dict[Term, float]:
     }
 
 
-class _Tried(NamedTuple):
-    """A block as the rivals predict it.
+def _differences_n(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> list[Array]:
+    """Differences (R, M) of the first rival to each other in a block.
 
-    Attributes:
-        used: (R,) rows in which every prediction has one equilibrium only.
-        differences_n: (R', M) of the first rival to each other, in these rows.
+    Of the rows in which every prediction has one equilibrium only. Empty without such a row, or if
+    an explanation cannot be simulated.
     """
-
-    block: Block
-    simulator: ArmSimulator
-    used: NDArray[np.bool_]
-    differences_n: list[Array]
-
-    def nearest_n(self, tolerances: Array, free_constants: bool) -> Array:
-        """(M,) RMS difference of the first rival to the nearest other."""
-        left = [_left(each, tolerances, free_constants) for each in self.differences_n]
-        nearest = min(left, key=lambda each: float((each**2).sum()))
-        return np.asarray(np.sqrt((nearest**2).mean(0)))
-
-    def tolerances(self, free_constants: bool) -> Array:
-        """(K, R' M) what one standard deviation of each tolerance changes."""
-        nominal, columns = self.simulator.predict([{}])[0], []
-        for term, parameter in parameters_of(self.simulator.tolerances).items():
-            change = self.simulator.predict([{term: parameter.typical}])[0] - nominal
-            columns.append(_without_mean(change[self.used], free_constants).ravel())
-        found = np.array(columns)
-        return found[np.isfinite(found).all(1)]
-
-
-def _tried(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> _Tried | None:
-    """None if an explanation cannot be simulated, or if no row has one equilibrium only."""
-    rows = rows_of((block,), rate_hz)
-    recorded = replace(rows, tensions_n=np.zeros((len(rows), arm.cable_count)))
-    replay = Replay(arm, *recorded.inputs)
+    replay = Replay(arm, *rows_of((block,), rate_hz).inputs)
     try:
         predicted = [replay.readings_n([[*entries_of(arm), *entries_from(r)]])[0] for r in rivals]
     except EquilibriumError:
-        return None
+        return []
     used = np.all([has_one_equilibrium(p, arm) for p in predicted], axis=0)
-    if not used.any():
-        return None
-    differences_n = [(predicted[0] - other)[used] for other in predicted[1:]]
-    return _Tried(block, ArmSimulator(arm, recorded), used, differences_n)
+    return [(predicted[0] - other)[used] for other in predicted[1:]] if used.any() else []
 
 
-def _furthest(trials: Sequence[_Tried], floor_n: float) -> tuple[Block, Array] | None:
-    """The block with the largest difference, and its size in each cable (M,).
+def _furthest(
+    tried: Sequence[tuple[Block, list[Array]]], floor_n: float
+) -> tuple[Block, Array] | None:
+    """The block with the largest difference to the nearest rival, and its RMS in each cable (M,).
 
     Constants count only if no block shows a clear difference without them.
     """
-    final: list[tuple[Block, Array]] = []
+    sizes: list[tuple[Block, Array]] = []
     most_n = 0.0
     for free_constants in (True, False):
-        first_n = [_rms(t.nearest_n(np.empty((0, 0)), free_constants)) for t in trials]
-        order = np.argsort(-np.array(first_n), kind="stable")
-        final = [
-            (t.block, t.nearest_n(t.tolerances(free_constants), free_constants))
-            for t in (trials[k] for k in sorted(order[:_FINALISTS]))
-        ]
-        most_n = max((_rms(by_cable_n) for _, by_cable_n in final), default=0.0)
+        sizes = []
+        for block, differences_n in tried:
+            left_n = [d - d.mean(0) if free_constants else d for d in differences_n]
+            nearest_n = min(left_n, key=lambda each: float((each**2).sum()))
+            sizes.append((block, np.sqrt((nearest_n**2).mean(0))))
+        most_n = max((_rms(by_cable_n) for _, by_cable_n in sizes), default=0.0)
         if most_n >= _CLEAR_FLOORS * floor_n:
             break
-    return next((each for each in final if _rms(each[1]) >= _AS_FAR * most_n), None)
-
-
-def _left(difference_n: Array, tolerances: Array, free_constants: bool) -> Array:
-    """The part of a difference that constants and likely tolerances cannot remove."""
-    from scipy.optimize import lsq_linear
-
-    apart = _without_mean(difference_n, free_constants)
-    if not len(tolerances):
-        return apart
-    # on a triangle of the columns instead of all rows
-    rotated, triangle = np.linalg.qr(tolerances.T)
-    least = lsq_linear(triangle, rotated.T @ apart.ravel(), (-_TOLERANCE_REACH, _TOLERANCE_REACH))
-    return np.asarray(apart - (least.x @ tolerances).reshape(apart.shape))
-
-
-def _without_mean(values_n: Array, free_constants: bool) -> Array:
-    return values_n - values_n.mean(0) if free_constants else values_n
+    return next((each for each in sizes if _rms(each[1]) >= _AS_FAR * most_n), None)
 
 
 def _rms(by_cable_n: Array) -> float:
