@@ -16,8 +16,9 @@ import yaml
 from cablesense_base.files import write_atomically
 from cablesense_gap.diagnosis.fitting import refit
 from cablesense_gap.diagnosis.problem import Explanation, Problem
+from cablesense_gap.explained import fitted_number
 from cablesense_gap.simulator import Term, parameters_of
-from cablesense_gap.verdict import Earlier, FittedNumber
+from cablesense_gap.verdict import Earlier
 from cablesense_sim.arm import Arm, ArmFileError, ListedEffect, find_arm, parse_arm
 from cablesense_sim.effects.effect import WHOLE_ARM
 from cablesense_sim.effects.registry import known_effects
@@ -141,12 +142,10 @@ def _judgement(
         if parameter.past:
             continue
         name = term.parameter if term.place == WHOLE_ARM else f"{term.place}.{term.parameter}"
-        found, half = fitted.values[term], fitted.deviations[term]
-        interval = max(found - half, parameter.low), min(found + half, parameter.high)
-        was[name] = value
-        now[name] = FittedNumber(value=found, unit=parameter.unit, ci95=interval)
+        found = fitted_number(parameter, fitted.values[term], fitted.deviations[term])
+        was[name], now[name] = value, found
         if parameter.role == "size":
-            moved |= not interval[0] <= value <= interval[1]
+            moved |= not found.ci95[0] <= value <= found.ci95[1]
     places = dict.fromkeys(term.place for term in listed)
     return Earlier(
         effect=next(iter(listed)).effect,

@@ -21,7 +21,7 @@ from cablesense_gap.verdict import (
     Traded,
     removed_fraction,
 )
-from cablesense_sim.effects.effect import WHOLE_ARM
+from cablesense_sim.effects.effect import WHOLE_ARM, Parameter
 
 TRADING = 0.8
 """Correlation of two fitted shares, in size, from which on they trade against each other."""
@@ -92,15 +92,18 @@ def estimates(
     """
     parameters = parameters_of(candidates)
     single = len({term[:2] for term in values}) == 1
-    found = {}
-    for term, value in values.items():
-        parameter, half = parameters[term], deviations[term]
-        found[f"{term.effect}.{term.parameter}" if single else str(term)] = FittedNumber(
-            value=value,
-            unit=parameter.unit,
-            ci95=(max(value - half, parameter.low), min(value + half, parameter.high)),
+    return {
+        f"{term.effect}.{term.parameter}" if single else str(term): fitted_number(
+            parameters[term], value, deviations[term]
         )
-    return found
+        for term, value in values.items()
+    }
+
+
+def fitted_number(parameter: Parameter, value: float, half: float) -> FittedNumber:
+    """A value with its interval of this half width, within the plausible range."""
+    low, high = max(value - half, parameter.low), min(value + half, parameter.high)
+    return FittedNumber(value=value, unit=parameter.unit, ci95=(low, high))
 
 
 def shares(

@@ -198,16 +198,14 @@ class RobotSystem(System):
 
     def doubtful(self) -> list[str]:
         """Channels that follow the model's, but with another sign or in another unit."""
-        found = []
         predicted = self.predict([{}])[0]
-        for c, column in enumerate(self.comparison.columns):
-            measured, nominal = self.readings[:, c], predicted[:, c]
-            own, theirs = float(np.linalg.norm(measured)), float(np.linalg.norm(nominal))
-            if own * theirs == 0.0:
-                continue
-            correlation = float(measured @ nominal) / (own * theirs)
-            ratio = own / theirs * float(np.sign(correlation))
+        own, theirs = (np.linalg.norm(each, axis=0) for each in (self.readings, predicted))
+        found = []
+        for c in np.flatnonzero(own * theirs):
+            correlation = float(self.readings[:, c] @ predicted[:, c]) / (own[c] * theirs[c])
+            ratio = own[c] / theirs[c] * np.sign(correlation)
             if abs(correlation) > _FOLLOWS and not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
+                column = self.comparison.columns[c]
                 found.append(
                     f"{column} is {ratio:.2g} times the model's value: check its sign and unit."
                 )
