@@ -156,17 +156,6 @@ def test_every_count_is_the_one_done_by_hand():
     assert found.by_effect["sensor_gain"].value == 0.5
 
 
-def test_probabilities_and_removed_gap_are_means_over_the_right_cases():
-    found = score(VERDICTS, ANSWERS)
-    truth = [0.8, 0.4, 1.0, 0.1, 0.9, 1.0, 0.0, 0.5]
-    assert found.mean_probability_on_truth == pytest.approx(sum(truth) / 8)
-    stated = [0.8, 0.6, 1.0, 0.7, 0.9, 1.0, 0.5, 0.5]
-    right = [1, 0, 1, 0, 1, 1, 0, 1]
-    by_hand = sum((p - y) ** 2 for p, y in zip(stated, right, strict=True)) / 8
-    assert found.calibration.brier == pytest.approx(by_hand)
-    assert found.median_removed_fraction == pytest.approx(0.9)  # of 1.0, 0.9 and 0.8
-
-
 def test_missing_verdicts_and_answers_are_refused():
     with pytest.raises(ScoreError, match="no verdict on z"):
         score(VERDICTS, [answer("z", "none")])

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gap_recordings import small_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -37,11 +36,6 @@ def test_a_load_that_goes_to_another_place_is_kept_on_both_sides():
     kept = rows_to_use(replace(made, load_at_m=at_m))
     assert {12_344, 12_345} <= set(kept)
     assert {12_344, 12_345} <= set(rows_along_path(replace(made, load_at_m=at_m)))
-
-
-def test_a_recording_by_the_protocol_is_used_whole():
-    whole = small_recording()
-    np.testing.assert_array_equal(rows_to_use(whole), np.arange(len(whole)))
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ import pytest
 from bags import Bag
 from two_link import recorded, write_model
 
-from cablesense_gap.pipeline import problem_of
 from cablesense_gap.recordings import csv_file, mcap_file
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot import recording
@@ -19,7 +18,6 @@ from cablesense_gap.robot.model import RobotError, load_robot
 from cablesense_gap.robot.motion import Trajectory
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import bag_table, read_recording
-from cablesense_gap.robot.system import RobotSystem
 from cablesense_gap.simulator import Term
 from cablesense_msgs_py.topics import CABLE_TENSIONS, JOINT_COMMANDS
 
@@ -176,18 +174,6 @@ def test_trials_are_parted_by_pauses(tmp_path, table, robot):
     lengths = np.bincount(found.trial)
     assert len(lengths) in (6, 7)
     assert lengths[1:5] == pytest.approx(500, abs=30)
-
-
-def test_a_trial_too_short_to_be_compared_leaves_no_gap_in_the_numbers(tmp_path, table, robot):
-    recording, rows = read(tmp_path, table, robot), np.arange(400)
-    trial = np.concatenate([2 * t + (rows >= 380) for t in range(3)])
-    recording = replace(recording, trial=trial)
-    motion = prepared(recording, robot, 3.0)
-    assert len(motion.trials) == 6
-    system = RobotSystem(robot, motion, {})
-    assert problem_of(system).fold.shape == np.unique(system.trial).shape == (3,)
-    with pytest.raises(RecordingError, match="rows of 1 trials are left"):
-        prepared(replace(recording, trial=(trial > 4).astype(int)), robot, 3.0)
 
 
 @pytest.mark.parametrize(
