@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_base import Array
 from cablesense_gap.amended_arm import AMENDED_ARM, write_arm
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recorded_contacts import RecordedErrors
@@ -24,7 +23,9 @@ from cablesense_gap.report.style import (
     INK,
     LOADED,
     OTHER,
+    Line,
     as_uri,
+    draw_lines,
     newtons,
     percent,
     rendered,
@@ -61,8 +62,6 @@ _WIDTH_IN = 5.1
 _CAUSES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
 """Colours of causes in the picture of the arm; from the sixth on they repeat."""
 _MOST_CABLES, _MOST_COLUMNS = 24, 3
-_MOST_POINTS = 3000
-"""More than a picture has columns of pixels; longer recordings are drawn as their envelope."""
 _ROW_IN = 0.95
 
 
@@ -182,15 +181,13 @@ def overlay_picture(found: Diagnosis) -> str:
         (axes[1], recording.trial == trial, f"{name}: trial {trial}, where its gap is largest"),
     ):
         time_s, measured_n = recording.time_s[rows], recording.tensions_n[rows, cable]
-        lines = [(measured_n, INK, 2.4, "measured")]
+        lines: list[Line] = [(measured_n, INK, 2.4, "measured")]
         lines.append((measured_n - found.before_n[rows, cable], BEFORE, 1.3, "nominal arm"))
         if found.after_label:
             lines.append((measured_n - found.after_n[rows, cable], AFTER, 1.0, found.after_label))
-        for values_n, colour, width, label in lines:
-            panel.plot(*_drawn(time_s, values_n), color=colour, lw=width, label=label)
+        draw_lines(panel, time_s, lines)
         panel.set_title(title, pad=3)
         panel.set(xlabel="time, s", ylabel="tension, N", xlim=(time_s[0], time_s[-1]))
-        panel.grid(axis="y")
     _legend(figure, axes[0])
     return as_uri(figure, "png")
 
@@ -260,24 +257,12 @@ def _residual_panel(panel: Any, found: Diagnosis, cable: int) -> None:
         transform=blended_transform_factory(panel.transData, panel.transAxes),
     )  # fmt: skip
     panel.axhspan(-2.0 * floor_n, 2.0 * floor_n, color=FLOOR, alpha=0.28, lw=0, label="±2 floors")
-    drawn = [(found.before_n, BEFORE, 1.4, "nominal arm")]
+    lines: list[Line] = [(found.before_n[:, cable], BEFORE, 1.4, "nominal arm")]
     if found.after_label:
-        drawn.append((found.after_n, AFTER, 0.9, found.after_label))
-    for residual_n, colour, width, label in drawn:
-        panel.plot(
-            *_drawn(recording.time_s, residual_n[:, cable]), color=colour, lw=width, label=label
-        )
+        lines.append((found.after_n[:, cable], AFTER, 0.9, found.after_label))
+    draw_lines(panel, recording.time_s, lines)
     panel.set_title(found.nominal.cable_names[cable].replace("_", " "), pad=2)
     panel.set_xlim(recording.time_s[0], recording.time_s[-1])
-    panel.grid(axis="y")
-
-
-def _drawn(time_s: Array, values_n: Array) -> tuple[Array, Array]:
-    if len(time_s) <= _MOST_POINTS:
-        return time_s, values_n
-    edges = np.linspace(0, len(time_s), _MOST_POINTS // 2 + 1).astype(int)[:-1]
-    low, high = np.fmin.reduceat(values_n, edges), np.fmax.reduceat(values_n, edges)
-    return np.repeat(time_s[edges], 2), np.stack([low, high], axis=-1).ravel()
 
 
 def drawn_errors(errors: Mapping[str, RecordedErrors]) -> Any:

@@ -9,18 +9,22 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import resources
 from typing import Any
 
-from cablesense_base import CableSenseError
+import numpy as np
+
+from cablesense_base import Array, CableSenseError
 from cablesense_gap.verdict import FittedNumber
 
 BEFORE, AFTER, FLOOR = "#E69F00", "#0072B2", "#555555"
 OTHER, INK, GRID, LOADED = "#9AA3AD", "#1C2126", "#DDE1E6", "#EEF1F4"
 WIDTH_IN = 10.2
 PNG_DPI = 130
+_MOST_POINTS = 3000
+"""More than a picture has columns of pixels."""
 
 _STYLE: Any = {
     "font.size": 9.5,
@@ -49,6 +53,26 @@ def style() -> Iterator[None]:
     mpl.use("Agg")
     with mpl.rc_context(_STYLE):
         yield
+
+
+Line = tuple[Array, str, float, str]
+"""Values (R,), colour, width and name."""
+
+
+def draw_lines(panel: Any, time_s: Array, lines: Sequence[Line]) -> None:
+    """Lines over time (R,); of long recordings their envelopes."""
+    for values, colour, width, label in lines:
+        at_s, drawn = _envelope(time_s, values)
+        panel.plot(at_s, drawn, color=colour, lw=width, label=label)
+    panel.grid(axis="y")
+
+
+def _envelope(time_s: Array, values: Array) -> tuple[Array, Array]:
+    if len(time_s) <= _MOST_POINTS:
+        return time_s, values
+    edges = np.linspace(0, len(time_s), _MOST_POINTS // 2 + 1).astype(int)[:-1]
+    low, high = np.fmin.reduceat(values, edges), np.fmax.reduceat(values, edges)
+    return np.repeat(time_s[edges], 2), np.stack([low, high], axis=-1).ravel()
 
 
 def as_uri(figure: Any, kind: str = "svg") -> str:

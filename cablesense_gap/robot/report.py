@@ -13,7 +13,9 @@ from cablesense_gap.report.style import (
     BEFORE,
     INK,
     WIDTH_IN,
+    Line,
     as_uri,
+    draw_lines,
     percent,
     rendered,
     size_text,
@@ -91,19 +93,16 @@ def _overlay(found: RobotDiagnosis) -> str:
         len(compared.names), 1, figsize=(WIDTH_IN, 0.7 + 1.5 * len(compared.names)),
         sharex=True, squeeze=False, layout="constrained",
     )  # fmt: skip
-    drawn = [
+    drawn: list[Line] = [
         (compared.readings, INK, 1.8, "measured"), (found.before, BEFORE, 1.2, "nominal model"),
     ]  # fmt: skip
     if not np.allclose(found.before, found.after):
         drawn.append((found.after, AFTER, 1.2, "amended model"))
     for c, name in enumerate(compared.names):
-        panel = axes[c, 0]
-        for values, colour, width, label in drawn:
-            time_s, own = compared.time_s[rows], values[rows, c]
-            panel.plot(time_s, own, color=colour, lw=width, label=label)
-        panel.set_title(name, pad=2)
-        panel.set_ylabel(compared.units[c])
-        panel.grid(axis="y")
+        lines = [(v[rows, c], colour, width, label) for v, colour, width, label in drawn]
+        draw_lines(axes[c, 0], compared.time_s[rows], lines)
+        axes[c, 0].set_title(name, pad=2)
+        axes[c, 0].set_ylabel(compared.units[c])
     axes[-1, 0].set_xlabel("time, s")
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
     return as_uri(figure)
