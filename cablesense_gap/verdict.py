@@ -225,35 +225,25 @@ class ReferenceGap(FilePart):
 class Verdict(FilePart):
     """The cause of the gap, its place, its probability, and how far the gap shrinks.
 
+    docs/verdict.md explains every key. All sizes with `_n` at their ends are root mean squares in
+    `unit`: N of an arm; channels of a robot are each in units of their floor, `floors`.
+
     Attributes:
         effects: `("none",)`, `("unknown",)`, or names in alphabetical order.
         probability: that exactly these effects are the cause.
         ambiguity_group: explanations that this recording cannot distinguish; several effects of
             one explanation are joined by `+`.
-        next_experiment: what to record next, in plain text.
+        parameters: by `effect.parameter`, or `effect.place.parameter` for one place of several.
         shares: of each effect named.
         traded: pairs of these whose shares trade against each other, the largest first.
-        earlier: effects that the arm file listed, and which of them are confirmed; the verdict's
-            effects are additional.
-        tolerances_n: RMS by which manufacturing tolerances, as fitted, change predictions.
-        unexplained_n: RMS beyond the floor that is left on trials that the fit has not seen.
-        unexplained_share: of the nominal arm's gap beyond the floor.
-        parameters: `effect.parameter`, or `effect.place.parameter` for one place of several.
+        earlier: effects that the arm file listed; the verdict's effects are additional.
         candidates: all explanations weighed, in any order.
-        estimator: present if the estimator was adapted.
         reference: present if the verdict says what changed since a healthy recording.
-        unit: of all sizes with `_n` at their ends; N of an arm. Channels of a robot are each in
-            units of their floor, `floors`.
         channels: for a robot, the gap at each joint in its own unit.
-        compared: for a robot, the quantities compared and the method, as a sentence.
         doubts: for a robot, why the amended model is doubtful, as sentences; the probability is
             then at most a half.
-        why: the reasons, as plain sentences.
-        seconds: the diagnosis took.
-        rows: of the recording.
-        rows_used: as many, or fewer of a long one.
-        rows_counted: of those used, in which the arm has one rest; all sizes are over these.
-        arm: name of the nominal arm.
+        rows_used: of the recording's `rows`; sizes are over those `rows_counted` of them in which
+            the arm has one rest.
     """
 
     effects: Effects
