@@ -50,11 +50,11 @@ LEAST_SPREAD_N: Final = 0.01
 _TAUT_SPREADS = 4.0
 """Standard deviations of a reading above which a cable is read as taut."""
 _SLACK_WEIGHT = 1e-5
-"""A slack cable's length has this weight in the fit of the pose. It holds the pose where few
-cables are taut, and does not bend it where a cable lacks a hundred newtons."""
+"""A slack cable's length has this weight in the fit of the pose, which it holds where few cables
+are taut."""
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
 """The axes that follow x, y and z."""
-_POSE_STEPS, _POSE_FOUND_RAD = 6, 3e-5
+_POSE_STEPS, _POSE_FOUND_RAD = 8, 3e-5
 """Each step squares the error of the pose."""
 
 
@@ -110,13 +110,11 @@ class RestingArm:
         """
         # variances are in those of a reading
         reading_n = self.unloaded_n + difference_n
-        taut = reading_n > _TAUT_SPREADS * self.spread_n
-        at = self._pose(reading_n, taut)
-        leverage = ((at.by_turn @ at.variance_rad2) * at.by_turn).sum(axis=1)
+        at = self._pose(reading_n)
         residual_n = reading_n - np.maximum(at.elastic_n, 0.0)
-        squared_n2 = float((residual_n**2 / (1.0 + ~taut * leverage)).sum())
+        squared_n2 = residual_n @ residual_n
 
-        tension_n = np.where(taut, at.elastic_n, reading_n)
+        taut, tension_n = at.taut, np.where(at.taut, at.elastic_n, reading_n)
         torque_n_m = at.lever_m.T @ tension_n + self._springs_n_m_rad * at.angles_rad
         torque_n_m -= rest_pose.load_torques_n_m(at.pose, self._weight_n_m[None])[0]
         by_taut_m, slack_m = at.lever_m[taut].T @ at.by_turn[taut], at.lever_m[~taut]
@@ -145,27 +143,30 @@ class RestingArm:
         ]
         return best, math.sqrt(squared_n2 / free) / self.spread_n
 
-    def _pose(self, reading_n: Array, taut: NDArray[np.bool_]) -> _ReadPose:
-        """The pose whose tensions are nearest to the readings of taut cables."""
+    def _pose(self, reading_n: Array) -> _ReadPose:
+        """The pose whose tensions are nearest to the readings (M,).
+
+        Cables that are read as taut determine it, and then also those that it would make taut.
+        """
         stiffness_n_m = self.statics.mechanism.stiffness_n_m
-        weight = np.where(taut, 1.0, _SLACK_WEIGHT)
         angles_rad = self.command_rad
-        for _ in range(_POSE_STEPS):
+        read_taut = taut = reading_n > _TAUT_SPREADS * self.spread_n
+        for step in range(_POSE_STEPS):
             pose = rest_pose.posed(self._plates, angles_rad[None])
             stretch_m = pose.span_m[0].sum(axis=1) - self._loose_m - self.held_m
             elastic_n = stiffness_n_m * stretch_m
+            taut = read_taut | (elastic_n > 0.0) if step else read_taut
             lever_m = pose.by_turn_m[0].reshape(len(taut), -1)
             by_turn = stiffness_n_m[:, None] * lever_m
-            # a slack cable may hang as loosely as the pose leaves it
             missing_n = np.where(taut, reading_n - elastic_n, np.minimum(-elastic_n, 0.0))
-            weighted = by_turn.T * weight
+            weighted = by_turn.T * np.where(taut, 1.0, _SLACK_WEIGHT)
             variance_rad2 = np.linalg.inv(weighted @ by_turn)
             turn_rad = variance_rad2 @ (weighted @ missing_n)
             angles_rad = angles_rad + turn_rad
-            if np.abs(turn_rad).max() < _POSE_FOUND_RAD:
+            if step and np.abs(turn_rad).max() < _POSE_FOUND_RAD:
                 break
         elastic_n = elastic_n + by_turn @ turn_rad
-        return _ReadPose(angles_rad, pose, lever_m, by_turn, elastic_n, variance_rad2)
+        return _ReadPose(angles_rad, pose, taut, lever_m, by_turn, elastic_n, variance_rad2)
 
     def _by_force_m(self, pose: rest_pose.Pose, n: int) -> Array:
         """Joint torques (3, 2N) of unit forces at the contact point of a segment, from 0 on.
@@ -191,6 +192,7 @@ class _ReadPose(NamedTuple):
     Attributes:
         angles_rad: (2N,) of the joints.
         pose: there, but for the last step, which is small.
+        taut: (M,) which cables are.
         lever_m: (M, 2N) derivative of the cable lengths by the angles.
         by_turn: (M, 2N) that of the elastic tensions, N/rad.
         elastic_n: (M,) tensions, negative where a slack cable lacks length.
@@ -199,6 +201,7 @@ class _ReadPose(NamedTuple):
 
     angles_rad: Array
     pose: rest_pose.Pose
+    taut: NDArray[np.bool_]
     lever_m: Array
     by_turn: Array
     elastic_n: Array
