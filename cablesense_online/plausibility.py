@@ -219,11 +219,9 @@ class PlausibilityCheck:
         where = on_segments([contact.segment for contact in contacts])
         off_n = 0.0
         if stated_misfit is None:
-            estimated, (contacts, stated_misfit) = (
-                contacts,
-                self.arm.explained(difference_n, contacts),
-            )
-            off_n = max(map(_apart_n, estimated, contacts))
+            best, stated_misfit = self.arm.explained(difference_n, contacts)
+            off_n = max(map(_apart_n, contacts, best))
+            contacts = best
         self._fit = fit = StatedContacts(
             self.arm, difference_n, contacts, stated_misfit, self._reach_m
         )

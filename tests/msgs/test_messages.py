@@ -113,12 +113,6 @@ def test_wrong_names_are_listed(names, complaint):
         NamedOrder(NAMES, "cables").pick(names, [0.0] * len(names), "effort")
 
 
-@pytest.mark.parametrize("count", [0, 11, 13])
-def test_one_value_per_name(count):
-    with pytest.raises(ContractError, match=f"effort holds {count} values for 12 names"):
-        NamedOrder(NAMES, "cables").pick(NAMES, [0.0] * count, "effort")
-
-
 FRAMES = Frames(4)
 
 

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from arm_variants import variant
 from estimation_settings import estimation_settings
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from joint_commands import cable_offsets, joint_command
 from sample_feed import ARM, PUSHED, Feed, message_bytes
 
@@ -22,7 +20,6 @@ from cablesense_online.breathing import (
     BreathReadings,
     breath_circle,
     offsets_m,
-    tip_m,
 )
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
@@ -65,17 +62,6 @@ def test_every_cable_moves_in_and_out_at_every_guide_it_passes(command, count):
     assert (swing_m[passed].reshape(-1) > 2.0 * stretch_m.max()).all()
 
 
-@settings(max_examples=5, deadline=None)
-@given(bend=st.floats(0.0, 8.0), seed=st.integers(0, 2**32 - 1))
-def test_the_tip_moves_by_less_than_a_millimetre(bend, seed):
-    lab = arm()
-    command = np.radians(bend) * np.random.default_rng(seed).uniform(-1.0, 1.0, 8)
-    circle, mechanism = breath_circle(lab, command), mechanism_of(lab)
-    ends = tip_m(mechanism, command + circle_of(circle, 24)) - tip_m(mechanism, command)
-    assert np.linalg.norm(ends, axis=1).max() < 1e-3
-    assert circle.tip_m == pytest.approx(np.linalg.norm(ends, axis=1).max(), rel=0.1)
-
-
 def test_set_points_begin_and_end_at_the_command_and_never_jump():
     circle = breath_circle(arm(), BENT)
     breath, points, marks = Breath(circle, 2), [STRAIGHT], []
@@ -92,21 +78,6 @@ def test_set_points_begin_and_end_at_the_command_and_never_jump():
     whole = np.array(points[1:])[np.array(marks) == 1]
     half = SET_POINTS_A_TURN // 2
     np.testing.assert_allclose(whole[:half], -whole[half:], atol=1e-12)
-
-
-@settings(max_examples=5, deadline=None)
-@given(after=st.integers(0, 90))
-def test_a_breath_that_is_ended_comes_back_without_a_jump(after):
-    circle = breath_circle(arm(), STRAIGHT)
-    breath = Breath(circle, 0)
-    points = [breath.next()[0] for _ in range(after)]
-    breath.end()
-    while not breath.over:
-        points.append(breath.next()[0])
-    steps = np.abs(np.diff([STRAIGHT, *points], axis=0)).max()
-    assert steps <= 1.1 * 2.0 * np.pi / SET_POINTS_A_TURN * circle.largest_rad
-    np.testing.assert_array_equal(points[-1], STRAIGHT)
-    assert len(points) <= after + 12
 
 
 def test_where_there_is_no_breath_the_reason_is_given():
@@ -174,37 +145,6 @@ def test_after_a_breath_readings_are_those_without_friction(left):
     stuck_n = (TRUE_N + 5.0) * np.exp(GRIP * left)
     assert cables.read(1400, inwards=left) == pytest.approx(stuck_n)
     assert cables.readings.status().level is Level.WARN
-
-
-def test_there_is_no_answer_before_a_whole_turn_and_each_turn_renews_it():
-    cables = StickingCables()
-    assert cables.read(100, inwards=1.0) is not None
-    cables.mark(0)
-    assert cables.read(200) is None
-    cables.mark(1)
-    assert cables.read(590) is None
-    cables.read(600)
-    cables.mark(2)
-    np.testing.assert_allclose(cables.read(700), TRUE_N, rtol=0.01)
-    cables.true_n = 1.5 * TRUE_N
-    cables.read(1000)
-    cables.mark(3)
-    cables.read(1400)
-    cables.mark(4)
-    np.testing.assert_allclose(cables.read(1410), 1.5 * TRUE_N, rtol=0.01)
-
-
-def test_too_few_readings_or_a_gap_make_no_turn():
-    assert StickingCables(period_ms=100).breathe(1.0) == pytest.approx(TRUE_N * np.exp(GRIP))
-    cables = StickingCables()
-    cables.mark(0)
-    cables.read(200)
-    cables.mark(1)
-    cables.read(300)
-    cables.now_ns += 150 * MS
-    cables.read(600)
-    cables.mark(0)
-    assert cables.read(700) is None
 
 
 def test_a_load_that_comes_during_the_breath_is_not_taken_for_friction():

@@ -22,7 +22,7 @@ from cablesense_online.page.guard import (
     free_port,
 )
 from cablesense_online.page.page import Page
-from cablesense_online.page.panel import Actions, Controls, joint_limit_deg
+from cablesense_online.page.panel import Actions, joint_limit_deg
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.contact_location import reach_m
@@ -183,20 +183,6 @@ def test_too_long_a_message_and_too_many_browsers_are_refused(page, visit, comma
     with pytest.raises(ConnectionClosedError) as closed:
         commander.read(10.0)
     assert closed.value.rcvd.code == 1009
-
-
-def test_controls_are_shown_once_a_click_on_them_is_heard(monkeypatch, asked, visit):
-    listen = Controls._on
-
-    def slowly(controls, *given):
-        time.sleep(0.02)
-        listen(controls, *given)
-
-    monkeypatch.setattr(Controls, "_on", slowly)
-    visitor = visit()
-    eventually(lambda: "Push" in visitor.read().controls, "the button")
-    visitor.put("Push", True)
-    eventually(lambda: asked, "the push")
 
 
 @pytest.mark.parametrize(

@@ -384,8 +384,3 @@ def test_fresh_healthy_samples_are_as_rarely_above_the_limit_as_it_states(tmp_pa
     spare = 3.0 * np.sqrt(max(limit.above, 1) * misfit_limit.READINGS)  # of a contact all are
     assert (fresh > limit.largest_misfit).sum() <= limit.above + spare
     assert np.median(fresh) == pytest.approx(1.0, abs=0.2)
-
-
-@pytest.mark.slow
-def test_a_model_with_memory_gets_none(tmp_path):
-    assert put_simulated_limit(copied(tmp_path, "cdsm_moving")) is None

@@ -14,7 +14,6 @@ from effect_arms import bent
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_base import CableSenseError
 from cablesense_msgs_py.messages import Load
 from cablesense_online.simulated_arm import RealTimePacer, SimulatedArm
 from cablesense_sim.arm import open_arm
@@ -103,16 +102,6 @@ def test_offset_cables_are_longer_than_the_command_has_them(effects):
     np.testing.assert_allclose(simulated_arm.joint_angles_rad, back, atol=5e-5)
 
 
-def test_a_command_out_of_reach_is_refused_and_changes_nothing():
-    arm = simulated()
-    with pytest.raises(CableSenseError, match="plates touch"):
-        arm.go_to(np.full(8, 1.04))
-    run(arm, 0.0, 0.3)
-    np.testing.assert_allclose(
-        tensions(arm), solve_equilibrium(MECHANISM, np.zeros(8)).tensions_n, atol=1e-3
-    )
-
-
 def test_dynamics_that_diverge_restart_without_loads():
     dynamics = ArmDynamics(ARM)
     diverging = SimulatedArm(dynamics, 1e-3, 0.35, 0.0, now_s=0.0)
@@ -148,27 +137,6 @@ def test_loads_anywhere_turn_the_arm_as_on_an_arm_that_is_touched_there(effects)
         mechanism = mechanism_of(variant(touched))
         expected = solve_equilibrium(mechanism, np.zeros(8), loads).tensions_n
         np.testing.assert_allclose(tensions(anywhere), expected, atol=1e-3)
-
-
-def test_an_arm_whose_loads_act_elsewhere_than_stated_moves_every_place():
-    offset = {"effect": "contact_offset", "at": "segment_3", "parameters": {"offset_m": 0.02}}
-    off, plain = (
-        SimulatedArm(moving_arm(variant({"effects": each}), 1e-3), 1e-3, 0.35, 0.0, now_s=0.0)
-        for each in ([offset], [])
-    )
-    off.push(Load(3, PUSH.force_base_n, 0.05), 0.0)
-    plain.push(Load(3, PUSH.force_base_n, 0.07), 0.0)
-    for arm in (off, plain):
-        run(arm, 0.0, 0.2)
-    np.testing.assert_allclose(tensions(off), tensions(plain), atol=1e-9)
-
-
-def test_a_place_that_is_not_on_the_segment_is_refused():
-    arm = simulated()
-    for place_m in (-0.01, 0.2, np.nan):
-        with pytest.raises(CableSenseError, match="not on segment 3"):
-            arm.push(Load(3, PUSH.force_base_n, place_m), 0.0)
-    assert not arm.loads
 
 
 @given(st.lists(st.floats(0.0, 10.0), max_size=50))
