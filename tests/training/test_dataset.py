@@ -16,7 +16,6 @@ from cablesense_sim.kinematics import (
     segment_rotations,
 )
 from cablesense_sim.loads import contact_angle_deg
-from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import AnywhereContact, MultiContact, SingleContact
 from cablesense_training.errors import DatasetError
@@ -69,12 +68,6 @@ def test_contacts_anywhere_are_where_the_law_of_contacts_finds_them(arm):
     axes = segment_rotations(mechanism_of(arm), dataset.command_rad)
     turned = np.einsum("bnij,bnj->bni", axes, dataset.local_forces_n)
     assert turned == pytest.approx(dataset.forces_n, abs=1e-9)
-
-
-def test_places_are_the_arm_files_where_contacts_are_not_anywhere(arm):
-    dataset = ideal(arm, MultiContact)
-    assert (dataset.places_m[dataset.contacts] == arm.segments.contact_m).all()
-    assert not dataset.along_n.any()
 
 
 def test_unloaded_cables_carry_the_weight(arm):
@@ -136,14 +129,6 @@ def test_a_protocol_beyond_the_arm_is_refused_with_a_case():
     protocol = SingleContact(samples=64, force_low_n=500.0, force_high_n=600.0)
     with pytest.raises(DatasetError, match=r"samples 0 and following: more than 2%.*command"):
         draw_dataset(lab, protocol)
-
-
-def test_parts_of_different_runs_stay_apart(arm):
-    dataset = ideal(arm)
-    with pytest.raises(DatasetError, match="parts of different runs"):
-        Dataset.concatenate([dataset, replace(dataset, seed=4)])
-    with pytest.raises(DatasetError, match="at least one part"):
-        Dataset.concatenate([])
 
 
 def test_arrays_must_fit_the_arm(arm):

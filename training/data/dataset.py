@@ -29,9 +29,9 @@ def contact_forces_n(
     magnitudes_n: Array,
     along_n: Array | None = None,
 ) -> Array:
-    """Contact forces (B, N, 3) in base axes for angles and magnitudes (B, N), one a segment.
+    """Contact forces (…, N, 3) in base axes for angles and magnitudes (…, N), one a segment.
 
-    Each is normal to its segment at the commanded angles (B, 2N), but for a part `along_n` (B, N)
+    Each is normal to its segment at the commanded angles (…, 2N), but for a part `along_n` (…, N)
     towards its end.
     """
     axis, left, up = np.moveaxis(kinematics.segment_rotations(mechanism, command_rad), -1, 0)
@@ -59,16 +59,7 @@ class RunRows:
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:
-        """Parts of one run, in the order given.
-
-        Raises:
-            DatasetError: no parts, or parts of different arms, protocols or seeds.
-        """
-        if not parts:
-            raise DatasetError("a run needs at least one part")
-        runs = [(part.arm.identity, part.protocol, part.seed) for part in parts]
-        if other := [run for run in runs if run != runs[0]]:
-            raise DatasetError(f"parts of different runs: {runs[0]} and {other[0]}")
+        """Parts of one run, in the order given; there must be at least one."""
         arrays: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in parts])
             for name in cls.array_names()

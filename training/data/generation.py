@@ -1,12 +1,9 @@
 """Generation of a dataset: in this process, on worker processes, or on a Dask cluster.
 
-All three compute the same chunks and hand them on in order, so the result does not depend on where
-it was computed (on machines whose arithmetic agrees to the last bit; a mix of processor types may
-differ there).
-
-A chunk follows from arm, protocol, seed and its number. A case beyond the arm is drawn again, and
-a protocol that would need that often is refused. An arm with effects is sampled along a
-`LoadHistory`; randomised arms in blocks of samples on one arm each.
+A chunk follows from arm, protocol, seed and its number, wherever it is computed (processor types
+may differ in the last bit). A case beyond the arm is drawn again, and a protocol that would
+need that often is refused. An arm with effects is sampled along a `LoadHistory`; randomised arms
+in blocks of samples on one arm each.
 """
 
 from __future__ import annotations

@@ -355,12 +355,8 @@ def _forces_n(
 ) -> Array:
     """(S, T, N, 3) forces in base axes, normal to the touched segment at the set-points."""
     here = segment[..., None] == np.arange(1, mechanism.segment_count + 1)
-    rows = here.reshape(-1, mechanism.segment_count)
-    angles, magnitudes = (
-        np.where(rows, values.reshape(-1, 1), 0.0) for values in (angle_deg, magnitude_n)
-    )
-    poses = command_rad.reshape(len(rows), -1)
-    return contact_forces_n(mechanism, poses, angles, magnitudes).reshape(*here.shape, 3)
+    angles_deg, magnitudes_n = here * angle_deg[..., None], here * magnitude_n[..., None]
+    return contact_forces_n(mechanism, command_rad, angles_deg, magnitudes_n)
 
 
 def _tensions_in_time_n(arm: Arm, motion: CommandedMotion, forces_n: Array) -> Array:

@@ -14,20 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.contact_location import (
     AXIAL_STD_N,
     ContactPair,
     Location,
     TorqueBalance,
-    contact_response,
     locate,
     locate_two,
 )
-from cablesense_sim.effects.registry import amended
-from cablesense_sim.equilibrium import held_lengths_m
-from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.dataset import Dataset
+from cablesense_training.evaluation.noise_bound import reading_variance_n2, tension_gain
 from cablesense_training.inference.anywhere import AnywhereEstimator
 
 CLEAR_STD = 3.0
@@ -191,20 +187,9 @@ def bound_covariance(dataset: Dataset, count: int) -> Array:
     Raises:
         EquilibriumError: the arm has no rest under one of the samples' contacts.
     """
-    nominal = mechanism_of(dataset.arm)
-    mechanism = amended(nominal, entries_of(dataset.arm))
     segments, places_m, forces_n = touched(dataset, count)
-    elastic_n, gain = contact_response(
-        mechanism,
-        dataset.command_rad,
-        segments,
-        places_m,
-        forces_n,
-        held_lengths_m(nominal, dataset.command_rad),
-    )
-    seen = gain * (elastic_n > 0.0)[..., None]
-    variance_n2 = difference_variance_n2(dataset.arm.sensors, dataset.protocol.tare_samples)
-    information = np.swapaxes(seen, 1, 2) @ seen / variance_n2
+    seen = tension_gain(dataset, segments, places_m, forces_n)
+    information = np.swapaxes(seen, 1, 2) @ seen / reading_variance_n2(dataset)
     near, far = dataset.protocol.reach_m(dataset.arm).T
     prior = np.zeros((len(dataset), count, 4))
     prior[..., 0] = AXIAL_STD_N**-2

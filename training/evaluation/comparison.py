@@ -1,8 +1,7 @@
 """The one evaluation of estimators: their errors on a dataset, and every bundled model compared.
 
-`cablesense evaluate`, the benchmarks and the paper's studies all take it from here. A `Setting` is
-an arm, poses and the models that answer; every setting has fresh samples, the shipped model, its
-baselines and the noise bound on the same samples.
+A `Setting` is an arm, poses and the models that answer: the shipped model and its baselines, with
+the noise bound on the same fresh samples.
 """
 
 from __future__ import annotations

@@ -148,15 +148,14 @@ def confusion_matrix(true: ArrayLike, answered: ArrayLike, classes: int) -> Inte
     return np.bincount(pairs, minlength=classes * classes).reshape(classes, classes)
 
 
-def macro_f1(true: ArrayLike, answered: ArrayLike, classes: int) -> float:
+def macro_f1(confusion: Integers) -> float:
     """Equation (14): mean over the classes of 2 precision recall / (precision + recall).
 
     A class that is neither true nor answered anywhere says nothing and is left out; one that is
     missed or invented altogether counts 0.
     """
-    counts = confusion_matrix(true, answered, classes)
-    hits = counts.diagonal()
-    return _mean_f1(hits, counts.sum(axis=0) - hits, counts.sum(axis=1) - hits)
+    hits = confusion.diagonal()
+    return _mean_f1(hits, confusion.sum(axis=0) - hits, confusion.sum(axis=1) - hits)
 
 
 def single_contact_metrics(
@@ -170,7 +169,7 @@ def single_contact_metrics(
     return SingleContactMetrics(
         samples=len(truth.segment),
         contact_accuracy=_mean(truth.segment == answer.segment),
-        macro_f1=macro_f1(truth.segment, answer.segment, segment_count + 1),
+        macro_f1=macro_f1(confusion),
         confusion=tuple(tuple(row) for row in confusion.tolist()),
         errors=_errors(truth, answer, touched),
         bins=tuple(

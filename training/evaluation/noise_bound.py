@@ -1,11 +1,10 @@
 """The noise bound: how well any unbiased estimator could do on the very same samples (Cramér-Rao).
 
-With the segment known, the force's two components f are unknown, and the tension differences are
-Gaussian about dT(f) with variance v each. Their information is G' G / v, with G = d dT / d f from
-the equilibrium's own sensitivity, so no unbiased estimate of f has a covariance below C = v (G'
-G)^-1 (Kay, Fundamentals of Statistical Signal Processing, vol. I, 1993, section 3.8). Angle and
-magnitude follow by drawing from N(f, C), which also holds for weak forces, where an angle's error
-is not Gaussian.
+Tension differences are Gaussian about dT(f) with variance v each. Their information on the force's
+components f is G' G / v, with G = d dT / d f at the equilibrium, so no unbiased estimate has a
+covariance below C = v (G' G)^-1 (Kay, Fundamentals of Statistical Signal
+Processing, vol. I, 1993, section 3.8). Angle and magnitude follow by drawing from N(f, C): the
+error of a weak force's angle is not Gaussian.
 """
 
 from __future__ import annotations
@@ -13,11 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_sim import kinematics
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.equilibrium import solve_equilibrium, tension_sensitivity
+from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.contact_location import contact_response
+from cablesense_sim.effects.registry import amended
+from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.evaluation.metrics import angle_difference_deg
@@ -40,25 +41,45 @@ class NoiseBound:
     direction_mae_deg: float
 
 
+def tension_gain(
+    dataset: Dataset, segments: NDArray[np.int64], places_m: Array, forces_n: Array
+) -> Array:
+    """(B, M, 4K) tensions by (f_x, f_y, f_z, place) of K contacts, as `contact_response` has them.
+
+    Those of slack cables are zero.
+
+    Raises:
+        EquilibriumError: the arm has no rest under one of the samples' contacts.
+    """
+    nominal = mechanism_of(dataset.arm)
+    mechanism = amended(nominal, entries_of(dataset.arm))
+    held_m = held_lengths_m(nominal, dataset.command_rad)
+    elastic_n, gain = contact_response(
+        mechanism, dataset.command_rad, segments, places_m, forces_n, held_m
+    )
+    return np.asarray(gain * (elastic_n > 0.0)[..., None])
+
+
+def reading_variance_n2(dataset: Dataset) -> float:
+    """Of one tension difference."""
+    return difference_variance_n2(dataset.arm.sensors, dataset.protocol.tare_samples)
+
+
 def force_covariance_n2(dataset: Dataset) -> Array:
     """Bound (C, 2, 2) on the covariance of the (y, z) force of the dataset's C contacts."""
     touched = dataset.select(dataset.segment > 0)
     gain = _gain_n_n(touched)[np.arange(len(touched)), :, touched.segment - 1]
-    return np.asarray(_variance_n2(dataset) * np.linalg.inv(np.swapaxes(gain, -1, -2) @ gain))
+    variance_n2 = reading_variance_n2(dataset)
+    return np.asarray(variance_n2 * np.linalg.inv(np.swapaxes(gain, -1, -2) @ gain))
 
 
 def _gain_n_n(dataset: Dataset) -> Array:
     """(B, M, N, 2) tensions by force components in the plane normal to each segment, (y, z)."""
-    mechanism = mechanism_of(dataset.arm)
-    command, forces = dataset.command_rad, dataset.forces_n
-    rest = solve_equilibrium(mechanism, command, forces)
-    gain = tension_sensitivity(mechanism, rest.joint_angles_rad, rest.tensions_n, forces)
-    normals = kinematics.segment_rotations(mechanism, command)[..., 1:]
-    return np.moveaxis(np.moveaxis(gain, 1, 2) @ normals, 1, 2)
-
-
-def _variance_n2(dataset: Dataset) -> float:
-    return difference_variance_n2(dataset.arm.sensors, dataset.protocol.tare_samples)
+    shape = len(dataset), dataset.arm.segment_count
+    segments = np.broadcast_to(np.arange(1, shape[1] + 1), shape)
+    places_m = np.broadcast_to(dataset.protocol.reach_m(dataset.arm)[:, 0], shape)
+    gain = tension_gain(dataset, segments, places_m, dataset.local_forces_n)
+    return gain.reshape(*gain.shape[:2], -1, 4)[..., 1:3]
 
 
 def noise_bound(dataset: Dataset, weakest_n: float = 0.0, seed: int = 0) -> NoiseBound:
@@ -90,7 +111,7 @@ def multi_contact_bound_n(dataset: Dataset, weakest_n: float = 0.0) -> Array:
     contacts = dataset.contacts
     gain = _gain_n_n(dataset) * contacts[:, None, :, None]
     flat = gain.reshape(*gain.shape[:2], -1)
-    information = np.swapaxes(flat, 1, 2) @ flat / _variance_n2(dataset)
+    information = np.swapaxes(flat, 1, 2) @ flat / reading_variance_n2(dataset)
     untouched = np.repeat(~contacts, 2, axis=1)
     information[:, np.arange(flat.shape[2]), np.arange(flat.shape[2])] += untouched
     covariance = np.linalg.pinv(information, hermitian=True)
