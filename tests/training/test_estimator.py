@@ -54,10 +54,6 @@ def test_a_push_is_told_by_segment_direction_and_force(estimator):
         assert said.probabilities.sum() == pytest.approx(1.0)
 
 
-def test_nothing_is_told_as_no_contact(estimator):
-    assert estimator.estimate(np.zeros(12), np.zeros(8)).segment == 0
-
-
 def test_a_model_of_several_contacts_is_no_estimator_of_one():
     with pytest.raises(ModelFileError, match="multi-contact"):
         Estimator.load(find_model("cdsm_multi"))

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 
 from cablesense_gap.recorded_contacts import tares_n, without_history_n
-from cablesense_sim.arm import Arm, ListedEffect, open_arm
+from cablesense_sim.arm import Arm, ListedEffect
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.replay import read_tensions_n, replay_arm
-from cablesense_training.data.dataset import Dataset
 from cablesense_training.errors import EstimateError, TrainingError
 from cablesense_training.inference.history_simulation import (
     HistoryEstimator,
@@ -23,9 +21,9 @@ from cablesense_training.inference.history_simulation import (
     remembered,
     without_history,
 )
+from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.temporal_estimator import open_estimator
-from cablesense_training.model_training import draw_training_data, train_model
-from cablesense_training.recipes import build_network, recipe_for
+from cablesense_training.recipes import build_network
 
 PROTOCOL = small_recording()
 STILL = np.zeros(LAB.joint_count)
@@ -70,11 +68,10 @@ def rms(values: np.ndarray) -> float:
 @pytest.mark.parametrize(
     ("effects", "left"),
     [
-        ([STICKING], 0.1),
         ([CREEPING], 0.2),  # a tare is the mean of readings that creep
         ([STICKING, LAG], 0.15),
     ],
-    ids=["cables stick", "cables creep", "sensors lag beside"],
+    ids=["cables creep", "cables stick and sensors lag"],
 )
 def test_readings_become_those_of_the_arm_without_its_history(
     effects: list[ListedEffect], left: float
@@ -103,8 +100,8 @@ def test_an_arm_that_moves_untouched_shows_no_load() -> None:
 
 def test_the_same_samples_give_the_same_again_after_forgetting() -> None:
     simulation = HistorySimulation(having(STICKING), TARE)
-    recording = PROTOCOL.rows(slice(0, 120))
-    recording = replace(recording, tensions_n=read_by(having(STICKING))[:120])
+    recording = PROTOCOL.rows(slice(0, 50))
+    recording = replace(recording, tensions_n=read_by(having(STICKING))[:50])
     first, second = (without_history_n(recording, tares_n(recording), simulation)[0] for _ in "ab")
     np.testing.assert_array_equal(first, second)
 
@@ -136,51 +133,39 @@ def test_what_depends_on_history_is_told_from_what_does_not() -> None:
 
 
 @pytest.fixture(scope="module")
-def estimator(tmp_path_factory: pytest.TempPathFactory) -> HistoryEstimator:
-    path: Path = tmp_path_factory.mktemp("history") / "sticking.onnx"
-    arm = open_arm("cdsm_lab").model_copy(update={"effects": [STICKING]})
-    data = draw_training_data(arm, "history-simulated", {"samples": 256}, seed=0)
-    assert isinstance(data, Dataset)
-    settings = replace(recipe_for("history-simulated").settings, seed=0, threads=1, epochs=1)
-    train_model(path, "history-simulated", data, settings, command="by a test", test_samples=16)
-    found = open_estimator(path, arm)
+def estimator() -> HistoryEstimator:
+    found = open_estimator(find_model("cdsm_friction_simulated"))
     assert isinstance(found, HistoryEstimator)
     return found
 
 
-def pushed(estimator: HistoryEstimator, sizes_n: np.ndarray) -> np.ndarray:
-    """Forces that are answered while segment 3 is pushed so hard, sample by sample."""
+def test_a_force_is_known_while_it_rises_and_while_it_falls(estimator: HistoryEstimator) -> None:
+    ramp_n = np.linspace(0.0, 40.0, 21)
+    sizes_n = np.concatenate([np.zeros(20), ramp_n, np.full(5, 40.0), ramp_n[::-1], np.zeros(5)])
     arm, count = estimator.metadata.arm, len(sizes_n)
     command = np.repeat(np.deg2rad([[3.0, -4.0, 2.0, 5.0, -3.0, 1.0, 4.0, -2.0]]), count, axis=0)
-    command[: count // 4] *= np.linspace(0.0, 1.0, count // 4)[:, None]
+    command[:18] *= np.linspace(0.0, 1.0, 18)[:, None]
     forces_n = normal_force_n(mechanism_of(arm), command, 3, 60.0, sizes_n)
     time_s = 0.1 * np.arange(count)
     read_n = replay_arm(arm, time_s, command, forces_n)
-    read_n -= replay_arm(LAB, time_s, command, 0.0 * forces_n)  # as a tare is carried over
+    read_n -= replay_arm(arm.nominal, time_s, command, 0.0 * forces_n)  # as a tare is carried over
     estimator.forget()
     found = []
     for row in range(count):
-        if row <= count // 4:
+        if row <= 18:
             estimator.tare()
-            unloaded_n = read_n[row]
-        difference_n = read_n[row] - unloaded_n
-        answer = estimator.estimate(difference_n, command[row], STILL, STILL, time_s[row])
-        found.append(answer.magnitude_n if answer.segment == 3 else -float(answer.segment))
-    return np.array(found)
-
-
-@pytest.mark.slow  # exports a model
-def test_a_force_is_known_while_it_rises_and_while_it_falls(estimator: HistoryEstimator) -> None:
-    sizes_n = np.concatenate(
-        [np.zeros(20), np.linspace(0.0, 40.0, 21), np.full(5, 40.0), np.linspace(40.0, 0.0, 21)]
-    )
-    found = pushed(estimator, np.concatenate([sizes_n, np.zeros(5)]))
+        difference_n = read_n[row] - read_n[min(row, 18)]
+        found.append(estimator.estimate(difference_n, command[row], STILL, STILL, time_s[row]))
+    segment, _, magnitude_n, _, _, low_n, high_n = np.array([each[1:8] for each in found]).T
     firm = sizes_n > 5.0
-    np.testing.assert_allclose(found[: len(sizes_n)][firm], sizes_n[firm], atol=1.0)
-    assert (found[-4:] == 0.0).all()  # no contact remains after release
+    assert (segment[firm] == 3).all()
+    off_n = magnitude_n[firm] - sizes_n[firm]
+    assert np.median(np.abs(off_n)) < 0.1
+    assert np.abs(off_n).max() < 2.5  # friction hides that a force has begun to fall
+    assert ((low_n <= sizes_n) & (sizes_n <= high_n))[firm].mean() > 0.9
+    assert (segment[-4:] == 0).all()  # no contact remains after release
 
 
-@pytest.mark.slow  # exports a model
 def test_samples_between_ticks_are_answered_with_the_history_of_the_last(
     estimator: HistoryEstimator,
 ) -> None:

@@ -91,17 +91,6 @@ def test_however_often_samples_come_the_memory_goes_at_its_own_rate(estimator, c
     assert len(ticks) <= 14
 
 
-def test_missed_ticks_are_made_up_for_with_what_came(estimator, course):
-    twice = [np.repeat(part[:10], 2, axis=0) for part in course]
-    known = _through(estimator, twice, 0.02 * np.arange(20))
-    estimator.forget()
-    tension, angle, speed, acceleration = (part[:10] for part in course)
-    estimator.estimate(tension[0], angle[0], speed[0], acceleration[0], 0.0)
-    estimator.estimate(tension[0], angle[0], speed[0], acceleration[0], 0.02)
-    late = estimator.estimate(tension[1], angle[1], speed[1], acceleration[1], 0.06)
-    assert late.magnitude_n == known[3].magnitude_n
-
-
 @pytest.mark.parametrize("leap_s", [-0.5, LONGEST_GAP_S + 0.1])
 def test_a_leap_of_time_begins_a_new_past(estimator, course, leap_s):
     _through(estimator, course, 0.02 * np.arange(60))

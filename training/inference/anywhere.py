@@ -73,7 +73,8 @@ class AnywhereEstimator(Estimator):
         """
         balance, residual = self.balance_batch(tension_differences_n, joint_commands_rad)
         found = locate(balance, self.reach_m, self.surface)
-        return found, _misfit(found.chi2, residual, 1)
+        each = zip(found.chi2.tolist(), residual, strict=True)
+        return found, np.array([_misfit(chi2, left, 1) for chi2, left in each])
 
     def balance_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
@@ -90,14 +91,10 @@ class AnywhereEstimator(Estimator):
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> Estimates:
         """See the base class: the normal force of one contact each, wherever it acts."""
-        found, _ = self.locate_batch(tension_differences_n, joint_commands_rad)
-        y, z = found.force_n[:, 1:].T
-        magnitude_n, angle_std_deg = _polar(found)
-        angle_deg = np.rad2deg(np.arctan2(y, z)) % 360.0
-        low_n, high_n = found.magnitude_ci95_n.T
-        std_n = (high_n - low_n) / (2.0 * NORMAL_95)
-        stated = (angle_deg, magnitude_n, std_n, angle_std_deg, low_n, high_n)
-        return Estimates(found.probability, found.segment, *stated)
+        balance, residual = self.balance_batch(tension_differences_n, joint_commands_rad)
+        found = locate(balance, self.reach_m, self.surface)
+        each = [self._estimate(found, row, residual[row]) for row in range(len(residual))]
+        return Estimates(*map(np.array, zip(*(one[:-1] for one in each), strict=True)))
 
     def prepare(self) -> None:
         """Compile now what the first contact would wait for, for many seconds once a machine."""
@@ -108,29 +105,27 @@ class AnywhereEstimator(Estimator):
     def two(self) -> tuple[ContactPair, float]:
         """Two contacts behind the sample that was estimated last, and their misfit."""
         pair = locate_two(self._balance, self.reach_m, surface=self.surface)
-        return pair, float(_misfit(pair.chi2, self._single.outputs[-1][None], 2)[0])
-
-    def _region_m(self, found: Location) -> list[float]:
-        """Ends of the region of one contact along the arm, from its segment's joint centre."""
-        segment = 1 + int(found.probability[0, 1:].argmax())
-        joint_m = self._joint_m[found.region_segment[0] - 1] - self._joint_m[segment - 1]
-        return (joint_m + found.region_m[0]).tolist()
+        return pair, _misfit(pair.chi2.item(), self._single.outputs[-1], 2)
 
     def _of_one(self, outputs: list[Array]) -> Estimate:
         self._locate()
-        found = self._found
-        _, force_y, force_z = force = found.force_n[0].tolist()
-        low_m, high_m = self._region_m(found)
-        low_n, high_n = found.magnitude_ci95_n[0].tolist()
+        return self._estimate(self._found, 0, outputs[-1])
+
+    def _estimate(self, found: Location, row: int, residual: Array) -> Estimate:
+        """One of the located samples, whose cables have these residuals (M,)."""
+        _, force_y, force_z = force = found.force_n[row].tolist()
+        low_n, high_n = found.magnitude_ci95_n[row].tolist()
         size_n = max(math.hypot(force_y, force_z), 1e-9)
-        covariance = found.covariance[0].copy()
+        covariance, probabilities = found.covariance[row].copy(), found.probability[row].copy()
         (yy, yz), (_, zz) = covariance[2:, 2:].tolist()
         across = force_z**2 * yy + force_y**2 * zz - 2.0 * force_y * force_z * yz
-        chi2, residual = max(found.chi2.item(), 0.0), outputs[-1]
-        free = max(len(residual) - _NUMBERS, 1)
+        joint_m = self._joint_m[found.region_segment[row] - 1]
+        joint_m = joint_m - self._joint_m[int(probabilities[1:].argmax())]
+        low_m, high_m = (joint_m + found.region_m[row]).tolist()
+        chi2 = found.chi2.item(row)
         return Estimate(
-            probabilities=found.probability[0].copy(),
-            segment=found.segment.item(),
+            probabilities=probabilities,
+            segment=found.segment.item(row),
             angle_deg=math.degrees(math.atan2(force_y, force_z)) % 360.0,
             magnitude_n=size_n,
             magnitude_std_n=(high_n - low_n) / (2.0 * NORMAL_95),
@@ -138,31 +133,21 @@ class AnywhereEstimator(Estimator):
             low_n=low_n,
             high_n=high_n,
             place=ContactPlace(
-                place_m=found.place_m.item(),
+                place_m=found.place_m.item(row),
                 low_m=low_m,
                 high_m=high_m,
                 along_n=force[0],
                 covariance=covariance,
-                moment_n_m=math.hypot(*found.moment_n_m[0].tolist()),
+                moment_n_m=math.hypot(*found.moment_n_m[row].tolist()),
                 force_known=is_known(high_n - low_n, size_n),
-                misfit=math.sqrt((chi2 + float(residual.dot(residual))) / free),
-                log_evidence=found.log_evidence.item(),
-                chi2=chi2,
+                misfit=_misfit(chi2, residual, 1),
+                log_evidence=found.log_evidence.item(row),
+                chi2=max(chi2, 0.0),
             ),
         )
 
 
-def _misfit(chi2: Array, residual: Array, contacts: int) -> Array:
-    """(B,) root mean square of all residuals, by chi² of torques (B,) and residuals (B, M)."""
-    free = max(residual.shape[1] - _NUMBERS * contacts, 1)
-    squared = np.maximum(chi2, 0.0) + (residual * residual).sum(axis=1)
-    return np.asarray(np.sqrt(squared / free))
-
-
-def _polar(found: Location) -> tuple[Array, Array]:
-    """Mean normal force (B,), N, and standard deviation of its angle (B,), deg."""
-    (y, z), lateral = found.force_n[:, 1:].T, found.covariance[:, 2:, 2:]
-    size = np.maximum(np.hypot(y, z), 1e-9)
-    beside = np.stack([z, -y], axis=1) / size[:, None]
-    variance = np.einsum("bi,bij,bj->b", beside, lateral, beside)
-    return size, np.rad2deg(np.arctan(np.sqrt(np.maximum(variance, 0.0)) / size))
+def _misfit(chi2: float, residual: Array, contacts: int) -> float:
+    """Root mean square of all residuals, by chi² of torques and residuals (M,) of lengths."""
+    free = max(len(residual) - _NUMBERS * contacts, 1)
+    return math.sqrt((max(chi2, 0.0) + float(residual.dot(residual))) / free)

@@ -17,7 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 from cablesense_base import Array
 from cablesense_sim.arm import Arm
 from cablesense_training.errors import EstimateError
-from cablesense_training.inference.session import COMMAND, TENSION, OpenedModel
+from cablesense_training.inference.session import (
+    ACCELERATION,
+    COMMAND,
+    SPEED,
+    TENSION,
+    OpenedModel,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -91,29 +97,9 @@ class Estimate(NamedTuple):
     high_n: float
     place: ContactPlace | None = None
 
-    @classmethod
-    def of_outputs(cls, outputs: Sequence[Array]) -> Estimate:
-        """An estimate from a model's `OUTPUTS`, and its `INTERVAL` if it has one, for one sample.
-
-        Values that are not finite stay so.
-        """
-        probability, direction, *others = outputs
-        probabilities = probability.tolist()
-        segment = probabilities.index(max(probabilities))
-        angle_deg = math.degrees(math.atan2(*direction.tolist())) % 360.0 % 360.0
-        magnitude_n, std_n, angle_std_deg = (value.item() for value in others[:3])
-        if len(others) > 3:
-            low_n, high_n = others[3].tolist()
-            segment = probabilities.index(max(probabilities[1:]), 1) if low_n > 0.0 else 0
-        else:
-            half_n = NORMAL_95 * std_n
-            low_n, high_n = max(0.0, magnitude_n - half_n), magnitude_n + half_n
-        stated = (angle_deg, magnitude_n, std_n, angle_std_deg, low_n, high_n)
-        return cls(probability.copy(), segment, *stated)
-
 
 class Estimates(NamedTuple):
-    """B estimates: the fields of `Estimate`, with a leading axis."""
+    """B estimates: the fields of `Estimate` but its place, with a leading axis."""
 
     probabilities: Array
     segment: NDArray[np.int64]
@@ -126,7 +112,10 @@ class Estimates(NamedTuple):
 
     @classmethod
     def of_outputs(cls, outputs: Sequence[Array]) -> Estimates:
-        """As `Estimate.of_outputs`, with any leading axes."""
+        """Estimates from a model's `OUTPUTS`, and its `INTERVAL` if it has one.
+
+        Leading axes may be any; values that are not finite stay so.
+        """
         probability, direction, magnitude_n, std_n, angle_std_deg, *interval_n = outputs
         angle_deg = np.rad2deg(np.arctan2(direction[..., 0], direction[..., 1])) % 360.0 % 360.0
         segment = probability.argmax(axis=-1)
@@ -138,6 +127,12 @@ class Estimates(NamedTuple):
             low_n, high_n = np.maximum(0.0, magnitude_n - half_n), magnitude_n + half_n
         stated = (angle_deg, magnitude_n, std_n, angle_std_deg, low_n, high_n)
         return cls(probability, segment, *stated)
+
+    @classmethod
+    def one(cls, outputs: Sequence[Array]) -> Estimate:
+        """The estimate from outputs for one sample, without a leading axis."""
+        probabilities, *numbers = cls.of_outputs(outputs)
+        return Estimate(probabilities.copy(), *(number.item() for number in numbers))
 
 
 def finite_table(values: ArrayLike, columns: int, what: str, rows: int | None = None) -> Array:
@@ -228,7 +223,7 @@ class Estimator(ContactEstimator):
 
     def _of_one(self, outputs: list[Array]) -> Estimate:
         """The estimate from the graph's outputs for one sample."""
-        return Estimate.of_outputs(outputs)
+        return Estimates.one(outputs)
 
     def _outputs(
         self, tension_difference_n: ArrayLike, joint_command_rad: ArrayLike | None
@@ -283,6 +278,9 @@ class SequenceEstimator(ContactEstimator, ABC):
         """Tension differences count from the next sample on."""
 
     @abstractmethod
+    def _answer(self, inputs: dict[str, Array], time_s: float) -> Estimate:
+        """The contact by checked inputs (1, …) at a time."""
+
     def estimate(
         self,
         tension_difference_n: ArrayLike,
@@ -295,7 +293,16 @@ class SequenceEstimator(ContactEstimator, ABC):
 
         Raises:
             EstimateError: a wrong shape, or numbers that are not finite.
+            EquilibriumError: a simulated arm has no rest where it is set to be.
         """
+        joints = self.metadata.arm.joint_count
+        inputs = {
+            TENSION: self._tensions(tension_difference_n, 1),
+            COMMAND: finite_table(joint_command_rad, joints, "set-point angles", 1),
+            SPEED: finite_table(joint_speed_rad_s, joints, "set-point speeds", 1),
+            ACCELERATION: finite_table(joint_acceleration_rad_s2, joints, "accelerations", 1),
+        }
+        return self._answer(inputs, time_s)
 
     def estimate_sequences(self, sequences: Sequences) -> Estimates:
         """Estimates (S, T) of sequences, the tare being that of the first tick of each.

@@ -1,19 +1,14 @@
 """An estimator with friction, creep and backlash, from a simulation that runs with the arm.
 
 An arm whose readings depend on history is simulated along with the real one, from sample to
-sample, under the load that explains the readings. The contribution of history to the simulated
-readings is subtracted from the real ones. The model file's network, made for the same arm without
-history, answers the difference.
+sample, under the load that explains the readings. What history contributes to them is subtracted
+from the real ones, and the model file's network, made for the same arm without history, answers
+the difference.
 
-A cable that sticks keeps its tension, and its reading may not follow a changed load. The load is
-therefore not sought anew in each sample. It is kept while it explains the readings, and none is
-assumed if none explains them.
-
-The friction state of an arm that has not moved yet is unknown and assumed to be none. Motion
-erases it, so the arm should have moved before it is tared.
-
-The search for a load cannot use the statics of the other models: those are without friction, and
-here readings depend on the friction state.
+A reading may not follow a changed load while a cable sticks. The load is therefore not sought anew
+in each sample: it is kept while it explains the readings, and none is assumed if none explains
+them. No law of equilibrium can find it, as readings depend on the friction state. That of an arm
+that has not moved yet is unknown and assumed to be none.
 """
 
 from __future__ import annotations
@@ -24,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cablesense_base import Array
 from cablesense_sim import kinematics
@@ -39,9 +33,10 @@ from cablesense_training.inference.estimator import (
     NORMAL_95,
     OUTPUTS,
     Estimate,
+    Estimates,
     SequenceEstimator,
-    finite_table,
 )
+from cablesense_training.inference.session import COMMAND, TENSION
 
 if TYPE_CHECKING:
     from cablesense_training.data.sequences import Sequences
@@ -168,11 +163,15 @@ class HistorySimulation:
     def forget(self) -> None:
         """Begin with the next sample, which is one of the unloaded arm."""
         self._arms, self._plain = _Copies(self._arm, 4), _Copies(without_history(self._arm), 1)
-        self._load, self._usual = _NOTHING, 0.0
-        self._history_n = self._none_n = np.zeros(self._arm.cable_count)
         self._hidden_n = np.full((self._arm.segment_count, 4), _PROBE_N)  # ahead, back, aside
-        self._asked = 0
+        self._asked, self._last_s = 0, -np.inf
+        self.tare()
+
+    def tare(self) -> None:
+        """The next sample is one of the unloaded arm, with the history that it has."""
         self._bias_n: Array | None = None
+        self._load, self._usual = _NOTHING, 0.0
+        self._unexplained_n = self._history_n = np.zeros(self._arm.cable_count)
 
     def unloaded(self, time_s: float, command_rad: Array) -> None:
         """The arm is untouched at a command (2N,); differences are relative to its readings.
@@ -180,8 +179,7 @@ class HistorySimulation:
         Raises:
             EquilibriumError: the arm has no rest there.
         """
-        self._load, self._usual = _NOTHING, 0.0
-        self._unexplained_n = np.zeros(self._arm.cable_count)
+        self.tare()
         none = np.zeros((4, self._arm.segment_count, 3))
         bias = self._arms.readings_n(time_s, command_rad, none)[0]
         plain = self._plain.readings_n(time_s, command_rad, none[:1])[0]
@@ -189,20 +187,29 @@ class HistorySimulation:
             self.forget()
             raise EquilibriumError("the arm with its history has no rest at this command")
         self._bias_n, self._none_n = bias - self._predicted_n(command_rad), bias - plain
-        self._history_n = np.zeros_like(bias)
+        self._last_s = -np.inf
 
     def without_n(self, difference_n: Array, time_s: float, command_rad: Array) -> Array:
         """The difference (M,) of readings without the effect of history, at a command (2N,).
 
-        Differences are relative to the tare, and follow commands as unloaded tensions do.
+        Differences are relative to the tare, and follow commands as unloaded tensions do. If the
+        time runs back by over a tick, the history ends and the arm counts as unloaded.
 
         Raises:
             EquilibriumError: the arm has no rest there.
         """
+        if time_s < self._last_s - _TICK_S:
+            self.forget()
         if self._bias_n is None:
             self.unloaded(time_s, command_rad)
-        assert self._bias_n is not None
+        if time_s - self._last_s >= _TICK_S:
+            self._follow(difference_n, time_s, command_rad)
+        return difference_n - self._history_n
+
+    def _follow(self, difference_n: Array, time_s: float, command_rad: Array) -> None:
+        """Simulate up to a sample, under the load that explains it."""
         self._axes = kinematics.segment_rotations(self._mechanism, command_rad)[:, :, 1:]
+        assert self._bias_n is not None
         unloaded_n = self._bias_n + self._predicted_n(command_rad)
         self._now = time_s, command_rad, unloaded_n + self._unexplained_n + difference_n
         load = self._explanation()
@@ -215,34 +222,25 @@ class HistorySimulation:
             self._arms, self._plain, self._load = arms, plain, load
             self._history_n = read - read_plain - self._none_n
             self._unexplained_n = self._unexplained_n - _ABSORBED * (self._now[2] - read)
-        return difference_n - self._history_n
+        self._last_s = time_s
 
     def along_n(self, sequences: Sequences) -> tuple[Array, Array]:
         """Differences (S, T, M) without the effect of history, and hidden forces (S, T), N."""
         freed_n = np.empty_like(sequences.tension_difference_n)
         hidden_n = np.empty(freed_n.shape[:2])
-        tick_s, every = (
-            sequences.protocol.tick_s,
-            max(1, round(_TICK_S / sequences.protocol.tick_s)),
-        )
+        tick_s = sequences.protocol.tick_s
         for number, differences_n in enumerate(sequences.tension_difference_n):
             self.forget()
             before = sequences.before_rad[number]
             for tick, command_rad in enumerate(before, start=-len(before)):
                 self.unloaded(tick * tick_s, command_rad)
-            commands = sequences.joint_command_rad[number]
-            self.unloaded(0.0, commands[0])
-            for tick, command_rad in enumerate(commands):
-                if tick % every == 0:
-                    self.without_n(differences_n[tick], tick * tick_s, command_rad)
-                freed_n[number, tick] = differences_n[tick] - self._history_n
+            self.tare()
+            for tick, command_rad in enumerate(sequences.joint_command_rad[number]):
+                freed_n[number, tick] = self.without_n(
+                    differences_n[tick], tick * tick_s, command_rad
+                )
                 hidden_n[number, tick] = self.hidden_n[0]
         return freed_n, hidden_n
-
-    @property
-    def history_n(self) -> Array:
-        """(M,) effect of history since the tare, as of the last sample."""
-        return self._history_n
 
     @property
     def touched(self) -> bool:
@@ -387,51 +385,25 @@ class HistoryEstimator(SequenceEstimator):
     def __init__(self, path: str | Path, arm: Arm | None = None) -> None:
         super().__init__(path, arm)
         self._simulation = HistorySimulation(self.metadata.arm, self.metadata.tare_samples)
-        self._tared, self._last_s = False, -np.inf
 
     def forget(self) -> None:
         """See the base class; the next sample counts as one of the unloaded arm."""
         self._simulation.forget()
-        self._tared, self._last_s = False, -np.inf
 
     def tare(self) -> None:
         """See the base class; the next sample counts as one of the unloaded arm."""
-        self._tared = False
+        self._simulation.tare()
 
-    def estimate(
-        self,
-        tension_difference_n: ArrayLike,
-        joint_command_rad: ArrayLike,
-        joint_speed_rad_s: ArrayLike,
-        joint_acceleration_rad_s2: ArrayLike,
-        time_s: float,
-    ) -> Estimate:
+    def _answer(self, inputs: dict[str, Array], time_s: float) -> Estimate:
         """See the base class; speeds and accelerations are ignored, as the arm goes by rests.
 
         A contact is answered if the readings require a load, however uncertain its size: its
         interval may begin at zero. Otherwise the interval ends at the force that may act unseen.
-
-        If the time runs back by over a tick, the history ends and the arm counts as unloaded.
-
-        Raises:
-            EstimateError: a wrong shape, or numbers that are not finite.
-            EquilibriumError: the arm has no rest where it is set to be.
         """
-        difference_n = self._tensions(tension_difference_n, 1)[0]
-        joints = self.metadata.arm.joint_count
-        command_rad = finite_table(joint_command_rad, joints, "set-point angles", 1)[0]
-        if time_s < self._last_s - _TICK_S:
-            self.forget()
-        if not self._tared:
-            self._simulation.unloaded(time_s, command_rad)
-            self._tared, self._last_s = True, -np.inf
-        if time_s - self._last_s >= _TICK_S:
-            freed_n = self._simulation.without_n(difference_n, time_s, command_rad)
-            self._last_s = time_s
-        else:
-            freed_n = difference_n - self._simulation.history_n
+        difference_n, command_rad = inputs[TENSION][0], inputs[COMMAND][0]
+        freed_n = self._simulation.without_n(difference_n, time_s, command_rad)
         answers = [each[0] for each in self._batch(freed_n, command_rad)]
-        left = Estimate.of_outputs(answers)
+        left = Estimates.one(answers)
         touched, (along_n, across_n) = self._simulation.touched, self._simulation.hidden_n
         half_n = float(np.hypot(NORMAL_95 * left.magnitude_std_n, along_n))
         middle_n = left.magnitude_n if touched else 0.0

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cablesense_base import Array
 from cablesense_sim.arm import Arm
@@ -23,7 +22,6 @@ from cablesense_training.inference.estimator import (
     Estimates,
     Estimator,
     SequenceEstimator,
-    finite_table,
 )
 from cablesense_training.inference.history_simulation import HistoryEstimator
 from cablesense_training.inference.metadata import ANYWHERE, HISTORY_SIMULATED
@@ -112,42 +110,25 @@ class TemporalEstimator(SequenceEstimator):
         self.forget()
 
     def forget(self) -> None:
-        """Begin without a past."""
+        """See the base class."""
         self._state = np.zeros((1, self.metadata.memory))
         self._last_s: float | None = None
 
     def tare(self) -> None:
-        """Tension differences count from now on; what commands have drawn before stays known."""
+        """See the base class; what commands have drawn before stays known."""
         self._state = self._layout.tared(self._state)
 
-    def estimate(
-        self,
-        tension_difference_n: ArrayLike,
-        joint_command_rad: ArrayLike,
-        joint_speed_rad_s: ArrayLike,
-        joint_acceleration_rad_s2: ArrayLike,
-        time_s: float,
-    ) -> Estimate:
-        """The contact behind tension differences (M,) at a set-point (2N,) in motion or at rest.
+    def _answer(self, inputs: dict[str, Array], time_s: float) -> Estimate:
+        """See the base class.
 
         The state advances by whole ticks of the model, at the model's rate and not at that of the
         samples; one that comes sooner is answered from the state of the last tick and leaves it
         alone. The past ends where time runs back by over half a tick, or leaps by more than
         `LONGEST_GAP_S` and two ticks.
-
-        Raises:
-            EstimateError: a wrong shape, or numbers that are not finite.
         """
         ticks = self._ticks_until(time_s)
         if ticks is None:
             self.forget()
-        joints = self.metadata.arm.joint_count
-        inputs = {
-            TENSION: self._tensions(tension_difference_n, 1),
-            COMMAND: finite_table(joint_command_rad, joints, "set-point angles", 1),
-            SPEED: finite_table(joint_speed_rad_s, joints, "set-point speeds", 1),
-            ACCELERATION: finite_table(joint_acceleration_rad_s2, joints, "accelerations", 1),
-        }
         answers = [self._state]
         for _ in range(ticks or 1):
             answers = self.answers({**inputs, STATE: answers[-1]}, self._stated)
@@ -158,7 +139,7 @@ class TemporalEstimator(SequenceEstimator):
                 self._last_s = time_s
             else:
                 self._last_s += ticks * self.metadata.tick_s
-        return Estimate.of_outputs([answer[0] for answer in answers[:-1]])
+        return Estimates.one([answer[0] for answer in answers[:-1]])
 
     def _ticks_until(self, time_s: float) -> int | None:
         """How many ticks a sample at this time completes; none without a history to continue."""
