@@ -1,8 +1,7 @@
 """Training: one loop for all networks, with Adam, the best weights kept and calibrated spread.
 
-An `Objective` has the data, samples or sequences, split into a part to train on and a held-out
-part, and knows their losses. `fit` trains on the samples of a dataset; `fit_sequences` in its own
-module on sequences in motion. The losses (4) to (8) are those of the paper.
+An `Objective` has the data, split into a part to train on and a held-out part, and knows their
+losses; (4) to (8) are those of the paper. `fit` trains on samples, `fit_sequences` on sequences.
 """
 
 from __future__ import annotations
@@ -214,41 +213,6 @@ class Objective(ABC, Generic[Parts]):
         return FitHistory(tuple(records), best_epoch, time.perf_counter() - start)
 
 
-class PlateauObjective(Objective[Parts]):
-    """Shuffled batches, and a learning rate that falls where the loss no longer does."""
-
-    def __init__(self, network: torch.nn.Module, samples: Parts, settings: FitSettings) -> None:
-        super().__init__(samples, len(samples[0]), settings)
-        self._since_best = 0
-        if trainable := [part for part in network.parameters() if part.requires_grad]:
-            self.optimiser = torch.optim.Adam(trainable, lr=settings.learning_rate)
-            self._scheduler = torch.optim.lr_scheduler.ReduceLROnPlateau(
-                self.optimiser,
-                factor=settings.decay,
-                patience=settings.patience,
-                threshold=settings.tolerance,
-            )
-
-    def batches(self, training: bool) -> Iterator[Parts]:
-        """The data in batches; those to train on in another order each time."""
-        samples = self.training if training else self.held_out
-        count = len(samples[0])
-        if training:
-            order = torch.randperm(count, generator=self.generator)
-            batches = order.split(self.settings.batch_size)
-        else:
-            batches = torch.arange(count).split(ROWS_AT_ONCE)
-        for rows in batches:
-            yield take(samples, rows)
-
-    def end_epoch(self, held_out_loss: float) -> bool:
-        """See the base class."""
-        best = self._scheduler.best
-        self._scheduler.step(held_out_loss)
-        self._since_best = 0 if self._scheduler.best < best else self._since_best + 1
-        return self._since_best >= self.settings.stop_patience
-
-
 @contextmanager
 def torch_threads(count: int) -> Iterator[None]:
     """PyTorch computes on `count` threads in the block."""
@@ -270,12 +234,6 @@ def fit(
 
     A network without trainable parameters is only calibrated: its stated deviations are scaled
     to the held-out errors.
-
-    Args:
-        network: of one contact or of several; the dataset's labels are read accordingly.
-        dataset: samples of the arm that the network is for.
-        settings: how to train; the defaults suit 100,000 samples and two processor cores.
-        on_epoch: called after every epoch.
 
     Raises:
         TrainingError: the dataset does not fit the network, is too small to hold any of it out,
@@ -327,7 +285,7 @@ def require_fitting(network: ContactNetwork, dataset: Dataset) -> None:
 
 def _samples(network: ContactNetwork, dataset: Dataset) -> _TrainingSamples:
     require_fitting(network, dataset)
-    dtype = next(network.parameters()).dtype
+    dtype = network.magnitude.std.dtype
 
     def real(values: object) -> Tensor:
         return torch.as_tensor(values).to(dtype)
@@ -341,19 +299,34 @@ def _samples(network: ContactNetwork, dataset: Dataset) -> _TrainingSamples:
     return _TrainingSamples(real(dataset.tension_difference_n), real(dataset.command_rad), target)
 
 
-class _SampleObjective(PlateauObjective[_TrainingSamples]):
-    """Losses (4) to (8)."""
+class _SampleObjective(Objective[_TrainingSamples]):
+    """Losses (4) to (8), and a learning rate that falls where they no longer do."""
 
     def __init__(self, network: ContactNetwork, dataset: Dataset, settings: FitSettings) -> None:
-        super().__init__(network, _samples(network, dataset), settings)
+        super().__init__(_samples(network, dataset), len(dataset), settings)
         self._network = network
         network.adapt(self.training.tension_difference_n, self.training.target.magnitude_n)
+        self._since_best = 0
+        if trainable := [part for part in network.parameters() if part.requires_grad]:
+            self.optimiser = torch.optim.Adam(trainable, lr=settings.learning_rate)
+            self._scheduler = torch.optim.lr_scheduler.ReduceLROnPlateau(
+                self.optimiser,
+                factor=settings.decay,
+                patience=settings.patience,
+                threshold=settings.tolerance,
+            )
 
     def losses(self, training: bool) -> Iterator[tuple[LossTerms, int]]:
         loss = multi_contact_loss if self._network.several else single_contact_loss
         scale_n = self._network.magnitude.std
         for output, target in self._answers(training):
             yield loss(output, target, scale_n), len(target.magnitude_n)
+
+    def end_epoch(self, held_out_loss: float) -> bool:
+        best = self._scheduler.best
+        self._scheduler.step(held_out_loss)
+        self._since_best = 0 if self._scheduler.best < best else self._since_best + 1
+        return self._since_best >= self.settings.stop_patience
 
     @torch.no_grad()
     def calibrate(self) -> None:
@@ -365,7 +338,16 @@ class _SampleObjective(PlateauObjective[_TrainingSamples]):
                 self._network.spread.factor[column] *= torch.quantile(known, 0.95) / NORMAL_95
 
     def _answers(self, training: bool) -> Iterator[tuple[Any, Any]]:
-        for batch in self.batches(training):
+        """Answers and targets in batches, of the training data in another order each time."""
+        samples = self.training if training else self.held_out
+        count = len(samples.tension_difference_n)
+        if training:
+            order = torch.randperm(count, generator=self.generator)
+            batches = order.split(self.settings.batch_size)
+        else:
+            batches = torch.arange(count).split(ROWS_AT_ONCE)
+        for rows in batches:
+            batch = take(samples, rows)
             yield self._network(batch.tension_difference_n, batch.joint_command_rad), batch.target
 
 

@@ -1,11 +1,8 @@
 """Training of a history-dependent network along sequences in motion.
 
-`SequenceSamples` are sequences as tensors, with the joint torques that statics gives for their
-tensions, and the true ones. The objective carries the network's state from part to part.
-
-`fit_interval` then fits what the network states of its errors, to sequences that were held out:
-two thirds of them train the head; on the others its interval is moved until it holds as often as
-it states, and the probability is found below which a contact is certain.
+The objective carries the network's state from part to part of a sequence. `fit_interval` then fits
+what the network states of its errors to sequences that were held out: two thirds of them train the
+head; on the others its interval is moved until it holds as often as it states.
 """
 
 from __future__ import annotations

@@ -25,28 +25,29 @@ from cablesense_training.data.generation import draw_dataset, generate
 from cablesense_training.data.protocols import protocol_from_options
 from cablesense_training.data.sequences import MotionProtocol, Sequences, draw_sequences
 from cablesense_training.errors import TrainingError
-from cablesense_training.evaluation.anywhere import AnywhereMetrics, evaluate_anywhere
+from cablesense_training.evaluation.anywhere import evaluate_anywhere
+from cablesense_training.evaluation.comparison import WEAKEST_MULTI_N, evaluate_estimator
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
     ContactTruth,
-    MultiContactMetrics,
-    SequenceMetrics,
-    SingleContactMetrics,
     multi_contact_metrics,
     sequence_estimates,
     sequence_metrics,
-    single_contact_metrics,
 )
 from cablesense_training.export import export_model
 from cablesense_training.fit import ROWS_AT_ONCE, FitHistory, FitSettings, OnEpoch, fit
 from cablesense_training.fit_anywhere import fit_anywhere
 from cablesense_training.fit_sequences import fit_sequences
 from cablesense_training.inference.anywhere import AnywhereEstimator
-from cablesense_training.inference.estimator import NORMAL_95
+from cablesense_training.inference.estimator import (
+    NORMAL_95,
+    Estimates,
+    Estimator,
+    MultiEstimator,
+)
 from cablesense_training.inference.history_simulation import HistorySimulation
 from cablesense_training.inference.metadata import (
-    BALANCE_UNITS,
-    SEQUENCE_UNITS,
+    ANYWHERE,
     ModelKind,
     ModelMetadata,
     effect_versions,
@@ -66,9 +67,6 @@ TEST_SEED_OFFSET = 1_000_000
 _JUDGED_SEQUENCES = 12
 """Sequences from which the intervals of a model with a simulated history are found."""
 
-WEAKEST_JUDGED_N = 5.0
-"""Multi-contact recognition is also reported for contacts of at least this force."""
-
 
 @dataclass(frozen=True)
 class TrainingReport:
@@ -79,29 +77,20 @@ class TrainingReport:
         network: its network's name.
         parameters: number of trained numbers.
         history: losses epoch by epoch.
-        single: errors of a single-contact network on samples.
-        multi: errors of a multi-contact network, all contacts counted.
-        multi_firm: the same, contacts below `WEAKEST_JUDGED_N` left out.
-        anywhere: errors of a network of contacts anywhere, one or two at once.
-        motion: errors of a network for sequences.
-        sequences, test_sequences: how many of them it was trained and tested on.
+        errors: on test data, as plain values: of a network on samples by `single`; `multi` and
+            `multi_firm`, contacts below `WEAKEST_MULTI_N` left out; or `anywhere`. Of one on
+            sequences those of `SequenceMetrics`, with the numbers of sequences.
     """
 
     path: Path
     network: str
     parameters: int
     history: FitHistory
-    single: SingleContactMetrics | None = None
-    multi: MultiContactMetrics | None = None
-    multi_firm: MultiContactMetrics | None = None
-    anywhere: AnywhereMetrics | None = None
-    motion: SequenceMetrics | None = None
-    sequences: int = 0
-    test_sequences: int = 0
+    errors: dict[str, Any]
 
     def as_json(self) -> dict[str, Any]:
-        """As plain values; what does not apply to the network is left out, NaN becomes None."""
-        plain: dict[str, Any] = {
+        """As plain values; NaN becomes None."""
+        plain = {
             "out": str(self.path),
             "network": self.network,
             "parameters": self.parameters,
@@ -110,17 +99,8 @@ class TrainingReport:
             "best_epoch": self.history.best_epoch,
             "best_validation": self.history.best_validation,
             "training_seconds": self.history.seconds,
+            **self.errors,
         }
-        for name in ("single", "multi", "multi_firm"):
-            if (metrics := getattr(self, name)) is not None:
-                plain[name] = asdict(metrics)
-        if self.single is not None:
-            plain["single"]["coverage95"] = self.single.coverage95
-        if self.anywhere is not None:
-            plain["anywhere"] = self.anywhere.as_json()
-        if self.motion is not None:
-            plain |= {"sequences": self.sequences, "test_sequences": self.test_sequences}
-            plain |= asdict(self.motion)
         return dict(json.loads(TypeAdapter(dict[str, Any]).dump_json(plain)))  # NaN is null
 
 
@@ -205,38 +185,46 @@ def train_model(
     output_file(path, TrainingError, force=True)
     built = build_network(network, data.arm, settings.seed, data.protocol.tare_samples)
     parameters = sum(p.numel() for p in built.parameters() if p.requires_grad)
-    metadata = _metadata(network, built, data, settings.seed, command)
-    test_seed = data.seed + TEST_SEED_OFFSET
-    errors: dict[str, Any]
-    if isinstance(built, TemporalNetwork):
-        assert isinstance(data, Sequences)
+    if isinstance(data, Sequences):
+        assert isinstance(built, TemporalNetwork)
         history = fit_sequences(built, data, settings, on_epoch)
-        on_trained(built)
-        export_model(built, path, metadata)
+    elif isinstance(built, AnywhereStatics):
+        history = fit_anywhere(built, data, settings.threads)
+    else:
+        assert isinstance(built, ContactNetwork)
+        history = fit(built, data, settings, on_epoch)
+    built.double()
+    on_trained(built)
+    metadata = _metadata(network, built, data, settings.seed, command)
+    export_model(built, path, metadata)
+    test_seed = data.seed + TEST_SEED_OFFSET
+    if isinstance(data, Sequences):
         count = test_samples or max(1, round(TEST_SHARE_OF_SEQUENCES * data.protocol.sequences))
         motion = replace(data.protocol, sequences=count)
         test = draw_sequences(data.arm, motion, test_seed, workers=os.cpu_count() or 1)
         answer = ContactAnswer.of(sequence_estimates(TemporalEstimator.load(path), test))
-        errors = {"motion": sequence_metrics(answer, test)}
-        errors |= {"sequences": len(data), "test_sequences": len(test)}
+        errors = {"sequences": len(data), "test_sequences": len(test)}
+        errors |= asdict(sequence_metrics(answer, test))
     else:
-        assert isinstance(data, Dataset)
-        if isinstance(built, AnywhereStatics):
-            history = fit_anywhere(built, data, settings, on_epoch)
-        else:
-            history = fit(built, data, settings, on_epoch)
-        built.double()
-        on_trained(built)
         protocol = replace(data.protocol, samples=test_samples or TEST_SAMPLES)
         tested = draw_dataset(recipe.drawn_on(data.arm), protocol, test_seed)
-        tested = replace(tested, arm=data.arm)
-        if isinstance(built, AnywhereStatics):
-            export_model(built, path, metadata)
-            errors = {"anywhere": evaluate_anywhere(AnywhereEstimator.load(path), tested)}
-        else:
-            errors = _sample_errors(built, tested)
-            export_model(built, path, metadata)
-    return TrainingReport(path, network, parameters, history, **errors)
+        errors = _sample_errors(path, metadata.kind, replace(tested, arm=data.arm))
+    return TrainingReport(path, network, parameters, history, errors)
+
+
+def _sample_errors(path: Path, kind: ModelKind, test: Dataset) -> dict[str, Any]:
+    """The errors of a `TrainingReport`, of the model in a file on samples."""
+    if kind == ANYWHERE:
+        return {"anywhere": evaluate_anywhere(AnywhereEstimator.load(path), test).as_json()}
+    if kind == "single-contact":
+        metrics = evaluate_estimator(Estimator.load(path), test).metrics
+        return {"single": asdict(metrics) | {"coverage95": metrics.coverage95}}
+    found = MultiEstimator.load(path).estimate_batch(test.tension_difference_n, test.command_rad)
+    judged = test.contacts, test.magnitudes_n, found.probabilities > 0.5, found.magnitude_n
+    return {
+        "multi": asdict(multi_contact_metrics(*judged)),
+        "multi_firm": asdict(multi_contact_metrics(*judged, WEAKEST_MULTI_N)),
+    }
 
 
 def widened_by_history(arm: Arm, seed: int) -> Callable[[ContactNetwork | TemporalNetwork], None]:
@@ -264,20 +252,6 @@ def widened_by_history(arm: Arm, seed: int) -> Callable[[ContactNetwork | Tempor
     return widen
 
 
-def _sample_errors(network: ContactNetwork, test: Dataset) -> dict[str, Any]:
-    """The metrics of a `TrainingReport` on samples."""
-    if not network.several:
-        answer = contact_answer(network, test.tension_difference_n, test.command_rad)
-        metrics = single_contact_metrics(ContactTruth.of(test), answer, test.arm.segment_count)
-        return {"single": metrics}
-    logits, magnitude_n, _ = _outputs(network, test.tension_difference_n, test.command_rad)
-    judged = test.contacts, test.magnitudes_n, logits > 0.0, magnitude_n
-    return {
-        "multi": multi_contact_metrics(*judged),
-        "multi_firm": multi_contact_metrics(*judged, WEAKEST_JUDGED_N),
-    }
-
-
 def _metadata(
     name: str,
     network: ContactNetwork | TemporalNetwork,
@@ -286,19 +260,17 @@ def _metadata(
     command: str,
 ) -> ModelMetadata:
     arm, protocol = data.arm, data.protocol
+    kind: ModelKind = "multi-contact" if network.several else "single-contact"
     of_sequences: dict[str, Any] = {}
-    if isinstance(network, AnywhereStatics):
-        of_sequences["units"] = dict(BALANCE_UNITS)
     if isinstance(network, TemporalNetwork) and isinstance(protocol, MotionProtocol):
         of_sequences = {
             "memory": network.memory,
             "hidden": network.hidden,
             "tick_s": protocol.tick_s,
             "joint_speed_deg_s": protocol.joint_speed_deg_s,
-            "units": dict(SEQUENCE_UNITS),
         }
     return ModelMetadata(
-        kind=_kind(network),
+        kind=ANYWHERE if isinstance(network, AnywhereStatics) else kind,
         network=name,
         arm=arm,
         arm_identity=arm.identity,
@@ -316,26 +288,12 @@ def _metadata(
     )
 
 
-def _kind(network: ContactNetwork | TemporalNetwork) -> ModelKind:
-    if isinstance(network, AnywhereStatics):
-        return "contact-anywhere"
-    return "multi-contact" if network.several else "single-contact"
-
-
 def contact_answer(
     network: ContactNetwork, tension_difference_n: Array, command_rad: Array
 ) -> ContactAnswer:
     """A single-contact network's answers on B samples, (B, M) and (B, 2N); angles in [0, 360)."""
-    logits, direction, magnitude_n, magnitude_std_n, angle_std_deg = _outputs(
-        network, tension_difference_n, command_rad
-    )
-    return ContactAnswer(
-        segment=logits.argmax(axis=1),
-        angle_deg=np.rad2deg(np.arctan2(direction[:, 0], direction[:, 1])) % 360.0,
-        magnitude_n=magnitude_n,
-        magnitude_std_n=magnitude_std_n,
-        angle_std_deg=angle_std_deg,
-    )
+    outputs = _outputs(network, tension_difference_n, command_rad)
+    return ContactAnswer.of(Estimates.of_outputs(outputs))
 
 
 def balance_answer(
@@ -349,7 +307,7 @@ def _outputs(
     network: ContactNetwork, tension_difference_n: Array, command_rad: Array
 ) -> list[Array]:
     """The network's outputs for all samples, in float64."""
-    dtype = next(network.parameters()).dtype
+    dtype = network.magnitude.std.dtype
     tension = torch.as_tensor(tension_difference_n).to(dtype).split(ROWS_AT_ONCE)
     command = torch.as_tensor(command_rad).to(dtype).split(ROWS_AT_ONCE)
     network.eval()

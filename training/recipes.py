@@ -53,12 +53,7 @@ class Recipe:
 _CORRECTED = FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4)
 
 RECIPES: dict[str, Recipe] = {
-    "anywhere": Recipe(
-        "anywhere",
-        AnywhereStatics.for_arm,
-        20_000,
-        FitSettings(epochs=40, batch_size=512, learning_rate=5e-3, stop_patience=8),
-    ),
+    "anywhere": Recipe("anywhere", AnywhereStatics.for_arm, 20_000),
     "closed-form": Recipe("single", plain_closed_form, 20_000),
     "closed-form-corrected": Recipe("single", CorrectedClosedForm.for_arm, 40_000, _CORRECTED),
     HISTORY_SIMULATED: Recipe(

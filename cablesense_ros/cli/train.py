@@ -153,6 +153,6 @@ def train(
             on_epoch=on_epoch,
             on_trained=after,
         )
-    if report.single is not None or report.anywhere is not None:
+    if report.errors.keys() & {"single", "anywhere"}:
         put_simulated_limit(out)
     print_result(f"{network}, arm {description.identity}", report.as_json(), json_output)

@@ -51,16 +51,13 @@ def test_a_model_of_contacts_anywhere_is_written_with_its_limit_and_judged(tmp_p
     assert "commanded_profile" in judged.stdout
 
 
+@pytest.mark.slow  # exports a model
 def test_json_holds_the_figures_and_nothing_else(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "cablesense_training.model_training.export_model",
-        lambda network, path, metadata: path.write_bytes(metadata.command.encode()),
-    )
     monkeypatch.setattr("cablesense_online.misfit_limit.put_simulated_limit", lambda path: None)
     drawn = ("--randomise", "payload,sensor_gain")
     result = _run(*SMALL, *drawn, "--json", "--out", str(tmp_path / "model.onnx"))
     figures = json.loads(result.stdout)
-    command = (tmp_path / "model.onnx").read_text()
+    command = Estimator.load(tmp_path / "model.onnx").metadata.command
     assert command.startswith("cablesense train --arm cdsm --network two-stage --samples 400")
     assert " ".join(drawn) in command
     assert command.endswith("--seed 0 --threads 1 --out model.onnx")

@@ -1,6 +1,6 @@
 """Networks are trained into model files, by recipes that callers can adjust."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 from arm_variants import variant
@@ -57,10 +57,7 @@ def test_the_model_file_answers_as_the_report_says(single, tmp_path):
     found = single_contact_metrics(
         ContactTruth.of(fresh), ContactAnswer.of(answers), ARM.segment_count
     )
-    assert report.single is not None
-    assert found.confusion == report.single.confusion
-    assert found.errors.magnitude_mae_n == pytest.approx(report.single.errors.magnitude_mae_n)
-    assert found.errors.direction_mae_deg == pytest.approx(report.single.errors.direction_mae_deg)
+    assert asdict(found).items() <= report.errors["single"].items()
 
 
 @pytest.mark.slow  # the export of the graph

@@ -20,35 +20,25 @@ FORMAT = "cablesense-model/1"
 UNITS = {
     "tension_difference_n": "N",
     "joint_command_rad": "rad",
+    "joint_speed_rad_s": "rad/s",
+    "joint_acceleration_rad_s2": "rad/s²",
+    "state": "1",
+    "next_state": "1",
     "contact_probability": "1",
     "direction": "1",
     "magnitude_n": "N",
     "magnitude_std_n": "N",
     "angle_std_deg": "deg",
-}
-"""Unit of every input and output."""
-
-BALANCE_UNITS = {
-    "tension_difference_n": "N",
-    "joint_command_rad": "rad",
+    "interval_n": "N",
     "torque_n_m": "N·m",
     "precision": "1/(N·m)²",
     "by_force_m": "m",
     "by_place": "1",
     "by_twist": "1",
     "residual": "1",
+    "taut": "1",
 }
-"""The same of a model of contacts anywhere."""
-
-SEQUENCE_UNITS = {
-    **UNITS,
-    "joint_speed_rad_s": "rad/s",
-    "joint_acceleration_rad_s2": "rad/s²",
-    "interval_n": "N",
-    "state": "1",
-    "next_state": "1",
-}
-"""The same of a model with memory."""
+"""Unit of every input and output that a model may have."""
 
 ModelKind = Literal["single-contact", "multi-contact", "contact-anywhere"]
 ANYWHERE: ModelKind = "contact-anywhere"
@@ -66,8 +56,7 @@ _Finite = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 class MisfitLimit(BaseModel):
     """How far readings may be from the model's estimate, found on simulated healthy arms.
 
-    It is a separate property: putting it in, or another one, leaves all else of a file as it is,
-    and files without it are read as well.
+    It is a property of its own, so that it can be replaced, or be missing.
 
     Attributes:
         largest_misfit: of readings that fit: root mean square of their residual under statics, as
@@ -96,7 +85,7 @@ class ModelMetadata(BaseModel):
         arm: the whole arm description.
         arm_identity: name and hash of that arm.
         cable_names, joint_names: order of the inputs.
-        units: of every input and output.
+        units: of inputs and outputs by their names.
         pose_aware: whether the commanded joint angles are an input.
         pose_range_deg: joint angles within ± this were trained on.
         force_range_n: forces up to this were trained on.

@@ -37,9 +37,8 @@ class Spread(StatedSpread):
     """Standard deviations (B, outputs) from the answering network's hidden features.
 
     The features arrive detached, so the likelihood that trains this head leaves the answers
-    alone. The length of the tension difference joins them, because sensor noise makes directions
-    of weak forces uncertain as its inverse. The likelihood alone does not make 95 % intervals
-    hold where errors have heavy tails; `factor` does.
+    alone. The length of the tension difference joins them: sensor noise makes directions of weak
+    forces uncertain as its inverse.
     """
 
     unit: Tensor
@@ -107,10 +106,9 @@ class LearntNetwork(ContactNetwork):
 class TwoStageNetwork(LearntNetwork):
     """First the contact, then magnitude and direction given the contact; equations (9) to (13).
 
-    With x the standardised tension differences, stage one gives the contact class, whose one-hot
-    code c joins x as input of the trunk φ that magnitude and direction share. In training, too, c
-    is the network's own verdict, so stage two learns from the mistakes that stage one makes in
-    use.
+    Stage one gives the contact class, whose one-hot code joins the standardised tension
+    differences as input of the trunk that magnitude and direction share. In training, too, it is
+    the network's own verdict, so stage two learns from the mistakes of stage one.
     """
 
     def __init__(
@@ -218,11 +216,9 @@ class GatedLayer(nn.Module):
 class ScaleAwareNetwork(SharedBackboneNetwork):
     """Separates the pattern of the tension differences from their size.
 
-    While no cable goes slack, twice the force makes twice the differences: the pattern
-    u = ΔT / |ΔT| holds segment and direction, and the magnitude is |ΔT| times a function of it.
-    Pattern, log |ΔT| and the standardised differences (slack and sensor noise do depend on size)
-    enter one trunk of gated layers; the magnitude's head answers the logarithm of F / |ΔT|, so
-    its error is relative, as the physics is.
+    While no cable goes slack, twice the force makes twice the differences. The pattern ΔT / |ΔT|,
+    log |ΔT| and the standardised differences (slack and sensor noise do depend on size) enter one
+    trunk of gated layers; the magnitude's head answers the logarithm of F / |ΔT|.
     """
 
     def __init__(

@@ -1,13 +1,10 @@
 """Statics on joint torques that a recurrent network has cleared of motion and friction.
 
-Statics turns tensions into torques of the environment on the joints. In motion these include
-inertia. With friction each cable's tension along the arm differs from that at its actuator, by a
-factor that depends on the friction state (equation (2) of the paper). `DrawnCables` follows what
-the commands of the past determine of it. A gated recurrent unit (Cho et al., Learning phrase
-representations using RNN encoder-decoder, 2014) sees that together with every tick's torques,
-tensions and set-points. It keeps the rest of the history in its state, and estimates these
-factors, further offsets of tensions and torques, and their deviations. The contact is then sought
-by statics as in `networks.corrected`, on torques so corrected.
+In motion, torques by statics include inertia. With friction each cable's tension along the arm
+differs from that at its actuator, by a factor that depends on the friction state (equation (2) of
+the paper). A gated recurrent unit (Cho et al., Learning phrase representations using RNN
+encoder-decoder, 2014) keeps this history and estimates the factors, further offsets, and their
+deviations. The contact is then sought by statics on the torques so corrected.
 
 A stop operator follows the cable that is drawn, in units of its give, and stops at -1 and 1
 (Visintin, Differential Models of Hysteresis, 1994, chapter III): the share of its largest friction
@@ -137,15 +134,11 @@ class Statement(NamedTuple):
 class StatedInterval(nn.Module):
     """The statement about an answer: whether it is a contact, and where its force lies.
 
-    Friction makes errors lopsided: a load that falls is read late, one that rises is not. And a
-    network is surer of the data that it has learnt from than of others. After the network is
-    trained, this head is fitted to the errors on held-out data: to the probability of no contact,
-    to the ends of the force's 95 % interval, as quantiles, and to the angle's. It sees the answer
-    alone: probabilities, the force that each segment would have, deviations, and the speed of the
-    set-point. With the network's memory as input it would be too certain.
-
-    Forces are counted by their inverse hyperbolic sine: in newtons below one newton, by their
-    ratios above it.
+    Friction makes errors lopsided: a load that falls is read late, one that rises is not. After
+    the network is trained, this head is fitted to the errors on held-out data: to the probability
+    of no contact, the quantiles of the force, and the angle's. It sees the answer alone: with the
+    network's memory as input it would be too certain. Forces are counted by their inverse
+    hyperbolic sine: in newtons below one newton, by their ratios above it.
 
     Attributes:
         shift: (3,) by which low end, high end and the angle's deviation are moved outwards, until
