@@ -46,12 +46,6 @@ def test_it_counts_what_agrees_with_the_paper_and_with_closed_forms(page):
     assert "0.5 closed form" in text
 
 
-def test_it_stands_alone(page):
-    pictures = [source for source in page.sources if not source.startswith("#")]
-    assert len(pictures) == 1
-    assert pictures[0].startswith("data:image/png;base64,")
-
-
 def test_a_failure_is_stated_at_its_head_and_in_its_place(page):
     assert "One study has failed" in page.text
     assert "the <cable> broke" in page.text

@@ -105,33 +105,6 @@ def test_noise_alone_is_no_contact(untrained):
     assert float((logits.argmax(dim=1) == 0).double().mean()) > 0.98
 
 
-def _mirrored_arm():
-    """Six cables a segment, symmetric left to right."""
-    content = CDSM.model_dump()
-    content["cables"]["per_segment"] = 6
-    content["cables"]["routing_radius_m"] = [0.05, 0.048, 0.046, 0.044]
-    content["cables"]["angle_deg"] = {"first": 0.0, "per_segment": 0.0, "per_cable": 60.0}
-    return type(CDSM).model_validate(content)
-
-
-def test_mirrored_readings_of_a_symmetric_arm_get_mirrored_answers():
-    arm = _mirrored_arm()
-    network = CorrectedClosedForm.for_arm(arm).eval()
-    tension, command, _ = _readings(arm, 50, seed=5)
-    cable = np.arange(arm.cable_count)
-    partner = cable - cable % 6 + (-cable) % 6
-    mirror = torch.tensor([1.0, -1.0] * arm.segment_count, dtype=torch.float64)
-    with torch.no_grad():
-        here = network(tension, command)
-        there = network(tension[:, partner], command * mirror)
-    torch.testing.assert_close(there.contact_logits, here.contact_logits, atol=1e-5, rtol=1e-6)
-    torch.testing.assert_close(there.magnitude_n, here.magnitude_n, atol=1e-5, rtol=1e-6)
-    turned = here.direction * torch.tensor([-1.0, 1.0])
-    torch.testing.assert_close(there.direction, turned, atol=1e-5, rtol=1e-6)
-    torch.testing.assert_close(there.magnitude_std_n, here.magnitude_std_n)
-    torch.testing.assert_close(there.angle_std_deg, here.angle_std_deg)
-
-
 def test_what_sensors_make_of_tensions_is_undone():
     wrong = (
         ListedEffect(effect="sensor_gain", at="cable_7", parameters={"gain": 0.3}),

@@ -35,7 +35,7 @@ def _metadata(**changes):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["closed-form-corrected", "scale-aware", "multi-contact"])
+@pytest.mark.parametrize("name", ["closed-form-corrected", "multi-contact"])
 def test_the_file_answers_as_pytorch_does_and_names_no_path_of_this_machine(name, tmp_path):
     network = build_network(name, CDSM)
     several = network.several

@@ -1,17 +1,15 @@
 """Training along sequences, and the interval that is stated of the answers."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from cablesense_sim.arm import open_arm
+from cablesense_training import fit_sequences
 from cablesense_training.data.sequences import MotionProtocol, draw_sequences
 from cablesense_training.fit import FitSettings, SingleContactTarget
-from cablesense_training.fit_sequences import (
-    Answered,
-    SequenceSamples,
-    fit_interval,
-    fit_sequences,
-)
+from cablesense_training.fit_sequences import Answered, SequenceSamples, fit_interval
 from cablesense_training.networks.layers import SingleContactOutput
 from cablesense_training.networks.temporal import StatedInterval, TemporalNetwork
 
@@ -19,12 +17,12 @@ pytestmark = pytest.mark.slow
 
 
 ARM = open_arm("cdsm_friction")
-SETTINGS = FitSettings(epochs=8, batch_size=8, learning_rate=3e-3, part_ticks=50, threads=1)
+SETTINGS = FitSettings(epochs=4, batch_size=8, learning_rate=3e-3, part_ticks=50, threads=1)
 
 
 @pytest.fixture(scope="module")
 def sequences():
-    return draw_sequences(ARM, MotionProtocol(sequences=12, duration_s=3.0), seed=0)
+    return draw_sequences(ARM, MotionProtocol(sequences=8, duration_s=2.0), seed=0)
 
 
 def _network():
@@ -41,20 +39,23 @@ def test_true_torques_are_those_of_statics_where_nothing_touches(sequences):
     assert off.max() > 0.2  # friction
 
 
-def test_the_loss_falls_and_the_best_epoch_is_kept_and_calibrated(sequences):
+def test_the_loss_falls_and_the_best_epoch_is_kept_and_calibrated(sequences, monkeypatch):
+    monkeypatch.setattr(fit_sequences, "_STEPS", 50)
     network, seen = _network(), []
-    history = fit_sequences(network, sequences, SETTINGS, seen.append)
-    assert [record.epoch for record in seen] == list(range(1, 9))
+    history = fit_sequences.fit_sequences(network, sequences, SETTINGS, seen.append)
+    assert [record.epoch for record in seen] == list(range(1, 5))
     assert history.best_validation == min(record.validation for record in seen)
     assert history.best_validation < seen[0].validation
     assert 0.0 <= network.interval.surely < 1.0
 
 
-def test_the_same_seed_gives_the_same_network(sequences):
-    short = FitSettings(epochs=1, batch_size=8, learning_rate=3e-3, threads=1)
+def test_the_same_seed_gives_the_same_network(sequences, monkeypatch):
+    monkeypatch.setattr(fit_sequences, "_STEPS", 20)
     first, second = _network(), _network()
     for network in (first, second):
-        fit_sequences(network, sequences.select(slice(0, 6)), short)
+        fit_sequences.fit_sequences(
+            network, sequences.select(slice(0, 4)), replace(SETTINGS, epochs=1)
+        )
     for here, there in zip(first.parameters(), second.parameters(), strict=True):
         torch.testing.assert_close(here, there, rtol=0.0, atol=0.0)
 

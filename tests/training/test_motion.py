@@ -8,6 +8,7 @@ import pytest
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_training.data import sequences
 from cablesense_training.data.dataset import contact_forces_n
 from cablesense_training.data.sequences import (
     STEP_S,
@@ -75,7 +76,7 @@ def test_free_ticks_have_no_force_and_contacts_stay_within_the_range():
 pytestmark = pytest.mark.slow
 
 CDSM, FRICTION = open_arm("cdsm"), open_arm("cdsm_friction")
-SHORT = MotionProtocol(sequences=2, duration_s=4.0, noise=False)
+SHORT = MotionProtocol(sequences=2, duration_s=3.0, noise=False)
 
 
 @pytest.fixture(scope="module")
@@ -85,27 +86,17 @@ def in_time():
 
 @pytest.fixture(scope="module")
 def with_friction():
-    return draw_sequences(FRICTION, replace(SHORT, duration_s=6.0), seed=1)
+    return draw_sequences(FRICTION, replace(SHORT, duration_s=5.0), seed=1)
 
 
-def _statics_n(sequences):
+def _statics_n(drawn):
     """(S, T, M) differences that an arm without friction has at rest in every set-point."""
-    mechanism = mechanism_of(sequences.arm)
-    differences = []
-    for command, segment, angle, magnitude in zip(
-        sequences.joint_command_rad,
-        sequences.segment,
-        sequences.angle_deg,
-        sequences.magnitude_n,
-        strict=True,
-    ):
-        here = segment[:, None] == np.arange(1, mechanism.segment_count + 1)
-        forces = contact_forces_n(
-            mechanism, command, here * angle[:, None], here * magnitude[:, None]
-        )
-        loaded = solve_equilibrium(mechanism, command, forces).tensions_n
-        differences.append(loaded - solve_equilibrium(mechanism, command).tensions_n)
-    return np.stack(differences)
+    mechanism, command = mechanism_of(drawn.arm), drawn.joint_command_rad
+    here = drawn.segment[..., None] == np.arange(1, mechanism.segment_count + 1)
+    angles, magnitudes = here * drawn.angle_deg[..., None], here * drawn.magnitude_n[..., None]
+    forces = contact_forces_n(mechanism, command, angles, magnitudes)
+    unloaded = solve_equilibrium(mechanism, command).tensions_n
+    return solve_equilibrium(mechanism, command, forces).tensions_n - unloaded
 
 
 def test_at_rest_and_under_a_steady_load_tensions_are_those_of_statics(in_time):
@@ -133,8 +124,9 @@ def test_friction_leaves_a_difference_at_rest_that_depends_on_the_past(with_fric
     assert np.median(off[later]) > 0.5
 
 
-def test_workers_and_seed_change_nothing_and_everything():
-    protocol = replace(SHORT, sequences=33, duration_s=0.1)
+def test_workers_and_seed_change_nothing_and_everything(monkeypatch):
+    monkeypatch.setattr(sequences, "_BLOCK_SEQUENCES", 1)
+    protocol = replace(SHORT, duration_s=0.1)
     one, two = (draw_sequences(FRICTION, protocol, 7, workers=workers) for workers in (1, 2))
     np.testing.assert_array_equal(one.tension_difference_n, two.tension_difference_n)
     other = draw_sequences(FRICTION, protocol, 8)

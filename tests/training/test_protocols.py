@@ -85,11 +85,6 @@ def test_multi_contact_draws_every_set_of_segments():
         assert kstest(cases.angles_deg[touched, n], "uniform", args=(0.0, 360.0)).pvalue > 1e-3
 
 
-def test_multi_contact_keeps_to_its_highest_number():
-    contacts = cases_of(MultiContact(max_contacts=2)).contacts
-    assert contacts.sum(axis=1).max() == 2
-
-
 def test_multi_contact_refuses_more_contacts_than_segments():
     with pytest.raises(DatasetError, match="the arm has 4 segments"):
         cases_of(MultiContact(max_contacts=5))
@@ -116,11 +111,6 @@ def test_anywhere_draws_places_and_axial_shares_evenly_and_every_pair():
                 assert kstest(values, "uniform", args=(low, span)).pvalue > 1e-3
     first, second = cases.magnitudes_n[number == 2][cases.contacts[number == 2]].reshape(-1, 2).T
     assert abs(np.corrcoef(first, second)[0, 1]) < 0.1
-
-
-def test_an_arm_of_one_segment_has_one_contact_anywhere():
-    cases = cases_of(AnywhereContact(two_contacts_fraction=1.0), segments=1)
-    assert cases.contacts.mean() == pytest.approx(0.5, abs=0.01)
 
 
 def test_seeds_differ_and_chunks_continue_one_sequence():

@@ -100,20 +100,6 @@ def test_parts_agree_with_the_whole_for_any_graph(model, seed, holds):
     assert holds or parts.held is None
 
 
-def test_each_operator_is_in_the_part_that_runs_least_often():
-    nodes = [
-        helper.make_node("Cos", [COMMAND], ["cosine"]),
-        helper.make_node("Sign", [TENSION], ["sign"]),
-        helper.make_node("Tanh", ["sign"], ["bent"]),
-        helper.make_node("Mul", ["bent", "cosine"], ["scaled"]),
-        helper.make_node("Add", ["scaled", TENSION], ["sum"]),
-        helper.make_node("Sub", ["sum", "sign"], ["rest"]),
-    ]
-    parts = split_graph(_model(nodes, ["rest", "sign"]), TENSION, "sign")
-    names = [[node.op_type for node in part.graph.node] for part in parts]
-    assert names == [["Cos"], ["Tanh", "Mul"], ["Sign", "Add", "Sub"]]
-
-
 def test_the_shipped_model_is_split_and_one_of_tensions_alone_is_not():
     rng = np.random.default_rng(1)
     samples = {TENSION: rng.normal(0.0, 30.0, (50, 12)), COMMAND: rng.uniform(-0.3, 0.3, (50, 8))}
