@@ -39,6 +39,7 @@ from cablesense_training.data.protocols import (
     CHUNK_SAMPLES,
     NOISE,
     REDRAW,
+    Cases,
     Protocol,
     chunk_sizes,
     drawn_entries,
@@ -219,36 +220,26 @@ class _Resting:
             EquilibriumError: more cases than `allowed` have none.
         """
         cases = self._protocol.cases(self.reach_m, points)
-        command, contacts, angles, magnitudes, drawn_m, along = cases
-        forces = contact_forces_n(self._mechanism, command, angles, magnitudes, along)
-        places = drawn_m if self._protocol.anywhere else None
         if not self._listed and self._protocol.randomise is None:
-            touched = np.flatnonzero(contacts.any(axis=1))
-            return self._without_effects(command, forces, places, touched, allowed)
+            return self._without_effects(cases, allowed)
         found = np.empty((3, len(points), self._mechanism.cable_count))
         blocks = rows // _BLOCK_SAMPLES
         for block in np.unique(blocks):
             own = np.flatnonzero(blocks == block)
-            found[:, own] = self._block(
-                int(block),
-                rows[own] % _BLOCK_SAMPLES,
-                command[own],
-                forces[own],
-                None if places is None else places[own],
-                allowed,
-            )
+            of_block = Cases(*(part[own] for part in cases))
+            found[:, own] = self._block(int(block), rows[own] % _BLOCK_SAMPLES, of_block, allowed)
             allowed -= int(np.isnan(found[0, own, 0]).sum())
         return found
 
-    def _without_effects(
-        self,
-        command: Array,
-        forces: Array,
-        places_m: Array | None,
-        touched: NDArray[np.int64],
-        allowed: int,
-    ) -> Array:
-        mechanism = self._mechanism
+    def _loads(self, cases: Cases) -> tuple[Array, Array | None]:
+        """Forces (B, N, 3), and their places (B, N) if these are not the arm's contact points."""
+        command, _, angles, magnitudes, places_m, along = cases
+        forces = contact_forces_n(self._mechanism, command, angles, magnitudes, along)
+        return forces, places_m if self._protocol.anywhere else None
+
+    def _without_effects(self, cases: Cases, allowed: int) -> Array:
+        mechanism, command = self._mechanism, cases.command_rad
+        forces, places_m = self._loads(cases)
 
         def at_rest(command: Array, forces: Array, places_m: Array | None = None) -> Array:
             def tensions_n(rows: NDArray[np.int64]) -> Array:
@@ -263,22 +254,15 @@ class _Resting:
         poses = command if self._protocol.pose == "random" else command[:1]
         unloaded = np.empty((len(command), mechanism.cable_count))
         unloaded[:] = at_rest(poses, np.zeros((len(poses), *forces.shape[1:])))
-        loaded = unloaded.copy()
+        loaded, touched = unloaded.copy(), np.flatnonzero(cases.contacts.any(axis=1))
         at_m = None if places_m is None else places_m[touched]
         loaded[touched] = at_rest(command[touched], forces[touched], at_m)
         return np.stack([loaded, unloaded, loaded])
 
-    def _block(
-        self,
-        block: int,
-        members: NDArray[np.int64],
-        command: Array,
-        forces: Array,
-        places_m: Array | None,
-        allowed: int,
-    ) -> Array:
+    def _block(self, block: int, members: NDArray[np.int64], cases: Cases, allowed: int) -> Array:
         """Some `members` of a block, on the arm that was drawn for it or is now."""
         mechanism, randomise = self._mechanism, self._protocol.randomise
+        command, (forces, places_m) = cases.command_rad, self._loads(cases)
 
         def readings(rows: NDArray[np.int64]) -> Array:
             entries, whole = self._arms[block]
