@@ -8,15 +8,14 @@ deviations.
 
 from __future__ import annotations
 
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from cablesense_sim.arm import Arm
 from cablesense_training.networks.closed_form import ClosedForm
-from cablesense_training.networks.layers import ContactNetwork, StatedSpread
-from cablesense_training.networks.statics import statics
+from cablesense_training.networks.layers import StatedSpread
+from cablesense_training.networks.statics import StaticsNetwork
 
 
 class ContactBalance(NamedTuple):
@@ -35,36 +34,19 @@ class ContactBalance(NamedTuple):
     taut: Tensor
 
 
-class AnywhereStatics(ContactNetwork):
-    """The balance of tension differences (B, M) at joint commands (B, 2N), in float64.
-
-    Args:
-        closed_form: statics of the arm.
-    """
-
-    pose_aware: ClassVar[bool] = True
+class AnywhereStatics(StaticsNetwork):
+    """The balance of tension differences (B, M) at joint commands (B, 2N)."""
 
     def __init__(self, closed_form: ClosedForm) -> None:
-        kinematics = closed_form.kinematics
-        super().__init__(kinematics.cable_count, kinematics.segment_count)
-        self.closed_form = closed_form
+        super().__init__(closed_form)
         self.spread = StatedSpread(1)
         self.double()
-
-    @classmethod
-    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> AnywhereStatics:
-        """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
-        return cls(statics(arm, tare_samples))
-
-    def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
-        """Nothing is scaled: torques count in their own standard deviations."""
 
     def forward(
         self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
     ) -> ContactBalance:
         """See the base class; the commanded angles are needed."""
-        assert joint_command_rad is not None
-        found = self.closed_form(tension_difference_n.double(), joint_command_rad.double())
+        found = self.balance(tension_difference_n, joint_command_rad)
         jacobian, variance_n2 = found.jacobian_t_m, self.closed_form.reading_variance_n2
         # variance of a cable's tension in the pose, over that of a reading
         leverage = variance_n2 * (jacobian * (found.precision @ jacobian)).sum(1)

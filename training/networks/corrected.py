@@ -20,49 +20,30 @@ from cablesense_training.inference.history_simulation import depends_on_history,
 from cablesense_training.inference.metadata import HISTORY_SIMULATED
 from cablesense_training.networks.closed_form import ClosedForm, inverse
 from cablesense_training.networks.layers import (
-    ContactNetwork,
     MultiContactOutput,
     SingleContactOutput,
     StatedSpread,
     perceptron,
 )
-from cablesense_training.networks.statics import statics
+from cablesense_training.networks.statics import StaticsNetwork, statics
 
 LARGEST_CORRECTION = 1.0
 """In standard deviations of the closed form."""
 
 
-class CorrectedClosedForm(ContactNetwork):
-    """Single contact from tension differences (B, M) and joint commands (B, 2N), in float64.
-
-    Args:
-        closed_form: statics of the arm.
-    """
-
-    pose_aware: ClassVar[bool] = True
+class CorrectedClosedForm(StaticsNetwork):
+    """Single contact from tension differences (B, M) and joint commands (B, 2N)."""
 
     def __init__(self, closed_form: ClosedForm, width: int = 48) -> None:
-        cables = closed_form.kinematics.cable_count
-        segments = closed_form.kinematics.segment_count
-        super().__init__(cables, segments)
-        self.closed_form = closed_form
+        super().__init__(closed_form)
         self.spread = StatedSpread(2)
         self.log_trust = nn.Parameter(torch.zeros(()))
-        self.segment_bias = nn.Parameter(torch.zeros(segments))
-        self.hidden = nn.Linear(cables, width)
-        self.hidden_segment = nn.Parameter(0.1 * torch.randn(segments, width))
+        self.segment_bias = nn.Parameter(torch.zeros(self.segment_count))
+        self.hidden = nn.Linear(self.cable_count, width)
+        self.hidden_segment = nn.Parameter(0.1 * torch.randn(self.segment_count, width))
         self.heads = nn.Linear(width, 4, bias=False)
         nn.init.zeros_(self.heads.weight)
         self.double()
-
-    @classmethod
-    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> CorrectedClosedForm:
-        """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
-        return cls(statics(arm, tare_samples))
-
-    def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
-        """Only the loss needs a scale, and counts magnitudes in the sensors' own noise."""
-        self.magnitude.std.fill_(self.closed_form.reading_variance_n2**0.5)
 
     def forward(
         self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
@@ -74,8 +55,7 @@ class CorrectedClosedForm(ContactNetwork):
         self, tension_difference_n: Tensor, joint_command_rad: Tensor | None
     ) -> tuple[SingleContactOutput, Tensor]:
         """The answers, and (B, M) one for each taut cable and zero for each slack one."""
-        assert joint_command_rad is not None
-        balance = self.closed_form(tension_difference_n.double(), joint_command_rad.double())
+        balance = self.balance(tension_difference_n, joint_command_rad)
         candidates = self.closed_form.candidates(balance)
         evidence = candidates.log_evidence(torch.exp(self.log_trust)) + self.segment_bias
         found = candidates.likeliest(evidence)
@@ -125,50 +105,35 @@ _FORCE_SCALE_N = 60.0
 _WEAKEST_N = 1e-3
 
 
-class MultiContactClosedForm(ContactNetwork):
-    """Which segments are touched, and how hard, for tension differences and commands, float64.
+class MultiContactClosedForm(StaticsNetwork):
+    """Which segments are touched, and how hard, for tension differences and commands.
 
     N segments with two force components each are 2N unknowns for 2N joint torques: solvable,
     without redundancy. A segment is touched where its force is too large for its own uncertainty.
     A second fit, over the touched segments alone, has redundancy again and is more precise.
-
-    Args:
-        closed_form: statics of the arm.
     """
 
     several: ClassVar[bool] = True
-    pose_aware: ClassVar[bool] = True
+    exact: ClassVar[bool] = True
 
     def __init__(self, closed_form: ClosedForm, width: int = 32) -> None:
-        cables = closed_form.kinematics.cable_count
-        segments = closed_form.kinematics.segment_count
-        super().__init__(cables, segments)
+        super().__init__(closed_form)
+        segments = self.segment_count
         self.spread = StatedSpread(segments)
-        self.closed_form = closed_form
         self.trust = nn.Parameter(torch.full((segments,), 0.5))
         self.bias = nn.Parameter(torch.full((segments,), -6.0))
-        self.widen = perceptron(2 * segments + cables, (width,))
+        self.widen = perceptron(2 * segments + self.cable_count, (width,))
         self.log_widen = nn.Linear(width, segments)
         nn.init.zeros_(self.log_widen.weight)
         nn.init.zeros_(self.log_widen.bias)
         self.double()
 
-    @classmethod
-    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> MultiContactClosedForm:
-        """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
-        return cls(statics(arm, tare_samples, exact=True))
-
-    def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
-        """Only the loss needs a scale, and counts magnitudes in the sensors' own noise."""
-        self.magnitude.std.fill_(self.closed_form.reading_variance_n2**0.5)
-
     def forward(
         self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
     ) -> MultiContactOutput:
         """See the base class; the commanded angles are needed."""
-        assert joint_command_rad is not None
         n = self.segment_count
-        balance = self.closed_form(tension_difference_n.double(), joint_command_rad.double())
+        balance = self.balance(tension_difference_n, joint_command_rad)
         lever = self.closed_form.contact_levers(balance).reshape(-1, 2 * n, 2 * n)
         weighted = lever @ balance.precision
         information = weighted @ lever.transpose(1, 2)

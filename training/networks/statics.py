@@ -1,4 +1,4 @@
-"""The closed form that suits an arm file, and what of the arm's effects it cannot carry.
+"""The closed form that suits an arm file, the networks on it, and effects it cannot carry.
 
 The closed form contains the effects on the arm itself: masses, stiffness, holes, springs, contact
 points, while the actuators hold the lengths of the arm without them. `unreading` undoes what
@@ -8,7 +8,10 @@ effects and the actuators; they count as spread of the readings.
 
 from __future__ import annotations
 
+from typing import ClassVar, Self
+
 import numpy as np
+from torch import Tensor
 
 from cablesense_base import Array
 from cablesense_sim.arm import Arm
@@ -20,7 +23,8 @@ from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.history import sensed_along_n
 from cablesense_training.data.protocols import SingleContact
-from cablesense_training.networks.closed_form import ClosedForm, pose_corrections_for
+from cablesense_training.networks.closed_form import Balance, ClosedForm, pose_corrections_for
+from cablesense_training.networks.layers import ContactNetwork
 from cablesense_training.networks.near_command import NearCommand
 
 _JUDGED_SAMPLES, _BORNE_BENT = 256, 0.5
@@ -66,6 +70,42 @@ def statics(
         held_by=None if own_lengths else nominal,
         unread=unreading(arm),
     )
+
+
+class StaticsNetwork(ContactNetwork):
+    """A network on the closed form of an arm, in float64.
+
+    Args:
+        closed_form: statics of the arm.
+
+    Attributes:
+        exact: whether that is never expanded near the command.
+    """
+
+    pose_aware: ClassVar[bool] = True
+    exact: ClassVar[bool] = False
+
+    def __init__(self, closed_form: ClosedForm) -> None:
+        kinematics = closed_form.kinematics
+        super().__init__(kinematics.cable_count, kinematics.segment_count)
+        self.closed_form = closed_form
+
+    @classmethod
+    def for_arm(cls, arm: Arm, tare_samples: int = 50) -> Self:
+        """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
+        return cls(statics(arm, tare_samples, exact=cls.exact))
+
+    def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
+        """Only the loss needs a scale, and counts magnitudes in the sensors' own noise."""
+        self.magnitude.std.fill_(self.closed_form.reading_variance_n2**0.5)
+
+    def balance(self, tension_difference_n: Tensor, joint_command_rad: Tensor | None) -> Balance:
+        """Statics of tension differences (B, M) at joint commands (B, 2N)."""
+        assert joint_command_rad is not None
+        found: Balance = self.closed_form(
+            tension_difference_n.double(), joint_command_rad.double()
+        )
+        return found
 
 
 def unexplained_variance_n2(arm: Arm) -> float:
