@@ -1,7 +1,7 @@
 """Calibration of the statics of contacts anywhere, at the level of torques.
 
 The known contacts explain a part of the torques that tensions show. The residual is noise of the
-stated precision, if that is right. Where it is more, the stated deviations are widened.
+stated precision, if that is right. The stated deviations are widened where the residual is larger.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from cablesense_training.networks.anywhere import AnywhereStatics, ContactBalanc
 _CALIBRATED_AT = 0.95
 """The share of samples whose misfit is made that of noise."""
 _LEAST_DETERMINED = 0.1
-"""Where the taut cables' least squared lever is below this share of the median, the pose shows
-what no cable measures."""
+"""Share of the median of the taut cables' least squared lever; below it, the pose shows what no
+cable measures."""
 
 
 def fit_anywhere(network: AnywhereStatics, dataset: Dataset, threads: int = 2) -> FitHistory:

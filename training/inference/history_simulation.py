@@ -1,14 +1,14 @@
 """An estimator with friction, creep and backlash, from a simulation that runs with the arm.
 
 An arm whose readings depend on history is simulated along with the real one, from sample to
-sample, under the load that explains the readings. What history contributes to them is subtracted
-from the real ones, and the model file's network, made for the same arm without history, answers
-the difference.
+sample, under the load that explains the readings. The part of history in the simulated readings is
+subtracted from the real ones, and the model file's network, made for the same arm without history,
+answers the difference.
 
 A reading may not follow a changed load while a cable sticks. The load is therefore not sought anew
 in each sample: it is kept while it explains the readings, and none is assumed if none explains
-them. No law of equilibrium can find it, as readings depend on the friction state. That of an arm
-that has not moved yet is unknown and assumed to be none.
+them. No law of equilibrium can find it, as readings depend on the friction state. An arm that has
+not moved yet is assumed to have none.
 """
 
 from __future__ import annotations

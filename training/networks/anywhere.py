@@ -19,7 +19,7 @@ from cablesense_training.networks.statics import StaticsNetwork
 
 
 class ContactBalance(NamedTuple):
-    """What the model gives for B samples: a part of `Balance`, with residuals for `missing_m`.
+    """The model's outputs for B samples: a part of `Balance`, with residuals for `missing_m`.
 
     Attributes:
         residual: (B, M) readings minus the tensions of the pose, in standard deviations.

@@ -82,8 +82,8 @@ class Balance(NamedTuple):
             the axes of the segment at the commanded angles.
         by_place: (B, N, 3, 2N) their derivative by the place on the segment.
         by_twist: (B, N, 2N) torques of unit moments about the axes of the segments.
-        missing_m: (B, M) stretch by the readings, less that by the pose. Of a slack cable it is
-            zero, unless the cable would be taut in the pose.
+        missing_m: (B, M) stretch by the readings, less that by the pose; zero for a slack cable,
+            unless it would be taut in the pose.
         taut: (B, M) one for taut cables, zero for slack ones.
         tension_n: (B, M) tensions that the torques were made of.
         jacobian_t_m: (B, 2N, M) torques that one newton in each cable makes.

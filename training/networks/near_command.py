@@ -2,9 +2,9 @@
 
 On a stiff arm the joints deflect by a few milliradians. `ClosedForm` computes everything anew at
 the true pose; here it is expanded about the commanded one. Kinematics are linear in the joints'
-give, and cable lengths quadratic. What the expansion consists of depends on the command alone,
-and the matrices that give the pose on that and on which cables are taut: an estimator computes
-both as seldom as they change (`inference.session`).
+give, and cable lengths quadratic. The expansion depends on the command alone, and the matrices
+that give the pose depend on that and on which cables are taut: an estimator computes both as
+seldom as they change (`inference.session`).
 """
 
 from __future__ import annotations
