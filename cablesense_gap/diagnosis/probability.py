@@ -5,23 +5,18 @@ The log weight of an explanation with k effects and n sizes is
     log w = -κ log(excess) - τ log(s / m) - π_1 - (k - 1) (π_2 - π_1) - ν n - surprise
 
 `excess` is the RMS residual on held-out trials beyond the sensors' floor. s is the sum of squares
-of the m tolerances in standard deviations, at least m: tolerances are rarely many deviations off.
-`surprise` is the cost of implausible sizes and places, where a kind of machine has one.
+of the m tolerances in standard deviations, at least m. `surprise` is the cost of implausible sizes
+and places, where a kind of machine has one. Tolerances alone have their own power κ₀ beyond the
+least excess that can be resolved. An unlisted effect is weighed as if the best listed one imitated
+it, down to a share φ of the gap, and to γ floors if the gap is small (docs/diagnosis_method.md):
 
-Tolerances alone have their own power κ₀, because a plain gap rules them out:
-
-    log w = -κ log(least) - κ₀ log(excess / least) - τ log(s / m)
-
-`least` is the excess that can be resolved. An unlisted effect is weighed as if the best listed one
-imitated it, down to a share φ of the gap, and to γ floors if the gap is small:
-
-    log w = -κ log √((φ · excess of none)² + (γ σ₀)²) - π_unknown
+    log w = -κ log(least) - κ₀ log(excess / least) - τ log(s / m)                    for none
+    log w = -κ log √((φ · excess of none)² + (γ σ₀)²) - π_unknown                    for unknown
 
 `benchmarks/gap_calibration.py` fits these numbers to simulated cases by their mean log
-probability, so the probabilities are calibrated.
-
-Two effects are alike if one can imitate the other's change of the readings with free numbers, and
-with tolerances as far as manufacturing allows.
+probability, so the probabilities are calibrated. Two effects are alike if one can imitate the
+other's change of the readings with free numbers, and with tolerances as far as manufacturing
+allows.
 """
 
 from __future__ import annotations

@@ -1,20 +1,6 @@
 """The protocol: poses, loads and holds to record, so that effects can be distinguished.
 
-Purpose of each part:
-
-- load cycles on every segment from several sides, straight and bent: scale and crosstalk of the
-  sensors, stiffness, hole geometry, where the loads act, and the loop that friction opens between
-  loading and unloading; loads near the joint, in the middle and far out on each segment, whose
-  moments about the nearest joints differ while the force is the same;
-- slackening cycles: a cable gone slack shows its sensor's zero, and which one goes first shows
-  how the others share pretension and weight; taut cables distinguish these less well;
-- pose sweeps: weight and level of the base against springs and friction of joints, and of guides;
-  each joint alone, and all at once so that every joint's response is in several trials;
-- small reversals: the lost motion of actuators, which larger motion hides;
-- a long hold, then a long release: creep, which a load starts and its end turns back, against
-  drift, which does neither;
-- steps: the lag of the sensors' filters;
-- one rest pose at the start, in the middle and at the end: zeros and pretension, and their drift.
+docs/recordings.md says which effects each part shows.
 """
 
 from __future__ import annotations

@@ -1,14 +1,4 @@
-"""One recording of an arm, as arrays, and the trials of one that names none.
-
-A new trial begins at each of these rows:
-
-- after a gap in time;
-- where the command starts to move after standing still;
-- where a load starts after a rest without load, on another segment than the last load, at another
-  place of it, or from another side.
-
-The arm unloaded again belongs to the trial of the load before: it shows what the load left behind.
-"""
+"""One recording of an arm, as arrays, and the trials of one that names none."""
 
 from __future__ import annotations
 
@@ -128,7 +118,12 @@ def derive_trials(
     load_n: Array,
     load_at_m: Array | None = None,
 ) -> NDArray[np.int64]:
-    """Trial (R,) of each row, from 0, of rows as in a `Recording`."""
+    """Trial (R,) of each row, from 0, of rows as in a `Recording`.
+
+    One begins after a gap in time, where the command starts to move after standing still, and
+    where a load starts after a rest, on another segment, at another place or from another side.
+    The arm unloaded again belongs to the trial of the load before, which it may still show.
+    """
     if len(time_s) == 0:
         return np.zeros(0, dtype=np.int64)
     intervals = np.diff(time_s)

@@ -1,19 +1,9 @@
-"""The rows of a long recording that a diagnosis works on.
+"""The rows of a long recording that a diagnosis works on (docs/diagnosis_method.md).
 
-Its time and memory grow with rows and trials, and neighbouring rows of a fast recording say the
-same. Rows are chosen, never averaged, because the noise of a reading must stay that of the
-sensors. Kept are
-
-- of each trial the first row and the last,
-- rows where the command or the load turns back, and both sides of their leaps: the
-  states of friction, backlash and creep are set there,
-- of all others as many as there is room for, at equal distances in their order.
-
-A turn or leap counts from a hundredth of the recording's largest on, and from twice as much as
-often as there are too many for half of the room. If there are too many trials, whole ones are
-left out.
-
-Fewer rows suffice to choose among effects that depend on the past (`rows_along_path`).
+Rows are chosen, never averaged, because the noise of a reading must stay that of the sensors. The
+ends of each trial are kept, rows where the command or the load turns back or leaps, because
+friction, backlash and creep are set there, and others at equal distances. Fewer rows suffice to
+choose among effects that depend on the past (`rows_along_path`).
 """
 
 from __future__ import annotations
