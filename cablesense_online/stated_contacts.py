@@ -116,7 +116,8 @@ class RestingArm:
 
         taut, tension_n = at.taut, np.where(at.taut, at.elastic_n, reading_n)
         torque_n_m = at.lever_m.T @ tension_n + self._springs_n_m_rad * at.angles_rad
-        torque_n_m -= rest_pose.load_torques_n_m(at.pose, self._weight_n_m[None])[0]
+        axis, joint_axis = at.pose.axis[0], at.pose.joint_axis[0]
+        rest_pose.take_load_torque(axis, joint_axis, self._weight_n_m, torque_n_m)
         by_taut_m, slack_m = at.lever_m[taut].T @ at.by_turn[taut], at.lever_m[~taut]
         variance_m2 = by_taut_m @ at.variance_rad2 @ by_taut_m.T + slack_m.T @ slack_m
         precision = np.linalg.inv(variance_m2)
