@@ -65,27 +65,10 @@ class Bench:
 
 
 @pytest.fixture
-def packed():
-    bench = Bench(PACKED, PACKED_DATABASE)
-    yield bench
-    bench.close()
-
-
-@pytest.fixture
 def single():
     bench = Bench(SINGLE, SINGLE_DATABASE)
     yield bench
     bench.close()
-
-
-def test_samples_arrive_stamped_by_the_bus(packed):
-    began_s = time.time()
-    packed.cycles_until_samples(20)
-    times_s = [sample.time_s for sample in packed.samples]
-    assert began_s <= min(times_s) < max(times_s) <= time.time()
-    assert times_s == sorted(times_s)
-    assert np.allclose(packed.samples[0].tensions_n, TENSIONS_N, atol=0.051)
-    assert packed.statuses["interface"].level is Level.OK
 
 
 def test_canopen_nodes_are_started_and_started_again_after_a_loss_of_power(single):

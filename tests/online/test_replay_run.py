@@ -62,19 +62,6 @@ def test_a_breath_is_repeated_from_the_journal_from_between_its_turns_too(tmp_pa
         assert (got.compared, got.identical) == (300 - first, 300 - first)
 
 
-def test_the_wrenches_of_all_segments_are_compared(tmp_path):
-    made, second = made_run(200, "cdsm_multi"), topics.SEGMENT_WRENCHES.format(2)
-    assert replayed(made.write(tmp_path / "whole.mcap")).same
-    at = [i for i, (topic, *_) in enumerate(made.records) if topic == second][120]
-    topic, log_ns, raw = made.records[at]
-    late = [r for r in made.records if r[0] != topics.SEGMENT_WRENCHES.format(3) or r[1] > log_ns]
-    assert replayed(made.write(tmp_path / "late.mcap", late)).same
-    other = [*made.records[:at], (topic, log_ns, raw[:-1] + b"\x01"), *made.records[at + 1 :]]
-    got = replayed(made.write(tmp_path / "other.mcap", other))
-    assert (got.compared, got.identical) == (200, 199)
-    assert got.first_difference.startswith("sample 121,")
-
-
 @pytest.mark.parametrize(("model", "missed"), [("", 30), ("cdsm_moving", 2)])
 def test_answers_that_the_recorder_came_too_late_for_change_nothing(model, missed, tmp_path):
     made = made_run(model=model) if model else made_run()

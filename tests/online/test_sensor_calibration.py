@@ -124,16 +124,6 @@ def load(**reading):
     return KnownLoad(line=2, cable="cable_3", mass_kg=2.0, **reading)
 
 
-def test_a_window_gives_the_signal_value_whatever_scale_was_in_force():
-    channel = PACKED.channels["cable_3"].model_copy(update={"scale_n_per_unit": 0.5, "zero": 10.0})
-    as_recorded = PACKED.model_copy(update={"channels": {**PACKED.channels, "cable_3": channel}})
-    tensions_n = np.zeros((len(TIME_S), 12))
-    tensions_n[(TIME_S >= 5.0) & (TIME_S <= 8.0), 2] = channel.tension_n(417.0)
-    window = load(start_s=5.0, end_s=8.0)
-    assert raw_reading(window, as_recorded, recording(tensions_n)) == pytest.approx(417.0)
-    assert raw_reading(load(raw=417.0), PACKED, None) == 417.0
-
-
 @pytest.mark.parametrize("window", [(5.0, 5.2), (30.0, 40.0)])
 def test_a_window_without_samples_is_refused(window):
     windowed = load(start_s=window[0], end_s=window[1])
