@@ -11,10 +11,7 @@ middleware, in simulated dynamics with the sensors' noise:
 
 from __future__ import annotations
 
-import json
-import sys
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +44,9 @@ BALANCED_N = 1e-4
 MOST_ITERATIONS = 60
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main() -> None:
     """Measure, print, write."""
-    parser = harness.parser(__doc__, f"results/{RESULT}")
-    options = parser.parse_args(arguments)
+    options = harness.parser(__doc__, f"results/{RESULT}").parse_args()
     settings = AdmittanceSettings()
     cases = [
         _case(arm, settings, segment, angle, stiffness)
@@ -59,23 +55,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for segment in range(1, open_arm(arm).segment_count + 1)
         for angle in ANGLES_DEG
     ]
+    with tempfile.TemporaryDirectory() as folder:
+        nodes = play(DEMO_S, Path(folder))
     report = {
         **harness.origin("mujoco"),
         "assumed_worst_stiffness_n_m": settings.worst_stiffness_n_m,
         "deadband_n": settings.deadband_n,
         "period_s": PERIOD_S,
         "steps": STEPS,
-        "summary": [_summary(cases, arm, k) for arm in ARMS for k in STIFFNESSES_N_M],
-        "real_nodes": _real_nodes(),
+        "stable": f"{sum(case['stable'] for case in cases)} of {len(cases)}",
+        "real_nodes": {k: round(v, 2) if isinstance(v, float) else v for k, v in nodes.items()},
+        "cases": cases,
     }
-    for row in report["summary"]:
-        print(json.dumps(row))
-    print(json.dumps(report["real_nodes"]))
-    if options.write:
-        rows = ",\n".join(json.dumps(case) for case in cases)  # one a line
-        text = f'{json.dumps(report, indent=1)[:-2]},\n "cases": [\n{rows}\n]}}\n'
-        harness.write_result(RESULT, text)
-    return 0
+    harness.publish(RESULT, report, options)
 
 
 def _case(
@@ -90,15 +82,11 @@ def _case(
     final = float(forces[-1])
     unsettled = np.flatnonzero(np.abs(forces - final) > SETTLED_WITHIN_N)
     return {
-        "arm": arm,
-        "segment": segment,
-        "angle_deg": angle_deg,
-        "stiffness_n_m": stiffness_n_m,
+        "case": f"{arm}, segment {segment}, {angle_deg:g} degrees, {stiffness_n_m:g} N/m",
         "loop_gain": round(law.loop_gain(home, segment, wall.normal, stiffness_n_m, PERIOD_S), 3),
         "without_n": round(float(forces[0]), 2),
         "with_n": round(final, 2),
         "settling_s": round(float(unsettled[-1] + 1) * PERIOD_S if len(unsettled) else 0.0, 2),
-        "overshoot_n": round(max(0.0, final - float(forces.min())), 2),
         "stable": bool(np.ptp(forces[-LAST:]) <= CHATTER_N or np.all(np.diff(forces) <= 1e-3)),
         "largest_angle_deg": round(float(np.rad2deg(np.abs(commands[-1]).max())), 3),
     }
@@ -142,26 +130,5 @@ def run_loop(
         command = law.step(command, home_rad, contact, period_s)
 
 
-def _summary(cases: Sequence[dict[str, Any]], arm: str, stiffness_n_m: float) -> dict[str, Any]:
-    rows = [c for c in cases if c["arm"] == arm and c["stiffness_n_m"] == stiffness_n_m]
-    return {
-        "arm": arm,
-        "stiffness_n_m": stiffness_n_m,
-        "cases": len(rows),
-        "stable": sum(row["stable"] for row in rows),
-        "without_n": [min(r["without_n"] for r in rows), max(r["without_n"] for r in rows)],
-        "with_n": [min(r["with_n"] for r in rows), max(r["with_n"] for r in rows)],
-        "settling_s": [min(r["settling_s"] for r in rows), max(r["settling_s"] for r in rows)],
-        "largest_overshoot_n": max(row["overshoot_n"] for row in rows),
-    }
-
-
-def _real_nodes() -> dict[str, Any]:
-    """The metrics of one run of the example."""
-    with tempfile.TemporaryDirectory() as folder:
-        found = play(DEMO_S, Path(folder))
-    return {key: round(v, 2) if isinstance(v, float) else v for key, v in found.items()}
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
