@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +15,7 @@ from verdict_cases import verdict_of
 from cablesense_gap import adaptation
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recordings.csv_file import write_csv
-from cablesense_gap.verdict import Share, read_verdict
-from cablesense_online import misfit_limit
+from cablesense_gap.verdict import Share
 from cablesense_sim.arm import find_arm
 from cablesense_sim.replay import replay_arm
 from cablesense_training.inference.metadata import find_model
@@ -45,25 +43,6 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     true_n = replay_arm(LAB, *PROTOCOL.inputs)
     write_csv(tmp_path / "new.csv", replace(PROTOCOL, tensions_n=true_n))
     return "new.csv"
-
-
-@pytest.mark.slow  # a report to draw
-def test_the_folder_has_the_diagnosis_and_the_model(command, recorded, tmp_path, monkeypatch):
-    limited = []
-    monkeypatch.setattr(adaptation, "_is_better", lambda before, after: True)
-    monkeypatch.setattr(misfit_limit, "put_simulated_limit", limited.append)
-    done = command("gap", "adapt", recorded, "--out", "adapted")
-    assert done.returncode == 0
-    folder = tmp_path / "adapted"
-    names = {"verdict.json", "amended_arm.yaml", "report.html", "estimator.onnx"}
-    assert {path.name for path in folder.iterdir()} == names
-    assert "-p arm:=adapted/amended_arm.yaml -p model:=adapted/estimator.onnx" in done.stdout
-    assert re.search(r"before, force off by \S+ N.*; after, force off by", done.stdout)
-    assert len(limited) == 1
-    assert read_verdict(folder / "verdict.json").estimator.use == "after"
-    again = command("gap", "adapt", recorded, "--out", "adapted")
-    assert again.returncode == 2
-    assert "exists already" in again.stderr
 
 
 @pytest.mark.slow  # a report to draw

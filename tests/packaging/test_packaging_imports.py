@@ -2,6 +2,7 @@
 
 import ast
 import sys
+from functools import cache
 from importlib.metadata import distribution, packages_distributions
 from pathlib import Path
 
@@ -18,15 +19,22 @@ PACKAGES = [
 _BROUGHT_BY = packages_distributions()
 
 
-def imported(*folders: str) -> set[str]:
-    """Name the top-level modules that the files under `folders` import, at their head or later."""
+@cache
+def imports_of(file: Path) -> set[str]:
+    """Name the top-level modules that a file imports, at its head or later."""
     names: set[str] = set()
-    for file in (file for folder in folders for file in (CHECKOUT / folder).rglob("*.py")):
-        for node in ast.walk(ast.parse(file.read_bytes())):
-            if isinstance(node, ast.Import):
-                names |= {alias.name.split(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                names.add(node.module.split(".")[0])
+    for node in ast.walk(ast.parse(file.read_bytes())):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module.split(".")[0])
+    return names
+
+
+def imported(*folders: str) -> set[str]:
+    """Name the top-level modules that the files under `folders` import."""
+    files = [file for folder in folders for file in (CHECKOUT / folder).rglob("*.py")]
+    names = set[str]().union(*map(imports_of, files))
     own = ("cablesense_", "examples")
     return {n for n in names - sys.stdlib_module_names if not n.startswith(own)}
 
