@@ -23,7 +23,7 @@ def scaled(shared: list[float], factor: float, power: int) -> tuple[float, int]:
 
 
 @pytest.mark.slow  # processes start
-@pytest.mark.parametrize(("workers", "most_pending"), [(0, None), (1, 1), (2, None), (2, 3)])
+@pytest.mark.parametrize(("workers", "most_pending"), [(1, None), (2, 3)])
 def test_results_come_in_the_order_of_the_tasks(workers, most_pending):
     factors, powers = [float(k) for k in range(12)], [1, 2] * 6
     with WorkerPool(workers, [1.0, 2.0]) as pool:
@@ -90,7 +90,7 @@ def until(condition, what):
 
 
 def large(_: str, task: int) -> bytes:
-    return bytes(50_000_000 + task)
+    return bytes(20_000_000 + task)
 
 
 def end_in_mid_result() -> None:
@@ -102,6 +102,5 @@ def end_in_mid_result() -> None:
 @pytest.mark.slow  # processes start
 @pytest.mark.timeout(60)
 def test_a_result_that_is_cut_short_holds_nothing_up():
-    for _ in range(3):
-        with pytest.raises(ValueError, match="the owner fails"):
-            end_in_mid_result()
+    with pytest.raises(ValueError, match="the owner fails"):
+        end_in_mid_result()

@@ -59,6 +59,12 @@ def test_one_model_is_evaluated_on_its_own_arm():
     assert "closed-form-corrected" in _run("--model", path, "--samples", 200)
 
 
+@pytest.mark.slow
+def test_a_model_of_contacts_anywhere_is_evaluated_beside_a_profile():
+    content = json.loads(_run("--model", "cdsm_anywhere", "--samples", 100, "--json"))
+    assert set(content) == {"anywhere", "commanded_profile"}
+
+
 @pytest.mark.parametrize(
     ("arguments", "remedy"),
     [

@@ -13,7 +13,6 @@ from arm_variants import variant
 from typer.testing import CliRunner
 
 from cablesense_gap.amended_arm import write_arm
-from cablesense_gap.recordings.csv_file import all_columns
 from cablesense_ros.cli.app import app
 from cablesense_sim.arm import open_arm
 
@@ -151,17 +150,11 @@ def run_without(libraries, *arguments, program=COMMAND_TEXT, cwd=None):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("library", "verb"), [("torch", "train"), ("pandas", "gap predict r.csv")]
-)
-def test_a_library_that_is_not_installed_is_named_with_the_remedy(library, verb, tmp_path):
-    names = all_columns(8, 12)
-    text = f"{','.join(names)}\n{','.join('0' for _ in names)}\n"
-    (tmp_path / "r.csv").write_text(text)
-    result = run_without(library, *verb.split(), "--out", "p.csv", cwd=tmp_path)
+def test_a_library_that_is_not_installed_is_named_with_the_remedy(tmp_path):
+    result = run_without("torch", "train", "--out", "p.onnx", cwd=tmp_path)
     assert result.returncode == 2
     (line,) = result.stderr.strip().splitlines()
-    assert f"package {library}" in line
+    assert "package torch" in line
     assert "make setup" in line
 
 
