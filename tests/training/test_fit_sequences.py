@@ -17,12 +17,12 @@ pytestmark = pytest.mark.slow
 
 
 ARM = open_arm("cdsm_friction")
-SETTINGS = FitSettings(epochs=4, batch_size=8, learning_rate=3e-3, part_ticks=50, threads=1)
+SETTINGS = FitSettings(epochs=8, batch_size=8, learning_rate=3e-3, part_ticks=50, threads=1)
 
 
 @pytest.fixture(scope="module")
 def sequences():
-    return draw_sequences(ARM, MotionProtocol(sequences=8, duration_s=2.0), seed=0)
+    return draw_sequences(ARM, MotionProtocol(sequences=12, duration_s=3.0), seed=0)
 
 
 def _network():
@@ -43,7 +43,7 @@ def test_the_loss_falls_and_the_best_epoch_is_kept_and_calibrated(sequences, mon
     monkeypatch.setattr(fit_sequences, "_STEPS", 50)
     network, seen = _network(), []
     history = fit_sequences.fit_sequences(network, sequences, SETTINGS, seen.append)
-    assert [record.epoch for record in seen] == list(range(1, 5))
+    assert [record.epoch for record in seen] == list(range(1, 9))
     assert history.best_validation == min(record.validation for record in seen)
     assert history.best_validation < seen[0].validation
     assert 0.0 <= network.interval.surely < 1.0
