@@ -226,7 +226,7 @@ class _Resting:
         blocks = rows // _BLOCK_SAMPLES
         for block in np.unique(blocks):
             own = np.flatnonzero(blocks == block)
-            of_block = Cases(*(part[own] for part in cases))
+            of_block = Cases._make(part[own] for part in cases)
             found[:, own] = self._block(int(block), rows[own] % _BLOCK_SAMPLES, of_block, allowed)
             allowed -= int(np.isnan(found[0, own, 0]).sum())
         return found

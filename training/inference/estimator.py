@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -132,7 +132,8 @@ class Estimates(NamedTuple):
     def one(cls, outputs: Sequence[Array]) -> Estimate:
         """The estimate from outputs for one sample, without a leading axis."""
         probabilities, *numbers = cls.of_outputs(outputs)
-        return Estimate(probabilities.copy(), *(number.item() for number in numbers))
+        stated: list[Any] = [number.item() for number in numbers]
+        return Estimate(probabilities.copy(), *stated)
 
 
 def finite_table(values: ArrayLike, columns: int, what: str, rows: int | None = None) -> Array:
