@@ -111,8 +111,10 @@ def bound_region(
 @compiled
 def _place(place_m: Array, weight: Array, share: float) -> float:
     """The place below which a share of the weights lies, each spread over its own interval."""
-    used = place_m[weight > 0.0]
-    low, high = used.min(), used.max()
+    low, high = np.inf, -np.inf
+    for k in range(len(weight)):
+        if weight[k] > 0.0:
+            low, high = min(low, place_m[k]), max(high, place_m[k])
     for _ in range(_HALVED):
         at, below = 0.5 * (low + high), 0.0
         for first in range(0, len(weight), FINE):

@@ -45,7 +45,7 @@ class TableDiagnosis:
     Attributes:
         nominal_n, paper_n: (6, 9) this project's and the paper's simulated rows.
         blind: effects that no change in this table could show, with the most that they do, N.
-        floor_n: what noise and step leave of a change, N.
+        floor_n: error of a change by noise and rounding, N.
         singles: the table under every number alone that can be seen.
         explanations: those of the diagnosis' search.
     """
