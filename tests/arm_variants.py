@@ -37,17 +37,17 @@ def variant(changes: dict[str, Any], name: str = "cdsm") -> Arm:
     return parse_arm(yaml.safe_dump(description))
 
 
-def five_by_four() -> Arm:
-    """An arm of 5 segments with 4 cables each, all 20 holes apart."""
+def five_by_four(name: str = "cdsm") -> Arm:
+    """A bundled arm with 5 segments and 4 cables on each, all 20 holes apart."""
     changes = {
         "name": "five_by_four",
         "segments.count": 5,
         "cables.per_segment": 4,
         "cables.angle_deg": {"first": 0, "per_segment": 18, "per_cable": -90},
     }
-    return variant(changes)
+    return variant(changes, name)
 
 
-def five_by_four_text() -> str:
+def five_by_four_text(name: str = "cdsm") -> str:
     """The same as an arm file's content."""
-    return yaml.safe_dump(five_by_four().model_dump(), sort_keys=False)
+    return yaml.safe_dump(five_by_four(name).model_dump(), sort_keys=False)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm_variants import five_by_four_text
-from plant_arm import NOMINAL
+from plant_arm import NOMINAL, two_segments
 
 from cablesense_plants.arm.arm import ideal_arm
 from cablesense_plants.arm.body import read_nominal
@@ -79,9 +79,9 @@ def test_every_change_shows_and_grows_with_its_size(name: str) -> None:
     assert large > 0.3 * NOMINAL.floor_n
 
 
-def test_two_hidden_changes_are_visible_and_in_the_answer() -> None:
-    kind = "payload+sensor_gain"
-    recorded = record_case(np.random.default_rng(4), 1, NOMINAL, kind)
+def test_two_hidden_changes_are_visible_and_in_the_answer(tmp_path: Path) -> None:
+    kind, nominal = "payload+sensor_gain", read_nominal(two_segments(tmp_path))
+    recorded = record_case(np.random.default_rng(4), 1, nominal, kind)
     answer = recorded.answer
     assert answer.effects == kind
     alone = [float(gap) for gap in answer.each_gap_n.split()]
@@ -110,7 +110,7 @@ def test_a_fifth_hides_nothing_and_a_fifth_something_unlisted(count: int) -> Non
 
 def test_an_arm_of_five_segments_with_four_cables_is_recorded(tmp_path: Path) -> None:
     arm_file = tmp_path / "arm.yaml"
-    arm_file.write_text(five_by_four_text())
+    arm_file.write_text(five_by_four_text("cdsm_lab"))
     nominal, rng = read_nominal(arm_file), np.random.default_rng(3)
     schedule, history = draw_schedule(nominal, rng), draw_history(nominal, rng)
     assert set(schedule.load_segment) == set(range(6))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from arm_variants import variant
-from plant_arm import ARM_FILE, NOMINAL
+from plant_arm import ARM_FILE, NOMINAL, two_segments
 from typer.testing import CliRunner
 
 from cablesense_gap.amended_arm import write_arm
@@ -29,15 +29,21 @@ QUICK = ("actuator_ratio", "none")
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def arm_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return two_segments(tmp_path_factory.mktemp("arm"))
+
+
+@pytest.fixture(scope="module")
+def folder(arm_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("cases")
-    list(withhold(place, place / "answers" / "answers.csv", NOMINAL, 2, 7, QUICK))
+    nominal = read_nominal(arm_file)
+    list(withhold(place, place / "answers" / "answers.csv", nominal, 2, 7, QUICK))
     return place
 
 
-def test_any_reader_of_recordings_reads_them(folder: Path) -> None:
-    recorded = make_case(NOMINAL, 7, 2, "none")
-    found = read_csv(folder / "case_002.csv", open_arm("cdsm_lab"))
+def test_any_reader_of_recordings_reads_them(folder: Path, arm_file: Path) -> None:
+    recorded = make_case(read_nominal(arm_file), 7, 2, "none")
+    found = read_csv(folder / "case_002.csv", open_arm(arm_file))
     for name, expected in recorded.schedule._asdict().items():
         np.testing.assert_allclose(getattr(found, name), expected, atol=1e-9)
     np.testing.assert_allclose(found.tensions_n, recorded.tensions_n, atol=5.1e-5)
@@ -99,9 +105,12 @@ def test_answers_stand_apart_and_no_recording_contains_them(folder: Path) -> Non
         assert "scale" not in path.read_text()
 
 
-def test_the_verb_makes_the_same_files_in_more_processes(folder: Path, tmp_path: Path) -> None:
+def test_the_verb_makes_the_same_files_in_more_processes(
+    folder: Path, arm_file: Path, tmp_path: Path
+) -> None:
     arguments = ["gap", "withhold", "--count", "2", "--seed", "7", "--out", str(tmp_path / "out")]
     arguments += ["--answers", str(tmp_path / "kept.csv"), "--workers", "2"]
+    arguments += ["--arm", str(arm_file)]
     result = CliRunner().invoke(app, [*arguments, *(f"--only={kind}" for kind in QUICK)])
     assert result.exit_code == 0, result.output
     assert not (tmp_path / "out" / "answers").exists()
@@ -145,9 +154,10 @@ def test_arms_that_the_plant_cannot_build(
         read_nominal(file)
 
 
-def test_the_second_recording_is_of_the_same_arm_doing_something_else() -> None:
-    recorded = make_case(NOMINAL, 5, 1, "sensor_offset", second=True)
-    alone = make_case(NOMINAL, 5, 1, "sensor_offset")
+def test_the_second_recording_is_of_the_same_arm_doing_something_else(arm_file: Path) -> None:
+    nominal = read_nominal(arm_file)
+    recorded = make_case(nominal, 5, 1, "sensor_offset", second=True)
+    alone = make_case(nominal, 5, 1, "sensor_offset")
     np.testing.assert_array_equal(recorded.tensions_n, alone.tensions_n)
     schedule, tensions_n = recorded.second
     assert len(tensions_n) == len(schedule.time_s)
