@@ -259,16 +259,18 @@ def _held(pair: _Pair, k: int, step: float) -> bool:
 def _profile(pair: _Pair) -> float:
     """The forces that fit best at the places, and the root there; gives the gain."""
     gram, pull, root, force = pair.gram, pair.pull, pair.root, pair.force
-    weighted = np.empty((6, 2 * _ROWS))
-    for k in range(2):
-        row, s = _ROWS * k, pair.place[k]
-        weighted[3 * k : 3 * k + 3] = gram[row : row + 3] + s * gram[row + 3 : row + 6]
-        force[3 * k : 3 * k + 3] = pull[row : row + 3] + s * pull[row + 3 : row + 6]
-    for k in range(2):
-        row, s = _ROWS * k, pair.place[k]
-        of_force = weighted[:, row : row + 3] + s * weighted[:, row + 3 : row + 6]
-        root[:6, 3 * k : 3 * k + 3] = of_force
-        root[3 * k, 3 * k] += pair.axial[k]
+    weighted, place = np.empty((6, 2 * _ROWS)), pair.place
+    for i in range(6):
+        k = i // 3
+        at = _ROWS * k + i % 3
+        force[i] = pull[at] + place[k] * pull[at + 3]
+        for j in range(2 * _ROWS):
+            weighted[i, j] = gram[at, j] + place[k] * gram[at + 3, j]
+        for j in range(6):
+            at = _ROWS * (j // 3) + j % 3
+            root[i, j] = weighted[i, at] + place[j // 3] * weighted[i, at + 3]
+    root[0, 0] += pair.axial[0]
+    root[3, 3] += pair.axial[1]
     _factorise(root, 0, 6)
     for i in range(6):
         for j in range(i):
@@ -279,12 +281,17 @@ def _profile(pair: _Pair) -> float:
         for j in range(i + 1, 6):
             force[i] -= root[j, i] * force[j]
         force[i] /= root[i, i]
-    by_place = np.zeros((2, 2 * _ROWS))
+    root[6:], pair.slope[:] = 0.0, 0.0
+    for i in range(6):
+        k = i // 3
+        at = _ROWS * k + i % 3 + 3
+        pair.slope[k] += force[i] * pull[at]
+        for j in range(6):
+            root[6 + k, j] += force[i] * weighted[j, at]
+            other = _ROWS * (j // 3) + j % 3 + 3
+            root[6 + k, 6 + j // 3] += force[i] * gram[at, other] * force[j]
     for k in range(2):
-        by_place[k, _ROWS * k + 3 : _ROWS * k + 6] = force[3 * k : 3 * k + 3]
-    root[6:, :6], root[6:, 6:] = by_place @ weighted.T, by_place @ gram @ by_place.T
-    pair.slope[:] = by_place @ (pull - force @ weighted)
-    for k in range(2):
+        pair.slope[k] -= (root[6 + k, :6] * force).sum()
         root[6 + k, 6 + k] += 12.0 / (pair.high[k] - pair.low[k]) ** 2
     _factorise(root, 6, 8)
     return gain
