@@ -100,7 +100,7 @@ class PlausibilityCheck:
         self._largest_force_n = BEYOND_TRAINING * (model.force_range_n if model else 0.0)
         kind = model.kind if model else ""
         self._reach_m = touched_at(statics.arm)[0] if kind == ANYWHERE else None
-        most = {"multi-contact": statics.arm.segment_count, ANYWHERE: 2}
+        most: dict[str, int] = {"multi-contact": statics.arm.segment_count, ANYWHERE: 2}
         self._limits = _limits(
             largest_misfit, statics.arm.cable_count, most.get(kind, 1), numbers_of(kind)
         )
