@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from cablesense_ros.cli.options import command_line
 from cablesense_ros.cli.train import train
 from cablesense_training.errors import TrainingError
+from cablesense_training.inference.estimator import Estimator
 
 app = typer.Typer(pretty_exceptions_enable=False)
 app.command()(train)
