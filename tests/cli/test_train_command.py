@@ -19,7 +19,6 @@ SMALL = ["--network", "two-stage", "--samples", "400", "--epochs", "2", "--threa
 @pytest.fixture(autouse=True)
 def small_test_set(monkeypatch):
     monkeypatch.setattr("cablesense_training.model_training.TEST_SAMPLES", 300)
-    monkeypatch.setattr("cablesense_online.misfit_limit.POSES", 1)
 
 
 def _run(*words):
