@@ -118,13 +118,8 @@ def _to_onnx(answers: _Answers, inputs: dict[str, Tensor]) -> onnx.ModelProto:
     """The graph; the exporter's reports and warnings about itself are left out.
 
     It is traced for `_TRACED_ROWS` samples, and made to take any number: with that number as a
-    symbol tracing takes more than twice as long. A history-dependent network is traced with a
-    symbol, as it has constants with one row for each sample, in addition to its state.
+    symbol tracing takes more than twice as long.
     """
-    symbols = None
-    if isinstance(answers.network, TemporalNetwork):
-        batch = torch.export.Dim("batch", min=1)
-        symbols = (tuple({0: batch} for _ in inputs),)
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
@@ -135,7 +130,6 @@ def _to_onnx(answers: _Answers, inputs: dict[str, Tensor]) -> onnx.ModelProto:
             opset_version=OPSET,
             input_names=list(inputs),
             output_names=list(answers.outputs),
-            dynamic_shapes=symbols,
             verbose=False,
         )
     assert program is not None
@@ -144,8 +138,7 @@ def _to_onnx(answers: _Answers, inputs: dict[str, Tensor]) -> onnx.ModelProto:
         del node.metadata_props[:]
         node.doc_string = ""
     del model.metadata_props[:]
-    if symbols is None:
-        _take_any_number_of_rows(model.graph)
+    _take_any_number_of_rows(model.graph)
     return model
 
 
