@@ -21,7 +21,12 @@ def claim_folder(folder: Path, force: bool = False) -> None:
         PaperError: it holds something and not `force`, or cannot be made or written to.
     """
     output_folder(folder, ("report.html", "results.json", "*.png"), PaperError, force=True)
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise PaperError(
+            f"{folder}: cannot be made ({error.strerror}); give another --out"
+        ) from error
     if not force and any(folder.iterdir()):
         raise PaperError(
             f"{folder}: is not empty; give a new --out, or replace its files with --force"

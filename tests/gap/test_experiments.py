@@ -74,7 +74,7 @@ def test_creep_shows_in_a_long_hold():
 
 @pytest.mark.slow
 def test_what_hides_below_the_floor_is_said_and_how_often_to_repeat():
-    slight = {Term("contact_offset", "segment_3", "offset_m"): 0.002}
+    slight = {Term("contact_offset", "segment_3", "offset_m"): 0.001}
     found = next_experiment(LAB, [{}, slight], FLOOR_N, LOADED)
     floors = found.separation_n / FLOOR_N
     assert 0.1 < floors < 1.0

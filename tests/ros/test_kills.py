@@ -16,7 +16,23 @@ SEGMENT = 3
 
 
 @pytest.fixture(scope="module")
-def nodes(graph, start_for_all, tmp_path_factory):
+def living(graph):
+    """Reports of a subscriber that asks for liveliness: how many estimators are alive."""
+    living = []
+    graph.node.create_subscription(
+        WrenchStamped,
+        "/estimator/wrench",
+        lambda _: None,
+        qos_profile(Qos(depth=10, reliable=True, lease_s=0.5)),
+        event_callbacks=SubscriptionEventCallbacks(
+            liveliness=lambda event: living.append(event.alive_count)
+        ),
+    )
+    return living
+
+
+@pytest.fixture(scope="module")
+def nodes(graph, living, start_for_all, tmp_path_factory):
     """The whole chain; any of it can be killed and started again."""
     folder = tmp_path_factory.mktemp("kills")
     link = folder / "adapter"
@@ -53,23 +69,6 @@ def zero_since(wrench, time_s):
     stamp = wrench.header.stamp
     later = stamp.sec + stamp.nanosec * 1e-9 > time_s
     return later and wrench.header.frame_id == "base_link" and force(wrench) == (0.0, 0.0, 0.0)
-
-
-@pytest.fixture
-def living(graph):
-    """Reports of a subscriber that asks for liveliness: how many estimators are alive."""
-    living = []
-    subscription = graph.node.create_subscription(
-        WrenchStamped,
-        "/estimator/wrench",
-        lambda _: None,
-        qos_profile(Qos(depth=10, reliable=True, lease_s=0.5)),
-        event_callbacks=SubscriptionEventCallbacks(
-            liveliness=lambda event: living.append(event.alive_count)
-        ),
-    )
-    yield living
-    graph.node.destroy_subscription(subscription)
 
 
 @pytest.mark.parametrize("victim", ["can_driver", "sim", "estimator"])

@@ -9,8 +9,9 @@ from joint_torques import gravity_torques_n_m
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.contact_location import contact_torques, twist_torques
+from cablesense_sim.contact_location import twist_torques
 from cablesense_sim.equilibrium import held_lengths_m
+from cablesense_sim.kinematics import contact_torques
 from cablesense_training.networks.compact import CompactKinematics
 
 CDSM = open_arm("cdsm").model_dump()
