@@ -184,9 +184,8 @@ def _replay(path: Path) -> dict[str, Any]:
         text=True,
         check=False,
     )
-    line = done.stdout.strip().splitlines()[-1] if done.stdout.strip() else done.stderr
     try:
-        return {"exit code": done.returncode, **json.loads(line)}
+        return {"exit code": done.returncode, **json.loads(done.stdout)}
     except ValueError as error:
         raise SystemExit(f"{path.name}: {done.stdout}{done.stderr}") from error
 

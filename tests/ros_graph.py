@@ -25,6 +25,8 @@ from cablesense_ros.processes import Process, node_command
 
 PATIENCE_S = 60.0
 """For a machine that is busy with other work; what is waited for comes at once elsewhere."""
+END_WITHIN_S = 75.0
+"""Longer than the alarm that ends a node which Fast DDS does not let go."""
 
 
 class NodeProcess(Process):
@@ -45,7 +47,7 @@ class NodeProcess(Process):
         os.close(handle)
         super().__init__(name, node_command(name, given, remaps, namespace), Path(path))
 
-    def wait(self, within_s: float | None = PATIENCE_S) -> int:
+    def wait(self, within_s: float | None = END_WITHIN_S) -> int:
         """Its exit code, once it has ended by itself."""
         return super().wait(within_s)
 

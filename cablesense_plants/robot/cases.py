@@ -22,7 +22,7 @@ from cablesense_plants.robot.causes import (
     with_tolerances,
 )
 from cablesense_plants.robot.motion import (
-    Reference,
+    ReferenceMotion,
     prescribed_n_m,
     reference,
     simulate,
@@ -84,7 +84,7 @@ class RobotCase:
     answer: RobotAnswer
     kind: RobotKind
     robots: tuple[RealRobot, ...]
-    asked: tuple[Reference, ...]
+    asked: tuple[ReferenceMotion, ...]
     seeds: tuple[int, ...]
 
 
@@ -140,7 +140,7 @@ def draw_case(
     """One case; a cause that this robot cannot show is drawn anew, of another name if need be."""
     rng = np.random.default_rng([seed, index])
     nominal, joints, links = kind.nominal()
-    asked: tuple[Reference, ...] = (reference(kind, rng), reference(kind, rng))
+    asked: tuple[ReferenceMotion, ...] = (reference(kind, rng), reference(kind, rng))
     plain = with_tolerances(nominal, kind, rng)
     without = prescribed_n_m(kind, plain, asked[0])
 
@@ -189,7 +189,7 @@ def draw_case(
 
 
 def _imperfect(
-    robot: RealRobot, kind: RobotKind, rng: np.random.Generator, asked: Reference
+    robot: RealRobot, kind: RobotKind, rng: np.random.Generator, asked: ReferenceMotion
 ) -> RealRobot:
     """The robot with what its model lacks, in random shares, joint by joint."""
     count, whole = len(kind.home_rad), prescribed_n_m(kind, robot, asked)

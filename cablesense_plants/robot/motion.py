@@ -28,7 +28,7 @@ _PASSING_ROWS = 2.5
 """Rows in which a joint passes from tooth to tooth, where a cause is sized."""
 
 
-class Reference(NamedTuple):
+class ReferenceMotion(NamedTuple):
     """References of the controllers of B robots, (T, B, N); T steps of the simulation."""
 
     angle: Array
@@ -41,14 +41,14 @@ class Reference(NamedTuple):
         return _times_s(len(self.angle))
 
 
-def reference(kind: RobotKind, rng: np.random.Generator) -> Reference:
+def reference(kind: RobotKind, rng: np.random.Generator) -> ReferenceMotion:
     """All trials of one recording, (T, N); each begins and ends at rest at home."""
     steps = round(kind.trial_s / STEP_S)
     time_s = _times_s(steps)
     trials = [draw_trial(kind, rng, time_s) for draw_trial in _TRIALS]
     angle = kind.home_rad + np.concatenate(trials) * kind.reach_rad
     speed = np.gradient(angle, STEP_S, axis=0)
-    return Reference(angle, speed, np.gradient(speed, STEP_S, axis=0))
+    return ReferenceMotion(angle, speed, np.gradient(speed, STEP_S, axis=0))
 
 
 def _sines(kind: RobotKind, rng: np.random.Generator, time_s: Array) -> Array:
@@ -91,18 +91,18 @@ def _smooth(share: Array) -> Array:
     return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
 
 
-def stacked_references(references: list[Reference]) -> Reference:
+def stacked_references(references: list[ReferenceMotion]) -> ReferenceMotion:
     """References of several robots, (T, B, N)."""
-    return Reference(*(np.stack(parts, 1) for parts in zip(*references, strict=True)))
+    return ReferenceMotion(*(np.stack(parts, 1) for parts in zip(*references, strict=True)))
 
 
-def prescribed_n_m(kind: RobotKind, robot: RealRobot, asked: Reference) -> Array:
+def prescribed_n_m(kind: RobotKind, robot: RealRobot, asked: ReferenceMotion) -> Array:
     """Torques (T', N) that sensors would read if one robot followed its reference exactly.
 
     Every eighth step. It serves to size hidden causes: quick, without a controller, friction
     without its past.
     """
-    asked = Reference(*(part[::_STRIDE, None, :] for part in asked))
+    asked = ReferenceMotion(*(part[::_STRIDE, None, :] for part in asked))
     time_s = _times_s(len(asked.angle), _STRIDE)
     robots: RealRobot = stacked([robot])
     gain = 1.0 + robots.encoder_scale
@@ -159,7 +159,7 @@ class DrivenMotion(NamedTuple):
     command_n_m: Array
 
 
-def simulate(kind: RobotKind, robots: RealRobot, asked: Reference) -> DrivenMotion:
+def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> DrivenMotion:
     """Robots under their controllers: midpoint steps, with exactly integrated bristles.
 
     The controllers know the nominal robot: its torques for the reference, and a feedback of
