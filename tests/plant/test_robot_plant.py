@@ -14,7 +14,7 @@ from cablesense_plants.robot.cases import drawn
 from cablesense_plants.robot.chain import LinkChain, read_chain
 from cablesense_plants.robot.guides import PRETENSION_N, Rubbing, pulls_n
 from cablesense_plants.robot.motion import (
-    Reference,
+    ReferenceMotion,
     prescribed_n_m,
     reference,
     simulate,
@@ -72,7 +72,7 @@ def test_a_free_double_pendulum_keeps_its_energy():
     none = np.zeros(2)
     robot = replace(kind.nominal()[0], damping=none, armature=none)
     still = np.zeros((300, 1, 2))
-    asked = Reference(still + np.array([2.0, -1.0]), still, still)
+    asked = ReferenceMotion(still + np.array([2.0, -1.0]), still, still)
     motion = simulate(Idle(**vars(kind) | {"gain_1_s2": 0.0}), stacked([robot]), asked)
     model = mujoco.MjModel.from_xml_path(str(kind.path))
     model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
@@ -92,7 +92,7 @@ def test_a_controlled_robot_needs_the_torques_of_what_it_is_asked_for():
     kind = KINDS["two_links"]
     nominal, *_ = kind.nominal()
     rough = replace(nominal, dry=20.0 * kind.noise_n_m, presliding_rad=np.full(2, 1e-4))
-    asked = Reference(*(part[:1000] for part in reference(kind, np.random.default_rng(3))))
+    asked = ReferenceMotion(*(part[:1000] for part in reference(kind, np.random.default_rng(3))))
     robots = stacked([nominal, rough])
     motion = simulate(kind, robots, stacked_references([asked, asked]))
     needed = prescribed_n_m(kind, nominal, asked) / kind.noise_n_m
