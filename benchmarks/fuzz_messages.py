@@ -87,7 +87,7 @@ def joint_state(
 
 
 def content_of(raw: bytes) -> Content | None:
-    """What is in a joint state with a plausible tension of every cable; else None.
+    """The content of a joint state with a plausible tension of every cable; else None.
 
     More may stand behind it.
     """

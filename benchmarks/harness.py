@@ -71,7 +71,7 @@ def publish(name: str, result: dict[str, Any], options: argparse.Namespace) -> N
 
 
 def kept(path: Path, make: Callable[[], Any], until_s: float = np.inf) -> Any:
-    """What a file of JSON has, or what is made now and kept there.
+    """The content of a JSON file, which is made now if there is none.
 
     None where the time for new ones is over (`until_s`, of `time.time`).
     """

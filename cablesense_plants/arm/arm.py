@@ -9,7 +9,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_plants.arm.body import Body, Creep, Nominal, PlantFriction, rigid_body
-from cablesense_plants.arm.friction import QuasiStaticPath
+from cablesense_plants.arm.path import QuasiStaticPath
 from cablesense_plants.arm.protocol import Schedule
 from cablesense_plants.arm.statics import borne_shares, cable_lengths_m, follow_path
 from cablesense_plants.cases import NO_FAULT, PlantError

@@ -12,11 +12,8 @@ from hypothesis import strategies as st
 from plant_arm import BODY, NOMINAL
 
 from cablesense_plants.arm.body import Body, Creep, PlantError, PlantFriction
-from cablesense_plants.arm.friction import (
-    PathState,
-    QuasiStaticPath,
-    piece_compliance_m_n,
-)
+from cablesense_plants.arm.friction import piece_compliance_m_n
+from cablesense_plants.arm.path import PathState, QuasiStaticPath
 from cablesense_plants.arm.statics import cable_lengths_m, follow_path, spans, turns
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
