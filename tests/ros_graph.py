@@ -14,6 +14,7 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.subscription import Subscription
 from rclpy.time import Time
 from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
@@ -75,6 +76,7 @@ class Graph:
         listen(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.load = self.node.create_publisher(WrenchStamped, "/applied_wrench", 10)
         self.command = self.node.create_publisher(JointState, "/joint_commands", 10)
+        self._heard: list[Subscription] = []
 
     def _on_state(self, message: DiagnosticArray) -> None:
         state, stamp_ns = read_force_state(message)
@@ -88,11 +90,17 @@ class Graph:
         self.statuses.update({status.name: status for status in message.status})
 
     def listen(self, kind: type, topic: str) -> list:
-        """The messages of a topic, from when its publisher is known on."""
+        """The messages of a topic, from when its publisher is known until `forget`."""
         received: list = []
         subscription = self.node.create_subscription(kind, topic, received.append, 100)
+        self._heard.append(subscription)
         self.until(lambda: self.node.count_publishers(subscription.topic_name), topic)
         return received
+
+    def forget(self) -> None:
+        """End what `listen` began: each message costs this process time."""
+        while self._heard:
+            self.node.destroy_subscription(self._heard.pop())
 
     def until(self, condition, what: str) -> None:
         """Spin until something is true."""
@@ -115,6 +123,11 @@ class Graph:
         force = message.wrench.force
         force.x, force.y, force.z = map(float, force_base_n)
         self.load.publish(message)
+
+    def release(self) -> None:
+        """Take all loads away."""
+        for segment in (1, 2, 3, 4):
+            self.push(segment, (0.0, 0.0, 0.0))
 
     def call(self, service: str) -> Trigger.Response:
         """Call a Trigger service."""

@@ -1,18 +1,19 @@
 """The sim and estimator nodes as processes, over the real middleware."""
 
 import math
+import time
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
 from rcl_interfaces.srv import SetParameters
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.time import Time
-from ros_graph import force
+from ros_graph import PATIENCE_S, force
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -43,10 +44,29 @@ def sim(start_for_all):
     return start_for_all("sim", **best_effort)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def tared(graph, sim, estimator):
+    """The arm at rest in its first pose, and nothing touches it, whatever a test before left."""
     graph.until(lambda: "tare taken" in estimator.log, "the first tare")
-    return graph
+    if sim.alive:
+        graph.release()
+        graph.command.publish(command_at(0.0))
+        graph.until(lambda: graph.tensions and off_n(graph, UNLOADED) < 0.5, "the arm at rest")
+        graph.wrenches.clear()
+        graph.until(touched(graph, 0), "an untouched arm")
+    yield graph
+    graph.forget()
+
+
+def command_at(angle_rad):
+    """All joints at one angle."""
+    return JointState(name=list(ARM.joint_names), position=[angle_rad] * 8)
+
+
+def off_n(graph, expected_n):
+    """How far the latest tensions are from these, on average over 40 samples."""
+    readings = np.array([message.effort for message in graph.tensions[-40:]])
+    return np.abs(readings.mean(axis=0) - expected_n).max()
 
 
 def touched(graph, segment=3):
@@ -127,8 +147,6 @@ def test_a_load_about_the_base_is_stated_as_the_estimator_states_it(tared):
     )
     assert stated[-1].header.frame_id == "base_link"
     assert stated[-1].wrench.torque.z == pytest.approx(load.wrench.torque.z, abs=0.3)
-    tared.push(3, (0.0, 0.0, 0.0))
-    tared.until(touched(tared, 0), "the contact to end")
 
 
 def test_a_load_beside_the_contact_point_turns_the_arm_as_one_there(tared):
@@ -142,35 +160,20 @@ def test_a_load_beside_the_contact_point_turns_the_arm_as_one_there(tared):
     expected_n = solve_equilibrium(there, np.zeros(8), forces_n).tensions_n
     usual_n = solve_equilibrium(mechanism, np.zeros(8), forces_n).tensions_n
     assert np.abs(expected_n - usual_n).max() > 20.0
-
-    def off_n():
-        readings = np.array([message.effort for message in tared.tensions[-40:]])
-        return np.abs(readings.mean(axis=0) - expected_n).max()
-
-    tared.until(lambda: off_n() < 0.1, "the tensions of an arm that is pushed there")
+    tared.until(lambda: off_n(tared, expected_n) < 0.1, "tensions of an arm pushed there")
     tared.until(
         lambda: "segment_3: 40.0 at 0.110 m" in str(tared.statuses.get("sim: simulation")),
         "the place in diagnostics",
     )
-    tared.push(3, (0.0, 0.0, 0.0))
-    tared.until(touched(tared, 0), "the load to end")
 
 
 def test_several_contacts_at_once_have_a_wrench_each_and_are_replayed(
     tared, start, tmp_path, request
 ):
     remaps = {name: f"/{name}" for name in ("cable_tensions", "joint_commands")}
-    args = [word for name, to in remaps.items() for word in ("-r", f"{name}:={to}")]
-    listener = Node("recorder", namespace="/several", cli_args=["--ros-args", *args])
-    tared.executor.add_node(listener)
-    request.addfinalizer(listener.destroy_node)  # other tests count subscriptions
-    request.addfinalizer(partial(tared.executor.remove_node, listener))
-    recorder = Recorder(listener, tmp_path / "several.mcap", CONTRACT, None)
     several = start("estimator", "/several", remaps, model="cdsm_multi")
-    told = {
-        number: tared.listen(WrenchStamped, f"/several/estimator/wrenches/segment_{number}")
-        for number in (2, 3, 4)
-    }
+    names = [f"/several/estimator/wrenches/segment_{number}" for number in (1, 2, 3, 4)]
+    told = {number: tared.listen(WrenchStamped, names[number - 1]) for number in (2, 3, 4)}
     shown = tared.listen(MarkerArray, "/several/estimator/markers")
     tared.until(lambda: "tare taken" in several.log, "its tare")
     for segment, push in ((2, (0.0, 0.0, 30.0)), (4, (0.0, -25.0, 0.0))):
@@ -186,21 +189,28 @@ def test_several_contacts_at_once_have_a_wrench_each_and_are_replayed(
         lambda: shown and [m.action for m in shown[-1].markers].count(Marker.ADD) == 4,
         "two arrows with their spheres",
     )
+    tared.forget()
 
-    names = [f"/several/estimator/wrenches/segment_{number}" for number in (1, 2, 3, 4)]
+    args = [word for name, to in remaps.items() for word in ("-r", f"{name}:={to}")]
+    listener = Node("recorder", namespace="/several", cli_args=["--ros-args", *args])
+    request.addfinalizer(listener.destroy_node)  # other tests count subscriptions
+    recorder = Recorder(listener, tmp_path / "several.mcap", CONTRACT, None)
+    alone = SingleThreadedExecutor()  # it would lose samples beside what the test listens to
+    alone.add_node(listener)
+    request.addfinalizer(alone.shutdown)
 
-    def recorded():
-        recorder.flush()  # subscribes to the segments that are discovered
-        found = [listener.count_subscribers(name) for name in names]
-        return recorder.counts[SEGMENT_WRENCHES] if found == [1, 2, 2, 2] else 0
+    def record_until(condition, what):
+        end_s = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < end_s, f"recorded {recorder.status}, and waits for {what}"
+            alone.spin_once(timeout_sec=0.05)
+            recorder.flush()  # subscribes to the segments that are discovered
 
-    tared.until(recorded, "the recorder's subscriptions")
+    record_until(lambda: all(map(listener.count_subscribers, names)), "its subscriptions")
     for force_n in (30.0, 0.0):  # recorded from here on, with its journal from the start
         tared.push(2, (0.0, 0.0, force_n))
-        wanted = recorded() + 300
-        tared.until(lambda wanted=wanted: recorded() > wanted, "wrenches in the recording")
-    tared.executor.remove_node(listener)
-    tared.spin(0.5)  # what the executor has taken of its messages reaches it
+        wanted = recorder.counts[SEGMENT_WRENCHES] + 300
+        record_until(lambda wanted=wanted: recorder.counts[SEGMENT_WRENCHES] > wanted, "wrenches")
     recorder.close()
     run = RecordedRun(tmp_path / "several.mcap")
     assert run.segments == (1, 2, 3, 4)
@@ -208,8 +218,6 @@ def test_several_contacts_at_once_have_a_wrench_each_and_are_replayed(
     assert 10 < sum(whole) < len(whole)  # a busy machine loses samples
     got = replay_in_process(run)
     assert got.same, got.first_difference
-    tared.push(4, (0.0, 0.0, 0.0))
-    tared.until(touched(tared, 0), "the contacts to end")
 
 
 def test_a_tare_is_answered_with_its_values_and_can_be_taken_back(tared, estimator):
@@ -243,8 +251,7 @@ def test_a_load_that_is_none_is_refused_and_the_sim_goes_on(tared, sim):
 def test_a_command_moves_the_arm_without_a_false_force(tared):
     tared.until(lambda: tared.command.get_subscription_count() == 2, "sim and estimator")
     tared.wrenches.clear()
-    command = JointState(name=list(ARM.joint_names), position=[0.05] * 8)
-    tared.command.publish(command)
+    tared.command.publish(command_at(0.05))
     tared.until(lambda: len(tared.wrenches) > 150, "wrenches while the arm moves")
     moved = solve_equilibrium(mechanism_of(ARM), np.full(8, 0.05)).tensions_n
     tared.until(lambda: np.abs(tared.tensions[-1].effort - moved).max() < 0.5, "the new pose")
@@ -255,9 +262,6 @@ def test_a_command_moves_the_arm_without_a_false_force(tared):
     assert ForceState.MOVING in map(tared.state_of, tared.wrenches)
     tared.push(2, (0.0, 0.0, 30.0))
     tared.until(touched(tared, 2), "a contact at the new pose")
-    tared.push(2, (0.0, 0.0, 0.0))
-    tared.command.publish(JointState(name=list(ARM.joint_names), position=[0.0] * 8))
-    tared.spin(1.5)
 
 
 def test_a_trajectory_is_followed_and_its_end_is_a_command(tared):
@@ -297,8 +301,6 @@ def test_a_tare_under_load_is_refused_and_where_forced_can_be_undone(tared):
     assert tared.call("/estimator/tare_undo").success
     assert not _refusal(tared, "tare_force", False)
     tared.until(touched(tared, 4), "the load to show again")
-    tared.push(4, (0.0, 0.0, 0.0))
-    tared.until(touched(tared, 0), "the contact to end")
 
 
 def test_description_diagnostics_and_overridden_quality_of_service(tared):
