@@ -137,6 +137,13 @@ class System(ABC):
         """A function of the conditions as channels are compared, (R, C)."""
         return column
 
+    def model_error(self, problem: Problem, found: Sequence[Explanation]) -> Array | None:
+        """(C,) RMS that a model of a real machine leaves, if no explanation fits any channel.
+
+        None if one does: the nominal machine is then taken to be exact but for its tolerances.
+        """
+        return None
+
     def completed(self, problem: Problem, found: Sequence[Explanation]) -> list[Explanation]:
         """The search's explanations, as this kind of machine weighs them."""
         return list(found)
@@ -322,6 +329,13 @@ def diagnose_system(
         usual = reference.expected(system, problem)
         problem = _since(problem, usual)
     found = system.completed(problem, search(problem, progress, workers))
+    error = None if reference is not None else system.model_error(problem, found)
+    if error is not None:
+        deviation = np.hypot(problem.floor, error)
+        floor = float(np.sqrt((deviation**2).mean()))
+        usual = Expected(nothing, nothing + floor / deviation, floor)
+        problem = _since(problem, usual)
+        found = system.completed(problem, search(problem, progress, workers))
     ranked = named(problem, posterior(found, problem.floor, calibration), calibration)
     progress("describing the verdict", 0.98)
     best, used = ranked[0].explanation, problem.used
@@ -332,6 +346,14 @@ def diagnose_system(
     traded = trades(problem, best) if best else []
     rest = remainder(problem, explained)
     group, reasons = ambiguity(problem, ranked, system.unit)
+    if error is not None:
+        reasons = (
+            "No explanation fits any channel. The model is taken to leave "
+            f"{problem.floor:.3g} {system.unit}, as models of real machines do, and the verdict "
+            "is what stands out of that. A reference, recorded when the machine was healthy, "
+            "would show smaller causes.",
+            *reasons,
+        )
     held_out, experiment = explained.held_out, ""
     if best:
         rivals = [r.explanation.values for r in rivals_of(ranked) if r.explanation is not None]

@@ -1,4 +1,4 @@
-"""What changed since a healthy recording, with a model that leaves a tenth of the torque."""
+"""Diagnoses with a model that leaves a tenth of the torque, mostly since a healthy recording."""
 
 import numpy as np
 import pandas as pd
@@ -53,6 +53,16 @@ def test_what_changed_is_named_and_sized(tmp_path, machine):
     assert verdict.effects == ("payload",)
     assert verdict.where.bodies == ("lower",)
     assert verdict.parameters["payload.mass_kg"].value == pytest.approx(0.1, rel=0.2)
+
+
+@pytest.mark.slow
+def test_without_a_reference_it_names_what_stands_out_of_the_model_s_error(tmp_path, machine):
+    robot, _ = machine
+    later = read_recording(worn(tmp_path / "later.csv", 3, payload=0.5), robot)
+    loaded = diagnose(later, robot).verdict
+    assert loaded.effects == ("payload",)
+    assert loaded.parameters["payload.mass_kg"].value == pytest.approx(0.5, rel=0.2)
+    assert "as models of real machines do" in loaded.why[0]
 
 
 @pytest.mark.slow
