@@ -1,18 +1,30 @@
-"""Sets of cases: robots with hidden changes, their recordings, and the answers."""
+"""Sets of cases: robots with hidden changes, their recordings, and the answers.
+
+`withhold` makes a set for any robot of hinges in a row; `drawn` one for the bundled robots.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pandas as pd
 
 from cablesense_base import Array
-from cablesense_plants.cases import NONE, UNKNOWN, PlantError, different, in_turn, plant_file
+from cablesense_plants.cases import (
+    NONE,
+    UNKNOWN,
+    PlantError,
+    different,
+    in_turn,
+    plant_file,
+    write_answers,
+)
 from cablesense_plants.robot.causes import (
     Drawing,
     RobotChange,
@@ -41,6 +53,10 @@ _VISIBLE = 0.8
 """If the gap is below this share of the wanted one, the cause is drawn again."""
 _IMPERFECT = (0.05, 0.15)
 """Share of each joint's torque, RMS, that an imperfect nominal robot leaves."""
+_FREE_RAD = (-np.pi, np.pi)
+_REACH_SHARE, _MOST_REACH_RAD, _SPEEDS_HZ = 0.35, 1.2, (0.5, 1.0)
+_NOISE_SHARE, _LEAST_SHARE = 0.005, 1e-3
+"""Noise of one sample as a share of a joint's torque, RMS, and that as one of the largest."""
 _TRIES, _REDRAWS, _OF_ONE_NAME = 5, 60, 6
 
 
@@ -88,6 +104,76 @@ class RobotCase:
     seeds: tuple[int, ...]
 
 
+def withhold(
+    folder: Path,
+    answers_file: Path,
+    path: Path,
+    model: mujoco.MjModel,
+    count: int,
+    seed: int,
+    only: Sequence[str] = (),
+    *,
+    second: bool = False,
+) -> Iterator[RobotAnswer]:
+    """Write `case_001.csv.gz` … into a folder, and at the end the answers.
+
+    With `second`, the folder `second/` in it gets another recording of each robot. `model` is that
+    of the file `path` as MuJoCo read it. `only` has names of effects joined by
+    `+`, `none` or `unknown`; the cases have these in turn. Torques are recorded, and no commands.
+
+    Raises:
+        PlantError: the robot is no row of hinges, a name in `only` is unknown, or a place cannot
+            be written to.
+    """
+    kind, known = usual_kind(path, model), pools(commands=False)
+    rng = np.random.default_rng([seed])
+    sets = _sets(rng, count, known)
+    sets = [sets[k] for k in rng.permutation(count)]
+    if only:
+        unlisted = in_turn(rng, list(known[1]))
+        names = [each.split("+") for each in only]
+        if strange := sorted({n for own in names for n in own} - {NONE, UNKNOWN, *known[0]}):
+            raise PlantError(
+                f"no effect {strange[0]!r} of a robot; known are {', '.join(sorted(known[0]))}, "
+                f"{NONE} and {UNKNOWN}"
+            )
+        sets = [
+            [next(unlisted) if n == UNKNOWN else n for n in names[k % len(names)] if n != NONE]
+            for k in range(count)
+        ]
+    answers = []
+    for index, own in enumerate(sets, start=1):
+        case = draw_case(kind, own, seed, index, known)
+        last = 2 if second else 1
+        parts = {"robots": case.robots, "asked": case.asked, "seeds": case.seeds}
+        record([replace(case, **{name: part[:last] for name, part in parts.items()})], folder)
+        answers.append(case.answer)
+        yield case.answer
+    write_answers(answers_file, answers)
+
+
+def usual_kind(path: Path, model: mujoco.MjModel) -> RobotKind:
+    """A robot as laboratories run one: sines over a part of its range, and good sensors."""
+    count, limited = model.njnt, model.jnt_limited.astype(bool)[:, None]
+    low, high = np.where(limited, model.jnt_range, _FREE_RAD).T
+    kind = RobotKind(
+        path=path,
+        home_rad=0.5 * (low + high),
+        reach_rad=np.minimum(_REACH_SHARE * (high - low), _MOST_REACH_RAD),
+        speed_hz=np.linspace(*_SPEEDS_HZ, count),
+        encoder_rad=2.0 * np.pi / 2**16,
+        noise_n_m=np.ones(count),
+        rate_hz=250,
+        trial_s=4.0,
+        gain_1_s2=600.0,
+        drives=(),
+        model=model,
+    )
+    asked = reference(kind, np.random.default_rng(0))
+    torque = _rms(prescribed_n_m(kind, kind.nominal()[0], asked))
+    return replace(kind, noise_n_m=np.maximum(torque, _LEAST_SHARE * torque.max()) * _NOISE_SHARE)
+
+
 def drawn(
     count: int, seed: int, *, commands: bool = False, imperfect: bool = False
 ) -> list[RobotCase]:
@@ -99,17 +185,24 @@ def drawn(
     """
     rng = np.random.default_rng([seed])
     known = pools(commands=commands)
+    sets, kinds = _sets(rng, count, known), in_turn(rng, list(KINDS))
+    order = rng.permutation(count)
+    return [
+        draw_case(KINDS[next(kinds)], sets[at], seed, index + 1, known, imperfect=imperfect)
+        for index, at in enumerate(order)
+    ]
+
+
+def _sets(
+    rng: np.random.Generator, count: int, known: Sequence[Mapping[str, Drawing]]
+) -> list[list[str]]:
+    """Names of the causes of each case: none, unlisted ones, several, and one."""
     listed, unlisted = (in_turn(rng, list(pool)) for pool in known)
     none, unknown = round(_NONE_SHARE * count), round(_UNKNOWN_SHARE * count)
     several = round(_SEVERAL_SHARE * count)
     sets: list[list[str]] = [[]] * none + [[next(unlisted)] for _ in range(unknown)]
     sets += [different(listed, 2 + int(rng.random() < 0.4)) for _ in range(several)]
-    sets += [[next(listed)] for _ in range(count - len(sets))]
-    kinds = in_turn(rng, list(KINDS))
-    return [
-        draw_case(KINDS[next(kinds)], sets[at], seed, index + 1, known, imperfect=imperfect)
-        for index, at in enumerate(rng.permutation(count))
-    ]
+    return sets + [[next(listed)] for _ in range(count - len(sets))]
 
 
 def with_play(count: int, seed: int) -> list[RobotCase]:

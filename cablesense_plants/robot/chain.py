@@ -8,14 +8,15 @@ files of the models and has no other part in it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_plants.cases import PlantError
 
-GRAVITY_M_S2 = (0.0, 0.0, -9.81)
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_LEAST_KG = 1e-9
 
 
 @dataclass(frozen=True)
@@ -123,28 +124,57 @@ class _ChainPose:
         return np.asarray(upper + np.swapaxes(np.triu(upper, 1), -1, -2))
 
 
-def read_chain(path: str | Path) -> tuple[LinkChain, dict[str, Array], list[str], list[str]]:
-    """The chain of one of these MJCFs.
+def read_chain(
+    model: mujoco.MjModel,
+) -> tuple[LinkChain, dict[str, Array], list[str], list[str]]:
+    """The chain of a robot that MuJoCo has read; its links' axes are the base's at zero.
 
-    Gives also `damping`, `armature` and `stiffness` by joint (N,), and the joints' and the
-    links' names.
+    Gives also `damping`, `armature`, `stiffness` and `dry` friction by joint (N,), and the joints'
+    and the links' names. Bodies without a joint are parts of the link that carries them.
+
+    Raises:
+        PlantError: its joints are no hinges one after the other.
     """
-    model = mujoco.MjModel.from_xml_path(str(path))
+    count, data = model.njnt, mujoco.MjData(model)
+    joints = [model.joint(n).name for n in range(count)]
+    data.qpos[:] = 0.0
+    mujoco.mj_kinematics(model, data)
+    link_of, bodies = {0: -1}, model.jnt_bodyid.tolist()
+    for body in range(1, model.nbody):
+        link_of[body] = carrier = link_of[int(model.body_parentid[body])]
+        if body in bodies:
+            link_of[body] = n = bodies.index(body)
+            if bodies.count(body) > 1 or n != carrier + 1 or model.jnt_type[n] != _HINGE:
+                raise PlantError(
+                    f"joint {joints[n]}: a plant's robot is a row of hinges, each on the link of "
+                    "the one before; give a model without branches, slides and balls"
+                )
+    owner = np.array([link_of[body] for body in range(model.nbody)])
+    mass, centre, inertia = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
+    for n in range(count):
+        own = np.flatnonzero(owner == n)
+        mass[n] = model.body_mass[own].sum()
+        middle = model.body_mass[own] @ data.xipos[own] / max(mass[n], _LEAST_KG)
+        centre[n] = middle - data.xanchor[n]
+        for body in own:
+            turned, arm = data.ximat[body].reshape(3, 3), data.xipos[body] - middle
+            inertia[n] += turned * model.body_inertia[body] @ turned.T
+            inertia[n] += model.body_mass[body] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     chain = LinkChain(
-        axis=model.jnt_axis,
-        origin_m=model.body_pos[1:],
-        mass_kg=model.body_mass[1:],
-        centre_m=model.body_ipos[1:],
-        inertia_kg_m2=model.body_inertia[1:, :, None] * np.eye(3),
-        gravity_m_s2=np.array(GRAVITY_M_S2),
+        axis=data.xaxis.copy(),
+        origin_m=np.diff(data.xanchor, axis=0, prepend=np.zeros((1, 3))),
+        mass_kg=mass,
+        centre_m=centre,
+        inertia_kg_m2=inertia,
+        gravity_m_s2=model.opt.gravity.copy(),
     )
     sizes = {
         "damping": model.dof_damping,
         "armature": model.dof_armature,
         "stiffness": model.jnt_stiffness,
+        "dry": model.dof_frictionloss,
     }
-    joints = [model.joint(n).name for n in range(model.njnt)]
-    return chain, sizes, joints, [model.body(n + 1).name for n in range(model.njnt)]
+    return chain, sizes, joints, [model.body(body).name for body in bodies]
 
 
 def _rotations(axis: Array, angle: Array) -> Array:

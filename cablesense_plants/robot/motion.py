@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from cablesense_base import Array
+from cablesense_plants.cases import PlantError
 from cablesense_plants.robot.guides import Rubbing, pulls_n
 from cablesense_plants.robot.robots import RealRobot, RobotKind, stacked
 
@@ -239,7 +240,7 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
             angle, speed = angle + step_s * middle, speed + step_s * then
             rotor, rotor_speed = rotor + step_s * half, rotor_speed + step_s * turned
     if not np.isfinite(angle).all():
-        raise FloatingPointError("a robot flew away")
+        raise PlantError(f"{kind.name}: a controlled robot flew away; draw with another seed")
     return DrivenMotion(*kept)
 
 
@@ -273,7 +274,7 @@ def written(
                 "position": counted[rows],
                 "velocity": _lagged(change, _VELOCITY_S)[rows],
                 "torque": torque[rows],
-                "command": command[rows],
+                "command": command[rows, : len(kind.drives)],
             }
         )
     return found

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+import mujoco
 import numpy as np
 
 from cablesense_base import Array
@@ -29,6 +30,7 @@ class RobotKind:
     """A nominal robot, how it is run, and how well it is measured.
 
     Attributes:
+        model: as MuJoCo read it, if not from the file.
         home_rad, reach_rad: (N,) where trials begin and end, and how far they go from there.
         speed_hz: the fastest of the sines, by joint (N,).
         encoder_rad: an encoder's step.
@@ -53,6 +55,7 @@ class RobotKind:
     drives: tuple[str, ...]
     tendon_m: Array | None = None
     guides: TendonGuides | None = None
+    model: mujoco.MjModel | None = field(default=None, compare=False)
 
     @property
     def name(self) -> str:
@@ -61,7 +64,8 @@ class RobotKind:
 
     def nominal(self) -> tuple[RealRobot, list[str], list[str]]:
         """The robot without anything hidden; names of its joints and links."""
-        chain, sizes, joints, links = read_chain(self.path)
+        model = self.model or mujoco.MjModel.from_xml_path(str(self.path))
+        chain, sizes, joints, links = read_chain(model)
         moved, capstan = np.eye(len(joints)), np.zeros(len(self.drives))
         return RealRobot(chain, moved=moved, capstan=capstan, **sizes), joints, links
 

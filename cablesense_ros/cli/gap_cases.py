@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict
 from glob import escape
 from pathlib import Path
@@ -50,6 +51,12 @@ def withhold(
     out: Annotated[Path, typer.Option(help="Folder for case_001.csv ….")],
     seed: Annotated[int, typer.Option(min=0, help="The same seed makes the same files.")] = 0,
     arm: NominalArmOption = "cdsm_lab",
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="In place of --arm: MJCF or URDF of a robot whose joints are a row of hinges."
+        ),
+    ] = None,
     answers: Annotated[
         Path | None, typer.Option(help="File for the answers, if not OUT/answers/answers.csv.")
     ] = None,
@@ -62,7 +69,9 @@ def withhold(
     ] = None,
     second: Annotated[
         bool,
-        typer.Option("--second", help="Record every arm twice, the second time in OUT/second/."),
+        typer.Option(
+            "--second", help="Record every machine twice, the second time in OUT/second/."
+        ),
     ] = False,
     workers: WorkersOption = 1,
     force: ForceOption = False,
@@ -71,25 +80,34 @@ def withhold(
 
     The arms come from a plant that shares no code with the simulator or the diagnosis. Every arm
     has manufacturing tolerances; a fifth hides nothing more, a fifth something that no verdict
-    has a name for, some two effects at once.
+    has a name for, some two or more effects at once.
 
     Examples: [bold]cablesense gap withhold --count 60 --seed 7 --out cases[/bold],
     [bold]cablesense gap withhold --count 10 --only payload --out payloads[/bold]
     """
     from rich.progress import track
 
-    from cablesense_plants.arm.body import read_nominal
-    from cablesense_plants.arm.withhold import withhold as withhold_arms
     from cablesense_sim.arm import find_arm
 
     answers_file, kinds = answers or out / "answers" / "answers.csv", tuple(only or ())
-    source = find_arm(arm)
-    written = ("case_*.csv", "second/case_*.csv") if second else ("case_*.csv",)
+    names = "case_*.csv" if model is None else "case_*.csv.gz"
+    written = (names, f"second/{names}") if second else (names,)
+    source = find_arm(arm) if model is None else model
     output_folder(out, written, force=force, inputs=(source,))
     output_folder(answers_file.parent, (escape(answers_file.name),), force=force, inputs=(source,))
-    made = withhold_arms(
-        out, answers_file, read_nominal(source), count, seed, kinds, workers, second=second
-    )
+    made: Iterator[object]
+    if model is None:
+        from cablesense_plants.arm.body import read_nominal
+        from cablesense_plants.arm.withhold import withhold as of_arms
+
+        nominal = read_nominal(source)
+        made = of_arms(out, answers_file, nominal, count, seed, kinds, workers, second=second)
+    else:
+        from cablesense_gap.robot.model import load_robot
+        from cablesense_plants.robot.cases import withhold as of_robots
+
+        read = load_robot(model).model
+        made = of_robots(out, answers_file, model, read, count, seed, kinds, second=second)
     console = Console()
     for _ in track(made, description="Recording", total=count, console=console):
         pass

@@ -7,10 +7,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
-from cablesense_plants.robot.cases import drawn
+from cablesense_plants.cases import PlantError
+from cablesense_plants.robot.cases import draw_case, drawn, usual_kind
+from cablesense_plants.robot.causes import pools
 from cablesense_plants.robot.chain import LinkChain, read_chain
 from cablesense_plants.robot.guides import PRETENSION_N, Rubbing, pulls_n
 from cablesense_plants.robot.motion import (
@@ -22,12 +25,24 @@ from cablesense_plants.robot.motion import (
     written,
 )
 from cablesense_plants.robot.robots import GUIDED, KINDS, RobotKind, stacked
+from cablesense_ros.cli.app import app
+
+TILTED = """<mujoco><worldbody><body pos="0 0 0.3" euler="10 0 20">
+  <inertial pos="0 0 0" mass="9" diaginertia="1 1 1"/>
+  <body name="upper" pos="0.1 0 0.2" quat="1 1 0 0">
+    <joint name="shoulder" axis="0 1 1" pos="0 0 0.05" armature="0.02" damping="0.3"/>
+    <geom type="capsule" fromto="0 0 0 0.3 0.1 0" size="0.04" mass="2"/>
+    <body name="lower" pos="0.3 0.1 0" euler="0 40 0"><joint name="elbow" axis="0 0 1"/>
+      <geom type="box" size="0.1 0.05 0.02" pos="0.1 0 0" mass="1"/>
+      <body pos="0.2 0 0" euler="30 0 0"><geom size="0.03" pos="0.1 0 0" mass="0.4"/></body>
+    </body></body></body></worldbody></mujoco>"""
 
 
-@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+@pytest.mark.parametrize("kind", [*KINDS, "tilted"])
 def test_torques_are_those_of_mujoco_without_effects(kind):
-    chain, sizes, _, _ = read_chain(kind.path)
-    model = mujoco.MjModel.from_xml_path(str(kind.path))
+    file = KINDS[kind].path.read_text() if kind in KINDS else TILTED
+    model = mujoco.MjModel.from_xml_string(file)
+    chain, sizes, _, _ = read_chain(model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     data, rng = mujoco.MjData(model), np.random.default_rng(1)
     for _ in range(5):
@@ -37,6 +52,45 @@ def test_torques_are_those_of_mujoco_without_effects(kind):
         own = sizes["armature"] * motion[2] + sizes["damping"] * motion[1]
         found = chain.torques_n_m(*motion) + own + sizes["stiffness"] * motion[0]
         assert found == pytest.approx(data.qfrc_inverse, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ('name="elbow" axis="0 0 1"', 'name="elbow" type="slide"', "elbow.*row of hinges"),
+        ('<body name="lower"', '<body><joint name="side"/><geom size="1"/></body><body', "elbow"),
+    ],
+)
+def test_a_robot_that_is_no_row_of_hinges_is_refused(old, new, fault):
+    with pytest.raises(PlantError, match=fault):
+        read_chain(mujoco.MjModel.from_xml_string(TILTED.replace(old, new)))
+
+
+def test_a_robot_of_the_user_is_run_within_its_range_and_hides_what_is_asked(tmp_path):
+    limited = TILTED.replace('name="elbow"', 'name="elbow" range="-20 60"')
+    kind = usual_kind(tmp_path / "robot.xml", mujoco.MjModel.from_xml_string(limited))
+    angle = reference(kind, np.random.default_rng(1)).angle[:, 1]
+    assert np.rad2deg([angle.min(), angle.max()]) == pytest.approx([-8, 48], abs=12)
+    case = draw_case(kind, ["payload"], 1, 1, pools(commands=False))
+    assert case.answer.effects == "payload"
+    assert case.answer.where in {"upper", "lower"}
+    assert case.answer.gap_over_floor > 5.0
+
+
+@pytest.mark.parametrize(
+    ("words", "fault"),
+    [
+        (["slide.xml"], "joint e: .*row of hinges"),
+        (["robot.xml", "--only", "rust"], "no effect 'rust' of a robot; known are base_tilt"),
+    ],
+)
+def test_a_model_or_an_effect_that_cannot_be_withheld_is_one_line(words, fault, tmp_path):
+    (tmp_path / "robot.xml").write_text(TILTED)
+    (tmp_path / "slide.xml").write_text(TILTED.replace('name="elbow"', 'type="slide" name="e"'))
+    asked = ["gap", "withhold", "--count", "1", "--out", str(tmp_path / "out"), "--model"]
+    given = [*asked, str(tmp_path / words[0]), *words[1:]]
+    with pytest.raises(PlantError, match=fault):
+        CliRunner().invoke(app, given, catch_exceptions=False)
 
 
 def test_a_pendulum_swings_with_its_period_and_keeps_its_energy():
