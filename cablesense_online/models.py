@@ -176,6 +176,12 @@ class ContactModel:
     def __init__(self, estimator: Any, tares: Tares, gate: MotionGate, arm: RestingArm) -> None:
         self._estimator, self._tares, self._gate, self._arm = estimator, tares, gate, arm
         self._contact_m = arm.statics.mechanism.contact_m.tolist()
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Compile now what the first contact would wait for, for seconds once a machine."""
+        self._arm.command(self._gate.pose_rad)
+        self._arm.explained(np.zeros(len(self._arm.unloaded_n)), [Contact(1)])
 
     def find(self, tensions_n: Array, stamp_ns: int, threshold: float) -> FoundContacts | None:
         """The contacts behind tensions (M,), of a probability `threshold`; None without a tare.
@@ -227,6 +233,9 @@ class HistoryDependentModel(ContactModel):
         self._last_ns: int | None = None
         self._predicted: tuple[Array, Array] | None = None
         self.restart(gate.command_rad)
+
+    def _prepare(self) -> None:
+        """Nothing compares its contacts with the readings."""
 
     def find(self, tensions_n: Array, stamp_ns: int, threshold: float) -> FoundContacts | None:
         """See `ContactModel`; the trajectory is followed without a tare too."""
@@ -309,11 +318,8 @@ class AnywhereModel(ContactModel):
 
     several = True
 
-    def __init__(
-        self, estimator: AnywhereEstimator, tares: Tares, gate: MotionGate, arm: RestingArm
-    ) -> None:
-        super().__init__(estimator, tares, gate, arm)
-        estimator.prepare()
+    def _prepare(self) -> None:
+        self._estimator.prepare()
 
     def _decided(self, estimate: Estimate, threshold: float) -> FoundContacts:
         place, probabilities = estimate.place, estimate.probabilities.tolist()

@@ -12,17 +12,17 @@ import math
 from collections.abc import Sequence
 from functools import cached_property
 from itertools import combinations
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact
 from cablesense_online.tare import UnloadedTensions
-from cablesense_sim import kinematics, rest_pose
+from cablesense_sim import kinematics
 from cablesense_sim.contact_location import AXIAL_STD_N, contact_response
 from cablesense_sim.equilibrium import EquilibriumError
+from cablesense_sim.point_force_fit import Resting, fit_point_forces, point_arm
 from cablesense_sim.replay import difference_variance_n2
 
 FORCE_OFF_N: Final = 5.0
@@ -49,13 +49,6 @@ LEAST_SPREAD_N: Final = 0.01
 """Assumed of a sensor without noise and step."""
 _TAUT_SPREADS = 4.0
 """Standard deviations of a reading above which a cable is read as taut."""
-_SLACK_WEIGHT = 1e-5
-"""A slack cable's length has this weight in the fit of the pose, which it holds where few cables
-are taut."""
-_NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
-"""The axes that follow x, y and z."""
-_POSE_STEPS, _POSE_FOUND_RAD = 8, 3e-5
-"""Each step squares the error of the pose."""
 
 
 class RestingArm:
@@ -74,12 +67,10 @@ class RestingArm:
         self.statics, self.spread_n = statics, max(spread_n, LEAST_SPREAD_N)
         self.command_rad = self.unloaded_n = self.held_m = np.zeros(0)
         mechanism = statics.mechanism
-        self._plates = rest_pose.plates_of(mechanism, 1)
-        self._weight_n_m = kinematics.load_arms(mechanism, np.zeros((mechanism.segment_count, 3)))
-        self._springs_n_m_rad = np.repeat(mechanism.joint_stiffness_n_m_rad, 2)
         straight = kinematics.spans(mechanism, np.zeros(mechanism.joint_count))
         loose_m = mechanism.pretension_n / mechanism.stiffness_n_m
         self._loose_m = straight.length_m.sum(axis=-1) - loose_m
+        self._points = point_arm(mechanism)
 
     def command(self, command_rad: Array) -> None:
         """The arm rests at a command (2N,); another array is another command."""
@@ -87,7 +78,8 @@ class RestingArm:
             self.command_rad = command_rad
             self.unloaded_n = self.statics.predict_n(command_rad)
             self.held_m = self.statics.held_m(command_rad)
-            self._axes = kinematics.segment_rotations(self.statics.mechanism, command_rad)
+            axes = kinematics.segment_rotations(self.statics.mechanism, command_rad)
+            self._resting = Resting(np.array(command_rad), axes, self._loose_m + self.held_m)
 
     def misfit(self, difference_n: Array, contacts: Sequence[Contact]) -> float:
         """The misfit of readings less unloaded tensions (M,) to contacts on these segments.
@@ -108,30 +100,13 @@ class RestingArm:
         They act at the contact points of the arm file. The sizes of the given `contacts` state how
         large axial forces by friction may be. Gives their misfit too.
         """
-        # variances are in those of a reading
-        reading_n = self.unloaded_n + difference_n
-        at = self._pose(reading_n)
-        residual_n = reading_n - np.maximum(at.elastic_n, 0.0)
-        squared_n2 = residual_n @ residual_n
-
-        taut, tension_n = at.taut, np.where(at.taut, at.elastic_n, reading_n)
-        torque_n_m = at.lever_m.T @ tension_n + self._springs_n_m_rad * at.angles_rad
-        axis, joint_axis = at.pose.axis[0], at.pose.joint_axis[0]
-        rest_pose.take_load_torque(axis, joint_axis, self._weight_n_m, torque_n_m)
-        by_taut_m, slack_m = at.lever_m[taut].T @ at.by_turn[taut], at.lever_m[~taut]
-        variance_m2 = by_taut_m @ at.variance_rad2 @ by_taut_m.T + slack_m.T @ slack_m
-        precision = np.linalg.inv(variance_m2)
-
-        touched = [contact.segment - 1 for contact in contacts]
-        columns_m = np.vstack([self._by_force_m(at.pose, n) for n in touched])
-        prior = np.zeros((len(touched), 3))
-        prior[:, 0] = [(self.spread_n / along_std_n(contact)) ** 2 for contact in contacts]
-        weighted = columns_m @ precision
-        information = weighted @ columns_m.T + np.diag(prior.ravel())
-        force_n = np.linalg.solve(information, weighted @ torque_n_m)
-        left_n_m = torque_n_m - force_n @ columns_m
-        squared_n2 += left_n_m @ precision @ left_n_m + prior.ravel() @ force_n**2
-        free = max(len(reading_n) - POINT_NUMBERS * len(touched), 1)
+        segments = np.array([contact.segment - 1 for contact in contacts])
+        along = np.array([(self.spread_n / along_std_n(contact)) ** 2 for contact in contacts])
+        reading_n, taut_above_n = self.unloaded_n + difference_n, _TAUT_SPREADS * self.spread_n
+        force_n, squared_n2 = fit_point_forces(
+            self._points, self._resting, reading_n, taut_above_n, segments, along
+        )
+        free = max(len(reading_n) - POINT_NUMBERS * len(contacts), 1)
         best = [
             Contact(
                 contact.segment,
@@ -140,73 +115,9 @@ class RestingArm:
                 contact.contact_m,
                 x,
             )
-            for contact, (x, y, z) in zip(contacts, force_n.reshape(-1, 3).tolist(), strict=True)
+            for contact, (x, y, z) in zip(contacts, force_n.tolist(), strict=True)
         ]
         return best, math.sqrt(squared_n2 / free) / self.spread_n
-
-    def _pose(self, reading_n: Array) -> _ReadPose:
-        """The pose whose tensions are nearest to the readings (M,).
-
-        Cables that are read as taut determine it, and then also those that it would make taut.
-        """
-        stiffness_n_m = self.statics.mechanism.stiffness_n_m
-        angles_rad = self.command_rad
-        read_taut = taut = reading_n > _TAUT_SPREADS * self.spread_n
-        for step in range(_POSE_STEPS):
-            pose = rest_pose.posed(self._plates, angles_rad[None])
-            stretch_m = pose.span_m[0].sum(axis=1) - self._loose_m - self.held_m
-            elastic_n = stiffness_n_m * stretch_m
-            taut = read_taut | (elastic_n > 0.0) if step else read_taut
-            lever_m = pose.by_turn_m[0].reshape(len(taut), -1)
-            by_turn = stiffness_n_m[:, None] * lever_m
-            missing_n = np.where(taut, reading_n - elastic_n, np.minimum(-elastic_n, 0.0))
-            weighted = by_turn.T * np.where(taut, 1.0, _SLACK_WEIGHT)
-            variance_rad2 = np.linalg.inv(weighted @ by_turn)
-            turn_rad = variance_rad2 @ (weighted @ missing_n)
-            angles_rad = angles_rad + turn_rad
-            if step and np.abs(turn_rad).max() < _POSE_FOUND_RAD:
-                break
-        elastic_n = elastic_n + by_turn @ turn_rad
-        return _ReadPose(angles_rad, pose, taut, lever_m, by_turn, elastic_n, variance_rad2)
-
-    def _by_force_m(self, pose: rest_pose.Pose, n: int) -> Array:
-        """Joint torques (3, 2N) of unit forces at the contact point of a segment, from 0 on.
-
-        Forces are along the axes of the segment at the command.
-        """
-        mechanism, axis = self.statics.mechanism, pose.axis[0]
-        joint_m = np.zeros((n + 2, 3))
-        joint_m[1:] = (mechanism.segment_length_m[: n + 1, None] * axis[: n + 1]).cumsum(axis=0)
-        point_m = joint_m[n] + mechanism.contact_m[n] * axis[n]
-        moved = 2 * (n + 1)
-        turning, arms_m = pose.joint_axis[0, :moved], np.repeat(point_m - joint_m[:-1], 2, axis=0)
-        # np.cross takes ten times as long
-        crossed = turning[:, _NEXT] * arms_m[:, _AFTER] - turning[:, _AFTER] * arms_m[:, _NEXT]
-        columns = np.zeros((3, mechanism.joint_count))
-        columns[:, :moved] = (crossed @ self._axes[n]).T
-        return columns
-
-
-class _ReadPose(NamedTuple):
-    """A pose that readings show.
-
-    Attributes:
-        angles_rad: (2N,) of the joints.
-        pose: there, but for the last step, which is small.
-        taut: (M,) which cables are.
-        lever_m: (M, 2N) derivative of the cable lengths by the angles.
-        by_turn: (M, 2N) that of the elastic tensions, N/rad.
-        elastic_n: (M,) tensions, negative where a slack cable lacks length.
-        variance_rad2: (2N, 2N) of the angles, over that of a reading in N².
-    """
-
-    angles_rad: Array
-    pose: rest_pose.Pose
-    taut: NDArray[np.bool_]
-    lever_m: Array
-    by_turn: Array
-    elastic_n: Array
-    variance_rad2: Array
 
 
 def along_std_n(contact: Contact) -> float:

@@ -31,6 +31,14 @@ class Plates(NamedTuple):
     passes: Array
 
 
+class Springs(NamedTuple):
+    """Plates of one arm, stiffness of its M cables, and that of its 2N joint axes."""
+
+    plates: Plates
+    cable_n_m: Array
+    joint_n_m_rad: Array
+
+
 class Pose(NamedTuple):
     """P arms in a pose.
 
@@ -69,6 +77,14 @@ def plates_of(mechanism: Mechanism, count: int) -> Plates:
     before, after = mechanism.plate_holes_m
     holes = [np.broadcast_to(each, (count, *passes.shape)) for each in (*before, *after)]
     return Plates(mechanism.plate_offset_m, np.stack(holes, axis=-1), passes)
+
+
+def springs_of(mechanism: Mechanism) -> Springs:
+    """The plates and the stiffness of one arm."""
+    joint_n_m_rad = np.repeat(mechanism.joint_stiffness_n_m_rad, 2).astype(float)
+    return Springs(
+        plates_of(mechanism, 1), np.array(mechanism.stiffness_n_m, float), joint_n_m_rad
+    )
 
 
 @compiled

@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_sim.cholesky import factorise, solve
 from cablesense_sim.compiled import compiled
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.rest_pose import (
-    Plates,
-    plates_of,
+    Springs,
     span_m,
+    springs_of,
     take_load_slope,
     take_load_torque,
     turn_axes,
@@ -33,14 +34,6 @@ _LONGEST_TURN_RAD = 0.1
 _LEAST_ESCAPE_RAD = 1e-3
 _ROUNDING = 1e-13
 """Relative rounding of the potential, in addition to that of the cables' stretches."""
-
-
-class _Springs(NamedTuple):
-    """Plates of one arm, stiffness of its M cables, and that of its 2N joint axes."""
-
-    plates: Plates
-    cable_n_m: Array
-    joint_n_m_rad: Array
 
 
 class _Case(NamedTuple):
@@ -88,18 +81,13 @@ def search_rest(
         arms_n_m: (B, N, 3) loads on the segments' axes, `kinematics.load_arms`.
         start_rad: (B, 2N) angles to begin at.
     """
-    springs = _Springs(
-        plates_of(mechanism, 1),
-        np.array(mechanism.stiffness_n_m, float),
-        np.repeat(mechanism.joint_stiffness_n_m_rad, 2).astype(float),
-    )
     given = np.array(rest_m), np.array(arms_n_m), np.array(start_rad)
-    return _searched(springs, enough_n_m, rounding_m, *given)
+    return _searched(springs_of(mechanism), enough_n_m, rounding_m, *given)
 
 
 @compiled
 def _searched(
-    springs: _Springs, enough: float, rounding_m: float, rest: Array, arms: Array, angles: Array
+    springs: Springs, enough: float, rounding_m: float, rest: Array, arms: Array, angles: Array
 ) -> tuple[Array, Array, Array, NDArray[np.int64]]:
     (count, cables), joints = rest.shape, arms.shape[1]
     tensions, residual = np.zeros((count, cables)), np.full(count, np.inf)
@@ -120,14 +108,17 @@ def _searched(
         case.arms_n_m[:] = arms[b]
         potential = _look(springs, angles[b], case)
         for iteration in range(_MAX_ITERATIONS + 1):
-            turn, largest = -case.gradient_n_m, np.abs(case.gradient_n_m).max()
-            stable = _solved(case.hessian_n_m.copy(), turn)
+            largest, root = np.abs(case.gradient_n_m).max(), case.hessian_n_m.copy()
+            stable = factorise(root)
             tensions[b], iterations[b] = case.tension_n, iteration
             # balanced on a saddle of the potential is not at rest
             residual[b] = largest if stable else np.inf
             if stable and largest <= enough:
                 break
-            if not stable:
+            if stable:
+                turn = -case.gradient_n_m
+                solve(root, turn.reshape(1, -1))
+            else:
                 turn = escape_step(case.hessian_n_m, case.gradient_n_m)
             turn *= min(1.0, _LONGEST_TURN_RAD / max(np.abs(turn).max(), 1e-300))
             room = _ROUNDING * (abs(potential) + 1.0) + rounding_m * case.tension_n.sum()
@@ -139,7 +130,7 @@ def _searched(
 
 @compiled
 def _line_search(
-    springs: _Springs, angles: Array, turn: Array, start: float, room: float, case: _Case
+    springs: Springs, angles: Array, turn: Array, start: float, room: float, case: _Case
 ) -> float:
     """Armijo backtracking: turns the angles, in place, and gives the potential there.
 
@@ -169,7 +160,7 @@ def _line_search(
 
 
 @compiled
-def _look(springs: _Springs, angles: Array, case: _Case) -> float:
+def _look(springs: Springs, angles: Array, case: _Case) -> float:
     """The potential at a pose, and everything of the case."""
     plates, joints, second = springs.plates, len(case.axis), case.second_m
     gradient, hessian = case.gradient_n_m, case.hessian_n_m
@@ -232,26 +223,3 @@ def escape_step(hessian: Array, gradient: Array) -> Array:
             length = _LEAST_ESCAPE_RAD if along < 0.0 else -_LEAST_ESCAPE_RAD
         step += length * vectors[:, k]
     return step
-
-
-@compiled
-def _solved(hessian: Array, values: Array) -> bool:
-    """Solves in place by Cholesky of the lower half; whether that is positive definite."""
-    count = len(values)
-    for k in range(count):
-        for i in range(k, count):
-            for j in range(k):
-                hessian[i, k] -= hessian[i, j] * hessian[k, j]
-        if not hessian[k, k] > 0.0:
-            return False
-        root = np.sqrt(hessian[k, k])
-        for i in range(k, count):
-            hessian[i, k] /= root
-        for j in range(k):
-            values[k] -= hessian[k, j] * values[j]
-        values[k] /= root
-    for k in range(count - 1, -1, -1):
-        for i in range(k + 1, count):
-            values[k] -= hessian[i, k] * values[i]
-        values[k] /= hessian[k, k]
-    return True
