@@ -179,9 +179,8 @@ class ContactModel:
         self._prepare()
 
     def _prepare(self) -> None:
-        """Compile now what the first contact would wait for, for seconds once a machine."""
-        self._arm.command(self._gate.pose_rad)
-        self._arm.explained(np.zeros(len(self._arm.unloaded_n)), [Contact(1)])
+        """Compile or load now what the first contact would wait for."""
+        self._arm.prepare(self._gate.pose_rad, anywhere=False)
 
     def find(self, tensions_n: Array, stamp_ns: int, threshold: float) -> FoundContacts | None:
         """The contacts behind tensions (M,), of a probability `threshold`; None without a tare.
@@ -320,6 +319,7 @@ class AnywhereModel(ContactModel):
 
     def _prepare(self) -> None:
         self._estimator.prepare()
+        self._arm.prepare(self._gate.pose_rad, anywhere=True)
 
     def _decided(self, estimate: Estimate, threshold: float) -> FoundContacts:
         place, probabilities = estimate.place, estimate.probabilities.tolist()

@@ -81,6 +81,18 @@ class RestingArm:
             axes = kinematics.segment_rotations(self.statics.mechanism, command_rad)
             self._resting = Resting(np.array(command_rad), axes, self._loose_m + self.held_m)
 
+    def prepare(self, command_rad: Array, *, anywhere: bool) -> None:
+        """Compile or load, at a command, what the first contact would wait for.
+
+        Contacts `anywhere` are explained by their model.
+        """
+        self.command(command_rad)
+        nothing_n = np.zeros(len(self.unloaded_n))
+        contacts = [Contact(1, contact_m=float(self.statics.mechanism.contact_m[0]))]
+        if not anywhere:
+            self.explained(nothing_n, contacts)
+        StatedContacts(self, nothing_n, contacts, 0.0).misfit_of(nothing_n)
+
     def misfit(self, difference_n: Array, contacts: Sequence[Contact]) -> float:
         """The misfit of readings less unloaded tensions (M,) to contacts on these segments.
 

@@ -95,7 +95,10 @@ def settle(cables: Cables, lengths_m: Array, limit: Array) -> None:
             passed[:] = 0.0
         else:
             stiffness = cables.stiffness_n_m[c]
-            compliance = np.where(stiffness > 0.0, 1.0 / stiffness, 0.0)
+            compliance = np.zeros(len(stiffness))
+            for k in range(len(stiffness)):
+                if stiffness[k] > 0.0:
+                    compliance[k] = 1.0 / stiffness[k]
             stretch = (lengths_m[c] - natural).sum()
             natural[:] = lengths_m[c] - compliance / compliance.sum() * stretch
             cables.share[c] = 0.0

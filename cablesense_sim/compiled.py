@@ -3,12 +3,18 @@
 They serve sequential loops over few numbers, where NumPy's calls cost more than the arithmetic.
 The compiled code is stored next to the source (or, if that is read-only, in the user's cache), so
 that a machine compiles once. Import it late: Numba takes a quarter of a second.
+
+A function is compiled anew for every constant among its arguments, and products and inverses of
+small matrices take long to compile: pass variables, and write loops.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
+
+os.environ.setdefault("NUMBA_OPT", "1")  # compiles in half the time to code that is as fast
 
 import numba
 

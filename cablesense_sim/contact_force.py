@@ -77,8 +77,40 @@ def true_torques(balance: TorqueBalance, b: int, n: int, turn: Array, torques: A
     turn[0, 0], turn[0, 1], turn[0, 2] = x, y, z
     turn[1, 0], turn[1, 1], turn[1, 2] = -y, 1.0 - y * y / (1.0 + x), -y * z / (1.0 + x)
     turn[2, 0], turn[2, 1], turn[2, 2] = -z, -y * z / (1.0 + x), 1.0 - z * z / (1.0 + x)
-    torques[:3], torques[3:6] = turn @ balance.by_force_m[b, n], turn @ by_place
-    torques[6] = balance.by_twist[b, n]
+    torques[:6], torques[6] = 0.0, balance.by_twist[b, n]
+    for i in range(3):
+        for j in range(3):
+            for k in range(torques.shape[1]):
+                torques[i, k] += turn[i, j] * balance.by_force_m[b, n, j, k]
+                torques[i + 3, k] += turn[i, j] * by_place[j, k]
+
+
+@compiled
+def weighted_products(
+    torques: Array, balance: TorqueBalance, b: int, gram: Array, pull: Array
+) -> float:
+    """Write the products (K, K) of torques (K, 2N) with one another, and (K,) with a sample's.
+
+    They are weighted with the precision of the sample's torques. Gives chi² without a contact.
+    """
+    precision, torque, chi2 = balance.precision[b], balance.torque_n_m[b], 0.0
+    joints, weighted = len(torque), np.empty(len(torque))
+    for row in range(len(torques) + 1):
+        one = torques[row] if row < len(torques) else torque
+        for k in range(joints):
+            weighted[k] = 0.0
+            for j in range(joints):
+                weighted[k] += one[j] * precision[j, k]
+        if row == len(torques):
+            chi2 = (weighted * torque).sum()
+            break
+        pull[row] = (weighted * torque).sum()
+        for other in range(row + 1):
+            product = 0.0
+            for k in range(joints):
+                product += weighted[k] * torques[other, k]
+            gram[row, other] = gram[other, row] = product
+    return chi2
 
 
 @compiled
@@ -170,7 +202,8 @@ def free_twist(
     share, along = variance / (1.0 + variance * gram[t, t]), gram[t].copy()
     along[t] = 0.0
     pull -= share * pull[t] * along
-    gram -= share * np.outer(along, along)
+    for i in range(len(gram)):
+        gram[i] -= share * along[i] * along
     gain = share * pull[t] ** 2
     return gain, 0.5 * (gain - math.log(1.0 + variance * gram[t, t]))
 
@@ -178,29 +211,30 @@ def free_twist(
 @compiled
 def turned(f: Force, turn: Array) -> Force:
     """A force along true axes (3, 3), in rows, along those at the commanded angles."""
+    x, y, z = turn.T
     return Force(
         f.gain,
         f.determinant,
-        f.x * turn[0, 0] + f.y * turn[1, 0] + f.z * turn[2, 0],
-        f.x * turn[0, 1] + f.y * turn[1, 1] + f.z * turn[2, 1],
-        f.x * turn[0, 2] + f.y * turn[1, 2] + f.z * turn[2, 2],
-        _shared(f, turn, 0, 0),
-        _shared(f, turn, 0, 1),
-        _shared(f, turn, 0, 2),
-        _shared(f, turn, 1, 1),
-        _shared(f, turn, 1, 2),
-        _shared(f, turn, 2, 2),
+        f.x * x[0] + f.y * x[1] + f.z * x[2],
+        f.x * y[0] + f.y * y[1] + f.z * y[2],
+        f.x * z[0] + f.y * z[1] + f.z * z[2],
+        _shared(f, x, x),
+        _shared(f, x, y),
+        _shared(f, x, z),
+        _shared(f, y, y),
+        _shared(f, y, z),
+        _shared(f, z, z),
     )
 
 
 @compiled
-def _shared(f: Force, turn: Array, i: int, j: int) -> float:
-    """Covariance of components i and j along the axes at the commanded angles."""
-    x, y, z = turn[0, j], turn[1, j], turn[2, j]
+def _shared(f: Force, one: Array, other: Array) -> float:
+    """Covariance of components along two axes (3,)."""
+    x, y, z = other
     return (
-        turn[0, i] * (f.xx * x + f.xy * y + f.xz * z)
-        + turn[1, i] * (f.xy * x + f.yy * y + f.yz * z)
-        + turn[2, i] * (f.xz * x + f.yz * y + f.zz * z)
+        one[0] * (f.xx * x + f.xy * y + f.xz * z)
+        + one[1] * (f.xy * x + f.yy * y + f.yz * z)
+        + one[2] * (f.xz * x + f.yz * y + f.zz * z)
     )
 
 

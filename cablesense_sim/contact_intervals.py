@@ -71,16 +71,30 @@ def compare(evidence: Array, found: Location, b: int) -> None:
 def summarise(grid: Grid, n: int, largest_n: float, found: Location, b: int) -> None:
     """Means and intervals over the places of segment n, into row b."""
     weight, covariance = grid.weight[n], found.covariance[b]
-    numbers = np.empty((len(weight), 4))
-    numbers[:, 0], numbers[:, 1:] = grid.place_m[n], grid.force_n[n]
-    mean = weight @ numbers
-    numbers -= mean
-    covariance[:] = numbers.T @ (weight.reshape(-1, 1) * numbers)
-    covariance[1:, 1:] += (weight @ grid.covariance_n2[n]).reshape(3, 3)
+    mean, off = np.zeros(4), np.empty(4)
+    for k in range(len(weight)):
+        mean[0] += weight[k] * grid.place_m[n, k]
+        for i in range(3):
+            mean[i + 1] += weight[k] * grid.force_n[n, k, i]
+    covariance[:] = 0.0
+    for k in range(len(weight)):
+        off[0] = grid.place_m[n, k] - mean[0]
+        for i in range(3):
+            off[i + 1] = grid.force_n[n, k, i] - mean[i + 1]
+            for j in range(3):
+                covariance[i + 1, j + 1] += weight[k] * grid.covariance_n2[n, k, 3 * i + j]
+        for i in range(4):
+            for j in range(4):
+                covariance[i, j] += weight[k] * off[i] * off[j]
     found.place_m[b], found.force_n[b] = mean[0], mean[1:]
-    moment = weight @ grid.moment_n_m[n]
-    variance = grid.moment_variance[n] + (grid.moment_n_m[n] - moment) ** 2
-    found.moment_n_m[b], found.moment_std_n_m[b] = moment, np.sqrt(weight @ variance)
+    for i in range(2):
+        moment = variance = 0.0
+        for k in range(len(weight)):
+            moment += weight[k] * grid.moment_n_m[n, k, i]
+        for k in range(len(weight)):
+            square = (grid.moment_n_m[n, k, i] - moment) ** 2
+            variance += weight[k] * (grid.moment_variance[n, k, i] + square)
+        found.moment_n_m[b, i], found.moment_std_n_m[b, i] = moment, math.sqrt(variance)
     for i in range(2):
         share = 0.975 if i else 0.025
         found.place_ci95_m[b, i] = _place(grid.place_m[n], weight, share)

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_sim.cholesky import solve
 from cablesense_sim.compiled import compiled
 from cablesense_sim.contact_force import (
     BOUND_STD,
@@ -25,6 +26,7 @@ from cablesense_sim.contact_force import (
     free_twist,
     polynomials,
     true_torques,
+    weighted_products,
 )
 from cablesense_sim.contact_location import ContactPair, TorqueBalance
 
@@ -99,25 +101,27 @@ def _fit_each(balance: TorqueBalance, prior: Prior, found: ContactPair) -> None:
         np.empty((8, 8)),
         np.empty(2),
     )
+    gram, pull = np.empty((len(torques), len(torques))), np.empty(len(torques))
+    covariance = np.empty((8, 8))
     for b in range(count):
         for n in range(segments):
             true_torques(balance, b, n, turn[n], torques[_ROWS * n : _ROWS * (n + 1)])
-        weighted, torque = torques @ balance.precision[b], balance.torque_n_m[b]
-        gram, pull = weighted @ torques.T, weighted @ torque
-        chi2 = torque @ balance.precision[b] @ torque
+        chi2 = weighted_products(torques, balance, b, gram, pull)
         for first in range(segments - 1):
             for second in range(first + 1, segments):
                 _select(gram, pull, first, second, prior, pair)
                 gain, twist_gain, log_twist = _fit(pair), 0.0, 0.0
                 if prior.radius_m >= 0.0:
                     gain, twist_gain, log_twist = _rub(pair, first, second, prior)
-                inverse = np.linalg.inv(np.tril(pair.root))
-                covariance = inverse.T @ inverse
+                covariance[:] = 0.0
+                for i in range(8):
+                    covariance[i, i] = 1.0
+                solve(pair.root, covariance)
                 evidence = _log_evidence(pair, covariance, gain, prior) + log_twist
                 if second == 1 or evidence > found.log_evidence[b]:  # the first pair, or a better
                     found.log_evidence[b], found.chi2[b] = evidence, chi2 - gain - twist_gain
-                    _state(pair, covariance, first, turn[first], 0, found, b)
-                    _state(pair, covariance, second, turn[second], 1, found, b)
+                    for k, n in enumerate((first, second)):
+                        _state(pair, covariance, n, turn[n], k, found, b)
 
 
 @compiled
@@ -131,10 +135,12 @@ def _select(gram: Array, pull: Array, first: int, second: int, prior: Prior, pai
             beyond = prior.radius_m * prior.friction * (1.0 + SOFT)  # friction shifts it thus far
             pair.low[k] -= beyond
             pair.high[k] += beyond
-        own, rows = slice(_ROWS * k, _ROWS * (k + 1)), slice(_ROWS * n, _ROWS * (n + 1))
-        pair.pull[own] = pull[rows]
-        pair.gram[own, :_ROWS] = gram[rows, _ROWS * first : _ROWS * (first + 1)]
-        pair.gram[own, _ROWS:] = gram[rows, _ROWS * second : _ROWS * (second + 1)]
+        for i in range(_ROWS):
+            own, row = _ROWS * k + i, _ROWS * n + i
+            pair.pull[own] = pull[row]
+            for j in range(_ROWS):
+                pair.gram[own, j] = gram[row, _ROWS * first + j]
+                pair.gram[own, _ROWS + j] = gram[row, _ROWS * second + j]
 
 
 @compiled
@@ -146,7 +152,8 @@ def _fit(pair: _Pair) -> float:
         for j in range(_COARSE):
             near = gains[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2]
             if gains[i, j] >= near.max():
-                pair.place[0], pair.place[1] = _grid_place(pair, 0, i), _grid_place(pair, 1, j)
+                pair.place[0] = _grid_place(pair.low[0], pair.high[0], i)
+                pair.place[1] = _grid_place(pair.low[1], pair.high[1], j)
                 gain = _refine(pair)
                 if gain > most:
                     most, first, second = gain, pair.place[0], pair.place[1]
@@ -183,10 +190,10 @@ def _rub(pair: _Pair, first: int, second: int, prior: Prior) -> tuple[float, flo
 
 
 @compiled
-def _grid_place(pair: _Pair, k: int, i: int) -> float:
+def _grid_place(low: float, high: float, i: int) -> float:
     """Places of the grid are closer to one another at the ends, where the misfit has minima."""
     share = math.sin(0.5 * math.pi * i / (_COARSE - 1)) ** 2
-    return float(pair.low[k] + share * (pair.high[k] - pair.low[k]))
+    return low + share * (high - low)
 
 
 @compiled
@@ -198,18 +205,29 @@ def _grid_gains(pair: _Pair) -> Array:
     """
     gains = np.empty((_COARSE, _COARSE))
     first, second = np.zeros((9, 3)), np.zeros((9, 3))
+    shared, explained = np.empty((3, _ROWS)), np.empty((3, _ROWS))
+    left, pull = np.empty((_ROWS, _ROWS)), np.empty(_ROWS)
     polynomials(pair.gram, pair.pull, first)
     for i in range(_COARSE):
-        s = _grid_place(pair, 0, i)
+        s = _grid_place(pair.low[0], pair.high[0], i)
         f = best_force(first, pair.axial[0], s)
-        force = np.array((f.x, f.y, f.z))
-        covariance = np.array(((f.xx, f.xy, f.xz), (f.xy, f.yy, f.yz), (f.xz, f.yz, f.zz)))
-        shared = pair.gram[:3, _ROWS:] + s * pair.gram[3:6, _ROWS:]
-        left = pair.gram[_ROWS:, _ROWS:] - shared.T @ covariance @ shared
-        polynomials(left, pair.pull[_ROWS:] - shared.T @ force, second)
+        for j in range(_ROWS):
+            for k in range(3):
+                shared[k, j] = pair.gram[k, _ROWS + j] + s * pair.gram[k + 3, _ROWS + j]
+            x, y, z = shared[0, j], shared[1, j], shared[2, j]
+            pull[j] = pair.pull[_ROWS + j] - f.x * x - f.y * y - f.z * z
+            explained[0, j] = f.xx * x + f.xy * y + f.xz * z
+            explained[1, j] = f.xy * x + f.yy * y + f.yz * z
+            explained[2, j] = f.xz * x + f.yz * y + f.zz * z
+        for j in range(_ROWS):
+            for k in range(_ROWS):
+                left[j, k] = pair.gram[_ROWS + j, _ROWS + k]
+                for component in range(3):
+                    left[j, k] -= shared[component, j] * explained[component, k]
+        polynomials(left, pull, second)
         for j in range(_COARSE):
-            gain = best_force(second, pair.axial[1], _grid_place(pair, 1, j)).gain
-            gains[i, j] = f.gain + gain
+            place = _grid_place(pair.low[1], pair.high[1], j)
+            gains[i, j] = f.gain + best_force(second, pair.axial[1], place).gain
     return gains
 
 
@@ -223,9 +241,9 @@ def _refine(pair: _Pair) -> float:
         second_step = (pair.slope[1] - c * pair.slope[0] / a) / (d * d)
         first_step = (pair.slope[0] / a - c * second_step) / a
         # next to an end of its range a place stays, and the other one goes on alone
-        if _held(pair, 0, first_step):
+        if _held(first, pair.low[0], pair.high[0], first_step):
             first_step, second_step = 0.0, pair.slope[1] / (c * c + d * d)
-        elif _held(pair, 1, second_step):
+        elif _held(second, pair.low[1], pair.high[1], second_step):
             first_step, second_step = pair.slope[0] / (a * a), 0.0
         first_step = min(max(first + first_step, pair.low[0]), pair.high[0]) - first
         second_step = min(max(second + second_step, pair.low[1]), pair.high[1]) - second
@@ -248,11 +266,9 @@ def _refine(pair: _Pair) -> float:
 
 
 @compiled
-def _held(pair: _Pair, k: int, step: float) -> bool:
+def _held(place: float, low: float, high: float, step: float) -> bool:
     """Whether a place is at an end of its range and would leave it."""
-    return (step < 0.0 and pair.place[k] <= pair.low[k]) or (
-        step > 0.0 and pair.place[k] >= pair.high[k]
-    )
+    return (step < 0.0 and place <= low) or (step > 0.0 and place >= high)
 
 
 @compiled
@@ -271,7 +287,8 @@ def _profile(pair: _Pair) -> float:
             root[i, j] = weighted[i, at] + place[j // 3] * weighted[i, at + 3]
     root[0, 0] += pair.axial[0]
     root[3, 3] += pair.axial[1]
-    _factorise(root, 0, 6)
+    for row in range(6):
+        _factorise(root, row)
     for i in range(6):
         for j in range(i):
             force[i] -= root[i, j] * force[j]
@@ -293,28 +310,30 @@ def _profile(pair: _Pair) -> float:
     for k in range(2):
         pair.slope[k] -= (root[6 + k, :6] * force).sum()
         root[6 + k, 6 + k] += 12.0 / (pair.high[k] - pair.low[k]) ** 2
-    _factorise(root, 6, 8)
+    for row in range(6, 8):
+        _factorise(root, row)
     return gain
 
 
 @compiled
-def _factorise(root: Array, first: int, last: int) -> None:
-    """Rows of a lower Cholesky factor, in place of the rows of the matrix."""
-    for row in range(first, last):
-        own = left = root[row, row]
-        for j in range(row):
-            for k in range(j):
-                root[row, j] -= root[row, k] * root[j, k]
-            root[row, j] /= root[j, j]
-            left -= root[row, j] ** 2
-        # contacts at one place make the same torques; what the second adds is then unknown
-        root[row, row] = math.sqrt(left if left > _SINGULAR * own else own)
+def _factorise(root: Array, row: int) -> None:
+    """A row of a lower Cholesky factor below the others, in place of that of the matrix."""
+    own = left = root[row, row]
+    for j in range(row):
+        for k in range(j):
+            root[row, j] -= root[row, k] * root[j, k]
+        root[row, j] /= root[j, j]
+        left -= root[row, j] ** 2
+    # contacts at one place make the same torques; what the second adds is then unknown
+    root[row, row] = math.sqrt(left if left > _SINGULAR * own else own)
 
 
 @compiled
 def _log_evidence(pair: _Pair, covariance: Array, gain: float, prior: Prior) -> float:
     """Laplace's approximation against no contact."""
-    evidence = 0.5 * gain + 4.0 * math.log(2.0 * math.pi) - np.log(np.diag(pair.root)).sum()
+    evidence = 0.5 * gain + 4.0 * math.log(2.0 * math.pi)
+    for i in range(8):
+        evidence -= math.log(pair.root[i, i])
     total_m = (prior.reach_m[:, 1] - prior.reach_m[:, 0]).sum()
     for k in range(2):
         y, z = 3 * k + 1, 3 * k + 2
@@ -331,10 +350,13 @@ def _state(
     pair: _Pair, covariance: Array, n: int, turn: Array, k: int, found: ContactPair, b: int
 ) -> None:
     """Write contact k, on segment n from 0 on, into row b, along the axes at the command."""
-    own = slice(3 * k, 3 * k + 3)
     found.segments[b, k] = n + 1
     found.place_m[b, k] = pair.place[k]
     found.place_std_m[b, k] = math.sqrt(covariance[6 + k, 6 + k])
-    found.force_n[b, k] = pair.force[own] @ turn
-    turned = turn.T @ covariance[own, own].copy() @ turn
-    found.force_std_n[b, k] = np.sqrt(np.diag(turned))
+    for axis in range(3):
+        force = variance = 0.0
+        for i in range(3):
+            force += turn[i, axis] * pair.force[3 * k + i]
+            for j in range(3):
+                variance += turn[i, axis] * covariance[3 * k + i, 3 * k + j] * turn[j, axis]
+        found.force_n[b, k, axis], found.force_std_n[b, k, axis] = force, math.sqrt(variance)

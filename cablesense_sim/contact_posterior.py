@@ -24,6 +24,7 @@ from cablesense_sim.contact_force import (
     polynomials,
     true_torques,
     turned,
+    weighted_products,
 )
 from cablesense_sim.contact_intervals import FINE, Grid, bound_region, compare, summarise, weigh
 from cablesense_sim.contact_location import Location, TorqueBalance
@@ -96,7 +97,8 @@ class _Fit(NamedTuple):
 def locate_each(balance: TorqueBalance, prior: Prior, found: Location) -> None:
     """Fill the posteriors of B samples, whose arrays are contiguous."""
     count, segments, _, joints = balance.by_place.shape
-    torques, ranges = np.empty((7, joints)), TWISTS if prior.radius_m >= 0.0 else 1
+    torques, gram, pull = np.empty((7, joints)), np.empty((7, 7)), np.empty(7)
+    ranges = TWISTS if prior.radius_m >= 0.0 else 1
     shape = np.zeros((segments, ranges, 9, 3))
     evidence, turn = np.empty(segments), np.empty((segments, 3, 3))
     fits = [_Fit(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(segments * ranges)]
@@ -115,21 +117,19 @@ def locate_each(balance: TorqueBalance, prior: Prior, found: Location) -> None:
     )
     log_volume = math.log(prior.largest_n * (prior.reach_m[:, 1] - prior.reach_m[:, 0]).sum())
     for b in range(count):
-        torque = balance.torque_n_m[b]
-        chi2 = torque @ balance.precision[b] @ torque
+        chi2 = 0.0
         for n in range(segments):
             true_torques(balance, b, n, turn[n], torques)
-            weighted = torques @ balance.precision[b]
-            gram, pull = weighted @ torques.T, weighted @ torque
+            chi2 = weighted_products(torques, balance, b, gram, pull)
             evidence[n] = _best_places(gram, pull, n, prior, shape[n], fits) - log_volume
-        least, best, gain = evidence.max() - _OUT_OF_QUESTION, -1, 0.0
+        least, best, gain = evidence.max() - _OUT_OF_QUESTION, segments, 0.0
         for n in range(segments):
             filled[n] = evidence[n] >= least
             if not filled[n]:
                 continue
             one = _fill(shape[n], fits, turn[n], n, prior, grid)
             evidence[n] = weigh(grid, n) - log_volume
-            if best < 0 or evidence[n] > evidence[best]:
+            if best == segments or evidence[n] > evidence[best]:
                 best, gain = n, one
         found.chi2[b] = chi2 - gain
         compare(evidence, found, b)
@@ -272,9 +272,9 @@ def _refined(
     deviation = range_m
     for _ in range(_STEPS):
         f = best_force(shape, axial, s)
-        across_x = _across(gram, f, s, 0)
-        across_y = _across(gram, f, s, 1)
-        across_z = _across(gram, f, s, 2)
+        across_x = _across(gram[3:6, 0], gram[3:6, 3], f, s)
+        across_y = _across(gram[3:6, 1], gram[3:6, 4], f, s)
+        across_z = _across(gram[3:6, 2], gram[3:6, 5], f, s)
         left = f.x * (pull[3] - across_x) + f.y * (pull[4] - across_y) + f.z * (pull[5] - across_z)
         own = range_m**-2
         own += f.x * f.x * gram[3, 3] + f.y * f.y * gram[4, 4] + f.z * f.z * gram[5, 5]
@@ -290,12 +290,15 @@ def _refined(
 
 
 @compiled
-def _across(gram: Array, f: Force, s: float, j: int) -> float:
-    """Information that the place shares with component j of the force."""
+def _across(by_force: Array, by_place: Array, f: Force, s: float) -> float:
+    """Information that the place shares with a component of the force.
+
+    The arrays (3,) are products of the place's torques with those of the component.
+    """
     return (
-        f.x * (gram[3, j] + s * gram[3, j + 3])
-        + f.y * (gram[4, j] + s * gram[4, j + 3])
-        + f.z * (gram[5, j] + s * gram[5, j + 3])
+        f.x * (by_force[0] + s * by_place[0])
+        + f.y * (by_force[1] + s * by_place[1])
+        + f.z * (by_force[2] + s * by_place[2])
     )
 
 
