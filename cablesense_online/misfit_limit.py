@@ -81,7 +81,10 @@ def simulated_misfits(loaded: LoadedModel, seed: int = 0, poses: int = POSES) ->
             )
             for difference_n, probabilities, angle, size in answers:
                 contact = decide(probabilities, angle, size, 0.5, contact_m.tolist())
-                yield resting.misfit(difference_n, [contact] if contact.segment else [])
+                if contact.segment:
+                    yield resting.explained(difference_n, [contact])[1]
+                else:
+                    yield resting.misfit(difference_n)
 
 
 def put_simulated_limit(path: Path) -> MisfitLimit | None:

@@ -31,13 +31,14 @@ from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.state import MisfitState
 from cablesense_online.stated_contacts import (
     ANYWHERE_NUMBERS,
+    AVERAGED_EVERY_NS,
     FORCE_OFF_N,
     LEAST_SPREAD_N,
     POINT_NUMBERS,
     RestingArm,
     StatedContacts,
+    SteadyContact,
 )
-from cablesense_online.steady_contact import AVERAGED_EVERY_NS, SteadyContact
 from cablesense_online.tare import UnloadedTensions
 from cablesense_sim.contact_location import touched_at
 from cablesense_sim.replay import mean_variance_n2
@@ -199,7 +200,7 @@ class PlausibilityCheck:
         """Why the readings do not fit, as text; empty where they do."""
         self._fit = None
         if not contacts:
-            self.misfit = self.arm.misfit(difference_n, [])
+            self.misfit = self.arm.misfit(difference_n)
             return "" if self.misfit <= self._largest else self._described("no contact")
         self.misfit = math.inf
         force = contacts[0].magnitude_n
@@ -250,7 +251,7 @@ class PlausibilityCheck:
             names = [
                 ", ".join(self._cable_names[cable] for cable in cables)
                 for cables in sets
-                if self.arm.misfit(np.delete(difference_n, cables), []) <= self._largest
+                if self.arm.misfit(np.delete(difference_n, cables)) <= self._largest
                 or (self._fit is not None and self._fit.without(cables) <= self._largest)
             ]
             if names:
@@ -298,10 +299,7 @@ class PlausibilityCheck:
         segments = fit.segments
         if len(segments) == 1:
             *others, one, other = np.argsort(np.abs(difference_n)).tolist()
-            if (
-                fit.size_n < FORCE_OFF_N
-                or self.arm.misfit(difference_n[others], []) > self._largest
-            ):
+            if fit.size_n < FORCE_OFF_N or self.arm.misfit(difference_n[others]) > self._largest:
                 return ""
             names = " and ".join(self._cable_names[cable] for cable in sorted((one, other)))
             return f"wrong readings of {names} on an untouched arm would look the same"

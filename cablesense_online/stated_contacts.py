@@ -3,13 +3,14 @@
 The lengths of the taut cables determine the pose. The joint torques there determine which forces
 at the contact points of the arm file explain the readings best. Near stated contacts the readings
 respond linearly: that tells which other contacts would have these readings if one or two of them
-were wrong.
+were wrong. The average of a steady contact's readings has less noise.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from typing import Final
@@ -41,14 +42,25 @@ ANYWHERE_NUMBERS: Final = 4
 _PLACE_STD_M = 1e-6
 """The place of a contact at the contact point of the arm file is known."""
 
-_NEAR_N, _LEVERS_M = 2.0, (1.0, 1.0, 0.1, 0.1, 0.1)
-"""The response of the tensions counts as the same over this change of a normal force, or of a
-moment at a lever of 0.1 m."""
+_NEAR = (2.0, 2.0, 0.2, 0.2, 0.2)
+"""The response of the tensions counts as the same over these changes of a normal force, N, and of
+its moment, N·m."""
 
 LEAST_SPREAD_N: Final = 0.01
 """Assumed of a sensor without noise and step."""
 _TAUT_SPREADS = 4.0
 """Standard deviations of a reading above which a cable is read as taut."""
+
+AVERAGED_EVERY_NS = 100_000_000
+"""How often the average of a contact's readings is judged."""
+_JUDGED_EVERY_NS, _SOONEST_NS = 2_000_000_000, 20_000_000
+"""How often a contact is judged, which takes a millisecond, and how soon again if its tensions
+respond differently."""
+_SHARPER = 0.8
+"""An unconfirmed contact is judged again when the limit has fallen below this share."""
+_STEADY_N = 1.0
+"""The average restarts when a force has changed by more."""
+_LONGEST_GAP_NS = 500_000_000
 
 
 class RestingArm:
@@ -93,14 +105,12 @@ class RestingArm:
             self.explained(nothing_n, contacts)
         StatedContacts(self, nothing_n, contacts, 0.0).misfit_of(nothing_n)
 
-    def misfit(self, difference_n: Array, contacts: Sequence[Contact]) -> float:
-        """The misfit of readings less unloaded tensions (M,) to contacts on these segments.
+    def misfit(self, difference_n: Array) -> float:
+        """The misfit to no contact of readings less unloaded tensions, of all cables or some.
 
         It is the root mean square of the residuals in their expected standard deviations, 1 for a
-        healthy arm. Without contacts the readings may be of some cables only.
+        healthy arm.
         """
-        if contacts:
-            return self.explained(difference_n, contacts)[1]
         free = difference_n / self.spread_n
         return math.sqrt(float(free.dot(free)) / max(len(free), 1))
 
@@ -161,7 +171,8 @@ class StatedContacts:
         file.
         """
         self.segments = tuple([contact.segment for contact in contacts])
-        self.force_n = [c.magnitude_n * part for c in contacts for part in c.direction]
+        self._wrenches = [contact.wrench for contact in contacts]
+        self.force_n = [part for wrench in self._wrenches for part in wrench[1:3]]
         self.misfit, self.response = misfit, object()
         self._arm, self._difference_n, self._contacts = arm, difference_n, contacts
         self._reach_m = reach_m
@@ -177,13 +188,11 @@ class StatedContacts:
         """Whether other contacts are on the same segments, with normal forces and moments near."""
         if self.segments != other.segments:
             return False
-        for ours, theirs in zip(self._contacts, other._contacts, strict=True):
-            _, *our_parts = ours.wrench
-            _, *their_parts = theirs.wrench
-            for ours_n, theirs_n, lever in zip(our_parts, their_parts, _LEVERS_M, strict=True):
-                if abs(ours_n - theirs_n) > _NEAR_N * lever:
-                    return False
-        return True
+        return all(
+            abs(one - another) <= most
+            for ours, theirs in zip(self._wrenches, other._wrenches, strict=True)
+            for one, another, most in zip(ours[1:], theirs[1:], _NEAR, strict=True)
+        )
 
     def without(self, cables: Sequence[int]) -> float:
         """The misfit without the readings of some cables."""
@@ -306,3 +315,60 @@ class StatedContacts:
         covariance = np.linalg.inv(seen.T @ seen + np.diag(self._prior))
         to_numbers = covariance @ seen.T
         return elastic_n[0], np.eye(len(seen)) - seen @ to_numbers, to_numbers, covariance
+
+
+@dataclass
+class SteadyContact:
+    """The readings of one or several contacts, averaged while their forces are steady.
+
+    Attributes:
+        segments: the touched segments.
+        sum_n, count: sum of the readings (M,) less unloaded tensions, N, and their number.
+        began_ns, last_ns: stamps of the first and the last of them.
+        force_n: y and z of each force at the first of them.
+        averaged_ns: stamp at which the average was last judged.
+        passed: the last average (M,) of these forces, if it fitted, and the limit that it met.
+        hidden, off_average: findings, as text; empty where there are none.
+    """
+
+    segments: tuple[int, ...]
+    sum_n: Array
+    count: int = 0
+    began_ns: int = 0
+    last_ns: int = 0
+    force_n: tuple[float, ...] = ()
+    averaged_ns: int = -AVERAGED_EVERY_NS
+    passed: tuple[Array, float] | None = None
+    hidden: str = ""
+    off_average: str = ""
+    _judged: tuple[object, int] = (None, -_JUDGED_EVERY_NS)
+    _judged_by: float = math.inf
+
+    def continues(self, segments: tuple[int, ...], stamp_ns: int) -> bool:
+        """Whether a sample is of the same contact."""
+        return segments == self.segments and 0 < stamp_ns - self.last_ns <= _LONGEST_GAP_NS
+
+    def add(self, difference_n: Array, force_n: tuple[float, ...], stamp_ns: int) -> None:
+        """Add readings less unloaded tensions (M,), and the forces that fit them, y and z each."""
+        if not self.force_n or math.dist(force_n, self.force_n) > _STEADY_N:
+            self.off_average, self.force_n, self.passed = "", force_n, None
+            self.begin(stamp_ns)
+        self.last_ns = stamp_ns
+        self.sum_n += difference_n
+        self.count += 1
+
+    def begin(self, stamp_ns: int) -> None:
+        """Begin a new average."""
+        self.sum_n[:] = 0.0
+        self.count, self.began_ns = 0, stamp_ns
+
+    def to_be_judged(self, response: object, stamp_ns: int, largest: float) -> bool:
+        """Whether readings with this response of the tensions are due, by a limit of misfits."""
+        last, at_ns = self._judged
+        if self.hidden and largest < _SHARPER * self._judged_by:
+            return True
+        return stamp_ns - at_ns >= (_JUDGED_EVERY_NS if response is last else _SOONEST_NS)
+
+    def judge(self, response: object, stamp_ns: int, hidden: str, largest: float) -> None:
+        """Take a finding."""
+        self._judged, self._judged_by, self.hidden = (response, stamp_ns), largest, hidden

@@ -54,7 +54,7 @@ class AnywhereEstimator(Estimator):
         super().__init__(path, arm)
         self.reach_m, self.surface = touched_at(arm or self.metadata.arm)
         length_m = mechanism_of(self.metadata.arm).segment_length_m
-        self._joint_m = np.concatenate([[0.0], np.cumsum(length_m)])
+        self._joint_m = [0.0, *np.cumsum(length_m).tolist()]
         from cablesense_sim.contact_posterior import locate_each, unfilled
 
         # views of the buffers that every single sample is answered in
@@ -119,9 +119,9 @@ class AnywhereEstimator(Estimator):
         covariance, probabilities = found.covariance[row].copy(), found.probability[row].copy()
         (yy, yz), (_, zz) = covariance[2:, 2:].tolist()
         across = force_z**2 * yy + force_y**2 * zz - 2.0 * force_y * force_z * yz
-        joint_m = self._joint_m[found.region_segment[row] - 1]
-        joint_m = joint_m - self._joint_m[int(probabilities[1:].argmax())]
-        low_m, high_m = (joint_m + found.region_m[row]).tolist()
+        own_m = self._joint_m[int(probabilities[1:].argmax())]
+        ends = zip(found.region_segment[row].tolist(), found.region_m[row].tolist(), strict=True)
+        low_m, high_m = (self._joint_m[segment - 1] - own_m + end_m for segment, end_m in ends)
         chi2 = found.chi2.item(row)
         return Estimate(
             probabilities=probabilities,
