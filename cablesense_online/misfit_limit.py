@@ -37,7 +37,7 @@ JUDGED_AT: Final = 0.9
 POSES, LOADS, READINGS = 10, 20, 50
 
 
-def simulated_misfits(loaded: LoadedModel, seed: int = 0, poses: int = POSES) -> Iterator[float]:
+def simulated_misfits(loaded: LoadedModel, seed: int, poses: int) -> Iterator[float]:
     """Misfits of a healthy arm at random commands and contacts within the model's training."""
     arm, estimator = loaded.arm, loaded.estimator
     assert isinstance(estimator, Estimator)
@@ -98,7 +98,7 @@ def put_simulated_limit(path: Path) -> MisfitLimit | None:
     """
     loaded, limit = LoadedModel.open(path), None
     if isinstance(loaded.estimator, Estimator) and not UnloadedTensions(loaded.arm).incomplete:
-        misfits = np.fromiter(simulated_misfits(loaded), float)
+        misfits = np.fromiter(simulated_misfits(loaded, 0, POSES), float)
         limit = _limit(misfits, loaded.free)
     replace_misfit_limit(path, limit)
     return limit

@@ -20,12 +20,11 @@ from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import Share
 from cablesense_sim.arm import Arm, ListedEffect
 from cablesense_sim.replay import read_tensions_n, replay_arm
-from cablesense_training.inference.anywhere import AnywhereEstimator
-from cablesense_training.inference.metadata import find_model
+from cablesense_training.inference.metadata import HISTORY_SIMULATED, find_model
 from cablesense_training.inference.temporal_estimator import open_estimator
 
 PROTOCOL = small_recording()
-SHIPPED, ANYWHERE = find_model("cdsm_lab"), find_model("cdsm_lab_anywhere")
+SHIPPED = find_model("cdsm_lab")
 OFFSETS = [
     ListedEffect(effect="contact_offset", at=f"segment_{n}", parameters={"offset_m": -0.02})
     for n in range(1, 5)
@@ -102,21 +101,18 @@ def test_a_recording_without_loads_is_refused():
 
 
 @pytest.mark.slow  # trains, and exports the model
-@pytest.mark.parametrize(
-    ("first", "hidden"),
-    [(SHIPPED, (*OFFSETS, GAIN, LAG)), (ANYWHERE, (*OFFSETS, GAIN))],
-    ids=["at points, with a history", "anywhere"],
-)
 def test_an_arm_that_differs_gets_an_estimator_that_knows_it(
-    tmp_path: Path, diagnosed_as, first: Path, hidden: tuple[ListedEffect, ...]
+    tmp_path: Path, diagnosed_as, monkeypatch: pytest.MonkeyPatch
 ):
+    """With a history; tests/packaging/test_tutorial.py has one of contacts anywhere."""
+    monkeypatch.setattr(adaptation, "_SAMPLES", 1024)
+    hidden = (*OFFSETS, GAIN, LAG)
     asked = diagnosed_as(*hidden)
     second = tmp_path / "second.onnx"
     recording = recorded(having(*hidden))
-    found = adapt(recording, LAB, first, second, "by a test")
+    found = adapt(recording, LAB, SHIPPED, second, "by a test")
     assert found.better
-    anywhere = first == ANYWHERE
-    assert isinstance(open_estimator(second), AnywhereEstimator) is anywhere
+    assert open_estimator(second).metadata.network == HISTORY_SIMULATED
     assert asked == [found.trials] == [withheld_trials(recording, LAB)]
     before, after = (each.whole.errors.magnitude_mae_n for each in (found.before, found.after))
     assert after < 0.1 * before

@@ -379,8 +379,7 @@ def test_diagnostics_state_where_the_limit_comes_from(tmp_path, stated, largest,
 def test_fresh_healthy_samples_are_as_rarely_above_the_limit_as_it_states(tmp_path, monkeypatch):
     monkeypatch.setattr(misfit_limit, "POSES", 2)
     limit = put_simulated_limit(copied(tmp_path, "cdsm_lab"))
-    monkeypatch.setattr(misfit_limit, "POSES", 1)
-    fresh = np.fromiter(simulated_misfits(loaded_model("cdsm_lab", ""), seed=1), float)
+    fresh = np.fromiter(simulated_misfits(loaded_model("cdsm_lab", ""), 1, 1), float)
     spare = 3.0 * np.sqrt(max(limit.above, 1) * misfit_limit.READINGS)  # of a contact all are
     assert (fresh > limit.largest_misfit).sum() <= limit.above + spare
     assert np.median(fresh) == pytest.approx(1.0, abs=0.2)

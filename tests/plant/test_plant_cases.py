@@ -1,6 +1,7 @@
 """Cases and sets of them: schedules, what is hidden, how much of it, and the answers."""
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from arm_variants import five_by_four_text
 from plant_arm import NOMINAL, two_segments
 
+from cablesense_base import Array
 from cablesense_plants.arm.arm import ideal_arm
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.listed import LISTED, ArmDraw
@@ -48,21 +50,18 @@ def test_a_recording_has_its_25_trials(seed: int) -> None:
 
 
 ARM = ideal_arm(NOMINAL)
-WHOLE = draw_schedule(NOMINAL, np.random.default_rng(0))
-SCHEDULE = WHOLE.rows(slice(0, 7 * 150, 14))
+SCHEDULE = draw_schedule(NOMINAL, np.random.default_rng(0)).rows(slice(14, 7 * 150, 42))
 HISTORY = draw_history(NOMINAL, np.random.default_rng(1))
-WITHOUT = ARM.signals_n(SCHEDULE, HISTORY)
 EVERY = {**LISTED, **UNLISTED}
 PLACES = {"cable": 12, "segment": 4, "joint": 4}
 
 
-HISTORY_DEPENDENT = {"cable_creep", "capstan_friction", "joint_friction"}
+@cache
+def unchanged_n() -> Array:
+    return ARM.signals_n(SCHEDULE, HISTORY)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(n, marks=pytest.mark.slow if n in HISTORY_DEPENDENT else ()) for n in EVERY],
-)
+@pytest.mark.parametrize("name", EVERY)
 def test_every_change_shows_and_grows_with_its_size(name: str) -> None:
     change = EVERY[name](ArmDraw(np.random.default_rng(5), NOMINAL))
     assert change.effect == (name if name in LISTED else "unknown")
@@ -72,7 +71,7 @@ def test_every_change_shows_and_grows_with_its_size(name: str) -> None:
         assert 1 <= int(number) <= PLACES[kind]
     middle = float(change.least**0.1 * change.most**0.9)
     small, large = (
-        gap_n(change.apply(ARM, size).signals_n(SCHEDULE, HISTORY), WITHOUT)
+        gap_n(change.apply(ARM, size).signals_n(SCHEDULE, HISTORY), unchanged_n())
         for size in (0.5 * middle, middle)
     )
     assert 0.0 <= small < large or name == "sensor_dropouts"  # whose times are drawn anew

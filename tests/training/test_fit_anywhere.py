@@ -8,10 +8,10 @@ from cablesense_sim.arm import open_arm
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import AnywhereContact
 from cablesense_training.errors import TrainingError
-from cablesense_training.fit import FitSettings
+from cablesense_training.evaluation.anywhere import evaluate_anywhere
 from cablesense_training.fit_anywhere import fit_anywhere, misfits
 from cablesense_training.inference.anywhere import AnywhereEstimator
-from cablesense_training.model_training import draw_training_data, train_model
+from cablesense_training.inference.metadata import find_model
 from cablesense_training.recipes import build_network
 
 
@@ -46,14 +46,11 @@ def test_refuses_samples_that_show_no_torques():
         fit_anywhere(build_network("anywhere", arm), drawn(arm).select(slice(0, 9)))
 
 
-@pytest.mark.slow
-def test_the_model_file_locates_contacts_as_the_report_says(tmp_path):
-    arm, path = open_arm("cdsm_lab"), tmp_path / "model.onnx"
-    options = {"samples": 1500, "pose": "random", "pose_range_deg": 10.0, "force_high_n": 50.0}
-    data = draw_training_data(arm, "anywhere", options, seed=0)
-    report = train_model(path, "anywhere", data, FitSettings(), command="so", test_samples=600)
-    assert AnywhereEstimator.load(path, arm).metadata.force_range_n == 50.0
-    plain = report.as_json()["anywhere"]
+def test_contacts_are_located_as_well_as_tensions_permit():
+    arm = open_arm("cdsm_lab")
+    protocol = AnywhereContact(samples=600, pose="random", force_high_n=50.0)
+    estimator = AnywhereEstimator.load(find_model("cdsm_lab_anywhere"), arm)
+    plain = evaluate_anywhere(estimator, draw_dataset(arm, protocol, seed=5)).as_json()
     assert plain["false_contacts"] == 0
     for segment in ("segment_2", "segment_3", "segment_4"):
         assert plain["shares"][segment]["segment_right"] > 0.98

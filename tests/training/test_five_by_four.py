@@ -45,8 +45,13 @@ def test_a_network_is_trained_on_its_dataset_and_evaluated(arm_file, tmp_path):
     assert set(dataset.segment) == {0, 1, 2, 3, 4, 5}
     small = ["--threads", 1, "--epochs", 2, "--json", "--out", model, "--network", "two-stage"]
     report = json.loads(run("train", "--arm", arm_file, "--data", data, *small))
+    assert report["network"] == "two-stage"
     assert len(report["single"]["confusion"]) == 6
-    assert Estimator.load(model, five_by_four()).metadata.arm.cable_count == 20
+    assert report["single"]["errors"].keys() >= {"direction_mae_deg", "magnitude_mae_n"}
+    metadata = Estimator.load(model, five_by_four()).metadata
+    assert metadata.arm.cable_count == 20
+    assert metadata.command.startswith("cablesense train --arm ")
+    assert metadata.command.endswith("--seed 0 --threads 1 --out model.onnx")
     found = json.loads(run("evaluate", "--model", model, "--samples", 300, "--json"))
     assert found["single"]["magnitude_mae_n"] > found["bound"]["magnitude_mae_n"]
 
