@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 import time
 from pathlib import Path
 
@@ -35,18 +33,14 @@ class NodeProcess(Process):
 
     def __init__(
         self,
-        module: str,
+        log: Path,
+        name: str,
         namespace: str = "",
         remaps: dict[str, str] | None = None,
         **parameters: object,
     ) -> None:
-        name = module
-        if module.startswith("cablesense_ros."):
-            name = module.removeprefix("cablesense_ros.").removesuffix("_node")
         given = {key.replace("__", "."): value for key, value in parameters.items()}
-        handle, path = tempfile.mkstemp(suffix=".log")
-        os.close(handle)
-        super().__init__(name, node_command(name, given, remaps, namespace), Path(path))
+        super().__init__(name, node_command(name, given, remaps, namespace), log)
 
     def wait(self, within_s: float | None = END_WITHIN_S) -> int:
         """Its exit code, once it has ended by itself."""

@@ -67,13 +67,14 @@ def graph():
     talking.close()
 
 
-def nodes_that_end_well():
+def nodes_that_end_well(tmp_path_factory):
     from ros_graph import NodeProcess
 
     started = []
 
     def start(*given, **parameters):
-        started.append(NodeProcess(*given, **parameters))
+        log = tmp_path_factory.mktemp("node") / "log"
+        started.append(NodeProcess(log, *given, **parameters))
         return started[-1]
 
     yield start

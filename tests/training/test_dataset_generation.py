@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import signal
-import subprocess
-import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 import distributed
@@ -68,46 +64,14 @@ def test_a_longer_run_begins_like_a_shorter_one(arm):
     assert (first.tension_difference_n == short.tension_difference_n).all()
 
 
-@contextmanager
-def dask_process(words, pattern):
-    """A Dask process on loopback, and what its log says where `pattern` matches."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "distributed.cli." + words[0], *words[1:]],
-        stderr=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        text=True,
-    )
-    try:
-        for line in process.stderr:
-            found = re.search(pattern, line)
-            if found:
-                break
-        else:
-            pytest.fail(f"{words[0]} ended without a line that matches {pattern}")
-        yield found.group(0)
-    finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.communicate(timeout=10)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.communicate()
-
-
-def scheduler():
-    words = ["dask_scheduler", "--host", "tcp://127.0.0.1:0", "--no-dashboard", "--no-jupyter"]
-    return dask_process(words, r"tcp://127\.0\.0\.1:\d+")
-
-
-def worker(address):
-    words = ["dask_worker", address, "--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard"]
-    return dask_process([*words, "--no-nanny"], r"Registered to")
-
-
 @pytest.mark.slow
 def test_a_dask_cluster_writes_the_same_bytes(arm, one_worker, tmp_path, monkeypatch):
     path = tmp_path / "dask.parquet"
-    with scheduler() as address, worker(address), worker(address):
+    threads = {"processes": False, "n_workers": 2, "threads_per_worker": 1}
+    with distributed.LocalCluster(
+        **threads, protocol="tcp", host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        address = cluster.scheduler_address
         produce_dataset(path, arm, PROTOCOL, 7, command="", dask_scheduler=address)
         assert digest(path) == one_worker
 
