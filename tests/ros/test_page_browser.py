@@ -51,7 +51,7 @@ FLAGS = (
     "--window-size=1600,900",
     "about:blank",
 )
-WIDTH, HEIGHT = 1200, 640
+WIDTH, HEIGHT = 960, 480
 """Small: Chromium renders in software, which costs by the pixel."""
 
 
