@@ -11,7 +11,7 @@ BODY = rigid_body(NOMINAL)
 
 
 def two_segments(folder: Path) -> Path:
-    """The file of an arm like that of the laboratory, of two segments: quick to simulate."""
-    file = folder / "arm.yaml"
-    file.write_text(ARM_FILE.read_text().replace("count: 4", "count: 2"))
+    """The file of an arm of two segments that is read twice a second: quick to simulate."""
+    file, text = folder / "arm.yaml", ARM_FILE.read_text()
+    file.write_text(text.replace("count: 4", "count: 2").replace("rate_hz: 5", "rate_hz: 2"))
     return file

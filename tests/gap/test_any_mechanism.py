@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from pulley import (
@@ -60,10 +62,14 @@ def judged(simulator: Pulley, readings: np.ndarray) -> list[Ranked]:
     return posterior(search(problem), problem.floor, bundled_calibration())
 
 
+@cache
+def best_of(*truth: tuple[Term, float]) -> Ranked:
+    return judged(*recorded(dict(truth)))[0]
+
+
 @pytest.mark.parametrize("truth", SINGLES + DOUBLES, ids=named)
 def test_what_was_planted_is_found_with_right_numbers(truth: dict[Term, float]) -> None:
-    simulator, readings = recorded(truth)
-    best = judged(simulator, readings)[0]
+    best = best_of(*truth.items())
     assert best.effects == tuple(sorted({term.effect for term in truth}))
     assert best.probability > 0.5
     assert best.explanation is not None
@@ -71,11 +77,11 @@ def test_what_was_planted_is_found_with_right_numbers(truth: dict[Term, float]) 
         assert best.explanation.values[term] == pytest.approx(value, abs=WITHIN[term]), term
     for term in best.explanation.values.keys() - truth.keys():
         assert best.explanation.values[term] == pytest.approx(0.0, abs=WITHIN[term]), term
-    assert best.explanation.held_out_rmse < 1.2 * simulator.floor
+    assert best.explanation.held_out_rmse < 1.2 * Pulley.floor
 
 
 def test_what_a_workshop_leaves_is_no_effect() -> None:
-    best = judged(*recorded({}))[0]
+    best = best_of()
     assert best.effects == ("none",)
 
 
@@ -91,8 +97,8 @@ def test_an_unlisted_cause_is_unknown_and_no_listed_effect_removes_it() -> None:
 
 
 def test_the_amended_simulator_predicts_work_that_it_has_not_seen() -> None:
-    truth = {FRICTION: 0.08, MASS_KG: 0.25}
-    best = judged(*recorded(truth))[0].explanation
+    truth = DOUBLES[0]
+    best = best_of(*truth.items()).explanation
     assert best is not None
     new = Pulley(work(seed=77))
     after, before, real = (new.predict([v])[0] for v in (best.values, {}, truth))

@@ -11,6 +11,7 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
+from cablesense_training.networks import statics as statics_of_arms
 from cablesense_training.networks.near_command import NearCommand
 from cablesense_training.networks.statics import statics, unexplained_variance_n2
 
@@ -68,7 +69,8 @@ def test_the_fast_form_is_for_arms_that_it_can_carry() -> None:
 
 
 @pytest.mark.slow
-def test_what_statics_cannot_carry_counts_as_spread() -> None:
+def test_what_statics_cannot_carry_counts_as_spread(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(statics_of_arms, "_JUDGED_SAMPLES", 32)
     arm = open_arm("cdsm_lab")
     noise = difference_variance_n2(arm.sensors, 50)
     assert unexplained_variance_n2(arm) == 0.0
