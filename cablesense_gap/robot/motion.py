@@ -116,6 +116,7 @@ class Motion(Trajectory):
         compared_trial, compared_time_s: (Q,) of those; trials without any have no number.
         forward: whether the comparison is to go forward in time.
         zeroed: whether encoders were set to zero where each trial begins.
+        external: whether positions were measured outside the drives.
         noise: of what was measured.
         inertia: (J,) that each joint feels alone.
     """
@@ -135,6 +136,7 @@ class Motion(Trajectory):
     compared_time_s: Array
     forward: bool
     zeroed: bool
+    external: bool
     noise: Noise
     inertia: Array
 
@@ -166,7 +168,11 @@ class Motion(Trajectory):
 
     def compared(self, torque: Array) -> Array:
         """(Q, J) of torques (R, J): those that do not count taken out, then the low-pass."""
-        parts = self._by_trial(np.where(self.counts, torque, 0.0))
+        return self.passed(np.where(self.counts, torque, 0.0))
+
+    def passed(self, values: Array) -> Array:
+        """(Q, J) of values (R, J) behind the low-pass."""
+        parts = self._by_trial(values)
         return np.concatenate([own @ part for own, part in zip(self.passes, parts, strict=True)])
 
 

@@ -21,7 +21,7 @@ from cablesense_base import Array
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot import smoothing
 from cablesense_gap.robot.effects.effect import Scale
-from cablesense_gap.robot.model import Robot, actuated
+from cablesense_gap.robot.model import Robot, actuated, inverse_dynamics
 from cablesense_gap.robot.motion import LEAST_FLOOR, Motion, Noise, Trial, inner_rows
 from cablesense_gap.robot.recording import RobotRecording
 
@@ -49,11 +49,13 @@ def prepared(
     forward: bool | None = None,
     *,
     zeroed: bool = False,
+    external: bool = False,
 ) -> Motion:
     """The recording's motion and torques; by default compared as far as torques have power.
 
     Without torques those count that the model's actuators make of the commands, and, unless asked
-    otherwise, the comparison goes forward.
+    otherwise, the comparison goes forward. With `external` positions it is neither: torques are
+    those that the nominal robot needs.
 
     Raises:
         RecordingError: it has neither torques nor commands, or its trials are too short.
@@ -61,10 +63,11 @@ def prepared(
     trials, interval_s = _evenly_sampled(recording)
     rate_hz = 1.0 / interval_s
     most_hz = min(smoothing.MOST_HZ, rate_hz / smoothing.SAMPLES)
-    by_command = not np.isfinite(recording.torque).any()
+    by_command = external or not np.isfinite(recording.torque).any()
     if by_command:
         _check_commands(recording, robot)
-        trials = [replace(t, torque=_commanded(robot, t, rate_hz, most_hz)) for t in trials]
+        made = _needed if external else _commanded
+        trials = [replace(t, torque=made(robot, t, rate_hz, most_hz)) for t in trials]
     if bandwidth_hz is None:
         compared_hz = float(np.clip(_comparison_hz(trials, rate_hz), smoothing.LEAST_HZ, most_hz))
     elif 0.1 <= bandwidth_hz <= most_hz:
@@ -115,8 +118,9 @@ def prepared(
         passes=passes,
         compared_trial=compared_trial,
         compared_time_s=joined["time_s"][kept],
-        forward=by_command if forward is None else forward,
+        forward=not external and (by_command if forward is None else forward),
         zeroed=zeroed,
+        external=external,
         noise=noise,
         inertia=inertia,
     )
@@ -176,6 +180,13 @@ def _commanded(robot: Robot, trial: Trial, rate_hz: float, most_hz: float) -> Ar
     """(T, J) what the actuators make of a trial's commands."""
     position = smoothing.smoothed(trial.position, rate_hz, most_hz)
     return actuated(robot, position, smoothing.derivatives(position, rate_hz)[0], trial.command)
+
+
+def _needed(robot: Robot, trial: Trial, rate_hz: float, most_hz: float) -> Array:
+    """(T, J) what the nominal robot needs for a trial's motion."""
+    position = smoothing.smoothed(trial.position, rate_hz, most_hz)
+    moved = smoothing.derivatives(position, rate_hz)
+    return inverse_dynamics(robot.model, position, *moved)
 
 
 def _comparison_hz(trials: Sequence[Trial], rate_hz: float) -> float:

@@ -28,6 +28,7 @@ from cablesense_gap.robot.plausible import at_bounds, far_beyond, little_removed
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.protocol import next_experiment
 from cablesense_gap.robot.recording import RobotRecording
+from cablesense_gap.robot.servo import ServoComparison
 from cablesense_gap.simulator import Assignment, Candidate, Term, parameters_of
 from cablesense_gap.verdict import ChannelGap, Gap, Verdict, Where
 
@@ -60,12 +61,20 @@ class RobotSystem(System):
     def __init__(self, robot: Robot, motion: Motion, listed: Assignment) -> None:
         """`motion` is the measured one, `listed` are effects that the nominal robot has."""
         self.robot, self.name, self.listed, self._motion = robot, robot.name, dict(listed), motion
-        self.comparison: MotionComparison = (
-            ForwardComparison(robot, motion)
+        compare: type[ServoComparison | ForwardComparison | InverseComparison] = (
+            ServoComparison
+            if motion.external
+            else ForwardComparison
             if motion.forward
-            else InverseComparison(robot, motion)
+            else InverseComparison
         )
-        offered = [e for e in known_effects().values() if not (motion.zeroed and e.of_zeros)]
+        self.comparison: MotionComparison = compare(robot, motion)
+        offered = [
+            effect
+            for effect in known_effects().values()
+            if not (motion.zeroed and effect.of_zeros)
+            and not (motion.external and effect.of_torques)
+        ]
         named = [self._candidate(e, motion) for e in offered if not e.tolerance]
         self.candidates = tuple(candidate for candidate in named if candidate.places)
         self.tolerances = tuple(self._candidate(e, motion) for e in offered if e.tolerance)
@@ -143,7 +152,7 @@ class RobotSystem(System):
         """A tenth of the torque, if the best explanation is far from every joint's floor."""
         best = min(found, key=lambda each: each.held_out_rmse)
         left = np.sqrt(((problem.readings - best.held_out) ** 2).mean(0))
-        if self._motion.forward or left.min() < _FITS:
+        if not isinstance(self.comparison, InverseComparison) or left.min() < _FITS:
             return None
         return np.asarray(_MODEL_ERROR * np.sqrt((self.readings**2).mean(0)))
 
@@ -256,6 +265,7 @@ def diagnose(
     forward: bool | None = None,
     *,
     zeroed: bool = False,
+    external: bool = False,
     force: bool = False,
     reference: RobotRecording | None = None,
 ) -> RobotDiagnosis:
@@ -272,6 +282,8 @@ def diagnose(
             recorded.
         zeroed: whether encoders were set to zero where each trial starts; each trial then has
             the zeros that fit it.
+        external: whether positions were measured outside the drives; they are then compared with
+            the commands of position servos.
         force: whether to continue if columns look exchanged or reversed; the findings then say so.
         reference: of the same robot when it was healthy; the verdict says what changed since.
 
@@ -282,13 +294,14 @@ def diagnose(
     began_s = time.monotonic()
     progress("smoothing", 0.0)
 
-    motion = prepared(recording, robot, bandwidth_hz, forward, zeroed=zeroed)
+    own = {"zeroed": zeroed, "external": external}
+    motion = prepared(recording, robot, bandwidth_hz, forward, **own)
 
     def left(recorded: RobotRecording) -> dict[str, float]:
         by_torque = prepared(recorded, robot, bandwidth_hz, forward=False, zeroed=zeroed)
         return RobotSystem(robot, by_torque, beside or {}).left_shares()
 
-    doubts = exchanged(recording, robot, left)
+    doubts = [] if external else exchanged(recording, robot, left)
     if doubts and not force:
         raise RecordingError(
             f"{recording.name}: {', '.join(doubts)}: the model then fits far better; correct the "
@@ -330,7 +343,8 @@ def _healthy(reference: RobotRecording, system: RobotSystem, motion: Motion) -> 
         RecordingError: other channels are measured in it, or it cannot be compared.
     """
     as_compared = motion.compared_hz, motion.forward
-    own = prepared(reference, system.robot, *as_compared, zeroed=motion.zeroed)
+    alike = {"zeroed": motion.zeroed, "external": motion.external}
+    own = prepared(reference, system.robot, *as_compared, **alike)
     known = RobotSystem(system.robot, own, system.listed)
     known.recording_name = reference.name
     columns, others = (set(each.comparison.columns) for each in (system, known))
@@ -405,13 +419,15 @@ def predicted(
     forward: bool | None = None,
     *,
     zeroed: bool = False,
+    external: bool = False,
 ) -> Prediction:
     """The prediction of a model with the effects listed in addition; arguments as of `diagnose`.
 
     Raises:
         RecordingError: the recording cannot be compared.
     """
-    motion = prepared(recording, robot, bandwidth_hz, forward, zeroed=zeroed)
+    own = {"zeroed": zeroed, "external": external}
+    motion = prepared(recording, robot, bandwidth_hz, forward, **own)
     system = RobotSystem(robot, motion, beside)
     compared = system.comparison
     found = system.predict([{}])[0] * compared.noise

@@ -144,9 +144,11 @@ def withhold(
     answers = []
     for index, own in enumerate(sets, start=1):
         case = draw_case(kind, own, seed, index, known)
-        last = 2 if second else 1
-        parts = {"robots": case.robots, "asked": case.asked, "seeds": case.seeds}
-        record([replace(case, **{name: part[:last] for name, part in parts.items()})], folder)
+        n = 2 if second else 1
+        recorded = replace(
+            case, robots=case.robots[:n], asked=case.asked[:n], seeds=case.seeds[:n]
+        )
+        record([recorded], folder)
         answers.append(case.answer)
         yield case.answer
     write_answers(answers_file, answers)

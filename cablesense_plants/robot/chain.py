@@ -156,7 +156,7 @@ def read_chain(
         mass[n] = model.body_mass[own].sum()
         middle = model.body_mass[own] @ data.xipos[own] / max(mass[n], _LEAST_KG)
         centre[n] = middle - data.xanchor[n]
-        for body in own:
+        for body in own.tolist():
             turned, arm = data.ximat[body].reshape(3, 3), data.xipos[body] - middle
             inertia[n] += turned * model.body_inertia[body] @ turned.T
             inertia[n] += model.body_mass[body] * (arm @ arm * np.eye(3) - np.outer(arm, arm))

@@ -6,7 +6,7 @@ import shlex
 import tempfile
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -69,7 +69,14 @@ ReferenceOption = Annotated[
         help="A recording of the same machine when healthy: the verdict is what changed since."
     ),
 ]
-OF_ROBOTS = ("bandwidth", "forward", "zeroed")
+PositionsOption = Annotated[
+    Literal["drive", "external"],
+    typer.Option(
+        help="With --model: positions are those of the drives' encoders, or were measured outside "
+        "the drives, as by a camera, and are compared with the commands of position servos."
+    ),
+]
+OF_ROBOTS = ("bandwidth", "forward", "zeroed", "positions")
 ADAPTED_MODEL = "estimator.onnx"
 
 
@@ -84,6 +91,7 @@ def diagnose(
     bandwidth: BandwidthOption = None,
     forward: ForwardOption = None,
     zeroed: ZeroedOption = False,
+    positions: PositionsOption = "drive",
     reference: ReferenceOption = None,
     workers: WorkersOption = 2,
     force: ForcedDiagnosisOption = False,
@@ -115,7 +123,7 @@ def diagnose(
         with diagnosis_progress(console) as (show, _):
             found = system.diagnose(
                 recorded, robot, beside, bandwidth, show, workers, forward,
-                zeroed=zeroed, force=force, reference=healthy,
+                zeroed=zeroed, external=positions == "external", force=force, reference=healthy,
             )  # fmt: skip
         report.write_robot_diagnosis(out, found, beside)
         verdict, lines = (
@@ -178,6 +186,7 @@ def predict(
     bandwidth: BandwidthOption = None,
     forward: ForwardOption = None,
     zeroed: ZeroedOption = False,
+    positions: PositionsOption = "drive",
     settle: Annotated[
         int,
         typer.Option(
@@ -208,7 +217,8 @@ def predict(
         robot, beside = load_amended(model)
         output_file(out, force=force, inputs=(recording, robot.path))
         recorded = read_recording(recording, robot)
-        found = predicted(recorded, robot, beside, bandwidth, forward, zeroed=zeroed)
+        own = {"zeroed": zeroed, "external": positions == "external"}
+        found = predicted(recorded, robot, beside, bandwidth, forward, **own)
         write_prediction(out, found)
         gaps = {name: gap for name, _, gap, _ in found.gaps}
         figures = {"rows": len(found.predicted), "gap": gaps}

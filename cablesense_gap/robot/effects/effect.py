@@ -62,6 +62,7 @@ class RobotEffect(EffectDescription):
         adds: the array of `Change` to which its one number is added, unless `act` does otherwise.
         in_model: whether MJCF has a place for it.
         presliding_forward: whether the forward comparison uses its presliding displacement too.
+        of_torques: whether it is in readings of torques alone.
         of_zeros: whether it cannot be identified if each trial has its own encoder zeros.
     """
 
@@ -71,6 +72,7 @@ class RobotEffect(EffectDescription):
     adds: ClassVar[str] = ""
     in_model: ClassVar[bool] = True
     presliding_forward: ClassVar[bool] = False
+    of_torques: ClassVar[bool] = False
     of_zeros: ClassVar[bool] = False
 
     def places(self, robot: Robot) -> tuple[str, ...]:

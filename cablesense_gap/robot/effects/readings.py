@@ -49,6 +49,7 @@ class TorqueScale(RobotEffect):
     about = "a wrong torque constant"
     advice = "Measure the torque constant with a weight on a lever, and compare the gear ratio."
     in_model = False
+    of_torques = True
     numbers = (size("share", "1", 0.9, 0.05, "read too much"),)
 
     def places(self, robot: Robot) -> tuple[str, ...]:
@@ -68,6 +69,7 @@ class TorqueOffset(RobotEffect):
     adds = "torque_offset"
     advice = "Read the torque with the drive off, or the current at standstill from both sides."
     in_model = False
+    of_torques = True
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
         most, typical = 3.0 * scale.typical_torque, 0.05 * scale.typical_torque
