@@ -45,13 +45,16 @@ lint: setup build/mypy  ## style, types and dependencies between packages
 	$(BIN)/lint-imports --no-logo || failed=1; \
 	exit $$failed
 
+# What a node compiles for contacts anywhere, but their fits, or for contact points.
+PREPARE = from cablesense_online.stated_contacts import *; from cablesense_sim.arm import open_arm; \
+	RestingArm(UnloadedTensions(open_arm("cdsm")), 1).prepare(np.zeros(8), anywhere=$(1))
 # A minute, that many processes at once would take several times; two compile nothing that both need.
 # Numba does not see that a module of which code is in another module's has changed.
 build/compiled: $(shell grep -l '^@compiled' cablesense_sim/*.py)
 	@mkdir -p build
 	@rm -f cablesense_sim/__pycache__/*.nbi cablesense_sim/__pycache__/*.nbc
 	@echo 'Compiling statics and the fits of contacts (a minute, once) …'
-	@$(BIN)/python -c 'from cablesense_sim.equilibrium import *; from cablesense_sim import *; arm = mechanism_of(open_arm("cdsm")); tension_sensitivity(arm, np.zeros(8), solve_equilibrium(arm, np.zeros(8)).tensions_n, np.zeros((4, 3)))' & \
+	@$(BIN)/python -c '$(call PREPARE,True)' & \
 	$(BIN)/python -c 'from cablesense_online.models import load_model; load_model("cdsm", "").estimator.prepare()' && wait $$!
 	@touch $@
 
@@ -59,7 +62,7 @@ build/compiled: $(shell grep -l '^@compiled' cablesense_sim/*.py)
 build/compiled-all: build/compiled
 	@echo 'Compiling the law of friction and the fit of forces at contact points …'
 	@$(BIN)/python -c 'from cablesense_sim.arm import open_arm; from cablesense_sim.dynamics import RestToRestArm; RestToRestArm(open_arm("cdsm_friction"))' & \
-	$(BIN)/python -c 'from cablesense_online.stated_contacts import *; from cablesense_sim.arm import open_arm; RestingArm(UnloadedTensions(open_arm("cdsm")), 1).prepare(np.zeros(8), anywhere=False)' && wait $$!
+	$(BIN)/python -c '$(call PREPARE,False)' && wait $$!
 	@touch $@
 
 setup: $(VENV)/.all  ## everything that developing needs, in .venv
