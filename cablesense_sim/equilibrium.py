@@ -187,24 +187,6 @@ def stiffness_matrix_n_m(
     return balance_at(mechanism, joint_angles_rad, tensions_n, forces_n).slope_n_m
 
 
-def tension_sensitivity(
-    mechanism: Mechanism, joint_angles_rad: Array, tensions_n: Array, forces_n: Array
-) -> Array:
-    """Derivative (..., M, N, 3) of the tensions by the contact forces, at an equilibrium; no unit.
-
-    It follows from the implicit function theorem: dT/df = k J K^-1 B' for taut cables, zero for
-    slack ones, with K the stiffness matrix and B the contact Jacobian.
-    """
-    jacobian = kinematics.cable_jacobian_m(mechanism, joint_angles_rad)
-    hessian = stiffness_matrix_n_m(mechanism, joint_angles_rad, tensions_n, forces_n)
-    contact = kinematics.contact_jacobians_m(mechanism, joint_angles_rad)
-    flat = contact.reshape(*contact.shape[:-3], -1, mechanism.joint_count)
-    moved = np.linalg.solve(hessian, np.swapaxes(flat, -1, -2))
-    stiffness = mechanism.stiffness_n_m * (tensions_n > 0.0)
-    gain = (stiffness[..., None] * jacobian) @ moved
-    return gain.reshape(*gain.shape[:-1], mechanism.segment_count, 3)
-
-
 def _rounding_m(mechanism: Mechanism) -> float:
     """Uncertainty of a cable's stretch in double precision, with some room.
 
