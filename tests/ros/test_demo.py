@@ -9,8 +9,6 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)
-
 from cablesense_msgs_py.messages import ForceState, Level
 from cablesense_online.page.snapshot import KnownMoment, ShownContact, ShownStatus, Snapshot
 from cablesense_ros.cli import runs

@@ -19,9 +19,6 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 import pytest
 
-pytest.importorskip(
-    "rclpy", reason="needs rclpy: install the extra `ros`, or source a ROS 2 Jazzy"
-)
 pytest.importorskip("viser", reason="needs viser: install the extra `page`")
 
 from page_visitor import SUBPROTOCOL
@@ -51,6 +48,7 @@ FLAGS = (
     "--window-size=1600,900",
     "about:blank",
 )
+PATIENCE_S = 90.0
 WIDTH, HEIGHT = 960, 480
 """Small: Chromium renders in software, which costs by the pixel."""
 
@@ -86,7 +84,7 @@ class Tab:
         )
         return found["result"].get("value")
 
-    def wait_for(self, script, what, timeout_s=90.0):
+    def wait_for(self, script, what, timeout_s=PATIENCE_S):
         until = time.monotonic() + timeout_s
         while time.monotonic() < until:
             value = self.evaluate(script)
@@ -192,7 +190,7 @@ def page_log(processes):
 
 @pytest.fixture(scope="module")
 def page_url(processes):
-    return processes.wait_for_line("page", "page: ", 40.0)
+    return processes.wait_for_line("page", "page: ", PATIENCE_S)
 
 
 @pytest.fixture
@@ -240,7 +238,7 @@ def canvas_pixels(browser):
     return image[HEIGHT // 5 : -HEIGHT // 8, WIDTH // 3 : -WIDTH // 4].astype(int)
 
 
-def eventually(found, accept, what, timeout_s=90.0):
+def eventually(found, accept, what, timeout_s=PATIENCE_S):
     """What is found, once it is accepted."""
     until = time.monotonic() + timeout_s
     while not accept(last := found()):
@@ -271,6 +269,24 @@ def right(row):
     return (
         abs(place_mm - 65.0) < 1.0 and abs(angle_deg - 215.0) < 2.0 and abs(force_n - 60.0) < 2.0
     )
+
+
+OPENED = """new Promise(done => {
+    const socket = new WebSocket(%r, [%r]);
+    socket.onopen = () => done("open");
+    socket.onerror = () => done("refused");
+})"""
+"""Whether a page gets a WebSocket of this address."""
+
+
+def test_another_website_gets_no_websocket_of_the_page(page_url, browser, website):
+    """First, so that the start of the browser is not part of a longer test."""
+    address = page_url.replace("http", "ws").rstrip("/")
+    assert browser.evaluate(OPENED % (address, SUBPROTOCOL)) == "open"
+    tab = browser.new_tab(website)
+    for path in (address, address.rpartition("/")[0]):
+        assert tab.evaluate(OPENED % (path, SUBPROTOCOL)) == "refused"
+    tab.close()
 
 
 def test_a_push_on_the_page_moves_arm_wrench_and_estimate(page_url, browser):
@@ -350,20 +366,3 @@ def test_on_a_phone_the_estimate_is_there_and_nothing_is_cut_off(browser):
         assert 0 < browser.evaluate(f"{summary}.bottom") <= 844
     finally:
         browser.resize(WIDTH, HEIGHT)
-
-
-OPENED = """new Promise(done => {
-    const socket = new WebSocket(%r, [%r]);
-    socket.onopen = () => done("open");
-    socket.onerror = () => done("refused");
-})"""
-"""Whether a page gets a WebSocket of this address."""
-
-
-def test_another_website_gets_no_websocket_of_the_page(page_url, browser, website):
-    address = page_url.replace("http", "ws").rstrip("/")
-    assert browser.evaluate(OPENED % (address, SUBPROTOCOL)) == "open"
-    tab = browser.new_tab(website)
-    for path in (address, address.rpartition("/")[0]):
-        assert tab.evaluate(OPENED % (path, SUBPROTOCOL)) == "refused"
-    tab.close()

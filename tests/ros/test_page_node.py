@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("rclpy")
 pytest.importorskip("viser", reason="needs viser: install the extra `page`")
 
 import rclpy
