@@ -68,6 +68,7 @@ def report_page(found: RobotDiagnosis, folder: str) -> str:
         "folder": folder,
         "findings": found.findings,
         "forward": found.motion.forward,
+        "external": found.motion.external,
         "overlay": overlay,
         "parameters": [
             (effect, " ".join(place or verdict.shares[effect].places), parameter, estimate)
