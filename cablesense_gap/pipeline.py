@@ -346,14 +346,6 @@ def diagnose_system(
     traded = trades(problem, best) if best else []
     rest = remainder(problem, explained)
     group, reasons = ambiguity(problem, ranked, system.unit)
-    if error is not None:
-        reasons = (
-            "No explanation fits any channel. The model is taken to leave "
-            f"{problem.floor:.3g} {system.unit}, as models of real machines do, and the verdict "
-            "is what stands out of that. A reference, recorded when the machine was healthy, "
-            "would show smaller causes.",
-            *reasons,
-        )
     held_out, experiment = explained.held_out, ""
     if best:
         rivals = [r.explanation.values for r in rivals_of(ranked) if r.explanation is not None]
@@ -388,6 +380,14 @@ def diagnose_system(
         None if alone is None else alone[used],
     )
     doubts = system.doubts(values, gap) if values else ()
+    if error is not None:
+        inexact = (
+            "No explanation fits any channel. The model is taken to leave "
+            f"{problem.floor:.3g} {system.unit}, as models of real machines do, and the verdict "
+            "is what stands out of that. A reference, recorded when the machine was healthy, "
+            "would show more.",
+        )
+        doubts, reasons = (inexact + doubts, reasons) if values else (doubts, inexact + reasons)
     if doubts:
         sure = min(ranked[0].probability, DOUBTED)
         ranked = [replace(ranked[0], probability=sure), *ranked[1:]]
