@@ -79,4 +79,5 @@ def measure() -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    publish("newcomer.json", measure(), parser(__doc__, "newcomer.json").parse_args())
+    options = parser(__doc__, "newcomer.json").parse_args()
+    publish("newcomer.json", measure(), options)
