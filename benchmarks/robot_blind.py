@@ -6,12 +6,13 @@
 Three nominal models of `config/robots` (an arm of six joints, a double pendulum, a finger with
 tendons). The hidden side is the rigid-body code, friction, drives and sensors of
 `cablesense_plants`, which shares nothing with the diagnosis. Seeds up to 8104, 8310 and 8311 were
-used while the diagnosis was made. With `--commands` no torque is recorded, and no cause shows in
-torques alone; with `--play` all that is hidden is backlash, which few joints of the other two
-show; with `--tendons` a finger has tendons over guides, which rub in half of the cases, while of
-the others half have other friction. With `--imperfect` the models lack friction by position,
-springs and ripples, which make 5 to 15 % of the torque; with `--reference` another recording,
-without the hidden effects, is the reference (seed 9001 was used while that was made).
+used while the diagnosis was made, and 5001 and 5002 while it learnt of imperfect models. With
+`--commands` no torque is recorded, and no cause shows in torques alone; with `--play` all that is
+hidden is backlash, which few joints of the other two show; with `--tendons` a finger has tendons
+over guides, which rub in half of the cases, while of the others half have other friction. With
+`--imperfect` the models lack friction by position, springs and ripples, which make 5 to 15 % of
+the torque; with `--reference` another recording, without the hidden effects, is the reference
+(seed 9001 was used while that was made).
 """
 
 from __future__ import annotations

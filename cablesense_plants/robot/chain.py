@@ -133,7 +133,7 @@ def read_chain(
     and the links' names. Bodies without a joint are parts of the link that carries them.
 
     Raises:
-        PlantError: its joints are no hinges one after the other.
+        PlantError: its joints are no hinges one after the other, or a spring rests elsewhere.
     """
     count, data = model.njnt, mujoco.MjData(model)
     joints = [model.joint(n).name for n in range(count)]
@@ -149,6 +149,8 @@ def read_chain(
                     f"joint {joints[n]}: a plant's robot is a row of hinges, each on the link of "
                     "the one before; give a model without branches, slides and balls"
                 )
+    if (model.jnt_stiffness * model.qpos_spring).any():
+        raise PlantError("springs of a plant's robot are at rest at zero; set springref to 0")
     owner = np.array([link_of[body] for body in range(model.nbody)])
     mass, centre, inertia = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
     for n in range(count):

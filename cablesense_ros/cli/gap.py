@@ -116,6 +116,7 @@ def diagnose(
         from cablesense_gap.robot.recording import read_recording
 
         refuse_given(context, ["arm"], "with --model")
+        _refuse_forward(context, positions)
         robot, beside = amending.load_amended(model)
         output_folder(out, report.ROBOT_FILES, force=force, inputs=(recording, robot.path))
         recorded = read_recording(recording, robot)
@@ -139,6 +140,11 @@ def diagnose(
         return
     for line in (*lines, f"Report: {out / 'report.html'}"):
         console.print(line, soft_wrap=True, markup=False, highlight=False)
+
+
+def _refuse_forward(context: typer.Context, positions: str) -> None:
+    if positions == "external":
+        refuse_given(context, ["forward"], "with --positions external")
 
 
 def _diagnosed_arm(
@@ -214,6 +220,7 @@ def predict(
         from cablesense_gap.robot.system import predicted, write_prediction
 
         refuse_given(context, ["arm", "settle"], "with --model")
+        _refuse_forward(context, positions)
         robot, beside = load_amended(model)
         output_file(out, force=force, inputs=(recording, robot.path))
         recorded = read_recording(recording, robot)

@@ -17,6 +17,7 @@ from cablesense_ros.cli.options import (
     JsonOption,
     NominalArmOption,
     WorkersOption,
+    refuse_given,
 )
 from cablesense_ros.cli.results import print_result
 
@@ -47,6 +48,7 @@ def score(
 
 
 def withhold(
+    context: typer.Context,
     count: Annotated[int, typer.Option(min=1, max=10_000, help="How many recordings.")],
     out: Annotated[Path, typer.Option(help="Folder for case_001.csv ….")],
     seed: Annotated[int, typer.Option(min=0, help="The same seed makes the same files.")] = 0,
@@ -78,17 +80,19 @@ def withhold(
 ) -> None:
     """Make recordings of arms in which something is hidden, or nothing, and a file of answers.
 
-    The arms come from a plant that shares no code with the simulator or the diagnosis. Every arm
-    has manufacturing tolerances; a fifth hides nothing more, a fifth something that no verdict
-    has a name for, some two or more effects at once.
+    The arms come from a plant that shares no code with the simulator or the diagnosis; so do other
+    robots, given their --model. Every machine has manufacturing tolerances; a fifth hides nothing
+    more, a fifth something that no verdict has a name for, some two or more effects at once.
 
     Examples: [bold]cablesense gap withhold --count 60 --seed 7 --out cases[/bold],
-    [bold]cablesense gap withhold --count 10 --only payload --out payloads[/bold]
+    [bold]cablesense gap withhold --count 1 --only payload --model robot.xml --out cases[/bold]
     """
     from rich.progress import track
 
     from cablesense_sim.arm import find_arm
 
+    if model is not None:
+        refuse_given(context, ["arm", "workers"], "with --model")
     answers_file, kinds = answers or out / "answers" / "answers.csv", tuple(only or ())
     names = "case_*.csv" if model is None else "case_*.csv.gz"
     written = (names, f"second/{names}") if second else (names,)

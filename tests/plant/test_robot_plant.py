@@ -58,10 +58,11 @@ def test_torques_are_those_of_mujoco_without_effects(kind):
     ("old", "new", "fault"),
     [
         ('name="elbow" axis="0 0 1"', 'name="elbow" type="slide"', "elbow.*row of hinges"),
+        ('name="elbow"', 'name="elbow" stiffness="1" springref="10"', "at rest at zero"),
         ('<body name="lower"', '<body><joint name="side"/><geom size="1"/></body><body', "elbow"),
     ],
 )
-def test_a_robot_that_is_no_row_of_hinges_is_refused(old, new, fault):
+def test_a_robot_that_a_plant_cannot_be_is_refused(old, new, fault):
     with pytest.raises(PlantError, match=fault):
         read_chain(mujoco.MjModel.from_xml_string(TILTED.replace(old, new)))
 

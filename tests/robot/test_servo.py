@@ -1,5 +1,6 @@
 """Robots under position servos whose positions a camera reads: from commands to joints."""
 
+import mujoco
 import numpy as np
 import pandas as pd
 import pytest
@@ -9,6 +10,7 @@ from typer.testing import CliRunner
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.servo import Servos
 from cablesense_gap.robot.system import diagnose
 from cablesense_gap.verdict import read_verdict
 from cablesense_ros.cli.app import app
@@ -43,6 +45,23 @@ def seen(path, zero=(0.0, 0.0), into_elbow=0.0, play=(0.0, 0.0), payload=0.0, se
         tables.append(pd.DataFrame(columns))
     pd.concat(tables).to_csv(path, index=False)
     return path
+
+
+def test_a_servo_yields_as_mujoco_lets_it(tmp_path):
+    path = tmp_path / "geared.xml"
+    position = '<position kp="30" kv="0.3" gear="1.5" '
+    path.write_text(XML.replace("<motor ", position))
+    robot, commands = load_robot(path), np.array([0.6, -0.4])
+    data = mujoco.MjData(robot.model)
+    data.ctrl[:] = commands
+    for _ in range(20_000):
+        mujoco.mj_step(robot.model, data)
+    assert np.abs(data.qvel).max() < 1e-6
+    servos = Servos.of(robot)
+    yields = data.qfrc_bias / servos.stiffness
+    expected = servos.per_command * commands + servos.offset - yields
+    assert data.qpos == pytest.approx(expected, abs=1e-6)
+    assert np.abs(yields).max() > 0.01
 
 
 @pytest.mark.slow
