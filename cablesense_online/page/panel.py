@@ -213,9 +213,9 @@ _COLOURS: dict[str, Any] = {
 }
 
 
-def force_text(force_n: float) -> str:
-    """A force with its unit; forces below 10 N have a digit more."""
-    return f"{force_n:.{2 if force_n < 9.95 else 1}f} N"
+def newtons_text(force_n: float) -> str:
+    """A force without its unit; forces below 10 N have a digit more."""
+    return f"{force_n:.{2 if force_n < 9.95 else 1}f}"
 
 
 def _decimals(low: float, high: float) -> int:
@@ -244,7 +244,7 @@ def _number_text(value: float | None, form: str) -> str:
 
 def _macros() -> Any:
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    environment.filters.update(newtons=force_text, number=_number_text)
+    environment.filters.update(newtons=newtons_text, number=_number_text)
     environment.globals.update(_COLOURS, interval=interval_text, known=known_text)
     text = files("cablesense_online.page").joinpath("panel.html").read_text(encoding="utf-8")
     return environment.from_string(text).module

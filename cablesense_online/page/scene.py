@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from cablesense_base import Array
 from cablesense_online.page import drawing
 from cablesense_online.page.drawing import ESTIMATE_RGB, TRUE_RGB, Rgb
-from cablesense_online.page.panel import force_text
+from cablesense_online.page.panel import newtons_text
 from cablesense_online.page.snapshot import ShownContact, Snapshot
 from cablesense_sim.kinematics import chain, joint_positions_m, segment_rotations
 from cablesense_sim.mechanism import Mechanism
@@ -248,5 +248,5 @@ class _Forces:
             label.visible = False
         for label, contact, arrow_m in zip(self._labels, contacts, arrows_m, strict=False):
             label.position = arrow_m[0]
-            label.text = f"{self._name} {force_text(contact.magnitude_n)}"
+            label.text = f"{self._name} {newtons_text(contact.magnitude_n)} N"
             label.visible = True

@@ -53,6 +53,9 @@ WIDTH, HEIGHT = 960, 480
 """Small: Chromium renders in software, which costs by the pixel."""
 
 
+BUTTON = "[...document.querySelectorAll('button')].find(b => b.textContent.trim() === '%s')"
+
+
 class Tab:
     """One tab of a headless Chromium, driven through the DevTools protocol."""
 
@@ -91,15 +94,15 @@ class Tab:
             if value:
                 return value
             time.sleep(0.1)
-        return pytest.fail(f"the page never showed {what}")
+        shown = "[...document.querySelectorAll('.cablesense')].map(e => e.innerText).join('\\n')"
+        return pytest.fail(f"the page never showed {what}; it shows:\n{self.evaluate(shown)}")
+
+    def has_button(self, label):
+        return self.evaluate(f"!!{BUTTON % label}")
 
     def click_button(self, label):
-        clicked = self.evaluate(
-            "(() => { const b = [...document.querySelectorAll('button')]"
-            f".find(b => b.textContent.trim() === {label!r});"
-            " if (b) b.click(); return !!b; })()"
-        )
-        assert clicked, f"no button {label!r}"
+        assert self.has_button(label), f"no button {label!r}"
+        self.evaluate(f"{BUTTON % label}.click()")
 
     def press(self, slider, key):
         """A key on a slider, found by its label: a busy page leaves some of many out."""
@@ -219,12 +222,30 @@ def browser(page_url, browser_program, tmp_path_factory):
     try:
         browser.call("Page.navigate", url=page_url)
         browser.wait_for("!!document.querySelector('#cablesense-status')", "its figures")
+        browser.evaluate(WITHOUT_NOTICES)
         yield browser
     finally:
         browser.close()
 
 
 STATUS = "document.querySelector('#cablesense-status').innerText"
+WITHOUT_NOTICES = (
+    "document.head.append(Object.assign(document.createElement('style'),"
+    " {textContent: '.mantine-Notifications-root { display: none }'}))"
+)
+"""The viewer's notice of slow rendering lies above the arm on a busy machine."""
+
+
+@pytest.fixture
+def at_rest(browser):
+    """Nothing touches the arm, whatever the test before left on it."""
+    browser.wait_for("document.body.innerText.includes('Move the joints')", "the controls")
+    if browser.has_button("Release"):
+        browser.click_button("Release")
+    browser.wait_for(f"{STATUS} === 'No contact'", "an arm at rest")
+
+
+CUT_OFF = "[...document.querySelectorAll('.cablesense')].some(e => e.scrollWidth > e.clientWidth)"
 
 
 def cells(browser, row):
@@ -261,11 +282,20 @@ def is_orange(pixels):
     return (pixels[..., 0] > 150) & (pixels[..., 2] < 60)
 
 
+def arrow_px(browser):
+    """The column of the true force's arrow; NaN until it is drawn and stands still."""
+    columns = [np.argwhere(is_orange(canvas_pixels(browser)))[:, 1] for _ in range(2)]
+    if min(map(len, columns)) < 50:
+        return np.nan
+    first, last = (column.mean() for column in columns)
+    return last if abs(last - first) < 0.5 else np.nan
+
+
 def right(row):
     """Whether the cells of a contact are those of the page's first push, within its accuracy."""
     if row[:1] != ["4"]:
         return False
-    place_mm, angle_deg, force_n = (float(cell.rstrip("m°N ")) for cell in row[1:4])
+    place_mm, angle_deg, force_n = (float(cell) for cell in row[1:4])
     return (
         abs(place_mm - 65.0) < 1.0 and abs(angle_deg - 215.0) < 2.0 and abs(force_n - 60.0) < 2.0
     )
@@ -289,9 +319,8 @@ def test_another_website_gets_no_websocket_of_the_page(page_url, browser, websit
     tab.close()
 
 
-def test_a_push_on_the_page_moves_arm_wrench_and_estimate(page_url, browser):
+def test_a_push_on_the_page_moves_arm_wrench_and_estimate(page_url, browser, at_rest):
     assert page_url.startswith("http://127.0.0.1:")
-    browser.wait_for("document.body.innerText.includes('Move the joints')", "the controls")
     text = browser.evaluate("document.body.innerText")
     for label in ("Push the arm", "place, mm", "angle, °", "force, N", "along, N",
                   "joint 4 yaw, °", "Undo the tare",
@@ -302,12 +331,11 @@ def test_a_push_on_the_page_moves_arm_wrench_and_estimate(page_url, browser):
     assert "Breathe" not in text  # nothing here breathes
     font = browser.evaluate("getComputedStyle(document.querySelector('.cablesense')).fontSize")
     assert font == "13px"
-    browser.wait_for(f"{STATUS} === 'No contact'", "an estimate")
     browser.wait_for("document.querySelectorAll('canvas').length >= 2", "the scene and the traces")
     before = eventually(lambda: canvas_pixels(browser), drawn, "the canvas stayed empty")
     browser.click_button("Push")
-    true = wait_for_cells(browser, "true", lambda row: "60.0 N" in row)
-    assert true == ["4", "65 mm", "215.0°", "60.0 N", "–"]
+    true = wait_for_cells(browser, "true", lambda row: row[3:4] == ["60.0"])
+    assert true == ["4", "65", "215.0", "60.0", "–"]
     wait_for_cells(browser, "estimated", right)
 
     def shows_both(after):
@@ -321,27 +349,24 @@ def test_a_push_on_the_page_moves_arm_wrench_and_estimate(page_url, browser):
     wait_for_cells(browser, "estimated", lambda row: row[:1] == ["none"])
 
 
-def test_a_push_off_the_middle_is_set_by_the_slider_and_drawn_there(browser):
-    browser.wait_for(f"{STATUS} === 'No contact'", "an estimate")
+def test_a_push_off_the_middle_is_set_by_the_slider_and_drawn_there(browser, at_rest):
     browser.click_button("Push")
-    wait_for_cells(browser, "true", lambda row: row[1:2] == ["65 mm"])
-    middle_px = np.argwhere(is_orange(canvas_pixels(browser)))[:, 1].mean()
+    wait_for_cells(browser, "true", lambda row: row[1:2] == ["65"])
+    middle_px = eventually(lambda: arrow_px(browser), np.isfinite, "no arrow was drawn")
     browser.press("place, mm", "End")
-    true = wait_for_cells(browser, "true", lambda row: row[1:2] == ["130 mm"])
-    assert true == ["4", "130 mm", "215.0°", "60.0 N", "–"]
-
-    def moved_px():
-        return np.argwhere(is_orange(canvas_pixels(browser)))[:, 1].mean() - middle_px
-
-    eventually(moved_px, lambda px: px > 10.0, "the arrow did not move along the arm")
+    true = wait_for_cells(browser, "true", lambda row: row[1:2] == ["130"])
+    assert true == ["4", "130", "215.0", "60.0", "–"]
+    moved = "the arrow did not move along the arm"
+    eventually(lambda: arrow_px(browser), lambda px: px > middle_px + 10.0, moved)
     browser.press("along, N", "ArrowLeft")
-    wait_for_cells(browser, "true", lambda row: row[4:] == ["-1.0 N"])
+    wait_for_cells(browser, "true", lambda row: row[4:] == ["-1.0"])
+    wait_for_cells(browser, "estimated", lambda row: row[:1] == ["4"])
+    assert not browser.evaluate(CUT_OFF)
     browser.click_button("Release")
     wait_for_cells(browser, "true", lambda row: row[:1] == ["none"])
 
 
-def test_a_silent_estimator_is_never_no_contact(processes, browser):
-    browser.wait_for(f"{STATUS} === 'No contact'", "an estimate")
+def test_a_silent_estimator_is_never_no_contact(processes, browser, at_rest):
     processes["estimator"].signal(signal.SIGSTOP)
     try:
         browser.wait_for(f"{STATUS} === 'The estimator is silent'", "the silence")
@@ -351,7 +376,9 @@ def test_a_silent_estimator_is_never_no_contact(processes, browser):
     browser.wait_for(f"{STATUS} === 'No contact'", "an estimate again")
 
 
-def test_on_a_phone_the_estimate_is_there_and_nothing_is_cut_off(browser):
+def test_on_a_phone_the_estimate_is_there_and_nothing_is_cut_off(browser, at_rest):
+    browser.click_button("Push")
+    wait_for_cells(browser, "estimated", lambda row: row[:1] == ["4"])
     browser.resize(390, 844)
     try:
         summary = "document.querySelector('.cablesense-narrow')?.getBoundingClientRect()"
