@@ -283,12 +283,15 @@ def is_orange(pixels):
 
 
 def arrow_px(browser):
-    """The column of the true force's arrow; NaN until it is drawn and stands still."""
+    """The column of the true force's arrow; NaN until it is drawn and stands still.
+
+    The estimate's arrow covers more of it or less, which moves its middle by some pixels.
+    """
     columns = [np.argwhere(is_orange(canvas_pixels(browser)))[:, 1] for _ in range(2)]
     if min(map(len, columns)) < 50:
         return np.nan
     first, last = (column.mean() for column in columns)
-    return last if abs(last - first) < 0.5 else np.nan
+    return last if abs(last - first) < 5.0 else np.nan
 
 
 def right(row):
