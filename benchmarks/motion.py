@@ -6,8 +6,9 @@ The estimator's core answers a simulated arm with its dynamics, at 500 Hz in sim
 readings have the sensors' noise and step. A push acts on a segment while the joints step, or
 follow commands that stream at 50 Hz as those of a trajectory do. Times count from when the
 set-points have arrived until there is a force for good, and until it is on the pushed segment and
-right within 1 N. On the way, the share of samples without a force counts, and the largest error of
-a force that is vouched for. Commands with the noise of an encoder are a way, too.
+right within 1 N. On the way, the share of samples without a force counts, that of true forces
+outside the stated interval, and the largest error of a force that is vouched for. Commands with
+the noise of an encoder are a way, too.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ JOINT_SPEED_RAD_S = float(np.deg2rad(20.0))
 LATE_S = 0.1
 """The bar: the force is back so long after the arm may have settled."""
 FIGURES = ("no_force_after_arrival_s", "not_right_after_arrival_s", "no_force_on_the_way_s",
-           "share_without_force_on_the_way", "largest_vouched_error_n")  # fmt: skip
+           "share_without_force_on_the_way", "share_outside_interval_on_the_way",
+           "largest_vouched_error_n")  # fmt: skip
 NOISE_RAD, NOISE_HZ = 1e-3, 100
 Course = Iterator[tuple[float, float | Array]]
 """When each command comes, s, and how far each joint has turned by then, rad."""
@@ -148,7 +150,7 @@ def away_s(name: str, course: Course, rng: np.random.Generator) -> list[float]:
     bench.rest()
     began_s, commands = bench.now_s, list(course)
     away_s = wrong_s = arrived_s = began_s
-    away = on_the_way = 0
+    away = on_the_way = stated = outside = 0
     worst_n = 0.0
     while commands or bench.moving or bench.now_s < arrived_s + AFTER_S:
         while commands and bench.now_s >= began_s + commands[0][0]:
@@ -165,10 +167,14 @@ def away_s(name: str, course: Course, rng: np.random.Generator) -> list[float]:
             arrived_s = bench.now_s
             on_the_way += 1
             away += not contact.segment
+            if contact.segment == segment and answer.estimate is not None:
+                low_n, high_n = answer.estimate.low_n, answer.estimate.high_n
+                stated += 1
+                outside += not low_n <= bench.pushed_n(segment) <= high_n
             if answer.force is ForceState.CONTACT:
                 worst_n = max(worst_n, abs(off_n) if contact.segment == segment else PUSH_N)
     late_s = [max(0.0, time_s - arrived_s) for time_s in (away_s, wrong_s)]
-    return [*late_s, away / RATE_HZ, away / on_the_way, worst_n]
+    return [*late_s, away / RATE_HZ, away / on_the_way, outside / max(stated, 1), worst_n]
 
 
 def main() -> None:

@@ -25,6 +25,8 @@ from cablesense_online.tare import Tares
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.contact_location import ContactPair
 from cablesense_sim.joint_motion import JointMotion
+from cablesense_sim.kinematics import contact_torques
+from cablesense_sim.mechanism import Mechanism
 from cablesense_training.errors import ModelFileError
 from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import (
@@ -320,6 +322,20 @@ class AnywhereModel(ContactModel):
     def _prepare(self) -> None:
         self._estimator.prepare()
         self._arm.prepare(self._gate.pose_rad, anywhere=True)
+        mechanism = self._arm.statics.mechanism
+        self._damping_n_m_s = mechanism.joint_damping_n_m_s
+        self._inertia_kg_m2 = _inertia_kg_m2(mechanism)
+
+    def find(self, tensions_n: Array, stamp_ns: int, threshold: float) -> FoundContacts | None:
+        """See `ContactModel`; what damping and inertia make is not known better than by size."""
+        covariance_n2_m2 = None
+        if (unrest := self._gate.unrest) is not None:
+            speed_rad_s, swing_rad_s2 = unrest
+            swing_n_m = self._inertia_kg_m2 * swing_rad_s2
+            damping_n_m = self._damping_n_m_s * speed_rad_s
+            covariance_n2_m2 = swing_n_m @ swing_n_m.T + np.diag(damping_n_m**2)
+        self._estimator.torque_covariance_n2_m2 = covariance_n2_m2
+        return super().find(tensions_n, stamp_ns, threshold)
 
     def _decided(self, estimate: Estimate, threshold: float) -> FoundContacts:
         place, probabilities = estimate.place, estimate.probabilities.tolist()
@@ -349,6 +365,13 @@ class AnywhereModel(ContactModel):
                 "two contacts, one of them on segment 1"
             )
         return FoundContacts(probabilities, (contact,), estimate, doubt, place.misfit)
+
+
+def _inertia_kg_m2(mechanism: Mechanism) -> Array:
+    """(2N, 2N) of the straight arm, its segments' masses in their centres."""
+    at_joint, slope = contact_torques(mechanism, np.zeros(mechanism.joint_count), np.eye(3))
+    by_force_m = at_joint + mechanism.centre_of_mass_m[:, None, None] * slope
+    return np.asarray(np.einsum("n,nxi,nxj->ij", mechanism.mass_kg, by_force_m, by_force_m))
 
 
 def _two(pair: ContactPair, reach: Array) -> tuple[tuple[Contact, ...], None, str]:

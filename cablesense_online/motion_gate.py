@@ -7,6 +7,8 @@ followed: the arm passes from rest to rest along the set-points between the comm
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from cablesense_base import Array
@@ -21,6 +23,8 @@ _BLIND_S, _SOME_COMMANDS = 3.0, 3
 """A warning is due after this time without an estimate, if this number of commands came."""
 _ROUNDING_S = 1e-6
 """Waits that differ by less are the same: stamps are whole nanoseconds."""
+_SETTLED, _SWINGS = 3.0, 2.0
+"""A swing falls to a twentieth within `settle_s`, and is forgotten after twice that time."""
 _CLOCK_JITTER_S = 0.02
 """Between the stamps' clock and the monotonic one; a larger difference means a clock was set."""
 
@@ -71,6 +75,16 @@ class MotionGate:
     def pose_rad(self) -> Array:
         """(2N,) pose of the estimates: the command, or a set-point of a followed motion."""
         return self.state.pose_rad
+
+    @property
+    def unrest(self) -> tuple[Array, Array] | None:
+        """Speeds (2N,), rad/s, and accelerations (2N,), rad/s², at the last sample; None at rest.
+
+        The arm swings with the accelerations of the set-points, and settles within `settle_s`.
+        """
+        if not self._swinging:
+            return None
+        return self._course.state[1], self.state.swing_rad_s2 * self._left_of_swing()
 
     @property
     def shut(self) -> bool:
@@ -133,9 +147,11 @@ class MotionGate:
             state.rest_from_ns -= last_ns - stamp_ns
             state.course_from_ns -= last_ns - stamp_ns
             state.turned_ns -= last_ns - stamp_ns
+            state.swung_ns -= last_ns - stamp_ns
             self.step = -1
         if course.moving:
             course.at(max(0, stamp_ns - state.course_from_ns) * 1e-9)
+            self._swing(stamp_ns)
         if self._heading:
             turn_rad = float(np.abs(self.command_rad - course.state[0]).max())
             course.go_to(self.command_rad)
@@ -183,6 +199,24 @@ class MotionGate:
             self._course.at(max(0, stamp_ns - state.course_from_ns) * 1e-9)
         state.rest_from_ns, self.step = rest_from_ns, 1
         return True
+
+    def _swing(self, stamp_ns: int) -> None:
+        """Note the accelerations of the set-points, beside what is left of earlier ones."""
+        state, now_rad_s2 = self.state, np.abs(self._course.state[2])
+        if self._swinging:
+            now_rad_s2 = np.maximum(now_rad_s2, state.swing_rad_s2 * self._left_of_swing())
+        state.swing_rad_s2, state.swung_ns = now_rad_s2, stamp_ns
+
+    @property
+    def _swinging(self) -> bool:
+        passed_ns = self._last_ns - self.state.swung_ns
+        return bool(self.state.swing_rad_s2.size) and (
+            passed_ns < _SWINGS * self._settings.settle_s * 1e9
+        )
+
+    def _left_of_swing(self) -> float:
+        passed_s = (self._last_ns - self.state.swung_ns) * 1e-9
+        return math.exp(-_SETTLED * passed_s / self._settings.settle_s)
 
     def _pose_at(self, angles_rad: Array) -> None:
         off_rad = float(np.abs(angles_rad - self.pose_rad).max())

@@ -151,6 +151,8 @@ class GateState(BaseModel):
         course, course_from_ns: set-points of a motion (`JointMotion.course`) and the stamp at
             which it began; empty where they are at the command.
         turned_ns: stamp at which the last turn beyond `still_rad` arrives.
+        swing_rad_s2, swung_ns: (2N,) accelerations with which the arm swung at a stamp; empty
+            where it has not moved.
     """
 
     command_rad: Vector
@@ -159,6 +161,8 @@ class GateState(BaseModel):
     course: Vector = _EMPTY
     course_from_ns: WholeNumber = 0
     turned_ns: WholeNumber = LONG_AGO_NS
+    swing_rad_s2: Vector = _EMPTY
+    swung_ns: WholeNumber = LONG_AGO_NS
 
 
 def utc_text(time_ns: int) -> str:
@@ -303,7 +307,8 @@ class EstimatorState(BaseModel):
             ContractError: a vector has not the arm's number of angles or tensions, or an angle is
                 more than a turn.
         """
-        lengths = {"rad": arm.joint_count, "n": arm.cable_count, "course": 7 * arm.joint_count + 2}
+        joints = arm.joint_count
+        lengths = {"rad": joints, "s2": joints, "n": arm.cable_count, "course": 7 * joints + 2}
         commands = [("event.command_rad", np.array(e.command_rad), False) for e in self.events]
         for name, vector, required in (*_vectors(self), *commands):
             wanted = lengths[name.rpartition(".")[2].rpartition("_")[2]]

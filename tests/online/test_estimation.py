@@ -25,8 +25,11 @@ from cablesense_online.models import load_model
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.simulated_arm import SimulatedArm
 from cablesense_online.state import EventKind
+from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.kinematics import segment_rotations
 
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
 
@@ -202,20 +205,27 @@ def test_a_push_is_estimated_while_commands_stream_that_slowly_move():
 
 @pytest.mark.slow
 def test_a_push_is_stated_while_all_joints_turn_slowly():
-    """The misfit that the motion makes withholds no force; an arm at rest would."""
+    """The misfit that the motion makes withholds no force, and intervals allow for damping."""
     limits = {"still_rad": np.deg2rad(0.02), "follow_rad_s": np.deg2rad(4.0)}
-    beside, forces = Beside(largest_misfit=2.3, **limits), []
+    beside, forces, covered = Beside(largest_misfit=2.3, **limits), [], []
+    mechanism, angles = mechanism_of(open_arm("cdsm")), np.zeros(8)
     for tick in range(1, 401):
         if tick == 50:
             beside.push(3, [0.0, 20.0, 0.0])
         if 100 < tick <= 300 and tick % 2 == 0:  # 0.05 rad/s
-            beside.go_to(5e-4 * (tick - 100) * np.array([1, -1, -1, 1, 1, 1, -1, -1]))
+            angles = 5e-4 * (tick - 100) * np.array([1, -1, -1, 1, 1, 1, -1, -1])
+            beside.go_to(angles)
         answer = beside.sample()
         if tick > 100:
             forces.append(answer.force)
             assert answer.contact.segment in (0, 3)
+        if tick > 100 and answer.contact.segment:
+            axis = segment_rotations(mechanism, angles)[2][:, 0]
+            normal_n = np.linalg.norm(np.cross(axis, [0.0, 20.0, 0.0]))
+            covered.append(answer.estimate.low_n <= normal_n <= answer.estimate.high_n)
     assert np.mean([force is ForceState.MOVING for force in forces]) < 0.05
     assert forces[-1] is ForceState.CONTACT
+    assert np.mean(covered) > 0.93
 
 
 @pytest.mark.slow

@@ -70,6 +70,24 @@ def test_the_untrained_network_makes_the_balance_that_numpy_makes(pushed):
     )
 
 
+def test_further_torques_widen_what_is_stated_by_their_covariance(pushed, model):
+    """Three times the variance of noise makes twice the standard deviations (least squares)."""
+    strong = np.argmax((pushed.segment == 3) * np.linalg.norm(pushed.force_n, axis=1))
+    sample = pushed.difference_n[strong], pushed.command[strong]
+    alone = model.estimate(*sample)
+    balance, _ = model.balance_batch(*sample)
+    model.torque_covariance_n2_m2 = 3.0 * np.linalg.inv(balance.precision[0])
+    try:
+        widened = model.estimate(*sample)
+    finally:
+        model.torque_covariance_n2_m2 = None
+    assert widened.magnitude_n == pytest.approx(alone.magnitude_n, abs=0.05)
+    for name in ("magnitude_std_n", "angle_std_deg"):
+        assert getattr(widened, name) == pytest.approx(2.0 * getattr(alone, name), rel=0.05)
+    std_m = [each.place.covariance[0, 0] ** 0.5 for each in (alone, widened)]
+    assert std_m[1] == pytest.approx(2.0 * std_m[0], rel=0.05)
+
+
 def test_without_noise_the_contact_is_exact_and_nothing_is_left(pushed, model):
     found, misfit = model.locate_batch(pushed.difference_n, pushed.command)
     beyond = pushed.segment > 1

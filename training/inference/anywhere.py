@@ -46,9 +46,12 @@ class AnywhereEstimator(Estimator):
     Attributes:
         reach_m: (N, 2) where each segment can be touched, from its joint centre.
         surface: where it is touched with friction; None where contacts act on the axis.
+        torque_covariance_n2_m2: (2N, 2N) of what else may turn the joints, as damping does in
+            motion; None without. Batches do without.
     """
 
     outputs = BALANCE_OUTPUTS
+    torque_covariance_n2_m2: Array | None = None
 
     def __init__(self, path: str | Path, arm: Arm | None = None) -> None:
         super().__init__(path, arm)
@@ -108,6 +111,9 @@ class AnywhereEstimator(Estimator):
         return pair, _misfit(pair.chi2.item(), self._single.outputs[-1], 2)
 
     def _of_one(self, outputs: list[Array]) -> Estimate:
+        if (further := self.torque_covariance_n2_m2) is not None:
+            precision = self._balance.precision[0]
+            precision[:] = np.linalg.solve(np.eye(len(further)) + precision @ further, precision)
         self._locate()
         return self._estimate(self._found, 0, outputs[-1])
 
