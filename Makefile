@@ -13,9 +13,12 @@ ALL := --numprocesses $$(($$(nproc) + 1)) --no-loadscope-reorder
 # Hundreds of processes start in the tests; each would compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
 FAST := --numprocesses auto --ignore=tests/ros --hypothesis-profile=fast -m 'not slow and not ros and not browser'
-INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+# uv takes a fifth of pip's time. Only pip knows the index and the build of torch that its configuration names.
+UV := $(BIN)/uv pip
+DEMO := ros,can,page
 # Of every file of a release, so that each platform's wheel passes.
-HASHES := build/uv/bin/uv pip compile --quiet --no-deps --generate-hashes --no-annotate --custom-compile-command 'make lock'
+HASHES := $(UV) compile --quiet --no-deps --generate-hashes --no-annotate --custom-compile-command 'make lock'
 # An editable installation is made again when a requirement, an entry point or a package has changed.
 REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
 
@@ -83,8 +86,6 @@ messages: $(VENV)/.demo  ## compiles the message of the topic ~/estimate into .v
 lock: setup  ## writes versions of .venv to constraints.txt, their files' hashes beside it, and to NOTICE what is copyleft
 	@mkdir -p build
 	@$(BIN)/python .ci/lock > build/constraints.txt
-	@$(BIN)/python -m venv build/uv
-	@build/uv/bin/python -m pip install --quiet --disable-pip-version-check uv
 	@$(HASHES) build/constraints.txt --output-file build/constraints.hashes.txt >/dev/null
 	@mv build/constraints.txt build/constraints.hashes.txt .
 	@$(BIN)/python .ci/notice > build/NOTICE
@@ -101,14 +102,15 @@ clean:  ## takes away .venv and what was built
 	@rm -rf $(VENV) build install log *.egg-info
 
 $(VENV)/.demo: $(REQUIREMENTS) | $(BIN)/python
-	@echo 'Installing what the demo needs (a minute or two, once) …'
-	@PYTHONWARNINGS=ignore $(INSTALL) '.[ros,can,page]'
+	@echo 'Installing what the demo needs (up to a minute, once) …'
+	@$(INSTALL) uv && $(UV) install --quiet --python $(BIN)/python --constraint constraints.txt --editable '.[$(DEMO)]' || \
+	PYTHONWARNINGS=ignore $(INSTALL) --editable '.[$(DEMO)]'
 	@touch $@
 
-$(VENV)/.all: $(REQUIREMENTS) | $(BIN)/python
+$(VENV)/.all: $(VENV)/.demo
 	@echo 'Installing what the tests need (some minutes, once: torch is large) …'
-	@PYTHONWARNINGS=ignore $(INSTALL) '.[ros,can,page,train,gap,dev,docs]'
-	@touch $@ $(VENV)/.demo
+	@PYTHONWARNINGS=ignore $(INSTALL) --editable '.[$(DEMO),train,gap,dev,docs]'
+	@touch $@
 
 $(BIN)/python:
 	@test -n '$(PYTHON)' || { \

@@ -89,6 +89,7 @@ EXTRAS = {
         "setuptools<80",  # colcon builds with the setup.py commands that 80 took away
         "types-PyYAML",  # types of yaml
         "types-protobuf",  # types of google.protobuf, which those of onnx build on
+        "uv",  # installs the demo, and writes the hashes of `make lock`
     ],
 }
 
