@@ -2,6 +2,7 @@
 
     python benchmarks/robot_blind.py [--count 60] [--seed 8105] [--commands] [--write]
     python benchmarks/robot_blind.py --imperfect [--reference] [--count 60] [--seed 9127] [--write]
+    python benchmarks/robot_blind.py --servos [--count 25] [--seed 9151] [--write]
 
 Three nominal models of `config/robots` (an arm of six joints, a double pendulum, a finger with
 tendons). The hidden side is the rigid-body code, friction, drives and sensors of
@@ -12,7 +13,9 @@ hidden is backlash, which few joints of the other two show; with `--tendons` a f
 over guides, which rub in half of the cases, while of the others half have other friction. With
 `--imperfect` the models lack friction by position, springs and ripples, which make 5 to 15 % of
 the torque; with `--reference` another recording, without the hidden effects, is the reference
-(seed 9001 was used while that was made).
+(seed 9001 was used while that was made). With `--servos` robots are under position servos, and a
+camera reads their joints; a zero, play, a coupling, a payload or nothing is hidden in turn (seed
+5101 was used while that was made).
 """
 
 from __future__ import annotations
@@ -39,7 +42,15 @@ from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.scoring import Truth, score
 from cablesense_gap.verdict import Verdict, removed_fraction
 from cablesense_plants.cases import write_answers
-from cablesense_plants.robot.cases import RobotCase, drawn, record, with_play, with_tendons
+from cablesense_plants.robot.cases import (
+    RobotCase,
+    drawn,
+    record,
+    servo_file,
+    with_play,
+    with_servos,
+    with_tendons,
+)
 
 _LONG_ROWS = 20_000
 _TOGETHER = 10
@@ -52,12 +63,14 @@ def main() -> None:
     parser.add_argument("--commands", action="store_true", help="record them, and no torques")
     parser.add_argument("--play", action="store_true", help="hide backlash alone, in two links")
     parser.add_argument("--tendons", action="store_true", help="hide friction over guides")
+    parser.add_argument("--servos", action="store_true", help="hide what a camera sees")
     parser.add_argument("--imperfect", action="store_true", help="models that lack something")
     parser.add_argument("--reference", action="store_true", help="diagnose what changed")
     options = parser.parse_args()
     folder = blind_sets.folder_of(options)
     usual = partial(drawn, commands=options.commands, imperfect=options.imperfect)
-    drawing = with_play if options.play else with_tendons if options.tendons else usual
+    ways = {"play": with_play, "tendons": with_tendons, "servos": with_servos}
+    drawing = next((way for name, way in ways.items() if getattr(options, name)), usual)
     cases = drawing(options.count, options.seed)[: options.first]
     write_answers(folder / "answers" / "answers.csv", [case.answer for case in cases])
     until_s = time.time() + 60.0 * options.minutes
@@ -80,7 +93,7 @@ def main() -> None:
     long_s = _long_s(cases, folder, until_s, torques=not options.commands)
     result[f"seconds of {_LONG_ROWS:,} rows of a 6-joint arm"] = long_s
     names = {"_forward": "commands", "_play": "play", "_tendons": "tendons"}
-    names |= {"_imperfect": "imperfect", "_reference": "reference"}
+    names |= {"_servos": "servos", "_imperfect": "imperfect", "_reference": "reference"}
     kind = "".join(part for part, option in names.items() if getattr(options, option))
     origin = {**harness.origin("mujoco"), "seed": options.seed}
     harness.publish(f"robot_blind{kind}.json", origin | result, options)
@@ -116,12 +129,13 @@ def _diagnosed(
     case: RobotCase, folder: Path, since: str, *, torques: bool
 ) -> tuple[Verdict, float]:
     """The verdict, and the share of the gap removed on the second recording."""
-    robot = load_robot(case.kind.path)
+    external = case.kind.servos
+    robot = load_robot(servo_file(case.kind, folder) if external else case.kind.path)
     path = _place(folder, case, "csv.gz")
     read = partial(_read, robot=robot, torques=torques)
     healthy = read(path.parent / "reference" / path.name) if since else None
-    found = diagnose(read(path), robot, reference=healthy)
-    motion = prepared(read(_second(folder, case)), robot)
+    found = diagnose(read(path), robot, reference=healthy, external=external)
+    motion = prepared(read(_second(folder, case)), robot, external=external)
     simulator = RobotSystem(robot, motion, {})
     variants = (simulator.predict([each])[0] for each in ({}, found.amended))
     before, after = (

@@ -18,8 +18,11 @@ from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot import smoothing
 from cablesense_gap.robot.inverse import BacklashMotion, InverseDynamics
-from cablesense_gap.robot.model import Change, Robot
-from cablesense_gap.robot.motion import LEAST_FLOOR, Motion, MotionComparison
+from cablesense_gap.robot.model import Change, Robot, inverse_dynamics
+from cablesense_gap.robot.motion import Motion, MotionComparison
+
+_LEAST_FLOOR = 0.002
+"""Of half the joint's range: some milliradians, as calibrated cameras and servos leave."""
 
 
 class Servos(NamedTuple):
@@ -77,13 +80,14 @@ class ServoComparison(MotionComparison):
             RecordingError: a joint has no position servo.
         """
         self._motion, self._servos = motion, Servos.of(robot)
-        self._dynamics, self._gaps = InverseDynamics(robot, motion), BacklashMotion(robot, motion)
+        self._dynamics = InverseDynamics(robot, motion)
         own = motion.command[:, self._servos.actuator]
         self._target = own * self._servos.per_command + self._servos.offset
+        self._gaps = BacklashMotion(robot, self._of_drives(robot))
         self.names = self.columns = tuple(f"position.{joint}" for joint in robot.joints)
         self.units = robot.position_units
         noise = smoothing.noise_of_smoothed(motion.noise.position, motion.compared_hz)
-        self.floor = self.noise = np.hypot(noise, LEAST_FLOOR * motion.scale.position)
+        self.floor = self.noise = np.hypot(noise, _LEAST_FLOOR * motion.scale.position)
         self.readings = motion.passed(motion.position - self._target)
         self.trial, self.time_s = motion.compared_trial, motion.compared_time_s
         self.description = (
@@ -113,6 +117,18 @@ class ServoComparison(MotionComparison):
         motion = self._motion
         parts = motion.position, motion.speed, self._torque(change)
         return Conditions(*map(motion.passed, parts))
+
+    def _of_drives(self, robot: Robot) -> Motion:
+        """The motion of the drives: the measured one has crossed the gaps already."""
+        motion, servos, trials = self._motion, self._servos, []
+        for trial in motion.trials:
+            command = smoothing.smoothed(trial.command, motion.rate_hz, motion.smoothed_hz)
+            target = command[:, servos.actuator] * servos.per_command + servos.offset
+            speed, acceleration = smoothing.derivatives(trial.position, motion.rate_hz)
+            torque = inverse_dynamics(robot.model, trial.position, speed, acceleration)
+            yields = (torque + servos.damping * speed) / servos.stiffness
+            trials.append(replace(trial, position=target - yields))
+        return replace(motion, trials=tuple(trials))
 
     def _torque(self, change: Change) -> Array:
         """(R, J) of the drives, with the joints where they were measured."""

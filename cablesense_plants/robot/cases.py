@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +30,7 @@ from cablesense_plants.robot.causes import (
     Drawing,
     RobotChange,
     RobotDraw,
+    of_servos,
     of_tendons,
     pools,
     with_tolerances,
@@ -41,7 +43,7 @@ from cablesense_plants.robot.motion import (
     stacked_references,
     written,
 )
-from cablesense_plants.robot.robots import GUIDED, KINDS, RealRobot, RobotKind, stacked
+from cablesense_plants.robot.robots import GUIDED, KINDS, SERVOS, RealRobot, RobotKind, stacked
 
 _OF_LINKS = ("link_centre", "link_mass", "payload")
 _NONE_SHARE, _UNKNOWN_SHARE, _SEVERAL_SHARE = 0.2, 0.2, 0.2
@@ -223,6 +225,31 @@ def with_tendons(count: int, seed: int) -> list[RobotCase]:
     return [draw_case(GUIDED, own, seed, k + 1, known) for k, own in enumerate(names)]
 
 
+def with_servos(count: int, seed: int) -> list[RobotCase]:
+    """Robots under position servos that a camera watches: one cause in turn, then nothing.
+
+    Play is the pendulum's, see `with_play`.
+    """
+    known, kinds = (of_servos(),), in_turn(np.random.default_rng([seed]), list(SERVOS))
+    turns = [*([name] for name in known[0]), []]
+    cases = []
+    for k in range(count):
+        names = turns[k % len(turns)]
+        kind = "two_links" if "backlash" in names else next(kinds)
+        cases.append(draw_case(SERVOS[kind], names, seed, k + 1, known))
+    return cases
+
+
+def servo_file(kind: RobotKind, folder: Path) -> Path:
+    """The robot's model with position servos in place of its motors, written to a folder."""
+    text = kind.path.read_text(encoding="utf-8")
+    for stiffness, damping in zip(*kind.gains(), strict=True):
+        text = text.replace("<motor ", f'<position kp="{stiffness:.6g}" kv="{damping:.6g}" ', 1)
+    path = folder / kind.path.name
+    path.write_text(re.sub(r' ctrlrange="[^"]*"', "", text), encoding="utf-8")
+    return path
+
+
 def draw_case(
     kind: RobotKind,
     names: list[str],
@@ -241,8 +268,13 @@ def draw_case(
 
     def gap_of(robot: RealRobot) -> float:
         """To the robot with tolerances alone, as asked to move, in noise of one sample."""
-        off = (prescribed_n_m(kind, robot, asked[0]) - without) / kind.noise_n_m
-        return float(np.sqrt((off**2).mean()))
+        off = prescribed_n_m(kind, robot, asked[0]) - without
+        if kind.servos:
+            turned = (asked[0].angle - kind.home_rad) @ (robot.moved - plain.moved).T
+            still = robot.zero - plain.zero + 0.5 * robot.play_rad
+            off = np.hypot(_rms(turned + still), _rms(off) / kind.gains()[0])
+        noise = kind.encoder_rad if kind.servos else kind.noise_n_m
+        return float(np.sqrt(((off / noise) ** 2).mean()))
 
     scatter = gap_of(nominal)
     if imperfect:
@@ -340,6 +372,8 @@ def _sized(
 
 def _can_show(draw: RobotDraw, name: str) -> bool:
     """In a plane a tilt is the first joint's zero, and a zero turns the last link's centre."""
+    if draw.kind.servos:
+        return True
     indistinct = ("base_tilt", "joint_zero") if not draw.robot.stiffness.any() else ("base_tilt",)
     return not (draw.planar and name in indistinct)
 
@@ -375,7 +409,8 @@ def record(cases: list[RobotCase], folder: Path) -> None:
     ]
     for path, each in zip(names, columns, strict=True):
         table = {"time_s": each["time_s"], "trial": each["trial"].astype(int)}
-        for what in ("position", "velocity", "torque"):
+        measured = ("position",) if kind.servos else ("position", "velocity", "torque")
+        for what in measured:
             table |= {f"{what}.{j}": c for j, c in zip(joints, each[what].T, strict=True)}
         table |= {f"command.{d}": c for d, c in zip(kind.drives, each["command"].T, strict=True)}
         with plant_file(path) as beside:

@@ -311,6 +311,12 @@ def of_tendons() -> tuple[dict[str, Drawing], ...]:
     return _TENDONS.by_name, {name: _LISTED.by_name[name] for name in alike}
 
 
+def of_servos() -> dict[str, Drawing]:
+    """What is between a servo's command and its joint."""
+    known = {**_LISTED.by_name, **_MOVING.by_name}
+    return {n: known[n] for n in ("joint_zero", "backlash", "joint_coupling", "payload")}
+
+
 def with_tolerances(robot: RealRobot, kind: RobotKind, rng: np.random.Generator) -> RealRobot:
     """Manufacturing tolerances: masses and torques to 1 %, centres to 1 mm, zeros to 0.1°."""
     chain, count = robot.chain, len(robot.damping)

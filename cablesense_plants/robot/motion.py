@@ -149,34 +149,35 @@ class DrivenMotion(NamedTuple):
     """What B robots did, (T, B, N) at every step.
 
     Attributes:
-        motor, motor_speed: angles and speeds of the motors.
-        drive_n_m: their torques.
-        command_n_m: what the controllers asked of them.
+        angle: of the motors, or, where a camera watches, of the joints.
+        motor_speed, drive_n_m: of the motors.
+        command: what was asked of them: torques, or angles of position servos.
     """
 
-    motor: Array
+    angle: Array
     motor_speed: Array
     drive_n_m: Array
-    command_n_m: Array
+    command: Array
 
 
 def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> DrivenMotion:
     """Robots under their controllers: midpoint steps, with exactly integrated bristles.
 
     The controllers know the nominal robot: its torques for the reference, and a feedback of
-    position and speed scaled by its inertia.
+    position and speed scaled by its inertia. Position servos have the feedback alone, of their
+    own angle and against any speed.
     """
     nominal = stacked([kind.nominal()[0]])
     forward = nominal.chain.torques_n_m(*asked) + nominal.armature * asked.acceleration
     forward = forward + nominal.spring_n_m(asked.angle)
     forward = forward + nominal.motor_n_m(asked.angle, asked.speed)
-    alone = nominal.chain.mass_matrix(kind.home_rad[None])[0].diagonal()
-    own = np.asarray(alone + nominal.armature[0])
-    stiff, damp = own * kind.gain_1_s2, own * 1.4 * np.sqrt(kind.gain_1_s2)
+    stiff, damp = kind.gains()
     back = np.asarray(np.linalg.inv(robots.moved), dtype=float)
-    gain = 1.0 + robots.encoder_scale
+    gain, zero = 1.0 + robots.encoder_scale, robots.zero
+    if kind.servos:  # zero and scale are the camera's
+        gain, zero = np.ones_like(gain), np.zeros_like(zero)
     count = asked.angle.shape[1]
-    home = _times(robots.moved, (asked.angle[0] - robots.zero) / gain)
+    home = _times(robots.moved, (asked.angle[0] - zero) / gain)
     angle = np.concatenate([np.zeros((count, 1)), home], 1)
     speed = np.zeros_like(angle)
     chain = robots.on_base()
@@ -217,9 +218,13 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
 
     for k in range(len(asked.angle)):
         motor, motor_speed = motors(angle, speed, rotor, rotor_speed)
-        error = asked.angle[k] - gain * motor - robots.zero
-        command = forward[k] + stiff * error + damp * (asked.speed[k] - gain * motor_speed)
-        kept[:, k] = motor, motor_speed, drive, command
+        error = asked.angle[k] - gain * motor - zero
+        if kind.servos:
+            command = stiff * error - damp * motor_speed
+            kept[:, k] = angle[:, 1:], motor_speed, drive, asked.angle[k]
+        else:
+            command = forward[k] + stiff * error + damp * (asked.speed[k] - gain * motor_speed)
+            kept[:, k] = motor, motor_speed, drive, command
         drive = drive + (command - drive) * (STEP_S / _CURRENT_S)
         rate = np.abs(motor_speed) / robots.presliding_rad
         slip = -np.expm1(-rate * STEP_S)
@@ -248,9 +253,9 @@ def written(
     kind: RobotKind, robots: RealRobot, motion: DrivenMotion, seeds: list[int]
 ) -> list[dict[str, Array]]:
     """The recording of each robot: columns (T, …) by name."""
-    time_s = _times_s(len(motion.motor))
+    time_s = _times_s(len(motion.angle))
     read = robots.read_n_m(motion.drive_n_m, time_s)
-    angle = (1.0 + robots.encoder_scale) * motion.motor + robots.zero
+    angle = (1.0 + robots.encoder_scale) * motion.angle + robots.zero
     rows = slice(None, None, round(1.0 / (kind.rate_hz * STEP_S)))
     found = []
     for b, seed in enumerate(seeds):
@@ -262,9 +267,9 @@ def written(
         noise *= kind.noise_n_m / noise.std(0)
         step = 0.5 * kind.noise_n_m
         torque = np.round((_lagged(read[:, b], _FILTER_S) + noise) / step) * step
-        command = motion.command_n_m[:, b]
+        command = motion.command[:, b]
         if kind.guides is not None:
-            command = pulls_n(kind.guides.moments_m(motion.motor[:, b]), motion.drive_n_m[:, b])
+            command = pulls_n(kind.guides.moments_m(motion.angle[:, b]), motion.drive_n_m[:, b])
         elif kind.tendon_m is not None:
             command = pulls_n(np.tile(kind.tendon_m, (len(command), 1, 1)), command)
         found.append(

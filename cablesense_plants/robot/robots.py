@@ -41,6 +41,7 @@ class RobotKind:
         drives: names of its actuators.
         tendon_m: (K, N) by how much tendon k pulls at joint n, m; none where motors sit in joints.
         guides: over which its tendons run, where they do.
+        servos: whether its drives hold positions, while a camera reads those of the joints.
     """
 
     path: Path
@@ -55,6 +56,7 @@ class RobotKind:
     drives: tuple[str, ...]
     tendon_m: Array | None = None
     guides: TendonGuides | None = None
+    servos: bool = False
     model: mujoco.MjModel | None = field(default=None, compare=False)
 
     @property
@@ -68,6 +70,12 @@ class RobotKind:
         chain, sizes, joints, links = read_chain(model)
         moved, capstan = np.eye(len(joints)), np.zeros(len(self.drives))
         return RealRobot(chain, moved=moved, capstan=capstan, **sizes), joints, links
+
+    def gains(self) -> tuple[Array, Array]:
+        """Stiffness and damping (N,) of the controller, by each joint's own inertia at home."""
+        robot = self.nominal()[0]
+        inertia = robot.chain.mass_matrix(self.home_rad[None])[0].diagonal() + robot.armature
+        return inertia * self.gain_1_s2, inertia * 1.4 * np.sqrt(self.gain_1_s2)
 
 
 @dataclass(frozen=True)
@@ -256,6 +264,14 @@ KINDS = {
         ),
     )
 }
+_SERVO_GAIN_1_S2, _CAMERA_RAD = 300.0, 1e-3
+SERVOS = {
+    name: replace(
+        KINDS[name], gain_1_s2=_SERVO_GAIN_1_S2, encoder_rad=_CAMERA_RAD, rate_hz=100, servos=True
+    )
+    for name in ("arm_6", "two_links")
+}
+"""Robots under position servos that a camera watches."""
 _GUIDED = MODELS / "guided_finger.xml"
 GUIDED = replace(KINDS["finger"], path=_GUIDED, tendon_m=None, guides=read_guides(_GUIDED))
 """The finger with tendons over guides, for causes that the others cannot show."""

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 from cablesense_plants.cases import PlantError
-from cablesense_plants.robot.cases import draw_case, drawn, usual_kind
+from cablesense_plants.robot.cases import draw_case, drawn, servo_file, usual_kind
 from cablesense_plants.robot.causes import pools
 from cablesense_plants.robot.chain import LinkChain, read_chain
 from cablesense_plants.robot.guides import PRETENSION_N, Rubbing, pulls_n
@@ -24,7 +24,7 @@ from cablesense_plants.robot.motion import (
     stacked_references,
     written,
 )
-from cablesense_plants.robot.robots import GUIDED, KINDS, RobotKind, stacked
+from cablesense_plants.robot.robots import GUIDED, KINDS, SERVOS, RobotKind, stacked
 from cablesense_ros.cli.app import app
 
 TILTED = """<mujoco><worldbody><body pos="0 0 0.3" euler="10 0 20">
@@ -134,11 +134,11 @@ def test_a_free_double_pendulum_keeps_its_energy():
     model.dof_armature[:] = 0.0
     data, energy = mujoco.MjData(model), []
     for data.qpos[:], data.qvel[:] in zip(
-        motion.motor[:, 0], motion.motor_speed[:, 0], strict=True
+        motion.angle[:, 0], motion.motor_speed[:, 0], strict=True
     ):
         mujoco.mj_forward(model, data)
         energy.append(data.energy.sum())
-    assert np.ptp(motion.motor[:, 0]) > 1.0
+    assert np.ptp(motion.angle[:, 0]) > 1.0
     assert np.ptp(energy) < 1e-4  # of some joules
 
 
@@ -159,6 +159,25 @@ def test_a_controlled_robot_needs_the_torques_of_what_it_is_asked_for():
     assert np.median(extra) == pytest.approx(20.0, rel=0.1)
     first, _ = written(kind, robots, motion, [1, 2])
     assert np.diff(first["time_s"]) == pytest.approx(1.0 / kind.rate_hz)
+
+
+def test_position_servos_move_a_robot_as_those_of_mujoco(tmp_path):
+    """But for the lag of the drives' current, 2 ms."""
+    kind = SERVOS["two_links"]
+    whole = reference(kind, np.random.default_rng(3))
+    asked = ReferenceMotion(*(part[:1500, None] for part in whole))
+    motion = simulate(kind, stacked([kind.nominal()[0]]), asked)
+    model = mujoco.MjModel.from_xml_path(str(servo_file(kind, tmp_path)))
+    model.opt.timestep = 1e-3
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    data, found = mujoco.MjData(model), []
+    data.qpos[:] = asked.angle[0, 0]
+    for data.ctrl[:] in asked.angle[:, 0]:
+        found.append(data.qpos.copy())
+        mujoco.mj_step(model, data)
+    off_rad = np.abs(motion.angle[:, 0] - found).max()
+    assert off_rad < 0.1 * np.abs(motion.angle - asked.angle).max()
+    assert np.ptp(found, axis=0).min() > 0.3
 
 
 def test_tendons_pull_as_those_of_mujoco():
