@@ -146,7 +146,7 @@ class PlausibilityCheck:
         state = self.state
         until_ns = min(state.withheld_until_ns, stamp_ns + round(WITHHELD_S * 1e9))
         if not misfit and stamp_ns >= until_ns:
-            self.doubt = self._doubted(difference_n, stamp_ns) or stated_doubt
+            self.doubt = self._doubted(difference_n, stamp_ns, settling) or stated_doubt
             self._last_doubt = self.doubt or self._last_doubt
             return
         self._steady = None
@@ -258,8 +258,11 @@ class PlausibilityCheck:
                 return f"; all but the reading of {' or '.join(names)} would fit"
         return "; the cables of no one segment explain it"
 
-    def _doubted(self, difference_n: Array, stamp_ns: int) -> str:
-        """Why a contact that fits is unconfirmed; empty where it is not."""
+    def _doubted(self, difference_n: Array, stamp_ns: int, settling: bool) -> str:
+        """Why a contact that fits is unconfirmed; empty where it is not.
+
+        While the arm settles, the motion makes readings differ, so no average is judged.
+        """
         fit, steady = self._fit, self._steady
         if fit is None:
             self._steady = None
@@ -272,7 +275,8 @@ class PlausibilityCheck:
             self._judged = fit
             hidden = self._hidden(fit, *passed) or self._paired(fit, difference_n)
             steady.judge(fit.response, stamp_ns, hidden, passed[1])
-        if stamp_ns - steady.averaged_ns >= AVERAGED_EVERY_NS and steady.count >= _FEWEST_AVERAGED:
+        due = stamp_ns - steady.averaged_ns >= AVERAGED_EVERY_NS and not settling
+        if due and steady.count >= _FEWEST_AVERAGED:
             steady.averaged_ns = stamp_ns
             self._judge_average(steady, stamp_ns)
         return steady.hidden or steady.off_average

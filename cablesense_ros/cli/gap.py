@@ -204,9 +204,11 @@ def predict(
     force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:
-    """Predict the tensions of a recording, without noise, from its commands and loads alone.
+    """Predict what a recording measured, without noise, by an arm or a robot.
 
-    With --settle the first rows are read too, since friction and creep depend on the past.
+    An arm's tensions follow from its commands and loads alone. With --settle the first rows are
+    read too, since friction and creep depend on the past. With --model, a robot's torques follow
+    from its motion, or its motion from its commands.
 
     Example: [bold]cablesense gap predict new.csv --arm diagnosis --out new_predicted.csv[/bold]
     """
