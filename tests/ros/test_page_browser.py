@@ -28,7 +28,13 @@ from websockets.sync.client import connect
 from cablesense_ros.discovery import own_graph
 from cablesense_ros.processes import ProcessError, Processes, node_command
 
-pytestmark = [pytest.mark.browser, pytest.mark.ros, pytest.mark.slow]
+# a picture takes Chromium fifteen seconds where other tests keep the cores busy
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.ros,
+    pytest.mark.slow,
+    pytest.mark.timeout(500),
+]
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 FLAGS = (
@@ -48,7 +54,7 @@ FLAGS = (
     "--window-size=1600,900",
     "about:blank",
 )
-PATIENCE_S = 90.0
+PATIENCE_S = 150.0
 WIDTH, HEIGHT = 960, 480
 """Small: Chromium renders in software, which costs by the pixel."""
 
@@ -117,7 +123,7 @@ class Tab:
             self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
 
     def screenshot(self):
-        return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        return base64.b64decode(self.call("Page.captureScreenshot", optimizeForSpeed=True)["data"])
 
     def close(self):
         with contextlib.suppress(Exception):
@@ -283,15 +289,12 @@ def is_orange(pixels):
 
 
 def arrow_px(browser):
-    """The column of the true force's arrow; NaN until it is drawn and stands still.
+    """The column of the true force's arrow, some pixels off where the estimate's covers it.
 
-    The estimate's arrow covers more of it or less, which moves its middle by some pixels.
+    NaN until it is drawn.
     """
-    columns = [np.argwhere(is_orange(canvas_pixels(browser)))[:, 1] for _ in range(2)]
-    if min(map(len, columns)) < 50:
-        return np.nan
-    first, last = (column.mean() for column in columns)
-    return last if abs(last - first) < 5.0 else np.nan
+    columns = np.argwhere(is_orange(canvas_pixels(browser)))[:, 1]
+    return columns.mean() if len(columns) > 50 else np.nan
 
 
 def right(row):
@@ -353,16 +356,17 @@ def test_a_push_on_the_page_moves_arm_wrench_and_estimate(page_url, browser, at_
 
 
 def test_a_push_off_the_middle_is_set_by_the_slider_and_drawn_there(browser, at_rest):
+    browser.press("place, mm", "Home")
     browser.click_button("Push")
-    wait_for_cells(browser, "true", lambda row: row[1:2] == ["65"])
-    middle_px = eventually(lambda: arrow_px(browser), np.isfinite, "no arrow was drawn")
+    wait_for_cells(browser, "true", lambda row: row[1:2] == ["15"])
+    near_px = eventually(lambda: arrow_px(browser), np.isfinite, "no arrow was drawn")
     browser.press("place, mm", "End")
     true = wait_for_cells(browser, "true", lambda row: row[1:2] == ["130"])
-    assert true == ["4", "130", "215.0", "60.0", "–"]
+    assert true[:4] == ["4", "130", "215.0", "60.0"]
     moved = "the arrow did not move along the arm"
-    eventually(lambda: arrow_px(browser), lambda px: px > middle_px + 10.0, moved)
+    eventually(lambda: arrow_px(browser), lambda px: px > near_px + 20.0, moved)
     browser.press("along, N", "ArrowLeft")
-    wait_for_cells(browser, "true", lambda row: row[4:] == ["-1.0"])
+    wait_for_cells(browser, "true", lambda row: row[4:] not in ([], ["–"], true[4:]))
     wait_for_cells(browser, "estimated", lambda row: row[:1] == ["4"])
     assert not browser.evaluate(CUT_OFF)
     browser.click_button("Release")
