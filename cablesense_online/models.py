@@ -327,7 +327,7 @@ class AnywhereModel(ContactModel):
         self._inertia_kg_m2 = _inertia_kg_m2(mechanism)
 
     def find(self, tensions_n: Array, stamp_ns: int, threshold: float) -> FoundContacts | None:
-        """See `ContactModel`; what damping and inertia make is not known better than by size."""
+        """See `ContactModel`; torques of damping and inertia count as noise of their own size."""
         covariance_n2_m2 = None
         if (unrest := self._gate.unrest) is not None:
             speed_rad_s, swing_rad_s2 = unrest

@@ -201,7 +201,7 @@ class MotionGate:
         return True
 
     def _swing(self, stamp_ns: int) -> None:
-        """Note the accelerations of the set-points, beside what is left of earlier ones."""
+        """Note the accelerations of the set-points, or the decayed earlier ones if larger."""
         state, now_rad_s2 = self.state, np.abs(self._course.state[2])
         if self._swinging:
             now_rad_s2 = np.maximum(now_rad_s2, state.swing_rad_s2 * self._left_of_swing())

@@ -36,7 +36,7 @@ def write_robot_diagnosis(
 ) -> None:
     """Write all files, each whole or not at all.
 
-    `beside` are effects in the nominal model's JSON file.
+    `beside` holds the effects of the nominal model's JSON file.
 
     Raises:
         VerdictError: the folder cannot be made, or the verdict not be written.

@@ -22,7 +22,7 @@ from cablesense_gap.robot.model import Change, Robot, inverse_dynamics
 from cablesense_gap.robot.motion import Motion, MotionComparison
 
 _LEAST_FLOOR = 0.002
-"""Of half the joint's range: some milliradians, as calibrated cameras and servos leave."""
+"""Share of half the joint's range: some milliradians, the error of a calibrated camera."""
 
 
 class Servos(NamedTuple):

@@ -371,7 +371,10 @@ def _sized(
 
 
 def _can_show(draw: RobotDraw, name: str) -> bool:
-    """In a plane a tilt is the first joint's zero, and a zero turns the last link's centre."""
+    """In a plane a tilt is the first joint's zero, and a zero turns the last link's centre.
+
+    A camera sees a zero for itself.
+    """
     if draw.kind.servos:
         return True
     indistinct = ("base_tilt", "joint_zero") if not draw.robot.stiffness.any() else ("base_tilt",)

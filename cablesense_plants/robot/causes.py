@@ -312,7 +312,7 @@ def of_tendons() -> tuple[dict[str, Drawing], ...]:
 
 
 def of_servos() -> dict[str, Drawing]:
-    """What is between a servo's command and its joint."""
+    """Causes that a camera sees between a servo's command and its joint."""
     known = {**_LISTED.by_name, **_MOVING.by_name}
     return {n: known[n] for n in ("joint_zero", "backlash", "joint_coupling", "payload")}
 

@@ -149,13 +149,15 @@ class DrivenMotion(NamedTuple):
     """What B robots did, (T, B, N) at every step.
 
     Attributes:
-        angle: of the motors, or, where a camera watches, of the joints.
-        motor_speed, drive_n_m: of the motors.
-        command: what was asked of them: torques, or angles of position servos.
+        motor, motor_speed: angles and speeds of the motors.
+        joint: angles of the joints.
+        drive_n_m: torques of the motors.
+        command: the controllers' requests: torques, or angles of position servos.
     """
 
-    angle: Array
+    motor: Array
     motor_speed: Array
+    joint: Array
     drive_n_m: Array
     command: Array
 
@@ -164,8 +166,8 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
     """Robots under their controllers: midpoint steps, with exactly integrated bristles.
 
     The controllers know the nominal robot: its torques for the reference, and a feedback of
-    position and speed scaled by its inertia. Position servos have the feedback alone, of their
-    own angle and against any speed.
+    position and speed scaled by its inertia. Position servos have only feedback of the
+    motor's angle, and damping.
     """
     nominal = stacked([kind.nominal()[0]])
     forward = nominal.chain.torques_n_m(*asked) + nominal.armature * asked.acceleration
@@ -191,7 +193,7 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
     push = _push(robots, asked.time_s, kind.trial_s)
     rubbing = kind.guides and Rubbing(kind.guides, robots.capstan, home)
     bristle, drive = np.zeros_like(home), forward[0].copy()
-    kept = np.empty((4, *asked.angle.shape))
+    kept = np.empty((5, *asked.angle.shape))
     steps = _STEPS_OF_PLAY if loose.any() else 1
     step_s = STEP_S / steps
     rotor, rotor_speed = _times(back, angle[:, 1:]), np.zeros_like(home)
@@ -221,10 +223,10 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
         error = asked.angle[k] - gain * motor - zero
         if kind.servos:
             command = stiff * error - damp * motor_speed
-            kept[:, k] = angle[:, 1:], motor_speed, drive, asked.angle[k]
         else:
             command = forward[k] + stiff * error + damp * (asked.speed[k] - gain * motor_speed)
-            kept[:, k] = motor, motor_speed, drive, command
+        recorded = asked.angle[k] if kind.servos else command
+        kept[:, k] = motor, motor_speed, angle[:, 1:], drive, recorded
         drive = drive + (command - drive) * (STEP_S / _CURRENT_S)
         rate = np.abs(motor_speed) / robots.presliding_rad
         slip = -np.expm1(-rate * STEP_S)
@@ -253,9 +255,10 @@ def written(
     kind: RobotKind, robots: RealRobot, motion: DrivenMotion, seeds: list[int]
 ) -> list[dict[str, Array]]:
     """The recording of each robot: columns (T, …) by name."""
-    time_s = _times_s(len(motion.angle))
+    time_s = _times_s(len(motion.motor))
     read = robots.read_n_m(motion.drive_n_m, time_s)
-    angle = (1.0 + robots.encoder_scale) * motion.angle + robots.zero
+    seen = motion.joint if kind.servos else motion.motor
+    angle = (1.0 + robots.encoder_scale) * seen + robots.zero
     rows = slice(None, None, round(1.0 / (kind.rate_hz * STEP_S)))
     found = []
     for b, seed in enumerate(seeds):
@@ -269,7 +272,7 @@ def written(
         torque = np.round((_lagged(read[:, b], _FILTER_S) + noise) / step) * step
         command = motion.command[:, b]
         if kind.guides is not None:
-            command = pulls_n(kind.guides.moments_m(motion.angle[:, b]), motion.drive_n_m[:, b])
+            command = pulls_n(kind.guides.moments_m(motion.motor[:, b]), motion.drive_n_m[:, b])
         elif kind.tendon_m is not None:
             command = pulls_n(np.tile(kind.tendon_m, (len(command), 1, 1)), command)
         found.append(

@@ -134,11 +134,11 @@ def test_a_free_double_pendulum_keeps_its_energy():
     model.dof_armature[:] = 0.0
     data, energy = mujoco.MjData(model), []
     for data.qpos[:], data.qvel[:] in zip(
-        motion.angle[:, 0], motion.motor_speed[:, 0], strict=True
+        motion.motor[:, 0], motion.motor_speed[:, 0], strict=True
     ):
         mujoco.mj_forward(model, data)
         energy.append(data.energy.sum())
-    assert np.ptp(motion.angle[:, 0]) > 1.0
+    assert np.ptp(motion.motor[:, 0]) > 1.0
     assert np.ptp(energy) < 1e-4  # of some joules
 
 
@@ -175,8 +175,8 @@ def test_position_servos_move_a_robot_as_those_of_mujoco(tmp_path):
     for data.ctrl[:] in asked.angle[:, 0]:
         found.append(data.qpos.copy())
         mujoco.mj_step(model, data)
-    off_rad = np.abs(motion.angle[:, 0] - found).max()
-    assert off_rad < 0.1 * np.abs(motion.angle - asked.angle).max()
+    off_rad = np.abs(motion.joint[:, 0] - found).max()
+    assert off_rad < 0.1 * np.abs(motion.joint - asked.angle).max()
     assert np.ptp(found, axis=0).min() > 0.3
 
 
