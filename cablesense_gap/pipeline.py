@@ -24,7 +24,7 @@ from cablesense_gap.diagnosis.discrepancy import (
     SmoothColumns,
     effect_columns,
 )
-from cablesense_gap.diagnosis.fitting import refine
+from cablesense_gap.diagnosis.fitting import refine, with_fitted_tolerances
 from cablesense_gap.diagnosis.probability import (
     ambiguity,
     bundled_calibration,
@@ -225,7 +225,9 @@ class Expected:
 
 def problem_of(system: System) -> Problem:
     """The recording as the search works on it."""
-    problem = prepare(system, system.readings, system.trial, system.fold, system.counted)
+    problem = with_fitted_tolerances(
+        prepare(system, system.readings, system.trial, system.fold, system.counted)
+    )
     sketch = system.sketch()
     return problem if sketch is None else sketched(problem, *sketch)
 
@@ -304,6 +306,7 @@ def _since(problem: Problem, expected: Expected) -> Problem:
         readings=(problem.readings - expected.mean) * weight,
         nominal=problem.nominal * weight,
         tolerance_columns=problem.tolerance_columns * weight,
+        tolerance_rest=problem.tolerance_rest * weight,
         sketch=sketch,
     )
 

@@ -17,6 +17,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_gap.diagnosis.linear_fit import Products, fold_solutions, products, solve, weight
 from cablesense_gap.diagnosis.problem import (
+    RESOLUTION,
     Explanation,
     Problem,
     from_scaled,
@@ -34,6 +35,10 @@ MOST_STEPS = 8
 _STEP, _NEAR, _CONVERGED = 0.03, 0.25, 5e-3
 """Scaled steps: for derivatives, far above the rounding of the simulator and small enough to be
 linear; to where derivatives still serve; and, also as a relative gain, too small to continue."""
+_STEP_OF_STD = 0.1
+"""For derivatives by tolerances."""
+_MOST_REPEATED = 4
+"""Times that tolerances are made linear anew."""
 
 
 def refine(
@@ -76,26 +81,68 @@ def refit_part(
     return refit(problem, values, most_steps, (predicted, explanation.columns[own]))
 
 
-def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explanation, Array]:
-    """Fit the same effects with tolerances that are linear about these effects.
+def with_fitted_tolerances(problem: Problem) -> Problem:
+    """The problem with tolerances linear about those that fit best to it, without an effect.
 
-    The search takes tolerances linear about the nominal mechanism, which is near enough to choose
-    by. Gives the columns of the tolerances, (K, R, C), too.
+    The tensions of a stiff arm are far from linear in them. The same problem where that is no
+    more than what residuals can show.
     """
-    if not explanation.values or not problem.tolerance_terms:
-        return explanation, problem.tolerance_columns
-    base = {**explanation.values, **dict.fromkeys(problem.tolerance_terms, 0.0)}
-    terms = zip(problem.tolerance_terms, problem.tolerance_std, strict=True)
-    predicted = problem.simulator.predict([{**base, t: float(std)} for t, std in terms])
-    columns = predicted - explanation.without_tolerances
-    if not np.isfinite(columns).all():
-        columns = problem.tolerance_columns
-    about = replace(problem, tolerance_columns=columns)
-    start_at = explanation.without_tolerances, explanation.columns
-    fitted = refit(about, explanation.values, 3, start_at)
-    if fitted is None or problem.cost_of(fitted) > problem.cost_of(explanation):
-        return explanation, problem.tolerance_columns
-    return fitted, columns
+    for _ in range(_MOST_REPEATED):
+        none = refine(problem, {}, [[]])
+        assert none is not None
+        about = None if _is_consistent(problem, none) else _with_tolerances_of(problem, none)
+        if about is None:
+            break
+        problem = about
+    return problem
+
+
+def final_refinement(
+    problem: Problem, explanation: Explanation
+) -> tuple[Explanation, tuple[Array, Array]]:
+    """Fit the same effects with tolerances that are linear about the explanation.
+
+    The search takes tolerances linear about a mechanism without effects, which is near enough to
+    choose by. Gives the columns (K, R, C) of the tolerances and their rest (R, C) too.
+    """
+    best, used = explanation, problem
+    for _ in range(_MOST_REPEATED if explanation.values else 0):
+        about = _with_tolerances_of(problem, best)
+        start_at = best.without_tolerances, best.columns
+        fitted = None if about is None else refit(about, best.values, 3, start_at)
+        if about is None or fitted is None or problem.cost_of(fitted) > problem.cost_of(best):
+            break
+        best, used = fitted, about
+        if _is_consistent(problem, best):
+            break
+    return best, (used.tolerance_columns, used.tolerance_rest)
+
+
+def _is_consistent(problem: Problem, explanation: Explanation) -> bool:
+    """Whether the simulator predicts the same with the fitted tolerances, which are linear."""
+    predicted = problem.simulator.predict([{**explanation.values, **explanation.tolerances}])[0]
+    off = (predicted - explanation.prediction)[problem.used]
+    return bool(np.sqrt((off**2).mean()) <= RESOLUTION * problem.floor)
+
+
+def _with_tolerances_of(problem: Problem, explanation: Explanation) -> Problem | None:
+    """The problem with tolerances linear about the explanation's; None if that is impossible."""
+    if not problem.tolerance_terms:
+        return None
+    std = dict(zip(problem.tolerance_terms, problem.tolerance_std.tolist(), strict=True))
+    at = dict.fromkeys(std, 0.0) | dict(explanation.tolerances)
+    # towards zero, so that no tolerance leaves its range
+    steps = {term: -_STEP_OF_STD * np.copysign(std[term], value) for term, value in at.items()}
+    base = {**explanation.values, **at}
+    variants = [base, *({**base, term: at[term] + step} for term, step in steps.items())]
+    there, *moved = problem.simulator.predict(variants)
+    scaled = np.array([step / std[term] for term, step in steps.items()])
+    columns = (np.array(moved) - there) / scaled[:, None, None]
+    fitted = np.array([value / std[term] for term, value in at.items()])
+    rest = there - explanation.without_tolerances - np.tensordot(fitted, columns, axes=1)
+    if not np.isfinite(columns).all() or not np.isfinite(rest).all():
+        return None
+    return replace(problem, tolerance_columns=columns, tolerance_rest=rest)
 
 
 class _Fit:
@@ -224,9 +271,13 @@ class _Fit:
         return step[none:]
 
     def _products(self, predicted: Array, columns: Array) -> Products:
-        """Products of columns (K, R, C) and the residual of a prediction."""
-        problem = self._problem
-        return products(columns, problem.readings - predicted, problem.trial, problem.used)
+        """Products of columns (K, R, C), tolerances first, and the residual of a prediction."""
+        problem, residual = self._problem, self._residual(predicted)
+        known = problem.tolerance_gram
+        return products(columns, residual, problem.trial, problem.used, known)
+
+    def _residual(self, predicted: Array) -> Array:
+        return self._problem.readings - predicted - self._problem.tolerance_rest
 
     def _cost(
         self, point: Array, prediction: Array, mean_square: float | None
@@ -235,18 +286,20 @@ class _Fit:
         problem = self._problem
         if not np.isfinite(prediction).all():
             return np.inf, np.inf
-        data = self._products(prediction, problem.tolerance_columns)
-        gram, moment = data.gram.sum(0), data.moment.sum(0)
-        none = np.zeros(len(moment))
-        used = data.mean_square if mean_square is None else mean_square
+        residual = self._residual(prediction)
+        residual[~problem.used] = 0.0
+        gram, count = problem.tolerance_gram.sum(0), residual[problem.used].size
+        moment = np.tensordot(problem.tolerance_columns, residual, axes=2)
+        square, none = float((residual**2).sum()), np.zeros(len(moment))
+        used = square / count if mean_square is None else mean_square
         for _ in range(2):
             weight_ = weight(used, problem.floor)
             found = solve(gram, moment, np.ones(len(moment)), none, weight_)
-            left = data.square.sum() - 2.0 * moment @ found + found @ gram @ found
+            left = square - 2.0 * moment @ found + found @ gram @ found
             if mean_square is None:
-                used = float(left / data.count.sum())
+                used = float(left / count)
         prior = found @ found + self._prior @ (point - self._expected) ** 2
-        return float(weight_ * left + prior), float(left / data.count.sum())
+        return float(weight_ * left + prior), float(left / count)
 
     def _explanation(
         self, point: Array, predicted: Array, columns: Array, mean_square: float
@@ -267,7 +320,7 @@ class _Fit:
             rows = problem.fold[problem.trial] == k
             tolerated[rows] = np.tensordot(coefficients[:none], every[:none, rows], axes=1)
             held_out_effects[rows] += np.tensordot(coefficients[none:], every[none:, rows], axes=1)
-        held_out = held_out_effects + tolerated
+        held_out = held_out_effects + tolerated + problem.tolerance_rest
         covariance = np.zeros(2 * self._precision.shape)
         covariance[np.ix_(at, at)] = _covariance(part, found, precision, weight_)
         # a value at its bound gets the deviation that it would have with all values free
@@ -285,7 +338,9 @@ class _Fit:
             values=values,
             deviations=dict(zip(self._terms, 1.96 * spread[none:] * units, strict=True)),
             tolerances={term: value for term, value in tolerances.items() if acts[term]},
-            prediction=predicted + np.tensordot(found[:none], problem.tolerance_columns, axes=1),
+            prediction=predicted
+            + np.tensordot(found[:none], problem.tolerance_columns, axes=1)
+            + problem.tolerance_rest,
             without_tolerances=predicted,
             columns=columns,
             covariance=covariance[none:, none:],

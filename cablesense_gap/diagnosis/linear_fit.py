@@ -52,14 +52,28 @@ class Products:
         return float(self.square.sum() / self.count.sum())
 
 
-def products(columns: Array, residual: Array, trial: Indices, used: NDArray[np.bool_]) -> Products:
-    """Products of columns (K, R, C) and a residual (R, C), by trial 0 … T - 1 of each row (R,)."""
-    parts = []
+def products(
+    columns: Array,
+    residual: Array,
+    trial: Indices,
+    used: NDArray[np.bool_],
+    known: Array | None = None,
+) -> Products:
+    """Products of columns (K, R, C) and a residual (R, C), by trial 0 … T - 1 of each row (R,).
+
+    `known` is the Gram matrix (T, J, J) of the first J columns, if they had their products before.
+    """
+    parts, before = [], 0 if known is None else known.shape[1]
     for t in range(int(trial.max()) + 1):
         rows = (trial == t) & used
         y = residual[rows].ravel()
         x = columns[:, rows].reshape(len(columns), y.size)
-        parts.append((x @ x.T, x @ y, y @ y, y.size))
+        gram = np.empty(2 * (len(x),))
+        if known is not None:
+            gram[:before, :before] = known[t]
+        gram[before:] = x[before:] @ x.T
+        gram[:before, before:] = gram[before:, :before].T
+        parts.append((gram, x @ y, y @ y, y.size))
     gram, moment, square, count = (np.array(part) for part in zip(*parts, strict=True))
     return Products(gram, moment, square, count.astype(float))
 

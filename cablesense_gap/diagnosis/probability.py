@@ -289,7 +289,8 @@ def _change(problem: Problem, explanation: Explanation) -> Array:
         for term, std in zip(problem.tolerance_terms, problem.tolerance_std, strict=True)
     ]
     of_tolerances = np.tensordot(np.array(scaled), problem.tolerance_columns, axes=1)
-    return np.asarray(explanation.prediction - of_tolerances - problem.nominal)
+    known = problem.nominal + problem.tolerance_rest
+    return np.asarray(explanation.prediction - of_tolerances - known)
 
 
 def _beyond_tolerances(problem: Problem, change: Array, fitted: Explanation) -> Array:

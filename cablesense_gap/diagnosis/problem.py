@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_gap.diagnosis.linear_fit import products
 from cablesense_gap.simulator import Simulator, Term, parameters_of
 from cablesense_sim.effects.effect import Parameter
 
@@ -91,6 +92,7 @@ class Problem:
         nominal: (R, C) prediction without any effect.
         tolerance_std: standard deviation of each of the terms.
         tolerance_columns: (K, R, C) sensitivities, in standard deviations.
+        tolerance_rest: (R, C) what tolerances change beyond these, where these were taken.
         sketch: the same for some of the rows, if these suffice to choose among history-dependent
             effects.
     """
@@ -104,12 +106,19 @@ class Problem:
     tolerance_terms: tuple[Term, ...]
     tolerance_std: Array
     tolerance_columns: Array
+    tolerance_rest: Array
     sketch: Sketch | None = None
 
     @property
     def floor(self) -> float:
         """RMS of what the sensors add to a perfect reading."""
         return self.simulator.floor
+
+    @cached_property
+    def tolerance_gram(self) -> Array:
+        """(T, K, K) of the tolerances' columns in the used rows of each trial."""
+        nothing = np.zeros_like(self.readings)
+        return products(self.tolerance_columns, nothing, self.trial, self.used).gram
 
     @cached_property
     def acting_tolerances(self) -> NDArray[np.bool_]:
@@ -203,6 +212,7 @@ def sketched(problem: Problem, simulator: Simulator, rows: NDArray[np.int64]) ->
         used=problem.used[rows],
         nominal=simulator.predict([{}])[0],
         tolerance_columns=problem.tolerance_columns[:, rows],
+        tolerance_rest=problem.tolerance_rest[rows],
     )
     return replace(problem, sketch=Sketch(rows, part))
 
@@ -228,6 +238,7 @@ def prepare(
         tolerance_terms=tuple(std),
         tolerance_std=np.array(list(std.values())),
         tolerance_columns=np.array(columns).reshape(len(columns), *nominal.shape),
+        tolerance_rest=np.zeros_like(nominal),
     )
 
 

@@ -40,6 +40,9 @@ from cablesense_sim.effects.effect import WHOLE_ARM
 Progress = Callable[[str, float], None]
 """Called with the present step and the share of the whole that is done."""
 
+_Tolerances = tuple[Array, Array]
+"""Their columns (K, R, C) and rest (R, C), see `Problem`."""
+
 _MOST_EXPANDED, _MOST_FRUITLESS = 8, 2
 """Explanations that are expanded, at most and in turn without a better one."""
 
@@ -83,8 +86,8 @@ class _Search:
         self._expensive = [c for c in candidates if c.history_dependent]
         self._history = {c.effect for c in self._expensive}
         self._found: dict[tuple[str, ...], Explanation] = {}
-        self._expanded: set[Explanation] = set()
-        self._refined: dict[Explanation, Array] = {}
+        self._expanded: set[frozenset[tuple[str, str]]] = set()
+        self._refined: dict[Explanation, _Tolerances] = {}
 
     def _map(
         self,
@@ -124,6 +127,8 @@ class _Search:
         """Expands the best explanations; `known` columns of effects serve as they are."""
         judged, fruitless = self._problem.judged, 0
         for _ in range(_MOST_EXPANDED):
+            if self._best().effects:
+                self._refine([self._best()])
             best, start = self._best(), self._next()
             resolved = self._is_resolved()
             if start is None or fruitless == _MOST_FRUITLESS or self._is_explained(best):
@@ -143,7 +148,7 @@ class _Search:
         waiting = [
             h
             for h in self._found.values()
-            if h not in self._expanded
+            if frozenset(h.sites) not in self._expanded
             and judged(h) <= most
             and not set(h.effects) < set(best.effects)
         ]
@@ -158,7 +163,7 @@ class _Search:
 
     def _expand(self, start: Explanation, columns: Sequence[LinearEffect]) -> None:
         """Fits the most promising additions, and the rest without each effect that is idle."""
-        self._expanded.add(start)
+        self._expanded.add(frozenset(start.sites))
         if offered := _that_fit(start, columns):
             self._progress("choosing effects", self._done)
             proposals = Selection(self._problem, start, offered).additions()
@@ -252,18 +257,21 @@ class _Search:
         """Puts another effect in the places of one or two that have the same choice of places.
 
         Such effects imitate each other (a mass, a shifted centre and a payload change the same ten
-        numbers of a link), often where the other is far from linear: all are fitted a little.
+        numbers of a link), often where the other is far from linear: all are fitted a little, in
+        all of these places and in each alone.
         """
         candidates = {c.effect: c for c in self._problem.simulator.candidates}
         variants = []
         for gone in chain(*(combinations(explanation.effects, n) for n in (1, 2))):
             offered = {candidates[effect].places for effect in gone}
-            places = dict.fromkeys(p for effect, p in explanation.sites if effect in gone)
+            own = list(dict.fromkeys(p for effect, p in explanation.sites if effect in gone))
+            tried = [own] if len(own) == 1 else [own, *([place] for place in own)]
             rest = {t: v for t, v in explanation.values.items() if t.effect not in gone}
             variants += [
                 rest
                 | {Term(c.effect, at, p.name): p.default for at in places for p in c.parameters}
                 for c in self._cheap
+                for places in tried
                 if offered == {c.places} and c.effect not in explanation.effects
             ]
         rough = filter(None, self._map(partial(refit, most_steps=3), variants))
@@ -287,7 +295,7 @@ class _Search:
         self._doing = "judging on all rows"
         most = 3.0 * _RIVAL * self._problem.cost_of(self._best())
         new = [
-            (h, self._refined.get(h, sketch.problem.tolerance_columns))
+            (h, self._refined.get(h, _tolerances(sketch.problem)))
             for effects, h in self._found.items()
             if h is not reduced.get(effects)
             and self._problem.cost_of(h) <= most
@@ -297,9 +305,10 @@ class _Search:
         self._problem, self._none = self._whole, none
         judged = [h for h in self._map(_on_all_rows, new) if h is not None]
         self._keep_all(judged)
-        self._refined |= dict.fromkeys(judged, self._problem.tolerance_columns)
+        self._refined |= dict.fromkeys(judged, _tolerances(self._problem))
 
     def _climb_with_expensive(self) -> None:
+        self._expanded.clear()
         columns = self._columns(self._expensive, None)
         self._expand(self._none, columns)
         best = self._best()
@@ -337,8 +346,8 @@ class _Search:
 
     def _refine(self, rough: Iterable[Explanation]) -> None:
         waiting = dict.fromkeys(one for one in rough if one not in self._refined)
-        for fitted, tolerance_columns in self._map(final_refinement, waiting):
-            self._found[fitted.effects], self._refined[fitted] = fitted, tolerance_columns
+        for fitted, tolerances in self._map(final_refinement, waiting):
+            self._found[fitted.effects], self._refined[fitted] = fitted, tolerances
 
     def _best(self) -> Explanation:
         return min([self._none, *self._found.values()], key=self._problem.judged)
@@ -407,12 +416,17 @@ def _called(function: Callable[..., Any], on_sketch: bool, problem: Problem, val
     return function(problem, value)
 
 
-def _on_all_rows(problem: Problem, found: tuple[Explanation, Array]) -> Explanation | None:
-    """An explanation of the sketch, with the columns of the tolerances in its fit."""
+def _tolerances(problem: Problem) -> _Tolerances:
+    return problem.tolerance_columns, problem.tolerance_rest
+
+
+def _on_all_rows(problem: Problem, found: tuple[Explanation, _Tolerances]) -> Explanation | None:
+    """An explanation of the sketch, with the tolerances in its fit."""
     explanation, tolerances = found
     sketch = problem.sketch
     assert sketch is not None
-    about = replace(problem, tolerance_columns=sketch.over_all_rows(tolerances))
+    (*columns, rest) = sketch.over_all_rows(np.stack([*tolerances[0], tolerances[1]]))
+    about = replace(problem, tolerance_columns=np.array(columns), tolerance_rest=rest)
     predicted = problem.simulator.predict([explanation.values])[0]
     start = predicted, sketch.over_all_rows(explanation.columns)
     return refit(about, explanation.values, 0, start)

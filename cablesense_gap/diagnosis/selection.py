@@ -236,7 +236,7 @@ class Selection:
             np.arange(n - len(e.columns), n) for n, e in zip(ends, offered, strict=True)
         ]
         fold_of_row = problem.fold[problem.trial]
-        residual = problem.readings - about.without_tolerances
+        residual = problem.readings - about.without_tolerances - problem.tolerance_rest
         self._data = products(np.concatenate(columns), residual, fold_of_row, problem.used)
         self._precision = np.concatenate([np.ones(self._base), *(e.precision for e in offered)])
         self._folds = np.arange(len(self._data.count))

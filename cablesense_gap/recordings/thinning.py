@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_gap.recordings.recording import Recording
 
-MOST_ROWS = 6_000
-"""Twenty minutes at 5 Hz: recordings by the protocol are used whole."""
+MOST_READINGS = 72_000
+"""Twenty minutes of twelve cables at 5 Hz: recordings by the protocol are used whole. More cables
+add as many columns to each fit as they have readings, so that the time grows with the square."""
 MOST_TRIALS = 500
 """The protocol of an arm with four segments has sixty."""
 
@@ -36,14 +37,15 @@ def rows_to_use(recording: Recording) -> Rows:
     """(K,) ascending; all rows where they and the trials are few enough."""
     numbers, first, inverse = np.unique(recording.trial, return_index=True, return_inverse=True)
     rows = np.arange(len(recording))
-    if len(rows) <= MOST_ROWS and len(numbers) <= MOST_TRIALS:
+    most = MOST_READINGS // recording.tensions_n.shape[1]
+    if len(rows) <= most and len(numbers) <= MOST_TRIALS:
         return rows
     last = len(rows) - 1 - np.unique(recording.trial[::-1], return_index=True)[1]
     if len(numbers) > MOST_TRIALS:
         chosen = np.linspace(0, len(numbers) - 1, MOST_TRIALS).astype(int)
         rows, first, last = rows[np.isin(inverse, chosen)], first[chosen], last[chosen]
-    kept = np.union1d(np.concatenate([first, last]), rows[_turns(recording.rows(rows))])
-    room = max(MOST_ROWS - len(kept), 0)
+    kept = np.union1d(np.concatenate([first, last]), rows[_turns(recording.rows(rows), most // 2)])
+    room = max(most - len(kept), 0)
     even = rows[np.linspace(0, len(rows) - 1, min(room, len(rows))).astype(int)]
     return np.union1d(kept, even)
 
@@ -75,8 +77,8 @@ def rows_along_path(recording: Recording) -> Rows:
     return np.flatnonzero(kept)
 
 
-def _turns(recording: Recording) -> Rows:
-    """Rows where command or load turns back or leaps, at most half of all that may be kept."""
+def _turns(recording: Recording, most: int) -> Rows:
+    """Rows where command or load turns back or leaps, at most so many: the largest."""
     columns = list(_scaled(recording))
     turns: list[Rows] = [np.arange(len(recording))] * len(columns)
     leaps = [np.abs(np.diff(column)) for column in columns]
@@ -85,7 +87,7 @@ def _turns(recording: Recording) -> Rows:
         turns = [_turned(*both, least) for both in zip(columns, turns, strict=True)]
         leapt = [np.flatnonzero(leap >= least) for leap in leaps]
         found = np.unique(np.concatenate([*turns, *leapt, *(rows + 1 for rows in leapt)]))
-        if len(found) <= MOST_ROWS // 2:
+        if len(found) <= most:
             return found
         least *= 2.0
 

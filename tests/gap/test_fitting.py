@@ -21,7 +21,12 @@ from gap_problem import (
 )
 from numpy.testing import assert_allclose
 
-from cablesense_gap.diagnosis.fitting import final_refinement, fit, refine
+from cablesense_gap.diagnosis.fitting import (
+    final_refinement,
+    fit,
+    refine,
+    with_fitted_tolerances,
+)
 from cablesense_gap.diagnosis.problem import (
     from_scaled,
     to_scaled,
@@ -261,7 +266,7 @@ def test_tolerances_are_taken_as_they_act_next_to_the_effect():
     simulator = Coupled(linear("gain", ["a"]), scatter())
     problem = problem_of(simulator, {GAIN: 2.0, OFF: 0.05})
     rough = fitted(problem, {GAIN: 2.0})
-    refined, columns = final_refinement(problem, rough)
+    refined, (columns, _) = final_refinement(problem, rough)
     assert not np.allclose(columns, problem.tolerance_columns)
     assert rough.held_out_rmse > 10.0 * FLOOR
     assert refined.held_out_rmse < 1.1 * FLOOR
@@ -271,3 +276,27 @@ def test_tolerances_are_taken_as_they_act_next_to_the_effect():
     assert final_refinement(problem, none)[0] is none
     simulator.fails = True
     assert problem.cost_of(final_refinement(problem, rough)[0]) <= problem.cost_of(rough)
+
+
+class Curved(Sums):
+    """The change by a tolerance grows with its square too, and with the effect."""
+
+    def _one(self, variant):
+        gain, off = variant.get(GAIN, 0.0), variant.get(OFF, 0.0)
+        return super()._one(variant) + off * (gain * 20.0 + off * 900.0) * SIGNALS[3]
+
+
+def test_tolerances_are_taken_as_they_act_where_they_are():
+    simulator = Curved(linear("gain", ["a"]), scatter())
+    linear_about_zero = problem_of(simulator, {GAIN: 0.0, OFF: 0.15})
+    problem = with_fitted_tolerances(linear_about_zero)
+    before, after = (refine(each, {}, [[]]) for each in (linear_about_zero, problem))
+    assert before.held_out_rmse > 3.0 * FLOOR
+    assert after.held_out_rmse < 1.1 * FLOOR
+    assert after.tolerances[OFF] == pytest.approx(0.15, rel=0.1)
+    both = with_fitted_tolerances(problem_of(simulator, {GAIN: 2.0, OFF: 0.15}))
+    refined = final_refinement(both, fitted(both, {GAIN: 2.0}))[0]
+    assert refined.held_out_rmse < 1.1 * FLOOR
+    assert refined.values[GAIN] == pytest.approx(2.0, abs=0.05)
+    straight = problem_of(Sums(linear("gain", ["a"]), scatter()), {OFF: 0.15})
+    assert with_fitted_tolerances(straight) is straight

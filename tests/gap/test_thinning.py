@@ -52,7 +52,7 @@ def test_there_are_never_too_many_and_of_each_trial_the_ends(blocks, seed, noise
     load_n = 9.0 * rng.integers(0, 2, len(trial)) * rng.normal(size=len(trial))
     made = recording(held + noise * rng.normal(size=len(trial)), load_n, trial)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(thinning, "MOST_ROWS", 300)
+        patch.setattr(thinning, "MOST_READINGS", 3600)
         patch.setattr(thinning, "MOST_TRIALS", 30)
         rows = rows_to_use(made)
     assert (np.diff(rows) > 0).all()
@@ -70,7 +70,7 @@ def test_turns_of_a_sweep_are_kept_to_the_row():
     command = np.interp(np.arange(60_000), turns, [0.0, 0.1, -0.15, 0.02, -0.01, 0.0])
     rows = rows_to_use(recording(command, np.zeros(60_000)))
     assert np.isin(turns, rows).all()
-    assert len(rows) <= thinning.MOST_ROWS
+    assert len(rows) <= thinning.MOST_READINGS // 12
     assert np.diff(rows).max() <= 60_000 / 5_000
 
 
