@@ -56,7 +56,7 @@ class SequenceSamples(NamedTuple):
     Attributes:
         ticks: inputs (S, T, …), float64.
         torque_n_m: (S, T, 2N) of the environment by statics alone.
-        past: (S, T, `DrawnCables.size`) of the commands, known since before the tare.
+        past: (S, T, `DrawnCables.past.size`) of the commands, known since before the tare.
         true_torque_n_m: (S, T, 2N) of the true contact.
         target: true contacts, each (S, T).
     """
@@ -102,7 +102,7 @@ def _past(
     """(S, T, size) along the ticks; the commands before them count, and the tare at the first."""
     before = torch.as_tensor(sequences.before_rad)
     drawn = network.drawn
-    now = lengths_m.new_zeros(len(lengths_m), drawn.size)
+    now = lengths_m.new_zeros(len(lengths_m), drawn.past.size)
     still = torch.zeros_like(lengths_m[:, 0])
     with torch.no_grad():
         for tick in range(before.shape[1]):
@@ -112,7 +112,7 @@ def _past(
     for tick in range(lengths_m.shape[1]):
         now = drawn.follow(now, lengths_m[:, tick], set_points_rad[:, tick])
         if not past:
-            now = drawn.tared(now)
+            now = drawn.past.tared(now)
         past.append(now)
     return torch.stack(past, dim=1)
 

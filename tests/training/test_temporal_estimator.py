@@ -1,7 +1,5 @@
 """The history-dependent estimator: its ticks, its state, and its answers."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -50,18 +48,6 @@ def test_the_same_samples_after_forgetting_give_the_same_bytes(estimator, course
     assert _bytes(_through(estimator, course, times)) == first
     goes_on = _bytes(_through(estimator, course, times[-1] + 0.02 * np.arange(1, 61)))
     assert goes_on != first  # the past counts
-
-
-def test_courses_side_by_side_are_answered_as_one_by_one(estimator, course):
-    estimator.estimate(np.zeros(12), course[1][0], STILL, STILL, 0.0)
-    estimator.tare()
-    single = _through(estimator, course, 0.02 * np.arange(1, 61))
-    inputs = tuple(np.stack([part, 0.5 * part]) for part in course)
-    both = estimator.estimate_sequences(
-        SimpleNamespace(inputs=inputs, before_rad=np.zeros((2, 0, 8)))
-    )
-    np.testing.assert_allclose(both.magnitude_n[0], [e.magnitude_n for e in single], rtol=1e-9)
-    np.testing.assert_allclose(both.probabilities[0], [e.probabilities for e in single], atol=1e-9)
 
 
 def test_samples_between_ticks_are_answered_and_leave_the_state_alone(estimator, course):

@@ -60,7 +60,7 @@ def _answered_in_any_state(network):
     ticks = _ticks(dataset)
     with torch.no_grad():
         balance = network.balance(ticks)
-        past = torch.zeros(50, network.drawn.size).double()
+        past = torch.zeros(50, network.drawn.past.size).double()
         encoded = network.encode(balance.torque_n_m, past, ticks)
         still = torch.zeros(50, CDSM.joint_count).double()
         answer = network.answer(balance, encoded, 100.0 * torch.randn(50, 96).double(), still)
@@ -102,12 +102,12 @@ def test_where_nothing_may_touch_the_interval_begins_at_nothing_and_says_what_ma
     assert (high_n > 0.0).any()
 
 
-CABLES, JOINTS, HIDDEN = 3, 2, 5
+CABLES, JOINTS = 3, 2
 
 
 @pytest.fixture
 def drawn():
-    return DrawnCables(CABLES, JOINTS, HIDDEN)
+    return DrawnCables(CABLES, JOINTS)
 
 
 def _shares(drawn, past):
@@ -122,7 +122,7 @@ def _through(drawn, past, lengths_m):
 
 
 def test_shares_follow_what_is_drawn_and_stop(drawn):
-    past = _through(drawn, torch.zeros(1, drawn.size), [0.5, 0.5 + 2e-5])
+    past = _through(drawn, torch.zeros(1, drawn.past.size), [0.5, 0.5 + 2e-5])
     torch.testing.assert_close(
         _shares(drawn, past)[1], torch.tensor([1.0, 0.1, 0.01]), atol=5e-3, rtol=0.0
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -26,17 +26,7 @@ from cablesense_training.inference.estimator import (
 from cablesense_training.inference.history_simulation import HistoryEstimator
 from cablesense_training.inference.metadata import ANYWHERE, HISTORY_SIMULATED
 from cablesense_training.inference.model_file import read_model
-from cablesense_training.inference.session import (
-    ACCELERATION,
-    COMMAND,
-    NEXT_STATE,
-    SPEED,
-    STATE,
-    TENSION,
-)
-
-if TYPE_CHECKING:
-    from cablesense_training.data.sequences import Sequences
+from cablesense_training.inference.session import NEXT_STATE, STATE
 
 
 @dataclass(frozen=True)
@@ -74,12 +64,18 @@ class TemporalState:
         """Of all parts together."""
         return sum(self.parts)
 
-    def tared(self, state: Array) -> Array:
-        """The state (…, size) right after a tare: recurrent part empty, past commands kept."""
-        places = np.cumsum(self.parts)[:-1]
-        hidden, shares, lengths, set_point, *_, known = np.split(state, places, axis=-1)
-        parts = [np.zeros_like(hidden), shares, lengths, set_point, shares, set_point, known]
-        return np.concatenate(parts, axis=-1)
+    def tared(self, state: Any) -> Any:
+        """The state right after a tare: recurrent part empty, past commands kept.
+
+        Takes arrays or tensors (…, size).
+        """
+        taken_from = np.arange(self.size)
+        ends = np.cumsum(self.parts)
+        shares, set_point = taken_from[self.hidden : ends[1]], taken_from[ends[2] : ends[3]]
+        taken_from[ends[3] : ends[5]] = np.concatenate([shares, set_point])
+        tared = state[..., taken_from]
+        tared[..., : self.hidden] = 0.0
+        return tared
 
 
 TEMPORAL_OUTPUTS = (*OUTPUTS, NEXT_STATE)
@@ -89,8 +85,6 @@ LONGEST_GAP_S, _LONGEST_GAP_TICKS = 1.0, 2.0
 
 _EARLY = 0.25
 """Share of a tick by which a sample may be early: stamps jitter."""
-
-_INPUTS = (TENSION, COMMAND, SPEED, ACCELERATION)
 
 
 class TemporalEstimator(SequenceEstimator):
@@ -150,28 +144,6 @@ class TemporalEstimator(SequenceEstimator):
         if not -0.5 * tick_s <= passed_s <= longest_s:
             return None
         return max(0, math.floor(passed_s / tick_s + _EARLY))
-
-    def estimate_sequences(self, sequences: Sequences) -> Estimates:
-        """See the base class; sequences go side by side, and the own state is left alone."""
-        tension_n, command_rad, *_ = sequences.inputs
-        still = np.zeros_like(command_rad[:, 0])
-        state = np.zeros((len(still), self.metadata.memory))
-        for set_point in [*sequences.before_rad.swapaxes(0, 1), command_rad[:, 0]]:
-            idle = np.zeros_like(tension_n[:, 0]), set_point, still, still
-            state = self.run(_named(idle, state), [NEXT_STATE])[-1]
-        state = self._layout.tared(state)
-        ticks = []
-        for tick in range(command_rad.shape[1]):
-            now = tuple(values[:, tick] for values in sequences.inputs)
-            *answer, state = self.answers(_named(now, state), self._stated)
-            ticks.append(answer)
-        answers = [np.stack(parts, axis=1) for parts in zip(*ticks, strict=True)]
-        return Estimates.of_outputs(answers)
-
-
-def _named(inputs: tuple[Array, ...], state: Array) -> dict[str, Array]:
-    named = dict(zip(_INPUTS, map(np.ascontiguousarray, inputs), strict=True))
-    return {**named, STATE: state}
 
 
 def open_estimator(path: str | Path, arm: Arm | None = None) -> Estimator | SequenceEstimator:

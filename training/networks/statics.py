@@ -25,7 +25,6 @@ from cablesense_training.data.history import sensed_along_n
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.networks.closed_form import Balance, ClosedForm, pose_corrections_for
 from cablesense_training.networks.layers import ContactNetwork
-from cablesense_training.networks.near_command import NearCommand
 
 _JUDGED_SAMPLES, _BORNE_BENT = 256, 0.5
 """How many contacts spread is judged on, and up to which share of what the straight arm bears."""
@@ -37,16 +36,14 @@ def statics(
     arm: Arm,
     tare_samples: int,
     *,
-    exact: bool = False,
     pose_corrections: int | None = None,
     unexplained_n2: float | None = None,
 ) -> ClosedForm:
-    """The closed form of an arm, expanded near the command where that is enough, which is faster.
+    """The closed form of an arm.
 
     Args:
         arm: the arm.
         tare_samples: readings averaged into a tare.
-        exact: never expanded.
         pose_corrections: by default as many as the arm calls for.
         unexplained_n2: what no statics carries, N²; by default what the arm's effects make of it.
     """
@@ -58,11 +55,9 @@ def statics(
         and np.array_equal(mechanism.hole_y_m, nominal.hole_y_m)
         and np.array_equal(mechanism.hole_z_m, nominal.hole_z_m)
     )
-    needed = pose_corrections_for(mechanism)
-    stiff = needed <= 1 and own_lengths and not mechanism.joint_stiffness_n_m_rad.any()
     if pose_corrections is None:
-        pose_corrections = needed if exact and stiff else max(_LEAST_CORRECTIONS, needed)
-    return (NearCommand if stiff and not exact else ClosedForm)(
+        pose_corrections = max(_LEAST_CORRECTIONS, pose_corrections_for(mechanism))
+    return ClosedForm(
         mechanism,
         difference_variance_n2(arm.sensors, tare_samples),
         pose_corrections,
@@ -73,17 +68,9 @@ def statics(
 
 
 class StaticsNetwork(ContactNetwork):
-    """A network on the closed form of an arm, in float64.
-
-    Args:
-        closed_form: statics of the arm.
-
-    Attributes:
-        exact: whether that is never expanded near the command.
-    """
+    """A network on the closed form of an arm, in float64."""
 
     pose_aware: ClassVar[bool] = True
-    exact: ClassVar[bool] = False
 
     def __init__(self, closed_form: ClosedForm) -> None:
         kinematics = closed_form.kinematics
@@ -93,7 +80,7 @@ class StaticsNetwork(ContactNetwork):
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> Self:
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
-        return cls(statics(arm, tare_samples, exact=cls.exact))
+        return cls(statics(arm, tare_samples))
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
         """Only the loss needs a scale, and counts magnitudes in the sensors' own noise."""

@@ -51,19 +51,17 @@ _PER_RAD = 10.0
 
 
 class DrawnCables:
-    """Follows set-points; the past is the part of a `TemporalState` behind the hidden one.
+    """Follows set-points.
 
     Attributes:
-        layout: of the whole state.
-        size: of the past (…, size).
+        past: layout of what is known of them, a `TemporalState` without its recurrent part.
         seen_size: of what `seen` gives.
     """
 
-    def __init__(self, cables: int, joints: int, hidden: int) -> None:
-        self.layout = TemporalState(hidden, cables * len(GIVES_M), cables, joints)
-        self._parts = self.layout.parts[1:]
-        self.size = sum(self._parts)
-        self.seen_size = 2 * self.layout.shares + joints
+    def __init__(self, cables: int, joints: int) -> None:
+        self.past = TemporalState(0, cables * len(GIVES_M), cables, joints)
+        self._parts = self.past.parts[1:]
+        self.seen_size = 2 * self.past.shares + joints
 
     def follow(self, past: Tensor, lengths_m: Tensor, set_point_rad: Tensor) -> Tensor:
         """The past (B, size) one tick later, at cable lengths (B, M) and a set-point (B, 2N)."""
@@ -75,11 +73,6 @@ class DrawnCables:
         return torch.cat(
             [shares, lengths_m, set_point_rad, shares_tared, set_point_tared, now_known], dim=-1
         )
-
-    def tared(self, past: Tensor) -> Tensor:
-        """The past (B, size) right after a tare."""
-        shares, lengths, set_point, _, _, known = past.split(self._parts, dim=-1)
-        return torch.cat([shares, lengths, set_point, shares, set_point, known], dim=-1)
 
     def seen(self, past: Tensor) -> Tensor:
         """The network's view of a past: shares now and at the tare, set-point at the tare."""
@@ -215,8 +208,8 @@ class TemporalNetwork(nn.Module):
         segments = closed_form.kinematics.segment_count
         joints = 2 * segments
         self.cable_count, self.segment_count = cables, segments
-        self.drawn = DrawnCables(cables, joints, hidden)
-        self.hidden, self.memory = hidden, self.drawn.layout.size
+        self.drawn = DrawnCables(cables, joints)
+        self.hidden, self.memory = hidden, hidden + self.drawn.past.size
         self.closed_form = closed_form
         self.torque = Standardiser(joints)
         self.tension = Standardiser(cables)
@@ -240,7 +233,7 @@ class TemporalNetwork(nn.Module):
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> TemporalNetwork:
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
-        return cls(statics(arm, tare_samples, exact=True, unexplained_n2=0.0))
+        return cls(statics(arm, tare_samples, unexplained_n2=0.0))
 
     def adapt(self, torque_n_m: Tensor, ticks: Ticks, error_n_m: Tensor) -> None:
         """Set all scales from training rows: torques, inputs, and what the torques are off by."""
@@ -257,7 +250,7 @@ class TemporalNetwork(nn.Module):
         return found
 
     def encode(self, torque_n_m: Tensor, past: Tensor, ticks: Ticks) -> Tensor:
-        """(…, hidden) of torques (…, 2N), the commands' past (…, `drawn.size`) and ticks alike."""
+        """(…, hidden) of torques (…, 2N), the past (…, size) of commands, and ticks alike."""
         seen = [
             self.torque(torque_n_m),
             self.drawn.seen(past),
@@ -334,7 +327,7 @@ class TemporalNetwork(nn.Module):
         """
         balance = self.balance(ticks)
         kind = self.log_trust.dtype
-        before, past = state.split([self.hidden, self.drawn.size], dim=-1)
+        before, past = state.split([self.hidden, self.drawn.past.size], dim=-1)
         inputs = Ticks(*(part.to(kind) for part in ticks))
         past = self.drawn.follow(past, balance.commanded_m.to(kind), inputs.joint_command_rad)
         encoded = self.encode(balance.torque_n_m.to(kind), past, inputs)
