@@ -41,9 +41,9 @@ from cablesense_training.evaluation.comparison import (
     metrics_json,
     multi_protocol,
 )
-from cablesense_training.evaluation.metrics import ContactAnswer
+from cablesense_training.evaluation.metrics import ContactAnswer, angle_difference_deg
 from cablesense_training.evaluation.noise_bound import multi_contact_bound_n
-from cablesense_training.evaluation.table2 import evaluate_table2
+from cablesense_training.evaluation.table2 import DOWN_DEG, evaluate_table2
 from cablesense_training.fit import FitSettings, fit
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
@@ -178,13 +178,13 @@ def _trained_baselines(setting: Setting, test: Dataset, workers: int) -> dict[st
 def _table2_rows(model: str) -> list[dict[str, float]]:
     return [
         {
-            "true_segment": a.load.segment,
-            "true_n": a.load.weight_n,
-            "segment": a.segment,
-            "magnitude_n": a.magnitude_n,
-            "off_from_down_deg": a.angle_error_deg,
+            "true_segment": load.segment,
+            "true_n": load.weight_n,
+            "segment": found.segment,
+            "magnitude_n": found.magnitude_n,
+            "off_from_down_deg": float(angle_difference_deg(found.angle_deg, DOWN_DEG)),
         }
-        for a in evaluate_table2(Estimator.load(find_model(model)))
+        for load, found in evaluate_table2(Estimator.load(find_model(model)))
     ]
 
 

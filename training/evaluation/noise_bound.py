@@ -66,27 +66,28 @@ def reading_variance_n2(dataset: Dataset) -> float:
 
 
 def force_covariance_n2(dataset: Dataset) -> Array:
-    """Bound (C, 2, 2) on the covariance of the (y, z) force of the dataset's C contacts."""
-    touched = dataset.select(dataset.segment > 0)
-    gain = _gain_n_n(touched)[np.arange(len(touched)), :, touched.segment - 1]
-    variance_n2 = reading_variance_n2(dataset)
-    return np.asarray(variance_n2 * np.linalg.inv(np.swapaxes(gain, -1, -2) @ gain))
+    """Bound (B, N, 2, 2) on the covariance of the (y, z) force on each segment that is touched.
 
-
-def _gain_n_n(dataset: Dataset) -> Array:
-    """(B, M, N, 2) tensions by force components in the plane normal to each segment, (y, z)."""
+    All contacts of a sample are unknown at once, and which segments are touched is known.
+    """
     shape = len(dataset), dataset.arm.segment_count
     segments = np.broadcast_to(np.arange(1, shape[1] + 1), shape)
     places_m = np.broadcast_to(dataset.protocol.reach_m(dataset.arm)[:, 0], shape)
     gain = tension_gain(dataset, segments, places_m, dataset.local_forces_n)
-    return gain.reshape(*gain.shape[:2], -1, 4)[..., 1:3]
+    lateral = gain.reshape(*gain.shape[:2], -1, 4)[..., 1:3] * dataset.contacts[:, None, :, None]
+    flat = lateral.reshape(*gain.shape[:2], -1)
+    information = np.swapaxes(flat, 1, 2) @ flat / reading_variance_n2(dataset)
+    own = np.arange(flat.shape[2])
+    information[:, own, own] += np.repeat(~dataset.contacts, 2, axis=1)
+    covariance = np.linalg.pinv(information, hermitian=True).reshape(*shape, 2, shape[1], 2)
+    return np.stack([covariance[:, n, :, n] for n in range(shape[1])], axis=1)
 
 
 def noise_bound(dataset: Dataset, weakest_n: float = 0.0, seed: int = 0) -> NoiseBound:
     """The bound over a single-contact dataset's contacts of at least `weakest_n`."""
     dataset = dataset.select((dataset.segment > 0) & (dataset.magnitude_n >= weakest_n))
     magnitude, angle_deg = dataset.magnitude_n, dataset.angle_deg
-    covariance = force_covariance_n2(dataset)
+    covariance = force_covariance_n2(dataset)[dataset.contacts]
     theta = np.deg2rad(angle_deg)
     force = magnitude[:, None] * np.stack([np.sin(theta), np.cos(theta)], axis=-1)
     root = np.linalg.cholesky(covariance)
@@ -105,22 +106,11 @@ def noise_bound(dataset: Dataset, weakest_n: float = 0.0, seed: int = 0) -> Nois
 def multi_contact_bound_n(dataset: Dataset, weakest_n: float = 0.0) -> Array:
     """Bound (N,) on the mean absolute force error per segment, over contacts from `weakest_n`.
 
-    All contacts of a sample are unknown at once, and which segments are touched is known. A
-    magnitude's error is taken as Gaussian along its force, as it is for forces far above noise.
+    A magnitude's error is taken as Gaussian along its force, as it is for forces far above noise.
     """
-    contacts = dataset.contacts
-    gain = _gain_n_n(dataset) * contacts[:, None, :, None]
-    flat = gain.reshape(*gain.shape[:2], -1)
-    information = np.swapaxes(flat, 1, 2) @ flat / reading_variance_n2(dataset)
-    untouched = np.repeat(~contacts, 2, axis=1)
-    information[:, np.arange(flat.shape[2]), np.arange(flat.shape[2])] += untouched
-    covariance = np.linalg.pinv(information, hermitian=True)
     theta = np.deg2rad(dataset.angles_deg)
-    along = np.stack([np.sin(theta), np.cos(theta)], axis=-1)
-    counted = contacts & (dataset.magnitudes_n >= weakest_n)
-    errors = []
-    for n in range(contacts.shape[1]):
-        own = covariance[:, 2 * n : 2 * n + 2, 2 * n : 2 * n + 2]
-        std = np.sqrt(np.einsum("bi,bij,bj->b", along[:, n], own, along[:, n]))
-        errors.append(np.sqrt(2.0 / np.pi) * std[counted[:, n]].mean())
-    return np.array(errors)
+    along = np.stack([np.sin(theta), np.cos(theta)], axis=-1)[..., None]
+    variance = (along * (force_covariance_n2(dataset) @ along)).sum((-2, -1))
+    counted = dataset.contacts & (dataset.magnitudes_n >= weakest_n)
+    std_n = np.sqrt(np.where(counted, variance, np.nan))
+    return np.asarray(np.sqrt(2.0 / np.pi) * np.nanmean(std_n, axis=0))

@@ -15,8 +15,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_base.installation import config_path
 from cablesense_training.errors import ModelFileError
-from cablesense_training.evaluation.metrics import angle_difference_deg
-from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.estimator import Estimate, Estimator
 
 STANDARD_GRAVITY_M_S2 = 9.81
 """The paper's conversion: its 2 kg load counts as 19.62 N."""
@@ -43,25 +42,6 @@ class HungLoad(NamedTuple):
     tension_difference_n: Array
 
 
-class HungLoadAnswer(NamedTuple):
-    """True load against estimate.
-
-    Attributes:
-        load: the row.
-        segment: estimated; 0 is no contact.
-        angle_deg, magnitude_n: estimated.
-        angle_error_deg: estimated less down, signed.
-        magnitude_error: estimated over true weight, less 1.
-    """
-
-    load: HungLoad
-    segment: int
-    angle_deg: float
-    magnitude_n: float
-    angle_error_deg: float
-    magnitude_error: float
-
-
 def read_table2() -> list[HungLoad]:
     """The rows of Table II, physical and simulated, from the bundled file."""
     cables = [f"cable_{i + 1}_n" for i in range(CABLES)]
@@ -77,8 +57,8 @@ def read_table2() -> list[HungLoad]:
         ]
 
 
-def evaluate_table2(estimator: Estimator) -> list[HungLoadAnswer]:
-    """Answers of a model of the three-segment arm to the loads on the physical arm.
+def evaluate_table2(estimator: Estimator) -> list[tuple[HungLoad, Estimate]]:
+    """The loads on the physical arm, with what a model of the three-segment arm answers to each.
 
     Raises:
         ModelFileError: the model is for an arm of other cables.
@@ -90,10 +70,8 @@ def evaluate_table2(estimator: Estimator) -> list[HungLoadAnswer]:
             f"Table II was measured on one with {CABLES}, such as cdsm_table2"
         )
     straight = np.zeros(metadata.arm.joint_count)
-    answers = []
-    for load in (row for row in read_table2() if row.source == "physical"):
-        found = estimator.estimate(load.tension_difference_n, straight)
-        angle_error_deg = float(angle_difference_deg(found.angle_deg, DOWN_DEG))
-        error = found.magnitude_n / load.weight_n - 1.0
-        answers.append(HungLoadAnswer(load, *found[1:4], angle_error_deg, error))
-    return answers
+    return [
+        (load, estimator.estimate(load.tension_difference_n, straight))
+        for load in read_table2()
+        if load.source == "physical"
+    ]
