@@ -134,11 +134,9 @@ def joined(rows: Sequence[Parts]) -> Parts:
 
 
 class Objective(ABC, Generic[Parts]):
-    """Data and losses that a network is trained with.
+    """Data and losses that a network is trained with, and the generator of all that is drawn.
 
     Attributes:
-        training, held_out: the data.
-        generator: of all that is drawn.
         optimiser: of the trainable parameters; None where there are none.
         largest_gradient: norm to which the gradients of a step are clipped.
         held_out_share: of the rows, to choose the best epoch and to calibrate.

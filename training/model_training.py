@@ -69,13 +69,10 @@ _JUDGED_SEQUENCES = 12
 
 @dataclass(frozen=True)
 class TrainingReport:
-    """The result of a training run, with the model's errors on test data of its kind.
+    """The result of a training run: the model file, the network's name, and how it was trained.
 
     Attributes:
-        path: the model file.
-        network: its network's name.
         parameters: number of trained numbers.
-        history: losses epoch by epoch.
         errors: on test data, as plain values: of a network on samples by `single`; `multi` and
             `multi_firm`, contacts below `WEAKEST_MULTI_N` left out; or `anywhere`. Of one on
             sequences those of `SequenceMetrics`, with the numbers of sequences.
@@ -114,14 +111,8 @@ def draw_training_data(
 ) -> Dataset | Sequences:
     """Fresh samples or sequences for a network.
 
-    Args:
-        arm: the arm.
-        network: its name.
-        options: of the protocol, None standing for its default, or for what the arm bears if
-            that is less; `samples` counts sequences where the network learns from them.
-        seed: of the draw.
-        workers: processes.
-        show_progress: draw a bar.
+    `options` are those of the protocol, None standing for its default, or for what the arm bears
+    if that is less; `samples` counts sequences where the network learns from them.
 
     Raises:
         TrainingError: there is no such network.

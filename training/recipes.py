@@ -38,8 +38,7 @@ class Recipe:
     Attributes:
         learns_from: kind of the protocol of its samples, or `motion` for sequences.
         build: makes it for an arm and the number of readings averaged into a tare.
-        samples: how many samples, or sequences, to draw.
-        settings: of the training.
+        samples: how many of these, or sequences, to draw.
         drawn_on: the arm whose samples it learns from, where it is behind what undoes the rest.
     """
 

@@ -104,7 +104,7 @@ def draw_several(rng: np.random.Generator, count: int, least: int, most: int) ->
 
 
 def draw_kinds(rng: np.random.Generator, count: int, only: Sequence[str] = ()) -> list[str]:
-    """Kinds of `count` cases for `record_case`, in random order.
+    """Kinds of `count` cases for `make_case`, in random order.
 
     At least a fifth hide nothing and a fifth something that no verdict has a name for; an eighth
     hides two effects, the rest one. Effects come in turn, so that none comes twice before all
@@ -132,11 +132,18 @@ def make_case(
     second: bool = False,
     imperfect: bool = False,
 ) -> CaseRecording:
-    """Case `index` (from 1) of the set of a seed; an arm that finds no rest is drawn anew."""
+    """Case `index` (from 1, as in its name `case_001`) of the set of a seed.
+
+    `kind` is `none`, `unknown`, the name of an effect inside or outside the list, or several
+    inside it joined by `+`. An arm that finds no rest is drawn anew.
+
+    Raises:
+        PlantError: a kind that is none of those, or no arm that finds rest in every row.
+    """
     for attempt in range(_REDRAWS):
         rng = np.random.default_rng([seed, index, attempt])
         with suppress(PlantError) if attempt + 1 < _REDRAWS else nullcontext():
-            return record_case(rng, index, nominal, kind, second=second, imperfect=imperfect)
+            return _recorded(rng, index, nominal, kind, second, imperfect)
     raise AssertionError
 
 
@@ -201,24 +208,15 @@ class CaseRecording:
     reference: tuple[Schedule, Array] | None = None
 
 
-def record_case(
+def _recorded(
     rng: np.random.Generator,
     index: int,
     nominal: Nominal,
     kind: str,
-    *,
-    second: bool = False,
-    imperfect: bool = False,
+    second: bool,
+    imperfect: bool,
 ) -> CaseRecording:
-    """Draw an arm, its hidden changes and its protocol, and record it, all from one `rng`.
-
-    `index` is the number in the name, `case_001`. `kind` is `none`, `unknown`, the name of an
-    effect inside or outside the list, or several inside it joined by `+`. With `second` the same
-    arm is recorded a second time.
-
-    Raises:
-        PlantError: a kind that is none of those, or an arm that finds no rest in some row.
-    """
+    """Draw an arm, its hidden changes and its protocol, and record it, all from one `rng`."""
     draws = {**LISTED, **UNLISTED} if "+" not in kind else LISTED
     names = [] if kind == NONE else kind.split("+")
     if names == [UNKNOWN]:

@@ -95,15 +95,13 @@ class RobotCase:
     """A robot with hidden changes, and its recordings.
 
     Attributes:
-        robots, asked, seeds: of each recording, by folder: the first, `second`, and of an
-            imperfect nominal robot `reference`, before anything was hidden.
+        recorded: robot, motion asked for and seed of each recording, by folder: the first,
+            `second`, and of an imperfect nominal robot `reference`, before anything was hidden.
     """
 
     answer: RobotAnswer
     kind: RobotKind
-    robots: tuple[RealRobot, ...]
-    asked: tuple[ReferenceMotion, ...]
-    seeds: tuple[int, ...]
+    recorded: tuple[tuple[RealRobot, ReferenceMotion, int], ...]
 
 
 def withhold(
@@ -146,11 +144,7 @@ def withhold(
     answers = []
     for index, own in enumerate(sets, start=1):
         case = draw_case(kind, own, seed, index, known)
-        n = 2 if second else 1
-        recorded = replace(
-            case, robots=case.robots[:n], asked=case.asked[:n], seeds=case.seeds[:n]
-        )
-        record([recorded], folder)
+        record([replace(case, recorded=case.recorded[: 2 if second else 1])], folder)
         answers.append(case.answer)
         yield case.answer
     write_answers(answers_file, answers)
@@ -311,8 +305,9 @@ def draw_case(
         scatter_over_floor=round(scatter, 2),
         each_gap_n=" ".join(f"{gap:.2f}" for *_, gap in causes),
     )
-    seeds = tuple(int(rng.integers(2**31)) for _ in asked)
-    return RobotCase(answer, kind, (robot, robot, plain)[: len(asked)], asked, seeds)
+    seeds = [int(rng.integers(2**31)) for _ in asked]
+    recorded = zip((robot, robot, plain), asked, seeds, strict=False)
+    return RobotCase(answer, kind, tuple(recorded))
 
 
 def _imperfect(
@@ -399,16 +394,15 @@ def _size_for(
 def record(cases: list[RobotCase], folder: Path) -> None:
     """Recordings of cases of one kind, `case_001.csv.gz` …, also in `second/` and `reference/`."""
     kind = cases[0].kind
-    robots = stacked([robot for case in cases for robot in case.robots])
-    asked = stacked_references([each for case in cases for each in case.asked])
-    motion = simulate(kind, robots, asked)
+    machines, asked, seeds = zip(*(one for case in cases for one in case.recorded), strict=True)
+    robots = stacked(machines)
+    motion = simulate(kind, robots, stacked_references(asked))
     _, joints, _ = kind.nominal()
-    seeds = [seed for case in cases for seed in case.seeds]
     columns = written(kind, robots, motion, seeds)
     names = [
         folder / part / f"{case.answer.recording}.csv.gz"
         for case in cases
-        for part, _ in zip(("", "second", "reference"), case.asked, strict=False)
+        for part, _ in zip(("", "second", "reference"), case.recorded, strict=False)
     ]
     for path, each in zip(names, columns, strict=True):
         table = {"time_s": each["time_s"], "trial": each["trial"].astype(int)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -92,7 +93,7 @@ def _smooth(share: Array) -> Array:
     return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
 
 
-def stacked_references(references: list[ReferenceMotion]) -> ReferenceMotion:
+def stacked_references(references: Sequence[ReferenceMotion]) -> ReferenceMotion:
     """References of several robots, (T, B, N)."""
     return ReferenceMotion(*(np.stack(parts, 1) for parts in zip(*references, strict=True)))
 
@@ -252,7 +253,7 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
 
 
 def written(
-    kind: RobotKind, robots: RealRobot, motion: DrivenMotion, seeds: list[int]
+    kind: RobotKind, robots: RealRobot, motion: DrivenMotion, seeds: Sequence[int]
 ) -> list[dict[str, Array]]:
     """The recording of each robot: columns (T, …) by name."""
     time_s = _times_s(len(motion.motor))

@@ -185,8 +185,11 @@ def _fresh_samples(
 
 def _anywhere(path: Path, samples: int, seed: int, workers: int) -> Result:
     from cablesense_training.data.protocols import AnywhereContact
-    from cablesense_training.evaluation.anywhere import anywhere_metrics, evaluate_anywhere
-    from cablesense_training.evaluation.anywhere_baselines import commanded_profile
+    from cablesense_training.evaluation.anywhere import (
+        anywhere_metrics,
+        commanded_profile,
+        evaluate_anywhere,
+    )
     from cablesense_training.inference.anywhere import AnywhereEstimator
 
     estimator = AnywhereEstimator.load(path)

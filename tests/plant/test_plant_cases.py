@@ -18,7 +18,7 @@ from cablesense_plants.arm.unlisted import UNLISTED
 from cablesense_plants.arm.withhold import (
     draw_kinds,
     gap_n,
-    record_case,
+    make_case,
 )
 
 pytestmark = pytest.mark.slow
@@ -80,7 +80,7 @@ def test_every_change_shows_and_grows_with_its_size(name: str) -> None:
 
 def test_two_hidden_changes_are_visible_and_in_the_answer(tmp_path: Path) -> None:
     kind, nominal = "payload+sensor_gain", read_nominal(two_segments(tmp_path))
-    recorded = record_case(np.random.default_rng(4), 1, nominal, kind)
+    recorded = make_case(nominal, 4, 1, kind)
     answer = recorded.answer
     assert answer.effects == kind
     alone = [float(gap) for gap in answer.each_gap_n.split()]

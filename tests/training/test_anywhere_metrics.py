@@ -19,9 +19,10 @@ from cablesense_training.evaluation.anywhere import (
     LocatedContacts,
     anywhere_metrics,
     bound_covariance,
+    commanded_profile,
+    four_points,
     touched,
 )
-from cablesense_training.evaluation.anywhere_baselines import commanded_profile, four_points
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
 

@@ -19,6 +19,7 @@ from cablesense_training.inference.session import (
     COMMAND,
     TAUT,
     TENSION,
+    SingleRun,
     split_graph,
 )
 
@@ -133,7 +134,7 @@ def session():
 
 @pytest.fixture(scope="module")
 def single(session):
-    return session.single_run()
+    return SingleRun(session.model, CDSM, session.outputs, "cdsm")
 
 
 @pytest.fixture(scope="module")

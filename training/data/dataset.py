@@ -169,16 +169,12 @@ class Dataset(RunRows):
 
 @dataclass(frozen=True)
 class Summary:
-    """What a dataset holds.
+    """What a dataset holds: its samples by kind, and its forces.
 
     Attributes:
-        rows: number of samples.
-        contact_free: samples without contact.
-        contacts_per_segment: contacts on segment 1 … N; with several at once, each counts.
-        several_contacts: samples with more than one contact.
+        contacts_per_segment: of segment 1 … N; with several at once, each counts.
         weakest_n, strongest_n: range of the forces normal to the segments; 0 without a contact.
         most_along_n: largest force along a segment, either way.
-        slack_rows: samples with at least one slack cable.
         redrawn_rows: samples drawn again because the first draw lay beyond the arm.
     """
 

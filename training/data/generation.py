@@ -12,7 +12,6 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from cablesense_base.workers import WorkerPool
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import EffectEntry
-from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
+from cablesense_sim.equilibrium import EquilibriumError
 from cablesense_sim.replay import read_tensions_n
 from cablesense_training.data.dataset import Dataset, contact_forces_n
 from cablesense_training.data.history import (
@@ -208,6 +207,7 @@ class _Resting:
         self._mechanism = mechanism_of(arm)
         self.reach_m = protocol.reach_m(arm)
         self._listed = entries_of(arm)
+        self._varied = bool(self._listed) or protocol.randomise is not None
         self._seed = seed, chunk
         self._arms: dict[int, tuple[list[EffectEntry], LoadHistory]] = {}
 
@@ -220,56 +220,27 @@ class _Resting:
             EquilibriumError: more cases than `allowed` have none.
         """
         cases = self._protocol.cases(self.reach_m, points)
-        if not self._listed and self._protocol.randomise is None:
-            return self._without_effects(cases, allowed)
         found = np.empty((3, len(points), self._mechanism.cable_count))
-        blocks = rows // _BLOCK_SAMPLES
+        blocks, members = np.divmod(rows, _BLOCK_SAMPLES if self._varied else CHUNK_SAMPLES)
         for block in np.unique(blocks):
             own = np.flatnonzero(blocks == block)
             of_block = Cases._make(part[own] for part in cases)
-            found[:, own] = self._block(int(block), rows[own] % _BLOCK_SAMPLES, of_block, allowed)
+            found[:, own] = self._block(int(block), members[own], of_block, allowed)
             allowed -= int(np.isnan(found[0, own, 0]).sum())
         return found
-
-    def _loads(self, cases: Cases) -> tuple[Array, Array | None]:
-        """Forces (B, N, 3), and their places (B, N) if these are not the arm's contact points."""
-        command, _, angles, magnitudes, places_m, along = cases
-        forces = contact_forces_n(self._mechanism, command, angles, magnitudes, along)
-        return forces, places_m if self._protocol.anywhere else None
-
-    def _without_effects(self, cases: Cases, allowed: int) -> Array:
-        mechanism, command = self._mechanism, cases.command_rad
-        forces, places_m = self._loads(cases)
-
-        def at_rest(command: Array, forces: Array, places_m: Array | None = None) -> Array:
-            def tensions_n(rows: NDArray[np.int64]) -> Array:
-                arm = mechanism
-                if places_m is not None:
-                    arm = replace(mechanism, contact_m=places_m[rows])
-                return solve_equilibrium(arm, command[rows], forces[rows]).tensions_n
-
-            return solved_rows((len(command), mechanism.cable_count), allowed, tensions_n)
-
-        # the straight arm has one unloaded state
-        poses = command if self._protocol.pose == "random" else command[:1]
-        unloaded = np.empty((len(command), mechanism.cable_count))
-        unloaded[:] = at_rest(poses, np.zeros((len(poses), *forces.shape[1:])))
-        loaded, touched = unloaded.copy(), np.flatnonzero(cases.contacts.any(axis=1))
-        at_m = None if places_m is None else places_m[touched]
-        loaded[touched] = at_rest(command[touched], forces[touched], at_m)
-        return np.stack([loaded, unloaded, loaded])
 
     def _block(self, block: int, members: NDArray[np.int64], cases: Cases, allowed: int) -> Array:
         """Some `members` of a block, on the arm that was drawn for it or is now."""
         mechanism, randomise = self._mechanism, self._protocol.randomise
-        command, (forces, places_m) = cases.command_rad, self._loads(cases)
+        command, _, angles, magnitudes, places_m, along = cases
+        forces = contact_forces_n(mechanism, command, angles, magnitudes, along)
 
         def readings(rows: NDArray[np.int64]) -> Array:
             entries, whole = self._arms[block]
             history = whole.select(members[rows])
             commands, loads = history.commands_rad(command[rows]), history.loads_n(forces[rows])
             needed = (TARED, len(history.time_s) - 1)
-            at_m = None if places_m is None else places_m[rows]
+            at_m = places_m[rows] if self._protocol.anywhere else None
             true = tensions_along_n(
                 mechanism, entries, history.time_s, commands, loads, needed, at_m
             )
@@ -282,7 +253,11 @@ class _Resting:
         most = allowed if randomise is None else math.ceil(_MAX_FAILING_SHARE * len(members))
         rng = random_stream(ARM, *self._seed, block)
         for left in reversed(range(1 if randomise is None else _MAX_ARMS_DRAWN)):
-            history, entries = LoadHistory.drawn(_BLOCK_SAMPLES, rng), list(self._listed)
+            entries = list(self._listed)
+            if self._varied:
+                history = LoadHistory.drawn(_BLOCK_SAMPLES, rng)
+            else:
+                history = LoadHistory.plain(CHUNK_SAMPLES)
             if randomise is not None:
                 size = mechanism.segment_count, mechanism.cable_count
                 entries += drawn_entries(effect_names(randomise), *size, rng)

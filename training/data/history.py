@@ -62,6 +62,12 @@ class LoadHistory:
         peak = np.where(beyond, rng.uniform(1.0, _HIGHEST_PEAK, count), 1.0)
         return cls(np.cumsum(steps), rng.uniform(-1.0, 1.0, count), peak)
 
+    @classmethod
+    def plain(cls, count: int) -> LoadHistory:
+        """At the command and the force at once, for arms that do not depend on history."""
+        rests = len(_ON_THE_WAY) + len(_RISE) + len(_BACK)
+        return cls(np.arange(rests, dtype=float), np.ones(count), np.ones(count))
+
     def select(self, rows: NDArray[np.int64]) -> LoadHistory:
         """The same for some of the samples."""
         return LoadHistory(self.time_s, self.from_share[rows], self.peak_share[rows])

@@ -314,7 +314,9 @@ def _draw_block(
     contacts = [drawn_contacts(protocol, arm.segment_count, rng) for _ in range(count)]
     command = np.stack([motion.angle_rad for motion in motions])
     segment, angle, magnitude = (np.stack(parts) for parts in zip(*contacts, strict=True))
-    forces = _forces_n(nominal, command, segment, angle, magnitude)
+    here = segment[..., None] == np.arange(1, arm.segment_count + 1)
+    by_segment = here * angle[..., None], here * magnitude[..., None]
+    forces = contact_forces_n(nominal, command, *by_segment)
     before = drawn_before(command[:, 0], np.abs(command).max(), rng)
     if transmissions([entries]):
         true = _quasi_static_tensions_n(nominal, entries, before, command, forces, protocol.tick_s)
@@ -344,19 +346,6 @@ def _draw_block(
         angle_deg=angle,
         magnitude_n=magnitude,
     ).select(np.isfinite(true).all(axis=(1, 2)))
-
-
-def _forces_n(
-    mechanism: Mechanism,
-    command_rad: Array,
-    segment: NDArray[np.int64],
-    angle_deg: Array,
-    magnitude_n: Array,
-) -> Array:
-    """(S, T, N, 3) forces in base axes, normal to the touched segment at the set-points."""
-    here = segment[..., None] == np.arange(1, mechanism.segment_count + 1)
-    angles_deg, magnitudes_n = here * angle_deg[..., None], here * magnitude_n[..., None]
-    return contact_forces_n(mechanism, command_rad, angles_deg, magnitudes_n)
 
 
 def _tensions_in_time_n(arm: Arm, motion: CommandedMotion, forces_n: Array) -> Array:

@@ -53,11 +53,9 @@ _FIRM_N = 2.0
 
 @dataclass(frozen=True)
 class Setting:
-    """One column of the comparison; single contacts.
+    """One column of the comparison, as `cablesense evaluate --json` names it; single contacts.
 
     Attributes:
-        name: as `cablesense evaluate --json` calls it.
-        arm_name: bundled arm.
         pose: straight, or joints within ± 10 degrees: known to pose-aware models, unknown to the
             others.
         models: bundled models by the name that reports use; the first is the shipped one.

@@ -98,12 +98,10 @@ class SingleContactMetrics:
     """Metrics over a test set, contact-free samples included.
 
     Attributes:
-        samples: number of samples.
         contact_accuracy: share of all samples with the right class, no contact being one.
         macro_f1: equation (14) over the classes.
         confusion: rows are true classes (none, segment 1 … N), columns answered ones.
-        errors: over all samples with a contact.
-        bins: the same by force.
+        errors, bins: over all samples with a contact, and by force.
     """
 
     samples: int

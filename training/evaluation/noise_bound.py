@@ -28,12 +28,7 @@ _DRAWS = 64
 
 @dataclass(frozen=True)
 class NoiseBound:
-    """Errors of an efficient unbiased estimator over a set of contacts.
-
-    Attributes:
-        contacts: number of contacts.
-        magnitude_mae_n, magnitude_rmse_n, direction_mae_deg: its errors.
-    """
+    """Errors of an efficient unbiased estimator over a number of contacts."""
 
     contacts: int
     magnitude_mae_n: float

@@ -23,6 +23,7 @@ from cablesense_training.inference.session import (
     SPEED,
     TENSION,
     OpenedModel,
+    SingleRun,
 )
 
 if TYPE_CHECKING:
@@ -158,14 +159,13 @@ def finite_table(values: ArrayLike, columns: int, what: str, rows: int | None = 
 
 
 class ContactEstimator(OpenedModel):
-    """The common base of estimators: checks inputs, and that answers are finite."""
+    """The common base of estimators: an `EstimateError` refuses inputs that do not fit the model.
+
+    The same refuses answers that are not finite.
+    """
 
     def answers(self, inputs: dict[str, Array], names: Sequence[str] | None = None) -> list[Array]:
-        """The model's outputs, those of these `names` where some are asked for.
-
-        Raises:
-            EstimateError: an answer is not finite.
-        """
+        """The model's outputs, those of these `names` where some are asked for."""
         outputs = self.run(inputs, names)
         if not all(np.isfinite(output).all() for output in outputs):
             raise EstimateError(_NO_ANSWER)
@@ -203,7 +203,7 @@ class Estimator(ContactEstimator):
 
     def __init__(self, path: str | Path, arm: Arm | None = None) -> None:
         super().__init__(path, arm)
-        self._single = self.single_run()
+        self._single = SingleRun(self.model, self.metadata.arm, self.outputs, self._source)
         self._command = b""
 
     def estimate(
@@ -212,9 +212,6 @@ class Estimator(ContactEstimator):
         """The contact behind tension differences (M,) at commanded joint angles (2N,).
 
         The part of the graph that depends on the command alone runs when the command changes.
-
-        Raises:
-            EstimateError: see its docstring.
         """
         estimate = self._of_one(self._outputs(tension_difference_n, joint_command_rad))
         if not math.isfinite(sum(estimate.probabilities.tolist()) + sum(estimate[2:8])):
@@ -246,11 +243,7 @@ class Estimator(ContactEstimator):
     def estimate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> Estimates:
-        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,).
-
-        Raises:
-            EstimateError: see its docstring.
-        """
+        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,)."""
         return Estimates.of_outputs(self._batch(tension_differences_n, joint_commands_rad))
 
     def _set_command(self, joint_command_rad: ArrayLike | None) -> None:
@@ -306,11 +299,7 @@ class SequenceEstimator(ContactEstimator, ABC):
         return self._answer(inputs, time_s)
 
     def estimate_sequences(self, sequences: Sequences) -> Estimates:
-        """Estimates (S, T) of sequences, the tare being that of the first tick of each.
-
-        Raises:
-            EstimateError: an answer is not finite.
-        """
+        """Estimates (S, T) of sequences, the tare being that of the first tick of each."""
         tick_s, found = sequences.protocol.tick_s, []
         for number in range(len(sequences)):
             self.forget()
@@ -348,9 +337,5 @@ class MultiEstimator(ContactEstimator):
     def estimate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> MultiEstimates:
-        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,).
-
-        Raises:
-            EstimateError: wrong shape, not finite, or a command that is missing.
-        """
+        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,)."""
         return MultiEstimates(*self._batch(tension_differences_n, joint_commands_rad))

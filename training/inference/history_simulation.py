@@ -214,7 +214,7 @@ class HistorySimulation:
         self._now = time_s, command_rad, unloaded_n + self._unexplained_n + difference_n
         load = self._explanation()
         self._look_for_hidden(load)
-        forces = self._forces_n(load)
+        forces = self._forces_n(load.segment, np.tile(load.force_n, (4, 1)))
         arms, plain = self._arms.branched(), self._plain.branched()
         read = arms.readings_n(time_s, command_rad, forces)[0]
         read_plain = plain.readings_n(time_s, command_rad, forces[:1])[0]
@@ -328,17 +328,21 @@ class HistorySimulation:
 
     def _tried(self, load: _Load) -> Array:
         """Readings (4, M) of a load, of a little more along y and along z, and of no load."""
+        each_n = load.force_n + _PROBE_N * np.array([[0, 0], [1, 0], [0, 1], [0, 0]])
+        each_n[3] = 0.0
+        return self._read_n(load.segment, each_n)
+
+    def _read_n(self, segment: int, each_n: Array) -> Array:
+        """(4, M) readings of the present sample under each of four forces (4, 2) on a segment."""
         time_s, command_rad, _ = self._now
-        return self._arms.branched().readings_n(
-            time_s, command_rad, self._forces_n(load, _PROBE_N)
-        )
+        forces = self._forces_n(segment, each_n)
+        return self._arms.branched().readings_n(time_s, command_rad, forces)
 
     def _look_for_hidden(self, load: _Load) -> None:
         """Adapt the largest changes of a load at which readings are still explained.
 
         Without a load, one segment after another is examined, sample by sample.
         """
-        time_s, command_rad, _ = self._now
         limit = load.misfit + _HIDDEN * max(1.0, load.misfit / self._arm.cable_count)
         self._asked = load.segment or self._asked % self._arm.segment_count + 1
         along = np.array([1.0, 0.0])
@@ -348,10 +352,7 @@ class HistorySimulation:
         ways = np.array([along, -along, across, -across])
         for _ in range(_WIDENED):
             width_n = self._hidden_n[self._asked - 1]
-            forces = np.zeros((4, self._arm.segment_count, 3))
-            each = load.force_n + width_n[:, None] * ways
-            forces[:, self._asked - 1] = each @ self._axes[self._asked - 1].T
-            read = self._arms.branched().readings_n(time_s, command_rad, forces)
+            read = self._read_n(self._asked, load.force_n + width_n[:, None] * ways)
             unseen = np.array([self._misfit(each) <= limit for each in read])
             self._hidden_n[self._asked - 1] = np.clip(
                 np.where(unseen, 2.0, 0.5) * width_n, _LEAST_HIDDEN_N, _MOST_HIDDEN_N
@@ -361,16 +362,11 @@ class HistorySimulation:
         off = (self._now[2] - reading_n) / self._noise_n
         return float(off @ off) if np.isfinite(off).all() else np.inf
 
-    def _forces_n(self, load: _Load, probe_n: float = 0.0) -> Array:
-        """(4, N, 3) in base axes; with a probe, those of `_tried`."""
+    def _forces_n(self, segment: int, each_n: Array) -> Array:
+        """(4, N, 3) in base axes, of forces (4, 2) along y and z of a segment; 0 is none."""
         forces = np.zeros((4, self._arm.segment_count, 3))
-        if load.segment:
-            each = np.repeat(load.force_n[None], 4, axis=0)
-            if probe_n:
-                each[1, 0] += probe_n
-                each[2, 1] += probe_n
-                each[3] = 0.0
-            forces[:, load.segment - 1] = each @ self._axes[load.segment - 1].T
+        if segment:
+            forces[:, segment - 1] = each_n @ self._axes[segment - 1].T
         return forces
 
 

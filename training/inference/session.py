@@ -131,14 +131,6 @@ class OpenedModel:
                 raise _cannot_run(self._source, error) from error
         return [np.concatenate(answers) for answers in zip(*parts, strict=True)]
 
-    def single_run(self) -> SingleRun:
-        """The model as it answers for one sample at a time.
-
-        Raises:
-            ModelFileError: it answers for two samples, but its parts cannot for one.
-        """
-        return SingleRun(self.model, self.metadata.arm, self.outputs, self._source)
-
     def _require_answers(self) -> None:
         """A file that opens may still not run or take other inputs; two idle arms show it."""
         arm, segments = self.metadata.arm, self.metadata.arm.segment_count
@@ -268,6 +260,8 @@ _Bound = tuple[onnxruntime.InferenceSession, onnxruntime.IOBinding]
 class SingleRun:
     """A model bound to buffers of one sample; not for use from several threads at once.
 
+    A `ModelFileError` says where ONNX Runtime cannot run a part of it.
+
     Attributes:
         tension_difference_n: (M,) to be filled in before `run`.
         outputs: the model's outputs without the samples' axis, overwritten by `run`.
@@ -307,11 +301,7 @@ class SingleRun:
         return session, binding
 
     def set_command(self, joint_command_rad: Array) -> None:
-        """Take over what the graph makes of commanded angles (1, 2N) alone.
-
-        Raises:
-            ModelFileError: ONNX Runtime cannot run the model.
-        """
+        """Take over what the graph makes of commanded angles (1, 2N) alone."""
         self._buffers[COMMAND][:] = joint_command_rad
         self._run(self._steady)
         self._taut = b""
@@ -320,9 +310,6 @@ class SingleRun:
         """Answer for `tension_difference_n` at the command last set, into `outputs`.
 
         The answer stands if the cables found taut are those that the held part was computed for.
-
-        Raises:
-            ModelFileError: ONNX Runtime cannot run the model.
         """
         self._run(self._moving)
         if self._held is None:
