@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -71,11 +72,8 @@ class SequenceSamples(NamedTuple):
     def of(cls, network: TemporalNetwork, sequences: Sequences) -> SequenceSamples:
         """The samples, for a network whose statics are those of the sequences' arm."""
         ticks = Ticks(*map(torch.as_tensor, sequences.inputs))
-        target = SingleContactTarget(
-            torch.as_tensor(sequences.segment),
-            torch.as_tensor(sequences.angle_deg),
-            torch.as_tensor(sequences.magnitude_n),
-        )
+        truth_of = sequences.segment, sequences.angle_deg, sequences.magnitude_n
+        target = SingleContactTarget(*map(torch.as_tensor, truth_of))
         flat = each(ticks, lambda part: part.flatten(0, 1))
         truth = each(target, torch.Tensor.flatten)
         parts = []
@@ -88,33 +86,28 @@ class SequenceSamples(NamedTuple):
                 force = direction_of(angle_deg) * magnitude_n[:, None]
                 force = force.where((segment > 0)[:, None], 0.0)
                 true = (force[:, None].to(levers.dtype) @ levers)[:, 0]
-                parts.append((balance.commanded_m, balance.torque_n_m, true))
-        lengths_m, torque_n_m, true_torque_n_m = (
+                parts.append((balance.torque_n_m, true))
+        torque_n_m, true_torque_n_m = (
             torch.cat(part).unflatten(0, target.segment.shape) for part in zip(*parts, strict=True)
         )
-        past = _past(network, sequences, lengths_m, ticks.joint_command_rad)
-        return cls(ticks, torque_n_m, past, true_torque_n_m, target)
+        return cls(ticks, torque_n_m, _past(network, sequences), true_torque_n_m, target)
 
 
-def _past(
-    network: TemporalNetwork, sequences: Sequences, lengths_m: Tensor, set_points_rad: Tensor
-) -> Tensor:
+@torch.no_grad()
+def _past(network: TemporalNetwork, sequences: Sequences) -> Tensor:
     """(S, T, size) along the ticks; the commands before them count, and the tare at the first."""
-    before = torch.as_tensor(sequences.before_rad)
-    drawn = network.drawn
-    now = lengths_m.new_zeros(len(lengths_m), drawn.past.size)
-    still = torch.zeros_like(lengths_m[:, 0])
-    with torch.no_grad():
-        for tick in range(before.shape[1]):
-            pose = network.balance(Ticks(still, before[:, tick], before[:, tick], before[:, tick]))
-            now = drawn.follow(now, pose.commanded_m, before[:, tick])
-    past: list[Tensor] = []
-    for tick in range(lengths_m.shape[1]):
-        now = drawn.follow(now, lengths_m[:, tick], set_points_rad[:, tick])
-        if not past:
+    set_points = sequences.before_rad, sequences.joint_command_rad
+    path, first = torch.as_tensor(np.concatenate(set_points, axis=1)), set_points[0].shape[1]
+    kinematics, drawn = network.closed_form.kinematics, network.drawn
+    each_m = [kinematics(rows).length_m for rows in path.flatten(0, 1).split(ROWS_AT_ONCE)]
+    lengths_m = torch.cat(each_m).unflatten(0, path.shape[:2])
+    now, past = path.new_zeros(len(path), drawn.past.size), []
+    for tick in range(path.shape[1]):
+        now = drawn.follow(now, lengths_m[:, tick], path[:, tick])
+        if tick == first:
             now = drawn.past.tared(now)
         past.append(now)
-    return torch.stack(past, dim=1)
+    return torch.stack(past[first:], dim=1)
 
 
 def fit_sequences(

@@ -147,18 +147,12 @@ def train_model(
     on_epoch: OnEpoch | None = None,
     on_trained: Callable[[ContactNetwork | TemporalNetwork], None] = lambda _: None,
 ) -> TrainingReport:
-    """Train a network and write the model file; nothing is written when anything fails.
+    """Train the network of a name and write the model file; on any failure nothing is written.
 
-    Args:
-        path: of the file.
-        network: name of the network.
-        data: what to train on; its arm is the model's arm.
-        settings: how to train; the seed also fixes the initial weights.
-        command: what makes the file again, kept in it.
-        test_samples: size of the test set, drawn afresh by the data's own protocol; None means
-            `TEST_SAMPLES`, or `TEST_SHARE_OF_SEQUENCES`.
-        on_epoch: called after every epoch.
-        on_trained: called with the trained network, which it may change, before that is tested.
+    The data's arm is the model's; the settings' seed also fixes the initial weights. The file
+    keeps the `command` that makes it again. `on_trained` may change the trained network before
+    that is tested, on data drawn afresh by the data's own protocol: `test_samples` of them, by
+    default `TEST_SAMPLES`, or `TEST_SHARE_OF_SEQUENCES`.
 
     Raises:
         TrainingError: unknown network, data or settings that do not fit it, a place that cannot

@@ -82,11 +82,7 @@ def generate(
 
 
 def draw_dataset(arm: Arm, protocol: Protocol, seed: int = 0, *, workers: int = 1) -> Dataset:
-    """The dataset that arm, protocol and seed determine, in memory.
-
-    Raises:
-        DatasetError: as `generate`.
-    """
+    """The dataset that arm, protocol and seed determine, in memory; errors as of `generate`."""
     return Dataset.concatenate(list(generate(arm, protocol, seed, workers=workers)))
 
 
@@ -150,9 +146,6 @@ def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Datas
     A sample's reading is one sensor reading of the loaded arm at rest. Its tare is the mean of
     `tare_samples` readings of the unloaded arm at rest under the same command. With effects, both
     come at the end of a separate `LoadHistory`.
-
-    Raises:
-        DatasetError: the protocol does not fit the arm.
     """
     rows = chunk_sizes(protocol.samples)[chunk]
     count = arm.segment_count
@@ -215,9 +208,6 @@ class _Resting:
         """(3, B, M): loaded and unloaded readings, true loaded tensions; NaN without equilibrium.
 
         `points` (B, dimensions) lie in the unit cube, `rows` (B,) are theirs in the chunk.
-
-        Raises:
-            EquilibriumError: more cases than `allowed` have none.
         """
         cases = self._protocol.cases(self.reach_m, points)
         found = np.empty((3, len(points), self._mechanism.cable_count))

@@ -84,11 +84,7 @@ def _columns(arm: Arm, protocol: Protocol) -> list[_Column]:
 
 
 def read_dataset(path: str | Path, arm: Arm | None = None) -> Dataset:
-    """The dataset in a Parquet file that `write_dataset` or `cablesense dataset` wrote.
-
-    Args:
-        path: the file.
-        arm: the arm that the samples must come from; None takes any.
+    """The dataset in a file of `write_dataset` or `cablesense dataset`; `arm` must be its arm.
 
     Raises:
         DatasetError: not such a file, cut short, of another arm than `arm`, a column missing or
@@ -277,11 +273,7 @@ def _written(
     seed: int,
     command: str,
 ) -> Iterator[Dataset]:
-    """Write the parts of one run, a row group each, and hand them on; on any failure no file.
-
-    Raises:
-        DatasetError: the file cannot be written. Errors of `groups` pass through.
-    """
+    """Write the parts of one run, a row group each, and hand them on; on any failure no file."""
     columns = _columns(arm, protocol)
     metadata = {
         "format": _FORMAT,

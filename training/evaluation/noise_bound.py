@@ -42,9 +42,6 @@ def tension_gain(
     """(B, M, 4K) tensions by (f_x, f_y, f_z, place) of K contacts, as `contact_response` has them.
 
     Those of slack cables are zero.
-
-    Raises:
-        EquilibriumError: the arm has no rest under one of the samples' contacts.
     """
     nominal = mechanism_of(dataset.arm)
     mechanism = amended(nominal, entries_of(dataset.arm))

@@ -148,9 +148,7 @@ _NOTHING = _Load(0, np.zeros(2))
 class HistorySimulation:
     """An arm that is simulated along with the real one, and the effect of history on readings.
 
-    Args:
-        arm: the arm with its known effects.
-        tare_samples: readings averaged into a tare.
+    Tares are means of `tare_samples` readings of the arm, whose effects are known.
     """
 
     def __init__(self, arm: Arm, tare_samples: int) -> None:
@@ -174,11 +172,7 @@ class HistorySimulation:
         self._unexplained_n = self._history_n = np.zeros(self._arm.cable_count)
 
     def unloaded(self, time_s: float, command_rad: Array) -> None:
-        """The arm is untouched at a command (2N,); differences are relative to its readings.
-
-        Raises:
-            EquilibriumError: the arm has no rest there.
-        """
+        """The arm is untouched at a command (2N,); differences are relative to its readings."""
         self.tare()
         none = np.zeros((4, self._arm.segment_count, 3))
         bias = self._arms.readings_n(time_s, command_rad, none)[0]
@@ -259,11 +253,7 @@ class HistorySimulation:
         return float(along), float(across)
 
     def _predicted_n(self, command_rad: Array) -> Array:
-        """(M,) unloaded tensions at rest at a command, which differences are relative to.
-
-        Raises:
-            EquilibriumError: the arm has no rest there.
-        """
+        """(M,) unloaded tensions at rest at a command, which differences are relative to."""
         if not np.array_equal(command_rad, self._predicted_at_rad):
             held_m = held_lengths_m(mechanism_of(self._arm), command_rad)
             found = solve_equilibrium(self._mechanism, command_rad, held_m=held_m)

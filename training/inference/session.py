@@ -116,11 +116,7 @@ class OpenedModel:
     def run(
         self, inputs: Mapping[str, Array], outputs: Sequence[str] | None = None
     ) -> list[Array]:
-        """The model's `outputs` for the inputs that `input_widths` names, each (B, width).
-
-        Raises:
-            ModelFileError: ONNX Runtime cannot run the model.
-        """
+        """The model's `outputs` for the inputs that `input_widths` names, each (B, width)."""
         parts = []
         for start in range(0, len(inputs[TENSION]), _ROWS_AT_ONCE):
             rows = slice(start, start + _ROWS_AT_ONCE)

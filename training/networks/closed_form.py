@@ -34,18 +34,18 @@ from cablesense_sim.mechanism import Mechanism
 from cablesense_training.networks.compact import CompactKinematics, CompactPose
 from cablesense_training.networks.layers import one_hot_of_argmax
 
-SLACK_WEIGHT = 1e-3
+_SLACK_WEIGHT = 1e-3
 """Variance of a slack cable's tension over that of a taut one's reading."""
 
-POSE_SLACK_WEIGHT = 1e-5
+_POSE_SLACK_WEIGHT = 1e-5
 """Weight of a slack cable's length in the fit of the pose, over that of a taut one. It lacks up to
 100 N, a thousand standard deviations, and must not bend the pose, but holds it where few are taut.
 """
 
-NUDGE_N = 1e-6
+_NUDGE_N = 1e-6
 """Added to forces to keep them off zero, so that they always have a direction."""
 
-LOG_PRIOR = -2.0 * math.log(200.0)
+_LOG_PRIOR = -2.0 * math.log(200.0)
 """Of a contact: uniform over the disc of forces up to 200 N, but for pi."""
 
 _MOST_POSE_CORRECTIONS = 4
@@ -125,7 +125,7 @@ class Candidates(NamedTuple):
         """
         c = self.covariance_n2
         determinant = c[..., 0, 0] * c[..., 1, 1] - c[..., 0, 1] * c[..., 1, 0]
-        occam = 0.5 * torch.log(determinant) + math.log(2.0) + LOG_PRIOR
+        occam = 0.5 * torch.log(determinant) + math.log(2.0) + _LOG_PRIOR
         return 0.5 * trust * self.explained + occam
 
     def likeliest(self, evidence: Tensor) -> Likeliest:
@@ -212,20 +212,24 @@ class ClosedForm(nn.Module):
     def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Balance:
         """The balance; the arm stands where the stretches of its taut cables say."""
         commanded = self.kinematics(joint_command_rad)
-        unloaded_n, unbalanced = self.unloaded(joint_command_rad, commanded)
-        tension = self.as_tensions(tension_difference_n) + unloaded_n
+        unloaded_n, unbalanced = self._unloaded(joint_command_rad, commanded)
+        if self.unread is not None:
+            tension_difference_n = tension_difference_n @ self.unread
+        tension = tension_difference_n + unloaded_n
         taut = (tension > self.slack_below_n).to(tension.dtype)
         tension = tension * taut
         stretch = tension - self._at_command_n(joint_command_rad, commanded)
         missing = stretch = stretch * self.compliance_m_n
-        weight = weights(taut, POSE_SLACK_WEIGHT)
+        weight = _weights(taut, _POSE_SLACK_WEIGHT)
         angles, pose = joint_command_rad, commanded
         for _ in range(self.pose_corrections):
             pull = pose.jacobian_t_m @ (weight * missing)[..., None]
-            angles = angles + (gram_inverse(pose.jacobian_t_m, weight) @ pull)[..., 0]
+            angles = angles + (_gram_inverse(pose.jacobian_t_m, weight) @ pull)[..., 0]
             pose = self.kinematics(angles)
-            missing = missing_of(stretch - (pose.length_m - commanded.length_m), taut)
-        gram = gram_inverse(pose.jacobian_t_m, weights(taut, SLACK_WEIGHT))
+            missing = stretch - (pose.length_m - commanded.length_m)
+            # a slack cable may be longer than the pose needs
+            missing = taut * missing + (1.0 - taut) * missing.clamp(max=0.0)
+        gram = _gram_inverse(pose.jacobian_t_m, _weights(taut, _SLACK_WEIGHT))
         torque = (pose.jacobian_t_m @ tension[..., None])[..., 0]
         torque = torque - self.kinematics.weight_n_m(pose) - unbalanced
         return Balance(
@@ -239,13 +243,7 @@ class ClosedForm(nn.Module):
             commanded.length_m,
         )
 
-    def as_tensions(self, tension_difference_n: Tensor) -> Tensor:
-        """Differences (B, M) of the tensions behind differences as read."""
-        if self.unread is None:
-            return tension_difference_n
-        return tension_difference_n @ self.unread
-
-    def unloaded(self, angles: Tensor, commanded: CompactPose) -> tuple[Tensor, Tensor]:
+    def _unloaded(self, angles: Tensor, commanded: CompactPose) -> tuple[Tensor, Tensor]:
         """Tensions (B, M) under the arm's own weight, and the torque (B, 2N) left unbalanced.
 
         Cables are assumed taut. The torque is that at the pose where the unloaded arm is assumed
@@ -256,7 +254,7 @@ class ClosedForm(nn.Module):
         pose, taken, at_angles = commanded, commanded, 0.0 * angles
         for _ in range(max(1, self.pose_corrections)):
             excess = self._unbalanced(pose, tension, angles)
-            turn = gram_inverse(pose.jacobian_t_m, stiffness) @ excess[..., None]
+            turn = _gram_inverse(pose.jacobian_t_m, stiffness) @ excess[..., None]
             angles = angles - turn[..., 0]
             pose = self.kinematics(angles)
             stretched = pose.length_m - commanded.length_m
@@ -297,22 +295,17 @@ class ClosedForm(nn.Module):
         pull = (weighted @ torque).reshape(-1, n, 2, 1)
         information = weighted.reshape(-1, n, 2, 2 * n) @ lever.transpose(-1, -2)
         covariance = inverse(information)
-        force = covariance @ pull + NUDGE_N
+        force = covariance @ pull + _NUDGE_N
         explained = (force * (information @ force)).sum((2, 3))
         return Candidates(force[..., 0], covariance, explained)
 
 
-def weights(taut: Tensor, slack: float) -> Tensor:
+def _weights(taut: Tensor, slack: float) -> Tensor:
     """One for taut cables, and that of `slack` for slack ones."""
     return taut * (1.0 - slack) + slack
 
 
-def missing_of(residual_m: Tensor, taut: Tensor) -> Tensor:
-    """Residuals (B, M) of cable lengths; a slack cable may be longer than the pose needs."""
-    return taut * residual_m + (1.0 - taut) * residual_m.clamp(max=0.0)
-
-
-def gram_inverse(jacobian_t: Tensor, weight: Tensor) -> Tensor:
+def _gram_inverse(jacobian_t: Tensor, weight: Tensor) -> Tensor:
     """Inverse (B, 2N, 2N) of J' W J, with weights (B, M)."""
     return inverse((jacobian_t * weight[:, None]) @ jacobian_t.transpose(1, 2))
 

@@ -39,13 +39,10 @@ def statics(
     pose_corrections: int | None = None,
     unexplained_n2: float | None = None,
 ) -> ClosedForm:
-    """The closed form of an arm.
+    """The closed form of an arm whose tare is the mean of `tare_samples` readings.
 
-    Args:
-        arm: the arm.
-        tare_samples: readings averaged into a tare.
-        pose_corrections: by default as many as the arm calls for.
-        unexplained_n2: what no statics carries, N²; by default what the arm's effects make of it.
+    By default it has as many `pose_corrections` as the arm calls for, and `unexplained_n2` is the
+    variance that the arm's effects add and no statics carries, N².
     """
     nominal = mechanism_of(arm)
     mechanism = amended(nominal, entries_of(arm))
