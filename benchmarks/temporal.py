@@ -27,7 +27,6 @@ from cablesense_training.data.sequences import MotionProtocol, Sequences, draw_s
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
     SequenceMetrics,
-    sequence_estimates,
     sequence_metrics,
 )
 from cablesense_training.inference.estimator import Estimates, SequenceEstimator
@@ -108,7 +107,7 @@ def _arm(case: SequenceCase, protocol: MotionProtocol, workers: int) -> dict[str
     metrics: dict[str, Any] = {}
     for name, model in case.estimators.items():
         estimator = open_estimator(find_model(model))
-        found = sequence_estimates(estimator, sequences)
+        found = estimator.estimate_sequences(sequences)
         answer = ContactAnswer.of(found)
         metrics[name] = _plain(sequence_metrics(answer, sequences))
         metrics[name]["intervals95"] = _intervals(found, sequences)
@@ -118,7 +117,7 @@ def _arm(case: SequenceCase, protocol: MotionProtocol, workers: int) -> dict[str
             part = _plain(sequence_metrics(told, sequences.select(followed)))
             metrics[f"{name}, where it ran before the arm moved"] = part
         if long is not None:
-            told = ContactAnswer.of(sequence_estimates(estimator, long))
+            told = ContactAnswer.of(estimator.estimate_sequences(long))
             metrics[name] |= _along(long, _force_error_n(told, long))
         metrics[name]["trained by"] = estimator.metadata.command
     return {

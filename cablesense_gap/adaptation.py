@@ -51,9 +51,9 @@ from cablesense_training.model_training import (
     draw_training_data,
     train_model,
 )
-from cablesense_training.networks.anywhere import AnywhereStatics
 from cablesense_training.networks.corrected import CorrectedClosedForm
 from cablesense_training.networks.layers import ContactNetwork
+from cablesense_training.networks.statics import AnywhereStatics
 from cablesense_training.networks.temporal import TemporalNetwork
 from cablesense_training.recipes import recipe_for
 

@@ -23,9 +23,9 @@ from cablesense_training.inference.metadata import ModelMetadata
 from cablesense_training.inference.model_file import store_as_single
 from cablesense_training.inference.session import INTERVAL, TAUT, input_widths
 from cablesense_training.inference.temporal_estimator import TEMPORAL_OUTPUTS
-from cablesense_training.networks.anywhere import AnywhereStatics
 from cablesense_training.networks.corrected import CorrectedClosedForm
 from cablesense_training.networks.layers import ContactNetwork
+from cablesense_training.networks.statics import AnywhereStatics
 from cablesense_training.networks.temporal import TemporalNetwork, Ticks
 
 OPSET = 20
@@ -79,7 +79,7 @@ class _Answers(nn.Module):
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
         network = self.network
         if isinstance(network, AnywhereStatics):
-            return tuple(network(*inputs))
+            return tuple(network(*inputs)[: len(self.outputs)])
         if network.several:
             logits, *forces = network(*inputs)
             return torch.sigmoid(logits), *forces

@@ -15,7 +15,7 @@ from torch import Tensor
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.errors import TrainingError
 from cablesense_training.fit import ROWS_AT_ONCE, FitHistory, require_fitting, torch_threads
-from cablesense_training.networks.anywhere import AnywhereStatics, ContactBalance
+from cablesense_training.networks.statics import AnywhereStatics
 
 _CALIBRATED_AT = 0.95
 """The share of samples whose misfit is made that of noise."""
@@ -53,7 +53,8 @@ def misfits(network: AnywhereStatics, dataset: Dataset) -> Tensor:
         given = rows.tension_difference_n, rows.command_rad, rows.local_forces_n, rows.places_m
         difference, command, force, place = map(torch.as_tensor, given)
         balance = network(difference, command)
-        torque = balance.torque_n_m - torques_by_contacts(balance, force, place)
+        lever = balance.by_force_m + place[..., None, None] * balance.by_place
+        torque = balance.torque_n_m - (lever * force[..., None]).sum((1, 2))
         chi_square = torch.einsum("bi,bij,bj->b", torque, balance.precision, torque)
         least_lever = 1.0 / torch.linalg.eigvalsh(balance.precision)[:, -1]
         parts.append(torch.stack([chi_square, least_lever, balance.taut.sum(1)]))
@@ -67,9 +68,3 @@ def misfits(network: AnywhereStatics, dataset: Dataset) -> Tensor:
             "are too few to train on; give more samples, or weaker contacts"
         )
     return left
-
-
-def torques_by_contacts(balance: ContactBalance, force_n: Tensor, place_m: Tensor) -> Tensor:
-    """Torques (B, 2N) of contacts: forces (B, N, 3) in the segments' axes, places (B, N)."""
-    lever = balance.by_force_m + place_m[..., None, None] * balance.by_place
-    return (lever * force_n[..., None]).sum((1, 2))

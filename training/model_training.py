@@ -30,7 +30,6 @@ from cablesense_training.evaluation.metrics import (
     ContactTruth,
     multi_contact_metrics,
     plain_values,
-    sequence_estimates,
     sequence_metrics,
 )
 from cablesense_training.export import export_model
@@ -38,12 +37,7 @@ from cablesense_training.fit import ROWS_AT_ONCE, FitHistory, FitSettings, OnEpo
 from cablesense_training.fit_anywhere import fit_anywhere
 from cablesense_training.fit_sequences import fit_sequences
 from cablesense_training.inference.anywhere import AnywhereEstimator
-from cablesense_training.inference.estimator import (
-    NORMAL_95,
-    Estimates,
-    Estimator,
-    MultiEstimator,
-)
+from cablesense_training.inference.estimator import NORMAL_95, Estimates, Estimator, MultiEstimator
 from cablesense_training.inference.history_simulation import HistorySimulation
 from cablesense_training.inference.metadata import (
     ANYWHERE,
@@ -52,9 +46,9 @@ from cablesense_training.inference.metadata import (
     effect_versions,
 )
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
-from cablesense_training.networks.anywhere import AnywhereStatics
 from cablesense_training.networks.corrected import CorrectedClosedForm
 from cablesense_training.networks.layers import ContactNetwork
+from cablesense_training.networks.statics import AnywhereStatics
 from cablesense_training.networks.temporal import TemporalNetwork
 from cablesense_training.recipes import build_network, recipe_for
 
@@ -186,7 +180,7 @@ def train_model(
         count = test_samples or max(1, round(TEST_SHARE_OF_SEQUENCES * data.protocol.sequences))
         motion = replace(data.protocol, sequences=count)
         test = draw_sequences(data.arm, motion, test_seed, workers=os.cpu_count() or 1)
-        answer = ContactAnswer.of(sequence_estimates(TemporalEstimator.load(path), test))
+        answer = ContactAnswer.of(TemporalEstimator.load(path).estimate_sequences(test))
         errors = {"sequences": len(data), "test_sequences": len(test)}
         errors |= asdict(sequence_metrics(answer, test))
     else:

@@ -13,7 +13,6 @@ from cablesense_training.errors import TrainingError
 from cablesense_training.fit import FitSettings
 from cablesense_training.inference.history_simulation import without_history
 from cablesense_training.inference.metadata import HISTORY_SIMULATED
-from cablesense_training.networks.anywhere import AnywhereStatics
 from cablesense_training.networks.corrected import (
     CorrectedClosedForm,
     MultiContactClosedForm,
@@ -28,6 +27,7 @@ from cablesense_training.networks.learnt import (
     TwoStageMultiContactNetwork,
     TwoStageNetwork,
 )
+from cablesense_training.networks.statics import AnywhereStatics
 from cablesense_training.networks.temporal import TemporalNetwork
 
 

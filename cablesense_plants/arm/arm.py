@@ -283,13 +283,7 @@ class RealArm:
                 "cables' stiffness"
             )
         share = np.repeat(np.minimum(_MARGIN * borne[: len(peaks)], 1.0), ends - starts)
-        load_n = np.round(share[:, None] * schedule.load_n, 3) + 0.0
-        loaded = (load_n != 0.0).any(axis=1)
-        return schedule._replace(
-            load_n=load_n,
-            load_segment=np.where(loaded, schedule.load_segment, 0),
-            load_at_m=np.where(loaded, schedule.load_at_m, np.nan),
-        )
+        return schedule.loaded_by(np.round(share[:, None] * schedule.load_n, 3) + 0.0)
 
     def held_m(self, command_rad: Array) -> Array:
         """(R, M) cable paid out by commands (R, 2N) as drawn, minus that of the straight arm."""

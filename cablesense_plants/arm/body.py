@@ -111,23 +111,15 @@ def _nominal(text: Any) -> Nominal:
             raise ValueError(f"{given} is not one number, nor {count}, one for each segment")
         return np.broadcast_to(values, count)
 
-    numbers = {
-        name: float(part[name])
-        for part, names in (
-            (segments, ("plate_offset_m",)),
-            (cables, ("pretension_n", "run_m")),
-            (sensors, ("rate_hz", "noise_std_n", "step_n")),
-        )
-        for name in names
-    }
+    offset_m, run_m = float(segments["plate_offset_m"]), float(cables["run_m"])
     length_m = by_segment(segments["length_m"])
     if (stiffness_n_m := cables.get("stiffness_n_m")) is None:
-        before_m = np.cumsum(length_m) - length_m + 2.0 * numbers["plate_offset_m"]
-        alone_m_n = (numbers["run_m"] + before_m[segment]) / float(cables["axial_rigidity_n"])
+        before_m = np.cumsum(length_m) - length_m + 2.0 * offset_m
+        alone_m_n = (run_m + before_m[segment]) / float(cables["axial_rigidity_n"])
         stiffness_n_m = 1.0 / (alone_m_n + 1.0 / float(text["actuators"]["kp_n_m"]))
     reach_m = (text.get("touch") or {}).get("reach_m")
     if reach_m is None:
-        reach_m = np.stack([np.full(count, numbers["plate_offset_m"]), length_m], axis=1)
+        reach_m = np.stack([np.full(count, offset_m), length_m], axis=1)
     return Nominal(
         gravity_m_s2=np.array(text["gravity_m_s2"], dtype=float).reshape(3),
         segment_count=count,
@@ -139,7 +131,10 @@ def _nominal(text: Any) -> Nominal:
         radius_m=by_segment(cables["routing_radius_m"])[segment],
         hole_angle_rad=np.deg2rad(angles.astype(float)),
         stiffness_n_m=np.broadcast_to(np.asarray(stiffness_n_m, dtype=float), segment.shape),
-        **numbers,
+        plate_offset_m=offset_m,
+        run_m=run_m,
+        pretension_n=float(cables["pretension_n"]),
+        **{name: float(sensors[name]) for name in ("rate_hz", "noise_std_n", "step_n")},
     )
 
 

@@ -100,12 +100,12 @@ def base_tilt(draw: ArmDraw) -> ArmChange:
     x, y = sign * float(axis[0]), sign * float(axis[1])
 
     def tilted(gravity: Array, size: float) -> Array:
-        return np.asarray(_rotation(size, np.array((x, y, 0.0))).inv().apply(gravity))
+        return np.asarray(rotation(size, np.array((x, y, 0.0))).inv().apply(gravity))
 
     return ArmChange(sets("body", gravity_m_s2=tilted), form, details={"about_x": x, "about_y": y})
 
 
-def _rotation(size_deg: float, axis: Array) -> Any:
+def rotation(size_deg: float, axis: Array) -> Any:
     """Turns about axes (..., 3)."""
     from scipy.spatial.transform import Rotation
 
@@ -217,7 +217,7 @@ def load_cell(draw: ArmDraw) -> ArmChange:
     axis = axis / np.linalg.norm(axis)
 
     def wrong_axes(arm: RealArm, size: float) -> RealArm:
-        turn = _rotation(size, axis).as_matrix()
+        turn = rotation(size, axis).as_matrix()
         return replace(arm, load_turn=(1.0 + size * per_deg) * turn @ arm.load_turn)
 
     return ArmChange(wrong_axes, form, details={"scale_per_deg": per_deg}, least=0.3, most=25.0)

@@ -42,6 +42,15 @@ class Schedule(NamedTuple):
     load_n: Array
     load_at_m: Array
 
+    def loaded_by(self, load_n: Array) -> Schedule:
+        """The same with other loads (R, 3), without segment and place where there is none."""
+        loaded = (load_n != 0.0).any(axis=1)
+        return self._replace(
+            load_segment=np.where(loaded, self.load_segment, 0),
+            load_n=load_n,
+            load_at_m=np.where(loaded, self.load_at_m, np.nan),
+        )
+
     @property
     def forces_n(self) -> Array:
         """(R, N, 3) the load as one force per segment."""
@@ -135,10 +144,10 @@ def _schedule(nominal: Nominal, trials: list[_Trial], places_m: Array | None = N
         time_s=1.0 / _ROWS_HZ * np.arange(sum(rows), dtype=float),
         trial=np.repeat(np.arange(len(rows)), rows),
         command_rad=np.round(np.concatenate(commands), 6) + 0.0,
-        load_segment=np.where((load != 0.0).any(axis=1), np.repeat(segments, rows), 0),
+        load_segment=np.repeat(segments, rows),
         load_n=load,
-        load_at_m=_where_loaded(load, np.repeat(places_m, rows)),
-    )
+        load_at_m=np.repeat(places_m, rows),
+    ).loaded_by(load)
     return done if nominal.rate_hz == _ROWS_HZ else _sampled(done, nominal.rate_hz)
 
 
@@ -158,20 +167,14 @@ def _sampled(done: Schedule, rate_hz: float) -> Schedule:
         return np.asarray(np.round(straight, places) + 0.0)
 
     load = between(done.load_n, 3)
-    segment = np.maximum(done.load_segment[before], done.load_segment[after])
-    at_m = np.fmax(done.load_at_m[before], done.load_at_m[after])
     return Schedule(
         time_s=time_s,
         trial=done.trial[np.where(share[:, 0] > 0.0, after, before)],
         command_rad=between(done.command_rad, 6),
-        load_segment=np.where((load != 0.0).any(axis=1), segment, 0),
+        load_segment=np.maximum(done.load_segment[before], done.load_segment[after]),
         load_n=load,
-        load_at_m=_where_loaded(load, at_m),
-    )
-
-
-def _where_loaded(load_n: Array, at_m: Array) -> Array:
-    return np.where((load_n != 0.0).any(axis=1), at_m, np.nan)
+        load_at_m=np.fmax(done.load_at_m[before], done.load_at_m[after]),
+    ).loaded_by(load)
 
 
 def _sweep(angles: int, rng: np.random.Generator) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_plants.arm.arm import Dropouts, RealArm
 from cablesense_plants.arm.body import Body, CableContact, TipSpring
-from cablesense_plants.arm.listed import ArmChange, ArmDraw, marked, sized
+from cablesense_plants.arm.listed import ArmChange, ArmDraw, marked, rotation, sized
 from cablesense_plants.cases import UNKNOWN, Draws, added, scaled, sets
 
 _DRAWS = Draws(UNKNOWN)
@@ -122,9 +122,7 @@ def skewed_axes(draw: ArmDraw) -> ArmChange:
     axes[chosen] = directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
     def turned(_old: Array, size_deg: float) -> Array:
-        from scipy.spatial.transform import Rotation
-
-        return np.asarray(Rotation.from_rotvec(np.deg2rad(size_deg) * axes).as_matrix())
+        return np.asarray(rotation(size_deg, axes).as_matrix())
 
     return ArmChange(sets("body", skew=turned))
 

@@ -234,7 +234,7 @@ def _recorded(
         change = UNLISTED[str(name)](ArmDraw(rng, nominal))
         lacked_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(_LACKED))))
         plain_arm = change.apply(plain_arm, size_for(change, plain_arm, lacked_n, *done))
-    changes = []
+    changes: list[tuple[ArmChange, float, float]] = []
     for name in sorted(names):
         for _ in range(_CHANGE_REDRAWS):
             change = draws[name](ArmDraw(rng, nominal))
@@ -243,30 +243,29 @@ def _recorded(
             wanted_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(bounds))))
             size = size_for(change, plain_arm, wanted_n, *done)
             least_n = _VISIBLE_FLOORS * nominal.floor_n if plain else _WANTED_SHARE * wanted_n
-            if _alone_n(change, size, plain_arm, *done) >= least_n:
+            alone_n = _alone_n(change, size, plain_arm, *done)
+            if alone_n >= least_n:
                 break
-        changes.append((change, size))
+        changes.append((change, size, alone_n))
     noise_rng = np.random.default_rng(int(rng.integers(2**63)))
     arm = plain_arm
-    for change, size in changes:
+    for change, size, _ in changes:
         arm = change.apply(arm, size)
     signals, plain_n = arm.signals_n(*done), plain_arm.signals_n(*done)
     gap = gap_n(signals, plain_n)
-    each = [gap]
-    if len(changes) > 1:
-        each = [_alone_n(change, size, plain_arm, *done) for change, size in changes]
+    each = [alone_n for *_, alone_n in changes] if len(changes) > 1 else [gap]
     sizes = [
         {"effect": change.effect, "size": float(f"{size:.6g}"), "unit": change.unit}
         | {key: float(f"{value:.6g}") for key, value in change.details.items()}
-        for change, size in changes
+        for change, size, _ in changes
     ]
-    found = {tuple(place.split("_")) for change, _ in changes for place in change.where}
+    found = {tuple(place.split("_")) for change, *_ in changes for place in change.where}
     places = sorted((kind, int(number)) for kind, number in found)
     answer = ArmAnswer(
         recording=f"case_{index:03d}",
-        effects="+".join(sorted(change.effect for change, _ in changes)) or NONE,
+        effects="+".join(sorted(change.effect for change, *_ in changes)) or NONE,
         where=" ".join(f"{kind}_{number}" for kind, number in places),
-        form=" + ".join(change.form for change, _ in changes),
+        form=" + ".join(change.form for change, *_ in changes),
         sizes=json.dumps(sizes),
         gap_n=gap,
         gap_over_floor=gap / nominal.floor_n,

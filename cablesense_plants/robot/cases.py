@@ -128,7 +128,6 @@ def withhold(
     kind, known = usual_kind(path, model), pools(commands=False)
     rng = np.random.default_rng([seed])
     sets = _sets(rng, count, known)
-    sets = [sets[k] for k in rng.permutation(count)]
     if only:
         unlisted = in_turn(rng, list(known[1]))
         names = [each.split("+") for each in only]
@@ -184,23 +183,23 @@ def drawn(
     rng = np.random.default_rng([seed])
     known = pools(commands=commands)
     sets, kinds = _sets(rng, count, known), in_turn(rng, list(KINDS))
-    order = rng.permutation(count)
     return [
-        draw_case(KINDS[next(kinds)], sets[at], seed, index + 1, known, imperfect=imperfect)
-        for index, at in enumerate(order)
+        draw_case(KINDS[next(kinds)], own, seed, index, known, imperfect=imperfect)
+        for index, own in enumerate(sets, start=1)
     ]
 
 
 def _sets(
     rng: np.random.Generator, count: int, known: Sequence[Mapping[str, Drawing]]
 ) -> list[list[str]]:
-    """Names of the causes of each case: none, unlisted ones, several, and one."""
+    """Names of each case's causes, in random order: none, unlisted ones, several, and one."""
     listed, unlisted = (in_turn(rng, list(pool)) for pool in known)
     none, unknown = round(_NONE_SHARE * count), round(_UNKNOWN_SHARE * count)
     several = round(_SEVERAL_SHARE * count)
     sets: list[list[str]] = [[]] * none + [[next(unlisted)] for _ in range(unknown)]
     sets += [different(listed, 2 + int(rng.random() < 0.4)) for _ in range(several)]
-    return sets + [[next(listed)] for _ in range(count - len(sets))]
+    sets += [[next(listed)] for _ in range(count - len(sets))]
+    return [sets[k] for k in rng.permutation(count)]
 
 
 def with_play(count: int, seed: int) -> list[RobotCase]:

@@ -79,14 +79,14 @@ class _ChainPose:
         frames, origins = [turned[..., 0, :, :]], [chain.origin_m[..., 0, :]]
         origins[0] = np.broadcast_to(origins[0], (*angle.shape[:-1], 3))
         for n in range(1, angle.shape[-1]):
-            offset = _times(frames[-1], chain.origin_m[..., n, :])
+            offset = times(frames[-1], chain.origin_m[..., n, :])
             origins.append(origins[-1] + offset)
             frames.append(frames[-1] @ turned[..., n, :, :])
         frame = np.stack(frames, -3)
         self.origin_m = np.stack(origins, -2)
         self.offset_m = np.diff(self.origin_m, axis=-2, prepend=self.origin_m[..., :1, :])
-        self.axis = _times(frame, chain.axis)
-        self.arm_m = _times(frame, chain.centre_m)
+        self.axis = times(frame, chain.axis)
+        self.arm_m = times(frame, chain.centre_m)
         self.centre_m = self.origin_m + self.arm_m
         self.inertia = frame @ chain.inertia_kg_m2 @ np.swapaxes(frame, -1, -2)
         self.mass_kg = chain.mass_kg
@@ -103,8 +103,8 @@ class _ChainPose:
         centre = hinge + _cross(spin_up, self.arm_m)
         centre += _cross(turning, _cross(turning, self.arm_m))
         force = self.mass_kg[..., None] * (centre - gravity_m_s2[..., None, :])
-        momentum = _times(self.inertia, turning)
-        moment = _times(self.inertia, spin_up) + _cross(turning, momentum)
+        momentum = times(self.inertia, turning)
+        moment = times(self.inertia, spin_up) + _cross(turning, momentum)
         moment += _cross(self.centre_m, force)
         forces, moments = _from_tip(force), _from_tip(moment)
         return np.asarray((self.axis * (moments - _cross(self.origin_m, forces))).sum(-1))
@@ -119,7 +119,7 @@ class _ChainPose:
         about = np.cumsum(about[..., ::-1, :, :], -3)[..., ::-1, :, :]
         drift = _cross(self.origin_m, self.axis)  # of the point at the base's origin
         force = mass * drift + _cross(self.axis, moment)
-        spin = _times(about, self.axis) + _cross(moment, drift)
+        spin = times(about, self.axis) + _cross(moment, drift)
         upper = np.triu(self.axis @ np.swapaxes(spin, -1, -2) + drift @ np.swapaxes(force, -1, -2))
         return np.asarray(upper + np.swapaxes(np.triu(upper, 1), -1, -2))
 
@@ -188,8 +188,9 @@ def _rotations(axis: Array, angle: Array) -> Array:
     return cos * np.eye(3) + sin * skew + (1.0 - cos) * axis[..., :, None] * axis[..., None, :]
 
 
-def _times(matrix: Array, vector: Array) -> Array:
-    return (matrix * vector[..., None, :]).sum(-1)
+def times(matrix: Array, vector: Array) -> Array:
+    """Products (..., k) of many small matrices (..., k, n) with vectors (..., n)."""
+    return np.asarray((matrix * vector[..., None, :]).sum(-1))
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -10,6 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from cablesense_base import Array
 from cablesense_plants.cases import PlantError
+from cablesense_plants.robot.chain import times
 from cablesense_plants.robot.guides import Rubbing, pulls_n
 from cablesense_plants.robot.robots import RealRobot, RobotKind, stacked
 
@@ -180,7 +181,7 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
     if kind.servos:  # zero and scale are the camera's
         gain, zero = np.ones_like(gain), np.zeros_like(zero)
     count = asked.angle.shape[1]
-    home = _times(robots.moved, (asked.angle[0] - zero) / gain)
+    home = times(robots.moved, (asked.angle[0] - zero) / gain)
     angle = np.concatenate([np.zeros((count, 1)), home], 1)
     speed = np.zeros_like(angle)
     chain = robots.on_base()
@@ -197,12 +198,12 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
     kept = np.empty((5, *asked.angle.shape))
     steps = _STEPS_OF_PLAY if loose.any() else 1
     step_s = STEP_S / steps
-    rotor, rotor_speed = _times(back, angle[:, 1:]), np.zeros_like(home)
+    rotor, rotor_speed = times(back, angle[:, 1:]), np.zeros_like(home)
 
     def motors(
         angle: Array, speed: Array, rotor: Array, rotor_speed: Array
     ) -> tuple[Array, Array]:
-        rigid = _times(back, angle[:, 1:]), _times(back, speed[:, 1:])
+        rigid = times(back, angle[:, 1:]), times(back, speed[:, 1:])
         return np.where(loose, rotor, rigid[0]), np.where(loose, rotor_speed, rigid[1])
 
     def acceleration(
@@ -215,7 +216,7 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
         free = np.where(loose, torque - passed, 0.0) / np.where(loose, robots.armature, 1.0)
         torque = np.where(loose, passed, torque)
         base = -robots.base_stiffness[:, 0] * angle[:, 0] - base_damping * speed[:, 0]
-        joint = _times(np.swapaxes(back, 1, 2), torque) - robots.spring_n_m(angle[:, 1:])
+        joint = times(np.swapaxes(back, 1, 2), torque) - robots.spring_n_m(angle[:, 1:])
         whole = np.concatenate([base[:, None], joint], 1)
         return chain.accelerations(angle, speed, whole, extra), free
 
@@ -295,10 +296,6 @@ def _lagged(signal: Array, time_s: float) -> Array:
     share = 1.0 - np.exp(-STEP_S / time_s)
     start = (1.0 - share) * signal[:1]
     return np.asarray(lfilter([share], [1.0, share - 1.0], signal, axis=0, zi=start)[0])
-
-
-def _times(matrix: Array, vector: Array) -> Array:
-    return np.asarray((matrix * vector[..., None, :]).sum(-1))
 
 
 def _times_s(steps: int, stride: int = 1) -> Array:

@@ -15,7 +15,7 @@ from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
-from cablesense_training.networks.anywhere import AnywhereStatics
+from cablesense_training.networks.statics import AnywhereStatics
 
 TARE_SAMPLES = 50
 LARGEST_N = {"cdsm": 150.0, "cdsm_lab": 40.0}

@@ -116,7 +116,7 @@ def test_what_sensors_make_of_tensions_is_undone():
     zero = np.zeros_like(tension.numpy())
     pretension_n = CDSM.cables.pretension_n
     read = [
-        sensed_along_n(entries_of(arm), np.zeros(1), (pretension_n + each)[None])[0]
+        sensed_along_n(entries_of(arm), np.zeros(1), (pretension_n + each)[:, None])[:, 0]
         for each in (tension.numpy(), zero)
     ]
     with torch.no_grad():

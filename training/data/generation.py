@@ -234,8 +234,8 @@ class _Resting:
             true = tensions_along_n(
                 mechanism, entries, history.time_s, commands, loads, needed, at_m
             )
-            sensed = sensed_along_n(entries, history.time_s, true)
-            return np.stack([sensed[-1], sensed[TARED], true[-1]])
+            sensed = sensed_along_n(entries, history.time_s, true.swapaxes(0, 1))
+            return np.stack([sensed[:, -1], sensed[:, TARED], true[-1]])
 
         shape = (3, len(command), mechanism.cable_count)
         if block in self._arms:

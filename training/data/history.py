@@ -146,8 +146,7 @@ def tensions_along_n(
 
 
 def sensed_along_n(entries: list[EffectEntry], time_s: Array, tensions_n: Array) -> Array:
-    """Readings of tensions (R, B, M) at times (R,), with the sensors' effects."""
-    readings_n = tensions_n.swapaxes(0, 1)
-    for sensing in sensings([entries] * tensions_n.shape[1]):
-        readings_n = sensing.along(time_s, readings_n)
-    return readings_n.swapaxes(0, 1)
+    """Readings of tensions (B, R, M) at times (R,), with the sensors' effects."""
+    for sensing in sensings([entries] * len(tensions_n)):
+        tensions_n = sensing.along(time_s, tensions_n)
+    return tensions_n

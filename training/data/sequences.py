@@ -324,7 +324,7 @@ def _draw_block(
         moved = zip(motions, forces, strict=True)
         true = np.stack([_tensions_in_time_n(arm, motion, loads) for motion, loads in moved])
     time_s = np.arange(protocol.ticks, dtype=float) * protocol.tick_s
-    sensed = sensed_along_n(entries, time_s, true.swapaxes(0, 1)).swapaxes(0, 1)
+    sensed = sensed_along_n(entries, time_s, true)
     reading, tare = sensed, sensed[:, :1]
     if protocol.noise:
         reading = read_tensions_n(sensed, arm.sensors, rng)

@@ -118,7 +118,6 @@ class SettingEvaluation(NamedTuple):
         firm_ratio: magnitude MAE of the shipped model over that of the bound, contacts above 2 N.
     """
 
-    setting: str
     models: dict[str, SingleContactMetrics]
     bound: NoiseBound
     firm_ratio: float
@@ -172,7 +171,6 @@ def evaluate_setting(setting: Setting, dataset: Dataset) -> SettingEvaluation:
     known = dataset.select(firm)
     shipped = evaluate_answer(evaluations[SHIPPED].answer.select(firm), known).metrics
     return SettingEvaluation(
-        setting=setting.name,
         models={name: evaluation.metrics for name, evaluation in evaluations.items()},
         bound=noise_bound(dataset),
         firm_ratio=shipped.errors.magnitude_mae_n / noise_bound(known).magnitude_mae_n,

@@ -15,12 +15,7 @@ from pydantic_core import from_json, to_json
 
 from cablesense_base import Array
 from cablesense_training.data.sequences import Sequences
-from cablesense_training.inference.estimator import (
-    NORMAL_95,
-    Estimates,
-    Estimator,
-    SequenceEstimator,
-)
+from cablesense_training.inference.estimator import NORMAL_95
 
 Integers = NDArray[np.int64]
 
@@ -233,18 +228,6 @@ class SequenceMetrics:
     false_force_n: float
     false_force_moving_n: float
     false_force_rest_n: float
-
-
-def sequence_estimates(
-    estimator: Estimator | SequenceEstimator, sequences: Sequences
-) -> Estimates:
-    """Estimates (S, T), or (S · T,) of a memoryless estimator, which receives every set-point."""
-    if isinstance(estimator, SequenceEstimator):
-        return estimator.estimate_sequences(sequences)
-    return estimator.estimate_batch(
-        sequences.tension_difference_n.reshape(-1, sequences.arm.cable_count),
-        sequences.joint_command_rad.reshape(-1, sequences.arm.joint_count),
-    )
 
 
 def sequence_metrics(answer: ContactAnswer, sequences: Sequences) -> SequenceMetrics:

@@ -1,6 +1,6 @@
 """A model of contacts anywhere: the balance of torques from the graph, then its posterior.
 
-The graph makes a `TorqueBalance` of tensions (`networks.anywhere`); the posterior of place and
+The graph makes a `TorqueBalance` of tensions (`networks.statics`); the posterior of place and
 force within the arm's reach follows from it (`cablesense_sim.contact_location`).
 """
 

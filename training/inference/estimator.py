@@ -204,7 +204,7 @@ class Estimator(ContactEstimator):
     def __init__(self, path: str | Path, arm: Arm | None = None) -> None:
         super().__init__(path, arm)
         self._single = SingleRun(self.model, self.metadata.arm, self.outputs, self._source)
-        self._command = b""
+        self._command = np.zeros(0)
 
     def estimate(
         self, tension_difference_n: ArrayLike, joint_command_rad: ArrayLike | None = None
@@ -246,18 +246,19 @@ class Estimator(ContactEstimator):
         """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,)."""
         return Estimates.of_outputs(self._batch(tension_differences_n, joint_commands_rad))
 
+    def estimate_sequences(self, sequences: Sequences) -> Estimates:
+        """Estimates (S · T,) of sequences, each tick by itself at its set-point."""
+        tension_n, command_rad, *_ = sequences.inputs
+        flat_n = tension_n.reshape(-1, tension_n.shape[-1])
+        return self.estimate_batch(flat_n, command_rad.reshape(len(flat_n), -1))
+
     def _set_command(self, joint_command_rad: ArrayLike | None) -> None:
         """Compute what depends on the command alone, if it is not the one before."""
-        if (
-            isinstance(joint_command_rad, np.ndarray)
-            and joint_command_rad.dtype == np.float64
-            and joint_command_rad.tobytes() == self._command
-        ):
-            return
-        command = self._commands(joint_command_rad, 1)
-        self._command = b""
-        self._single.set_command(command)
-        self._command = command.tobytes()
+        if joint_command_rad is None or not np.array_equal(self._command, joint_command_rad):
+            command = self._commands(joint_command_rad, 1)
+            self._command = np.zeros(0)  # none, should this fail
+            self._single.set_command(command)
+            self._command = command[0].copy()
 
 
 class SequenceEstimator(ContactEstimator, ABC):

@@ -126,12 +126,9 @@ class ModelMetadata(BaseModel):
     misfit_limit: MisfitLimit | None = None
 
     def to_properties(self) -> dict[str, str]:
-        """As ONNX metadata properties; without memory, what describes it is left out."""
-        left_out = {"misfit_limit"}
-        if not self.memory:
-            left_out |= {"memory", "hidden", "tick_s", "joint_speed_deg_s"}
-        if not self.effect_versions:
-            left_out.add("effect_versions")
+        """As ONNX metadata properties, without those of a memory that the model does not have."""
+        of_some = ("memory", "hidden", "tick_s", "joint_speed_deg_s", "effect_versions")
+        left_out = {"misfit_limit", *(name for name in of_some if not getattr(self, name))}
         # JSON has no infinity: pydantic writes a rigid actuator's stiffness as null
         content = json.loads(self.model_dump_json(exclude=left_out))
         properties = {_KEY: json.dumps(content, sort_keys=True, allow_nan=False)}

@@ -82,8 +82,8 @@ class Balance(NamedTuple):
             the axes of the segment at the commanded angles.
         by_place: (B, N, 3, 2N) their derivative by the place on the segment.
         by_twist: (B, N, 2N) torques of unit moments about the axes of the segments.
-        missing_m: (B, M) stretch by the readings, less that by the pose; zero for a slack cable,
-            unless it would be taut in the pose.
+        residual: (B, M) readings minus the tensions of the pose, in standard deviations; zero for
+            a slack cable, unless it would be taut in the pose.
         taut: (B, M) one for taut cables, zero for slack ones.
         tension_n: (B, M) tensions that the torques were made of.
         jacobian_t_m: (B, 2N, M) torques that one newton in each cable makes.
@@ -95,7 +95,7 @@ class Balance(NamedTuple):
     by_force_m: Tensor
     by_place: Tensor
     by_twist: Tensor
-    missing_m: Tensor
+    residual: Tensor
     taut: Tensor
     tension_n: Tensor
     jacobian_t_m: Tensor
@@ -229,17 +229,22 @@ class ClosedForm(nn.Module):
             missing = stretch - (pose.length_m - commanded.length_m)
             # a slack cable may be longer than the pose needs
             missing = taut * missing + (1.0 - taut) * missing.clamp(max=0.0)
-        gram = _gram_inverse(pose.jacobian_t_m, _weights(taut, _SLACK_WEIGHT))
-        torque = (pose.jacobian_t_m @ tension[..., None])[..., 0]
+        jacobian, variance_n2 = pose.jacobian_t_m, self.reading_variance_n2
+        gram = _gram_inverse(jacobian, _weights(taut, _SLACK_WEIGHT))
+        torque = (jacobian @ tension[..., None])[..., 0]
         torque = torque - self.kinematics.weight_n_m(pose) - unbalanced
+        precision = gram * (1.0 / variance_n2)
+        # variance of a cable's tension in the pose, over that of a reading
+        leverage = variance_n2 * (jacobian * (precision @ jacobian)).sum(1)
+        known_n = torch.sqrt(variance_n2 * (1.0 + (1.0 - taut) * leverage))
         return Balance(
             self._sprung(torque, angles),
-            gram * (1.0 / self.reading_variance_n2),
+            precision,
             *self.kinematics.levers(pose, commanded.frames),
-            missing,
+            missing / (self.compliance_m_n * known_n),
             taut,
             tension,
-            pose.jacobian_t_m,
+            jacobian,
             commanded.length_m,
         )
 
@@ -314,8 +319,7 @@ def inverse(matrix: Tensor) -> Tensor:
     """Inverse of square matrices (..., k, k), in PyTorch and in an exported graph."""
     if torch.onnx.is_in_onnx_export():
         # ONNX itself has no inverse; ONNX Runtime does, as an operator of its own.
-        inverted: Tensor = torch.onnx.ops.symbolic(
+        return torch.onnx.ops.symbolic(
             "com.microsoft::Inverse", (matrix,), dtype=matrix.dtype, shape=matrix.shape, version=1
         )
-        return inverted
     return torch.linalg.inv(matrix)

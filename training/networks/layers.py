@@ -67,8 +67,8 @@ class StatedSpread(nn.Module):
     """Common to every head for stated standard deviations.
 
     Attributes:
-        factor: (outputs,) set after training such that 95 % of held-out errors lie within 1.96
-            standard deviations.
+        factor: (outputs,) in which they are counted; set after training such that 95 % of held-out
+            errors lie within 1.96 standard deviations.
     """
 
     factor: Tensor
@@ -98,13 +98,11 @@ class Standardiser(nn.Module):
 
     def forward(self, values: Tensor) -> Tensor:
         """Standardised rows (B, columns)."""
-        scaled: Tensor = (values - self.mean) / self.std
-        return scaled
+        return (values - self.mean) / self.std
 
     def undo(self, values: Tensor) -> Tensor:
         """Rows in physical units from standardised ones."""
-        physical: Tensor = values * self.std + self.mean
-        return physical
+        return values * self.std + self.mean
 
 
 class ContactNetwork(nn.Module, ABC):

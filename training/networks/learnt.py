@@ -41,21 +41,17 @@ class Spread(StatedSpread):
     forces uncertain as its inverse.
     """
 
-    unit: Tensor
-
     def __init__(self, features: int, outputs: int, width: int = 48) -> None:
         super().__init__(outputs)
         self.hidden = perceptron(features + 1, (width, width))
         self.log_std = nn.Linear(width, outputs)
-        self.register_buffer("unit", torch.ones(outputs))
 
     def forward(self, features: Tensor, tension_difference_n: Tensor) -> Tensor:
         """Standard deviations (B, outputs) from features (B, F) and tension differences (B, M)."""
         length = torch.log(tension_norm_n(tension_difference_n))
         hidden = self.hidden(torch.cat([features.detach(), length], dim=-1))
         log_std = self.log_std(hidden).clamp(-9.0, 6.0)
-        std: Tensor = torch.exp(log_std) * self.unit * self.factor
-        return std
+        return torch.exp(log_std) * self.factor
 
 
 _Answer = tuple[Tensor, Tensor | None, Tensor, Tensor]
@@ -86,7 +82,8 @@ class LearntNetwork(ContactNetwork):
         self.tension.adapt(tension_difference_n)
         self.magnitude.adapt(magnitude_n.reshape(len(magnitude_n), -1))
         unit = self.magnitude.std
-        self.spread.unit.copy_(unit if self.several else torch.cat([unit, unit.new_tensor([10])]))
+        units = unit if self.several else torch.cat([unit, unit.new_tensor([10])])
+        self.spread.factor.copy_(units)
 
     @abstractmethod
     def _answer(self, tension_difference_n: Tensor) -> _Answer:
@@ -111,14 +108,17 @@ class TwoStageNetwork(LearntNetwork):
     the network's own verdict, so stage two learns from the mistakes of stage one.
     """
 
+    usual_contact_widths: ClassVar[Sequence[int]] = (128, 128)
+
     def __init__(
         self,
         cable_count: int,
         segment_count: int,
-        contact_widths: Sequence[int] = (128, 128),
+        contact_widths: Sequence[int] = (),
         widths: Sequence[int] = (192, 192, 192),
     ) -> None:
         super().__init__(cable_count, segment_count, widths[-1])
+        contact_widths = contact_widths or self.usual_contact_widths
         classes = segment_count if self.several else segment_count + 1
         self.contact_trunk = perceptron(cable_count, contact_widths)
         self.contact_head = nn.Linear(contact_widths[-1], classes)
@@ -139,15 +139,7 @@ class TwoStageMultiContactNetwork(TwoStageNetwork):
     """The same for several contacts: a sigmoid per segment; no directions."""
 
     several: ClassVar[bool] = True
-
-    def __init__(
-        self,
-        cable_count: int,
-        segment_count: int,
-        contact_widths: Sequence[int] = (192, 192),
-        widths: Sequence[int] = (192, 192, 192),
-    ) -> None:
-        super().__init__(cable_count, segment_count, contact_widths, widths)
+    usual_contact_widths: ClassVar[Sequence[int]] = (192, 192)
 
 
 class DecoupledNetwork(LearntNetwork):
@@ -178,9 +170,10 @@ class DecoupledNetwork(LearntNetwork):
 class SharedBackboneNetwork(LearntNetwork):
     """Contact, direction and magnitude are linear in the same hidden features."""
 
-    def __init__(
-        self, cable_count: int, segment_count: int, widths: Sequence[int] = (192, 192, 192)
-    ) -> None:
+    usual_widths: ClassVar[Sequence[int]] = (192, 192, 192)
+
+    def __init__(self, cable_count: int, segment_count: int, widths: Sequence[int] = ()) -> None:
+        widths = widths or self.usual_widths
         super().__init__(cable_count, segment_count, widths[-1])
         self.trunk = self._trunk(cable_count, widths)
         self.contact_head = nn.Linear(widths[-1], segment_count + 1)
@@ -221,10 +214,7 @@ class ScaleAwareNetwork(SharedBackboneNetwork):
     trunk of gated layers; the magnitude's head answers the logarithm of F / |ΔT|.
     """
 
-    def __init__(
-        self, cable_count: int, segment_count: int, widths: Sequence[int] = (208, 208, 208)
-    ) -> None:
-        super().__init__(cable_count, segment_count, widths)
+    usual_widths: ClassVar[Sequence[int]] = (208, 208, 208)
 
     def _trunk(self, cable_count: int, widths: Sequence[int]) -> nn.Module:
         sizes = pairwise([2 * cable_count + 1, *widths])

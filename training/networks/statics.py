@@ -24,7 +24,7 @@ from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.history import sensed_along_n
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.networks.closed_form import Balance, ClosedForm, pose_corrections_for
-from cablesense_training.networks.layers import ContactNetwork
+from cablesense_training.networks.layers import ContactNetwork, StatedSpread
 
 _JUDGED_SAMPLES, _BORNE_BENT = 256, 0.5
 """How many contacts spread is judged on, and up to which share of what the straight arm bears."""
@@ -86,10 +86,26 @@ class StaticsNetwork(ContactNetwork):
     def balance(self, tension_difference_n: Tensor, joint_command_rad: Tensor | None) -> Balance:
         """Statics of tension differences (B, M) at joint commands (B, 2N)."""
         assert joint_command_rad is not None
-        found: Balance = self.closed_form(
-            tension_difference_n.double(), joint_command_rad.double()
-        )
-        return found
+        return self.closed_form(tension_difference_n.double(), joint_command_rad.double())
+
+
+class AnywhereStatics(StaticsNetwork):
+    """Statics of contacts anywhere: nothing is learnt but a factor of the stated deviations.
+
+    The posterior of place and force follows outside the graph (`inference.anywhere`).
+    """
+
+    def __init__(self, closed_form: ClosedForm) -> None:
+        super().__init__(closed_form)
+        self.spread = StatedSpread(1)
+        self.double()
+
+    def forward(
+        self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
+    ) -> Balance:
+        """See the base class; the commanded angles are needed."""
+        found = self.balance(tension_difference_n, joint_command_rad)
+        return found._replace(precision=found.precision * self.spread.factor**-2)
 
 
 def unexplained_variance_n2(arm: Arm) -> float:
@@ -121,6 +137,6 @@ def unreading(arm: Arm) -> Array | None:
     """
     count = arm.cable_count
     tensions_n = arm.cables.pretension_n + np.vstack([np.zeros(count), np.eye(count)])
-    nothing, *each = sensed_along_n(entries_of(arm), np.zeros(1), tensions_n[None])[0]
+    nothing, *each = sensed_along_n(entries_of(arm), np.zeros(1), tensions_n[:, None])[:, 0]
     gains = np.array(each) - nothing
     return None if np.allclose(gains, np.eye(count)) else np.linalg.inv(gains)

@@ -54,7 +54,7 @@ class DrawnCables:
     """Follows set-points.
 
     Attributes:
-        past: layout of what is known of them, a `TemporalState` without its recurrent part.
+        past: layout of the known part of them, a `TemporalState` without its recurrent part.
         seen_size: of what `seen` gives.
     """
 
@@ -240,10 +240,9 @@ class TemporalNetwork(nn.Module):
 
     def balance(self, ticks: Ticks) -> Balance:
         """Statics at the set-points of flat ticks, in float64."""
-        found: Balance = self.closed_form(
+        return self.closed_form(
             ticks.tension_difference_n.double(), ticks.joint_command_rad.double()
         )
-        return found
 
     def encode(self, torque_n_m: Tensor, past: Tensor, ticks: Ticks) -> Tensor:
         """(…, hidden) of torques (…, 2N), the past (…, size) of commands, and ticks alike."""
@@ -253,8 +252,7 @@ class TemporalNetwork(nn.Module):
             self.tension(ticks.tension_difference_n),
             self.course(torch.cat(ticks[1:], dim=-1)),
         ]
-        encoded: Tensor = self.encoder(torch.cat(seen, dim=-1))
-        return encoded
+        return self.encoder(torch.cat(seen, dim=-1))
 
     def remember(self, encoded: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
         """States (S, T, hidden) along T ticks from a state (S, hidden), and the last of them."""
@@ -271,8 +269,7 @@ class TemporalNetwork(nn.Module):
         reset = torch.sigmoid(reset_in + reset_kept)
         update = torch.sigmoid(update_in + update_kept)
         new = torch.tanh(new_in + reset * new_kept)
-        following: Tensor = (1.0 - update) * new + update * state
-        return following
+        return (1.0 - update) * new + update * state
 
     def answer(
         self, balance: Balance, encoded: Tensor, states: Tensor, speed_rad_s: Tensor
