@@ -75,15 +75,15 @@ def force_covariance_n2(dataset: Dataset) -> Array:
     return np.stack([covariance[:, n, :, n] for n in range(shape[1])], axis=1)
 
 
-def noise_bound(dataset: Dataset, weakest_n: float = 0.0, seed: int = 0) -> NoiseBound:
-    """The bound over a single-contact dataset's contacts of at least `weakest_n`."""
-    dataset = dataset.select((dataset.segment > 0) & (dataset.magnitude_n >= weakest_n))
+def noise_bound(dataset: Dataset) -> NoiseBound:
+    """The bound over a single-contact dataset's contacts."""
+    dataset = dataset.select(dataset.segment > 0)
     magnitude, angle_deg = dataset.magnitude_n, dataset.angle_deg
     covariance = force_covariance_n2(dataset)[dataset.contacts]
     theta = np.deg2rad(angle_deg)
     force = magnitude[:, None] * np.stack([np.sin(theta), np.cos(theta)], axis=-1)
     root = np.linalg.cholesky(covariance)
-    normal = np.random.default_rng(seed).normal(size=(_DRAWS, len(force), 2, 1))
+    normal = np.random.default_rng(0).normal(size=(_DRAWS, len(force), 2, 1))
     drawn = force + (root @ normal)[..., 0]
     magnitude_error = np.hypot(drawn[..., 0], drawn[..., 1]) - magnitude
     drawn_deg = np.rad2deg(np.arctan2(drawn[..., 0], drawn[..., 1]))

@@ -45,22 +45,23 @@ _POSE_SLACK_WEIGHT = 1e-5
 _NUDGE_N = 1e-6
 """Added to forces to keep them off zero, so that they always have a direction."""
 
-_LOG_PRIOR = -2.0 * math.log(200.0)
-"""Of a contact: uniform over the disc of forces up to 200 N, but for pi."""
+_LARGEST_N = 200.0
+_LOG_PRIOR = -2.0 * math.log(_LARGEST_N)
+"""Of a contact: uniform over the disc of forces up to the largest, but for pi."""
 
 _MOST_POSE_CORRECTIONS = 4
 _POSE_TOLERANCE_RAD = 1e-5
 """Where Gauss-Newton on the pose may stop: it moves a 200 N estimate by some millinewtons."""
 
 
-def pose_corrections_for(mechanism: Mechanism, force_n: float = 200.0) -> int:
-    """Gauss-Newton steps that this arm's give under a force at its tip calls for.
+def pose_corrections_for(mechanism: Mechanism) -> int:
+    """Gauss-Newton steps that this arm's give under the largest force at its tip calls for.
 
     Each step about squares the error that is left, so a give of g rad needs n steps with g^(2^n)
     below the tolerance. An arm without equilibrium under the force gets the largest number.
     """
     forces = np.zeros((2, mechanism.segment_count, 3))
-    forces[0, -1, 1] = forces[1, -1, 2] = force_n
+    forces[0, -1, 1] = forces[1, -1, 2] = _LARGEST_N
     straight = np.zeros(mechanism.joint_count)
     try:
         give = np.abs(solve_equilibrium(mechanism, straight, forces).joint_angles_rad).max()
