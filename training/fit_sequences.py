@@ -233,13 +233,9 @@ _LEAST_OFF_DEG = 1e-3
 
 
 class Answered(NamedTuple):
-    """B ticks as a network has answered them.
+    """B ticks as a network has answered them, each of a sequence (B,), with the true contacts.
 
-    Attributes:
-        sequence: (B,) which sequence a tick belongs to.
-        seen: (B, features), as in `CorrectedAnswer`.
-        output: the answers.
-        target: the true contacts.
+    What was `seen` (B, features) is as in `CorrectedAnswer`.
     """
 
     sequence: Tensor

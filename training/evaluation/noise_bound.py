@@ -1,8 +1,7 @@
 """The noise bound: how well any unbiased estimator could do on the very same samples (Cramér-Rao).
 
-Tension differences are Gaussian about dT(f) with variance v each. Their information on the force's
-components f is G' G / v, with G = d dT / d f at the equilibrium, so no unbiased estimate has a
-covariance below C = v (G' G)^-1 (Kay, Fundamentals of Statistical Signal
+No unbiased estimate of forces f has a covariance below C = v (G' G)^-1, with v the variance of a
+tension difference and G = d dT / d f (docs/physics.md; Kay, Fundamentals of Statistical Signal
 Processing, vol. I, 1993, section 3.8). Angle and magnitude follow by drawing from N(f, C): the
 error of a weak force's angle is not Gaussian.
 """

@@ -5,10 +5,9 @@ sample, under the load that explains the readings. The part of history in the si
 subtracted from the real ones, and the model file's network, made for the same arm without history,
 answers the difference.
 
-A reading may not follow a changed load while a cable sticks. The load is therefore not sought anew
-in each sample: it is kept while it explains the readings, and none is assumed if none explains
-them. No law of equilibrium can find it, as readings depend on the friction state. An arm that has
-not moved yet is assumed to have none.
+A reading may not follow a changed load while a cable sticks. The load is therefore kept while it
+explains the readings, and none is assumed if none explains them. An arm that has not moved yet is
+assumed to have none.
 """
 
 from __future__ import annotations

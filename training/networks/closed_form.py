@@ -1,18 +1,14 @@
 """The closed-form estimator: from tensions to one candidate contact per segment, by statics alone.
 
-At rest the cables' joint torques balance weight and contact, slack or not:
+At rest the cables' joint torques balance weight and contact, slack or not. Against the unloaded
+state (q0, T0) of the same command, with B_s the Jacobian of segment s's contact point,
 
-    J(q)' T = tau_weight(q) + B_s(q)' f,
+    tau := J(q)' dT + (J(q) - J(q0))' T0 - (tau_weight(q) - tau_weight(q0)) = B_s(q)' f
 
-with B_s the Jacobian of segment s's contact point. Against the unloaded state (q0, T0) of the same
-command this is
-
-    tau := J(q)' dT + (J(q) - J(q0))' T0 - (tau_weight(q) - tau_weight(q0)) = B_s(q)' f,
-
-2N equations for the two components of f, solved by generalised least squares for every segment in
-turn; the segment whose misfit chi² is least is the contact. The pose q is not the commanded one:
-the arm gives way. Each taut cable's stretch T/k determines its true length, and Gauss-Newton on
-those lengths gives q.
+are 2N equations for the two components of f, solved by generalised least squares for every
+segment; the segment whose misfit chi² is least is the contact. The pose q is not the commanded
+one: each taut cable's stretch T/k determines its true length, and Gauss-Newton on those gives q.
+docs/physics.md derives both.
 
 Readings of equal variance v make tau's covariance v J' W J, with W one for taut cables and nearly
 zero for slack ones, whose tension is known; with T = k J dq this compresses the M tensions without
@@ -34,7 +30,7 @@ from cablesense_sim.mechanism import Mechanism
 from cablesense_training.networks.compact import CompactKinematics, CompactPose
 from cablesense_training.networks.layers import one_hot_of_argmax
 
-_SLACK_WEIGHT = 1e-3
+SLACK_WEIGHT = 1e-3
 """Variance of a slack cable's tension over that of a taut one's reading."""
 
 _POSE_SLACK_WEIGHT = 1e-5
@@ -231,7 +227,7 @@ class ClosedForm(nn.Module):
             # a slack cable may be longer than the pose needs
             missing = taut * missing + (1.0 - taut) * missing.clamp(max=0.0)
         jacobian, variance_n2 = pose.jacobian_t_m, self.reading_variance_n2
-        gram = _gram_inverse(jacobian, _weights(taut, _SLACK_WEIGHT))
+        gram = _gram_inverse(jacobian, _weights(taut, SLACK_WEIGHT))
         torque = (jacobian @ tension[..., None])[..., 0]
         torque = torque - self.kinematics.weight_n_m(pose) - unbalanced
         precision = gram * (1.0 / variance_n2)

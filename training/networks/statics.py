@@ -28,8 +28,6 @@ from cablesense_training.networks.layers import ContactNetwork, StatedSpread
 
 _JUDGED_SAMPLES, _BORNE_BENT = 256, 0.5
 """How many contacts spread is judged on, and up to which share of what the straight arm bears."""
-_LEAST_CORRECTIONS = 2
-"""Residuals of a stiff arm's cable lengths need one more than its torques."""
 
 
 def statics(
@@ -37,12 +35,13 @@ def statics(
     tare_samples: int,
     *,
     pose_corrections: int | None = None,
+    least_corrections: int = 0,
     unexplained_n2: float | None = None,
 ) -> ClosedForm:
     """The closed form of an arm whose tare is the mean of `tare_samples` readings.
 
-    By default it has as many `pose_corrections` as the arm calls for, and `unexplained_n2` is the
-    variance that the arm's effects add and no statics carries, N².
+    By default it has as many `pose_corrections` as the arm calls for, and not less than the least;
+    `unexplained_n2` is the variance that the arm's effects add and no statics carries, N².
     """
     nominal = mechanism_of(arm)
     mechanism = amended(nominal, entries_of(arm))
@@ -53,7 +52,7 @@ def statics(
         and np.array_equal(mechanism.hole_z_m, nominal.hole_z_m)
     )
     if pose_corrections is None:
-        pose_corrections = max(_LEAST_CORRECTIONS, pose_corrections_for(mechanism))
+        pose_corrections = max(least_corrections, pose_corrections_for(mechanism))
     return ClosedForm(
         mechanism,
         difference_variance_n2(arm.sensors, tare_samples),
@@ -68,6 +67,7 @@ class StaticsNetwork(ContactNetwork):
     """A network on the closed form of an arm, in float64."""
 
     pose_aware: ClassVar[bool] = True
+    least_corrections: ClassVar[int] = 0
 
     def __init__(self, closed_form: ClosedForm) -> None:
         kinematics = closed_form.kinematics
@@ -77,7 +77,7 @@ class StaticsNetwork(ContactNetwork):
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> Self:
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
-        return cls(statics(arm, tare_samples))
+        return cls(statics(arm, tare_samples, least_corrections=cls.least_corrections))
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
         """Only the loss needs a scale, and counts magnitudes in the sensors' own noise."""
@@ -92,8 +92,11 @@ class StaticsNetwork(ContactNetwork):
 class AnywhereStatics(StaticsNetwork):
     """Statics of contacts anywhere: nothing is learnt but a factor of the stated deviations.
 
-    The posterior of place and force follows outside the graph (`inference.anywhere`).
+    The posterior of place and force follows outside the graph (`inference.anywhere`). Residuals of
+    a stiff arm's cable lengths need one correction of the pose more than its torques.
     """
+
+    least_corrections: ClassVar[int] = 2
 
     def __init__(self, closed_form: ClosedForm) -> None:
         super().__init__(closed_form)
