@@ -6,12 +6,13 @@ For single contacts, for several at once, and for sequences in motion and at res
 from __future__ import annotations
 
 import itertools
+import json
 from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic_core import from_json, to_json
+from pydantic import TypeAdapter
 
 from cablesense_base import Array
 from cablesense_training.data.sequences import Sequences
@@ -133,7 +134,7 @@ class MultiContactMetrics:
 
 def plain_values(metrics: Any) -> Any:
     """Metrics as JSON has them; NaN, where there was nothing to average, as None."""
-    return from_json(to_json(metrics, inf_nan_mode="null"))
+    return json.loads(TypeAdapter(Any).dump_json(metrics))
 
 
 def angle_difference_deg(angle_deg: ArrayLike, true_deg: ArrayLike) -> Array:
