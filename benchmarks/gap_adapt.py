@@ -31,7 +31,6 @@ from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.scoring import proportion
 from cablesense_plants.arm.body import read_nominal
-from cablesense_plants.arm.protocol import Schedule
 from cablesense_plants.arm.withhold import draw_several, make_case
 from cablesense_sim.arm import find_arm, open_arm
 from cablesense_training.evaluation.metrics import ContactAnswer
@@ -79,8 +78,8 @@ def _case(folder: Path, kind: str, index: int, options: Any) -> dict[str, Any]:
     folder.mkdir(exist_ok=True)
     path, second = folder / "recording.csv", folder / "estimator.onnx"
     made = make_case(read_nominal(find_arm(ARM)), options.seed, index, kind)
-    columns = {name: getattr(made.schedule, name) for name in Schedule._fields}
-    write_csv(path, Recording(folder.name, tensions_n=made.tensions_n, **columns))
+    schedule, tensions_n = made.recordings[""]
+    write_csv(path, Recording(folder.name, tensions_n=tensions_n, **schedule._asdict()))
     recording = read_recording(path, arm)
     misled_n = _error_at_peaks_n(recording, Estimator.load(shipped, arm))
     case: dict[str, Any] = {"hidden": kind.split("+"), "misled_n": round(misled_n, 3)}

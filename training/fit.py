@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from cablesense_base import Array
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import NORMAL_95
@@ -236,6 +237,19 @@ def fit(
     settings = settings or FitSettings()
     with torch_threads(settings.threads):
         return _SampleObjective(network, dataset, settings).fit(network, on_epoch)
+
+
+def outputs_of(
+    network: ContactNetwork, tension_difference_n: Array, command_rad: Array
+) -> list[Tensor]:
+    """A network's outputs for samples (B, M) and (B, 2N), in float64 and evaluation mode."""
+    dtype = network.magnitude.std.dtype
+    tension = torch.as_tensor(tension_difference_n).to(dtype).split(ROWS_AT_ONCE)
+    command = torch.as_tensor(command_rad).to(dtype).split(ROWS_AT_ONCE)
+    network.eval()
+    with torch.no_grad():
+        outputs = [network(*rows) for rows in zip(tension, command, strict=True)]
+    return [torch.cat(parts).double() for parts in zip(*outputs, strict=True)]
 
 
 class SingleContactTarget(NamedTuple):

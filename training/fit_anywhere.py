@@ -14,7 +14,8 @@ from torch import Tensor
 
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.errors import TrainingError
-from cablesense_training.fit import ROWS_AT_ONCE, FitHistory, require_fitting, torch_threads
+from cablesense_training.fit import FitHistory, outputs_of, require_fitting, torch_threads
+from cablesense_training.networks.closed_form import Balance
 from cablesense_training.networks.statics import AnywhereStatics
 
 _CALIBRATED_AT = 0.95
@@ -39,7 +40,6 @@ def fit_anywhere(network: AnywhereStatics, dataset: Dataset, threads: int = 2) -
     return FitHistory((), 0, time.perf_counter() - start)
 
 
-@torch.no_grad()
 def misfits(network: AnywhereStatics, dataset: Dataset) -> Tensor:
     """chi² of the torques that the known contacts leave, with 2N degrees of freedom.
 
@@ -47,21 +47,15 @@ def misfits(network: AnywhereStatics, dataset: Dataset) -> Tensor:
     counts as slack and is not, or the reverse: what statics says there is no matter of noise.
     """
     require_fitting(network, dataset)
-    parts = []
-    for at in range(0, len(dataset), ROWS_AT_ONCE):
-        rows = dataset.select(slice(at, at + ROWS_AT_ONCE))
-        given = rows.tension_difference_n, rows.command_rad, rows.local_forces_n, rows.places_m
-        difference, command, force, place = map(torch.as_tensor, given)
-        balance = network(difference, command)
-        lever = balance.by_force_m + place[..., None, None] * balance.by_place
-        torque = balance.torque_n_m - (lever * force[..., None]).sum((1, 2))
-        chi_square = torch.einsum("bi,bij,bj->b", torque, balance.precision, torque)
-        least_lever = 1.0 / torch.linalg.eigvalsh(balance.precision)[:, -1]
-        parts.append(torch.stack([chi_square, least_lever, balance.taut.sum(1)]))
-    chi_square, least_lever, taut = torch.cat(parts, dim=1)
+    balance = Balance._make(outputs_of(network, dataset.tension_difference_n, dataset.command_rad))
+    known = dataset.local_forces_n, dataset.places_m, dataset.slack_cables
+    force, place, slack = map(torch.as_tensor, known)
+    lever = balance.by_force_m + place[..., None, None] * balance.by_place
+    torque = balance.torque_n_m - (lever * force[..., None]).sum((1, 2))
+    chi_square = torch.einsum("bi,bij,bj->b", torque, balance.precision, torque)
+    least_lever = 1.0 / torch.linalg.eigvalsh(balance.precision)[:, -1]
     determined = least_lever > _LEAST_DETERMINED * least_lever.median()
-    slack = torch.as_tensor(dataset.slack_cables)
-    left = chi_square[determined & (taut == network.cable_count - slack)]
+    left = chi_square[determined & (balance.taut.sum(1) == network.cable_count - slack)]
     if len(left) < 10:
         raise TrainingError(
             f"the taut cables of {len(left)} of {len(dataset)} samples show torques, which "

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from cablesense_base import Array
 from cablesense_base.files import output_file
@@ -33,7 +32,7 @@ from cablesense_training.evaluation.metrics import (
     sequence_metrics,
 )
 from cablesense_training.export import export_model
-from cablesense_training.fit import ROWS_AT_ONCE, FitHistory, FitSettings, OnEpoch, fit
+from cablesense_training.fit import FitHistory, FitSettings, OnEpoch, fit, outputs_of
 from cablesense_training.fit_anywhere import fit_anywhere
 from cablesense_training.fit_sequences import fit_sequences
 from cablesense_training.inference.anywhere import AnywhereEstimator
@@ -270,25 +269,13 @@ def contact_answer(
     network: ContactNetwork, tension_difference_n: Array, command_rad: Array
 ) -> ContactAnswer:
     """A single-contact network's answers on B samples, (B, M) and (B, 2N); angles in [0, 360)."""
-    outputs = _outputs(network, tension_difference_n, command_rad)
-    return ContactAnswer.of(Estimates.of_outputs(outputs))
+    outputs = outputs_of(network, tension_difference_n, command_rad)
+    return ContactAnswer.of(Estimates.of_outputs([part.numpy() for part in outputs]))
 
 
 def balance_answer(
     network: AnywhereStatics, tension_difference_n: Array, command_rad: Array
 ) -> TorqueBalance:
     """The balance of torques that a network of contacts anywhere finds in B samples."""
-    return TorqueBalance(*_outputs(network, tension_difference_n, command_rad)[:5])
-
-
-def _outputs(
-    network: ContactNetwork, tension_difference_n: Array, command_rad: Array
-) -> list[Array]:
-    """The network's outputs for all samples, in float64."""
-    dtype = network.magnitude.std.dtype
-    tension = torch.as_tensor(tension_difference_n).to(dtype).split(ROWS_AT_ONCE)
-    command = torch.as_tensor(command_rad).to(dtype).split(ROWS_AT_ONCE)
-    network.eval()
-    with torch.no_grad():
-        outputs = [network(*rows) for rows in zip(tension, command, strict=True)]
-    return [torch.cat(parts).double().numpy() for parts in zip(*outputs, strict=True)]
+    outputs = outputs_of(network, tension_difference_n, command_rad)
+    return TorqueBalance(*(part.numpy() for part in outputs[:5]))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from math import ceil
 from pathlib import Path
@@ -87,11 +87,8 @@ def withhold(
         make = partial(make_case, second=second, imperfect=imperfect)
         for recorded in pool.map(make, range(1, count + 1), kinds):
             name = f"{recorded.answer.recording}.csv"
-            hertz = nominal.rate_hz
-            _write_recording(folder / name, hertz, recorded.schedule, recorded.tensions_n)
-            for part, other in (("second", recorded.second), ("reference", recorded.reference)):
-                if other is not None:
-                    _write_recording(folder / part / name, hertz, *other)
+            for part, rows in recorded.recordings.items():
+                _write_recording(folder / part / name, nominal.rate_hz, *rows)
             answers.append(recorded.answer)
             yield recorded.answer
     write_answers(answers_file, answers, decimals=4)
@@ -194,18 +191,14 @@ class ArmAnswer:
 
 @dataclass(frozen=True)
 class CaseRecording:
-    """The recording of a case, and its answer.
+    """A case's answer, and its recordings by folder: the first in none, `second`, `reference`.
 
-    Attributes:
-        second: another recording of the same arm.
-        reference: one of the arm before anything was hidden, if the nominal arm is imperfect.
+    The second is one of the same arm; the reference one of the arm before anything was hidden, if
+    the nominal arm is imperfect.
     """
 
-    schedule: Schedule
-    tensions_n: Array
     answer: ArmAnswer
-    second: tuple[Schedule, Array] | None = None
-    reference: tuple[Schedule, Array] | None = None
+    recordings: dict[str, tuple[Schedule, Array]]
 
 
 def _recorded(
@@ -272,17 +265,12 @@ def _recorded(
         scatter_gap_n=gap_n(plain_n, drawn.signals_n(*done)),
         each_gap_n=" ".join(f"{value:.4f}" for value in each),
     )
-    recorded = CaseRecording(done[0], nominal.read_n(signals, noise_rng), answer)
-
-    def recorded_again(arm: RealArm) -> tuple[Schedule, Array]:
-        again = _schedules(drawn, noise_rng)
-        return again[0], nominal.read_n(arm.signals_n(*again), noise_rng)
-
-    if second:
-        recorded = replace(recorded, second=recorded_again(arm))
-    if imperfect:
-        recorded = replace(recorded, reference=recorded_again(plain_arm))
-    return recorded
+    recordings = {"": (done[0], nominal.read_n(signals, noise_rng))}
+    for part, wanted, machine in (("second", second, arm), ("reference", imperfect, plain_arm)):
+        if wanted:
+            again = _schedules(drawn, noise_rng)
+            recordings[part] = again[0], nominal.read_n(machine.signals_n(*again), noise_rng)
+    return CaseRecording(answer, recordings)
 
 
 def _schedules(arm: RealArm, rng: np.random.Generator) -> tuple[Schedule, Schedule]:

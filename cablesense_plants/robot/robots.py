@@ -175,17 +175,12 @@ class RealRobot:
     def on_base(self) -> LinkChain:
         """The chain with the base as a first link, which turns about `base_axis`."""
         chain = self.chain
-
-        def led(values: Array, axis: int) -> Array:
-            """Zeros for the base before the links' values."""
-            return np.concatenate([np.zeros_like(np.take(values, [0], axis)), values], axis)
-
         return LinkChain(
             axis=np.concatenate([self.base_axis[..., None, :], chain.axis], -2),
-            origin_m=led(chain.origin_m, -2),
-            mass_kg=led(chain.mass_kg, -1),
-            centre_m=led(chain.centre_m, -2),
-            inertia_kg_m2=led(chain.inertia_kg_m2, -3),
+            origin_m=np.insert(chain.origin_m, 0, 0.0, axis=-2),
+            mass_kg=np.insert(chain.mass_kg, 0, 0.0, axis=-1),
+            centre_m=np.insert(chain.centre_m, 0, 0.0, axis=-2),
+            inertia_kg_m2=np.insert(chain.inertia_kg_m2, 0, 0.0, axis=-3),
             gravity_m_s2=chain.gravity_m_s2,
         )
 

@@ -42,11 +42,11 @@ def folder(arm_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_any_reader_of_recordings_reads_them(folder: Path, arm_file: Path) -> None:
-    recorded = make_case(read_nominal(arm_file), 7, 2, "none")
+    schedule, tensions_n = make_case(read_nominal(arm_file), 7, 2, "none").recordings[""]
     found = read_csv(folder / "case_002.csv", open_arm(arm_file))
-    for name, expected in recorded.schedule._asdict().items():
+    for name, expected in schedule._asdict().items():
         np.testing.assert_allclose(getattr(found, name), expected, atol=1e-9)
-    np.testing.assert_allclose(found.tensions_n, recorded.tensions_n, atol=5.1e-5)
+    np.testing.assert_allclose(found.tensions_n, tensions_n, atol=5.1e-5)
 
 
 @pytest.mark.parametrize("rate_hz", [3.0, 40.0])
@@ -157,9 +157,9 @@ def test_arms_that_the_plant_cannot_build(
 
 def test_the_second_recording_is_of_the_same_arm_doing_something_else(arm_file: Path) -> None:
     nominal = read_nominal(arm_file)
-    recorded = make_case(nominal, 5, 1, "sensor_offset", second=True)
-    alone = make_case(nominal, 5, 1, "sensor_offset")
-    np.testing.assert_array_equal(recorded.tensions_n, alone.tensions_n)
-    schedule, tensions_n = recorded.second
+    both = make_case(nominal, 5, 1, "sensor_offset", second=True).recordings
+    alone = make_case(nominal, 5, 1, "sensor_offset").recordings
+    np.testing.assert_array_equal(both[""][1], alone[""][1])
+    schedule, tensions_n = both["second"]
     assert len(tensions_n) == len(schedule.time_s)
-    assert not np.array_equal(schedule.command_rad, recorded.schedule.command_rad)
+    assert not np.array_equal(schedule.command_rad, both[""][0].command_rad)
