@@ -12,6 +12,7 @@ from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.networks import statics as statics_of_arms
+from cablesense_training.networks.near_command import NearCommand
 from cablesense_training.networks.statics import statics, unexplained_variance_n2
 
 PAYLOAD = ("payload", "segment_3", {"mass_kg": 0.6})
@@ -57,6 +58,14 @@ def test_contacts_on_an_amended_arm_are_recovered(effects) -> None:
     worse = np.linalg.norm(without.force_n.numpy()[rows, place] - truth, axis=-1)[taut]
     assert np.median(error) < 0.05
     assert np.median(error) < 0.5 * np.median(worse)
+
+
+def test_the_fast_form_is_for_arms_that_it_can_carry() -> None:
+    assert isinstance(statics(open_arm("cdsm"), 50), NearCommand)
+    assert isinstance(statics(listing(PAYLOAD, name="cdsm"), 50), NearCommand)
+    assert not isinstance(statics(open_arm("cdsm_lab"), 50), NearCommand)
+    for effect in (SPRINGS, CABLES, PLATES):
+        assert not isinstance(statics(listing(effect, name="cdsm"), 50), NearCommand)
 
 
 @pytest.mark.slow

@@ -33,7 +33,7 @@ from cablesense_training.networks.layers import one_hot_of_argmax
 SLACK_WEIGHT = 1e-3
 """Variance of a slack cable's tension over that of a taut one's reading."""
 
-_POSE_SLACK_WEIGHT = 1e-5
+POSE_SLACK_WEIGHT = 1e-5
 """Weight of a slack cable's length in the fit of the pose, over that of a taut one. It lacks up to
 100 N, a thousand standard deviations, and must not bend the pose, but holds it where few are taut.
 """
@@ -209,43 +209,52 @@ class ClosedForm(nn.Module):
     def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Balance:
         """The balance; the arm stands where the stretches of its taut cables say."""
         commanded = self.kinematics(joint_command_rad)
-        unloaded_n, unbalanced = self._unloaded(joint_command_rad, commanded)
-        if self.unread is not None:
-            tension_difference_n = tension_difference_n @ self.unread
-        tension = tension_difference_n + unloaded_n
+        unloaded_n, unbalanced = self.unloaded(joint_command_rad, commanded)
+        tension = self.as_tensions(tension_difference_n) + unloaded_n
         taut = (tension > self.slack_below_n).to(tension.dtype)
         tension = tension * taut
         stretch = tension - self._at_command_n(joint_command_rad, commanded)
         missing = stretch = stretch * self.compliance_m_n
-        weight = _weights(taut, _POSE_SLACK_WEIGHT)
+        weight = weights(taut, POSE_SLACK_WEIGHT)
         angles, pose = joint_command_rad, commanded
         for _ in range(self.pose_corrections):
             pull = pose.jacobian_t_m @ (weight * missing)[..., None]
-            angles = angles + (_gram_inverse(pose.jacobian_t_m, weight) @ pull)[..., 0]
+            angles = angles + (gram_inverse(pose.jacobian_t_m, weight) @ pull)[..., 0]
             pose = self.kinematics(angles)
-            missing = stretch - (pose.length_m - commanded.length_m)
-            # a slack cable may be longer than the pose needs
-            missing = taut * missing + (1.0 - taut) * missing.clamp(max=0.0)
-        jacobian, variance_n2 = pose.jacobian_t_m, self.reading_variance_n2
-        gram = _gram_inverse(jacobian, _weights(taut, SLACK_WEIGHT))
+            missing = missing_of(stretch - (pose.length_m - commanded.length_m), taut)
+        jacobian = pose.jacobian_t_m
+        gram = gram_inverse(jacobian, weights(taut, SLACK_WEIGHT))
         torque = (jacobian @ tension[..., None])[..., 0]
         torque = torque - self.kinematics.weight_n_m(pose) - unbalanced
-        precision = gram * (1.0 / variance_n2)
-        # variance of a cable's tension in the pose, over that of a reading
-        leverage = variance_n2 * (jacobian * (precision @ jacobian)).sum(1)
-        known_n = torch.sqrt(variance_n2 * (1.0 + (1.0 - taut) * leverage))
+        precision = gram * (1.0 / self.reading_variance_n2)
         return Balance(
             self._sprung(torque, angles),
             precision,
             *self.kinematics.levers(pose, commanded.frames),
-            missing / (self.compliance_m_n * known_n),
+            self.residual(missing, jacobian, precision, taut),
             taut,
             tension,
             jacobian,
             commanded.length_m,
         )
 
-    def _unloaded(self, angles: Tensor, commanded: CompactPose) -> tuple[Tensor, Tensor]:
+    def as_tensions(self, tension_difference_n: Tensor) -> Tensor:
+        """Differences (B, M) of the tensions behind differences as read."""
+        if self.unread is None:
+            return tension_difference_n
+        return tension_difference_n @ self.unread
+
+    def residual(
+        self, missing_m: Tensor, jacobian_t_m: Tensor, precision: Tensor, taut: Tensor
+    ) -> Tensor:
+        """That of a `Balance` (B, M), from stretches that the pose does not explain."""
+        variance_n2 = self.reading_variance_n2
+        # variance of a cable's tension in the pose, over that of a reading
+        leverage = variance_n2 * (jacobian_t_m * (precision @ jacobian_t_m)).sum(1)
+        known_n = torch.sqrt(variance_n2 * (1.0 + (1.0 - taut) * leverage))
+        return missing_m / (self.compliance_m_n * known_n)
+
+    def unloaded(self, angles: Tensor, commanded: CompactPose) -> tuple[Tensor, Tensor]:
         """Tensions (B, M) under the arm's own weight, and the torque (B, 2N) left unbalanced.
 
         Cables are assumed taut. The torque is that at the pose where the unloaded arm is assumed
@@ -256,7 +265,7 @@ class ClosedForm(nn.Module):
         pose, taken, at_angles = commanded, commanded, 0.0 * angles
         for _ in range(max(1, self.pose_corrections)):
             excess = self._unbalanced(pose, tension, angles)
-            turn = _gram_inverse(pose.jacobian_t_m, stiffness) @ excess[..., None]
+            turn = gram_inverse(pose.jacobian_t_m, stiffness) @ excess[..., None]
             angles = angles - turn[..., 0]
             pose = self.kinematics(angles)
             stretched = pose.length_m - commanded.length_m
@@ -302,12 +311,17 @@ class ClosedForm(nn.Module):
         return Candidates(force[..., 0], covariance, explained)
 
 
-def _weights(taut: Tensor, slack: float) -> Tensor:
+def weights(taut: Tensor, slack: float) -> Tensor:
     """One for taut cables, and that of `slack` for slack ones."""
     return taut * (1.0 - slack) + slack
 
 
-def _gram_inverse(jacobian_t: Tensor, weight: Tensor) -> Tensor:
+def missing_of(residual_m: Tensor, taut: Tensor) -> Tensor:
+    """Residuals (B, M) of cable lengths; a slack cable may be longer than the pose needs."""
+    return taut * residual_m + (1.0 - taut) * residual_m.clamp(max=0.0)
+
+
+def gram_inverse(jacobian_t: Tensor, weight: Tensor) -> Tensor:
     """Inverse (B, 2N, 2N) of J' W J, with weights (B, M)."""
     return inverse((jacobian_t * weight[:, None]) @ jacobian_t.transpose(1, 2))
 

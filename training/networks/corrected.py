@@ -80,7 +80,7 @@ class CorrectedClosedForm(StaticsNetwork):
 
 def plain_closed_form(arm: Arm, tare_samples: int) -> CorrectedClosedForm:
     """The baseline: statics at the commanded pose; nothing in it is trained."""
-    network = CorrectedClosedForm(statics(arm, tare_samples, pose_corrections=0))
+    network = CorrectedClosedForm(statics(arm, tare_samples, exact=True, pose_corrections=0))
     return network.requires_grad_(False)
 
 
@@ -114,6 +114,7 @@ class MultiContactClosedForm(StaticsNetwork):
     """
 
     several: ClassVar[bool] = True
+    exact: ClassVar[bool] = True
 
     def __init__(self, closed_form: ClosedForm, width: int = 32) -> None:
         super().__init__(closed_form)

@@ -25,23 +25,27 @@ from cablesense_training.data.history import sensed_along_n
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.networks.closed_form import Balance, ClosedForm, pose_corrections_for
 from cablesense_training.networks.layers import ContactNetwork, StatedSpread
+from cablesense_training.networks.near_command import NearCommand
 
 _JUDGED_SAMPLES, _BORNE_BENT = 256, 0.5
 """How many contacts spread is judged on, and up to which share of what the straight arm bears."""
+_LEAST_CORRECTIONS = 2
+"""Residuals of a stiff arm's cable lengths need one more than its torques."""
 
 
 def statics(
     arm: Arm,
     tare_samples: int,
     *,
+    exact: bool = False,
     pose_corrections: int | None = None,
-    least_corrections: int = 0,
     unexplained_n2: float | None = None,
 ) -> ClosedForm:
     """The closed form of an arm whose tare is the mean of `tare_samples` readings.
 
-    By default it has as many `pose_corrections` as the arm calls for, and not less than the least;
-    `unexplained_n2` is the variance that the arm's effects add and no statics carries, N².
+    A stiff arm's is expanded near the command, which is faster, unless it is to be `exact`. By
+    default it has as many `pose_corrections` as the arm calls for. `unexplained_n2` is the
+    variance that the arm's effects add and no statics carries, N².
     """
     nominal = mechanism_of(arm)
     mechanism = amended(nominal, entries_of(arm))
@@ -51,9 +55,11 @@ def statics(
         and np.array_equal(mechanism.hole_y_m, nominal.hole_y_m)
         and np.array_equal(mechanism.hole_z_m, nominal.hole_z_m)
     )
+    needed = pose_corrections_for(mechanism)
+    stiff = needed <= 1 and own_lengths and not mechanism.joint_stiffness_n_m_rad.any()
     if pose_corrections is None:
-        pose_corrections = max(least_corrections, pose_corrections_for(mechanism))
-    return ClosedForm(
+        pose_corrections = needed if exact and stiff else max(_LEAST_CORRECTIONS, needed)
+    return (NearCommand if stiff and not exact else ClosedForm)(
         mechanism,
         difference_variance_n2(arm.sensors, tare_samples),
         pose_corrections,
@@ -64,10 +70,14 @@ def statics(
 
 
 class StaticsNetwork(ContactNetwork):
-    """A network on the closed form of an arm, in float64."""
+    """A network on the closed form of an arm, in float64.
+
+    Attributes:
+        exact: whether that is never expanded near the command.
+    """
 
     pose_aware: ClassVar[bool] = True
-    least_corrections: ClassVar[int] = 0
+    exact: ClassVar[bool] = False
 
     def __init__(self, closed_form: ClosedForm) -> None:
         kinematics = closed_form.kinematics
@@ -77,7 +87,7 @@ class StaticsNetwork(ContactNetwork):
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> Self:
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
-        return cls(statics(arm, tare_samples, least_corrections=cls.least_corrections))
+        return cls(statics(arm, tare_samples, exact=cls.exact))
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
         """Only the loss needs a scale, and counts magnitudes in the sensors' own noise."""
@@ -92,11 +102,8 @@ class StaticsNetwork(ContactNetwork):
 class AnywhereStatics(StaticsNetwork):
     """Statics of contacts anywhere: nothing is learnt but a factor of the stated deviations.
 
-    The posterior of place and force follows outside the graph (`inference.anywhere`). Residuals of
-    a stiff arm's cable lengths need one correction of the pose more than its torques.
+    The posterior of place and force follows outside the graph (`inference.anywhere`).
     """
-
-    least_corrections: ClassVar[int] = 2
 
     def __init__(self, closed_form: ClosedForm) -> None:
         super().__init__(closed_form)
