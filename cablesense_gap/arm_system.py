@@ -20,14 +20,14 @@ from cablesense_gap.pipeline import FOLDS, Reference, System, Unlisted, diagnose
 from cablesense_gap.recordings.channels import EXCHANGED, Finding, unborne_findings
 from cablesense_gap.recordings.checks import check_recording, refuse_unusable
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.recordings.thinning import rows_along_path, rows_to_use
+from cablesense_gap.recordings.thinning import rms_by_the_past_n, rows_along_path, rows_to_use
 from cablesense_gap.residuals import decompose, regimes
 from cablesense_gap.simulator import Assignment, Simulator, Term
 from cablesense_gap.unlisted import describe_unlisted, in_play, repeat_largest_trial
 from cablesense_gap.verdict import UNKNOWN, Earlier, FittedNumber, Verdict, Where
 from cablesense_sim.arm import Arm, ArmFileError
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.effects.registry import known_effects, transmissions
 from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import reading_variance_n2, replay_arm
@@ -76,6 +76,12 @@ class ArmSystem(ArmSimulator, System):
         held_m = held_lengths_m(mechanism, self.recording.command_rad)
         stretched_m = self.nominal_n / mechanism.cable_stiffness_n_m
         return Conditions(held_m, in_play(held_m - stretched_m, _PLAY), self.nominal_n)
+
+    def past(self) -> float:
+        """N, where commands and load return; unknown if the nominal arm depends on the past."""
+        if transmissions([entries_of(self.arm)]):
+            return np.inf
+        return rms_by_the_past_n(self._counted_recording, self.floor)
 
     def sketch(self) -> tuple[Simulator, NDArray[np.int64]] | None:
         """Rows along the path of commands and loads."""

@@ -114,6 +114,10 @@ class System(ABC):
     def predict(self, variants: Sequence[Assignment]) -> Array:
         """Channels (P, R, C) of P variants, see `Simulator`."""
 
+    def past(self) -> float:
+        """RMS by which readings may depend on the past, see `Problem`; infinite if unknown."""
+        return np.inf
+
     def sketch(self) -> tuple[Simulator, NDArray[np.int64]] | None:
         """A simulator of some rows alone, and these rows (K,); None if all rows are needed.
 
@@ -228,7 +232,7 @@ def problem_of(system: System) -> Problem:
     problem = with_fitted_tolerances(
         prepare(system, system.readings, system.trial, system.fold, system.counted)
     )
-    sketch = system.sketch()
+    problem, sketch = replace(problem, past=system.past()), system.sketch()
     return problem if sketch is None else sketched(problem, *sketch)
 
 
@@ -307,6 +311,7 @@ def _since(problem: Problem, expected: Expected) -> Problem:
         nominal=problem.nominal * weight,
         tolerance_columns=problem.tolerance_columns * weight,
         tolerance_rest=problem.tolerance_rest * weight,
+        past=np.inf,
         sketch=sketch,
     )
 

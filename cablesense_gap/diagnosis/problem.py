@@ -93,6 +93,8 @@ class Problem:
         tolerance_std: standard deviation of each of the terms.
         tolerance_columns: (K, R, C) sensitivities, in standard deviations.
         tolerance_rest: (R, C) what tolerances change beyond these, where these were taken.
+        past: RMS by which readings may depend on the past, as far as they show it where commands
+            and load return; infinite if unknown.
         sketch: the same for some of the rows, if these suffice to choose among history-dependent
             effects.
     """
@@ -107,6 +109,7 @@ class Problem:
     tolerance_std: Array
     tolerance_columns: Array
     tolerance_rest: Array
+    past: float = np.inf
     sketch: Sketch | None = None
 
     @property

@@ -3,7 +3,8 @@
 Rows are chosen, never averaged, because the noise of a reading must stay that of the sensors. The
 ends of each trial are kept, rows where the command or the load turns back or leaps, because
 friction, backlash and creep are set there, and others at equal distances. Fewer rows suffice to
-choose among effects that depend on the past (`rows_along_path`).
+choose among effects that depend on the past (`rows_along_path`), which are not needed at all where
+readings return with commands and load (`rms_by_the_past_n`).
 """
 
 from __future__ import annotations
@@ -29,6 +30,9 @@ _OTHER_SEGMENT = 100.0
 _MOVING_STRIDE, _RESTING_STRIDE = 3, 10
 _STRAIGHT_ON = 0.9
 """Cosine between two steps of commands and load, from which on they go in the same direction."""
+
+_FEWEST_RETURNS, _RETURNING_SHARE = 100, 0.1
+"""Differences, and the share of the rows in states that the arm came to from different sides."""
 
 Rows = NDArray[np.int64]
 
@@ -75,6 +79,34 @@ def rows_along_path(recording: Recording) -> Rows:
         if kept[row]:
             last = row
     return np.flatnonzero(kept)
+
+
+def rms_by_the_past_n(recording: Recording, floor_n: float) -> float:
+    """RMS by which readings differ where commands and load return, beyond the sensors' noise.
+
+    It is an upper bound (95 %). A state counts if the arm came to it from at least two others, as
+    on loading and on unloading. Infinite where a recording has too few of them to tell.
+    """
+    places = recording.load_at_m
+    parts = [recording.command_rad, recording.load_segment[:, None], recording.load_n]
+    parts += [] if places is None else [np.nan_to_num(places).reshape(len(recording), -1)]
+    state = np.unique(np.concatenate(parts, axis=1), axis=0, return_inverse=True)[1].ravel()
+    first = np.flatnonzero(np.diff(state, prepend=-1))
+    visited, count = state[first], np.diff(first, append=len(state))
+    came_from = np.append(-1, visited[:-1])
+    mean = np.add.reduceat(recording.tensions_n, first) / count[:, None]
+    square, degrees, rows, visits = 0.0, 0, 0, 0
+    for here in np.unique(visited):
+        own = np.flatnonzero(visited == here)
+        if len(set(came_from[own]) - {-1}) > 1:
+            weighted = count[own, None] * (mean[own] - np.average(mean[own], 0, count[own])) ** 2
+            square += float(weighted.sum())
+            degrees += (len(own) - 1) * mean.shape[1]
+            rows, visits = rows + int(count[own].sum()), visits + len(own)
+    if degrees < _FEWEST_RETURNS or rows < _RETURNING_SHARE * len(recording):
+        return np.inf
+    beyond = max(square / degrees - floor_n**2, 0.0) + floor_n**2 * 2.0 * (2.0 / degrees) ** 0.5
+    return float(np.sqrt(beyond * visits / rows))
 
 
 def _turns(recording: Recording, most: int) -> Rows:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from gap_problem import (
@@ -54,6 +56,16 @@ def test_one_effect_is_found_in_its_place_and_no_second_is_added():
 
 def test_a_history_dependent_effect_is_found_with_its_shape():
     assert best(searched(FADING_X)).values == pytest.approx(FADING_X, rel=0.15)
+
+
+def test_where_readings_return_effects_of_the_past_are_not_simulated():
+    problem = problem_of(
+        Sums(LIBRARY), SIGNALS[1] + np.outer(np.sin(40.0 * TIME), [1.0, 1.0, 1.0])
+    )
+    search(replace(problem, past=0.1 * FLOOR))
+    assert not any(t.effect == "fading" for v in problem.simulator.asked for t in v)
+    search(problem)
+    assert any(t.effect == "fading" for v in problem.simulator.asked for t in v)
 
 
 class OnSomeRows(Sums):
