@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from estimation_settings import estimation_settings
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
@@ -12,26 +13,10 @@ from cablesense_base import Array
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
-from cablesense_online.state import EstimationSettings
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import read_tensions_n
 
 START_NS = 10**18
-
-
-def estimation_settings(**changes: Any) -> EstimationSettings:
-    """The estimator's settings that benchmarks share: the node's, with a tare of few readings."""
-    shared = {
-        "contact_threshold": 0.5,
-        "stale_after_s": 0.2,
-        "slack_below_n": 1.0,
-        "tare_samples": 5,
-        "tare_steady_n": 1.0,
-        "auto_tare": True,
-        "joint_speed_rad_s": 0.35,
-        "settle_s": 0.5,
-    }
-    return EstimationSettings(**shared | changes)
 
 
 class EstimatedArm:

@@ -13,7 +13,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from estimated_arm import estimation_settings
+from estimation_settings import estimation_settings
 from fuzz_edits import (
     Check,
     Draw,

@@ -18,7 +18,8 @@ from typing import Any
 
 import harness
 import numpy as np
-from estimated_arm import EstimatedArm, estimation_settings
+from estimated_arm import EstimatedArm
+from estimation_settings import estimation_settings
 from rich.progress import track
 
 from cablesense_base import Array

@@ -5,7 +5,9 @@ Nor does a test spread small matrices over threads, or fail because the machine 
 
 import os
 import signal
+import sys
 from collections import Counter
+from pathlib import Path
 
 import hypothesis
 import pytest
@@ -13,6 +15,7 @@ from xdist.scheduler import LoadFileScheduling
 
 from cablesense_ros.discovery import free_domain
 
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))  # they import each other by name
 # under nohup, or behind a shell's &, all that tests start would ignore these
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 signal.signal(signal.SIGINT, signal.default_int_handler)

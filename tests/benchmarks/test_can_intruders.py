@@ -1,13 +1,7 @@
 """No false sample with a second sender on the bus: some runs of each kind over a virtual bus."""
 
-import sys
-from pathlib import Path
-
-import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
 import can_intruders
+import pytest
 
 
 @pytest.mark.parametrize("attack", can_intruders.ATTACKS, ids=lambda one: one.__name__)

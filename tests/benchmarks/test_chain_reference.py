@@ -1,17 +1,12 @@
 """Two references of cables over guides: closed forms, work, symmetry, one beside the other."""
 
-import sys
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
+from friction_law import CableCourse, random_history, searched, tensions_by_law, timed
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-from friction_law import CableCourse, random_history, searched, tensions_by_law, timed
 
 Way = Callable[..., CableCourse]
 

@@ -3,16 +3,13 @@
 import sys
 from pathlib import Path
 
+import fuzz
 import hypothesis
 import pytest
+from fuzz_edits import FalseAnswerError, require_one_line
 from hypothesis import strategies as st
 
 from cablesense_base import CableSenseError
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-import fuzz
-from fuzz_edits import FalseAnswerError, require_one_line
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 BAD = """

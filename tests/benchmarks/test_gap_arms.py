@@ -1,6 +1,5 @@
 """On arms of any size and stiffness, what is to be recorded stays within what they bear."""
 
-import sys
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm_variants import variant
+from gap_arms import draw_arm
 
 from cablesense_gap.amended_arm import write_arm
 from cablesense_gap.recordings.checks import read_recording
@@ -18,10 +18,6 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.replay import replay_arm
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-from gap_arms import draw_arm
 
 SOFT = variant(
     {

@@ -1,14 +1,13 @@
 """The law is passive and keeps its limits; the sampled loop of law, wall and arm is as derived."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 pytest.importorskip("rclpy")
+
+from admittance import run_loop
 
 from cablesense_base import CableSenseError
 from cablesense_sim import kinematics
@@ -18,10 +17,6 @@ from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from examples.admittance.law import AdmittanceLaw, AdmittanceSettings, ContactForce
 from examples.admittance.wall import ElasticWall, compliance_m_n, wall_beside
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-from admittance import run_loop
 
 STIFF, COMPLIANT = (mechanism_of(open_arm(name)) for name in ("cdsm", "cdsm_lab"))
 DEFAULT = AdmittanceSettings()

@@ -1,12 +1,11 @@
 """The plant's history-dependent rests: chains that stick at their guides, joints, and creep."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from friction_law import searched
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plant_arm import BODY, NOMINAL
@@ -15,10 +14,6 @@ from cablesense_plants.arm.body import Body, Creep, PlantError, PlantFriction
 from cablesense_plants.arm.friction import piece_compliance_m_n
 from cablesense_plants.arm.path import PathState, QuasiStaticPath
 from cablesense_plants.arm.statics import cable_lengths_m, follow_path, spans, turns
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-
-from friction_law import searched
 
 RUN_M = NOMINAL.run_m
 POSE = np.deg2rad([8.0, -4.0, 6.0, 5.0, -7.0, 3.0, 4.0, -6.0])

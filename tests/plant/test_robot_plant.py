@@ -1,15 +1,11 @@
 """The simulator behind the planted robots, against closed forms, conservation and MuJoCo."""
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 from typer.testing import CliRunner
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 from cablesense_plants.cases import PlantError
 from cablesense_plants.robot.cases import draw_case, drawn, servo_file, usual_kind

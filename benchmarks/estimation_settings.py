@@ -1,4 +1,4 @@
-"""The estimator's settings that tests share: the node's by default, but for short waits."""
+"""The estimator's settings that benchmarks and tests share."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ from cablesense_online.state import EstimationSettings
 
 
 def estimation_settings(**changes: Any) -> EstimationSettings:
-    """Without checks of deviation and misfit, which a test adds where it is about them."""
+    """The node's, with a tare of few readings, and without checks of deviation and misfit."""
     plain = {
         "contact_threshold": 0.5,
         "stale_after_s": 0.2,
