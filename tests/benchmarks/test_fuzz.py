@@ -18,7 +18,6 @@ sys.path.insert(0, {folder!r})
 import fuzz
 from fuzz_edits import FalseAnswerError, Outcome, Target
 from hypothesis import strategies as st
-fuzz.EXAMPLE_LIMIT_S, fuzz.GROWTH_LIMIT_MB = 1.0, 200.0
 def check(draw):
     if draw(st.integers(0, 3)) == 3:
         {fault}
@@ -33,13 +32,11 @@ sys.exit(fuzz.main())
     ("fault", "found"),
     [
         ("ctypes.string_at(0)", "its process ended with -11"),
-        ("while True: pass", "its process ended with 1"),
-        ("b'x' * 400_000_000", "MemoryError"),
         ("raise FalseAnswerError('a force from nothing')", "a force from nothing"),
         ("pass", ""),
     ],
 )
-def test_crashes_hangs_growth_and_false_answers_are_found(fault, found):
+def test_crashes_and_false_answers_are_found(fault, found):
     command = [sys.executable, "-c", BAD.format(folder=str(BENCHMARKS), fault=fault)]
     done = fuzz.watch(command, "bad", 0, 16)
     assert bool(done["finding"]) == bool(found)

@@ -83,26 +83,6 @@ def test_a_contact_is_yielded_to_by_little_until_it_is_seen_in_a_second_pose():
     assert played.turned_deg() > 1.0
 
 
-@pytest.mark.parametrize("other", [(1, PUSH), (3, -PUSH), (3, 3.0 * PUSH)])
-def test_a_confirmed_contact_does_not_confirm_another(other):
-    played = Played()
-    played.run(0.5)
-    played.run(4.0, 3, PUSH)
-    before = played.controller.command_rad
-    played.run(1.5, *other)
-    assert played.turned_deg(before) < 0.46
-
-
-def test_samples_without_the_contact_weaken_it():
-    played = Played(mute_s=0.0)
-    played.run(0.5)
-    for _ in range(30):
-        played.run(0.01, 3, 0.1 * PUSH)  # within the deadband once it is averaged
-        played.run(0.01)
-    assert np.linalg.norm(played.controller.contact.force_base_n) == pytest.approx(1.5, abs=0.2)
-    assert not played.sent
-
-
 @pytest.mark.parametrize("state", [s for s in ForceState if s not in FORCE_KNOWN])
 def test_a_force_that_stays_unknown_stops_it_unless_that_is_expected(state):
     played = Played()
@@ -172,15 +152,3 @@ def test_it_waits_for_a_first_command_when_asked_to():
     assert "first command" in played.verdict()[1]
     played.controller.received_command(np.zeros(8), played.now_s)
     assert played.run(1.0, 3, PUSH)
-
-
-def test_the_command_in_force_is_repeated_for_an_estimator_that_came_back():
-    played = Played()
-    assert played.controller.repeated(played.now_s) is None
-    played.run(0.5)
-    held = played.run(1.0, 3, PUSH)[-1][1]
-    played.now_s += 1.0
-    assert played.controller.repeated(played.now_s) is None  # nothing is published
-    played.run(0.05)
-    assert np.array_equal(played.controller.repeated(played.now_s), held)
-    assert played.controller.repeated(played.now_s) is None  # not at once again

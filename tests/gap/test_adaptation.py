@@ -85,13 +85,6 @@ def test_the_trials_withheld_trials_have_loads_and_leave_each_segment_to_learn_f
     assert PROTOCOL.load_segment[~seen].any()
 
 
-def test_loads_of_one_fold_are_not_all_withheld_trials(monkeypatch: pytest.MonkeyPatch):
-    numbers = np.unique(PROTOCOL.trial)
-    loaded = [bool(PROTOCOL.load_segment[PROTOCOL.trial == n].any()) for n in numbers]
-    monkeypatch.setattr(adaptation, "folds_of", lambda _: np.where(loaded, 0, 1))
-    assert withheld_trials(PROTOCOL, LAB) == (numbers[loaded][-1],)
-
-
 def test_a_recording_without_loads_is_refused():
     idle = replace(
         PROTOCOL, load_segment=np.zeros_like(PROTOCOL.load_segment), load_n=0.0 * PROTOCOL.load_n

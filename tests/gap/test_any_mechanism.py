@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 from pulley import (
     FORCES,
-    G_M_S2,
     NOISE,
-    WEIGHT_KG,
     Pulley,
     PulleySystem,
-    Work,
     problem_of,
     recorded,
     work,
@@ -131,26 +128,3 @@ def test_the_search_says_what_it_does_and_how_far_it_is() -> None:
     assert shares[0] == 0.0
     assert shares[-1] == 1.0
     assert "extra_weight" in [what for what, _ in told]
-
-
-# The mechanism itself, against closed forms.
-
-
-def straight(wound_m: np.ndarray, load_n: float = 0.0) -> Work:
-    rows = len(wound_m)
-    return Work(wound_m, np.full(rows, load_n), np.zeros(rows, dtype=int))
-
-
-def test_without_friction_the_weight_hangs_on_both_springs_alike() -> None:
-    near, far, height = (Pulley(work()).predict([{}])[0] * NOISE).T
-    np.testing.assert_allclose(near, far, rtol=1e-12)
-    # the spring below pulls by 400 N/m times the height
-    np.testing.assert_allclose(far, WEIGHT_KG * G_M_S2 + work().load_n + 400.0 * height)
-
-
-def test_friction_opens_the_loop_of_the_capstan_equation() -> None:
-    up_and_down = 0.1 + 0.05 * np.sin(np.linspace(0.0, 4.0 * np.pi, 200))
-    near, far, _ = (Pulley(straight(up_and_down)).predict([{FRICTION: 0.08}])[0] * NOISE).T
-    ratio = near / far
-    assert ratio.max() == pytest.approx(np.exp(0.08 * np.pi), rel=1e-9)
-    assert ratio.min() == pytest.approx(np.exp(-0.08 * np.pi), rel=1e-9)

@@ -13,7 +13,7 @@ from gap_recordings import LAB, placed_recording, small_recording
 from cablesense_base import CableSenseError
 from cablesense_gap.amended_arm import amended_arm, judged_earlier, listed_values, without_effects
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.arm_system import ArmSystem, Diagnosis, diagnose, folds_of, places_of
+from cablesense_gap.arm_system import ArmSystem, Diagnosis, diagnose
 from cablesense_gap.pipeline import FOLDS, Reference, problem_of
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_gap.report.text import earlier_sentence
@@ -162,45 +162,6 @@ def test_few_rows_that_the_nominal_arm_cannot_bear_are_left_out_and_reported():
     found = loaded()
     assert found.verdict.rows_used == len(PROTOCOL) - 2
     assert any(text.startswith("rows 27 to 28: ") for text in found.findings)
-
-
-def trials(kinds: list[tuple[int, bool]], rows: int = 4) -> Recording:
-    """A recording of trials, each with a segment that is loaded, and moving or not."""
-    count = rows * len(kinds)
-    command = np.zeros((count, 8))
-    command[:, 0] = np.tile(np.linspace(0.0, 0.1, rows), len(kinds))
-    command[np.repeat([not moves for _, moves in kinds], rows)] = 0.0
-    segment = np.repeat([segment for segment, _ in kinds], rows)
-    return Recording(
-        name="trials",
-        time_s=0.2 * np.arange(count),
-        trial=np.repeat(np.arange(len(kinds)), rows),
-        command_rad=command,
-        load_segment=segment,
-        load_n=np.outer(segment > 0, [0.0, 0.0, -5.0]),
-        tensions_n=np.full((count, 12), 50.0),
-    )
-
-
-def test_folds_are_alike_in_size_and_each_kind_is_in_every_fold():
-    fold = folds_of(small_recording())
-    assert set(fold) == set(range(FOLDS))
-    assert np.ptp(np.bincount(fold)) <= 1
-    renumbered = replace(small_recording(), trial=7 * small_recording().trial + 3)
-    assert folds_of(renumbered).tolist() == fold.tolist()
-    kinds = [(0, True), (1, False), (2, False), (0, False)] * FOLDS
-    fold = folds_of(trials(kinds))
-    for kind in set(kinds):
-        assert sorted(fold[[k == kind for k in kinds]]) == list(range(FOLDS))
-    assert sorted(folds_of(trials([(1, False), (0, True)]))) == [0, 1]
-
-
-def test_places_go_by_kind_and_number_and_crosstalk_names_its_source():
-    places = ("cable_10", "cable_7_into_cable_2", "segment_3", "joint_1", "arm")
-    found = places_of({Term("x", place, "y"): 1.0 for place in places}, ("moving",))
-    assert found.cables == ("cable_7", "cable_10")
-    assert (found.segments, found.joints) == (("segment_3",), ("joint_1",))
-    assert found.regimes == ("moving",)
 
 
 OFFSET = Term("contact_offset", "segment_4", "offset_m")

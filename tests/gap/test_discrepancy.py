@@ -58,14 +58,6 @@ def test_places_where_the_reference_has_not_been_are_less_certain():
     assert np.median(deviation[unseen]) > 5.0 * np.median(deviation[~unseen])
 
 
-def test_noise_teaches_its_size_alone():
-    smooth, discrepancy = learnt(wavy=0.0)
-    again = moved(3)
-    mean, deviation = discrepancy.of(smooth.of(again), smooth.beyond(again))
-    assert np.abs(mean).max() < NOISE
-    assert deviation == pytest.approx(NOISE, rel=0.5)
-
-
 def explained(residual) -> FlexibleModel:
     """By a level, and by the way a machine moves; its conditions say nothing."""
     features = {"level": {"level of one": LEVEL, "level of other": LEVEL**2}, "way": {"way": WAY}}

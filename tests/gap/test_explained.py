@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from gap_problem import (
-    CHANNELS,
     FLOOR,
     SIGNALS,
-    TRIAL,
     Sums,
     amount,
-    explanation,
     linear,
     problem_of,
-    rate,
-    size,
 )
 
 from cablesense_gap.diagnosis.fitting import refine, refit
 from cablesense_gap.diagnosis.probability import Ranked
 from cablesense_gap.explained import (
-    NEGLIGIBLE,
     gap_size,
     remainder,
     rmse_interval_n,
     shares,
-    significant_values,
     trades,
 )
-from cablesense_gap.simulator import Candidate, Term
 
 TRUTH = {amount("gain", "b"): 2.0, amount("other", "a"): -0.7}
 PLANTED = {"gain": 2.0 * SIGNALS[1], "other": -0.7 * SIGNALS[4]}
@@ -99,36 +89,6 @@ def test_effects_that_one_recording_hardly_distinguishes_are_one_item():
     assert trades(*fitted_together(SIGNALS[5])) == []
 
 
-LEAK = Candidate("leak", ("a", "b", "c"), (size("amount"), rate()))
-HEAVY = Candidate("heavy", ("a",), (size("amount"),))
-
-
-@pytest.mark.parametrize(
-    ("changes", "left_out"),
-    [
-        ({("leak", "a"): 1.0, ("leak", "b"): 2.0 * NEGLIGIBLE, ("leak", "c"): 0.01}, {"c"}),
-        ({("leak", "a"): 100.0, ("heavy", "a"): 0.5}, set()),  # each by its own largest place
-        ({}, set()),
-    ],
-)
-def test_places_that_change_next_to_nothing_are_left_out(changes, left_out):
-    by_term = {amount(*at): change for at, change in changes.items()}
-    found = changing(by_term)
-    kept = significant_values(found, (LEAK, HEAVY))
-    assert list(kept) == [term for term in by_term if term.place not in left_out]
-
-
-def changing(by_term: dict[Term, float]):
-    """An explanation whose terms each change the readings by so much (root mean square)."""
-    columns = [np.full((len(TRIAL), CHANNELS), change) for change in by_term.values()]
-    return replace(
-        explanation(*sorted({term.effect for term in by_term})),
-        values=dict.fromkeys(by_term, 1.0),
-        deviations=dict.fromkeys(by_term, 0.2),
-        columns=np.array(columns),
-    )
-
-
 CABLES, ROWS, TRIALS = 3, 40, 20
 TRIALS_OF = np.repeat(np.arange(TRIALS), ROWS)
 RNG = np.random.default_rng(3)
@@ -147,15 +107,6 @@ def test_sizes_are_root_mean_squares():
     assert gap_size(2.0 * WHITE, WHITE, TRIALS_OF, 0.1) == gap_size(
         2.0 * WHITE, WHITE, TRIALS_OF, 0.1
     )
-
-
-def test_trials_whose_rows_do_not_count_say_nothing():
-    """If only two of three trials are left, a draw must not meet the empty one alone."""
-    few = np.isin(TRIALS_OF, [1, 4])
-    found = gap_size(2.0 * WHITE[few], WHITE[few], TRIALS_OF[few], 0.1)
-    assert np.isfinite(found.ci95).all()
-    squares, count = np.array([0.0, 8.0, 18.0]), np.array([0.0, 2.0, 2.0])
-    assert rmse_interval_n(squares, count) == pytest.approx((2.0, 3.0))
 
 
 def test_the_interval_of_a_size_holds_it_as_often_as_it_says():

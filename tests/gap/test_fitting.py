@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from gap_problem import (
     FLOOR,
     SIGNALS,
-    TIME,
     Sums,
     amount,
     fading,
@@ -21,25 +18,16 @@ from gap_problem import (
 )
 from numpy.testing import assert_allclose
 
-from cablesense_gap.diagnosis.fitting import (
-    final_refinement,
-    fit,
-    refine,
-    with_fitted_tolerances,
-)
+from cablesense_gap.diagnosis.fitting import final_refinement, refine, with_fitted_tolerances
 from cablesense_gap.diagnosis.problem import (
     from_scaled,
     to_scaled,
 )
-from cablesense_gap.diagnosis.selection import Selection, linear_effects
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
 GAIN, OTHER_GAIN = amount("gain", "a"), amount("gain", "b")
 AMOUNT, RATE = amount("fading", "x"), Term("fading", "x", "rate")
-PLAIN = linear("gain", "abc")
-((FADING, FADES),) = fading("fading", "xy", history_dependent=True).items()
-TRIED = replace(FADING, parameters=(size("amount"), replace(rate(), trials=(1.0, 5.0, 25.0))))
 
 
 SIZE = size("amount", typical=4.0, most=100.0)
@@ -53,22 +41,6 @@ def test_scaled_values_return_and_stay_in_the_plausible_range(parameter):
         assert from_scaled(parameter, to_scaled(parameter, value)) == pytest.approx(value)
     for scaled in (-50.0, 0.3, 50.0):
         assert parameter.low <= from_scaled(parameter, scaled) <= parameter.high
-
-
-def linearised(effects):
-    simulator = Sums(effects)
-    return linear_effects(problem_of(simulator, {}), simulator.candidates[0])
-
-
-def test_a_linear_effect_has_the_change_of_its_typical_size_as_column_in_each_place():
-    candidate = Candidate("gain", ("x", "broken", "z"), (size("amount", typical=0.2),))
-    by_place = {"x": SIGNALS[0], "broken": np.nan * SIGNALS[1], "z": SIGNALS[2]}
-    found = linearised({candidate: lambda place, n: n["amount"] * by_place[place]})
-    assert [effect.place for effect in found] == ["x", "z"]  # the other cannot be simulated
-    for effect in found:
-        assert_allclose(effect.columns, 0.2 * by_place[effect.place][None], atol=1e-12)
-        assert effect.terms == (Term("gain", effect.place, "amount"),)
-        assert_allclose(effect.start, 0.0)
 
 
 def fitted(problem, *starts, **options):
@@ -99,16 +71,6 @@ def test_a_gross_change_of_a_stiffness_is_reached_from_none(change):
     assert found.deviations[term] < 0.03 * (1.0 + change)
 
 
-def tone_of(frequency, **options):
-    """A tone is found from near its frequency alone."""
-    candidate = Candidate("tone", ("x",), (size("amount", 10.0), frequency), **options)
-
-    def tone(_, numbers):
-        return numbers["amount"] * np.outer(np.sin(numbers["rate"] * TIME), [1.0, 2.0, 3.0])
-
-    return {candidate: tone}, *candidate.terms("x")
-
-
 def test_one_number_at_its_end_leaves_the_others_free():
     """If the truth is beyond the range, the others are best for the end of the range."""
     mixed = SIGNALS[1] + 0.5 * SIGNALS[0]
@@ -137,19 +99,6 @@ def test_a_fit_turns_back_from_what_cannot_be_simulated():
     found = fitted(problem(1.2), {GAIN: 0.2}, most_steps=20)
     assert found.values[GAIN] == pytest.approx(1.0, abs=0.05)
     assert fitted(problem(-99.0), {GAIN: 1.0}) is None
-
-
-def test_prediction_and_sensitivities_are_those_of_the_simulator():
-    truth = {AMOUNT: 2.0, RATE: 3.0}
-    problem = problem_of(Sums(fading("fading", ["x"])), truth)
-    found, simulator = fitted(problem, truth), problem.simulator
-    expected = simulator.predict([{**found.values, **found.tolerances}])[0]
-    assert_allclose(found.prediction, expected, atol=1e-3)
-    for column, term in zip(found.columns, found.values, strict=True):
-        step = 1e-5 * (found.values[term] if term == RATE else 1.0)  # a rate by its logarithm
-        moved = {**found.values, term: found.values[term] + step}
-        change = (simulator.predict([moved]) - simulator.predict([found.values]))[0] / 1e-5
-        assert np.abs(column - change).max() < 0.05 * np.abs(change).max()
 
 
 def test_held_out_trials_are_predicted_by_fits_that_have_not_seen_them():
@@ -191,61 +140,6 @@ def test_intervals_hold_the_truth(effects, truth, std):
         found = fitted(problem_of(simulator, {**truth, **left}, seed), truth)
         inside.append([abs(found.values[t] - v) <= found.deviations[t] for t, v in truth.items()])
     assert (np.mean(inside, axis=0) >= 0.85).all()
-
-
-def proposed(library, truth, about=None):
-    problem = problem_of(Sums(library), truth)
-    about = about or refine(problem, {}, [[]])
-    offered = [e for c in problem.simulator.candidates for e in linear_effects(problem, c)]
-    others = [e for e in offered if e.effect not in about.effects]
-    return problem, Selection(problem, about, others).additions()
-
-
-def added(library, truth, about=None):
-    problem, proposals = proposed(library, truth, about)
-    return min(fit(problem, proposals[0]), key=problem.judged)
-
-
-@pytest.mark.parametrize(
-    "truth",
-    [
-        {OTHER_GAIN: 0.3},
-        {OTHER_GAIN: -20.0},
-        {OTHER_GAIN: 1.0, amount("gain", "c"): -0.6},
-    ],
-    ids=["small", "large", "two places"],
-)
-def test_a_plain_effect_has_its_planted_numbers(truth):
-    found = added(PLAIN, truth)
-    assert found.values == pytest.approx(truth, abs=0.02)
-    assert found.held_out_rmse == pytest.approx(FLOOR, rel=0.15)
-
-
-@pytest.mark.parametrize("effect", [FADING, TRIED], ids=["one shape", "several shapes"])
-@pytest.mark.parametrize("planted", [0.7, 6.0, 20.0])
-def test_history_dependent_effects_are_found_from_another_shape(effect, planted):
-    """Their columns are taken at a rate of two."""
-    truth = {AMOUNT: 6.0, RATE: planted}
-    assert added({effect: FADES}, truth).values == pytest.approx(truth, rel=0.15)
-
-
-def test_a_fit_starts_at_the_shape_that_explains_most():
-    frequency = replace(rate((3.0,)), high=200.0, trials=(3.0, 12.0, 50.0))
-    effect, size_, rate_ = tone_of(frequency, history_dependent=True)
-    found = added(effect, {size_: 2.0, rate_: 48.0})
-    assert found.values[rate_] == pytest.approx(48.0, rel=0.05)
-
-
-def test_an_explanation_and_its_additions_are_fitted_together():
-    """The first alone was wrong, because the second was missing."""
-    resembling = linear("gain", "ab", [SIGNALS[0], SIGNALS[1] + 0.7 * SIGNALS[6]])
-    library = {**resembling, TRIED: FADES}
-    truth = {AMOUNT: 5.0, RATE: 5.0, OTHER_GAIN: 1.0}
-    problem, proposals = proposed(library, truth)
-    alone = next(p for p in proposals if p.effects == ("fading",))
-    first = min(fit(problem, alone), key=problem.judged)
-    assert first.values[RATE] < 4.0
-    assert added(library, truth, first).values == pytest.approx(truth, rel=0.1)
 
 
 OFF = amount("scatter", "b")

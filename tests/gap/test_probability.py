@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from gap_problem import SIGNALS, Sums, amount, explanation, linear, problem_of, size
+from gap_problem import SIGNALS, Sums, amount, explanation, linear, problem_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -119,23 +119,6 @@ def test_the_share_is_what_lies_in_the_others_direction(angle):
     assert share == pytest.approx(1.0 - np.sin(angle), abs=2e-3)
 
 
-@pytest.mark.parametrize(("std", "low", "high"), [(1e-4, 0.0, 0.7), (10.0, 0.99, 1.0)])
-def test_tolerances_imitate_only_as_far_as_manufacturing_allows(std, low, high):
-    tolerance = Candidate("workshop", ("arm",), (size("amount", std),))
-    problem = plain({tolerance: lambda place, numbers: numbers["amount"] * OTHER})
-    one, other = explained(problem, "a", ONE + 0.5 * OTHER), explained(problem, "b", ONE)
-    assert low <= imitated_share(problem, one, other) <= high
-
-
-@pytest.mark.parametrize("name", ["none", "unknown"])
-@pytest.mark.parametrize("leads", [True, False])
-def test_none_and_unknown_are_in_no_group(name, leads):
-    without = replace(explained(PLAIN, name, 0.0 * ONE), effects=()) if name == "none" else None
-    way_out, ranked = Ranked((name,), 0.52, without), believed({"a": ONE}, 0.48)
-    ranked = [way_out, *ranked] if leads else [*ranked, way_out]
-    assert ambiguity(PLAIN, ranked)[0] == ((name,) if leads else ("a",))
-
-
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -175,23 +158,6 @@ def test_an_effect_of_history_or_direction_is_named_although_much_is_left(differ
     explanations = [leaving(3.0), leaving(leaves, "a")]
     found = named(problem, posterior(explanations, FLOOR, BUNDLED), BUNDLED)
     assert found[0].effects == told
-    assert sum(each.probability for each in found) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(
-    ("changes", "told"),
-    [
-        ({"a": ONE, "b": 2.0 * ONE, "c": -ONE}, ("a", "b", "c")),
-        ({"a": ONE, "b": 2.0 * ONE, "c": OTHER}, ("unknown",)),
-        ({"a": ONE, "b": OTHER, "c": OTHER}, ("unknown",)),
-    ],
-    ids=["all alike", "two alike", "none alike"],
-)
-def test_an_unlisted_effect_is_weighed_against_all_explanations_that_are_alike(changes, told):
-    nothing = Ranked(("none",), 0.04, replace(explained(PLAIN, "none", 0.0 * ONE), effects=()))
-    ranked = [Ranked(UNKNOWN, 0.4, None), *believed(changes, 0.21, 0.18, 0.17), nothing]
-    found = named(PLAIN, ranked, BUNDLED)
-    assert ambiguity(PLAIN, found)[0] == told
     assert sum(each.probability for each in found) == pytest.approx(1.0)
 
 

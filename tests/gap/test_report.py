@@ -117,16 +117,6 @@ def test_unknown_warns_against_amending_and_names_places(text_of):
     assert "Use the amended" not in text
 
 
-def test_effects_are_not_credited_with_what_tolerances_took(text_of):
-    gap = gap_of(3.0, 0.2).model_copy(update={"effects_n": 0.9})
-    text = text_of(verdict_of("payload", gap=gap))
-    assert "Simulating it alone takes the gap from 3.00 N to 0.90 N, with" in text
-    assert "as fitted to 0.20 N" in text
-    assert "72 % of what can be removed, and 97 % with tolerances" in text
-    for bar in ("nominal3.00 N", "with payload alone0.90 N", "with tolerances as well0.20 N"):
-        assert bar in text
-
-
 def test_steps_of_several_effects_end_at_the_floor(text_of):
     shares = {
         name: Share(share_n=1.0, ci95_n=(0.9, 1.1), left_n=left_n, probability=0.9)
@@ -154,27 +144,6 @@ def test_a_number_at_an_end_of_its_range_is_known_to_one_side(text_of, value, ci
     text = text_of(verdict_of("payload", parameters={"payload.segment_2.beyond_middle": number}))
     assert words in text
     assert "beyond the segment's middle, as a share of the segment's length" in text
-
-
-ONE = FittedNumber(value=1.0, unit="1", ci95=(0.9, 1.1))
-
-
-def test_two_effects_are_named_each_with_its_places():
-    verdict = verdict_of(
-        "payload+sensor_gain",
-        0.6,
-        cables=("cable_3", "cable_5"),
-        segments=("segment_2",),
-        parameters={
-            "payload.segment_2.mass_kg": ONE,
-            "sensor_gain.cable_5.gain": ONE,
-            "sensor_gain.cable_3.gain": ONE,
-        },
-    )
-    assert headline(verdict) == (
-        "The gap probably comes from mass that nobody modelled, on segment 2, and from a wrong "
-        "scale of tension sensors, at cables 3 and 5 (60 % sure)."
-    )
 
 
 @pytest.mark.parametrize(

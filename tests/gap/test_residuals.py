@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from arm_variants import five_by_four, variant
 from gap_recordings import LAB, PLACES_M, placed_recording, small_recording
 
 from cablesense_gap.residuals import (
     EVERYWHERE,
     LOAD_PLACE,
-    LOADED,
     SET,
-    TRIAL,
     decompose,
     load_branch,
     loop_n,
     regimes,
     row_groups,
-    segment_modes_n,
 )
 
 SMALL = small_recording()
@@ -51,30 +47,6 @@ def test_a_pull_on_all_cables_of_a_segment_is_common_mode():
     for name in ("segment_2, bending, y", "segment_2, bending, z", "segment_1, common mode"):
         assert modes[name].over_floor < 1.3
     assert not any("self-stress" in name for name in modes)  # of three cables there is none
-
-
-FIVE = variant({"cables.per_segment": 5, "cables.angle_deg.per_cable": -72})
-
-
-@pytest.mark.parametrize("arm", [LAB, five_by_four(), FIVE])
-def test_modes_keep_noise_and_squares(arm):
-    """Parseval: no part of a residual is lost, however many cables a segment has."""
-    residual = np.random.default_rng(2).normal(size=(4000, arm.cable_count))
-    modes = segment_modes_n(residual, arm)
-    assert modes.shape == (4000, arm.segment_count, arm.cables.per_segment)
-    np.testing.assert_allclose((modes**2).sum(axis=(1, 2)), (residual**2).sum(axis=1), rtol=1e-12)
-    np.testing.assert_allclose(modes.std(axis=0), 1.0, atol=0.06)
-
-
-def test_every_row_is_in_one_member_of_each_partition():
-    masks: dict[str, list[np.ndarray]] = {}
-    for (group, _), rows in ROWS.items():
-        masks.setdefault(group, []).append(rows)
-    for group, listed in masks.items():
-        count = np.sum(listed, axis=0)
-        assert count.max() == 1, group
-        if group in (LOADED, "pose", "rest and motion", "time", TRIAL):
-            assert count.min() == 1, group
 
 
 def test_hysteresis_shows_as_a_loop_and_an_elastic_residual_does_not():

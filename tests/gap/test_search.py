@@ -133,43 +133,6 @@ def test_what_depends_on_history_is_found_beside_several_others(sketch, others):
     assert found.values == pytest.approx(truth, rel=0.1)
 
 
-def of_the_past(effect, change):
-    candidate = Candidate(effect, ("x",), (size("amount", most=10.0),), history_dependent=True)
-    return {candidate: lambda _, numbers: change(numbers["amount"])}
-
-
-def turning(amount_):
-    """Of size four at right angles to what it does at its usual size, one."""
-    angle = 0.5 * np.pi * (amount_ - 1.0) / 3.0
-    return amount_ * (np.cos(angle) * SIGNALS[4] + np.sin(angle) * SIGNALS[5])
-
-
-def test_what_is_unlike_itself_at_its_usual_size_is_found():
-    truth = {TURNING: 4.0}
-    problem = problem_of(Sums(PLAIN | of_the_past("turning", turning)), truth)
-    assert best(search(problem)).values == pytest.approx(truth, rel=0.02)
-
-
-class Masked(Sums):
-    """Creep shows elsewhere beside what turns: there it resembles a gain."""
-
-    def _one(self, variant):
-        total, creep = super()._one(variant), variant.get(CREEP, 0.0)
-        masked = abs(variant.get(TURNING, 0.0)) > 0.5
-        shown = 0.8 * SIGNALS[0] + 0.6 * SIGNALS[7]
-        return total + creep * (shown - SIGNALS[6]) if masked else total
-
-
-CREEP, TURNING = amount("creep", "x"), amount("turning", "x")
-
-
-def test_what_another_effect_masks_is_found_beside_it():
-    library = PLAIN | of_the_past("creep", lambda amount_: amount_ * SIGNALS[6])
-    truth = {CREEP: 6.0, TURNING: 4.0}
-    problem = problem_of(Masked(library | of_the_past("turning", turning)), truth)
-    assert best(search(problem)).values == pytest.approx(truth, rel=0.02)
-
-
 def unlike(count, seed):
     return np.random.default_rng(seed).normal(size=(count, *SIGNALS.shape[1:]))
 
@@ -182,22 +145,3 @@ def test_an_effect_in_most_of_its_places_is_found_in_all_of_them():
     unexplained = 1.3 * unlike(1, 2)[0]
     found = best(search(problem_of(simulator, simulator.predict([truth])[0] + unexplained)))
     assert set(found.values) == truth.keys()
-
-
-class Exclusive(Sums):
-    """In addition to the wrong effect, the right one changes nothing."""
-
-    def _one(self, variant):
-        wrong = any(term.effect == "wrong" for term in variant)
-        return super()._one({t: v for t, v in variant.items() if not (wrong and t.effect == "e")})
-
-
-def test_a_wrong_effect_is_exchanged_for_the_right_one():
-    """The wrong one imitates nearly all of the right one, which seems larger than it is."""
-    right, other = unlike(2, 3)
-    ((candidate, _),) = linear("e", "a").items()
-    grows = {candidate: lambda _, n: n["amount"] * (1.0 + 0.3 * abs(n["amount"])) * right}
-    library = grows | linear("wrong", "a", [right + 0.1 * other]) | linear("d", "ab")
-    truth = {amount("e", "a"): 5.0, amount("d", "b"): 3.0}
-    found = best(search(problem_of(Exclusive(library), truth)))
-    assert found.values == pytest.approx(truth, abs=0.05)

@@ -74,18 +74,6 @@ def test_turns_of_a_sweep_are_kept_to_the_row():
     assert np.diff(rows).max() <= 60_000 / 5_000
 
 
-def test_the_way_keeps_turns_and_stops_and_few_rows_between():
-    up, down = np.linspace(0.0, 1.0, 12), np.linspace(1.0, 0.0, 12)
-    load_n = np.concatenate([up, np.ones(40), down, np.zeros(30)])
-    trial = np.repeat([3, 8], [12 + 40, 12 + 30])
-    rows = rows_along_path(recording(np.zeros(len(load_n)), load_n, trial))
-    for corner in (0, 11, 51, 52, 63, len(load_n) - 1):
-        assert corner in rows
-    assert np.diff(rows).max() <= 10
-    assert np.diff(rows[rows <= 11]).max() <= 3
-    assert len(rows) < 0.35 * len(load_n)
-
-
 @pytest.mark.parametrize("hysteresis_n", [0.0, 0.02, 2.0])
 def test_what_the_past_does_shows_where_loads_return(hysteresis_n):
     """On unloading all cables read more than on loading, at the same loads."""

@@ -20,8 +20,6 @@ from cablesense_gap.unlisted import (
     residual_features,
     residual_patterns,
 )
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.replay import read_tensions_n
 
 SMALL = small_recording()
@@ -90,120 +88,6 @@ JUMPS[[30, 66, 102], 4] = 9.0
 )
 def test_the_pattern_of_a_planted_residual_is_described(planted, words):
     assert words in said(planted)
-
-
-MOVING = SMALL.trial == SMALL.trial.max()
-WILD = np.random.default_rng(1).normal(0.0, 5.0, (ROWS, 12)) * MOVING[:, None]
-
-
-def late(keeps: float) -> np.ndarray:
-    """A residual that follows each change of the load and fades."""
-    found = np.zeros(ROWS)
-    for row in range(1, ROWS):
-        found[row] = keeps * (found[row - 1] + LOAD[row] - LOAD[row - 1])
-    return -np.outer(found, ALL)
-
-
-@pytest.mark.parametrize(
-    ("planted", "not_said"),
-    [
-        (0.03 * np.outer(LOAD, ALL), "Loading and unloading"),
-        (0.1 * np.outer(LOAD, ALL), "changes once"),
-        (np.outer(np.arange(ROWS) >= ROWS - 5, 2.0 * CABLES[7]), "changes once"),
-        (np.outer(LOAD, ALL) + WILD, "jumps"),
-        *[(late(keeps), "jumps") for keeps in (0.2, 0.5, 0.8)],
-    ],
-)
-def test_another_pattern_is_not_described(planted, not_said):
-    text = said(planted)
-    assert text
-    assert not_said not in text
-
-
-@pytest.mark.parametrize(
-    ("group", "words"),
-    [
-        ("pose", "depends on the commanded pose, most clearly on size of the load: a flexible"),
-        ("history", "It depends on the last reversals of the tensions"),
-        ("gears", "It depends on gears"),
-    ],
-)
-def test_the_group_of_features_that_predicts_most_is_named(group, words):
-    text = said(ALL, model(alone_other=0.1, **{group: 0.7}))
-    assert words in text
-    assert "predicts 70% of it" in text
-
-
-ROWS_SWEEP = 500
-rng = np.random.default_rng(2)
-TIME_S = np.arange(ROWS_SWEEP) / 5.0
-COMMAND = 0.18 * np.sin(np.outer(TIME_S, rng.uniform(0.15, 0.5, 8)) + rng.uniform(0.0, 6.0, 8))
-LENGTH_M = held_lengths_m(mechanism_of(LAB), COMMAND)
-MIXED = rng.normal(size=12)
-SMOOTH = 30.0 * COMMAND[:, 0] + 200.0 * COMMAND[:, 1] * COMMAND[:, 4]
-
-
-def sweep() -> Recording:
-    return Recording(
-        name="sweep",
-        time_s=TIME_S,
-        trial=np.zeros(ROWS_SWEEP, dtype=np.int64),
-        command_rad=COMMAND,
-        load_segment=np.zeros(ROWS_SWEEP, dtype=np.int64),
-        load_n=np.zeros((ROWS_SWEEP, 3)),
-        tensions_n=np.full((ROWS_SWEEP, 12), 50.0),
-    )
-
-
-@pytest.mark.parametrize(
-    ("planted", "words"),
-    [
-        (np.outer(np.sin(2.0 * np.pi * COMMAND[:, 3] / 0.07), MIXED), "4 degrees of joint 2 yaw"),
-        (
-            np.outer(np.sin(2.0 * np.pi * LENGTH_M[:, 6] / 0.004), CABLES[6]),
-            "4 mm of cable, most in cable 7",
-        ),
-    ],
-    ids=["a joint's detents", "one screw"],
-)
-def test_a_period_is_found(planted, words):
-    number = float(words.split()[0])
-    found = said(planted, recording=sweep()).partition("It repeats every ")[2]
-    assert found.partition(" ")[2].startswith(words.partition(" ")[2])
-    assert float(found.split()[0]) == pytest.approx(number, rel=0.08)
-
-
-@pytest.mark.parametrize(
-    ("planted", "recording"),
-    [
-        (np.outer(SMOOTH, MIXED), sweep()),
-        (rng.normal(size=(ROWS_SWEEP, 12)), sweep()),
-    ],
-    ids=["smooth in the pose", "scatter"],
-)
-def test_other_residuals_have_no_period(planted, recording):
-    assert "repeats" not in said(planted, recording=recording)
-
-
-TENSION = 40.0 + np.outer(LOAD, np.linspace(-0.5, 0.5, 12))
-FEATURES = residual_features(SMALL, TENSION, LAB)
-
-
-def test_loads_are_by_segment_and_axis():
-    third = SMALL.load_segment == 3
-    along = FEATURES["load"]["load on segment_3 along z"]
-    np.testing.assert_array_equal(along[third], SMALL.load_n[third, 2])
-    assert not along[~third].any()
-
-
-@pytest.mark.parametrize("size", ["", "large "])
-def test_reversals_distinguish_loading_from_unloading(size):
-    """At one load, before and after its peak, a play is on opposite sides."""
-    rows = np.flatnonzero(SMALL.trial == 1)
-    lag = FEATURES["history"][f"{size}reversals of cable_12"][rows]
-    assert np.abs(lag).max() <= 1.0
-    assert lag[10] == pytest.approx(1.0)
-    assert lag[26] < -0.5
 
 
 @pytest.mark.parametrize(

@@ -85,31 +85,6 @@ def test_whatever_a_study_raises_is_part_of_its_outcome(error, text):
     assert text in outcome.failure
 
 
-@pytest.mark.parametrize(
-    ("ours", "rule", "agreement"),
-    [
-        (1.1, {"within": 0.1001}, "yes"),
-        (1.2, {"within": 0.1001}, "no"),
-        (1.2, {"within": 0.1001, "otherwise": "partly"}, "partly"),
-        (float("nan"), {"within": 0.1001}, "no"),
-        (0.9, {"at_most": "{limit}"}, "yes"),
-        (1.1, {"at_most": "{limit}"}, "no"),
-        (1.1, {"above": 1.0}, "yes"),
-        ([True, True], {"agrees": "{ours}"}, "yes"),
-        ([True, False], {"agrees": "{ours}"}, "partly"),
-        ([False], {"agrees": "{ours}"}, "no"),
-        (False, {"agrees": "{ours}", "otherwise": "partly"}, "partly"),
-        (0.0, {"agrees": "partly"}, "partly"),
-    ],
-)
-def test_a_comparison_agrees_by_its_rule(ours, rule, agreement, monkeypatch):
-    entry = {"what": "", "ours": "{ours}", "theirs": 1.0, "why": "", **rule}
-    text = {"lead": "", "pictures": {}, "comparisons": [entry]}
-    monkeypatch.setattr(studies, "read_study_text", lambda name: text)
-    result = study_result("any", {"ours": ours, "limit": 1.0}, {})
-    assert [c.agreement for c in result.comparisons] == [agreement]
-
-
 def test_a_result_is_made_of_text_numbers_and_figures(monkeypatch):
     monkeypatch.setattr(studies, "read_study_text", lambda name: TEXT)
     with style():

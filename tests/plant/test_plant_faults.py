@@ -8,16 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from plant_arm import NOMINAL
 
 from cablesense_plants.arm.arm import (
     ActuatorFaults,
-    Drift,
-    DriftShape,
     Filter,
     SensorFaults,
-    ideal_arm,
-    with_tolerances,
 )
 
 IDEAL = ActuatorFaults()
@@ -55,39 +50,3 @@ def test_a_lagging_sensor_arrives_and_was_settled_before(kind: str) -> None:
     below = (late < 79.9).sum(axis=0)
     assert below[1] < below[0] < below[2]
     assert (np.diff(late, axis=0) >= -1e-9).all()
-
-
-@pytest.mark.parametrize("shape", get_args(DriftShape))
-def test_zeros_drift_within_their_size(shape: str) -> None:
-    drift = Drift(np.array([1.5, 0.0, -0.5]), shape, 60.0, 0.7, 4)
-    zeros = drift.zeros_n(LONG_S)
-    assert not zeros[:, 1].any()
-    assert np.abs(zeros).max(axis=0) == pytest.approx([1.5, 0.0, 0.5], rel=0.15)
-    np.testing.assert_array_equal(zeros, drift.zeros_n(LONG_S))
-    assert np.abs(np.diff(zeros, axis=0)).max() < 0.4
-
-
-DRAWN = ideal_arm(NOMINAL)
-ARMS = [with_tolerances(DRAWN, np.random.default_rng(seed)) for seed in range(200)]
-
-
-def angles_deg(holes: np.ndarray) -> np.ndarray:
-    return np.rad2deg(np.arctan2(holes[..., 1], holes[..., 2]))
-
-
-def test_tolerances_have_their_standard_deviations() -> None:
-    masses = np.array([arm.body.mass_kg / 0.5 - 1.0 for arm in ARMS])
-    pretensions = np.array([arm.body.pretension_n - 50.0 for arm in ARMS])
-    contacts = np.array([arm.body.contact_at_m[0, :, 0] - 0.065 for arm in ARMS])
-    zeros = np.array([arm.sensing.offset_n for arm in ARMS])
-    holes = np.array([angles_deg(arm.body.after_m) for arm in ARMS])
-    turned = (holes - angles_deg(DRAWN.body.after_m) + 180.0) % 360.0 - 180.0
-    for found, sigma in (
-        (masses, 0.005),
-        (pretensions, 0.15),
-        (contacts, 0.0003),
-        (turned, 0.05),
-        (zeros, 0.05),
-    ):
-        assert found.std() == pytest.approx(sigma, rel=0.1)
-        assert abs(found.mean()) < 0.15 * sigma

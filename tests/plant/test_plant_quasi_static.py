@@ -1,13 +1,10 @@
 """The plant's history-dependent rests: chains that stick at their guides, joints, and creep."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from friction_law import searched
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from plant_arm import BODY, NOMINAL
 
 from cablesense_plants.arm.body import Body, Creep, PlantError, PlantFriction
@@ -120,22 +117,6 @@ def test_a_run_that_sticks_keeps_its_tension_while_the_load_comes_off() -> None:
     assert np.ptp(passed, axis=0).max() < 1e-12
 
 
-@pytest.mark.slow
-def test_arms_side_by_side_are_those_one_by_one() -> None:
-    law = friction(pulley_rad=1.0)
-    path = QuasiStaticPath(BODY, law, Creep(), RUN_M)
-    commands = np.array([POSE, -0.5 * POSE, 0.0 * POSE])
-    paid = np.concatenate([paid_out_m(command) for command in commands])
-    state = path.start(commands, paid, np.repeat(load_n(0.0), 3, axis=0))
-    alone = [path.start(c[None], paid_out_m(c), load_n(0.0)) for c in commands]
-    for share in UP_DOWN[1:]:
-        state = path.advance(state, paid, np.repeat(load_n(3.0 * share), 3, axis=0), 0.2)
-        for i, command in enumerate(commands):
-            alone[i] = path.advance(alone[i], paid_out_m(command), load_n(3.0 * share), 0.2)
-    expected = np.concatenate([each.tension_n for each in alone])
-    np.testing.assert_allclose(state.tension_n, expected, atol=1e-5)
-
-
 def test_joint_friction_holds_no_more_than_its_torque() -> None:
     law = friction(joint_nm=np.full((4, 2), 0.2))
     path = QuasiStaticPath(BODY, PlantFriction(), Creep(), RUN_M)
@@ -162,35 +143,6 @@ def test_settled_cables_creep_under_a_load_alone_and_recover() -> None:
         np.exp(-1.0), abs=0.06
     )  # one time constant later
     np.testing.assert_allclose(tension[-1], tension[0], atol=0.02)
-
-
-@pytest.mark.slow
-@settings(max_examples=3, deadline=None)
-@given(
-    seed=st.integers(0, 10_000),
-    law=st.sampled_from(
-        [{}, {"breakaway": 1.5}, {"reach_m": 1e-5}, {"reach_m": 1e-4, "rounded": True}]
-    ),
-)
-def test_rough_arms_find_rest_whatever_comes(seed: int, law: dict[str, Any]) -> None:
-    """Random commands, offsets and loads to 70 N; a cable in fourteen is slack."""
-    rng = np.random.default_rng(seed)
-    arms, segments = 8, np.arange(4)
-    rough = PlantFriction(0.3 * rng.uniform(0.8, 1.2, 12), pulley_rad=1.5, **law)
-    path = QuasiStaticPath(BODY, rough, Creep(), RUN_M)
-    commands = rng.uniform(-0.12, 0.12, (6, arms, 8))
-    straight = cable_lengths_m(BODY, np.zeros((1, 8)))
-    loads = rng.uniform(-50.0, 50.0, (6, arms, 4, 3)) * [0.0, 1.0, 1.0]
-    loads *= (rng.integers(0, 4, (6, arms, 1)) == segments)[..., None]
-    offsets = rng.uniform(-1e-4, 1e-4, (6, arms, 1))
-    held = [cable_lengths_m(BODY, command) - straight for command in commands] + offsets
-    state = path.start(commands[0], held[0], 0.0 * loads[0])
-    slack = 0.0
-    for given_m, load in zip(held[1:], loads[1:], strict=True):
-        state = path.advance(state, given_m, load, 0.2)
-        assert np.isfinite(state.tension_n).all()
-        slack += (state.tension_n[..., 0] <= 0.0).mean()
-    assert slack > 0.0
 
 
 def test_hardening_cables_with_friction_are_refused() -> None:

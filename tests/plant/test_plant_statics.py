@@ -7,7 +7,7 @@ import pytest
 from plant_arm import BODY, NOMINAL
 
 from cablesense_plants.arm.arm import ideal_arm
-from cablesense_plants.arm.body import Body, CableContact, PlantError, TipSpring, rigid_body
+from cablesense_plants.arm.body import Body, PlantError, TipSpring, rigid_body
 from cablesense_plants.arm.listed import ArmDraw
 from cablesense_plants.arm.protocol import Schedule
 from cablesense_plants.arm.statics import (
@@ -64,35 +64,6 @@ def test_a_span_in_the_plane_of_bending_has_its_closed_form(angle: float) -> Non
     # the plates open by the pitch on the side of +z when the arm pitches down, and close above
     expected = 2.0 * np.hypot(offset, radius) * np.sin(half + 0.5 * angle)
     assert lengths(BODY, angles)[0, 0, 0] == pytest.approx(expected, rel=1e-12)
-
-
-def test_slopes_and_curves_are_derivatives() -> None:
-    found = spans(BODY, ANGLES, turns(BODY, ANGLES))
-    step = 1e-5
-    for joint in range(4):
-        for axis in range(2):
-            moved = np.zeros(JOINTS)
-            moved[2 * joint + axis] = step
-            ahead = spans(BODY, ANGLES + moved, turns(BODY, ANGLES + moved))
-            back = spans(BODY, ANGLES - moved, turns(BODY, ANGLES - moved))
-            slope = (ahead.length_m - back.length_m)[:, joint] / (2 * step)
-            np.testing.assert_allclose(found.slope_m_rad[:, joint, axis], slope, atol=1e-9)
-            curve = (ahead.slope_m_rad - back.slope_m_rad)[:, joint] / (2 * step)
-            own = found.curve_m_rad2[:, joint, axis : axis + 2]
-            np.testing.assert_allclose(own, curve, atol=1e-8)
-
-
-def test_a_contact_of_cables_lengthens_them_beyond_its_angle_alone() -> None:
-    contact = CableContact(
-        joint=1, toward=(0.0, -1.0), cables=(4, 7), depth_m_rad2=0.02, from_rad=0.05
-    )
-    touching = replace(BODY, cable_contacts=(contact,))
-    angles = np.zeros((2, JOINTS))
-    angles[:, 3] = [0.15, -0.15]
-    more = cable_lengths_m(touching, angles) - cable_lengths_m(BODY, angles)
-    assert not more[0].any()
-    np.testing.assert_allclose(more[1, [4, 7]], 0.02 * 0.1**2)
-    assert np.count_nonzero(more[1]) == 2
 
 
 def energy_j(body: Body, angles: np.ndarray, loads: np.ndarray) -> np.ndarray:

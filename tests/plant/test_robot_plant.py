@@ -20,7 +20,7 @@ from cablesense_plants.robot.motion import (
     stacked_references,
     written,
 )
-from cablesense_plants.robot.robots import GUIDED, KINDS, SERVOS, RobotKind, stacked
+from cablesense_plants.robot.robots import GUIDED, KINDS, SERVOS, stacked
 from cablesense_ros.cli.app import app
 
 TILTED = """<mujoco><worldbody><body pos="0 0 0.3" euler="10 0 20">
@@ -106,36 +106,6 @@ def test_a_pendulum_swings_with_its_period_and_keeps_its_energy():
     with_payload = chain.with_mass(0, mass, np.array([0.0, 0.0, -3.0 * length]))
     (loaded,) = with_payload.accelerations(at, np.zeros(1), np.zeros(1), np.zeros((1, 1)))
     assert loaded == pytest.approx(acceleration * 4.0 / 10.0)  # mgl and ml² of both
-
-
-class Idle(RobotKind):
-    """A robot whose controller asks for no torque."""
-
-    def nominal(self):
-        robot, *names = super().nominal()
-        none = np.zeros_like(robot.damping)
-        chain = replace(robot.chain, gravity_m_s2=np.zeros(3), mass_kg=0.0 * robot.chain.mass_kg)
-        return replace(robot, chain=chain, damping=none, armature=none, stiffness=none), *names
-
-
-def test_a_free_double_pendulum_keeps_its_energy():
-    kind = KINDS["two_links"]
-    none = np.zeros(2)
-    robot = replace(kind.nominal()[0], damping=none, armature=none)
-    still = np.zeros((300, 1, 2))
-    asked = ReferenceMotion(still + np.array([2.0, -1.0]), still, still)
-    motion = simulate(Idle(**vars(kind) | {"gain_1_s2": 0.0}), stacked([robot]), asked)
-    model = mujoco.MjModel.from_xml_path(str(kind.path))
-    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
-    model.dof_armature[:] = 0.0
-    data, energy = mujoco.MjData(model), []
-    for data.qpos[:], data.qvel[:] in zip(
-        motion.motor[:, 0], motion.motor_speed[:, 0], strict=True
-    ):
-        mujoco.mj_forward(model, data)
-        energy.append(data.energy.sum())
-    assert np.ptp(motion.motor[:, 0]) > 1.0
-    assert np.ptp(energy) < 1e-4  # of some joules
 
 
 @pytest.mark.slow  # simulates for a while, until joints are fast
