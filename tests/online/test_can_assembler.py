@@ -61,11 +61,6 @@ def counted():
     return Assembly(256)
 
 
-@pytest.fixture
-def plain():
-    return Assembly(0)
-
-
 def test_every_whole_cycle_gives_one_sample_at_its_first_frame(bench):
     for number in range(5):
         bench.cycle(number)
@@ -86,18 +81,6 @@ def test_a_missing_channel_costs_its_sample_alone_and_is_named(bench):
     assert [sample.tensions_n[0] for sample in bench.samples] == [0.0, 1.0, 2.0, 4.0, 5.0]
     assert bench.faults == {FaultKind.MISSING_CHANNEL: {"cable_3": 1, "cable_4": 1}}
     assert bench.assembler.dropped == 1
-
-
-def test_without_a_counter_a_late_channel_is_named_and_the_order_found_again(plain):
-    plain.cycle(0)
-    plain.cycle(1, groups=(0, 1))
-    plain.take(data(2, 1.0), 1.6e-3)
-    for number in range(2, 6):
-        plain.cycle(number)
-    late = plain.faults[FaultKind.LATE_CHANNEL]
-    assert (late["cable_5"], late["cable_6"]) == (1, 1)
-    assert all(sample.skew_s <= SKEW_S for sample in plain.samples)
-    assert [sample.tensions_n[0] for sample in plain.samples[-2:]] == [4.0, 5.0]
 
 
 @pytest.mark.parametrize("jitter_s", [0.0, 3e-5])

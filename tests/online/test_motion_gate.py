@@ -47,31 +47,6 @@ def test_never_opens_before_the_arm_has_arrived_whatever_the_commands():
         assert watched.moving(10 * MS * step) or not motion.moving
 
 
-def test_the_swing_of_a_move_fades_while_the_arm_settles():
-    watched, motion = Gate(follow_rad_s=SPEED), JointMotion(np.zeros(2), SPEED)
-    assert watched.unrest is None
-    watched.command(np.array([0.0, 0.05]))
-    motion.go_to(np.array([0.0, 0.05]))
-    arrives_ms = round(1e3 * motion.remaining_s)
-    largest_rad_s2 = 0.0
-    for time_ms in range(arrives_ms):
-        watched.moving(time_ms * MS)
-        _, speed_rad_s, acceleration_rad_s2 = motion.state
-        largest_rad_s2 = max(largest_rad_s2, abs(acceleration_rad_s2[1]))
-        if time_ms:  # the gate knows of a motion once it moves
-            followed_rad_s, swing_rad_s2 = watched.unrest
-            np.testing.assert_allclose(followed_rad_s, speed_rad_s, atol=1e-9)
-            assert abs(acceleration_rad_s2[1]) <= swing_rad_s2[1] + 1e-9 <= largest_rad_s2 + 2e-9
-        motion.advance(1e-3)
-    for left_ms in (0, 50, 100, 200):
-        watched.moving((arrives_ms + left_ms) * MS)
-        speed_rad_s, swing_rad_s2 = watched.unrest
-        assert not speed_rad_s.any()
-    assert swing_rad_s2[1] < 0.06 * largest_rad_s2
-    watched.moving(arrives_ms * MS + round(2.1 * SETTLE * S))
-    assert watched.unrest is None
-
-
 def test_stamps_that_step_back_keep_what_is_left_to_wait():
     watched = gate()
     watched.command(np.array([0.0, 0.3]))

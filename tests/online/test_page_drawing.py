@@ -10,11 +10,9 @@ from cablesense_online.page.drawing import (
     Arrows,
     arrow_m,
     cable_pieces,
-    interval_m,
     place_m,
 )
 from cablesense_online.page.panel import TraceBuffer, interval_text, known_text
-from cablesense_online.page.snapshot import ForceBounds, ShownContact
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import cable_lengths_m, joint_positions_m
@@ -55,24 +53,6 @@ def test_an_arrow_pushes_towards_the_contact_and_is_as_long_as_its_force(force):
     assert 0.05 - 1e-12 <= length <= 0.425 + 1e-12
     small = np.diff(arrow_m(CONTACT, force / 40.0, 0.0, Arrows(0.1, 5.0)), axis=0)
     assert np.linalg.norm(small) == pytest.approx(length / 5.0)
-
-
-@pytest.mark.parametrize("angles_deg", [(350.0, 20.0), None])
-def test_the_lines_of_an_interval_pass_the_tails_of_its_outermost_forces(angles_deg):
-    def force(newtons, angle_deg):
-        angle = np.radians(angle_deg)
-        return newtons * np.array([0.0, np.sin(angle), np.cos(angle)])
-
-    leaning = force(50.0, 5.0) + np.array([20.0, 0.0, 0.0])
-    estimate = ShownContact(2, 5.0, 50.0, 0.08, 20.0, leaning)
-    bounds, along = ForceBounds(30.0, 80.0, angles_deg), np.array([1.0, 0.0, 0.0])
-    lines_m = interval_m(CONTACT, along, estimate, bounds, 0.02, ARROWS)
-    np.testing.assert_allclose(lines_m[1:, 0], lines_m[:-1, 1])
-    np.testing.assert_allclose(lines_m[0, 0], lines_m[-1, 1])
-    for newtons in bounds[:2]:
-        for angle_deg in angles_deg or (0.0, 90.0, 180.0):
-            tail, _ = arrow_m(CONTACT, force(newtons, angle_deg), 0.02, ARROWS)
-            assert np.linalg.norm(lines_m - tail, axis=-1).min() < 1e-9
 
 
 @given(

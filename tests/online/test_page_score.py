@@ -37,17 +37,6 @@ def test_errors_are_means_over_steady_moments():
     assert score.errors == (0, None, None, None, None, None)
 
 
-def test_several_contacts_are_compared_segment_by_segment():
-    true = [contact(4, newtons=30.0), contact(2, newtons=10.0)]
-    both = moment(0.0, true, [contact(4, newtons=31.0), contact(2, newtons=12.0)])
-    assert scored(both).magnitude_mae_n == pytest.approx(1.5)
-    missed = dataclasses.replace(both, estimated=both.estimated[:1])
-    errors = scored(both, missed)
-    assert errors.segment_right == 0.5
-    assert errors.magnitude_mae_n == pytest.approx((1.0 + 2.0 + 1.0 + 10.0) / 4)
-    assert errors.angle_mae_deg == pytest.approx(GUESS_DEG / 4)
-
-
 @pytest.mark.parametrize(
     ("true", "estimated", "angle_deg", "force_n"),
     [

@@ -55,17 +55,6 @@ def test_a_fault_is_found_at_its_cable(spoil, kind):
     assert {where for _, where in found} == {"cable_5"}
 
 
-def test_drift_of_an_arm_that_was_moved_in_between_is_a_note():
-    tensions_n = good_tensions_n()
-    drifting(tensions_n)
-    moved = np.arange(len(tensions_n)) % 500 > 400
-    report = check_sensors(series(tensions_n, at_rest=~moved), EXPECTED)
-    assert report.usable
-    assert [(finding.kind, finding.where) for finding in report.findings] == [("drift", "cable_5")]
-    pulled = check_sensors(series(tensions_n), EXPECTED, [Pull("cable_5", 3.0, 4.0)])
-    assert pulled.usable
-
-
 def test_a_channel_that_stands_still_is_wrong_only_while_others_move():
     tensions_n = good_tensions_n()
     tensions_n[:, 4] = 50.0
@@ -132,11 +121,6 @@ def test_the_step_of_quantised_readings_is_found(step_n, start_n, spread_steps):
     true_n = np.random.default_rng(0).normal(0.0, spread_steps * step_n, 2000)
     read_n = start_n + step_n * np.round(true_n / step_n)
     assert quantisation_step_n(read_n) == pytest.approx(step_n, rel=1e-3)
-
-
-def test_readings_on_no_steps_have_none():
-    assert quantisation_step_n(50.0 + noise_n(0.2)) is None
-    assert quantisation_step_n(np.full(100, 3.0)) is None
 
 
 def at(time_s):

@@ -44,20 +44,6 @@ def test_under_a_constant_load_it_grows_exponentially_to_its_share_of_the_stretc
             np.testing.assert_allclose(creep.lengthening_m(time)[0], expected, atol=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("settled", "begun", "at_first", "at_last"),
-    [(0.0, 0.0, 0.0, 1.0), (0.0, 1.0, 1.0, 1.0), (1.0, 0.0, 0.0, 0.0), (0.5, 0.5, 0.25, 0.5)],
-)
-def test_what_was_over_before(
-    settled: float, begun: float, at_first: float, at_last: float
-) -> None:
-    """In parts of the creep under pretension, which the cables carry all along."""
-    creep = creeping(CREEP, settled=settled, begun=begun)
-    whole = 0.2 * 50.0 / MECHANISM.stiffness_n_m
-    np.testing.assert_allclose(creep.lengthening_m(0.0)[0], at_first * whole, atol=1e-15)
-    np.testing.assert_allclose(creep.lengthening_m(1e4)[0], at_last * whole, atol=1e-15)
-
-
 @pytest.mark.slow
 def test_a_held_cable_relaxes_to_one_part_in_one_and_its_share() -> None:
     """Weightless and straight nothing turns: T = T0 (1 + s exp(-(1 + s) t / tau)) / (1 + s)."""

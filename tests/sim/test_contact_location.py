@@ -231,20 +231,6 @@ def test_the_posterior_agrees_with_a_dense_grid_of_places_and_weighted_least_squ
         )
 
 
-def test_friction_at_the_surface_shifts_the_place_and_the_interval_covers_it():
-    radius_m, friction = 0.05, 0.3
-    contacts = Contacts("cdsm", bend_deg=0.0, axial=0.0, seed=5)
-    ratio = contacts.rng.uniform(-friction, friction, contacts.places_m.shape)
-    shifted = np.clip(contacts.places_m, 0.035, 0.11) + radius_m * ratio
-    loaded_n = contacts.at_rest(shifted, contacts.forces_n).tensions_n
-    place_m = (shifted - radius_m * ratio)[:, 0]
-    plain = contacts.located(loaded_n=loaded_n)
-    assert within(place_m, plain.place_ci95_m).mean() < 0.4
-    aware = contacts.located(loaded_n=loaded_n, surface=Surface(radius_m, friction))
-    assert within(place_m, aware.place_ci95_m).mean() > 0.93
-    assert (np.diff(aware.place_ci95_m) < 4.5 * radius_m * friction).all()
-
-
 @pytest.mark.parametrize("segment", [1, 2, 3, 4])
 @pytest.mark.parametrize("name", ARMS)
 def test_with_friction_intervals_cover_in_bent_poses(name, segment):
@@ -301,16 +287,6 @@ def test_an_untouched_arm_is_not_touched(name):
     found = contacts.located(loaded_n=contacts.unloaded_n)
     assert (found.segment == 0).mean() > 0.99
     assert (found.magnitude_ci95_n[:, 0] < 0.3).all()
-
-
-def test_two_contacts_without_noise_leave_little_of_the_torques():
-    """The fit is not caught where another pair of places is the best nearby."""
-    contacts = two_contacts("cdsm", count=800, seed=12)
-    known = ((contacts.loaded_n <= 0.0) | (contacts.loaded_n > 1.0)).all(axis=1)
-    found = locate_two(contacts.balance(noise=False), reach_m(contacts.mechanism))
-    assert known.mean() > 0.95
-    # more than a little is left neither by the right segments nor by likelier wrong ones
-    assert found.chi2[known].max() < 8.0
 
 
 @pytest.mark.parametrize("name", ARMS)

@@ -9,7 +9,7 @@ from effect_arms import bent, up_and_down
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
-from cablesense_sim.dynamics import LEAST_PERIOD_S, ArmDynamics, RestToRestArm
+from cablesense_sim.dynamics import ArmDynamics, RestToRestArm
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.joint_motion import JointMotion, move_duration_s
 from cablesense_sim.loads import LoadError
@@ -57,19 +57,6 @@ def test_a_command_moves_the_arm_there(dynamics: ArmDynamics) -> None:
     np.testing.assert_allclose(dynamics.tensions_n, expected.tensions_n, atol=1e-3)
     give = 0.2 if dynamics.arm.name == "cdsm" else 3.0
     assert np.rad2deg(np.abs(dynamics.joint_angles_rad - BENT)).max() < give
-
-
-def test_reset_rests_unloaded_at_a_command(dynamics: ArmDynamics) -> None:
-    dynamics.load(2, [0.0, 0.0, 50.0])
-    dynamics.advance(0.05)
-    dynamics.reset(BENT)
-    assert dynamics.time_s == 0.0
-    assert not dynamics.forces_n.any()
-    expected = solve_equilibrium(dynamics.mechanism, BENT)
-    dynamics.advance(0.05)
-    np.testing.assert_allclose(dynamics.tensions_n, expected.tensions_n, atol=1e-4)
-    dynamics.reset()
-    assert not dynamics.command_rad.any()
 
 
 @pytest.mark.parametrize(
@@ -151,17 +138,6 @@ def test_it_goes_through_a_course_as_the_replay_does(names: tuple[str, ...]) -> 
             moving.advance(time - moving.time_s)
         found.append(moving.tensions_n)
     np.testing.assert_allclose(found, replay_arm(arm, times, commands, loads), atol=1e-3)
-
-
-def test_it_comes_to_rest_when_looked_at_and_not_more_often_than_needed() -> None:
-    moving = RestToRestArm(with_effects("joint_friction"))
-    before = moving.tensions_n
-    moving.load(2, [0.0, 10.0, 0.0])
-    moving.advance(0.4 * LEAST_PERIOD_S)
-    np.testing.assert_array_equal(moving.tensions_n, before)
-    for _ in range(20):
-        moving.advance(0.04 * LEAST_PERIOD_S)
-    assert np.abs(moving.tensions_n - before).max() > 1.0
 
 
 def test_reset_forgets_the_past() -> None:

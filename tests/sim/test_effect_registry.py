@@ -23,36 +23,8 @@ from cablesense_gap.report.text import causes_and_advice, headline
 from cablesense_gap.simulator import Term
 from cablesense_ros.cli.app import app
 from cablesense_sim.arm import ArmFileError, open_arm, parse_arm
-from cablesense_sim.effects.effect import Effect
 from cablesense_sim.effects.registry import EffectError, known_effects
 from cablesense_sim.replay import replay_arm
-
-
-def effects() -> list[Effect]:
-    return list(known_effects().values())
-
-
-@pytest.mark.parametrize("effect", effects(), ids=lambda e: e.name)
-def test_an_effect_says_what_it_is(effect: Effect) -> None:
-    assert effect.about
-    assert not effect.about.endswith(".")
-    assert effect.tolerance or effect.advice.endswith(".")
-    assert effect.source
-    assert effect.acts_on in ("load", "arm", "transmission", "actuator", "sensor")
-    assert effect.parameters[0].role == "size"
-    assert len(set(effect.places(4, 12))) == len(effect.places(4, 12)) > 0
-    names = [p.name for p in effect.parameters]
-    assert len(set(names)) == len(names)
-    for parameter in effect.parameters:
-        assert parameter.unit
-        assert parameter.about
-        assert parameter.low < parameter.high
-        assert parameter.low <= parameter.default <= parameter.high
-        assert 0.0 < parameter.typical <= max(parameter.high, -parameter.low)
-        assert all(parameter.low <= s <= parameter.high for s in parameter.starts)
-        if parameter.role == "size":
-            assert parameter.default == 0.0
-
 
 GAIN = {"effect": "sensor_gain", "at": "cable_3", "parameters": {"gain": 0.04}}
 CREEP = {"effect": "cable_creep", "parameters": {"share": 0.2}}

@@ -56,21 +56,6 @@ def test_a_load_elsewhere_is_a_load_with_another_lever() -> None:
         np.testing.assert_allclose(missing[:, joint], moment if joint < 6 else 0.0, atol=1e-6)
 
 
-def test_holes_of_the_own_plates_move_for_every_cable_that_passes() -> None:
-    moved = amended(
-        MECHANISM,
-        [entry("routing_geometry", "segment_2", plates_radius_m=0.004, plates_angle_rad=0.1)],
-    )
-    np.testing.assert_array_equal(moved.hole_y_m, MECHANISM.hole_y_m)
-    assert moved.segment_hole_y_m is not None
-    assert moved.segment_hole_z_m is not None
-    radius = np.hypot(moved.segment_hole_y_m, moved.segment_hole_z_m)
-    np.testing.assert_allclose(radius, np.broadcast_to([0.05, 0.054, 0.05, 0.05], (12, 4)))
-    (before_y, _), (after_y, _) = moved.plate_holes_m
-    np.testing.assert_array_equal(before_y[:, 0], MECHANISM.hole_y_m)  # the base plate's
-    np.testing.assert_array_equal(before_y[:, 1:], after_y[:, :-1])
-
-
 def test_a_cables_tolerance_is_its_own_tension_angle_and_zero() -> None:
     place = "cable_7"
     tolerance = entry("cable_tolerance", place, pretension_n=0.5, angle_rad=0.004, zero_n=0.2)
@@ -134,15 +119,6 @@ def test_gain_offset_and_crosstalk_act_on_their_own_sensor() -> None:
     leak = entry("sensor_crosstalk", "cable_7_into_cable_3", share=0.05)
     read = sensed([leak], tensions, times)[0]
     np.testing.assert_allclose(read, tensions + 0.05 * tensions[:, 6:7] * THIRD)
-
-
-def test_crosstalk_of_the_whole_arm_is_between_neighbours() -> None:
-    times = np.array([0.0])
-    tensions = np.zeros((1, 1, 12))
-    tensions[..., 6] = 40.0
-    read = sensed([entry("sensor_crosstalk", "arm", share=0.05)], tensions[0], times)[0]
-    np.testing.assert_allclose(read[0, [5, 6, 7]], [2.0, 40.0, 2.0])
-    np.testing.assert_allclose(np.delete(read[0], [5, 6, 7]), 0.0)
 
 
 def test_a_drift_rises_evenly_within_each_interval_and_then_stands() -> None:

@@ -16,7 +16,6 @@ from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.replay import (
     Replay,
-    difference_variance_n2,
     mean_variance_n2,
     read_tensions_n,
     reading_variance_n2,
@@ -86,15 +85,6 @@ def test_loads_at_several_places_are_those_of_each(name: str) -> None:
     np.testing.assert_allclose(readings(mixed, same), expected, atol=1e-3)
 
 
-def test_an_offset_moves_loads_from_wherever_they_are_stated() -> None:
-    run = 0.2 * np.arange(15), COMMANDS, LOADS
-    stated_m = np.repeat([0.03, np.nan, 0.11], 5)[:, None] * np.ones(4)
-    moved_m = np.repeat([0.045, 0.08, 0.125], 5)[:, None] * np.ones(4)
-    offset = entry("contact_offset", offset_m=0.015)
-    found = readings(Replay(ARM, *run, stated_m), offset)
-    np.testing.assert_allclose(found, readings(Replay(ARM, *run, moved_m)), atol=1e-9)
-
-
 def test_the_order_in_an_arm_file_makes_no_difference() -> None:
     listed = [
         {"effect": "sensor_offset", "at": "cable_4", "parameters": {"offset_n": 10.0}},
@@ -147,16 +137,6 @@ def test_rounding_does_not_average_out(noise_std_n: float, step_n: float) -> Non
     expected = mean_variance_n2(sensors, 30)
     assert off.var() == pytest.approx(expected, rel=5 * np.sqrt(2 / 4000))
     assert mean_variance_n2(sensors, 1) == pytest.approx(reading_variance_n2(sensors))
-
-
-def test_a_tared_difference_has_the_variance_of_both() -> None:
-    rng = np.random.default_rng(2)
-    unloaded = rng.uniform(10, 200, (4000, 1))
-    tare = read_tensions_n(np.repeat(unloaded, 10, axis=1), with_(noise_std_n=0.5), rng).mean(1)
-    reading = read_tensions_n(unloaded[:, 0] + 20.0, with_(noise_std_n=0.5), rng)
-    spread = (reading - tare).var()
-    expected = difference_variance_n2(with_(noise_std_n=0.5), tare_samples=10)
-    assert spread == pytest.approx(expected, rel=5 * np.sqrt(2 / 4000))
 
 
 def test_readings_are_multiples_of_the_step_and_saturate_at_the_ends_of_the_range() -> None:
