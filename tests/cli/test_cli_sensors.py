@@ -6,17 +6,14 @@ import numpy as np
 import pytest
 from bags import write_mcap
 from can_frames import PACKED, PACKED_DATABASE
-from rich.console import Console
-from sensor_series import ARM, EXPECTED, RATE_HZ, good_tensions_n, series
+from sensor_series import ARM, RATE_HZ, good_tensions_n
 from typer.testing import CliRunner
 
 from cablesense_base import CableSenseError
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.recording import Recording
 from cablesense_online.can.channel_map import calibrated, load_calibration
-from cablesense_online.commissioning.sensor_check import Pull, check_sensors
 from cablesense_ros.cli.app import app
-from cablesense_ros.cli.sensors import check_table
 
 
 def run(*arguments):
@@ -142,31 +139,3 @@ def test_windows_of_a_recording_give_the_same_whatever_was_in_force(loads, tmp_p
     (sensor,) = load_calibration(out).cables.values()
     assert sensor.scale_n_per_unit == pytest.approx(0.5, rel=1e-4)
     assert sensor.zero == pytest.approx(75.0, rel=1e-4)
-
-
-def shown(tensions_n, pulls=()):
-    console = Console(width=120, record=True, force_terminal=True, quiet=False)
-    with console.capture() as captured:
-        console.print(check_table(check_sensors(series(tensions_n), EXPECTED, pulls), EXPECTED))
-    return captured.get()
-
-
-def row(text, cable):
-    return next(line for line in text.splitlines() if f"{cable} " in line)
-
-
-def test_what_is_right_stands_above_and_only_what_is_wrong_is_red():
-    tensions_n = good_tensions_n()
-    tensions_n[:, 4] += np.random.default_rng(0).normal(0.0, 1.0, len(tensions_n))
-    text = shown(tensions_n)
-    assert f"≤ {EXPECTED.noise_n:.3f}" in text
-    assert "\x1b[31m" in row(text, "cable_5")
-    assert "\x1b[31m" not in row(text, "cable_6")
-    assert "pulled" not in text
-
-
-def test_pulls_have_a_column_of_their_own():
-    tensions_n = good_tensions_n()
-    tensions_n[400:600, 6] += 25.0
-    text = shown(tensions_n, [Pull("cable_7", 3.5, 6.5)])
-    assert "cable_7, right" in row(text, "cable_7")

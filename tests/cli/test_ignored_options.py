@@ -20,6 +20,8 @@ from cablesense_ros.cli.options import OptionError, refuse_given
         ("gap diagnose r.csv --out d --model m.xml --arm my_arm", "--arm"),
         ("gap predict r.csv --out p.csv --model m.xml --settle 9", "--settle"),
         ("evaluate --table2 --seed 1 --workers 2", "--seed, --workers"),
+        ("evaluate --recording loads.csv --model cdsm --samples 300", "--samples"),
+        ("evaluate --picture errors.png", "--picture"),
         ("train --data d.parquet --pose straight --force-high-n 9", "--pose, --force-high-n"),
         ("train --pose straight --pose-range-deg 5", "--pose-range-deg"),
         ("train --network temporal --pose straight", "--pose"),

@@ -238,17 +238,6 @@ def course(position, speed=0.0, acceleration=0.0):
     )
 
 
-def test_friction_turns_round_over_the_way_that_a_joint_gives():
-    gives = 0.01
-    out, back = np.linspace(0.0, 20.0 * gives, 50), np.linspace(20.0 * gives, 17.0 * gives, 7)
-    moved = course(np.concatenate([out, back])[:, None])
-    shares = moved.slid(0, gives)
-    begun = np.sign(out) * (1.0 - np.exp(-out / gives))
-    assert shares[:50] == pytest.approx(begun)
-    since = (back[0] - back) / gives
-    assert shares[50:] == pytest.approx(2.0 * np.exp(-since) - 1.0, abs=1e-6)
-
-
 def test_a_drive_that_moves_two_joints_keeps_its_rotor_and_gives_the_power(robot):
     rng = np.random.default_rng(1)
     position, speed, acceleration = rng.normal(size=(3, 40, 2))

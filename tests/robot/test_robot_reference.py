@@ -28,26 +28,9 @@ def worn(path, seed, **planted):
     return path
 
 
-@pytest.fixture
-def machine(tmp_path):
+@pytest.mark.slow
+def test_without_a_reference_it_names_what_stands_out_of_the_model_s_error(tmp_path):
     robot = load_robot(write_model(tmp_path))
-    return robot, read_recording(worn(tmp_path / "healthy.csv", 1), robot)
-
-
-@pytest.mark.slow
-def test_a_healthy_machine_has_not_changed_although_its_model_is_wrong(tmp_path, machine):
-    robot, healthy = machine
-    again = read_recording(worn(tmp_path / "again.csv", 2), robot)
-    verdict = diagnose(again, robot, reference=healthy).verdict
-    assert verdict.effects == ("none",)
-    assert verdict.gap.before_n < 1.5 * verdict.gap.floor_n
-    assert verdict.reference.recording == "healthy"
-    assert verdict.reference.left_n < 0.5 * verdict.reference.before_n
-
-
-@pytest.mark.slow
-def test_without_a_reference_it_names_what_stands_out_of_the_model_s_error(tmp_path, machine):
-    robot, _ = machine
     later = read_recording(worn(tmp_path / "later.csv", 3, payload=0.5), robot)
     loaded = diagnose(later, robot).verdict
     assert loaded.effects == ("payload",)
@@ -69,6 +52,8 @@ def test_the_command_says_since_when_and_refuses_another_machine(tmp_path):
     assert "since the reference" in (tmp_path / "out" / "report.html").read_text()
     verdict = read_verdict(tmp_path / "out" / "verdict.json")
     assert verdict.effects == ("payload",)
+    assert verdict.reference.recording == "healthy"
+    assert verdict.reference.left_n < 0.5 * verdict.reference.before_n
     assert verdict.where.bodies == ("lower",)
     assert verdict.parameters["payload.mass_kg"].value == pytest.approx(0.1, rel=0.2)
     for missing in ("position.elbow", "torque.elbow"):

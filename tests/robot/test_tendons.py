@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from cablesense_gap.robot.amending import changed, known_effects
+from cablesense_gap.robot.amending import changed
 from cablesense_gap.robot.inverse import InverseDynamics
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.motion import Trajectory
@@ -81,16 +81,6 @@ def test_one_guide_parts_tensions_by_its_angle(tmp_path):
     assert given[slides] == pytest.approx(needed[slides] * np.exp(way * MU * TURN), rel=1e-6)
 
 
-def test_pretension_that_is_commanded_is_lost_too(tmp_path):
-    robot, pull_n = written(tmp_path, SLIDE), 50.0
-    motion = waves(robot, np.array([0.05]), pull_n)
-    lost = (torques(robot, motion, cable=MU) - torques(robot, motion))[:, 0]
-    slides = np.abs(motion.position[:, 0]) < 0.9 * motion.position.max()
-    slides[:200] = False  # at first it gives
-    way = np.sign(motion.speed[slides, 0])  # outward cable goes against the pull
-    assert lost[slides] == pytest.approx(pull_n * (np.exp(way * MU * TURN) - 1.0), rel=1e-6)
-
-
 def test_a_tendon_takes_of_every_joint_beyond_its_guides_by_virtual_work(tmp_path):
     robot, pulls = written(tmp_path, FINGER), np.array([7.0, 3.0, -2.0])
     assert robot.tendons == ("long", "back")
@@ -139,10 +129,3 @@ def test_tensions_that_are_commanded_and_those_that_torques_need_lose_alike(tmp_
     again = torques(robot, waves(robot, sizes, pulled), **coefficients)
     alike = np.isclose(again, read, rtol=1e-6, atol=1e-9).all(axis=1)
     assert alike.mean() > 0.8  # before guides slip the one is elastic, the other is not
-
-
-def test_a_tendon_without_a_guide_or_an_actuator_has_no_place(tmp_path):
-    effect = known_effects()["capstan_friction"]
-    assert effect.places(written(tmp_path, FINGER)) == ("long", "back")
-    pulled = FINGER.replace('<motor name="back" tendon="back" gear="-2"/>', "")
-    assert effect.places(written(tmp_path, pulled)) == ("long",)

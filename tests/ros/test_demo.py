@@ -143,17 +143,6 @@ def test_exact_estimates_have_no_error_and_are_reported_in_full(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["demo.png"]
 
 
-def test_directions_are_averaged_across_north():
-    flip = iter([359.0, 1.0] * 1000)
-
-    def estimate(push):
-        return shown(push.contact.segment, next(flip))
-
-    _, (result,) = results_of(make_script(REACH_M, 4.0, seed=0), estimate)
-    angle = result.estimate.angle_deg
-    assert min(angle, 360.0 - angle) <= 1.0
-
-
 def test_a_wrong_segment_silence_and_no_contact_are_told_apart():
     script = make_script(REACH_M, 4.0, seed=0)
     other = shown(script[0].contact.segment - 1)

@@ -216,7 +216,9 @@ def test_what_no_one_foresaw_is_told_and_the_step_can_be_tried_again(make_node, 
     assert "cannot activate:\nTraceback" in capfd.readouterr().err
 
 
-def test_what_the_arm_cannot_do_is_refused_with_one_warning_a_second(graph, start):
+def test_what_the_arm_cannot_do_is_refused_and_signals_after_the_first_do_not_cut_the_end_short(
+    graph, start
+):
     sim = start("sim")
     graph.until(graph.command.get_subscription_count, "a subscriber of commands")
     for _ in range(20):
@@ -225,9 +227,13 @@ def test_what_the_arm_cannot_do_is_refused_with_one_warning_a_second(graph, star
             graph.command.publish(message)
     for reason in ("finite and within", "guide plates touch"):
         graph.until(lambda reason=reason: reason in sim.log, reason)
-    assert sim.log.count("refused") <= 4
+    assert sim.log.count("refused") <= 4  # one warning a second
     graph.until(lambda: graph.tensions, "tensions")
     assert max(graph.tensions[-1].effort) < 100.0
+    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+        sim.signal(number)
+        time.sleep(0.02)
+    assert sim.wait() == 0, sim.log
 
 
 def test_huge_messages_are_refused_unread_and_leave_no_memory_behind(graph, start):
@@ -266,22 +272,6 @@ def test_without_a_clock_zero_wrenches_come_and_diagnostics_say_why(graph, start
     graph.until(lambda: "simulated/estimator: clock" in graph.statuses, "it in diagnostics")
 
 
-def test_a_lifecycle_manager_brings_it_up_and_down_and_up_again(graph, start):
-    name = "/managed/estimator"
-    process = start("estimator", "/managed", autostart=False)
-    wrenches = []
-    graph.node.create_subscription(WrenchStamped, f"{name}/wrench", wrenches.append, 10)
-    for _ in range(2):
-        assert graph.change_state(name, Transition.TRANSITION_CONFIGURE), process.log
-        assert not graph.call(f"{name}/tare").success
-        assert graph.change_state(name, Transition.TRANSITION_ACTIVATE)
-        wrenches.clear()
-        graph.until(lambda: wrenches, "zero wrenches without a source")
-        assert graph.change_state(name, Transition.TRANSITION_DEACTIVATE)
-        assert graph.change_state(name, Transition.TRANSITION_CLEANUP)
-    assert graph.change_state(name, Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
-
-
 @contextmanager
 def subscribers_that_come_and_go(kind, topics):
     """Another participant, whose thread subscribes and unsubscribes all the time."""
@@ -312,26 +302,22 @@ def subscribers_that_come_and_go(kind, topics):
 WRENCHES = [f"estimator/wrench{which}" for which in ("", "_base", "_lower", "_upper")]
 
 
-def test_subscribers_may_come_and_go_while_a_node_is_cleaned_up(graph, start):
-    name = "/restless/estimator"
-    process = start("estimator", "/restless", autostart=False)
-    topics = [f"/restless/{topic}" for topic in WRENCHES]
+def test_a_lifecycle_manager_brings_it_up_and_down_while_subscribers_come_and_go(graph, start):
+    name = "/managed/estimator"
+    process = start("estimator", "/managed", autostart=False)
+    wrenches = []
+    graph.node.create_subscription(WrenchStamped, f"{name}/wrench", wrenches.append, 10)
+    topics = [f"/managed/{topic}" for topic in WRENCHES]
     with subscribers_that_come_and_go(WrenchStamped, topics):
         for _ in range(5):  # one or two ended an estimator without publishers that outlive it
             assert graph.change_state(name, Transition.TRANSITION_CONFIGURE), process.log
+            assert not graph.call(f"{name}/tare").success
             assert graph.change_state(name, Transition.TRANSITION_ACTIVATE)
+            wrenches.clear()
+            graph.until(lambda: wrenches, "zero wrenches without a source")
             assert graph.change_state(name, Transition.TRANSITION_DEACTIVATE)
             assert graph.change_state(name, Transition.TRANSITION_CLEANUP)
-    assert process.alive
-
-
-def test_a_signal_after_a_request_to_end_does_not_cut_the_end_short(graph, start):
-    process = start("sim", "/ending")
-    graph.until(lambda: "cables at" in process.log, "the sim")
-    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
-        process.signal(number)
-        time.sleep(0.02)
-    assert process.wait() == 0, process.log
+    assert graph.change_state(name, Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
 
 
 # holds Python's lock, as Fast DDS does when a participant is discovered at that moment
