@@ -24,7 +24,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each othe
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_DOMAIN_ID"] = str(free_domain())
 
-hypothesis.settings.register_profile("any machine", deadline=None)
+hypothesis.settings.register_profile("any machine", deadline=None, max_examples=50)
 hypothesis.settings.register_profile("fast", deadline=None, max_examples=15)
 hypothesis.settings.load_profile("any machine")
 
@@ -41,15 +41,27 @@ def _in_browser(nodeid):
     return nodeid.startswith("tests/ros/test_page_browser")
 
 
+EXPORTING = (
+    "tests/examples/test_examples_without_nodes.py",
+    "tests/gap/test_adaptation.py",
+    "tests/packaging/test_tutorial.py",
+    "tests/training/test_export.py",
+    "tests/training/test_five_by_four.py",
+    "tests/training/test_train_model.py",
+)
+"""The first export of a network takes a process seconds more than the others: they share one."""
+
+
 class _RealTimeOnTwoWorkers(LoadFileScheduling):
     """Tests of real nodes follow one another, beside those that a browser shows.
 
-    The others stay with those of their file.
+    Those that export networks are together as well, the others with those of their file.
     """
 
     def _split_scope(self, nodeid):
-        alone = _in_real_time(nodeid) and not _in_browser(nodeid)
-        return "real time" if alone else super()._split_scope(nodeid)
+        if _in_real_time(nodeid) and not _in_browser(nodeid):
+            return "real time"
+        return "exports" if nodeid.startswith(EXPORTING) else super()._split_scope(nodeid)
 
 
 def pytest_xdist_make_scheduler(config, log):
@@ -57,7 +69,7 @@ def pytest_xdist_make_scheduler(config, log):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Of several workers the first two have the real nodes; of others, long files come first.
+    """Of several workers the first two have the real nodes; then exports and long files come.
 
     A test that waits for other processes is repeated once where it fails, and is listed as RERUN:
     a machine with other work may keep one of them waiting for as long as it likes.
@@ -71,6 +83,7 @@ def pytest_collection_modifyitems(config, items):
             key=lambda item: (
                 not _in_real_time(item.nodeid),
                 _in_browser(item.nodeid),
+                not item.nodeid.startswith(EXPORTING),
                 -slow[item.path],
                 item.path,
             )

@@ -25,7 +25,7 @@ SHORTER = {
     "cablesense train": "cablesense train --samples 1000 --epochs 2",
     "cablesense gap adapt": "cablesense gap adapt --workers 1",
     "cablesense evaluate": "cablesense evaluate --json",
-    "rate_hz: 10/": "rate_hz: 2/",
+    "rate_hz: 10/": "rate_hz: 1/",
 }
 
 

@@ -6,8 +6,6 @@ import pytest
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.contact_location import (
-    AXIAL_STD_N,
-    contact_information,
     locate,
     torque_balance,
     touched_at,
@@ -34,22 +32,6 @@ VARIANCE_N2 = difference_variance_n2(ARM.sensors, 50)
 def dataset():
     protocol = AnywhereContact(samples=2000, pose="random", force_low_n=5.0)
     return draw_dataset(ARM, protocol, seed=8)
-
-
-def test_the_bound_of_one_contact_is_the_inverse_of_its_information(dataset):
-    single = dataset.select(dataset.contacts.sum(axis=1) == 1).select(slice(0, 50))
-    segments, places_m, forces_n = (part[:, 0] for part in touched(single, 1))
-    arguments = single.command_rad, segments, places_m, forces_n, VARIANCE_N2
-    information = contact_information(mechanism_of(ARM), *arguments)
-    low, high = touched_at(ARM)[0][0]
-    information += np.diag([AXIAL_STD_N**-2, 0.0, 0.0, 12.0 / (high - low) ** 2])
-    np.testing.assert_allclose(
-        *(
-            np.diagonal(each, axis1=1, axis2=2)
-            for each in (bound_covariance(single, 1), np.linalg.inv(information))
-        ),
-        rtol=1e-5,
-    )
 
 
 def test_errors_drawn_from_the_bound_are_as_large_as_the_bound(dataset):

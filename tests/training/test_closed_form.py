@@ -7,7 +7,6 @@ import pytest
 import torch
 from scipy import stats
 
-from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -131,29 +130,3 @@ def test_what_a_contact_explains_leaves_chi_squared_of_two_degrees_less():
     left = found.misfit_none - found.explained[:, 1]
     assert stats.kstest(left, stats.chi2(6).cdf).pvalue > 1e-3
     assert (found.explained <= found.misfit_none[:, None] * (1.0 + 1e-9)).all()
-
-
-def test_at_the_commanded_pose_it_is_generalised_least_squares():
-    mechanism = _mechanism("cdsm")
-    rng = np.random.default_rng(4)
-    command = rng.uniform(-0.17, 0.17, (5, mechanism.joint_count))
-    difference = rng.normal(0.0, 3.0, (5, mechanism.cable_count))
-    found = _candidates(ClosedForm(mechanism, VARIANCE_N2, 0), difference, command)
-    for row in range(5):
-        q = command[row]
-        jacobian = kinematics.cable_jacobian_m(mechanism, q)
-        torque = jacobian.T @ difference[row]
-        root = np.linalg.cholesky(VARIANCE_N2 * jacobian.T @ jacobian)
-        white = np.linalg.solve(root, torque)
-        np.testing.assert_allclose(found.misfit_none[row], white @ white, rtol=1e-6)
-        normals = kinematics.segment_rotations(mechanism, q)[..., 1:]
-        contact = kinematics.contact_jacobians_m(mechanism, q)
-        for segment in range(mechanism.segment_count):
-            design = np.linalg.solve(root, contact[segment].T @ normals[segment])
-            force, misfit, *_ = np.linalg.lstsq(design, white)
-            np.testing.assert_allclose(found.force_n[row, segment], force, atol=1e-5)
-            np.testing.assert_allclose(
-                found.covariance_n2[row, segment], np.linalg.inv(design.T @ design), rtol=1e-8
-            )
-            explained = white @ white - misfit[0]
-            np.testing.assert_allclose(found.explained[row, segment], explained, rtol=1e-5)

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from cablesense_sim.arm import ListedEffect, open_arm
-from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.loads import normal_force_n
-from cablesense_training.data.history import sensed_along_n
+from cablesense_sim.arm import open_arm
 from cablesense_training.networks.corrected import LARGEST_CORRECTION, CorrectedClosedForm
 
 CDSM = open_arm("cdsm")
@@ -27,21 +23,6 @@ def wild():
     with torch.no_grad():
         torch.nn.init.normal_(network.heads.weight, std=50.0)
     return network
-
-
-def _readings(arm, rows, reach_deg=10.0, seed=0):
-    mechanism = mechanism_of(arm)
-    rng = np.random.default_rng(seed)
-    command = np.deg2rad(rng.uniform(-reach_deg, reach_deg, (rows, mechanism.joint_count)))
-    segment = rng.integers(1, mechanism.segment_count + 1, rows)
-    angle, magnitude = rng.uniform(0.0, 360.0, rows), rng.uniform(3.0, 150.0, rows)
-    forces = normal_force_n(mechanism, command, segment, angle, magnitude)
-    difference = (
-        solve_equilibrium(mechanism, command, forces).tensions_n
-        - solve_equilibrium(mechanism, command).tensions_n
-    )
-    noisy = difference + rng.normal(0.0, 0.07, difference.shape)
-    return torch.as_tensor(noisy), torch.as_tensor(command), segment
 
 
 def _statics(network, tension, command):
@@ -103,24 +84,3 @@ def test_noise_alone_is_no_contact(untrained):
     with torch.no_grad():
         logits = untrained(noise, command).contact_logits
     assert float((logits.argmax(dim=1) == 0).double().mean()) > 0.98
-
-
-def test_what_sensors_make_of_tensions_is_undone():
-    wrong = (
-        ListedEffect(effect="sensor_gain", at="cable_7", parameters={"gain": 0.3}),
-        ListedEffect(effect="sensor_crosstalk", parameters={"share": 0.1}),
-    )
-    arm = CDSM.model_copy(update={"effects": list(wrong)})
-    network = CorrectedClosedForm.for_arm(arm).eval()
-    tension, command, segment = _readings(CDSM, 50)
-    zero = np.zeros_like(tension.numpy())
-    pretension_n = CDSM.cables.pretension_n
-    read = [
-        sensed_along_n(entries_of(arm), np.zeros(1), (pretension_n + each)[:, None])[:, 0]
-        for each in (tension.numpy(), zero)
-    ]
-    with torch.no_grad():
-        here = network(torch.as_tensor(read[0] - read[1]), command)
-        there = CorrectedClosedForm.for_arm(CDSM).eval()(tension, command)
-    assert (here.contact_logits.argmax(1).numpy() == segment).all()
-    torch.testing.assert_close(_force(here), _force(there), atol=1e-6, rtol=1e-6)

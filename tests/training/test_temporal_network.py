@@ -10,10 +10,8 @@ from cablesense_sim.arm import open_arm
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.networks.temporal import (
-    GIVES_M,
     LARGEST_LOG_FACTOR,
     LARGEST_OFFSET,
-    DrawnCables,
     TemporalNetwork,
     Ticks,
 )
@@ -31,15 +29,6 @@ def _ticks(dataset):
     still = torch.zeros(len(dataset), CDSM.joint_count, dtype=torch.float64)
     difference = torch.as_tensor(dataset.tension_difference_n)
     return Ticks(difference, torch.as_tensor(dataset.command_rad), still, still)
-
-
-def test_one_tick_at_a_time_is_the_whole_sequence(network):
-    encoded, state = torch.randn(3, 7, 96).double(), torch.randn(3, 96).double()
-    states, last = network.remember(encoded, state)
-    for tick in range(7):
-        state = network.next_state(encoded[:, tick], state)
-        torch.testing.assert_close(state, states[:, tick])
-    torch.testing.assert_close(state, last)
 
 
 def test_untrained_and_sure_of_the_torques_it_answers_by_statics(network):
@@ -100,30 +89,3 @@ def test_where_nothing_may_touch_the_interval_begins_at_nothing_and_says_what_ma
     _, (low_n, high_n) = _stated(network, 20.0)
     assert (low_n == 0.0).all()
     assert (high_n > 0.0).any()
-
-
-CABLES, JOINTS = 3, 2
-
-
-@pytest.fixture
-def drawn():
-    return DrawnCables(CABLES, JOINTS)
-
-
-def _shares(drawn, past):
-    return drawn.seen(past)[0, : CABLES * len(GIVES_M)].reshape(CABLES, len(GIVES_M))
-
-
-def _through(drawn, past, lengths_m):
-    for length in lengths_m:
-        row = torch.tensor([[0.0, length, 0.0]])
-        past = drawn.follow(past, row, torch.zeros(1, JOINTS))
-    return past
-
-
-def test_shares_follow_what_is_drawn_and_stop(drawn):
-    past = _through(drawn, torch.zeros(1, drawn.past.size), [0.5, 0.5 + 2e-5])
-    torch.testing.assert_close(
-        _shares(drawn, past)[1], torch.tensor([1.0, 0.1, 0.01]), atol=5e-3, rtol=0.0
-    )
-    assert (_shares(drawn, past)[[0, 2]] == 0.0).all()

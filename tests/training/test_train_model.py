@@ -7,6 +7,7 @@ from arm_variants import variant
 
 from cablesense_sim.arm import open_arm
 from cablesense_sim.load_capacity import contact_range_n
+from cablesense_training import fit_sequences
 from cablesense_training.data.sequences import MotionProtocol, draw_sequences
 from cablesense_training.errors import TrainingError
 from cablesense_training.evaluation.metrics import (
@@ -61,7 +62,8 @@ def test_the_model_file_answers_as_the_report_says(single, tmp_path):
 
 
 @pytest.mark.slow  # the export of the graph
-def test_a_model_for_sequences_opens_and_names_what_it_was_made_for(tmp_path):
+def test_a_model_for_sequences_opens_and_names_what_it_was_made_for(tmp_path, monkeypatch):
+    monkeypatch.setattr(fit_sequences, "_STEPS", 20)
     small = variant({"segments.count": 2})
     sequences = draw_sequences(small, MotionProtocol(sequences=4, duration_s=0.5), seed=3)
     settings = FitSettings(epochs=1, batch_size=4, threads=1)
