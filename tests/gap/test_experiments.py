@@ -72,16 +72,6 @@ def test_creep_shows_in_a_long_hold():
     assert found.block == HOLD.does
 
 
-@pytest.mark.slow
-def test_what_hides_below_the_floor_is_said_and_how_often_to_repeat():
-    slight = {Term("contact_offset", "segment_3", "offset_m"): 0.001}
-    found = next_experiment(LAB, [{}, slight], FLOOR_N, LOADED)
-    floors = found.separation_n / FLOOR_N
-    assert 0.1 < floors < 1.0
-    assert found.text.startswith("No further recording is needed.")
-    assert f"repeat it {int(np.ceil(floors**-2))} times" in found.text
-
-
 def test_without_an_effect_or_a_simulation_there_is_no_experiment():
     assert next_experiment(LAB, [{}], FLOOR_N) == Experiment("No further experiment is needed.")
     heavy = {Term("payload", "segment_4", "mass_kg"): 500.0}

@@ -18,12 +18,10 @@ from cablesense_gap.diagnosis.probability import (
     ambiguity,
     bundled_calibration,
     imitated_share,
-    named,
     posterior,
 )
 from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.diagnosis.search import search
-from cablesense_gap.simulator import Candidate
 
 FLOOR = 0.1
 BUNDLED = bundled_calibration()
@@ -141,38 +139,3 @@ def test_effects_with_one_signal_come_out_of_the_search_as_a_group():
     group, reasons = ambiguity(problem, posterior(search(problem), problem.floor, BUNDLED))
     assert sorted(group) == ["left", "right"]
     assert "cannot distinguish" in reasons[0]
-
-
-@pytest.mark.parametrize(
-    ("differs", "leaves", "told"),
-    [
-        ("history_dependent", 2.0, ("a",)),
-        ("history_dependent", 2.4, UNKNOWN),
-        ("against_motion", 2.0, ("a",)),
-        (None, 2.0, UNKNOWN),
-    ],
-)
-def test_an_effect_of_history_or_direction_is_named_although_much_is_left(differs, leaves, told):
-    candidate = Candidate("a", ("arm",), (), **({differs: True} if differs else {}))
-    problem = problem_of(Sums({candidate: lambda _: 0.0 * ONE}), {})
-    explanations = [leaving(3.0), leaving(leaves, "a")]
-    found = named(problem, posterior(explanations, FLOOR, BUNDLED), BUNDLED)
-    assert found[0].effects == told
-    assert sum(each.probability for each in found) == pytest.approx(1.0)
-
-
-PAIRS = ("a", "b"), ("a", "c"), ("b", "c")
-
-
-@pytest.mark.parametrize(
-    ("whole", "without", "told"),
-    [(0.9, 2.0, ("a", "b", "c")), (1.8, 2.9, UNKNOWN), (0.9, 1.1, UNKNOWN)],
-    ids=["named", "much is left", "one is not needed"],
-)
-def test_three_effects_are_named_if_each_is_needed_and_little_is_left(whole, without, told):
-    """They leave `whole` of 3 N, and `without` with any one of them left out."""
-    explanations = [leaving(3.0), leaving(whole, "a", "b", "c")]
-    explanations += [leaving(without, *pair) for pair in PAIRS]
-    found = named(problem_of(Sums({}), {}), posterior(explanations, FLOOR, BUNDLED), BUNDLED)
-    assert found[0].effects == told
-    assert sum(each.probability for each in found) == pytest.approx(1.0)

@@ -21,7 +21,6 @@ from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import (
     EstimatorErrors,
     FittedNumber,
-    Share,
     read_verdict,
 )
 from cablesense_sim.arm import load_arm
@@ -115,19 +114,6 @@ def test_unknown_warns_against_amending_and_names_places(text_of):
     )
     assert "Do not amend the arm file" in text
     assert "Use the amended" not in text
-
-
-def test_steps_of_several_effects_end_at_the_floor(text_of):
-    shares = {
-        name: Share(share_n=1.0, ci95_n=(0.9, 1.1), left_n=left_n, probability=0.9)
-        for name, left_n in (("payload", 1.25), ("base_tilt", 0.5))
-    }
-    gap = gap_of(3.0, 0.2).model_copy(update={"effects_n": 0.5})
-    rest = {"tolerances_n": 0.4, "unexplained_n": 0.17, "unexplained_share": 0.06}
-    text = text_of(verdict_of("base_tilt+payload", gap=gap, shares=shares, **rest))
-    steps = text[text.index("The budget") :]
-    for words in ("payload−1.75 N", "base tilt−0.75 N", "tolerances−0.30 N", "unexplained−0.10 N"):
-        assert words.replace("−", "\N{MINUS SIGN}") in steps
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import pytest
 from arm_at_rest import BENT, STRAIGHT, Arm, mechanism_of, solve_equilibrium
 
 from cablesense_msgs_py.messages import ForceState, Level
-from cablesense_online.contact_statics import ContactStatics
 from cablesense_sim import kinematics
 from cablesense_sim.replay import read_tensions_n
 
@@ -93,16 +92,6 @@ def test_on_segment_1_the_moment_is_stated_and_no_force(arm, name, place_m):
     lower, upper = answer.bounds
     assert lower.magnitude_n < size_n < upper.magnitude_n
     assert upper.contact_m < lower.contact_m
-
-
-def test_a_moment_turns_the_joints_as_the_push_does(arm, name):
-    size_n, place_m = 0.5 * FIRM_N[name], 0.08
-    answer = arm.push((1, place_m, 0.0, size_n, 0.0))
-    contact = answer.contact
-    push = contact._replace(magnitude_n=size_n, angle_deg=90.0, contact_m=place_m, moment_n_m=None)
-    statics = ContactStatics(arm.mechanism).at(arm.command)
-    stated, true = (statics.joint_torques_n_m([one]) for one in (contact, push))
-    assert stated == pytest.approx(true, abs=0.05)
 
 
 def test_the_axial_force_is_stated_where_the_pose_shows_it(bent, name):

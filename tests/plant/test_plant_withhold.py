@@ -16,7 +16,6 @@ from cablesense_gap.arm_simulator import counted_rows
 from cablesense_gap.recordings.checks import check_recording, read_recording
 from cablesense_gap.recordings.csv_file import read_csv
 from cablesense_plants.arm.body import PlantError, read_nominal
-from cablesense_plants.arm.protocol import draw_schedule
 from cablesense_plants.arm.withhold import make_case, withhold
 from cablesense_ros.cli.app import app
 from cablesense_sim.arm import open_arm
@@ -47,20 +46,6 @@ def test_any_reader_of_recordings_reads_them(folder: Path, arm_file: Path) -> No
     for name, expected in schedule._asdict().items():
         np.testing.assert_allclose(getattr(found, name), expected, atol=1e-9)
     np.testing.assert_allclose(found.tensions_n, tensions_n, atol=5.1e-5)
-
-
-@pytest.mark.parametrize("rate_hz", [3.0, 40.0])
-def test_a_protocol_is_the_same_at_any_rate(rate_hz: float) -> None:
-    slow = draw_schedule(NOMINAL, np.random.default_rng(5))
-    other = draw_schedule(replace(NOMINAL, rate_hz=rate_hz), np.random.default_rng(5))
-    assert other.time_s[-1] == pytest.approx(slow.time_s[-1], abs=0.5 / rate_hz)
-    np.testing.assert_allclose(np.diff(other.time_s), 1.0 / rate_hz)
-    assert set(other.trial) == set(slow.trial)
-    both = np.flatnonzero(np.isin(np.round(other.time_s, 6), np.round(slow.time_s, 6)))
-    same = np.searchsorted(slow.time_s, other.time_s[both] - 1e-6)
-    for name in ("trial", "command_rad", "load_segment", "load_n"):
-        np.testing.assert_array_equal(getattr(other, name)[both], getattr(slow, name)[same])
-    np.testing.assert_array_equal(other.load_segment > 0, (other.load_n != 0.0).any(axis=1))
 
 
 LISTS = {

@@ -1,15 +1,10 @@
 """Sizes over decades, what implausible ones cost, and verdicts that are stated with doubts."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from two_link import recorded, write_model
 
-from cablesense_gap.diagnosis.fitting import refine
-from cablesense_gap.pipeline import problem_of
 from cablesense_gap.robot.model import load_robot
-from cablesense_gap.robot.plausible import weighed
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose
@@ -62,25 +57,6 @@ def test_payloads_are_found_and_sized_over_decades_on_slides(tmp_path, payload_k
     size = verdict.parameters["payload.mass_kg"]
     assert size.value == pytest.approx(payload_kg, rel=0.1)
     assert size.ci95[0] < payload_kg < size.ci95[1]
-
-
-def costs(system, *terms):
-    """The surprise of sizes that are known precisely."""
-    problem = problem_of(system)
-    values = {Term(*term): size for *term, size in terms}
-    fitted = refine(problem, {}, [[]])
-    known = replace(fitted, values=values, deviations=dict.fromkeys(values, 0.0))
-    return weighed(problem, known).surprise
-
-
-def test_shifts_of_two_links_by_a_link_cost_more_than_a_payload_or_usual_friction(system):
-    shifted = [("link_centre", body, "x_m", 0.36) for body in ("upper", "lower")]
-    payload = costs(system, ("payload", "lower", "mass_kg", 1.0))
-    friction = [("joint_friction", j, "torque_n_m", 0.1) for j in ("shoulder", "elbow")]
-    assert payload == 0.0
-    assert costs(system, *friction) == 0.5  # for the second place
-    assert costs(system, shifted[0]) > payload + 1.0
-    assert costs(system, *shifted) == pytest.approx(2.0 * costs(system, shifted[0]) + 0.5)
 
 
 @pytest.mark.parametrize(

@@ -185,14 +185,3 @@ def test_neither_angle_nor_speed_jumps_when_the_target_changes_on_the_way():
     acceleration = np.diff(angles, 2) / STEP_S**2
     assert np.abs(acceleration).max() < 10.0  # a jump of the speed by 0.1 rad/s would be 100
     np.testing.assert_array_equal(after[-1], [-0.2])
-
-
-def test_a_long_move_after_a_stream_of_steps_does_not_shoot_beyond_its_target():
-    motion = JointMotion(np.zeros(1), np.deg2rad(20.0))
-    for k in range(25):
-        motion.go_to(np.array([0.02 * (-1) ** k]))
-        path(motion, 20)
-    motion.go_to(np.array([0.15]))
-    angles = path(motion, 3000)
-    assert angles.max() < 0.17
-    assert angles.min() > -0.05

@@ -143,11 +143,6 @@ def test_the_holes_lie_at_the_angles_of_the_file() -> None:
     np.testing.assert_allclose(np.hypot(MECHANISM.hole_y_m, MECHANISM.hole_z_m), 0.05)
 
 
-def test_stiffness_of_cable_and_actuator_in_series() -> None:
-    compliance = 1 / MECHANISM.cable_stiffness_n_m + 1 / MECHANISM.actuator_stiffness_n_m
-    np.testing.assert_allclose(1 / compliance, 1e7)
-
-
 def test_axial_rigidity_makes_long_cables_softer() -> None:
     soft = mechanism_of(variant({"cables.stiffness_n_m": None, "cables.axial_rigidity_n": 2.3e5}))
     np.testing.assert_allclose(soft.cable_stiffness_n_m[0], 2.3e5 / 0.23)

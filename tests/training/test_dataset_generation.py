@@ -80,19 +80,6 @@ def test_a_scheduler_out_of_reach_is_named(arm, monkeypatch, address):
         list(generate(arm, PROTOCOL, 0, dask_scheduler=address))
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"seed": 2**63}, "seed = 9223372036854775808"),
-        ({"seed": 1.5}, "seed = 1.5: must be a whole number"),
-        ({"seed": 0, "workers": 0}, "workers = 0: must be a whole number, 1 to 256"),
-    ],
-)
-def test_refuses_options_out_of_range(arm, options, message):
-    with pytest.raises(DatasetError, match=message):
-        generate(arm, PROTOCOL, **options)
-
-
 NOMINAL = mechanism_of(open_arm("cdsm_lab"))
 GENTLE = {"samples": 96, "pose": "random", "force_high_n": 25.0, "noise": False}
 

@@ -45,14 +45,6 @@ def test_one_segment_of_equal_cables_has_an_analytic_bound():
     np.testing.assert_allclose(found - expected, 0.0, atol=1e-3 * expected[0, 0])
 
 
-def test_contacts_are_counted_and_strong_ones_have_directions():
-    dataset = _dataset(CDSM, samples=500, no_contact_fraction=0.2)
-    every = noise_bound(dataset)
-    assert every.contacts == (dataset.segment > 0).sum()
-    firm = noise_bound(dataset.select(dataset.magnitude_n >= 50.0))
-    assert firm.direction_mae_deg < every.direction_mae_deg
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_lab"])
 def test_statics_attain_the_bound_while_all_cables_are_taut(name):
