@@ -112,14 +112,6 @@ def test_the_pipeline_gives_a_verdict_on_a_machine_that_is_no_arm() -> None:
     assert found.verdict.gap.floor_n == 1.0
 
 
-def test_workers_find_what_one_process_finds() -> None:
-    problem = problem_of(*recorded({WEIGHT_GAIN: -0.04}))
-    alone, shared = search(problem), search(problem, workers=2)
-    assert [h.effects for h in shared] == [h.effects for h in alone]
-    for one, other in zip(alone, shared, strict=True):
-        np.testing.assert_allclose(other.squares, one.squares, rtol=1e-9)
-
-
 def test_the_search_says_what_it_does_and_how_far_it_is() -> None:
     told: list[tuple[str, float]] = []
     search(problem_of(*recorded({GAIN: 0.04})), lambda what, share: told.append((what, share)))
