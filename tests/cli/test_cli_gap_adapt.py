@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
+from html_page import draw_no_pictures
 from verdict_cases import verdict_of
 
 from cablesense_gap import adaptation
@@ -38,6 +39,7 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     def train(arm, first, recording, path, *_) -> None:
         shutil.copy(find_model("cdsm_lab"), path)
 
+    draw_no_pictures(monkeypatch)
     monkeypatch.setattr(adaptation, "diagnose", diagnose)
     monkeypatch.setattr(adaptation, "train_for", train)
     true_n = replay_arm(LAB, *PROTOCOL.inputs)
@@ -45,7 +47,6 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "new.csv"
 
 
-@pytest.mark.slow  # a report to draw
 def test_a_second_model_that_is_no_better_is_not_left_behind(command, recorded, tmp_path):
     (tmp_path / "adapted").mkdir()
     (tmp_path / "adapted" / "estimator.onnx").write_text("of an earlier run")

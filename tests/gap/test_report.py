@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
-from html_page import Page
+from html_page import Page, draw_no_pictures
 from verdict_cases import gap_of, verdict_of
 
 from cablesense_gap.amended_arm import amended_arm
@@ -64,10 +64,8 @@ def page(html):
 
 @pytest.fixture
 def text_of(monkeypatch):
-    """The text of a diagnosis's page, its title first, whose pictures are not drawn."""
-    for name in ("arm", "overlay", "time"):
-        name += "_picture"
-        monkeypatch.setattr(f"cablesense_gap.report.page.{name}", lambda *_: "data:")
+    """The text of a diagnosis's page, its title first."""
+    draw_no_pictures(monkeypatch)
     return lambda verdict, **made: " ".join(Page(report_page(found(verdict, **made))).text.split())
 
 
@@ -180,7 +178,8 @@ def test_what_is_doubtful_is_to_be_made_sure_first(text_of):
         assert ("40 % of the probability lies elsewhere" in text) == (doubtful.probability < 0.9)
 
 
-def test_the_folder_holds_the_verdict_the_amended_arm_and_the_report(tmp_path):
+def test_the_folder_holds_the_verdict_the_amended_arm_and_the_report(tmp_path, monkeypatch):
+    draw_no_pictures(monkeypatch)
     folder = tmp_path / "new" / "diagnosis"
     heavier = amended_arm(LAB, {Term("payload", "segment_2", "mass_kg"): 0.3}, {})
     diagnosis = replace(found(PAYLOAD, findings=("cable_3 stands still",)), amended=heavier)
