@@ -247,7 +247,7 @@ class ClosedForm(nn.Module):
     def residual(
         self, missing_m: Tensor, jacobian_t_m: Tensor, precision: Tensor, taut: Tensor
     ) -> Tensor:
-        """That of a `Balance` (B, M), from stretches that the pose does not explain."""
+        """The `residual` (B, M) of a `Balance`, from stretches that the pose does not explain."""
         variance_n2 = self.reading_variance_n2
         # variance of a cable's tension in the pose, over that of a reading
         leverage = variance_n2 * (jacobian_t_m * (precision @ jacobian_t_m)).sum(1)
