@@ -110,7 +110,7 @@ def rms_by_the_past_n(recording: Recording, floor_n: float) -> float:
 
 
 def _turns(recording: Recording, most: int) -> Rows:
-    """At most `most` rows where command or load turns back or leaps, by the largest such changes."""
+    """At most `most` rows where command or load turns back or leaps, by the largest changes."""
     columns = list(_scaled(recording))
     turns: list[Rows] = [np.arange(len(recording))] * len(columns)
     leaps = [np.abs(np.diff(column)) for column in columns]
