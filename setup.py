@@ -74,11 +74,8 @@ EXTRAS = {
         "colcon-ros",  # colcon's knowledge of package.xml
         "hypothesis",  # tests over wide inputs
         "import-linter",  # the dependencies between packages
-        "ipykernel",  # runs the notebooks of examples, in a test
-        "jupytext",  # the notebooks have the cells of their scripts
+        "jupytext",  # reads the notebooks of examples, which have the cells of their scripts
         "mypy",  # types
-        "nbclient",  # executes the notebooks
-        "nbformat",  # reads the notebooks
         "packaging",  # reads requirements, in tests and `make lock`
         "pillow",  # looks at what the browser shows, in the page's test
         "pytest",  # the tests
