@@ -37,8 +37,9 @@ _STEP, _NEAR, _CONVERGED = 0.03, 0.25, 5e-3
 linear; to where derivatives still serve; and, also as a relative gain, too small to continue."""
 _STEP_OF_STD = 0.1
 """For derivatives by tolerances."""
-_MOST_REPEATED = 4
-"""Times that tolerances are made linear anew."""
+_MOST_REPEATED, _FAR_OFF = 4, 5.0
+"""Times that tolerances are made linear anew, and the standard deviations from which on one of
+them imitates an effect and is no place to be linear about."""
 
 
 def refine(
@@ -90,10 +91,11 @@ def with_fitted_tolerances(problem: Problem) -> Problem:
     for _ in range(_MOST_REPEATED):
         none = refine(problem, {}, [[]])
         assert none is not None
-        about = None if _is_consistent(problem, none) else _with_tolerances_of(problem, none)
-        if about is None:
+        std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
+        far_off = any(abs(value) > _FAR_OFF * std[term] for term, value in none.tolerances.items())
+        if far_off or _is_consistent(problem, none):
             break
-        problem = about
+        problem = _with_tolerances_of(problem, none) or problem
     return problem
 
 
