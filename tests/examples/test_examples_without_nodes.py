@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import jupytext
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from PIL import Image
@@ -78,6 +79,7 @@ def test_a_notebook_has_the_cells_of_its_script_and_runs(
     for cell in notebook.cells:
         if cell.cell_type == "code":
             exec(compile(cell.source, name, "exec"), values)
+    plt.close("all")
     said = capsys.readouterr().out
     assert re.search(says, said), said
     assert list(tmp_path.glob(f"out/{name}/*.png"))
