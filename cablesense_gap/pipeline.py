@@ -24,7 +24,7 @@ from cablesense_gap.diagnosis.discrepancy import (
     SmoothColumns,
     effect_columns,
 )
-from cablesense_gap.diagnosis.fitting import refine, with_fitted_tolerances
+from cablesense_gap.diagnosis.fitting import refine
 from cablesense_gap.diagnosis.probability import (
     ambiguity,
     bundled_calibration,
@@ -34,6 +34,7 @@ from cablesense_gap.diagnosis.probability import (
 )
 from cablesense_gap.diagnosis.problem import Explanation, Problem, prepare, sketched
 from cablesense_gap.diagnosis.search import search
+from cablesense_gap.diagnosis.tolerances import with_fitted_tolerances
 from cablesense_gap.explained import (
     candidate_results,
     estimates,

@@ -19,14 +19,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
-from cablesense_gap.diagnosis.fitting import (
-    final_refinement,
-    fit,
-    refine,
-    refit,
-    refitted,
-    without,
-)
+from cablesense_gap.diagnosis.fitting import fit, refine, refit, refitted, without
 from cablesense_gap.diagnosis.problem import Explanation, Problem, excess
 from cablesense_gap.diagnosis.selection import (
     LinearEffect,
@@ -35,6 +28,7 @@ from cablesense_gap.diagnosis.selection import (
     linear_effects,
     own_columns,
 )
+from cablesense_gap.diagnosis.tolerances import final_refinement
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import WHOLE_ARM
 

@@ -27,20 +27,3 @@ def test_the_command_names_what_was_chosen_and_quotes_it():
     assert command_line("train", options) == (
         "cablesense train --arm 'my arm.yaml' --samples 5 --pose-range-deg 10.0"
     )
-
-
-def test_a_network_for_sequences_draws_them_itself(tmp_path, monkeypatch):
-    asked = {}
-
-    def train_nothing(path, network, data, settings, *, command, **_):
-        asked.update(data, network=network, epochs=settings.epochs, command=command)
-        raise TrainingError("enough")
-
-    module = "cablesense_training.model_training"
-    monkeypatch.setattr(f"{module}.draw_training_data", lambda arm, name, given, *_, **__: given)
-    monkeypatch.setattr(f"{module}.train_model", train_nothing)
-    words = ["--network", "temporal", "--samples", "4", "--epochs", "1", "--force-high-n", "50"]
-    result = _run(*words, "--out", str(tmp_path / "model.onnx"))
-    assert str(result.exception) == "enough"
-    assert (asked["samples"], asked["force_high_n"], asked["epochs"]) == (4, 50.0, 1)
-    assert "--network temporal --samples 4" in asked["command"]

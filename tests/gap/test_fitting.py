@@ -18,11 +18,9 @@ from gap_problem import (
 )
 from numpy.testing import assert_allclose
 
-from cablesense_gap.diagnosis.fitting import final_refinement, refine, with_fitted_tolerances
-from cablesense_gap.diagnosis.problem import (
-    from_scaled,
-    to_scaled,
-)
+from cablesense_gap.diagnosis.fitting import refine
+from cablesense_gap.diagnosis.problem import from_scaled, to_scaled
+from cablesense_gap.diagnosis.tolerances import final_refinement, with_fitted_tolerances
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 

@@ -7,10 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.diagnosis.linear_fit import (
-    held_out_squares,
-    products,
-)
+from cablesense_gap.diagnosis.linear_fit import held_out_squares, products
 
 ROWS, CHANNELS, TRIALS = 60, 2, 6
 

@@ -1,8 +1,5 @@
 """Studies: found by their files, run one by one, their results made of numbers and text."""
 
-import subprocess
-import sys
-
 import matplotlib.pyplot as plt
 import pytest
 from paper_studies import failing, ignore
@@ -57,18 +54,6 @@ def test_those_that_are_named_are_chosen_and_others_refused():
     assert [one.name for one in chosen_studies(names[:1])] == [names[0]]
     with pytest.raises(PaperError, match=r"no study 'fig99'; there are .*displacement"):
         chosen_studies(["displacement", "fig99"])
-
-
-@pytest.mark.slow
-def test_listing_the_studies_loads_nothing_heavy():
-    code = (
-        "import sys; from examples.paper.study import chosen_studies; chosen_studies();"
-        "print(*(m for m in ('rclpy', 'torch', 'mujoco', 'matplotlib', 'onnxruntime', 'jinja2')"
-        " if m in sys.modules))"
-    )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
-    assert result.stdout.strip() == ""
 
 
 @pytest.mark.parametrize(
