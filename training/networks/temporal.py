@@ -229,7 +229,7 @@ class TemporalNetwork(nn.Module):
     @classmethod
     def for_arm(cls, arm: Arm, tare_samples: int = 50) -> TemporalNetwork:
         """The network of an arm, its sensors, and a tare averaged over `tare_samples` readings."""
-        return cls(statics(arm, tare_samples, unexplained_n2=0.0))
+        return cls(statics(arm, tare_samples, exact=True, unexplained_n2=0.0))
 
     def adapt(self, torque_n_m: Tensor, ticks: Ticks, error_n_m: Tensor) -> None:
         """Set all scales from training rows: torques, inputs, and what the torques are off by."""
