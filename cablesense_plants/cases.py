@@ -169,7 +169,11 @@ def different(names: Iterator[str], count: int) -> list[str]:
 
 
 def write_answers(path: Path, answers: Sequence[Any], decimals: int | None = None) -> None:
-    """Write dataclasses of one kind as CSV, floats with all their digits or some decimals."""
+    """Write dataclasses of one kind as CSV, floats with all their digits or some decimals.
+
+    Raises:
+        PlantError: the place cannot be written to.
+    """
 
     def cell(value: Any) -> Any:
         rounded = isinstance(value, float) and decimals is not None

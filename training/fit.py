@@ -168,7 +168,11 @@ class Objective(ABC, Generic[Parts]):
         """Make what the trained network states of its errors hold on the held-out data."""
 
     def fit(self, network: torch.nn.Module, on_epoch: OnEpoch | None) -> FitHistory:
-        """Train in place, keep the weights of the best epoch, calibrate the stated deviations."""
+        """Train in place, keep the weights of the best epoch, calibrate the stated deviations.
+
+        Raises:
+            TrainingError: the loss is no longer finite.
+        """
         start = time.perf_counter()
         records: list[EpochRecord] = []
         best, best_epoch = math.inf, 0
@@ -276,7 +280,11 @@ class _TrainingSamples(NamedTuple):
 
 
 def require_fitting(network: ContactNetwork, dataset: Dataset) -> None:
-    """Refuse data of an arm of another size, or too few to hold any of them out."""
+    """Refuse a dataset of an arm of another size, or one too small to hold any of it out.
+
+    Raises:
+        TrainingError: such a dataset.
+    """
     shape = (dataset.arm.cable_count, dataset.arm.segment_count)
     if shape != (network.cable_count, network.segment_count):
         raise TrainingError(

@@ -45,6 +45,9 @@ def misfits(network: AnywhereStatics, dataset: Dataset) -> Tensor:
 
     Left out are samples whose pose the taut cables do not determine, and those where a cable
     counts as slack and is not, or the reverse: what statics says there is no matter of noise.
+
+    Raises:
+        TrainingError: as `fit_anywhere`.
     """
     require_fitting(network, dataset)
     balance = Balance._make(outputs_of(network, dataset.tension_difference_n, dataset.command_rad))

@@ -233,9 +233,13 @@ _LEAST_OFF_DEG = 1e-3
 
 
 class Answered(NamedTuple):
-    """B ticks as a network has answered them, each of a sequence (B,), with the true contacts.
+    """B ticks as a network has answered them.
 
-    What was `seen` (B, features) is as in `CorrectedAnswer`.
+    Attributes:
+        sequence: (B,) which sequence a tick belongs to.
+        seen: (B, features), as in `CorrectedAnswer`.
+        output: the answers.
+        target: the true contacts.
     """
 
     sequence: Tensor

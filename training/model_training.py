@@ -104,8 +104,14 @@ def draw_training_data(
 ) -> Dataset | Sequences:
     """Fresh samples or sequences for a network.
 
-    `options` are those of the protocol, None standing for its default, or for what the arm bears
-    if that is less; `samples` counts sequences where the network learns from them.
+    Args:
+        arm: the arm.
+        network: its name.
+        options: of the protocol, None standing for its default, or for what the arm bears if
+            that is less; `samples` counts sequences where the network learns from them.
+        seed: of the draw.
+        workers: processes.
+        show_progress: draw a bar.
 
     Raises:
         TrainingError: there is no such network.
@@ -140,12 +146,18 @@ def train_model(
     on_epoch: OnEpoch | None = None,
     on_trained: Callable[[ContactNetwork | TemporalNetwork], None] = lambda _: None,
 ) -> TrainingReport:
-    """Train the network of a name and write the model file; on any failure nothing is written.
+    """Train a network and write the model file; nothing is written when anything fails.
 
-    The data's arm is the model's; the settings' seed also fixes the initial weights. The file
-    keeps the `command` that makes it again. `on_trained` may change the trained network before
-    that is tested, on data drawn afresh by the data's own protocol: `test_samples` of them, by
-    default `TEST_SAMPLES`, or `TEST_SHARE_OF_SEQUENCES`.
+    Args:
+        path: of the file.
+        network: name of the network.
+        data: what to train on; its arm is the model's arm.
+        settings: how to train; the seed also fixes the initial weights.
+        command: what makes the file again, kept in it.
+        test_samples: size of the test set, drawn afresh by the data's own protocol; None means
+            `TEST_SAMPLES`, or `TEST_SHARE_OF_SEQUENCES`.
+        on_epoch: called after every epoch.
+        on_trained: called with the trained network, which it may change, before that is tested.
 
     Raises:
         TrainingError: unknown network, data or settings that do not fit it, a place that cannot

@@ -123,6 +123,9 @@ class QuasiStaticPath:
 
         `paid_out_m` is cable by the actuators, less that of the straight arm: `RealArm.held_m` of
         commands, and offsets.
+
+        Raises:
+            PlantError: one has no rest.
         """
         moved = self._settle(state, paid_out_m, loads_n, 0)
         statics.require_room(self.body, moved.angles_rad)

@@ -259,7 +259,11 @@ def commanded_angles_rad(body: Body, command_rad: Array) -> Array:
 
 
 def follow_path(body: Body, command_rad: Array, paid_out_m: Array, loads_n: Array) -> BodyRest:
-    """Rests of rows (R, 2N), (R, M), (R, P, 3) in their order, or a `PlantError`."""
+    """Rests of rows (R, 2N), (R, M), (R, P, 3) in their order.
+
+    Raises:
+        PlantError: rows without rest.
+    """
     loaded = (loads_n != 0.0).any(axis=(1, 2))
     loaded[0] = False
     angles = commanded_angles_rad(body, command_rad)
@@ -282,10 +286,13 @@ def follow_path(body: Body, command_rad: Array, paid_out_m: Array, loads_n: Arra
 
 
 def find_rest(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array) -> BodyRest:
-    """Rest of rows near their starts (B, 2J); a `PlantError` names the first without one.
+    """Rest of rows near their starts (B, 2J).
 
     The actuators give cable lengths `paid_out_m` (B, M), less those of the straight arm; the
     forces `loads_n` (B, P, 3) act at the points that `torques` names, in base axes.
+
+    Raises:
+        PlantError: rows without rest.
     """
     angles, tensions, lost = _search(body, start_rad, paid_out_m, loads_n)
     lost = np.union1d(lost, np.flatnonzero(~_has_room(body, angles)))
@@ -344,7 +351,11 @@ def _bends_rad(body: Body, angles_rad: Array) -> tuple[Array, Array]:
 
 
 def require_room(body: Body, angles_rad: Array) -> None:
-    """Refuse angles (B, 2J) at which the guide plates of a joint would cut into each other."""
+    """Refuse angles (B, 2J) at which the guide plates of a joint would cut into each other.
+
+    Raises:
+        PlantError: naming the first row and joint.
+    """
     bend, limit = _bends_rad(body, angles_rad)
     beyond = np.argwhere(bend > limit)
     if len(beyond):

@@ -82,7 +82,11 @@ def generate(
 
 
 def draw_dataset(arm: Arm, protocol: Protocol, seed: int = 0, *, workers: int = 1) -> Dataset:
-    """The dataset that arm, protocol and seed determine, in memory; errors as of `generate`."""
+    """The dataset that arm, protocol and seed determine, in memory.
+
+    Raises:
+        DatasetError: as `generate`.
+    """
     return Dataset.concatenate(list(generate(arm, protocol, seed, workers=workers)))
 
 
@@ -146,6 +150,9 @@ def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Datas
     A sample's reading is one sensor reading of the loaded arm at rest. Its tare is the mean of
     `tare_samples` readings of the unloaded arm at rest under the same command. With effects, both
     come at the end of a separate `LoadHistory`.
+
+    Raises:
+        DatasetError: the protocol does not fit the arm.
     """
     rows = chunk_sizes(protocol.samples)[chunk]
     count = arm.segment_count

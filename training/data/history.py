@@ -123,6 +123,9 @@ def tensions_along_n(
     Commands are (R, B, 2N), loads (R, B, N, 3). They act at `places_m` (B, N) from the segments'
     joint centres, by default at the arm's contact points. If nothing depends on the history,
     tensions are zero at rests that are not `needed`.
+
+    Raises:
+        EquilibriumError: an arm finds no rest.
     """
     held, arms = held_lengths_m(nominal, commands_rad), [entries] * commands_rad.shape[1]
     for actuation in actuations(arms):

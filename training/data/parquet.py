@@ -84,7 +84,11 @@ def _columns(arm: Arm, protocol: Protocol) -> list[_Column]:
 
 
 def read_dataset(path: str | Path, arm: Arm | None = None) -> Dataset:
-    """The dataset in a file of `write_dataset` or `cablesense dataset`; `arm` must be its arm.
+    """The dataset in a Parquet file that `write_dataset` or `cablesense dataset` wrote.
+
+    Args:
+        path: the file.
+        arm: the arm that the samples must come from; None takes any.
 
     Raises:
         DatasetError: not such a file, cut short, of another arm than `arm`, a column missing or

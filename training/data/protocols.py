@@ -156,7 +156,16 @@ class _Touches(NamedTuple):
 
 
 class Cases(NamedTuple):
-    """Poses (B, 2N) and contacts (B, N) of B samples on an arm of N segments, as in `Dataset`."""
+    """Poses and contacts of B samples on an arm of N segments.
+
+    Attributes:
+        command_rad: (B, 2N) commanded joint angles.
+        contacts: (B, N) bool, whether a segment is touched.
+        angles_deg: (B, N) contact angles, [0, 360); 0 where nothing touches.
+        magnitudes_n: (B, N) forces normal to the segment; 0 where nothing touches.
+        places_m: (B, N) distances from the segments' joint centres; 0 where nothing touches.
+        along_n: (B, N) forces along the segments, towards their ends; 0 where nothing touches.
+    """
 
     command_rad: Array
     contacts: NDArray[np.bool_]

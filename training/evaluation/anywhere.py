@@ -187,6 +187,9 @@ def bound_covariance(dataset: Dataset, count: int) -> Array:
     """(B, 4K, 4K) bound on the covariance of (f_x, f_y, f_z, place) of `count` = K contacts each.
 
     All samples have K contacts; forces are along the axes of the segments at the command.
+
+    Raises:
+        EquilibriumError: the arm has no rest under one of the samples' contacts.
     """
     segments, places_m, forces_n = touched(dataset, count)
     seen = tension_gain(dataset, segments, places_m, forces_n)

@@ -136,7 +136,11 @@ def evaluate_estimator(estimator: Estimator, dataset: Dataset) -> Evaluation:
 
 
 def evaluate_models(models: Mapping[str, str], dataset: Dataset) -> dict[str, Evaluation]:
-    """Bundled single-contact models, or files, on a dataset of their arm."""
+    """Bundled single-contact models, or files, on a dataset of their arm.
+
+    Raises:
+        ModelFileError: a model is missing or does not fit the dataset's arm.
+    """
     return {
         name: evaluate_estimator(Estimator.load(find_model(model), dataset.arm), dataset)
         for name, model in models.items()

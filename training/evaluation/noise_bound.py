@@ -27,7 +27,12 @@ _DRAWS = 64
 
 @dataclass(frozen=True)
 class NoiseBound:
-    """Errors of an efficient unbiased estimator over a number of contacts."""
+    """Errors of an efficient unbiased estimator over a set of contacts.
+
+    Attributes:
+        contacts: number of contacts.
+        magnitude_mae_n, magnitude_rmse_n, direction_mae_deg: its errors.
+    """
 
     contacts: int
     magnitude_mae_n: float
@@ -41,6 +46,9 @@ def tension_gain(
     """(B, M, 4K) tensions by (f_x, f_y, f_z, place) of K contacts, as `contact_response` has them.
 
     Those of slack cables are zero.
+
+    Raises:
+        EquilibriumError: the arm has no rest under one of the samples' contacts.
     """
     nominal = mechanism_of(dataset.arm)
     mechanism = amended(nominal, entries_of(dataset.arm))

@@ -27,9 +27,13 @@ CABLES = 9
 
 
 class HungLoad(NamedTuple):
-    """One row of Table II: a load on a segment, and the changes (9,) of the cable tensions.
+    """One row of Table II.
 
-    `source` is `physical` or `simulated`, as the paper has it.
+    Attributes:
+        source: `physical` or `simulated`, as the paper has it.
+        segment: where the load hung.
+        weight_n: its weight.
+        tension_difference_n: (9,) change of the cable tensions.
     """
 
     source: str

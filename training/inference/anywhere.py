@@ -69,7 +69,11 @@ class AnywhereEstimator(Estimator):
     def locate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> tuple[Location, Array]:
-        """The contacts behind differences (B, M) at commands (B, 2N) or (2N,); misfits (B,)."""
+        """The contacts behind differences (B, M) at commands (B, 2N) or (2N,), and misfits (B,).
+
+        Raises:
+            EstimateError: see its docstring.
+        """
         balance, residual = self.balance_batch(tension_differences_n, joint_commands_rad)
         found = locate(balance, self.reach_m, self.surface)
         each = zip(found.chi2.tolist(), residual, strict=True)
@@ -78,7 +82,11 @@ class AnywhereEstimator(Estimator):
     def balance_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> tuple[TorqueBalance, Array]:
-        """The balance of torques of differences (B, M), and the residuals (B, M) of lengths."""
+        """The balance of torques of differences (B, M), and the residuals (B, M) of lengths.
+
+        Raises:
+            EstimateError: see its docstring.
+        """
         *balance, residual = self._batch(tension_differences_n, joint_commands_rad)
         return TorqueBalance(*balance), residual
 

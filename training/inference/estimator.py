@@ -165,7 +165,11 @@ class ContactEstimator(OpenedModel):
     """
 
     def answers(self, inputs: dict[str, Array], names: Sequence[str] | None = None) -> list[Array]:
-        """The model's outputs, those of these `names` where some are asked for."""
+        """The model's outputs, those of these `names` where some are asked for.
+
+        Raises:
+            EstimateError: an answer is not finite.
+        """
         outputs = self.run(inputs, names)
         if not all(np.isfinite(output).all() for output in outputs):
             raise EstimateError(_NO_ANSWER)
@@ -212,6 +216,9 @@ class Estimator(ContactEstimator):
         """The contact behind tension differences (M,) at commanded joint angles (2N,).
 
         The part of the graph that depends on the command alone runs when the command changes.
+
+        Raises:
+            EstimateError: see its docstring.
         """
         estimate = self._of_one(self._outputs(tension_difference_n, joint_command_rad))
         if not math.isfinite(sum(estimate.probabilities.tolist()) + sum(estimate[2:8])):
@@ -243,7 +250,11 @@ class Estimator(ContactEstimator):
     def estimate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> Estimates:
-        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,)."""
+        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,).
+
+        Raises:
+            EstimateError: see its docstring.
+        """
         return Estimates.of_outputs(self._batch(tension_differences_n, joint_commands_rad))
 
     def estimate_sequences(self, sequences: Sequences) -> Estimates:
@@ -300,7 +311,11 @@ class SequenceEstimator(ContactEstimator, ABC):
         return self._answer(inputs, time_s)
 
     def estimate_sequences(self, sequences: Sequences) -> Estimates:
-        """Estimates (S, T) of sequences, the tare being that of the first tick of each."""
+        """Estimates (S, T) of sequences, the tare being that of the first tick of each.
+
+        Raises:
+            EstimateError: an answer is not finite.
+        """
         tick_s, found = sequences.protocol.tick_s, []
         for number in range(len(sequences)):
             self.forget()
@@ -338,5 +353,9 @@ class MultiEstimator(ContactEstimator):
     def estimate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> MultiEstimates:
-        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,)."""
+        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,).
+
+        Raises:
+            EstimateError: wrong shape, not finite, or a command that is missing.
+        """
         return MultiEstimates(*self._batch(tension_differences_n, joint_commands_rad))

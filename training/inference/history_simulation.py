@@ -147,7 +147,9 @@ _NOTHING = _Load(0, np.zeros(2))
 class HistorySimulation:
     """An arm that is simulated along with the real one, and the effect of history on readings.
 
-    Tares are means of `tare_samples` readings of the arm, whose effects are known.
+    Args:
+        arm: the arm with its known effects.
+        tare_samples: readings averaged into a tare.
     """
 
     def __init__(self, arm: Arm, tare_samples: int) -> None:
@@ -171,7 +173,11 @@ class HistorySimulation:
         self._unexplained_n = self._history_n = np.zeros(self._arm.cable_count)
 
     def unloaded(self, time_s: float, command_rad: Array) -> None:
-        """The arm is untouched at a command (2N,); differences are relative to its readings."""
+        """The arm is untouched at a command (2N,); differences are relative to its readings.
+
+        Raises:
+            EquilibriumError: the arm has no rest there.
+        """
         self.tare()
         none = np.zeros((4, self._arm.segment_count, 3))
         bias = self._arms.readings_n(time_s, command_rad, none)[0]

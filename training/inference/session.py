@@ -116,7 +116,11 @@ class OpenedModel:
     def run(
         self, inputs: Mapping[str, Array], outputs: Sequence[str] | None = None
     ) -> list[Array]:
-        """The model's `outputs` for the inputs that `input_widths` names, each (B, width)."""
+        """The model's `outputs` for the inputs that `input_widths` names, each (B, width).
+
+        Raises:
+            ModelFileError: ONNX Runtime cannot run the model.
+        """
         parts = []
         for start in range(0, len(inputs[TENSION]), _ROWS_AT_ONCE):
             rows = slice(start, start + _ROWS_AT_ONCE)
@@ -297,7 +301,11 @@ class SingleRun:
         return session, binding
 
     def set_command(self, joint_command_rad: Array) -> None:
-        """Take over what the graph makes of commanded angles (1, 2N) alone."""
+        """Take over what the graph makes of commanded angles (1, 2N) alone.
+
+        Raises:
+            ModelFileError: ONNX Runtime cannot run the model.
+        """
         self._buffers[COMMAND][:] = joint_command_rad
         self._run(self._steady)
         self._taut = b""
@@ -306,6 +314,9 @@ class SingleRun:
         """Answer for `tension_difference_n` at the command last set, into `outputs`.
 
         The answer stands if the cables found taut are those that the held part was computed for.
+
+        Raises:
+            ModelFileError: ONNX Runtime cannot run the model.
         """
         self._run(self._moving)
         if self._held is None:

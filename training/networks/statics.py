@@ -41,11 +41,14 @@ def statics(
     pose_corrections: int | None = None,
     unexplained_n2: float | None = None,
 ) -> ClosedForm:
-    """The closed form of an arm whose tare is the mean of `tare_samples` readings.
+    """The closed form of an arm, expanded near the command where that is enough, which is faster.
 
-    A stiff arm's is expanded near the command, which is faster, unless it is to be `exact`. By
-    default it has as many `pose_corrections` as the arm calls for. `unexplained_n2` is the
-    variance that the arm's effects add and no statics carries, N².
+    Args:
+        arm: the arm.
+        tare_samples: readings averaged into a tare.
+        exact: never expanded.
+        pose_corrections: by default as many as the arm calls for.
+        unexplained_n2: what no statics carries, N²; by default what the arm's effects make of it.
     """
     nominal = mechanism_of(arm)
     mechanism = amended(nominal, entries_of(arm))
@@ -71,6 +74,9 @@ def statics(
 
 class StaticsNetwork(ContactNetwork):
     """A network on the closed form of an arm, in float64.
+
+    Args:
+        closed_form: statics of the arm.
 
     Attributes:
         exact: whether that is never expanded near the command.

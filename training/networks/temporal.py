@@ -189,8 +189,12 @@ class StatedInterval(nn.Module):
 class TemporalNetwork(nn.Module):
     """One contact from a sequence of ticks.
 
-    Attributes:
+    Args:
+        closed_form: statics of the arm.
         hidden: size of the recurrent unit's state.
+
+    Attributes:
+        pose_aware: it needs the set-point.
         drawn: follows the commands.
         memory: size of the state that is carried from tick to tick.
     """
