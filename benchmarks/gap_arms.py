@@ -6,7 +6,8 @@ Draws arms of 2 to 6 segments with 3 or 4 cables each, of 5 kN/m to 10 MN/m, as 
 accepts them. On each it runs `gap protocol`, `gap withhold` with one effect (all come in turn),
 `train` with few samples and `gap diagnose`, as a user does. A command ran if it ends with 0 and
 warns of nothing; a verdict is right if it names the effect alone. `--folder` keeps the files and
-continues there; `--minutes` starts no further arm after that time.
+continues there; `--minutes` starts no further arm after that time. Arms 9 and 10 of seed 9601 were
+looked at while the diagnosis was made.
 """
 
 from __future__ import annotations

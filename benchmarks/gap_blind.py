@@ -12,7 +12,8 @@ The cases are of all kinds in turn, followed by `--friction` cases with friction
 have several effects at once (`--effects`). With `--imperfect` the nominal arm lacks two changes
 that no verdict has a name for, and with `--reference` a recording with these alone is the
 reference. Seeds below 9100 and 9302, 9303, 9311 were used during
-development. `--recordings` diagnoses recordings of another plant, whose answers are unknown.
+development; the share of the past that excludes friction and creep was chosen on seed 9106.
+`--recordings` diagnoses recordings of another plant, whose answers are unknown.
 `--speed` measures time and memory of one diagnosis with two workers, as a user runs it.
 `--exchanged` exchanges two columns, drawn at random, of recordings of all kinds. It counts how
 often they are named, and how often an exchange is seen in the recordings as they were. It does the

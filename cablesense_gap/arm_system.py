@@ -14,13 +14,13 @@ from cablesense_base import Array
 from cablesense_gap.amended_arm import amended_arm, judged_earlier, listed_values, without_effects
 from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, supported_rows
 from cablesense_gap.diagnosis.discrepancy import Conditions
-from cablesense_gap.diagnosis.problem import Explanation, Problem, unit_of
+from cablesense_gap.diagnosis.problem import Explanation, Past, Problem, unit_of
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.pipeline import FOLDS, Reference, System, Unlisted, diagnose_system, problem_of
 from cablesense_gap.recordings.channels import EXCHANGED, Finding, unborne_findings
 from cablesense_gap.recordings.checks import check_recording, refuse_unusable
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.recordings.thinning import rms_by_the_past_n, rows_along_path, rows_to_use
+from cablesense_gap.recordings.thinning import returns, rows_along_path, rows_to_use
 from cablesense_gap.residuals import decompose, regimes
 from cablesense_gap.simulator import Assignment, Simulator, Term
 from cablesense_gap.unlisted import describe_unlisted, in_play, repeat_largest_trial
@@ -77,11 +77,15 @@ class ArmSystem(ArmSimulator, System):
         stretched_m = self.nominal_n / mechanism.cable_stiffness_n_m
         return Conditions(held_m, in_play(held_m - stretched_m, _PLAY), self.nominal_n)
 
-    def past(self) -> float:
-        """N, where commands and load return; unknown if the nominal arm depends on the past."""
+    def past(self) -> Past | None:
+        """From where commands and load return; unknown if the nominal arm depends on the past."""
         if transmissions([entries_of(self.arm)]):
-            return np.inf
-        return rms_by_the_past_n(self._counted_recording, self.floor)
+            return None
+        if (found := returns(self._counted_recording, self.floor)) is None:
+            return None
+        rows = np.zeros(len(self.recording), dtype=bool)
+        rows[self.counted] = found[1]
+        return Past(found[0], rows)
 
     def sketch(self) -> tuple[Simulator, NDArray[np.int64]] | None:
         """Rows along the path of commands and loads."""

@@ -32,7 +32,7 @@ from cablesense_gap.diagnosis.probability import (
     posterior,
     rivals_of,
 )
-from cablesense_gap.diagnosis.problem import Explanation, Problem, prepare, sketched
+from cablesense_gap.diagnosis.problem import Explanation, Past, Problem, prepare, sketched
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.diagnosis.tolerances import with_fitted_tolerances
 from cablesense_gap.explained import (
@@ -115,9 +115,9 @@ class System(ABC):
     def predict(self, variants: Sequence[Assignment]) -> Array:
         """Channels (P, R, C) of P variants, see `Simulator`."""
 
-    def past(self) -> float:
-        """RMS by which readings may depend on the past, see `Problem`; infinite if unknown."""
-        return np.inf
+    def past(self) -> Past | None:
+        """By how much readings depend on the past; None if unknown."""
+        return None
 
     def sketch(self) -> tuple[Simulator, NDArray[np.int64]] | None:
         """A simulator of some rows alone, and these rows (K,); None if all rows are needed.
@@ -312,7 +312,7 @@ def _since(problem: Problem, expected: Expected) -> Problem:
         nominal=problem.nominal * weight,
         tolerance_columns=problem.tolerance_columns * weight,
         tolerance_rest=problem.tolerance_rest * weight,
-        past=np.inf,
+        past=None,
         sketch=sketch,
     )
 

@@ -81,6 +81,19 @@ class Explanation:
 
 
 @dataclass(frozen=True)
+class Past:
+    """The past's part in readings, as it shows where commands and load return.
+
+    Attributes:
+        rms: by which readings differ there, an upper bound.
+        rows: (R,) which rows are in such states.
+    """
+
+    rms: float
+    rows: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
 class Problem:
     """One recording and its simulator.
 
@@ -92,9 +105,8 @@ class Problem:
         nominal: (R, C) prediction without any effect.
         tolerance_std: standard deviation of each of the terms.
         tolerance_columns: (K, R, C) sensitivities, in standard deviations.
-        tolerance_rest: (R, C) what tolerances change beyond these, where these were taken.
-        past: RMS by which readings may depend on the past, as far as they show it where commands
-            and load return; infinite if unknown.
+        tolerance_rest: (R, C) change by tolerances beyond these, where the columns were taken.
+        past: by how much readings depend on it; None if unknown.
         sketch: the same for some of the rows, if these suffice to choose among history-dependent
             effects.
     """
@@ -109,7 +121,7 @@ class Problem:
     tolerance_std: Array
     tolerance_columns: Array
     tolerance_rest: Array
-    past: float = np.inf
+    past: Past | None = None
     sketch: Sketch | None = None
 
     @property

@@ -44,15 +44,14 @@ _MOST_EXPANDED, _MOST_FRUITLESS = 8, 2
 _TRIED = 3
 """Additions to one explanation that are fitted: the linear score often errs by a rank or two."""
 
-_OF_THE_PAST = 0.1
-"""Least share of a residual by the past that shows where commands and load return: planted
-friction and creep show 0.17 and more."""
+_OF_THE_PAST = 0.05
+"""Least share of a residual by friction or creep that shows where commands and load return."""
 
 _RIVAL = 2.0
 """An explanation may still become the best if its cost is at most this many times the least."""
 
 _OF_THE_REST = 0.35
-"""Share of what is left of a phase that each batch of work counts for, as their number is open."""
+"""Share of the rest of a phase that each batch of work counts for, as their number is open."""
 
 _BETTER = 0.95
 """A cost above this share of another one is no better: other folds would change it as much."""
@@ -382,10 +381,16 @@ class _Search:
         return self._problem.cost_of(explanation) <= 1.5 * excess(0.0, self._problem.floor)
 
     def _may_be_the_past(self) -> bool:
-        """Whether history-dependent effects may cause what the best explanation leaves."""
-        floor = self._problem.floor
-        left = min(h.held_out_rmse for h in (self._none, *self._found.values()))
-        return self._problem.past > _OF_THE_PAST * excess(left**2, floor)
+        """Whether history-dependent effects may cause the residual of the best explanation.
+
+        Residual and past are compared in the rows that show both.
+        """
+        past, problem = self._problem.past, self._problem
+        if past is None:
+            return True
+        best = min((self._none, *self._found.values()), key=lambda h: h.held_out_rmse)
+        left = (problem.readings - best.held_out)[past.rows]
+        return past.rms > _OF_THE_PAST * excess(float((left**2).mean()), problem.floor)
 
     def _is_resolved(self) -> bool:
         """Whether so little is unexplained that no further effect is worth its time.

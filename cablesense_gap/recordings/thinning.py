@@ -4,7 +4,7 @@ Rows are chosen, never averaged, because the noise of a reading must stay that o
 ends of each trial are kept, rows where the command or the load turns back or leaps, because
 friction, backlash and creep are set there, and others at equal distances. Fewer rows suffice to
 choose among effects that depend on the past (`rows_along_path`), which are not needed at all where
-readings return with commands and load (`rms_by_the_past_n`).
+readings return with commands and load (`returns`).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def rows_along_path(recording: Recording) -> Rows:
     """(K,) ascending rows that take an arm with friction along nearly the same path.
 
     It keeps the ends of each trial, turns, and rows where commands and load change direction or
-    stop. Of the others it keeps every third row in motion and every tenth at rest.
+    stop. It keeps every third of the other rows in motion, and every tenth at rest.
     """
     columns = np.array(list(_scaled(recording)))
     steps = np.diff(columns)
@@ -81,11 +81,12 @@ def rows_along_path(recording: Recording) -> Rows:
     return np.flatnonzero(kept)
 
 
-def rms_by_the_past_n(recording: Recording, floor_n: float) -> float:
-    """RMS by which readings differ where commands and load return, beyond the sensors' noise.
+def returns(recording: Recording, floor_n: float) -> tuple[float, NDArray[np.bool_]] | None:
+    """RMS (N) by which readings differ where commands and load return, beyond the sensors' noise.
 
-    It is an upper bound (95 %). A state counts if the arm came to it from at least two others, as
-    on loading and on unloading. Infinite where a recording has too few of them to tell.
+    It is an upper bound (95 %), and comes with the rows (R,) in such states. A state counts if the
+    arm came to it from at least two others, as on loading and on unloading. None where a recording
+    has too few of them to tell.
     """
     places = recording.load_at_m
     parts = [recording.command_rad, recording.load_segment[:, None], recording.load_n]
@@ -95,18 +96,20 @@ def rms_by_the_past_n(recording: Recording, floor_n: float) -> float:
     visited, count = state[first], np.diff(first, append=len(state))
     came_from = np.append(-1, visited[:-1])
     mean = np.add.reduceat(recording.tensions_n, first) / count[:, None]
-    square, degrees, rows, visits = 0.0, 0, 0, 0
+    square, degrees, visits = 0.0, 0, 0
+    returning = np.zeros(len(recording), dtype=bool)
     for here in np.unique(visited):
         own = np.flatnonzero(visited == here)
         if len(set(came_from[own]) - {-1}) > 1:
             weighted = count[own, None] * (mean[own] - np.average(mean[own], 0, count[own])) ** 2
             square += float(weighted.sum())
             degrees += (len(own) - 1) * mean.shape[1]
-            rows, visits = rows + int(count[own].sum()), visits + len(own)
-    if degrees < _FEWEST_RETURNS or rows < _RETURNING_SHARE * len(recording):
-        return np.inf
+            visits += len(own)
+            returning |= state == here
+    if degrees < _FEWEST_RETURNS or returning.mean() < _RETURNING_SHARE:
+        return None
     beyond = max(square / degrees - floor_n**2, 0.0) + floor_n**2 * 2.0 * (2.0 / degrees) ** 0.5
-    return float(np.sqrt(beyond * visits / rows))
+    return float(np.sqrt(beyond * visits / returning.sum())), returning
 
 
 def _turns(recording: Recording, most: int) -> Rows:

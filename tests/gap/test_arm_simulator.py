@@ -11,12 +11,8 @@ from gap_recordings import LAB, small_recording
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cablesense_gap.amended_arm import amended_arm, write_arm
-from cablesense_gap.arm_simulator import (
-    ArmSimulator,
-    counted_rows,
-    has_one_equilibrium,
-    settled,
-)
+from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, has_one_equilibrium, settled
+from cablesense_gap.recordings.thinning import returns
 from cablesense_gap.simulator import Term
 from cablesense_sim.arm import ListedEffect, load_arm
 from cablesense_sim.effects.registry import known_effects
@@ -188,3 +184,13 @@ def test_the_position_in_a_play_is_found_from_the_first_rows(start):
     assert found.effects[0].parameters["play_m"] == 2e-4
     assert_allclose(replayed(found, recording), new.tensions_n, atol=0.1)
     assert settled(LAB, new, 30) is LAB
+
+
+@pytest.mark.parametrize("peak_n", [1.0, 20.0])
+def test_cables_that_hardly_slip_do_not_return_either(peak_n):
+    """Light loads do not turn strong friction round, but the poses before them do."""
+    recording = small_recording(peak_n=peak_n)
+    strong = {Term("capstan_friction", "arm", "coefficient"): 0.6}
+    (rubbing,), (nominal,) = (simulator(recording=recording).predict([v]) for v in (strong, {}))
+    past_n, rows = returns(replace(recording, tensions_n=rubbing), 0.0)
+    assert past_n > 0.1 * np.sqrt(np.mean((rubbing - nominal)[rows] ** 2))

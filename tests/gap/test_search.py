@@ -20,7 +20,7 @@ from gap_problem import (
     size,
 )
 
-from cablesense_gap.diagnosis.problem import sketched
+from cablesense_gap.diagnosis.problem import Past, sketched
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.simulator import Candidate, Term
 
@@ -62,7 +62,7 @@ def test_where_readings_return_effects_of_the_past_are_not_simulated():
     problem = problem_of(
         Sums(LIBRARY), SIGNALS[1] + np.outer(np.sin(40.0 * TIME), [1.0, 1.0, 1.0])
     )
-    search(replace(problem, past=0.1 * FLOOR))
+    search(replace(problem, past=Past(0.05 * FLOOR, problem.used)))
     assert not any(t.effect == "fading" for v in problem.simulator.asked for t in v)
     search(problem)
     assert any(t.effect == "fading" for v in problem.simulator.asked for t in v)

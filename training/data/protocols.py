@@ -334,7 +334,7 @@ class AnywhereContact(Protocol):
 
     Coordinates are the set of touched segments, then direction, magnitude, place and axial share
     of the first contact and of the second, then the joints. Each pair of segments is equally
-    likely. Of two contacts, each has a magnitude in the lower half of the range.
+    likely. Each of two contacts has a magnitude in the lower half of the range.
 
     Attributes:
         two_contacts_fraction: share of the touched samples that have contacts on two segments.
