@@ -204,7 +204,9 @@ class CableCreep(Effect):
     """A cable with three Kelvin-Voigt elements behind its spring, evenly spread in log time.
 
     Their retardation times are the middle one, and `spread` times shorter and longer; at a spread
-    of one they are a single element. Together they yield by `share` of the elastic stretch.
+    of one they are a single element. Together they yield by `share` of the elastic stretch. Before
+    the first sample the arm stood as in it: what had settled did so under those tensions, weight
+    and slack cables included, and not under the pretension.
     """
 
     name = "cable_creep"
@@ -220,7 +222,7 @@ class CableCreep(Effect):
               starts=(5.0, 20.0, 80.0)),
         shape("spread", "1", 1.0, 30.0, 3.0, "between neighbouring times", 1.0, starts=(1.0,)),
         shape("settled", "1", -1.0, 1.0, 0.5,
-              "share of the creep under pretension that was over before the cables were tensioned",
+              "share of the creep under the first tensions that was over before the tensioning",
               starts=(0.5,)),
         shape("begun", "1", 0.0, 1.0, 0.5,
               "share of the creep to come that was over before the first sample", starts=(0.5,),
@@ -242,7 +244,7 @@ class _Creep(Transmission):
     def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
         here = own_cables(self._place, mechanism)
         self._give_m_n = self._share * here / mechanism.stiffness_n_m
-        self._reference_n = self._settled * mechanism.pretension_n
+        self._reference_n = self._settled * rest.tensions_n
         target = self._give_m_n * (rest.tensions_n - self._reference_n)
         self._parts_m = np.repeat((self._begun * target)[..., None] / 3.0, 3, axis=-1)
         self._rest = rest

@@ -58,6 +58,15 @@ def test_a_held_cable_relaxes_to_one_part_in_one_and_its_share() -> None:
     np.testing.assert_allclose(found[0], 50.0, atol=1e-4)
 
 
+@pytest.mark.parametrize(("settled", "moved"), [(1.0, False), (0.5, True)])
+def test_what_settled_did_so_under_the_weight(settled: float, moved: bool) -> None:
+    arm = QuasiStaticArm([MECHANISM], [[small(CREEP, settled=settled)]])
+    now, later = (arm.step(t, np.zeros((1, 12)), np.zeros((4, 3)))[0] for t in (0.0, 100.0))
+    assert np.ptp(now) > 1.0
+    assert (np.abs(later - now).max() > 0.1) == moved
+    assert moved or np.allclose(later, now, atol=1e-6)
+
+
 FRICTION = entry("joint_friction", "joint_2", torque_n_m=0.15)
 
 
