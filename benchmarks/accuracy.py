@@ -225,7 +225,9 @@ def markdown(result: dict[str, Any]) -> str:
         )
         ratio = setting["mae_over_bound_above_2_n"]
         lines += ["", f"Force MAE over that of the noise bound, above 2 N: {ratio:.2f}."]
-        binned = {"shipped": setting["shipped"], "two stage": setting["peers"]["two_stage"]}
+        binned = {"shipped": setting["shipped"]}
+        if two_stage := setting["peers"].get("two_stage"):
+            binned["two stage"] = two_stage
         rows = (
             f"{label} | {part['low_n']:g}–{part['high_n']:g} | {_cells(part, columns[:3])}"
             for label, metrics in binned.items()

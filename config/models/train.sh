@@ -19,9 +19,7 @@ train --arm cdsm --network multi-contact-closed-form --pose straight --out $here
 for arm in cdsm cdsm_lab cdsm_table2; do
     train --arm $arm --network closed-form --out $here/peers/${arm}_closed_form.onnx
 done
-for arm in cdsm cdsm_lab; do
-    train --arm $arm --network two-stage --out $here/peers/${arm}_two_stage.onnx
-done
+train --arm cdsm --network two-stage --out $here/peers/cdsm_two_stage.onnx
 train --arm cdsm --network two-stage --pose straight --out $here/peers/cdsm_straight_two_stage.onnx
 train --arm cdsm_table2 --network two-stage --pose straight --out $here/peers/cdsm_table2_two_stage.onnx
 train --arm cdsm --network multi-contact --pose straight --out $here/peers/cdsm_multi_two_stage.onnx

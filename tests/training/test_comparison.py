@@ -40,7 +40,7 @@ def test_every_setting_every_model_and_the_bound_on_the_same_samples():
     for name, baseline in content["peers"].items():
         assert set(baseline) <= names, name
     assert set(content["peers"]["closed_form"]) == names - {"tensions_only"}
-    assert set(content["peers"]["two_stage"]) == names
+    assert set(content["peers"]["two_stage"]) == names - {"compliant"}
     assert {"recognition_accuracy", "macro_f1", "magnitude_mae_n"} <= set(content["multi"])
     for name in ("straight", "random_pose", "compliant"):
         assert content["single"][name]["contact_accuracy"] > 0.95

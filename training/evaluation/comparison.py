@@ -86,7 +86,7 @@ _STRAIGHT = _BOTH | {"two_stage": "straight_two_stage"}
 SETTINGS = (
     _setting("straight", "cdsm", "straight", "cdsm", **_STRAIGHT),
     _setting("random_pose", "cdsm", "random", "cdsm", **_BOTH),
-    _setting("compliant", "cdsm_lab", "random", "cdsm_lab", **_BOTH),
+    _setting("compliant", "cdsm_lab", "random", "cdsm_lab", closed_form="closed_form"),
     _setting("tensions_only", "cdsm", "random", "cdsm_tensions_only", two_stage="two_stage"),
 )
 
