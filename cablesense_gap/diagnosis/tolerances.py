@@ -1,7 +1,8 @@
 """Tolerances, linear about where they are: the tensions of a stiff arm call for that.
 
 Every fit takes them linearly (`fitting`). Here their columns are taken about the tolerances of a
-fit, and again until the simulator agrees with the linear prediction.
+fit, and again until the simulator agrees with the linear prediction. Columns are those without
+history-dependent effects; what is beyond the columns is exact.
 """
 
 from __future__ import annotations
@@ -74,11 +75,17 @@ def _with_tolerances_of(problem: Problem, explanation: Explanation) -> Problem |
     at = dict.fromkeys(std, 0.0) | dict(explanation.tolerances)
     # towards zero, so that no tolerance leaves its range
     steps = {term: -_STEP_OF_STD * np.copysign(std[term], value) for term, value in at.items()}
-    base = {**explanation.values, **at}
+    predict, candidates = problem.simulator.predict, problem.simulator.candidates
+    # a hundred simulations with friction or creep would take minutes, to change the columns little
+    history = {c.effect for c in candidates if c.history_dependent}
+    lasting = {t: value for t, value in explanation.values.items() if t.effect not in history}
+    base = {**lasting, **at}
     variants = [base, *({**base, term: at[term] + step} for term, step in steps.items())]
-    there, *moved = problem.simulator.predict(variants)
+    there, *moved = predict(variants)
     scaled = np.array([step / std[term] for term, step in steps.items()])
     columns = (np.array(moved) - there) / scaled[:, None, None]
+    if lasting != explanation.values:
+        there = predict([{**explanation.values, **at}])[0]
     fitted = np.array([value / std[term] for term, value in at.items()])
     rest = there - explanation.without_tolerances - np.tensordot(fitted, columns, axes=1)
     if not np.isfinite(columns).all() or not np.isfinite(rest).all():
