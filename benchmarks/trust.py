@@ -9,8 +9,8 @@ if the normal force is off by more than 5 N and by more than a fifth of the true
 segment is; next to a joint the neighbour's end is the same place. On segment 1 the moment is
 judged, over the length of the segment. With `--faulty`, one channel is scaled, shifted or zero,
 or two are, or are exchanged; a quarter of those arms is untouched. Two channels are of one
-segment's cables in half of the cases. With `--healthy`, samples of one contact each, of up to the
-model's range, are compared with the limit of the misfit, beyond which no force is given.
+segment's cables in half of the cases. With `--healthy`, samples under one contact each, of up to
+the model's range, are counted that get no force.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ from rich.progress import track
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact, ForceState
 from cablesense_online.answer import Answer
-from cablesense_online.misfit_limit import LOADS, READINGS, simulated_misfits
 from cablesense_online.models import load_model
 from cablesense_sim import kinematics
 from cablesense_sim.contact_location import touched_at
@@ -39,7 +38,8 @@ ARMS = {"cdsm": 150.0, "cdsm_lab": 45.0}
 """The strongest push, N, that an arm bears in nearly every pose within 10 degrees."""
 WRONG_N, WRONG_SHARE = 5.0, 0.2
 PERIOD_S, JUDGED_AFTER, RELEASED = 0.01, 12, 25
-CONTACTS_AT_A_POSE = 20
+CONTACTS_AT_A_POSE, READINGS = 20, 50
+BEND_RAD = float(np.deg2rad(10.0))
 UNTOUCHED = 0.25
 FAULTS = {
     1: ("scaled by 0.5", "scaled by 0.9", "scaled by 1.1", "5 N more", "20 N more", "zero"),
@@ -111,9 +111,13 @@ class TestedArm(EstimatedArm):
         found = Answer()
         for _ in range(JUDGED_AFTER):
             found = self.next(faulty(self.read(tensions_n), fault, cables))
+        self.release()
+        return found
+
+    def release(self) -> None:
+        """The arm is untouched for long enough to be judged afresh."""
         for _ in range(RELEASED):
             self.next(self.read(self.unloaded_n))
-        return found
 
 
 def faulty(reading_n: Array, fault: str, cables: Sequence[int]) -> Array:
@@ -170,7 +174,7 @@ def trial(name: str, given: argparse.Namespace, seed: int, channels: int) -> dic
     count, judged = given.faulty if channels else given.samples, 0
     title = f"{name}, {HEADINGS[channels]}"
     for number in track(range(count // CONTACTS_AT_A_POSE), title):
-        bend = 0.0 if number % 4 == 0 else np.deg2rad(10.0)
+        bend = 0.0 if number % 4 == 0 else BEND_RAD
         command = rng.uniform(-bend, bend, 8)
         arm = TestedArm(name, command, rng)
         for _ in range(CONTACTS_AT_A_POSE):
@@ -206,11 +210,32 @@ def trial(name: str, given: argparse.Namespace, seed: int, channels: int) -> dic
 
 
 def withheld(name: str, samples: int, seed: int) -> dict[str, int]:
-    """How many samples of a healthy arm under one contact lie beyond the limit."""
-    loaded = load_model(name, "")
-    poses, largest = samples // (LOADS * READINGS), loaded.largest_misfit(-1.0)
-    beyond = [misfit > largest for misfit in simulated_misfits(loaded, seed, poses)]
-    return {"samples": len(beyond), "withheld": sum(beyond)}
+    """How many samples of a healthy arm under one contact get no force, and of how many contacts.
+
+    Contacts are normal to the segment, of up to the model's range.
+    """
+    rng, largest_n = (
+        np.random.default_rng(seed),
+        load_model(name, "").estimator.metadata.force_range_n,
+    )
+    counts = [0, 0, 0, 0]
+    for _ in track(range(samples // (CONTACTS_AT_A_POSE * READINGS)), f"{name}, limit"):
+        arm = TestedArm(name, rng.uniform(-BEND_RAD, BEND_RAD, 8), rng)
+        reach, _ = touched_at(arm.arm)
+        for _ in range(CONTACTS_AT_A_POSE):
+            n, angle = int(rng.integers(arm.arm.segment_count)), rng.uniform(0.0, 2.0 * np.pi)
+            force_n = rng.uniform(0.0, largest_n) * np.array([0.0, np.sin(angle), np.cos(angle)])
+            try:
+                tensions_n = arm.tensions_n([Push(n + 1, rng.uniform(*reach[n]), force_n)])
+            except EquilibriumError:
+                continue
+            answers = [arm.next(arm.read(tensions_n)) for _ in range(READINGS)]
+            beyond = sum(answer.force is ForceState.IMPLAUSIBLE for answer in answers)
+            found = READINGS, beyond, 1, int(beyond > 0)
+            counts = [count + more for count, more in zip(counts, found, strict=True)]
+            arm.release()
+    names = "samples", "withheld", "contacts", "contacts_with_withheld"
+    return dict(zip(names, counts, strict=True))
 
 
 def main() -> None:

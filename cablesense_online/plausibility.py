@@ -20,7 +20,7 @@ contact changes, and every two seconds.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -35,6 +35,7 @@ from cablesense_online.stated_contacts import (
     FORCE_OFF_N,
     LEAST_SPREAD_N,
     POINT_NUMBERS,
+    TAUT_SPREADS,
     RestingArm,
     StatedContacts,
     SteadyContact,
@@ -110,6 +111,7 @@ class PlausibilityCheck:
         self._withheld, self._last_problem, self._suspects = 0, "", ""
         self._fit: StatedContacts | None = None
         self._judged: StatedContacts | None = None
+        self._nearly_slack: StatedContacts | None = None
         self.doubt = self._last_doubt = ""
         self._steady: SteadyContact | None = None
         self._command_rad: Array | None = None
@@ -137,25 +139,27 @@ class PlausibilityCheck:
         if command_rad is not self._command_rad:
             self._command_rad = command_rad
             self.arm.command(command_rad)
-            self._steady = self._judged = None
-        misfit = self._misfit_text(difference_n, contacts, stated_misfit)
+            self._steady = self._judged = self._nearly_slack = None
+        state = self.state
+        until_ns = min(state.withheld_until_ns, stamp_ns + round(WITHHELD_S * 1e9))
+        lasts = state.misfit_since_ns <= stamp_ns < until_ns  # otherwise the stamps stepped back
+        lasted_s = (stamp_ns - state.misfit_since_ns) * 1e-9 if lasts else 0.0
+        hold_ns = round(min(max(lasted_s, LEAST_WITHHELD_S), WITHHELD_S) * 1e9)
+        due = until_ns - stamp_ns < hold_ns // 2
+        misfit = self._misfit_text(difference_n, contacts, stated_misfit, due=due)
         self._worst = max(self._worst, self.misfit)
         most = SETTLING_TIMES * self._largest
         if settling and contacts and self._largest < self.misfit <= most:
             misfit, stated_doubt = "", f"{misfit} while the arm moves or settles"
-        state = self.state
-        until_ns = min(state.withheld_until_ns, stamp_ns + round(WITHHELD_S * 1e9))
         if not misfit and stamp_ns >= until_ns:
             self.doubt = self._doubted(difference_n, stamp_ns, settling) or stated_doubt
             self._last_doubt = self.doubt or self._last_doubt
             return
         self._steady = None
-        if not state.misfit_since_ns <= stamp_ns < until_ns:  # or the stamps stepped back
+        if not lasts:
             state.misfit_since_ns = stamp_ns
-        lasted_s = (stamp_ns - state.misfit_since_ns) * 1e-9
         if misfit:
-            hold_ns = round(min(max(lasted_s, LEAST_WITHHELD_S), WITHHELD_S) * 1e9)
-            if until_ns - stamp_ns < hold_ns // 2:
+            if due:
                 until_ns, self._suspects = stamp_ns + hold_ns, self._suspected(difference_n)
             misfit += self._suspects
         state.withheld_until_ns = until_ns
@@ -195,7 +199,12 @@ class PlausibilityCheck:
         return "of the parameter largest_misfit"
 
     def _misfit_text(
-        self, difference_n: Array, contacts: Sequence[Contact], stated_misfit: float | None
+        self,
+        difference_n: Array,
+        contacts: Sequence[Contact],
+        stated_misfit: float | None,
+        *,
+        due: bool,
     ) -> str:
         """Why the readings do not fit, as text; empty where they do."""
         self._fit = None
@@ -210,10 +219,15 @@ class PlausibilityCheck:
                 f"{BEYOND_TRAINING:g} times what the model was trained on"
             )
         contacts = sorted(contacts, key=lambda contact: contact.segment)
-        return self._explained(difference_n, contacts, stated_misfit)
+        return self._explained(difference_n, contacts, stated_misfit, due=due)
 
     def _explained(
-        self, difference_n: Array, contacts: Sequence[Contact], stated_misfit: float | None
+        self,
+        difference_n: Array,
+        contacts: Sequence[Contact],
+        stated_misfit: float | None,
+        *,
+        due: bool,
     ) -> str:
         """Why readings do not fit contacts in the order of their segments, or others near."""
         largest = self._limits[len(contacts)]
@@ -228,12 +242,41 @@ class PlausibilityCheck:
         )
         if self._judged is not None and self._judged.is_near(fit):
             fit.response = self._judged.response
+        if stated_misfit > largest and self._reach_m is not None:
+            stated_misfit = self._by_statics(fit, difference_n, largest, due=due)
         self.misfit = stated_misfit * self._largest / largest
         if not stated_misfit <= largest:
             return self._described(where)
         if off_n > FORCE_OFF_N:
             return f"the estimate lies {off_n:.1f} N from {where} that would fit"
         return ""
+
+    def _by_statics(
+        self, fit: StatedContacts, difference_n: Array, largest: float, *, due: bool
+    ) -> float:
+        """The misfit where a cable reads slack, by the static equilibrium near stated contacts.
+
+        A model takes a cable that pulls by less than a reading shows for slack: without its length
+        few taut cables determine the pose badly. It is the stated misfit where no cable reads
+        slack, where statics fits no better, and while a fault that lasts is not `due`: an
+        equilibrium takes milliseconds. That of contacts nearby serves at any time.
+        """
+        reading_n = self.arm.unloaded_n + difference_n
+        if reading_n.min() > TAUT_SPREADS * self.arm.spread_n:
+            return fit.misfit
+        for near in self._near(fit) if due else [self._nearly_slack]:
+            if near is None or near.segments != fit.segments:
+                continue
+            misfit, off_n = near.misfit_of(difference_n), math.dist(near.force_n, fit.force_n)
+            if misfit <= largest and off_n <= FORCE_OFF_N:
+                self._nearly_slack = near
+                return misfit
+        return fit.misfit
+
+    def _near(self, fit: StatedContacts) -> Iterator[StatedContacts | None]:
+        yield self._nearly_slack
+        yield fit
+        yield fit.refitted()
 
     def _described(self, contact: str) -> str:
         return (

@@ -48,7 +48,7 @@ its moment, N·m."""
 
 LEAST_SPREAD_N: Final = 0.01
 """Assumed of a sensor without noise and step."""
-_TAUT_SPREADS = 4.0
+TAUT_SPREADS = 4.0
 """Standard deviations of a reading above which a cable is read as taut."""
 
 AVERAGED_EVERY_NS = 100_000_000
@@ -124,7 +124,7 @@ class RestingArm:
         """
         segments = np.array([contact.segment - 1 for contact in contacts])
         along = np.array([(self.spread_n / along_std_n(contact)) ** 2 for contact in contacts])
-        reading_n, taut_above_n = self.unloaded_n + difference_n, _TAUT_SPREADS * self.spread_n
+        reading_n, taut_above_n = self.unloaded_n + difference_n, TAUT_SPREADS * self.spread_n
         force_n, squared_n2 = fit_point_forces(
             self._points, self._resting, reading_n, taut_above_n, segments, along
         )
@@ -208,6 +208,25 @@ class StatedContacts:
         if self._linear is None:
             return math.inf
         return self._rms(self._linear[1] @ self._residual(difference_n))
+
+    def refitted(self) -> StatedContacts | None:
+        """The contacts nearby that explain the readings better, by one Gauss-Newton step.
+
+        Models of contacts anywhere only. None where the arm cannot rest under these contacts.
+        """
+        if self._linear is None or self._reach_m is None:
+            return None
+        change = (self._linear[2] @ self._residual(self._difference_n)).reshape(-1, 4)
+        contacts = []
+        for contact, force, part in zip(self._contacts, self._forces, change, strict=True):
+            (x, y, z), reach_m = (force + part[:3]).tolist(), self._reach_m[contact.segment - 1]
+            at_m = float(np.clip(contact.contact_m + part[3], *reach_m))
+            size_n, moment_n_m = math.hypot(y, z), None
+            if not contact.magnitude_n:  # its moment is known
+                size_n, moment_n_m = 0.0, size_n * at_m
+            angle_deg = math.degrees(math.atan2(y, z)) % 360.0
+            contacts.append(Contact(contact.segment, angle_deg, size_n, at_m, x, moment_n_m))
+        return StatedContacts(self._arm, self._difference_n, contacts, self.misfit, self._reach_m)
 
     def hidden_n(self, difference_n: Array, largest: float) -> Array:
         """(M,) largest error of a force due to one wrong reading, at a misfit of `largest`.

@@ -175,3 +175,14 @@ def test_the_average_of_a_steady_push_confirms_it_and_a_wrong_reading_is_not_vou
             _, *normal_n, _, moment_y, moment_z = np.array(answer.contact.wrench) - true
             assert np.hypot(*normal_n) < 5.0
             assert np.hypot(moment_y, moment_z) / 0.07 < 5.0
+
+
+def test_a_contact_that_makes_a_cable_nearly_slack_is_stated_all_the_same():
+    """Without its length the others determine the pose badly, and the model's misfit is large."""
+    command = np.deg2rad([1.71, 9.45, -0.33, 9.46, -4.15, 2.71, -9.19, -4.02])
+    arm = Pushed("cdsm_lab", command)
+    answers = [arm.push((4, 0.0388, 0.0, 75.9, 69.96), samples=1) for _ in range(12)]
+    assert 0.1 < arm.loaded_n[2] < 0.25
+    assert {answer.force for answer in answers} <= {ForceState.CONTACT, ForceState.UNCONFIRMED}
+    sizes_n = [answer.contact.magnitude_n for answer in answers]
+    assert sizes_n == pytest.approx([np.hypot(75.9, 69.96)] * 12, abs=1.0)
