@@ -250,14 +250,21 @@ class _Creep(Transmission):
         self._rest = rest
 
     def lengthening_m(self, time_s: float) -> Array:
-        return np.asarray(self._parts_at(time_s).sum(-1))
+        """Each element follows the load of the last rest: the next one is not known yet."""
+        return np.asarray(self._parts_at(time_s, self._rest.tensions_n).sum(-1))
 
     def settle(self, rest: ArmRest) -> None:
-        self._parts_m = self._parts_at(rest.time_s)
+        self._parts_m = self._parts_at(rest.time_s, rest.tensions_n)
         self._rest = rest
 
-    def _parts_at(self, time_s: float) -> Array:
-        """Each element follows the load of the last rest towards its share."""
-        target = self._give_m_n * (self._rest.tensions_n - self._reference_n)
-        done = -np.expm1(-max(time_s - self._rest.time_s, 0.0) / self._times_s)
-        return np.asarray(self._parts_m + done * (target[..., None] / 3.0 - self._parts_m))
+    def _parts_at(self, time_s: float, tensions_n: Array) -> Array:
+        """Each element follows its share of a tension that changes evenly to `tensions_n`."""
+        periods = max(time_s - self._rest.time_s, 0.0) / self._times_s
+        done = -np.expm1(-periods)
+        on_average = np.divide(done, periods, out=np.ones_like(done), where=periods > 0.0)
+        before, after = (
+            (self._give_m_n * (n - self._reference_n) / 3.0)[..., None]
+            for n in (self._rest.tensions_n, tensions_n)
+        )
+        late = (after - before) * (1.0 - on_average)
+        return np.asarray(self._parts_m + done * (before - self._parts_m) + late)

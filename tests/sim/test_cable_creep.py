@@ -53,8 +53,8 @@ def test_a_held_cable_relaxes_to_one_part_in_one_and_its_share() -> None:
     times = period * np.arange(301)
     found = np.stack([arm.step(t, np.zeros((1, 12)), np.zeros((4, 3)))[0] for t in times])
     expected = 50.0 * (1.0 + share * np.exp(-(1.0 + share) * times / 10.0)) / (1.0 + share)
-    # tensions are taken as held between rests, which is off by up to half a period's change
-    np.testing.assert_allclose(found, np.repeat(expected[:, None], 12, axis=1), atol=0.03)
+    # tensions are taken to change evenly between rests
+    np.testing.assert_allclose(found, np.repeat(expected[:, None], 12, axis=1), atol=1e-3)
     np.testing.assert_allclose(found[0], 50.0, atol=1e-4)
 
 
