@@ -210,6 +210,7 @@ class CableCreep(Effect):
     """
 
     name = "cable_creep"
+    version = 2  # before, it settled under the pretension
     acts_on = "transmission"
     about = "cables that creep under load"
     source = "Findley, Lai and Onaran, Creep and Relaxation of Nonlinear Materials, 1976, ch. 5"

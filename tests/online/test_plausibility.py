@@ -100,31 +100,21 @@ def test_contacts_pass_slack_cables_or_not(name):
     assert arm.estimation.plausibility.status().values["withheld"] == "0"
 
 
-@pytest.mark.parametrize(
-    ("name", "command_deg", "segment", "forces_n"),
-    [
-        (
-            "cdsm",
-            [-7.499, -2.551, -3.114, -6.033, -7.793, -7.305, 3.841, -0.087],
-            3,
-            [(y, 11.72) for y in (117.0, 117.1, 117.2, 117.3)],
-        ),
-        (
-            "cdsm_lab",
-            [-8.9, -4.2, 7.3, 3.2, -2.6, 6.6, 8.9, -3.1],
-            4,
-            [(-71.0, 47.3), (-71.1, 47.4), (-70.9, 47.2)],
-        ),
-        (
-            "cdsm",
-            [8.01, -0.51, -6.39, 8.66, 0.55, 1.35, 3.33, 6.62],
-            3,
-            8 * [(-168.596, -82.5)],
-        ),
-    ],
-    ids=["a fourth goes slack", "two positions of rest", "one barely taut"],
-)
-def test_contacts_pass_where_rest_changes_at_once(name, command_deg, segment, forces_n):
+CHANGES_AT_ONCE = {
+    "a fourth goes slack":
+        ("cdsm", [-7.499, -2.551, -3.114, -6.033, -7.793, -7.305, 3.841, -0.087], 3,
+         [(y, 11.72) for y in (117.0, 117.1, 117.2, 117.3)]),
+    "two positions of rest":
+        ("cdsm_lab", [-8.9, -4.2, 7.3, 3.2, -2.6, 6.6, 8.9, -3.1], 4,
+         [(-71.0, 47.3), (-71.1, 47.4), (-70.9, 47.2)]),
+    "one barely taut":
+        ("cdsm", [8.01, -0.51, -6.39, 8.66, 0.55, 1.35, 3.33, 6.62], 3, 8 * [(-168.596, -82.5)]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CHANGES_AT_ONCE.values(), ids=CHANGES_AT_ONCE)
+def test_contacts_pass_where_rest_changes_at_once(case):
+    name, command_deg, segment, forces_n = case
     command = np.deg2rad(command_deg)
     arm = Arm(name, command)
     for y, z in forces_n:
@@ -309,9 +299,7 @@ def test_a_limit_changes_nothing_else_of_a_file_and_a_parameter_overrides_it(tmp
 def test_a_file_may_not_state_a_limit_that_checks_nothing(tmp_path):
     path = copied(tmp_path)
     replace_misfit_limit(path, OTHER.model_copy(update={"largest_misfit": 7.5}))
-    with pytest.raises(
-        ModelFileError, match=r"of 7\.5; noise of 12 readings allows 4\.57 at most"
-    ):
+    with pytest.raises(ModelFileError, match=r"of 7\.5; noise of 12 readings allows 4\.57 "):
         LoadedModel.open(path).largest_misfit(-1.0)
     assert LoadedModel.open(path).largest_misfit(3.0) == 3.0
 
