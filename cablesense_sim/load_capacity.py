@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 USUAL_CONTACT_N = 200.0
 """The strongest contact that networks learn unless the arm bears less: a person's firm push."""
 
+_POSES, _FAILING_SHARE = 500, 0.01
+"""Random poses that judge a range, and the share of them that may find no rest."""
+
 SEARCHED_UP_TO_N = 2000.0
 """The search ends at this force."""
 
@@ -115,6 +118,30 @@ def contact_range_n(arm: Arm, usual_n: float = USUAL_CONTACT_N, contacts: int = 
         return usual_n
     step_n = 10.0 ** (np.floor(np.log10(bearable_n)) - 1.0)
     return round(float(np.floor(bearable_n / step_n) * step_n), 9)
+
+
+def pose_range_deg(arm: Arm, usual_deg: float, force_n: float) -> float:
+    """How far to command the joints of an arm at random, ± degrees: `usual_deg`, or less.
+
+    Less where its own weight, or contacts of up to `force_n`, bend it too far in more than one of
+    a hundred poses. Not below a tenth of the usual range.
+    """
+    mechanism, rng = amended(mechanism_of(arm), entries_of(arm)), np.random.default_rng(0)
+    shares = rng.uniform(-1.0, 1.0, (_POSES, arm.joint_count))
+    segments = rng.integers(1, arm.segment_count + 1, _POSES)
+    angles_deg, sizes_n = rng.uniform(0.0, 360.0, _POSES), rng.uniform(0.0, force_n, _POSES)
+    range_deg = usual_deg
+    while range_deg > 0.1 * usual_deg:
+        command = np.deg2rad(range_deg) * shares
+        forces = normal_force_n(mechanism, command, segments, angles_deg, sizes_n)
+        try:
+            solve_equilibrium(mechanism, command, forces)
+        except EquilibriumError as error:
+            if len(error.failed) > _FAILING_SHARE * _POSES:
+                range_deg = round(range_deg - 0.05 * usual_deg, 9)
+                continue
+        break
+    return range_deg
 
 
 def _unloaded_rad(arm: Arm, mechanism: Mechanism) -> Array:

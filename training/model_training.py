@@ -16,7 +16,7 @@ from cablesense_base.installation import package_version
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import Arm
 from cablesense_sim.contact_location import TorqueBalance
-from cablesense_sim.load_capacity import contact_range_n
+from cablesense_sim.load_capacity import contact_range_n, pose_range_deg
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset, generate
 from cablesense_training.data.protocols import protocol_from_options
@@ -123,6 +123,9 @@ def draw_training_data(
     if recipe.learns_from == "motion":
         if "force_high_n" not in given:
             given["force_high_n"] = contact_range_n(arm, MotionProtocol.force_high_n)
+        if "pose_range_deg" not in given:
+            usual_deg, force_n = MotionProtocol.pose_range_deg, given["force_high_n"]
+            given["pose_range_deg"] = pose_range_deg(arm, usual_deg, force_n)
         motion = MotionProtocol(sequences=given.pop("samples", recipe.samples), **given)
         with progress_bar(motion.sequences, shown=show_progress, what="sequences") as advance:
             return draw_sequences(arm, motion, seed, workers=workers, on_done=advance)

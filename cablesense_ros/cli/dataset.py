@@ -38,7 +38,7 @@ def dataset(
     ] = "single",
     samples: Annotated[int, typer.Option(help="How many samples.")] = 5000,
     pose: PoseOption = "straight",
-    pose_range_deg: PoseRangeOption = 10.0,
+    pose_range_deg: PoseRangeOption = None,
     force_low_n: Annotated[float, typer.Option(help="Weakest contact force, N.")] = 0.0,
     force_high_n: Annotated[
         float | None,
@@ -122,6 +122,8 @@ def dataset(
     drawn = protocol_from_options({k: v for k, v in chosen.items() if v is not None}, description)
     # what cannot change a byte of the file is left out of its command
     options = drawn.options()
+    if drawn.pose == "straight":
+        del options["pose_range_deg"]
     command = {"arm": arm, "protocol": options.pop("kind"), **options, "seed": seed}
     started = time.perf_counter()
     summary = produce_dataset(

@@ -51,7 +51,11 @@ PoseOption = Annotated[
     str, typer.Option(metavar="straight|random", help="The arm straight, or at random poses.")
 ]
 PoseRangeOption = Annotated[
-    float, typer.Option(help="Random poses: joint angles within plus or minus this.")
+    float | None,
+    typer.Option(
+        help="Random poses: joint angles within plus or minus this.",
+        show_default="10, or less on an arm that does not hold itself there",
+    ),
 ]
 RandomiseOption = Annotated[
     str | None,

@@ -50,7 +50,7 @@ def train(
         ),
     ] = None,
     pose: PoseOption = "random",
-    pose_range_deg: PoseRangeOption = 10.0,
+    pose_range_deg: PoseRangeOption = None,
     force_high_n: Annotated[
         float | None,
         typer.Option(

@@ -11,17 +11,14 @@ from effect_arms import bent
 
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.equilibrium import (
-    EquilibriumError,
-    held_lengths_m,
-    solve_equilibrium,
-)
+from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.load_capacity import (
     DIRECTIONS,
     SHOWS_AT_STD,
     WeakArmError,
     hidden_force,
     load_capacity,
+    pose_range_deg,
 )
 from cablesense_sim.loads import LoadError, normal_force_n
 from cablesense_sim.quasi_static import QuasiStaticArm
@@ -70,6 +67,15 @@ def test_a_sensor_at_the_end_of_its_range_ends_the_load() -> None:
 def test_an_arm_that_can_bear_nothing_is_refused(changes: dict[str, object], what: str) -> None:
     with pytest.raises(WeakArmError, match=what):
         load_capacity(variant(changes, "cdsm_lab"))
+
+
+@pytest.mark.parametrize("offset_m", [0.015, 0.005, 0.004])
+def test_random_poses_go_no_further_than_guide_plates_allow(offset_m: float) -> None:
+    """Pitch and yaw of a joint together bend it by √2 of the range."""
+    arm = variant({"segments.plate_offset_m": offset_m}, "cdsm_lab")
+    limit_deg = math.degrees(mechanism_of(arm).bend_limit_rad.min())
+    expected = min(10.0, limit_deg / math.sqrt(2.0))
+    assert pose_range_deg(arm, 10.0, force_n=1.0) == pytest.approx(expected, abs=0.6)
 
 
 BENT = bent(3, most_deg=4.0)

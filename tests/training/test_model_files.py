@@ -75,19 +75,16 @@ def test_single_precision_is_refused(tmp_path):
     assert "float" in refused(written(tmp_path, small_model(kind=FLOAT)))
 
 
+READINGS = value("tension_difference_n", DOUBLE, ["batch", 12])
+
+
 @pytest.mark.parametrize(
     "inputs",
     [
         [value("tension_difference_n", DOUBLE, ["batch", 9])],
         [value("tension_difference_n", DOUBLE, [1, 12])],
-        [
-            value("tension_difference_n", DOUBLE, ["batch", 12]),
-            value("joint_command_rad", DOUBLE, ["batch", 8]),
-        ],
-        [
-            value("tension_difference_n", DOUBLE, ["batch", 12]),
-            value("temperature", DOUBLE, ["batch", 1]),
-        ],
+        [READINGS, value("joint_command_rad", DOUBLE, ["batch", 8])],
+        [READINGS, value("temperature", DOUBLE, ["batch", 1])],
     ],
     ids=["nine cables", "single", "command", "heat"],
 )
@@ -222,9 +219,8 @@ def test_a_size_that_depends_on_the_tensions_is_refused(tmp_path):
         helper.make_node("ReduceSum", ["wide"], ["direction"], keepdims=0),
     ]
     one = helper.make_tensor("one", TensorProto.INT64, [1], [1])
-    model = small_model(
-        nodes=nodes, initializers=[one, helper.make_tensor("last_of", DOUBLE, [1], [1.0])]
-    )
+    last = helper.make_tensor("last_of", DOUBLE, [1], [1.0])
+    model = small_model(nodes=nodes, initializers=[one, last])
     assert "is open until the model is run" in refused(written(tmp_path, model))
 
 
@@ -235,9 +231,8 @@ def test_more_work_than_a_sample_is_worth_is_refused(tmp_path):
         helper.make_node("MatMul", [left, "large"], [right])
         for left, right in zip(["large", *names], names, strict=False)
     ]
-    assert "multiplications a sample" in refused(
-        written(tmp_path, small_model(nodes=nodes, initializers=[large]))
-    )
+    model = small_model(nodes=nodes, initializers=[large])
+    assert "multiplications a sample" in refused(written(tmp_path, model))
 
 
 def _changed(change):

@@ -30,7 +30,7 @@ from cablesense_sim.arm import Arm, per_segment
 from cablesense_sim.contact_location import touched_at
 from cablesense_sim.effects.effect import Parameter
 from cablesense_sim.effects.registry import EffectEntry, known_effects
-from cablesense_sim.load_capacity import contact_range_n
+from cablesense_sim.load_capacity import contact_range_n, pose_range_deg
 from cablesense_training.errors import DatasetError
 
 CHUNK_SAMPLES = 2048
@@ -387,8 +387,8 @@ _PROTOCOLS = {
 def protocol_from_options(options: dict[str, Any], arm: Arm | None = None) -> Protocol:
     """The protocol with the options that `Protocol.options` gave.
 
-    Without a `force_high_n` it is the protocol's default, or less on an `arm` that supports less
-    (`cablesense_sim.load_capacity`).
+    Without a `force_high_n` or a `pose_range_deg` that is the protocol's default, or less on an
+    `arm` that supports less (`cablesense_sim.load_capacity`).
 
     Raises:
         DatasetError: unknown protocol, unknown option, or a value out of range.
@@ -399,12 +399,16 @@ def protocol_from_options(options: dict[str, Any], arm: Arm | None = None) -> Pr
     if not isinstance(kind, str) or kind not in _PROTOCOLS:
         raise DatasetError(f"protocol {kind!r}: must be one of {', '.join(_PROTOCOLS)}")
     protocol = _PROTOCOLS[kind]
-    if arm is not None and "force_high_n" not in given:
+    if arm is not None:
         at_once = given.get("max_contacts") or arm.segment_count
         contacts = at_once if protocol is MultiContact else 1
         if protocol.anywhere:
             arm = _touched_at_its_end(arm)
-        given["force_high_n"] = contact_range_n(arm, protocol.force_high_n, contacts)
+        if "force_high_n" not in given:
+            given["force_high_n"] = contact_range_n(arm, protocol.force_high_n, contacts)
+        if "pose_range_deg" not in given and given.get("pose") == "random":
+            force_n = given["force_high_n"]
+            given["pose_range_deg"] = pose_range_deg(arm, protocol.pose_range_deg, force_n)
     return protocol(**given)
 
 

@@ -22,7 +22,7 @@ from cablesense_sim.load_capacity import contact_range_n
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.history import sensed_along_n
-from cablesense_training.data.protocols import SingleContact
+from cablesense_training.data.protocols import SingleContact, protocol_from_options
 from cablesense_training.networks.closed_form import Balance, ClosedForm, pose_corrections_for
 from cablesense_training.networks.layers import ContactNetwork, StatedSpread
 from cablesense_training.networks.near_command import NearCommand
@@ -130,10 +130,9 @@ def unexplained_variance_n2(arm: Arm) -> float:
     if not (actuations([entries]) or transmissions([entries]) or sensings([entries])):
         return 0.0
     force_high_n = _BORNE_BENT * contact_range_n(arm)
-    protocol = SingleContact(
-        samples=_JUDGED_SAMPLES, pose="random", force_high_n=force_high_n, noise=False
-    )
-    drawn = draw_dataset(arm, protocol)
+    options = {"samples": _JUDGED_SAMPLES, "pose": "random", "noise": False}
+    options |= {"kind": SingleContact.kind, "force_high_n": force_high_n}
+    drawn = draw_dataset(arm, protocol_from_options(options, arm))
     nominal = mechanism_of(arm)
     mechanism, held = amended(nominal, entries), held_lengths_m(nominal, drawn.command_rad)
     loaded, unloaded = (
