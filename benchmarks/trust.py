@@ -214,11 +214,9 @@ def withheld(name: str, samples: int, seed: int) -> dict[str, int]:
 
     Contacts are normal to the segment, of up to the model's range.
     """
-    rng, largest_n = (
-        np.random.default_rng(seed),
-        load_model(name, "").estimator.metadata.force_range_n,
-    )
-    counts = [0, 0, 0, 0]
+    rng, loaded = np.random.default_rng(seed), load_model(name, "")
+    largest_n = loaded.estimator.metadata.force_range_n
+    beyond = []
     for _ in track(range(samples // (CONTACTS_AT_A_POSE * READINGS)), f"{name}, limit"):
         arm = TestedArm(name, rng.uniform(-BEND_RAD, BEND_RAD, 8), rng)
         reach, _ = touched_at(arm.arm)
@@ -230,12 +228,10 @@ def withheld(name: str, samples: int, seed: int) -> dict[str, int]:
             except EquilibriumError:
                 continue
             answers = [arm.next(arm.read(tensions_n)) for _ in range(READINGS)]
-            beyond = sum(answer.force is ForceState.IMPLAUSIBLE for answer in answers)
-            found = READINGS, beyond, 1, int(beyond > 0)
-            counts = [count + more for count, more in zip(counts, found, strict=True)]
+            beyond.append(sum(answer.force is ForceState.IMPLAUSIBLE for answer in answers))
             arm.release()
-    names = "samples", "withheld", "contacts", "contacts_with_withheld"
-    return dict(zip(names, counts, strict=True))
+    counts = {"samples": READINGS * len(beyond), "withheld": sum(beyond), "contacts": len(beyond)}
+    return counts | {"contacts_with_withheld": sum(count > 0 for count in beyond)}
 
 
 def main() -> None:

@@ -78,7 +78,7 @@ class ArmSystem(ArmSimulator, System):
         return Conditions(held_m, in_play(held_m - stretched_m, _PLAY), self.nominal_n)
 
     def past(self) -> Past | None:
-        """From where commands and load return; unknown if the nominal arm depends on the past."""
+        """As returning commands and loads show it; None if the nominal arm depends on the past."""
         if transmissions([entries_of(self.arm)]):
             return None
         if (found := returns(self._counted_recording, self.floor)) is None:

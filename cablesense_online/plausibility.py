@@ -8,7 +8,8 @@ segments, which friction at a contact may add. A model of contacts anywhere stat
 the contacts that fit best do (`RestingArm.explained`).
 
 A verdict depends on nothing before its sample, except the time that forces are withheld after a
-misfit.
+misfit. The equilibrium of an earlier sample may serve where a cable reads slack and this sample
+fits it.
 
 A fit proves nothing: a fault with the pattern of a force looks like that force. Therefore a
 contact is `unconfirmed` if one wrong reading would pass, or if the average of a steady contact's
@@ -258,8 +259,8 @@ class PlausibilityCheck:
 
         A model takes a cable that pulls by less than a reading shows for slack: without its length
         few taut cables determine the pose badly. It is the stated misfit where no cable reads
-        slack, where statics fits no better, and while a fault that lasts is not `due`: an
-        equilibrium takes milliseconds. That of contacts nearby serves at any time.
+        slack, where statics does not fit, and while a fault that lasts is not `due`, because an
+        equilibrium takes milliseconds. The last one that did fit is tried at any time.
         """
         reading_n = self.arm.unloaded_n + difference_n
         if reading_n.min() > TAUT_SPREADS * self.arm.spread_n:
