@@ -7,6 +7,7 @@ samples are solved once. With history-dependent effects the samples are solved i
 from __future__ import annotations
 
 import math
+from collections import ChainMap
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
@@ -19,6 +20,7 @@ from cablesense_sim.arm import Arm, Sensors
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.effect import Actuation, Sensing
 from cablesense_sim.effects.registry import (
+    EffectEntry,
     Variants,
     actuations,
     amended,
@@ -38,6 +40,8 @@ _HARMONICS = 100
 """Of the series of rounding; what the others would add is below 1 % of step² / 12."""
 _KEPT = 4
 """Arms whose tensions are kept for those that differ from them in their sensors alone."""
+_FADED_N = 2e-4
+"""Change of a tension that counts as none: rests are balanced to some 1e-5 N."""
 
 
 class Replay:
@@ -89,21 +93,65 @@ class Replay:
         """
         if not transmissions(variants):
             return self._through(sensings(variants), self._memoryless_n(variants, unborne_n))
+        tensions = self._in_turn_n(variants, some_may_fail=unborne_n is not None)
+        return self._through(sensings(variants), tensions)
+
+    def _in_turn_n(self, variants: Variants, *, some_may_fail: bool) -> Array:
+        """Tensions (P, R, M) of history-dependent arms.
+
+        Arms that differ from the first in fading numbers alone, as in the friction state of one
+        cable, are simulated only until all these numbers together no longer change a tension.
+        """
+        fading = [self._fading_changes(variants[0], each) for each in variants]
+        brief = np.array([bool(changes) for changes in fading])
+        if brief.sum() < 2:
+            return self._rests_n(variants, len(self.time_s), some_may_fail=some_may_fail)
+        together = [
+            replace(entry, values=dict(ChainMap(*(c[k] for c in fading if c), entry.values)))
+            for k, entry in enumerate(variants[0])
+        ]
+        lasting = [each for each, is_brief in zip(variants, brief, strict=True) if not is_brief]
+        *others, changed = self._rests_n(
+            [*lasting, together], len(self.time_s), some_may_fail=some_may_fail
+        )
+        tensions = np.repeat(others[0][None], len(variants), axis=0)
+        tensions[~brief] = others
+        differs = ~(np.abs(changed - others[0]).max(axis=1) < _FADED_N)
+        rows = int(np.flatnonzero(differs).max(initial=-1)) + 1
+        own = [each for each, is_brief in zip(variants, brief, strict=True) if is_brief]
+        tensions[brief, :rows] = self._rests_n(own, rows, some_may_fail=some_may_fail)
+        return tensions
+
+    def _fading_changes(
+        self, first: Sequence[EffectEntry], other: Sequence[EffectEntry]
+    ) -> list[dict[str, float]]:
+        """The numbers of each entry that differ from the first's; none unless all of them fade."""
+        sizes = self._nominal.segment_count, self._nominal.cable_count
+        found = []
+        for before, after in zip(first, other, strict=True):
+            changes = {n: v for n, v in after.values.items() if v != before.values[n]}
+            every = (*after.effect.parameters, *after.effect.history(*sizes))
+            if not changes.keys() <= {p.name for p in every if p.fades}:
+                return []
+            found.append(changes)
+        return found if any(found) else []
+
+    def _rests_n(self, variants: Variants, rows: int, *, some_may_fail: bool) -> Array:
+        """Tensions (P, rows, M), one rest after another."""
         from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
 
         mechanisms, held, forces = self._moved(variants)
-        arm = QuasiStaticArm(mechanisms, variants, some_may_fail=unborne_n is not None)
+        arm = QuasiStaticArm(mechanisms, variants, some_may_fail=some_may_fail)
         places = np.stack([mechanism.contact_m for mechanism in mechanisms])
-        beyond = np.zeros(len(held[0])) if self._beyond_m is None else self._beyond_m[:, None]
-        rests = zip(
-            self.time_s,
-            held.swapaxes(0, 1),
-            forces.swapaxes(0, 1),
-            (places + each for each in beyond),
-            strict=True,
-        )
-        tensions = np.stack([arm.step(*rest) for rest in rests], axis=1)
-        return self._through(sensings(variants), tensions)
+        beyond = np.zeros((len(self.time_s), 1, 1))
+        if self._beyond_m is not None:
+            beyond = self._beyond_m[:, None]
+        tensions = np.empty((len(variants), rows, held.shape[-1]))
+        for row in range(rows):
+            tensions[:, row] = arm.step(
+                self.time_s[row], held[:, row], forces[:, row], places + beyond[row]
+            )
+        return tensions
 
     def _memoryless_n(self, variants: Variants, unborne_n: Array | None) -> Array:
         """Tensions (P, R, M); arms that differ in their sensors alone are solved once."""

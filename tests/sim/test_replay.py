@@ -5,6 +5,8 @@ What the tension sensors make of a tension: noise, step and range.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from arm_variants import variant
@@ -50,6 +52,20 @@ def test_every_effect_is_seen_none_of_size_zero_and_side_by_side_as_alone(name: 
         np.testing.assert_allclose(whole, readings(replay, any_entry(effect)), atol=1e-3)
         seen_n.append(np.abs(whole - ideal).max())
     assert max(seen_n) > (0.005 if effect.tolerance else 0.05)
+
+
+@pytest.mark.parametrize("name", ["capstan_friction", "joint_friction"])
+def test_friction_states_at_the_start_are_read_side_by_side_as_alone(name: str) -> None:
+    """They are simulated together and only for a while, as their influence fades."""
+    effect, sized = known_effects()[name], any_entry(known_effects()[name])
+    none = {p.name: 0.0 for p in (*effect.parameters, *effect.history(4, 12)) if p.fades}
+    changes = [none, *(none | {each: 0.8} for each in none)]
+    every = [replace(sized, values=sized.values | each) for each in changes]
+    replay = course(COMMANDS, LOADS)
+    found = replay.readings_n([[each] for each in every])
+    alone = [readings(replay, each) for each in every]
+    np.testing.assert_allclose(found, alone, atol=1e-3)
+    assert (np.abs(found[1:] - found[0]).max(axis=(1, 2)) > 5e-3).all()
 
 
 FRICTION = {"effect": "capstan_friction", "parameters": {"coefficient": 0.1}}
