@@ -52,8 +52,8 @@ class ArmSystem(ArmSimulator, System):
         super().__init__(arm, recording)
         self.name, self.recording_name, self.row_count = arm.name, recording.name, len(recording)
         self.recording, self._unseen = recording, tuple(unseen)
-        self.readings, self.trial = recording.tensions_n, recording.trial
-        self.fold = folds_of(recording, unseen)
+        self.readings = recording.tensions_n
+        self.trial, self.fold = parts_of(recording, unseen)
         self.nominal_n = self.predict([{}])[0]
         self.counted = np.zeros(len(recording), dtype=bool)
         if np.isfinite(self.nominal_n).all():
@@ -325,6 +325,24 @@ def folds_of(recording: Recording, unseen: Collection[int] = ()) -> NDArray[np.i
     fold = np.empty(len(dealt), dtype=np.int64)
     fold[dealt] = np.arange(len(dealt)) % min(FOLDS, len(dealt))
     return fold
+
+
+def parts_of(
+    recording: Recording, unseen: Collection[int] = ()
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(R,) part of each row and (T,) fold of each part: trials, cut where they are long.
+
+    A trial with more than a fold's share of the rows is often the only motion through all poses.
+    Fits without it would have to extrapolate to it, which on a stiff arm fails by far more than
+    an effect changes: each fold gets a part of it.
+    """
+    part, fold = np.unique(recording.trial, return_inverse=True)[1], folds_of(recording, unseen)
+    for t, count in enumerate(np.bincount(part)):
+        if count > max(len(part) / FOLDS, FOLDS):
+            for k, rows in enumerate(np.array_split(np.flatnonzero(part == t), FOLDS)[1:], 1):
+                part[rows] = len(fold)
+                fold = np.append(fold, (fold[t] + k) % FOLDS)
+    return part, fold
 
 
 def places_of(values: Mapping[Term, float], regimes: tuple[str, ...]) -> Where:

@@ -87,8 +87,8 @@ class System(ABC):
         recording_name: of its recording.
         row_count: of the whole recording, of which R rows are used.
         readings: (R, C) as measured.
-        trial: (R,) number of each row's trial.
-        fold: (T,) fold of each trial, in the order of their numbers.
+        trial: (R,) number of each row's trial, or of its part of one.
+        fold: (T,) fold of each of them, in the order of their numbers.
         counted: (R,) rows that count in fits and sizes.
         candidates, tolerances, floor: see `Simulator`.
         unit: of the channels.
