@@ -65,7 +65,7 @@ EXTRAS = {
         "pymdown-extensions",  # anchors as GitHub makes them, code in colour
     ],
     "test": [
-        "pytest",  # `colcon test` takes it for a package that names it under this extra
+        "pytest"  # `colcon test` takes it for a package that names it under this extra
     ],
     "dev": [
         "catkin-pkg",  # reads package.xml, in tests
@@ -148,6 +148,6 @@ setup(
             "can_driver = cablesense_ros.can_driver_node:main",
             "can_emulator = cablesense_ros.can_emulator_node:main",
             "breather = cablesense_ros.breather_node:main",
-        ],
+        ]
     },
 )

@@ -50,11 +50,7 @@ from cablesense_training.inference.metadata import find_model
 from cablesense_training.model_training import contact_answer
 from cablesense_training.networks.layers import ContactNetwork
 from cablesense_training.recipes import build_network, recipe_for
-from examples.paper.boosting import (
-    BoostingBaseline,
-    BoostingSettings,
-    MultiBoostingBaseline,
-)
+from examples.paper.boosting import BoostingBaseline, BoostingSettings, MultiBoostingBaseline
 
 TEST_SEED = 20_260_001
 TRAIN_SEED = 0
@@ -135,12 +131,7 @@ def _several(samples: int) -> dict[str, Any]:
     metrics["gradient_boosting"] = asdict(evaluate_multi_answer(*answer, test).metrics)
     bound = multi_contact_bound_n(test, WEAKEST_MULTI_N)
     metrics["noise_bound"] = {"magnitude_mae_n": bound.tolist()}
-    return {
-        **harness.origin(),
-        "seed": TEST_SEED,
-        "samples": samples,
-        "several_contacts": metrics,
-    }
+    return {**harness.origin(), "seed": TEST_SEED, "samples": samples, "several_contacts": metrics}
 
 
 def _log(text: str) -> None:

@@ -99,11 +99,7 @@ def _one_of_each_kind(candidate: Candidate, seed: int) -> Iterator[str]:
 
 
 def _case(
-    planted: tuple[Candidate, str, float],
-    asked: Recording,
-    seed: int,
-    folder: Path,
-    until: float,
+    planted: tuple[Candidate, str, float], asked: Recording, seed: int, folder: Path, until: float
 ) -> dict[str, Any] | None:
     candidate, place, multiple = planted
     kept = folder / f"{candidate.effect}.{place}.{multiple:g}.json"

@@ -160,10 +160,7 @@ def play(arm_name: str, map_name: str, link: str, rate_hz: float, cycles: int, l
 
 
 def delivery(
-    sequence: MarkedSequence,
-    dropped: Integers,
-    written_ns: Integers,
-    tensions: Arrivals,
+    sequence: MarkedSequence, dropped: Integers, written_ns: Integers, tensions: Arrivals
 ) -> tuple[dict[str, Any], Integers]:
     """Counts of delivered cycles, by value; also the cycle (C,) of each sample, -1 for none.
 

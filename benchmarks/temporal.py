@@ -24,11 +24,7 @@ from cablesense_base import Array
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import open_arm
 from cablesense_training.data.sequences import MotionProtocol, Sequences, draw_sequences
-from cablesense_training.evaluation.metrics import (
-    ContactAnswer,
-    SequenceMetrics,
-    sequence_metrics,
-)
+from cablesense_training.evaluation.metrics import ContactAnswer, SequenceMetrics, sequence_metrics
 from cablesense_training.inference.estimator import Estimates, SequenceEstimator
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.temporal_estimator import open_estimator
@@ -57,10 +53,7 @@ CASES = (
         "no friction, in time by MuJoCo: inertia and swinging",
         16,
         1,
-        {
-            "temporal (shipped)": "cdsm_moving",
-            "statics (shipped)": "cdsm",
-        },
+        {"temporal (shipped)": "cdsm_moving", "statics (shipped)": "cdsm"},
     ),
     SequenceCase(
         "cdsm_friction",

@@ -239,10 +239,7 @@ def main() -> None:
     options = harness.parser(__doc__, "trust.json")
     options.add_argument("--samples", type=int, default=2500, help="contacts of each healthy arm")
     options.add_argument(
-        "--faulty",
-        type=int,
-        default=1250,
-        help="of each arm with one faulty channel or two",
+        "--faulty", type=int, default=1250, help="of each arm with one faulty channel or two"
     )
     options.add_argument("--healthy", type=int, default=0, help="samples for the limit, by arm")
     options.add_argument("--seed", type=int, default=7101, help="of poses, contacts and noise")

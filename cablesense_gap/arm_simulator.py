@@ -149,12 +149,7 @@ def settled(arm: Arm, recording: Recording, rows: int) -> Arm:
         )
 
     found = least_squares(
-        residuals,
-        start,
-        bounds=(low, high),
-        x_scale=1.0,
-        diff_step=0.02,
-        max_nfev=_EVALUATIONS,
+        residuals, start, bounds=(low, high), x_scale=1.0, diff_step=0.02, max_nfev=_EVALUATIONS
     )
     return _with_states(arm, states, found.x * typical)
 

@@ -138,12 +138,7 @@ def _rms(by_cable_n: Array) -> float:
 
 
 def _text(
-    arm: Arm,
-    rivals: Sequence[Rival],
-    does: str,
-    by_cable_n: Array,
-    floor_n: float,
-    question: str,
+    arm: Arm, rivals: Sequence[Rival], does: str, by_cable_n: Array, floor_n: float, question: str
 ) -> str:
     floors = _rms(by_cable_n) / floor_n
     first, others = _name(rivals[0]), listed([_name(rival) for rival in rivals[1:] or [{}]], "or")

@@ -82,9 +82,7 @@ def significant_values(
 
 
 def estimates(
-    values: Mapping[Term, float],
-    deviations: Mapping[Term, float],
-    candidates: Sequence[Candidate],
+    values: Mapping[Term, float], deviations: Mapping[Term, float], candidates: Sequence[Candidate]
 ) -> dict[str, FittedNumber]:
     """Values with units, and their intervals, clipped to the plausible range.
 

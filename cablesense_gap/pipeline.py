@@ -45,14 +45,7 @@ from cablesense_gap.explained import (
     trades,
 )
 from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term
-from cablesense_gap.verdict import (
-    ChannelGap,
-    FittedNumber,
-    Gap,
-    ReferenceGap,
-    Verdict,
-    Where,
-)
+from cablesense_gap.verdict import ChannelGap, FittedNumber, Gap, ReferenceGap, Verdict, Where
 
 FOLDS = 5
 """Fits without a fold keep four fifths of the trials."""
@@ -382,11 +375,7 @@ def diagnose_system(
     measured = [(system.readings - each)[used] for each in (nominal, held_out)]
     alone = problem.readings - best.held_out_effects if best and best.effects else None
     gap = gap_size(
-        before,
-        after,
-        problem.trial[used],
-        problem.floor,
-        None if alone is None else alone[used],
+        before, after, problem.trial[used], problem.floor, None if alone is None else alone[used]
     )
     doubts = system.doubts(values, gap) if values else ()
     if error is not None:

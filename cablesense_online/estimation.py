@@ -51,10 +51,7 @@ from cablesense_sim.arm import Arm
 from cablesense_training.inference.estimator import SequenceEstimator
 
 _STEPS = {-1: EventKind.CLOCK, 1: EventKind.CLOCK_AHEAD}
-_REFUSED = {
-    ProblemKind.CLOCK: ForceState.STALE,
-    ProblemKind.MISFIT: ForceState.IMPLAUSIBLE,
-}
+_REFUSED = {ProblemKind.CLOCK: ForceState.STALE, ProblemKind.MISFIT: ForceState.IMPLAUSIBLE}
 _TARE_EVENTS = frozenset({EventKind.TARE, EventKind.AUTO_TARE, EventKind.TARE_UNDO})
 
 

@@ -59,11 +59,7 @@ class MotionGate:
         self._rest_from_s = 0.0
         self._last_ns = LONG_AGO_NS
         here = command_rad.copy()
-        state = GateState(
-            command_rad=here,
-            pose_rad=here,
-            rest_from_ns=LONG_AGO_NS,
-        )
+        state = GateState(command_rad=here, pose_rad=here, rest_from_ns=LONG_AGO_NS)
         self.restore(state)
 
     @property

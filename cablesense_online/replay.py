@@ -20,12 +20,7 @@ from cablesense_gap.recordings.mcap_messages import BagTypes, McapMessages, RawM
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import CONTRACT, of_contract, segment_of
-from cablesense_msgs_py.serialized import (
-    WrenchWriter,
-    require_bounded,
-    stamp_ns,
-    wrench_writers,
-)
+from cablesense_msgs_py.serialized import WrenchWriter, require_bounded, stamp_ns, wrench_writers
 from cablesense_msgs_py.topics import ContractError, Frames
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation

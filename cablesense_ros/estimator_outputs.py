@@ -25,13 +25,7 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from visualization_msgs.msg import Marker, MarkerArray
 
 from cablesense_msgs_py import topics
-from cablesense_msgs_py.messages import (
-    NO_CONTACT,
-    UNKNOWN_WRENCH,
-    Contact,
-    ForceState,
-    Status,
-)
+from cablesense_msgs_py.messages import NO_CONTACT, UNKNOWN_WRENCH, Contact, ForceState, Status
 from cablesense_msgs_py.qos import JOURNAL, WRENCH
 from cablesense_msgs_py.serialized import restamped, wrench_writers
 from cablesense_msgs_py.topics import Frames

@@ -277,10 +277,7 @@ def locate_two(
 
 
 def compiled_input(
-    balance: TorqueBalance,
-    reach: Array,
-    surface: Surface | None,
-    largest_n: float = LARGEST_N,
+    balance: TorqueBalance, reach: Array, surface: Surface | None, largest_n: float = LARGEST_N
 ) -> tuple[TorqueBalance, Prior]:
     """A balance and the prior, as compiled code takes them."""
     from cablesense_sim.contact_force import Prior

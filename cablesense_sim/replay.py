@@ -231,11 +231,7 @@ class Replay:
 
 
 def replay_arm(
-    arm: Arm,
-    time_s: Array,
-    command_rad: Array,
-    forces_n: Array,
-    places_m: Array | None = None,
+    arm: Arm, time_s: Array, command_rad: Array, forces_n: Array, places_m: Array | None = None
 ) -> Array:
     """Readings (R, M) of an arm with the effects that its file lists.
 

@@ -20,7 +20,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_gap.diagnosis.problem import Problem, prepare
 from cablesense_gap.pipeline import System
-from cablesense_gap.simulator import Assignment, Candidate, Term
+from cablesense_gap.simulator import Assignment, Candidate, Term, parameters_of
 from cablesense_sim.effects.effect import Parameter
 
 G_M_S2 = 9.81
@@ -162,12 +162,8 @@ def recorded(truth: Assignment, seed: int = 0, done: Work | None = None) -> tupl
     """A pulley with its readings (R, 3), with noise and what a workshop leaves."""
     simulator = Pulley(work(seed) if done is None else done)
     rng = np.random.default_rng([seed, 1])
-    left = {
-        term: float(rng.normal(0.0, parameter.typical))
-        for tolerance in simulator.tolerances
-        for place in tolerance.places
-        for term, parameter in zip(tolerance.terms(place), tolerance.parameters, strict=True)
-    }
+    tolerances = parameters_of(simulator.tolerances)
+    left = {term: float(rng.normal(0.0, each.typical)) for term, each in tolerances.items()}
     ideal = simulator.predict([{**left, **truth}])[0]
     return simulator, ideal + rng.normal(0.0, simulator.floor, ideal.shape)
 

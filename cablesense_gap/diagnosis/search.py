@@ -324,8 +324,8 @@ class _Search:
                 break  # this was done on the sketch
             rests = self._without(best, [(e,) for e in best.effects])
             self._keep_all(rests)
-            if not self._expensive:  # with tolerances as apt as those of the best
-                self._refine([self._found[rest.effects] for rest in rests])
+            # with tolerances as apt as those of the best
+            self._refine(self._quick(self._found[rest.effects] for rest in rests))
             least = min((self._found[rest.effects] for rest in rests), key=cost_of, default=best)
             if least is best or (
                 cost_of(least) > _RIVAL * cost_of(best) and self._shows(best, least)
@@ -340,7 +340,11 @@ class _Search:
         ranked = sorted(self._found.values(), key=judged)
         rivals = [h for h in ranked if judged(h) <= _RIVAL * judged(ranked[0])]
         one, two = ([h for h in ranked if len(h.effects) == count][:1] for count in (1, 2))
-        self._refine([*rivals[: 1 if self._expensive else 2 * _TRIED], *one, *two])
+        self._refine([*rivals[:1], *self._quick(rivals)[: 2 * _TRIED], *one, *two])
+
+    def _quick(self, explanations: Iterable[Explanation]) -> list[Explanation]:
+        """Those without a history-dependent effect."""
+        return [h for h in explanations if not self._history & set(h.effects)]
 
     def _refine(self, rough: Iterable[Explanation]) -> None:
         waiting = dict.fromkeys(one for one in rough if one not in self._refined)

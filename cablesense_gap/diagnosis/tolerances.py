@@ -49,14 +49,14 @@ def final_refinement(
     """
     best, used = explanation, problem
     for _ in range(_MOST_REPEATED if explanation.values else 0):
+        if _is_consistent(problem, best):
+            break
         about = _with_tolerances_of(problem, best)
         start_at = best.without_tolerances, best.columns
         fitted = None if about is None else refit(about, best.values, 3, start_at)
         if about is None or fitted is None or problem.cost_of(fitted) > problem.cost_of(best):
             break
         best, used = fitted, about
-        if _is_consistent(problem, best):
-            break
     return best, (used.tolerance_columns, used.tolerance_rest)
 
 

@@ -60,10 +60,7 @@ warn = partial(Finding, Severity.WARN)
 
 
 def channel_findings(
-    recording: Recording,
-    arm: Arm,
-    nominal_n: Array | None,
-    rows: NDArray[np.int64] | None = None,
+    recording: Recording, arm: Arm, nominal_n: Array | None, rows: NDArray[np.int64] | None = None
 ) -> list[Finding]:
     """Problems of the channels: saturated, stuck, of other cables or another arm.
 

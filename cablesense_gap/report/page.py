@@ -45,12 +45,7 @@ from cablesense_gap.report.text import (
     write_common,
 )
 from cablesense_gap.residuals import ALL, EVERYWHERE, TRIAL, decompose
-from cablesense_gap.verdict import (
-    NONE,
-    UNKNOWN,
-    Verdict,
-    listed,
-)
+from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, listed
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 

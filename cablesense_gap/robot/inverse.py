@@ -96,10 +96,7 @@ class InverseDynamics:
     def _whole(self, change: Change, moved: tuple[Array, Array, Array]) -> Array:
         nominal = self._nominal
         held = replace(
-            change,
-            armature=nominal.armature,
-            damping=nominal.damping,
-            stiffness=nominal.stiffness,
+            change, armature=nominal.armature, damping=nominal.damping, stiffness=nominal.stiffness
         )
         return inverse_dynamics(self._robot.varied(held), *moved)
 

@@ -328,10 +328,7 @@ def _scale(joined: dict[str, Array], moving: NDArray[np.bool_], inertia: Array) 
 
 
 def _noise_at_rest(
-    trials: Sequence[Trial],
-    parts: Sequence[dict[str, Array]],
-    rate_hz: float,
-    compared_hz: float,
+    trials: Sequence[Trial], parts: Sequence[dict[str, Array]], rate_hz: float, compared_hz: float
 ) -> Array:
     """(J,) density of the torques' noise about the bandwidth, while all joints stand still.
 

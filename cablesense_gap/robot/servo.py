@@ -134,12 +134,7 @@ class ServoComparison(MotionComparison):
         """(R, J) of the drives, with the joints where they were measured."""
         none, still = np.zeros_like(change.zero), np.zeros_like(change.coupling)
         at_joint = replace(
-            change,
-            coupling=still,
-            play=none,
-            torque_scale=none,
-            torque_offset=none,
-            delay_s=0.0,
+            change, coupling=still, play=none, torque_scale=none, torque_offset=none, delay_s=0.0
         )
         torque = self._dynamics.torques(at_joint)
         return torque + torque @ change.coupling

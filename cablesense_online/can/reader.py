@@ -16,13 +16,7 @@ from cantools.database.can import Database, Message
 
 from cablesense_base import Array
 from cablesense_online.can.assembler import Decoded, Sample, SampleAssembler
-from cablesense_online.can.bus import (
-    ERROR_ACTIVE,
-    BusState,
-    CanInterface,
-    FaultKind,
-    FaultLedger,
-)
+from cablesense_online.can.bus import ERROR_ACTIVE, BusState, CanInterface, FaultKind, FaultLedger
 from cablesense_online.can.channel_map import Channel, ChannelMap, StuckLimits
 
 SCATTER_OF_READING_S = 0.1

@@ -124,9 +124,7 @@ class _ChainPose:
         return np.asarray(upper + np.swapaxes(np.triu(upper, 1), -1, -2))
 
 
-def read_chain(
-    model: mujoco.MjModel,
-) -> tuple[LinkChain, dict[str, Array], list[str], list[str]]:
+def read_chain(model: mujoco.MjModel) -> tuple[LinkChain, dict[str, Array], list[str], list[str]]:
     """The chain of a robot that MuJoCo has read; its links' axes are the base's at zero.
 
     Gives also `damping`, `armature`, `stiffness` and `dry` friction by joint (N,), and the joints'

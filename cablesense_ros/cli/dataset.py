@@ -52,8 +52,7 @@ def dataset(
         typer.Option(help="Share of contact-free samples.", show_default="1 / (segments + 1)"),
     ] = None,
     max_contacts: Annotated[
-        int | None,
-        typer.Option(help="multi: most contacts at once.", show_default="all segments"),
+        int | None, typer.Option(help="multi: most contacts at once.", show_default="all segments")
     ] = None,
     two_contacts_fraction: Annotated[
         float | None,
@@ -80,8 +79,7 @@ def dataset(
         int, typer.Option(help="Processes to use; has no influence on the file.")
     ] = 1,
     dask_scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Run on this Dask cluster instead."),
+        str | None, typer.Option(metavar="ADDRESS", help="Run on this Dask cluster instead.")
     ] = None,
     force: ForceOption = False,
     json_output: JsonOption = False,

@@ -160,10 +160,7 @@ def _one_model(model: str, samples: int, seed: int, workers: int) -> Result:
     estimator = Estimator.load(path)
     dataset, title = _fresh_samples(estimator.metadata, SingleContact, samples, seed, workers)
     metrics = evaluate_estimator(estimator, dataset).metrics
-    return (
-        title,
-        {"single": metrics_json(metrics), "bound": asdict(noise_bound(dataset))},
-    )
+    return (title, {"single": metrics_json(metrics), "bound": asdict(noise_bound(dataset))})
 
 
 def _fresh_samples(

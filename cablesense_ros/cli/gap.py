@@ -129,11 +129,7 @@ def diagnose(
         report.write_robot_diagnosis(out, found, beside)
         verdict, lines = (
             found.verdict,
-            [
-                *found.findings,
-                report.robot_headline(found.verdict),
-                *found.verdict.doubts,
-            ],
+            [*found.findings, report.robot_headline(found.verdict), *found.verdict.doubts],
         )
     if json_output:
         print_json(verdict.model_dump(mode="json", exclude_none=True))
@@ -286,8 +282,7 @@ def _predicted_arm(
 def adapt(
     recording: RecordingArgument,
     out: Annotated[
-        Path,
-        typer.Option(help="Folder for what `gap diagnose` writes, and for estimator.onnx."),
+        Path, typer.Option(help="Folder for what `gap diagnose` writes, and for estimator.onnx.")
     ],
     arm: NominalArmOption = "cdsm_lab",
     model: Annotated[

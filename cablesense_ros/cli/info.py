@@ -16,11 +16,7 @@ import typer
 from cablesense_base import Array, CableSenseError
 from cablesense_base.files import OutputError, output_file, write_atomically
 from cablesense_base.installation import config_path
-from cablesense_ros.cli.options import (
-    ForceOption,
-    JsonOption,
-    refuse_given,
-)
+from cablesense_ros.cli.options import ForceOption, JsonOption, refuse_given
 from cablesense_ros.cli.results import print_result
 from cablesense_sim.arm import Arm, find_arm, load_arm
 from cablesense_sim.build import entries_of, mechanism_of
@@ -48,8 +44,7 @@ def info(
         ),
     ] = "cdsm",
     effects: Annotated[
-        bool,
-        typer.Option("--effects", help="Show the effects that an arm file can list instead."),
+        bool, typer.Option("--effects", help="Show the effects that an arm file can list instead.")
     ] = False,
     blind: Annotated[
         bool,
@@ -79,7 +74,7 @@ def info(
         float,
         typer.Option(
             help="With --blind: the angle of every joint, degrees. With --observability: "
-            "random joint angles up to this.",
+            "random joint angles up to this."
         ),
     ] = 5.0,
     picture: Annotated[

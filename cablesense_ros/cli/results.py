@@ -31,10 +31,7 @@ def print_result(title: str, content: Mapping[str, Any], as_json: bool) -> None:
 
 
 def titled_table(
-    title: str,
-    *headings: str,
-    right: Iterable[str] = (),
-    rows: Iterable[Sequence[str]] = (),
+    title: str, *headings: str, right: Iterable[str] = (), rows: Iterable[Sequence[str]] = ()
 ) -> Table:
     """A table, its title and columns to the left; those in `right` to the right."""
     table = Table(

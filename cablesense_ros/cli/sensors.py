@@ -13,12 +13,7 @@ import typer
 from rich.table import Table
 
 from cablesense_base.files import output_file
-from cablesense_ros.cli.options import (
-    ForceOption,
-    JsonOption,
-    OptionError,
-    refuse_given,
-)
+from cablesense_ros.cli.options import ForceOption, JsonOption, OptionError, refuse_given
 from cablesense_ros.cli.results import print_json, titled_table
 
 if TYPE_CHECKING:
@@ -204,11 +199,7 @@ def check(
     from rich.console import Console
 
     from cablesense_gap.recordings.checks import read_recording
-    from cablesense_online.commissioning.sensor_check import (
-        check_sensors,
-        expectation,
-        series_of,
-    )
+    from cablesense_online.commissioning.sensor_check import check_sensors, expectation, series_of
     from cablesense_sim.arm import open_arm
 
     described = open_arm(arm)

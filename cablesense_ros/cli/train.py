@@ -60,8 +60,7 @@ def train(
     ] = None,
     randomise: RandomiseOption = None,
     epochs: Annotated[
-        int | None,
-        typer.Option(help="At most so many epochs.", show_default="the network's own"),
+        int | None, typer.Option(help="At most so many epochs.", show_default="the network's own")
     ] = None,
     batch_size: Annotated[
         int | None, typer.Option(help="Samples per step.", show_default="the network's own")

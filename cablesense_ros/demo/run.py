@@ -146,11 +146,7 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
 
 
 def _played(
-    options: DemoOptions,
-    arm: Arm,
-    script: Sequence[ScriptedPush],
-    live: LiveArm,
-    console: Console,
+    options: DemoOptions, arm: Arm, script: Sequence[ScriptedPush], live: LiveArm, console: Console
 ) -> PushRecord:
     from rich.progress import Progress
 

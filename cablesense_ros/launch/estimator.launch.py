@@ -7,12 +7,7 @@ from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory, get_packages_with_prefixes
 from launch import LaunchContext, LaunchDescription
-from launch.actions import (
-    DeclareLaunchArgument,
-    EmitEvent,
-    OpaqueFunction,
-    RegisterEventHandler,
-)
+from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.events import matches_action
 from launch.events.process import ProcessExited
@@ -53,10 +48,7 @@ ARGUMENTS = {
     "frame_prefix": ("", None, "goes before every frame name; two arms have two"),
 }  # fmt: skip
 BUS = ("interface", "channel", "bitrate_bit_s", "calibration")
-SOURCES = {
-    **dict.fromkeys(BUS, ("can",)),
-    "map": ("can", "emulated_can"),
-}
+SOURCES = {**dict.fromkeys(BUS, ("can",)), "map": ("can", "emulated_can")}
 """With which sources an argument has an effect, where not with all."""
 OTHER_PACKAGES = {"description": "robot_state_publisher", "rviz": "rviz2"}
 """Packages that an argument starts, and that may not be installed."""

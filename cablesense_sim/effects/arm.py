@@ -73,14 +73,7 @@ class ContactOffset(Effect):
     sites = ("arm", "segment")
     advice = "Measure where the load was applied, from the segment's joint centre."
     parameters = (
-        Parameter(
-            "offset_m",
-            "m",
-            -0.1,
-            0.1,
-            0.01,
-            "away from the base, from the place stated",
-        ),
+        Parameter("offset_m", "m", -0.1, 0.1, 0.01, "away from the base, from the place stated"),
     )
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:

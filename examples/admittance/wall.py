@@ -59,11 +59,7 @@ class ElasticWall:
 
 
 def wall_beside(
-    mechanism: Mechanism,
-    command_rad: Array,
-    segment: int,
-    angle_deg: float,
-    stiffness_n_m: float,
+    mechanism: Mechanism, command_rad: Array, segment: int, angle_deg: float, stiffness_n_m: float
 ) -> ElasticWall:
     """A wall that just touches the contact point of a segment of the arm at rest.
 

@@ -6,15 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from pulley import (
-    FORCES,
-    NOISE,
-    Pulley,
-    PulleySystem,
-    problem_of,
-    recorded,
-    work,
-)
+from pulley import FORCES, NOISE, Pulley, PulleySystem, problem_of, recorded, work
 
 from cablesense_gap.diagnosis.probability import Ranked, bundled_calibration, posterior
 from cablesense_gap.diagnosis.search import search
@@ -38,16 +30,8 @@ WITHIN = {
 }  # fmt: skip
 """Four standard deviations and more, of what the workshop leaves where that is the larger."""
 
-SINGLES = [
-    {FRICTION: 0.08},
-    {SHARE: 0.6, TIME_S: 4.0},
-    {GAIN: 0.04},
-    {MASS_KG: -0.8},
-]
-DOUBLES = [
-    {FRICTION: 0.08, MASS_KG: 0.25},
-    {SOFT: 0.5, WEIGHT_GAIN: -0.02},
-]
+SINGLES = [{FRICTION: 0.08}, {SHARE: 0.6, TIME_S: 4.0}, {GAIN: 0.04}, {MASS_KG: -0.8}]
+DOUBLES = [{FRICTION: 0.08, MASS_KG: 0.25}, {SOFT: 0.5, WEIGHT_GAIN: -0.02}]
 
 
 def named(values: dict[Term, float]) -> str:

@@ -13,11 +13,11 @@ from gap_recordings import LAB, placed_recording, small_recording
 from cablesense_base import CableSenseError
 from cablesense_gap.amended_arm import amended_arm, judged_earlier, listed_values, without_effects
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.arm_system import ArmSystem, Diagnosis, diagnose
+from cablesense_gap.arm_system import ArmSystem, Diagnosis, diagnose, parts_of
 from cablesense_gap.pipeline import FOLDS, Reference, problem_of
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_gap.report.text import earlier_sentence
-from cablesense_gap.simulator import Assignment, Term
+from cablesense_gap.simulator import Assignment, Term, parameters_of
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import read_tensions_n, replay_arm
 
@@ -29,12 +29,8 @@ MASS_KG = 0.5
 def made(truth: Assignment, seed: int = 0, course: Recording = PROTOCOL) -> Recording:
     """The course as recorded on an arm with these effects and manufacturing tolerances."""
     simulator, rng = ArmSimulator(LAB, course), np.random.default_rng(seed)
-    left = {
-        term: float(rng.normal(0.0, parameter.typical))
-        for tolerance in simulator.tolerances
-        for place in tolerance.places
-        for term, parameter in zip(tolerance.terms(place), tolerance.parameters, strict=True)
-    }
+    tolerances = parameters_of(simulator.tolerances)
+    left = {term: float(rng.normal(0.0, each.typical)) for term, each in tolerances.items()}
     ideal = simulator.predict([{**left, **truth}])[0]
     return replace(course, tensions_n=read_tensions_n(ideal, LAB.sensors, rng))
 
@@ -53,6 +49,16 @@ def test_withheld_trials_count_nowhere():
     assert set(PROTOCOL.trial[problem.used]) == set(PROTOCOL.trial) - {2, 5}
     others = np.delete(problem.fold, [2, 5])
     assert set(others) == set(range(FOLDS))
+
+
+def test_a_long_trial_is_held_out_in_parts_and_others_whole():
+    numbers = np.where(PROTOCOL.trial < 4, 0, PROTOCOL.trial)
+    long = numbers == 0
+    assert long.mean() > 1.0 / FOLDS
+    part, fold = parts_of(replace(PROTOCOL, trial=numbers))
+    assert np.ptp(np.bincount(fold[part][long], minlength=FOLDS)) <= 1
+    assert (np.diff(part[long]) != 0).sum() == FOLDS - 1
+    assert len(set(zip(numbers[~long], part[~long], strict=True))) == len(set(numbers[~long]))
 
 
 @pytest.mark.slow  # the full library, from which to choose

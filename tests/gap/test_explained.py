@@ -4,24 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gap_problem import (
-    FLOOR,
-    SIGNALS,
-    Sums,
-    amount,
-    linear,
-    problem_of,
-)
+from gap_problem import FLOOR, SIGNALS, Sums, amount, linear, problem_of
 
 from cablesense_gap.diagnosis.fitting import refine, refit
 from cablesense_gap.diagnosis.probability import Ranked
-from cablesense_gap.explained import (
-    gap_size,
-    remainder,
-    rmse_interval_n,
-    shares,
-    trades,
-)
+from cablesense_gap.explained import gap_size, remainder, rmse_interval_n, shares, trades
 
 TRUTH = {amount("gain", "b"): 2.0, amount("other", "a"): -0.7}
 PLANTED = {"gain": 2.0 * SIGNALS[1], "other": -0.7 * SIGNALS[4]}

@@ -14,15 +14,9 @@ from verdict_cases import gap_of, verdict_of
 from cablesense_gap.amended_arm import amended_arm
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.report.page import report_page, write_diagnosis
-from cablesense_gap.report.text import (
-    headline,
-)
+from cablesense_gap.report.text import headline
 from cablesense_gap.simulator import Term
-from cablesense_gap.verdict import (
-    EstimatorErrors,
-    FittedNumber,
-    read_verdict,
-)
+from cablesense_gap.verdict import EstimatorErrors, FittedNumber, read_verdict
 from cablesense_sim.arm import load_arm
 
 pytestmark = pytest.mark.slow  # each page has pictures to draw

@@ -6,14 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gap_problem import (
-    SIGNALS,
-    Sums,
-    amount,
-    linear,
-    problem_of,
-    size,
-)
+from gap_problem import SIGNALS, Sums, amount, linear, problem_of, size
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

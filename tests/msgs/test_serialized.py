@@ -6,12 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.serialized import (
-    MAX_MESSAGE_BYTES,
-    EffortReader,
-    WrenchWriter,
-    stamp_ns,
-)
+from cablesense_msgs_py.serialized import MAX_MESSAGE_BYTES, EffortReader, WrenchWriter, stamp_ns
 from cablesense_msgs_py.topics import ContractError
 
 serialization = pytest.importorskip("rclpy.serialization")
@@ -22,9 +17,7 @@ NAMES = st.lists(
     max_size=20,
 )
 
-pytestmark = pytest.mark.filterwarnings(
-    "ignore:module .sre_:DeprecationWarning"
-)  # lark, of rosidl
+pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
 VALUES = st.lists(st.floats(allow_nan=False), max_size=20)
 
 
@@ -106,13 +99,9 @@ VECTOR = st.tuples(*[st.floats(allow_nan=False)] * 3)
 def test_rclpy_reads_the_same(frame, force, torque, written_ns):
     raw = WrenchWriter(frame).write(written_ns, force + torque)
     message = serialization.deserialize_message(raw, geometry_msgs.WrenchStamped)
-    wrench = message.wrench
+    wrench, stamp = message.wrench, message.header.stamp
     assert message.header.frame_id == frame
-    assert (
-        message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-        == written_ns
-        == stamp_ns(raw)
-    )
+    assert stamp.sec * 10**9 + stamp.nanosec == written_ns == stamp_ns(raw)
     assert (wrench.force.x, wrench.force.y, wrench.force.z) == force
     assert (wrench.torque.x, wrench.torque.y, wrench.torque.z) == torque
 

@@ -8,10 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_online.can.bus import CanInterface, FaultKind, FaultLedger, start_frames
-from cablesense_online.can.emulator import (
-    Emulator,
-    FaultRequestError,
-)
+from cablesense_online.can.emulator import Emulator, FaultRequestError
 from cablesense_online.can.reader import FrameDecoder, TensionReader
 
 NOW_S = 1.7e9

@@ -7,11 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from joint_commands import cable_offsets
-from sample_feed import (
-    ARM,
-    Feed,
-    message_bytes,
-)
+from sample_feed import ARM, Feed, message_bytes
 
 from cablesense_base import CableSenseError
 from cablesense_msgs_py.messages import BREATH_END, NO_CONTACT

@@ -258,10 +258,7 @@ def test_a_fault_makes_no_wrong_forces_on_several_segments_that_are_vouched_for(
 
 @pytest.mark.parametrize(
     ("changes", "why"),
-    [
-        ({"largest_misfit": 0.0}, "switched off"),
-        ({"model": "cdsm_moving"}, "history-dependent"),
-    ],
+    [({"largest_misfit": 0.0}, "switched off"), ({"model": "cdsm_moving"}, "history-dependent")],
 )
 def test_what_is_not_checked_is_reported_as_such(changes, why):
     arm = Arm(**changes)

@@ -73,10 +73,7 @@ FORCES_N = np.array([0.0, 20.0, 40.0, 60.0, 80.0, 100.0])
 
 
 @settings(max_examples=30)
-@given(
-    st.floats(1e-6, 1e4) | st.floats(-1e4, -1e-6),
-    st.floats(-1e5, 1e5),
-)
+@given(st.floats(1e-6, 1e4) | st.floats(-1e4, -1e-6), st.floats(-1e5, 1e5))
 def test_readings_without_error_give_back_scale_and_zero(scale, zero):
     raw = zero + FORCES_N / scale
     assume(100.0 / abs(scale) > 1e-5 * abs(raw).max())

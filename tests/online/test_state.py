@@ -30,11 +30,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning"
 
 SETTINGS = estimation_settings(tare_samples=4, joint_speed_rad_s=1 / 3, settle_s=0.05)
 STRAIGHT = (0.0,) * 8
-GATE = GateState(
-    command_rad=(0.1, *STRAIGHT[1:]),
-    pose_rad=STRAIGHT,
-    rest_from_ns=-(2**62),
-)
+GATE = GateState(command_rad=(0.1, *STRAIGHT[1:]), pose_rad=STRAIGHT, rest_from_ns=-(2**62))
 TARE = Tare(
     measured_n=(41.0, 1e-300, *[40.0] * 10),
     predicted_n=(40.0, 1 / 3, *[40.0] * 10),

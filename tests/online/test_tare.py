@@ -9,12 +9,7 @@ from arm_variants import variant
 from estimation_settings import estimation_settings
 
 from cablesense_msgs_py.messages import Level
-from cablesense_online.tare import (
-    DriftWatch,
-    TareError,
-    Tares,
-    UnloadedTensions,
-)
+from cablesense_online.tare import DriftWatch, TareError, Tares, UnloadedTensions
 from cablesense_sim.arm import open_arm
 
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark

@@ -16,10 +16,7 @@ from examples.paper.cables import (
     driven_at_both_ends,
     fixed_and_driven,
 )
-from examples.paper.servo_cable import (
-    positions_at_rest_m,
-    tension_at_rest_n,
-)
+from examples.paper.servo_cable import positions_at_rest_m, tension_at_rest_n
 from examples.paper.studies import servo
 from examples.paper.study import CLOSED_FORM, PAPER, Agreement
 

@@ -11,11 +11,7 @@ from examples.paper import tension_changes
 from examples.paper.studies.sim_to_real import figures_of, numbers_of
 from examples.paper.study import PAPER, Agreement
 from examples.paper.table_2_gap import diagnose_table
-from examples.paper.tension_changes import (
-    ChangeSimulator,
-    TensionChanges,
-    internal_n,
-)
+from examples.paper.tension_changes import ChangeSimulator, TensionChanges, internal_n
 
 ARM = open_arm("cdsm_table2")
 WEIGHT_N = np.array([9.81, 9.81, 9.81, 19.62, 19.62, 19.62])

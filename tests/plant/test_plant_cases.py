@@ -15,11 +15,7 @@ from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.listed import LISTED, ArmDraw
 from cablesense_plants.arm.protocol import draw_history, draw_schedule
 from cablesense_plants.arm.unlisted import UNLISTED
-from cablesense_plants.arm.withhold import (
-    draw_kinds,
-    gap_n,
-    make_case,
-)
+from cablesense_plants.arm.withhold import draw_kinds, gap_n, make_case
 
 pytestmark = pytest.mark.slow
 

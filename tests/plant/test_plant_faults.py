@@ -9,11 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cablesense_plants.arm.arm import (
-    ActuatorFaults,
-    Filter,
-    SensorFaults,
-)
+from cablesense_plants.arm.arm import ActuatorFaults, Filter, SensorFaults
 
 IDEAL = ActuatorFaults()
 TIME_S = 0.2 * np.arange(40)

@@ -56,10 +56,7 @@ def read(tmp_path, table, robot, name="changed.csv"):
         (lambda t: t.assign(time_s=1e3 * t.time_s), "milliseconds given"),
         (lambda t: t.assign(time_s=-t.time_s), "runs back"),
         (lambda t: t.rename(columns=lambda c: c.replace("elbow", "knee")), "has knee, which the"),
-        (
-            lambda t: t.assign(**{"position.elbow": 60.0 * t["position.elbow"]}),
-            "degrees given",
-        ),
+        (lambda t: t.assign(**{"position.elbow": 60.0 * t["position.elbow"]}), "degrees given"),
         (lambda t: t.assign(**{"torque.elbow": "much"}), "'much' is no number"),
         (lambda t: t.assign(**{"position.elbow": np.nan}), "column position.elbow: empty"),
         (lambda t: t.assign(time_s=t.time_s.where(t.index != 50)), "row 51, column time_s: empty"),

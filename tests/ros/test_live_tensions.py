@@ -60,10 +60,7 @@ def test_a_running_sim_passes_and_a_cable_that_nobody_pulled_is_noted(sim):
 def test_ctrl_c_ends_it_at_once(sim):
     words = ["sensors", "check", "--namespace", "left", "--seconds", "60"]
     process = subprocess.Popen(
-        [sys.executable, "-c", HEARING, *words],
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
+        [sys.executable, "-c", HEARING, *words], stderr=subprocess.PIPE, text=True, cwd=ROOT
     )
     try:
         assert "leave the arm alone" in process.stderr.readline()

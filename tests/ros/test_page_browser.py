@@ -29,12 +29,7 @@ from cablesense_ros.discovery import own_graph
 from cablesense_ros.processes import ProcessError, Processes, node_command
 
 # a picture takes Chromium fifteen seconds where other tests keep the cores busy
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.ros,
-    pytest.mark.slow,
-    pytest.mark.timeout(500),
-]
+pytestmark = [pytest.mark.browser, pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(500)]
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 FLAGS = (

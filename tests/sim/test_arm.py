@@ -8,14 +8,7 @@ import pytest
 import yaml
 from arm_variants import changed, described, variant, without
 
-from cablesense_sim.arm import (
-    ArmFileError,
-    bundled_arms,
-    find_arm,
-    load_arm,
-    open_arm,
-    parse_arm,
-)
+from cablesense_sim.arm import ArmFileError, bundled_arms, find_arm, load_arm, open_arm, parse_arm
 
 NUMBERS = [
     "segments.length_m",

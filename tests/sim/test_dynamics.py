@@ -80,10 +80,7 @@ def test_impossible_commands_are_refused_and_change_nothing(
 
 @pytest.mark.parametrize(
     ("segment", "force", "words"),
-    [
-        (0, [0.0, 0.0, 1.0], "1 to 4"),
-        (1, [0.0, 1.0, np.nan], "three finite"),
-    ],
+    [(0, [0.0, 0.0, 1.0], "1 to 4"), (1, [0.0, 1.0, np.nan], "three finite")],
 )
 def test_impossible_loads_are_refused_and_change_nothing(
     dynamics: ArmDynamics, segment: int, force: list[float], words: str

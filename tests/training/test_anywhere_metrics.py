@@ -5,11 +5,7 @@ import pytest
 
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.contact_location import (
-    locate,
-    torque_balance,
-    touched_at,
-)
+from cablesense_sim.contact_location import locate, torque_balance, touched_at
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import AnywhereContact

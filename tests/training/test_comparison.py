@@ -7,12 +7,7 @@ import pytest
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.errors import ModelFileError
 from cablesense_training.evaluation import comparison
-from cablesense_training.evaluation.comparison import (
-    SETTINGS,
-    Setting,
-    compare,
-    evaluate_setting,
-)
+from cablesense_training.evaluation.comparison import SETTINGS, Setting, compare, evaluate_setting
 from cablesense_training.inference.metadata import find_model
 
 METRICS = {

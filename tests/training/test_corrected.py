@@ -56,12 +56,7 @@ def test_corrections_stay_within_their_bound_whatever_comes_in(untrained, wild, 
 
 @pytest.mark.parametrize(
     "tension",
-    [
-        np.zeros(12),
-        np.full(12, -1e3),
-        np.full(12, -1e6),
-        1e-12 * np.ones(12),
-    ],
+    [np.zeros(12), np.full(12, -1e3), np.full(12, -1e6), 1e-12 * np.ones(12)],
     ids=["nothing", "all slack", "-1e6", "next to nothing"],
 )
 @pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab"])

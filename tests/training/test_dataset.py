@@ -10,11 +10,7 @@ from joint_torques import gravity_torques_n_m
 from cablesense_sim.arm import load_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.contact_location import torque_balance
-from cablesense_sim.kinematics import (
-    cable_jacobian_m,
-    contact_jacobians_m,
-    segment_rotations,
-)
+from cablesense_sim.kinematics import cable_jacobian_m, contact_jacobians_m, segment_rotations
 from cablesense_sim.loads import contact_angle_deg
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import AnywhereContact, MultiContact, SingleContact

@@ -18,11 +18,7 @@ from cablesense_training.data import generation
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset, generate
 from cablesense_training.data.parquet import produce_dataset
-from cablesense_training.data.protocols import (
-    CHUNK_SAMPLES,
-    AnywhereContact,
-    SingleContact,
-)
+from cablesense_training.data.protocols import CHUNK_SAMPLES, AnywhereContact, SingleContact
 from cablesense_training.errors import DatasetError
 
 ARMS = Path(__file__).parents[2] / "config" / "arms"

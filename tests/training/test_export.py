@@ -11,10 +11,7 @@ from cablesense_sim.arm import open_arm
 from cablesense_training import export
 from cablesense_training.errors import ModelFileError, TrainingError
 from cablesense_training.export import AGREEMENT, export_model
-from cablesense_training.inference.estimator import (
-    Estimator,
-    MultiEstimator,
-)
+from cablesense_training.inference.estimator import Estimator, MultiEstimator
 from cablesense_training.inference.metadata import bundled_models, find_model
 from cablesense_training.inference.model_file import read_model
 from cablesense_training.inference.session import COMMAND, TENSION

@@ -88,11 +88,7 @@ def test_labels_agree_with_each_other_and_with_the_options(
     kind, segments, low, span, share, pose, seed
 ):
     protocol = kind(
-        samples=256,
-        force_low_n=low,
-        force_high_n=low + span,
-        no_contact_fraction=share,
-        pose=pose,
+        samples=256, force_low_n=low, force_high_n=low + span, no_contact_fraction=share, pose=pose
     )
     cases = cases_of(protocol, segments, seed)
     contacts = cases.contacts

@@ -15,13 +15,7 @@ from cablesense_sim.loads import normal_force_n
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.model_file import store_as_single, widen_constants
-from cablesense_training.inference.session import (
-    COMMAND,
-    TAUT,
-    TENSION,
-    SingleRun,
-    split_graph,
-)
+from cablesense_training.inference.session import COMMAND, TAUT, TENSION, SingleRun, split_graph
 
 CDSM = open_arm("cdsm")
 POSES, PUSHES = 3, 12

@@ -18,11 +18,7 @@ from cablesense_training.evaluation.metrics import (
 from cablesense_training.fit import FitSettings
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
-from cablesense_training.model_training import (
-    TEST_SEED_OFFSET,
-    draw_training_data,
-    train_model,
-)
+from cablesense_training.model_training import TEST_SEED_OFFSET, draw_training_data, train_model
 from cablesense_training.recipes import recipe_for
 
 ARM = open_arm("cdsm")

@@ -55,12 +55,7 @@ _IN_FLIGHT_PER_WORKER = 3
 
 
 def generate(
-    arm: Arm,
-    protocol: Protocol,
-    seed: int,
-    *,
-    workers: int = 1,
-    dask_scheduler: str | None = None,
+    arm: Arm, protocol: Protocol, seed: int, *, workers: int = 1, dask_scheduler: str | None = None
 ) -> Iterator[Dataset]:
     """The dataset in parts, in order: the same parts for any `workers` and for a Dask cluster.
 

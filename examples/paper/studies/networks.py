@@ -32,16 +32,7 @@ from cablesense_training.networks.learnt import (
     SharedBackboneNetwork,
     TwoStageNetwork,
 )
-from examples.paper.drawing import (
-    BLACK,
-    BLUE,
-    DASHES,
-    GREEN,
-    ORANGE,
-    SERIES,
-    panels,
-    plain_ticks,
-)
+from examples.paper.drawing import BLACK, BLUE, DASHES, GREEN, ORANGE, SERIES, panels, plain_ticks
 from examples.paper.study import Figures, Numbers, Progress
 
 DECOUPLED, SHARED_TRUNK, TWO_STAGE = "decoupled", "shared trunk", "two-stage"
