@@ -1,6 +1,6 @@
 """The diagnosis of arms whose effects are hidden by the independent plant.
 
-    python benchmarks/gap_blind.py [--count 60] [--seed 9104] [--write]
+    python benchmarks/gap_blind.py [--count 60] [--seed 9107] [--write]
     python benchmarks/gap_blind.py --count 8 --friction 12 --seed 9403 [--write]
     python benchmarks/gap_blind.py --effects 3-5 --count 40 --seed 9304 [--write]
     python benchmarks/gap_blind.py --imperfect [--reference] --count 8 --seed 9417 [--write]

@@ -87,12 +87,16 @@ def _candidate(effect: Effect, segment_count: int, cable_count: int) -> Candidat
 
 
 def has_one_equilibrium(tensions_n: Array, arm: Arm) -> NDArray[np.bool_]:
-    """(…,) whether too few cables are slack, at tensions (…, M), to slacken a whole segment.
+    """(…,) whether the arm has one static equilibrium, by the tensions (…, M) in it.
 
-    With more slack cables an arm has several static equilibria, and chance decides among them.
+    With as many slack cables as a segment has it has several, and chance decides among them. A
+    symmetric load that leaves a segment with one taut cable of its own makes it turn to one side
+    or the other.
     """
     slack = tensions_n < SLACK_SHARE * arm.cables.pretension_n
-    return np.asarray(slack.sum(-1) < arm.cables.per_segment)
+    own = slack.reshape(*slack.shape[:-1], arm.segment_count, arm.cables.per_segment).sum(-1)
+    each = arm.cables.per_segment
+    return np.asarray((own.sum(-1) < each) & (own.max(-1) < each - 1))
 
 
 def supported_rows(arm: Arm, recording: Recording) -> NDArray[np.bool_]:

@@ -15,7 +15,9 @@ from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, has_one_equ
 from cablesense_gap.recordings.thinning import returns
 from cablesense_gap.simulator import Term
 from cablesense_sim.arm import ListedEffect, load_arm
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.replay import replay_arm
 
 FEW = np.r_[0:10, 20:40, 310:330]
@@ -194,3 +196,23 @@ def test_cables_that_hardly_slip_do_not_return_either(peak_n):
     (rubbing,), (nominal,) = (simulator(recording=recording).predict([v]) for v in (strong, {}))
     past_n, rows = returns(replace(recording, tensions_n=rubbing), 0.0)
     assert past_n > 0.1 * np.sqrt(np.mean((rubbing - nominal)[rows] ** 2))
+
+
+@pytest.mark.parametrize(
+    ("slack", "counts"), [([], 1), ([3], 1), ([3, 7], 1), ([3, 5], 0), ([0, 3, 6], 0)]
+)
+def test_a_row_counts_if_each_segment_has_two_taut_cables_and_few_are_slack(slack, counts):
+    tensions_n = np.full((2, LAB.cable_count), 40.0)
+    tensions_n[1, slack] = 1.0
+    assert_array_equal(has_one_equilibrium(tensions_n, LAB), [1, counts])
+
+
+def test_a_load_that_leaves_a_segment_one_taut_cable_turns_it_to_either_side():
+    loads, found = np.zeros((2, 4, 3)), []
+    loads[:, 0, 2] = -121.0
+    for side in (-0.03, 0.03):
+        begun = np.tile([0.0, side], (2, 4))
+        found.append(solve_equilibrium(mechanism_of(LAB), 0.0 * begun, loads, start_rad=begun))
+    one, other = (rest.joint_angles_rad[0, 1] for rest in found)
+    assert one * other < -1e-6
+    assert not any(has_one_equilibrium(rest.tensions_n, LAB).any() for rest in found)
