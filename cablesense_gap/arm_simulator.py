@@ -90,8 +90,7 @@ def has_one_equilibrium(tensions_n: Array, arm: Arm) -> NDArray[np.bool_]:
     """(…,) whether the arm has one static equilibrium, by the tensions (…, M) in it.
 
     With as many slack cables as a segment has it has several, and chance decides among them. A
-    symmetric load that leaves a segment with one taut cable of its own makes it turn to one side
-    or the other.
+    segment of which one own cable is taut turns to one side or the other under a symmetric load.
     """
     slack = tensions_n < SLACK_SHARE * arm.cables.pretension_n
     own = slack.reshape(*slack.shape[:-1], arm.segment_count, arm.cables.per_segment).sum(-1)
