@@ -399,12 +399,12 @@ class _Search:
     def _is_resolved(self) -> bool:
         """Whether so little is unexplained that no further effect is worth its time.
 
-        Tolerances alone leave little more than the floor, or an explanation leaves 4 % of the gap.
+        Tolerances alone leave little more than the floor, or an explanation leaves 3 % of the gap.
         """
         floor, none = self._problem.floor, self._none.held_out_rmse
-        if none <= 1.25 * floor:
+        if none <= 1.1 * floor:
             return True
-        little = 0.04 * excess(none**2, floor)
+        little = 0.03 * excess(none**2, floor)
         return any(
             self._problem.cost_of(h) <= little or self._is_explained(h)
             for h in self._found.values()
