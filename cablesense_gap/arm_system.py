@@ -308,9 +308,9 @@ def _checked_system(
 def folds_of(recording: Recording, unseen: Collection[int] = ()) -> NDArray[np.int64]:
     """(T,) fold 0 to 4 of each trial, in the order of their numbers.
 
-    Trials of one kind, by the loaded segment, the place of the load on it, and by whether the arm
-    moves, are dealt to the folds in turn, so that each fold leaves some of every kind to fit to.
-    Those `unseen` are dealt separately.
+    Trials of one kind are dealt to the folds in turn, so that each fold leaves some of every kind
+    to fit to. A kind is the loaded segment, the place of the load on it, and whether the arm
+    moves. Those `unseen` are dealt separately.
     """
     kinds: dict[tuple[bool, int, float, bool], list[int]] = {}
     places_m = recording.inputs[3]

@@ -37,7 +37,7 @@ from cablesense_sim.equilibrium import (
 from cablesense_sim.mechanism import Mechanism
 
 _HARMONICS = 100
-"""Of the series of rounding; what the others would add is below 1 % of step² / 12."""
+"""Terms of the series of rounding. What the others would add is below 1 % of step² / 12."""
 _KEPT = 4
 """Arms whose tensions are kept for those that differ from them in their sensors alone."""
 _FADED_N = 2e-4

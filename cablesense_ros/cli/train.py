@@ -80,9 +80,9 @@ def train(
 ) -> None:
     """Train a network for an arm and write it as one ONNX file.
 
-    Draws its own samples unless given a dataset, trains, tests on samples it has never seen, and
-    writes the model with the arm and this command inside, and with how far readings of a healthy
-    arm at rest may be from its estimates.
+    Draws its own samples unless given a dataset, trains, and tests on samples it has never seen.
+    The model file contains the arm, this command, and how far readings of a healthy arm at rest
+    may be from the estimates.
 
     Example: cablesense train --arm my_arm.yaml --out my_arm.onnx
     """
