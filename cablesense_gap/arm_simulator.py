@@ -20,6 +20,8 @@ from cablesense_sim.replay import Replay, reading_variance_n2
 
 SLACK_SHARE = 0.05
 """A cable with less than this share of its pretension is slack or about to be."""
+_SAME_N = 1e-3
+"""Tensions that differ by less are of one equilibrium, which is balanced to some 1e-5 N."""
 _PRIOR = 0.05
 """Weight of the default state against residuals in units of the floor: first rows that do not
 show a state leave it at its default."""
@@ -86,16 +88,15 @@ def _candidate(effect: Effect, segment_count: int, cable_count: int) -> Candidat
     return Candidate(effect.name, places, numbers, history_dependent, effect.against_motion)
 
 
-def has_one_equilibrium(tensions_n: Array, arm: Arm) -> NDArray[np.bool_]:
-    """(…,) whether the arm has one static equilibrium, by the tensions (…, M) in it.
+def is_held(tensions_n: Array, arm: Arm) -> NDArray[np.bool_]:
+    """(…,) whether two own cables or more of every segment are taut, by the tensions (…, M).
 
-    With as many slack cables as a segment has it has several, and chance decides among them. A
-    segment of which one own cable is taut turns to one side or the other under a symmetric load.
+    With a single one a segment is about to turn to either side.
     """
     slack = tensions_n < SLACK_SHARE * arm.cables.pretension_n
-    own = slack.reshape(*slack.shape[:-1], arm.segment_count, arm.cables.per_segment).sum(-1)
     each = arm.cables.per_segment
-    return np.asarray((own.sum(-1) < each) & (own.max(-1) < each - 1))
+    own = slack.reshape(*slack.shape[:-1], arm.segment_count, each).sum(-1)
+    return np.asarray(own.max(-1) < each - 1)
 
 
 def supported_rows(arm: Arm, recording: Recording) -> NDArray[np.bool_]:
@@ -118,10 +119,14 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
     """(R,) which rows count in the size of a gap: the arm without effects has one equilibrium.
 
     The nominal and the amended arm then count the same rows. Rows without an equilibrium of the
-    arm without effects are judged by the prediction (R, M) of the arm with its effects.
+    arm without effects are judged by the prediction (R, M) of the arm with its effects. A segment
+    that a load has turned to one side may also rest on the other: the search begins on each side.
     """
     replay = Replay(arm, *recording.inputs)
-    return has_one_equilibrium(replay.readings_n([[]], predicted_n)[0], arm)
+    here = replay.readings_n([[]], predicted_n)[0]
+    there = [replay.turned_over(axis).readings_n([[]], predicted_n)[0] for axis in range(2)]
+    same = np.abs(np.subtract(there, here)).max(axis=(0, 2)) < _SAME_N
+    return np.asarray(is_held(here, arm) & same)
 
 
 def settled(arm: Arm, recording: Recording, rows: int) -> Arm:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import ChainMap
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import replace
 from functools import cache
 
@@ -95,6 +96,19 @@ class Replay:
             return self._through(sensings(variants), self._memoryless_n(variants, unborne_n))
         tensions = self._in_turn_n(variants, some_may_fail=unborne_n is not None)
         return self._through(sensings(variants), tensions)
+
+    def turned_over(self, axis: int) -> Replay:
+        """The same, but the search for a rest begins on the other side of the command.
+
+        It begins at the first rest that was found here, mirrored about the command in the angles
+        of all joints about one of their two axes, 0 or 1.
+        """
+        other = copy(self)
+        if self._start_rad is not None:
+            other._start_rad = self._start_rad.copy()
+            other._start_rad[:, axis::2] = (2.0 * self.command_rad - self._start_rad)[:, axis::2]
+        other._latest = {}
+        return other
 
     def _in_turn_n(self, variants: Variants, *, some_may_fail: bool) -> Array:
         """Tensions (P, R, M) of history-dependent arms.
@@ -210,8 +224,10 @@ class Replay:
         tensions[borne] = rest.tensions_n
         if unborne_n is not None:
             tensions[~borne] = unborne_n[first][~borne]
-        elif self._start_rad is None:
-            self._start_rad = rest.joint_angles_rad[same]
+        if self._start_rad is None:
+            start = self.command_rad[first]
+            start[borne] = rest.joint_angles_rad
+            self._start_rad = start[same]
         return np.asarray(tensions[same])
 
     def _rest(
