@@ -38,7 +38,8 @@ from cablesense_online.breathing import (
     tip_m,
 )
 from cablesense_plants.arm.arm import ideal_arm
-from cablesense_plants.arm.body import PlantFriction, read_nominal
+from cablesense_plants.arm.body import read_nominal
+from cablesense_plants.arm.friction import PlantFriction
 from cablesense_sim.arm import Arm, find_arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.load_capacity import DIRECTIONS, SHOWS_AT_STD, hidden_force
@@ -76,9 +77,9 @@ class Course:
         self.base_rad = np.radians(_BENT_DEG) * self.rng.uniform(-1.0, 1.0, (arms, 8))
         self.base_rad[: arms // 2] = 0.0
         self._command_rad, self._forces_n = np.zeros((arms, 8)), np.zeros((arms, 4, 3))
-        straight = self._plant.held_m(self._command_rad)
+        straight = self._command_rad, self._plant.held_m(self._command_rad), self._forces_n
         self._path = self._plant.path()
-        self._state = self._path.start(self._command_rad, straight, self._forces_n)
+        self._states = [self._path.start(*each) for each in zip(*straight, strict=True)]
         overshot = 1.1 * self.base_rad + np.radians(0.5) * self.rng.uniform(-1.0, 1.0, (arms, 8))
         for pose in (overshot, self.base_rad):
             before = self._command_rad
@@ -88,8 +89,8 @@ class Course:
     def step(self, command_rad: Array) -> None:
         """Go to commands (B, 8) at once."""
         self._command_rad = command_rad
-        held_m = self._plant.held_m(command_rad)
-        self._state = self._path.advance(self._state, held_m, self._forces_n, 1.0)
+        there = self._states, self._plant.held_m(command_rad), self._forces_n
+        self._states = [self._path.advance(*each, 1.0) for each in zip(*there, strict=True)]
 
     def load(self, forces_n: Array) -> None:
         """Come to loads (B, 4, 3) step by step."""
@@ -100,12 +101,14 @@ class Course:
 
     def read_n(self) -> Array:
         """(B, M) readings."""
-        return read_tensions_n(self._state.sensed_n, self.arm.sensors, self.rng)
+        sensed_n = np.array([state.sensed_n for state in self._states])
+        return read_tensions_n(sensed_n, self.arm.sensors, self.rng)
 
     @property
     def tips_m(self) -> Array:
         """(B, 3) where the arms' ends are."""
-        return tip_m(mechanism_of(self.arm), self._state.angles_rad)
+        angles_rad = np.array([state.angles_rad for state in self._states])
+        return tip_m(mechanism_of(self.arm), angles_rad)
 
 
 class Breathing:

@@ -34,6 +34,7 @@ import blind_sets
 import harness
 import numpy as np
 import pandas as pd
+from robot_sets import drawn, servo_file, with_play, with_servos, with_tendons
 
 from cablesense_gap.robot.model import Robot, load_robot
 from cablesense_gap.robot.preparation import prepared
@@ -42,15 +43,7 @@ from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.scoring import Truth, score
 from cablesense_gap.verdict import Verdict, removed_fraction
 from cablesense_plants.cases import write_answers
-from cablesense_plants.robot.cases import (
-    RobotCase,
-    drawn,
-    record,
-    servo_file,
-    with_play,
-    with_servos,
-    with_tendons,
-)
+from cablesense_plants.robot.cases import RobotCase, record
 
 _LONG_ROWS = 20_000
 _TOGETHER = 10

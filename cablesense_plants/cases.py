@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import astuple, dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
+import pandas as pd
 
 from cablesense_base import CableSenseError
 from cablesense_base.files import written_whole
@@ -52,16 +52,13 @@ class HiddenChange(Generic[_Plant]):
     most: float = 0.0
 
 
-@dataclass(frozen=True)
-class Draws:
-    """Functions that draw changes, by name; the order is part of what a seed makes.
+class Draws(dict[str, Callable[[Any], Any]]):
+    """Functions that draw changes, by name; the order is part of what a seed makes."""
 
-    Attributes:
-        effect: what verdicts call all their changes; by default the name of each.
-    """
-
-    effect: str = ""
-    by_name: dict[str, Callable[[Any], Any]] = field(default_factory=dict)
+    def __init__(self, effect: str = "") -> None:
+        """`effect` is what verdicts call all the changes; by default the name of each."""
+        super().__init__()
+        self._effect = effect
 
     def of_size(self, unit: str, least: float = 0.0, most: float = 0.0) -> Callable[..., Any]:
         """Register a function whose changes have sizes within bounds, if it gives no others."""
@@ -74,13 +71,13 @@ class Draws:
                 return replace(
                     drawn,
                     form=drawn.form or name,
-                    effect=self.effect or name,
+                    effect=self._effect or name,
                     unit=drawn.unit or unit,
                     least=drawn.least or least,
                     most=drawn.most or most,
                 )
 
-            self.by_name[name] = complete
+            self[name] = complete
             return draw_change
 
         return register
@@ -174,15 +171,9 @@ def write_answers(path: Path, answers: Sequence[Any], decimals: int | None = Non
     Raises:
         PlantError: the place cannot be written to.
     """
-
-    def cell(value: Any) -> Any:
-        rounded = isinstance(value, float) and decimals is not None
-        return f"{value:.{decimals}f}" if rounded else value
-
-    with plant_file(path) as beside, beside.open("w", encoding="utf-8", newline="") as file:
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(each.name for each in fields(answers[0]))
-        table.writerows([cell(value) for value in astuple(answer)] for answer in answers)
+    form = None if decimals is None else f"%.{decimals}f"
+    with plant_file(path) as beside:
+        pd.DataFrame(answers).to_csv(beside, index=False, float_format=form)
 
 
 def plant_file(path: Path) -> AbstractContextManager[Path]:

@@ -1,203 +1,84 @@
-"""An arm with whatever is wrong with its body, actuators and sensors, and its readings."""
+"""What a recording is made of: trials of rests, loads, poses and holds, and the arm's readings.
+
+An arm has whatever is wrong with its body, actuators and sensors.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from itertools import cycle, pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_plants.arm.body import Body, Creep, Nominal, PlantFriction, rigid_body
-from cablesense_plants.arm.path import QuasiStaticPath
-from cablesense_plants.arm.protocol import Schedule
+from cablesense_plants.arm.body import Body, Ints, Nominal, rigid_body
+from cablesense_plants.arm.friction import Creep, PlantFriction, QuasiStaticPath
 from cablesense_plants.arm.statics import borne_shares, cable_lengths_m, follow_path
-from cablesense_plants.cases import NO_FAULT, PlantError
+from cablesense_plants.cases import PlantError
 
-DriftShape = Literal["linear", "slow sine", "random walk", "warm-up"]
-Filter = Literal["first order", "moving average", "second order, critically damped"]
+SCALED, LIMITED, LEAKED, LATE, ADDED, REPEATED = range(6)
+"""The order in which faults of sensors meet a signal."""
+PAID, TAKEN_UP, UNEVEN = range(3)
+"""The order of those of actuators."""
 
 _MARGIN, _HALVINGS = 1.5, 6
 """By how much an arm as drawn bears more than a load of a recording, so that a changed arm bears
 it too; how often the angles of poses are halved until it rests in all of them."""
-_FINE = 10
-"""Samples of a filter between two readings."""
 _MASS_SHARE, _PRETENSION_N, _CONTACT_M, _HOLE_DEG, _ZERO_N = 0.005, 0.15, 0.0003, 0.05, 0.05
 """Standard deviations of manufacturing."""
+_ROWS_HZ = 5.0
+"""Rate at which trials are laid out, below."""
+_UP = np.linspace(0.0, 1.0, 12)[1:-1]
+_CYCLE = np.concatenate([_UP, np.ones(9), _UP[::-1], np.zeros(4)])
+_HOLD = np.concatenate([np.linspace(0.0, 1.0, 6)[1:], np.ones(120), np.zeros(80)])
+_REST_ROWS, _SWEEP_ROWS, _MOVE_ROWS, _STAY_ROWS = 20, 440, 20, 5
+_STRAIGHT_N, _POSED_N = (30.0, 75.0), (20.0, 60.0)
+"""Peak loads on the laboratory arm; another one bears more or less, see `_schedule`."""
+_SWEEP_DEG, _POSE_DEG = (6.0, 9.5), (3.0, 9.0)
+_HISTORY_KNOTS, _HISTORY_ROWS, _HISTORY_DEG = 6, 8, 6.0
+
+Faults = tuple[tuple[int, Callable[..., Array]], ...]
 
 
-@dataclass(frozen=True)
-class ActuatorFaults:
-    """Faults of M actuators; by default they follow the command exactly.
-
-    Attributes:
-        play_m: (M,) lost motion on reversal, from end to end.
-        play_start: (M,) where in the play each begins, -1 to 1.
-        ratio: (M,) metres paid out for one that is commanded.
-        screw_m: (M,) amplitude of an error periodic in the length, of period `screw_pitch_m`.
-        screw_phase_rad: (M,) its phase at the straight arm.
-        slip_m: (M,) length that each clamp lets through at `slip_time_s`.
-    """
-
-    play_m: Array = NO_FAULT
-    play_start: Array = NO_FAULT
-    ratio: Array = NO_FAULT + 1.0
-    screw_m: Array = NO_FAULT
-    screw_phase_rad: Array = NO_FAULT
-    slip_m: Array = NO_FAULT
-    screw_pitch_m: float = 0.004
-    slip_time_s: float = np.inf
-
-    def paid_out_m(self, commanded_m: Array, time_s: Array) -> Array:
-        """(R, M) lengths given, of those commanded, both less that of the straight arm."""
-        phase = 2.0 * np.pi * commanded_m / self.screw_pitch_m + self.screw_phase_rad
-        uneven = self.screw_m * (np.sin(phase) - np.sin(self.screw_phase_rad))
-        slipped = (time_s >= self.slip_time_s)[:, None] * self.slip_m
-        given = self.ratio * commanded_m
-        if self.play_m.any():
-            half = 0.5 * self.play_m
-            at = given[0] + half * self.play_start
-            for row in given:
-                row[:] = at = np.clip(at, row - half, row + half)
-        return given + uneven + slipped
-
-
-@dataclass(frozen=True)
-class Dropouts:
-    """Channels that repeat their last value for a while.
+class Schedule(NamedTuple):
+    """Rows of a recording before anything is read.
 
     Attributes:
-        share: (M,) of the rows in which a channel does.
-        mean_rows: how long a dropout lasts on average.
-        seed: of when they come.
+        time_s: (R,) since the recording began; negative in what went before.
+        trial: (R,) blocks that belong together.
+        command_rad: (R, 2N) joint angles.
+        load_segment: (R,) 1 to N, 0 without a load.
+        load_n: (R, 3) base frame.
+        load_at_m: (R,) from the segment's joint centre, on its axis; NaN for its contact point.
     """
 
-    share: Array = NO_FAULT
-    mean_rows: float = 20.0
-    seed: int = 0
+    time_s: Array
+    trial: Ints
+    command_rad: Array
+    load_segment: Ints
+    load_n: Array
+    load_at_m: Array
 
-    def repeated_n(self, signal_n: Array) -> Array:
-        """(R, M) signals, through each dropout the last value before it."""
-        if not self.share.any():
-            return signal_n
-        rng = np.random.default_rng(self.seed)
-        rows = len(signal_n)
-        last = np.tile(np.arange(rows)[:, None], (1, len(self.share)))
-        for channel in np.flatnonzero(self.share):
-            gap = self.mean_rows * (1.0 / self.share[channel] - 1.0)
-            at = 1.0 + rng.exponential(gap)
-            while at < rows:
-                end = at + 1.0 + rng.exponential(self.mean_rows)
-                last[int(at) : int(end), channel] = int(at) - 1
-                at = end + 1.0 + rng.exponential(gap)
-        return np.take_along_axis(signal_n, last, axis=0)
+    def loaded_by(self, load_n: Array) -> Schedule:
+        """The same with other loads (R, 3), without segment and place where there is none."""
+        loaded = (load_n != 0.0).any(axis=1)
+        return self._replace(
+            load_segment=np.where(loaded, self.load_segment, 0),
+            load_n=load_n,
+            load_at_m=np.where(loaded, self.load_at_m, np.nan),
+        )
 
+    @property
+    def forces_n(self) -> Array:
+        """(R, N, 3) the load as one force per segment."""
+        segments = np.arange(1, self.command_rad.shape[1] // 2 + 1)
+        return (self.load_segment[:, None] == segments)[..., None] * self.load_n[:, None]
 
-@dataclass(frozen=True)
-class Drift:
-    """Drift of zeros, of one shape and different sizes.
-
-    Attributes:
-        size_n: (M,) how far each goes within a recording, either way.
-        time_s: period of a sine, time constant of a warm-up.
-        phase_rad: of the sine.
-        seed: of the walk.
-    """
-
-    size_n: Array = NO_FAULT
-    shape: DriftShape = "linear"
-    time_s: float = 100.0
-    phase_rad: float = 0.0
-    seed: int = 0
-
-    def zeros_n(self, time_s: Array) -> Array:
-        """Zeros (R, M) at times (R,); (R, 1) where none drifts."""
-        since = (time_s - time_s[0])[:, None]
-        if not self.size_n.any():
-            return np.zeros_like(since)
-        if self.shape == "linear":
-            shape = since / since[-1]
-        elif self.shape == "slow sine":
-            shape = np.sin(2.0 * np.pi * since / self.time_s + self.phase_rad)
-        elif self.shape == "warm-up":
-            shape = 1.0 - np.exp(-since / self.time_s)
-        else:
-            rng = np.random.default_rng(self.seed)
-            walk = np.cumsum(rng.standard_normal((len(time_s), len(self.size_n))), axis=0)
-            shape = (walk - walk[0]) / np.abs(walk - walk[0]).max(axis=0)
-        return shape * self.size_n
-
-
-@dataclass(frozen=True)
-class SensorFaults:
-    """Faults of M sensors, in the order in which a signal meets them; by default none.
-
-    Attributes:
-        bow_from_n: tension at which the nonlinearity is zero.
-        gain: (M,) reading by tension.
-        bow_per_n: (M,) nonlinearity: change of the gain with each newton above `bow_from_n`.
-        ceiling_n: (M,) where a soft saturation sets in.
-        leak: (M, M) share of the column's signal in the row's.
-        lag_s: (M,) time constant, or half the window of an average.
-        offset_n: (M,) zero errors.
-        hum_n: (M,) amplitude of an interference of `hum_hz`.
-        hum_phase_rad: (M,) its phase.
-    """
-
-    bow_from_n: float
-    gain: Array = NO_FAULT + 1.0
-    bow_per_n: Array = NO_FAULT
-    ceiling_n: Array = NO_FAULT + np.inf
-    leak: Array = NO_FAULT
-    lag_s: Array = NO_FAULT
-    lag_filter: Filter = "first order"
-    offset_n: Array = NO_FAULT
-    drift: Drift = Drift()
-    hum_n: Array = NO_FAULT
-    hum_hz: float = 0.3
-    hum_phase_rad: Array = NO_FAULT
-    dropouts: Dropouts = Dropouts()
-
-    def signals_n(self, tension_n: Array, time_s: Array) -> Array:
-        """(R, M) noise-free readings of tensions (R, M) at times (R,)."""
-        signal = tension_n * (self.gain + self.bow_per_n * (tension_n - self.bow_from_n))
-        over = np.maximum(signal - self.ceiling_n, 0.0)
-        signal = np.where(over > 0.0, self.ceiling_n + over / (1.0 + over / 10.0), signal)
-        if self.leak.any():
-            signal = signal + signal @ self.leak.T
-        signal = self._lagged(signal, time_s)
-        hum = np.sin(2.0 * np.pi * self.hum_hz * time_s[:, None] + self.hum_phase_rad)
-        signal = signal + self.offset_n + self.drift.zeros_n(time_s) + self.hum_n * hum
-        return self.dropouts.repeated_n(signal)
-
-    def _lagged(self, signal_n: Array, time_s: Array) -> Array:
-        """Each column through its filter, settled at the first value before."""
-        from scipy.signal import lfilter
-
-        steps = len(time_s) - 1
-        fine_s = np.interp(np.arange(steps * _FINE + 1) / _FINE, np.arange(steps + 1), time_s)
-        period_s = float(fine_s[1] - fine_s[0])
-        late = signal_n.copy()
-        for column in np.flatnonzero(self.lag_s):
-            fine = np.interp(fine_s, time_s, signal_n[:, column])
-            if self.lag_filter == "moving average":
-                fine = _averaged(fine, max(1.0, 2.0 * self.lag_s[column] / period_s))
-            else:
-                order = 1 if self.lag_filter == "first order" else 2
-                kept = np.exp(-period_s / (self.lag_s[column] / order))
-                for _stage in range(order):
-                    fine, _ = lfilter([1.0 - kept], [1.0, -kept], fine, zi=[kept * fine[0]])
-            late[:, column] = fine[::_FINE]
-        return late
-
-
-def _averaged(signal: Array, window: float) -> Array:
-    """Mean over the last `window` samples, which need not be a whole number."""
-    whole = int(np.ceil(window))
-    total = np.concatenate([[0.0], np.cumsum(np.pad(signal, (whole, 0), mode="edge"))])
-    ends = whole + np.arange(1, len(signal) + 1)
-    starts = np.interp(ends - window, np.arange(len(total)), total)
-    return (total[ends] - starts) / window
+    def rows(self, chosen: slice) -> Schedule:
+        """The chosen rows."""
+        return Schedule._make(column[chosen] for column in self)
 
 
 @dataclass(frozen=True)
@@ -207,13 +88,16 @@ class RealArm:
     Attributes:
         nominal: the arm as drawn, by which its actuators are commanded.
         load_turn: (3, 3) from the load that is written down to the one that acts.
+        actuation: gives lengths (R, M), less those of the straight arm, of what earlier faults
+            made of the commands, of the commands, and of times (R,).
+        sensing: gives signals (R, M) of what earlier faults made of the tensions, and of times.
     """
 
     nominal: Nominal
     body: Body
-    sensing: SensorFaults
     load_turn: Array
-    actuation: ActuatorFaults = ActuatorFaults()
+    actuation: Faults = ()
+    sensing: Faults = ()
     friction: PlantFriction = field(default_factory=PlantFriction)
     creep: Creep = field(default_factory=Creep)
 
@@ -234,12 +118,17 @@ class RealArm:
         time_s = np.concatenate([history.time_s, schedule.time_s])
         drawn = [self.point_loads_n(each) for each in (history, schedule)]
         loads = np.concatenate(drawn) @ self.load_turn.T
-        paid_out = self.actuation.paid_out_m(self.held_m(command), time_s)
+        paid_out = held = self.held_m(command)
+        for fault in _in_order(self.actuation):
+            paid_out = fault(paid_out, held, time_s)
         if self.history_dependent:
             tension = self._path_tensions_n(command, paid_out, loads, time_s)
         else:
-            tension = follow_path(self.body, command, paid_out, loads).tensions_n
-        return self.sensing.signals_n(np.maximum(tension[before:], 0.0), schedule.time_s)
+            tension = follow_path(self.body, command, paid_out, loads)
+        signal: Array = np.maximum(tension[before:], 0.0)
+        for fault in _in_order(self.sensing):
+            signal = fault(signal, schedule.time_s)
+        return signal
 
     def point_loads_n(self, schedule: Schedule) -> Array:
         """(R, 4N, 3) the loads at the points of `Body.contact_at_m`, as they are written down.
@@ -292,29 +181,33 @@ class RealArm:
         return cable_lengths_m(drawn, command_rad) - straight
 
     def path(self) -> QuasiStaticPath:
-        """Takes arms like this one, with friction and creep, from rest to rest."""
+        """Takes this arm, with friction and creep, from rest to rest."""
         return QuasiStaticPath(self.body, self.friction, self.creep, self.nominal.run_m)
 
     def _path_tensions_n(
         self, command: Array, paid_out: Array, loads: Array, time_s: Array
     ) -> Array:
         path = self.path()
-        state = path.start(command[:1], paid_out[:1], loads[:1])
+        state = path.start(command[0], paid_out[0], loads[0])
         tension = np.empty_like(paid_out)
-        tension[0] = state.sensed_n[0]
+        tension[0] = state.sensed_n
         timeless = not self.creep.compliance_m_n.any() and self.friction.joint_breakaway == 1.0
         for row in range(1, len(tension)):
             still = np.array_equal(paid_out[row], paid_out[row - 1])
             if not (timeless and still and np.array_equal(loads[row], loads[row - 1])):
                 period_s = float(time_s[row] - time_s[row - 1])
-                state = path.advance(state, paid_out[row, None], loads[row, None], period_s)
-            tension[row] = state.sensed_n[0]
+                state = path.advance(state, paid_out[row], loads[row], period_s)
+            tension[row] = state.sensed_n
         return tension
+
+
+def _in_order(faults: Faults) -> list[Callable[..., Array]]:
+    return [fault for _, fault in sorted(faults, key=lambda each: each[0])]
 
 
 def ideal_arm(nominal: Nominal) -> RealArm:
     """The arm exactly as drawn."""
-    return RealArm(nominal, rigid_body(nominal), SensorFaults(nominal.pretension_n), np.eye(3))
+    return RealArm(nominal, rigid_body(nominal), np.eye(3))
 
 
 def with_tolerances(arm: RealArm, rng: np.random.Generator) -> RealArm:
@@ -328,13 +221,14 @@ def with_tolerances(arm: RealArm, rng: np.random.Generator) -> RealArm:
     contact[..., 0] += _CONTACT_M * rng.standard_normal(contact.shape[1])
     pretension = body.pretension_n + _PRETENSION_N * rng.standard_normal(cables)
     by_rad = np.deg2rad(_HOLE_DEG) * rng.standard_normal(cables)
-    zeros = arm.sensing.offset_n + _ZERO_N * rng.standard_normal(cables)
+    zeros = _ZERO_N * rng.standard_normal(cables)
     before, after = turned(body.before_m, by_rad), turned(body.after_m, by_rad)
     body = replace(
         body, mass_kg=masses, pretension_n=pretension, contact_at_m=contact,
         before_m=before, after_m=after,
     )  # fmt: skip
-    return replace(arm, body=body, sensing=replace(arm.sensing, offset_n=zeros))
+    wrong_zeros = (ADDED, lambda signal_n, _time_s: signal_n + zeros)
+    return replace(arm, body=body, sensing=(*arm.sensing, wrong_zeros))
 
 
 def turned(points_m: Array, by_rad: Array) -> Array:
@@ -342,3 +236,133 @@ def turned(points_m: Array, by_rad: Array) -> Array:
     sine, cosine = np.sin(by_rad), np.cos(by_rad)
     x, y, z = np.moveaxis(points_m, -1, 0)
     return np.stack([x, cosine * y + sine * z, cosine * z - sine * y], axis=-1)
+
+
+def draw_schedule(nominal: Nominal, rng: np.random.Generator) -> Schedule:
+    """The trials, 25 for four segments, with loads, orders and poses of this recording's own.
+
+    The loads on a segment act in turn near its joint, at its contact point and far out, in an
+    order of their own.
+    """
+    count = nominal.segment_count
+    angles, segments = 2 * count, range(1, count + 1)
+    straight = np.zeros(angles)
+    trials = [_still(straight, 0, np.zeros(3), np.zeros(_REST_ROWS))]
+    sides = np.array([[0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
+    for segment in segments:
+        for side in rng.permutation(len(sides))[: max(1, 12 // count)]:
+            peak = rng.uniform(*_STRAIGHT_N) * sides[side]
+            trials.append(_still(straight, segment, peak, _CYCLE))
+    trials.append(_moving(_sweep(angles, rng)))
+    pose = np.deg2rad(rng.uniform(*_POSE_DEG)) * rng.uniform(-1.0, 1.0, angles)
+    ease = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, _MOVE_ROWS + 1) / _MOVE_ROWS)
+    trials.append(_moving(np.outer(np.concatenate([ease, np.ones(_STAY_ROWS)]), pose)))
+    trials += [_still(pose, segment, _oblique_n(rng), _CYCLE) for segment in segments]
+    held_segment = int(rng.integers(min(2, count), count + 1))
+    trials.append(_still(pose, held_segment, _oblique_n(rng), _HOLD))
+    trials.append(_moving(np.outer(ease[::-1] - ease[0], pose)))
+    order = rng.permutation(segments)
+    trials += [_still(straight, int(segment), _oblique_n(rng), _CYCLE) for segment in order]
+    return _schedule(nominal, trials, _places_m(nominal, [trial[1] for trial in trials], rng))
+
+
+def _places_m(nominal: Nominal, segments: Sequence[int], rng: np.random.Generator) -> Array:
+    """(T,) where the loads of trials on these segments act; NaN without a load."""
+    near, far = nominal.reach_m.T
+    inside = (far - near) / 6.0
+    at_m = np.stack([near + inside, nominal.contact_m, far - inside], axis=1)
+    orders = rng.spawn(1)[0].permuted(np.tile(np.arange(3), (len(at_m), 1)), axis=1)
+    turns = [cycle(order) for order in orders]
+    return np.array([at_m[n - 1, next(turns[n - 1])] if n else np.nan for n in segments])
+
+
+def draw_history(nominal: Nominal, rng: np.random.Generator) -> Schedule:
+    """Moves and pushes that an arm went through before its first row, and that are not recorded.
+
+    It ends straight and unloaded, where every recording begins.
+    """
+    angles = 2 * nominal.segment_count
+    size = np.linspace(1.0, 0.0, _HISTORY_KNOTS)[:, None]
+    knots = np.deg2rad(_HISTORY_DEG) * size * rng.uniform(-1.0, 1.0, (1, angles))
+    knots = knots * rng.uniform(-1.0, 1.0, (_HISTORY_KNOTS, angles))
+    trials = []
+    for start, end in pairwise(knots):
+        share = np.linspace(0.0, 1.0, _HISTORY_ROWS)[:, None]
+        segment = int(rng.integers(1, nominal.segment_count + 1))
+        bump = np.sin(np.pi * share) * _oblique_n(rng) * rng.uniform(0.0, 1.0)
+        trials.append((start + share * (end - start), segment, bump))
+    trials.append(_moving(np.zeros((2, angles))))
+    past = _schedule(nominal, trials)
+    return past._replace(time_s=past.time_s - len(past.time_s) * (1.0 / nominal.rate_hz))
+
+
+_Trial = tuple[Array, int, Array]
+"""Commands (R, 2N), the loaded segment, and its load (R, 3) were this the laboratory arm."""
+
+
+def _still(pose: Array, segment: int, peak_n: Array, shape: Array) -> _Trial:
+    return np.tile(pose, (len(shape), 1)), segment, shape[:, None] * peak_n
+
+
+def _moving(commands: Array) -> _Trial:
+    return commands, 0, np.zeros((len(commands), 3))
+
+
+def _schedule(nominal: Nominal, trials: list[_Trial], places_m: Array | None = None) -> Schedule:
+    """Loads are scaled by what the cables can hold at the arm's reach; `places_m` (T,) of each."""
+    moment_nm = nominal.pretension_n * nominal.radius_m.mean() * nominal.cable_count
+    strength = moment_nm / nominal.length_m.sum() / (50.0 * 0.05 * 12 / (4 * 0.13))
+    commands, segments, loads = zip(*trials, strict=True)
+    rows = [len(command) for command in commands]
+    load = np.round(strength * np.concatenate(loads), 3) + 0.0  # no -0.0
+    places_m = np.full(len(rows), np.nan) if places_m is None else np.round(places_m, 3)
+    done = Schedule(
+        time_s=1.0 / _ROWS_HZ * np.arange(sum(rows), dtype=float),
+        trial=np.repeat(np.arange(len(rows)), rows),
+        command_rad=np.round(np.concatenate(commands), 6) + 0.0,
+        load_segment=np.repeat(segments, rows),
+        load_n=load,
+        load_at_m=np.repeat(places_m, rows),
+    ).loaded_by(load)
+    return done if nominal.rate_hz == _ROWS_HZ else _sampled(done, nominal.rate_hz)
+
+
+def _sampled(done: Schedule, rate_hz: float) -> Schedule:
+    """The same at another rate: straight on from row to row, in as long a time.
+
+    Between trials no load acts, so that one which rises or falls belongs to the row that has it.
+    """
+    time_s = np.arange(round(done.time_s[-1] * rate_hz) + 1) / rate_hz
+    before = np.clip(np.searchsorted(done.time_s, time_s, "right") - 1, 0, len(done.time_s) - 1)
+    after = np.minimum(before + 1, len(done.time_s) - 1)
+    share = np.clip((time_s - done.time_s[before]) * _ROWS_HZ, 0.0, 1.0)[:, None]
+    share[share < 1e-6] = 0.0  # rounding of times is no load
+
+    def between(column: Array, places: int) -> Array:
+        straight = column[before] + share * (column[after] - column[before])
+        return np.asarray(np.round(straight, places) + 0.0)
+
+    load = between(done.load_n, 3)
+    return Schedule(
+        time_s=time_s,
+        trial=done.trial[np.where(share[:, 0] > 0.0, after, before)],
+        command_rad=between(done.command_rad, 6),
+        load_segment=np.maximum(done.load_segment[before], done.load_segment[after]),
+        load_n=load,
+        load_at_m=np.fmax(done.load_at_m[before], done.load_at_m[after]),
+    ).loaded_by(load)
+
+
+def _sweep(angles: int, rng: np.random.Generator) -> Array:
+    """Each joint angle out, back through zero and to the other side, one after the other."""
+    rows = np.array_split(np.arange(_SWEEP_ROWS), angles)
+    commands = np.zeros((_SWEEP_ROWS, angles))
+    for angle, own in enumerate(rows):
+        height = np.deg2rad(rng.uniform(*_SWEEP_DEG)) * rng.choice([-1.0, 1.0])
+        commands[own, angle] = height * np.sin(2.0 * np.pi * np.arange(1, len(own) + 1) / len(own))
+    return commands
+
+
+def _oblique_n(rng: np.random.Generator) -> Array:
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    return rng.uniform(*_POSED_N) * np.array([0.0, np.sin(angle), np.cos(angle)])

@@ -5,7 +5,7 @@ The arm file is read here and nowhere else, without the simulator's description 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -265,52 +265,3 @@ def rigid_body(nominal: Nominal) -> Body:
         pretension_n=np.full(m, nominal.pretension_n),
         driven=joints,
     )
-
-
-@dataclass(frozen=True)
-class PlantFriction:
-    """Friction of M cables and J joints, by default none.
-
-    Attributes:
-        coefficient: (M,) of each cable on its guides, while it slides.
-        breakaway: the same of a cable that sticks, by that of one that slides.
-        pulley_rad: constant wrap on a pulley at the actuator, behind the sensor.
-        reach_m: sliding over which bristles take up the cables' friction; 0 sticks rigidly.
-        rounded: whether bristles yield gradually, see `friction.friction_state`.
-        actuator_share: part of a cable's compliance before the pulley, as its actuator's; above 0.
-        joint_nm: (J, 2) torque of the joints' friction while they turn.
-        joint_reach_rad: angle over which the joints' friction builds up.
-        joint_rounded: whether it does so little by little.
-        joint_breakaway: friction of a joint at rest, by that of a turning one (Stribeck).
-        speed_rad_s: over which that decays.
-    """
-
-    coefficient: Array = NO_FAULT
-    breakaway: float = 1.0
-    pulley_rad: float = 0.0
-    reach_m: float = 0.0
-    rounded: bool = False
-    actuator_share: float = 0.3
-    joint_nm: Array = NO_FAULT
-    joint_reach_rad: float = 2e-4
-    joint_rounded: bool = False
-    joint_breakaway: float = 1.0
-    speed_rad_s: float = 0.02
-
-
-@dataclass(frozen=True)
-class Creep:
-    """Kelvin-Voigt elements in series with the cables, K of them; by default one that is rigid.
-
-    Each piece of a cable creeps by its own tension and its share of the compliance.
-
-    Attributes:
-        compliance_m_n: (K, M) each one's lengthening when it has settled.
-        time_s: (K,) in which it does.
-        settled: share of the lengthening under the first tension that came before the arm was
-            tensioned; 1 leaves a rest constant, 0 is a new cable.
-    """
-
-    compliance_m_n: Array = field(default_factory=lambda: np.zeros((1, 1)))
-    time_s: Array = field(default_factory=lambda: np.ones(1))
-    settled: float = 1.0

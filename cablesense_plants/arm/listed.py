@@ -5,17 +5,21 @@ Each effect is drawn in the forms that physics offers.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, get_args
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_plants.arm.arm import Drift, DriftShape, Filter, RealArm, turned
-from cablesense_plants.arm.body import Creep, Nominal
-from cablesense_plants.cases import Draw, Draws, HiddenChange, Law, added, grown, scaled, sets
+from cablesense_plants.arm.arm import ADDED, LATE, LEAKED, SCALED, TAKEN_UP, RealArm, turned
+from cablesense_plants.arm.body import Nominal
+from cablesense_plants.arm.friction import Creep
+from cablesense_plants.cases import Draw, Draws, HiddenChange, added, grown, scaled, sets
 
 ArmChange = HiddenChange[RealArm]
+Change = Callable[[RealArm, float], RealArm]
 
 
 @dataclass(frozen=True)
@@ -46,14 +50,13 @@ class ArmDraw(Draw):
         return weights
 
 
-def sized(value: Any, name: str) -> Law:
-    """A value, or a tuple of one where there was a tuple, with one field times the size."""
+def faulty(part: str, stage: int, law: Callable[..., Array]) -> Change:
+    """Adds a fault to `actuation` or `sensing`, whose law takes its size before all else."""
 
-    def law(old: Any, size: float) -> Any:
-        new = replace(value, **{name: size * getattr(value, name)})
-        return (new,) if isinstance(old, tuple) else new
+    def apply(arm: RealArm, size: float) -> RealArm:
+        return replace(arm, **{part: (*getattr(arm, part), (stage, partial(law, size)))})
 
-    return law
+    return apply
 
 
 def places(kind: str, marks: Array) -> tuple[str, ...]:
@@ -73,12 +76,14 @@ _CREEP_TIMES = {
     "three times": np.array([0.1, 1.0, 8.0]),
     "logarithmic": np.logspace(-1.5, 1.5, 8),
 }
-_DRAWS = Draws()
-LISTED = _DRAWS.by_name
-"""By the name of the effect."""
+_SHAPES_OF_DRIFT = ("linear", "slow sine", "random walk", "warm-up")
+FILTERS = ("first order", "moving average", "second order, critically damped")
+_FINE = 10
+"""Samples of a filter between two readings."""
+LISTED = Draws()
 
 
-@_DRAWS.of_size("m", 1e-6, 1e-3)
+@LISTED.of_size("m", 1e-6, 1e-3)
 def actuator_backlash(draw: ArmDraw) -> ArmChange:
     """Play in one to four actuators, equal or uneven; where in it each begins is unknown."""
     chosen = draw.cables(1, 4)
@@ -86,11 +91,22 @@ def actuator_backlash(draw: ArmDraw) -> ArmChange:
     share = draw.weights(chosen)
     share = share if uneven else np.sign(share)
     start = draw.rng.uniform(-1.0, 1.0, len(share))
-    loose = sets("actuation", play_m=scaled(share), play_start=start)
+    loose = faulty(
+        "actuation", TAKEN_UP, lambda size, given, *_: with_play_m(given, size * share, start)
+    )
     return ArmChange(loose, "uneven play" if uneven else "equal play", places("cable", share))
 
 
-@_DRAWS.of_size("deg", 0.1, 30.0)
+def with_play_m(given_m: Array, play_m: Array, start: Array) -> Array:
+    """(R, M) lengths behind play (M,), from end to end, that begins at `start`, -1 to 1, in it."""
+    half, moved = 0.5 * play_m, given_m.copy()
+    at = given_m[0] + half * start
+    for row in moved:
+        row[:] = at = np.clip(at, row - half, row + half)
+    return moved
+
+
+@LISTED.of_size("deg", 0.1, 30.0)
 def base_tilt(draw: ArmDraw) -> ArmChange:
     """A base that is not level: rolled, pitched or both; loads stay in base axes."""
     form = draw.one_of(["roll", "pitch", "roll and pitch"])
@@ -112,7 +128,7 @@ def rotation(size_deg: float, axis: Array) -> Any:
     return Rotation.from_rotvec(np.deg2rad(size_deg) * axis)
 
 
-@_DRAWS.of_size("of the elastic stretch", 0.01, 1.5)
+@LISTED.of_size("of the elastic stretch", 0.01, 1.5)
 def cable_creep(draw: ArmDraw) -> ArmChange:
     """Kelvin-Voigt elements in series: one, three or many times, new cables or settled ones."""
     form = draw.one_of(_CREEP_TIMES)
@@ -130,7 +146,7 @@ def cable_creep(draw: ArmDraw) -> ArmChange:
     return ArmChange(creeping, f"{form}, {state}", where, {"time_s": time_s, "settled": settled})
 
 
-@_DRAWS.of_size("of the nominal", 0.01, 1.5)
+@LISTED.of_size("of the nominal", 0.01, 1.5)
 def cable_stiffness(draw: ArmDraw) -> ArmChange:
     """Softer or harder cables, all or those that end on a segment."""
     cables, where = _all_or_segment(draw)
@@ -139,7 +155,7 @@ def cable_stiffness(draw: ArmDraw) -> ArmChange:
     return ArmChange(sets("body", stiffness_n_m=grown(cables)), "harder", where)
 
 
-@_DRAWS.of_size("1", 0.003, 0.4)
+@LISTED.of_size("1", 0.003, 0.4)
 def capstan_friction(draw: ArmDraw) -> ArmChange:
     """Cables that stick and slide at every guide, with or without a pulley at the actuator.
 
@@ -162,7 +178,7 @@ def capstan_friction(draw: ArmDraw) -> ArmChange:
     return ArmChange(rough, form, details=numbers)
 
 
-@_DRAWS.of_size("m", 0.0005, 0.05)
+@LISTED.of_size("m", 0.0005, 0.05)
 def contact_offset(draw: ArmDraw) -> ArmChange:
     """Loads that act nearer to the base or to the tip, on one segment or on all."""
     one = draw.chance(0.6)
@@ -173,7 +189,7 @@ def contact_offset(draw: ArmDraw) -> ArmChange:
     return ArmChange(moved, form, places("segment", shift), {"toward_tip": toward_tip})
 
 
-@_DRAWS.of_size("N m/rad", 0.05, 80.0)
+@LISTED.of_size("N m/rad", 0.05, 80.0)
 def joint_elasticity(draw: ArmDraw) -> ArmChange:
     """Joints that spring back to straight, linearly or hardening a little."""
     chosen: Any = draw.segment() if draw.chance(0.6) else slice(None)
@@ -185,7 +201,7 @@ def joint_elasticity(draw: ArmDraw) -> ArmChange:
     return ArmChange(sprung, form, places("joint", share[:, 0]), {"hardening_rad2": hardening})
 
 
-@_DRAWS.of_size("N m", 0.005, 2.0)
+@LISTED.of_size("N m", 0.005, 2.0)
 def joint_friction(draw: ArmDraw) -> ArmChange:
     """Dry friction in both axes of one, two or all joints: sharp, rounded or Stribeck's."""
     count = draw.nominal.segment_count
@@ -201,7 +217,7 @@ def joint_friction(draw: ArmDraw) -> ArmChange:
     return ArmChange(rough, form, places("joint", share[:, 0]))
 
 
-@_DRAWS.of_size("deg")
+@LISTED.of_size("deg")
 def load_cell(draw: ArmDraw) -> ArmChange:
     """A load cell that is turned against the base, of the wrong scale, or both."""
     form = draw.one_of(["axes", "scale", "axes and scale"])
@@ -223,7 +239,7 @@ def load_cell(draw: ArmDraw) -> ArmChange:
     return ArmChange(wrong_axes, form, details={"scale_per_deg": per_deg}, least=0.3, most=25.0)
 
 
-@_DRAWS.of_size("kg", 0.005, 4.0)
+@LISTED.of_size("kg", 0.005, 4.0)
 def payload(draw: ArmDraw) -> ArmChange:
     """A mass on a segment's axis, anywhere along it."""
     segment = draw.segment()
@@ -239,7 +255,7 @@ def payload(draw: ArmDraw) -> ArmChange:
     return ArmChange(loaded, "point mass", (f"segment_{segment + 1}",), {"at_m": at_m})
 
 
-@_DRAWS.of_size("N", 0.3, 30.0)
+@LISTED.of_size("N", 0.3, 30.0)
 def pretension_error(draw: ArmDraw) -> ArmChange:
     """One to all cables tensioned to another value, all by the same or each by its own."""
     chosen = draw.cables(1, 4 if draw.chance(0.7) else draw.nominal.cable_count)
@@ -256,12 +272,12 @@ def pretension_error(draw: ArmDraw) -> ArmChange:
     )
 
 
-@_DRAWS.of_size("deg", 0.1, 15.0)
+@LISTED.of_size("deg", 0.1, 15.0)
 def routing_geometry(draw: ArmDraw) -> ArmChange:
-    """A segment's holes on another radius or at another angle, by either reading of "a segment's".
+    """Holes on another radius or at another angle.
 
-    Those of the cables that end on it, in every plate they pass; or those of all cables in the
-    two plates that the segment carries.
+    Those of the cables that end on a segment, in every plate they pass; or those of all cables in
+    the two plates that a segment carries.
     """
     segment = draw.segment()
     radius, carried = draw.chance(0.5), draw.chance(0.4)
@@ -297,7 +313,7 @@ def _further_out(points_m: Array, size: float, share: Array) -> Array:
     return moved
 
 
-@_DRAWS.of_size("1", 0.0005, 0.3)
+@LISTED.of_size("1", 0.0005, 0.3)
 def sensor_crosstalk(draw: ArmDraw) -> ArmChange:
     """A share of one channel in its neighbours, or of every channel in its neighbours.
 
@@ -310,45 +326,95 @@ def sensor_crosstalk(draw: ArmDraw) -> ArmChange:
     leak = (np.eye(count, k=1) + np.eye(count, k=-1)) * source
     leak = leak * float(draw.rng.choice([-1.0, 1.0], p=[0.2, 0.8]))
     form = "one channel into its neighbours" if one else "all channels into their neighbours"
-    return ArmChange(sets("sensing", leak=scaled(leak)), form, places("cable", source))
+    leaking = faulty("sensing", LEAKED, lambda size, signal, *_: signal + signal @ (size * leak).T)
+    return ArmChange(leaking, form, places("cable", source))
 
 
-@_DRAWS.of_size("N", 0.1, 40.0)
+@LISTED.of_size("N", 0.1, 40.0)
 def sensor_drift(draw: ArmDraw) -> ArmChange:
     """Zeros that drift: steadily, slowly to and fro, at random, or while warming up."""
     chosen = draw.cables(1, 4)
-    shape: Any = draw.one_of(get_args(DriftShape))
-    time_s = draw.uniform(60.0, 400.0) if shape == "slow sine" else draw.uniform(20.0, 90.0)
+    shape = draw.one_of(_SHAPES_OF_DRIFT)
+    scale_s = draw.uniform(60.0, 400.0) if shape == "slow sine" else draw.uniform(20.0, 90.0)
     share = draw.weights(chosen, signed=True)
     phase_rad = draw.uniform(0.0, 2.0 * np.pi)
-    drift = Drift(share, shape, time_s, phase_rad, int(draw.rng.integers(2**31)))
-    drifting = sets("sensing", drift=sized(drift, "size_n"))
-    return ArmChange(drifting, shape, places("cable", share), {"time_s": time_s})
+    seed = int(draw.rng.integers(2**31))
+
+    def drifting(size: float, signal_n: Array, time_s: Array) -> Array:
+        since = (time_s - time_s[0])[:, None]
+        if shape == "linear":
+            course = since / since[-1]
+        elif shape == "slow sine":
+            course = np.sin(2.0 * np.pi * since / scale_s + phase_rad)
+        elif shape == "warm-up":
+            course = 1.0 - np.exp(-since / scale_s)
+        else:
+            walk = np.random.default_rng(seed).standard_normal(signal_n.shape).cumsum(axis=0)
+            course = (walk - walk[0]) / np.abs(walk - walk[0]).max(axis=0)
+        return np.asarray(signal_n + course * (size * share))
+
+    drift = faulty("sensing", ADDED, drifting)
+    return ArmChange(drift, shape, places("cable", share), {"time_s": scale_s})
 
 
-@_DRAWS.of_size("1", 0.001, 0.4)
+@LISTED.of_size("1", 0.001, 0.4)
 def sensor_gain(draw: ArmDraw) -> ArmChange:
     """Wrong scale on one to four sensors."""
     share = draw.weights(draw.cables(1, 4), signed=True)
-    wrong = sets("sensing", gain=grown(share))
+    wrong = faulty("sensing", SCALED, lambda size, signal, *_: signal * (1.0 + size * share))
     return ArmChange(wrong, "each by its own", places("cable", share))
 
 
-@_DRAWS.of_size("s", 0.01, 8.0)
+@LISTED.of_size("s", 0.01, 8.0)
 def sensor_lag(draw: ArmDraw) -> ArmChange:
     """All or some sensors that follow late, through one of three filters."""
     chosen: Any = slice(None) if draw.chance(0.4) else draw.cables(1, 4)
     late = marked(chosen, draw.nominal.cable_count)
-    kind = draw.one_of(get_args(Filter))
-    lagging = sets("sensing", lag_s=scaled(late), lag_filter=kind)
+    kind = draw.one_of(FILTERS)
+    lagging = faulty(
+        "sensing", LATE, lambda size, signal, time_s: lagged(signal, time_s, size * late, kind)
+    )
     return ArmChange(lagging, kind, places("cable", late))
 
 
-@_DRAWS.of_size("N", 0.1, 30.0)
+def lagged(signal: Array, time_s: Array, lag_s: Array, kind: str) -> Array:
+    """Columns of (R, M) through a filter each, settled at the first value before.
+
+    `lag_s` (M,) is the time constant, or half the window of an average.
+    """
+    from scipy.signal import lfilter
+
+    steps = len(time_s) - 1
+    fine_s = np.interp(np.arange(steps * _FINE + 1) / _FINE, np.arange(steps + 1), time_s)
+    period_s = float(fine_s[1] - fine_s[0])
+    late = signal.copy()
+    for column in np.flatnonzero(lag_s):
+        fine = np.interp(fine_s, time_s, signal[:, column])
+        if kind == "moving average":
+            fine = _averaged(fine, max(1.0, 2.0 * lag_s[column] / period_s))
+        else:
+            order = 1 if kind == "first order" else 2
+            kept = np.exp(-period_s / (lag_s[column] / order))
+            for _stage in range(order):
+                fine, _ = lfilter([1.0 - kept], [1.0, -kept], fine, zi=[kept * fine[0]])
+        late[:, column] = fine[::_FINE]
+    return late
+
+
+def _averaged(signal: Array, window: float) -> Array:
+    """Mean over the last `window` samples, which need not be a whole number."""
+    whole = int(np.ceil(window))
+    total = np.concatenate([[0.0], np.cumsum(np.pad(signal, (whole, 0), mode="edge"))])
+    ends = whole + np.arange(1, len(signal) + 1)
+    starts = np.interp(ends - window, np.arange(len(total)), total)
+    return (total[ends] - starts) / window
+
+
+@LISTED.of_size("N", 0.1, 30.0)
 def sensor_offset(draw: ArmDraw) -> ArmChange:
     """Zero errors on one to four sensors."""
     share = draw.weights(draw.cables(1, 4), signed=True)
-    shifted = sets("sensing", offset_n=added(share))
+    shifted = faulty("sensing", ADDED, lambda size, signal, *_: signal + size * share)
     return ArmChange(shifted, "each by its own", places("cable", share))
 
 

@@ -258,8 +258,8 @@ def commanded_angles_rad(body: Body, command_rad: Array) -> Array:
     return angles.reshape(len(command_rad), -1)
 
 
-def follow_path(body: Body, command_rad: Array, paid_out_m: Array, loads_n: Array) -> BodyRest:
-    """Rests of rows (R, 2N), (R, M), (R, P, 3) in their order.
+def follow_path(body: Body, command_rad: Array, paid_out_m: Array, loads_n: Array) -> Array:
+    """Tensions (R, M) at the rests of rows (R, 2N), (R, M), (R, P, 3) in their order.
 
     Raises:
         PlantError: rows without rest.
@@ -270,19 +270,13 @@ def follow_path(body: Body, command_rad: Array, paid_out_m: Array, loads_n: Arra
     tensions = np.empty_like(paid_out_m)
     free = np.flatnonzero(~loaded)
     angles[free], tensions[free] = find_rest(body, angles[free], paid_out_m[free], loads_n[free])
-    changed = (np.diff(loads_n, axis=0) != 0.0).any(axis=(1, 2))
-    changed = np.append(True, changed | (np.diff(paid_out_m, axis=0) != 0.0).any(axis=1))
     rows = np.flatnonzero(loaded & ~np.roll(loaded, 1))
     while len(rows):
-        new, same = rows[changed[rows]], rows[~changed[rows]]
-        angles[same], tensions[same] = angles[same - 1], tensions[same - 1]
-        if len(new):
-            found = find_rest(body, angles[new - 1], paid_out_m[new], loads_n[new])
-            angles[new], tensions[new] = found
-        rows = rows + 1
-        rows = rows[rows < len(loaded)]
+        rest = find_rest(body, angles[rows - 1], paid_out_m[rows], loads_n[rows])
+        angles[rows], tensions[rows] = rest
+        rows = rows[rows + 1 < len(loaded)] + 1
         rows = rows[loaded[rows]]
-    return BodyRest(angles, tensions)
+    return tensions
 
 
 def find_rest(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array) -> BodyRest:

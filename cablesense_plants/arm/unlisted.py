@@ -7,48 +7,56 @@ from dataclasses import replace
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_plants.arm.arm import Dropouts, RealArm
+from cablesense_plants.arm.arm import ADDED, LIMITED, PAID, REPEATED, SCALED, UNEVEN, RealArm
 from cablesense_plants.arm.body import Body, CableContact, TipSpring
-from cablesense_plants.arm.listed import ArmChange, ArmDraw, marked, rotation, sized
+from cablesense_plants.arm.listed import ArmChange, ArmDraw, faulty, marked, rotation
 from cablesense_plants.cases import UNKNOWN, Draws, added, scaled, sets
 
-_DRAWS = Draws(UNKNOWN)
-UNLISTED = _DRAWS.by_name
-"""By the form of the change."""
+UNLISTED = Draws(UNKNOWN)
 
 
-@_DRAWS.of_size("1", 5e-4, 0.3)
+@UNLISTED.of_size("1", 5e-4, 0.3)
 def actuator_ratio(draw: ArmDraw) -> ArmChange:
     """Actuators that pay out more or less than the command."""
     share = draw.weights(draw.cables(1, 3), signed=True)
-    return ArmChange(sets("actuation", ratio=added(share)))
+    return ArmChange(
+        faulty("actuation", PAID, lambda size, given, *_: given * (1.0 + size * share))
+    )
 
 
-@_DRAWS.of_size("m", 5e-6, 2e-3)
+@UNLISTED.of_size("m", 5e-6, 2e-3)
 def clamp_slip(draw: ArmDraw) -> ArmChange:
     """A clamp or two that let cable through at one moment of the recording."""
     share = draw.weights(draw.cables(1, 2))
-    time_s = draw.uniform(60.0, 220.0)
-    return ArmChange(sets("actuation", slip_m=scaled(share), slip_time_s=time_s))
+    slip_s = draw.uniform(60.0, 220.0)
+
+    def slipped(size: float, given_m: Array, _commanded_m: Array, time_s: Array) -> Array:
+        return np.asarray(given_m + (time_s >= slip_s)[:, None] * (size * share))
+
+    return ArmChange(faulty("actuation", UNEVEN, slipped))
 
 
-@_DRAWS.of_size("of the exponent", 0.01, 3.0)
+@UNLISTED.of_size("of the exponent", 0.01, 3.0)
 def hardening_cables(draw: ArmDraw) -> ArmChange:
     """Cables stiffer the more they carry, as drawn at the pretension."""
     return ArmChange(sets("body", exponent=added(1.0)))
 
 
-@_DRAWS.of_size("m", 2e-6, 1e-3)
+@UNLISTED.of_size("m", 2e-6, 1e-3)
 def screw_error(draw: ArmDraw) -> ArmChange:
     """Screws with an error that repeats every turn."""
     share = draw.weights(draw.cables(2, 6))
     pitch_m = draw.uniform(0.002, 0.006)
     phase = draw.rng.uniform(0.0, 2.0 * np.pi, len(share))
-    screw = {"screw_pitch_m": pitch_m, "screw_phase_rad": phase}
-    return ArmChange(sets("actuation", screw_m=scaled(share), **screw))
+
+    def uneven(size: float, given_m: Array, commanded_m: Array, _time_s: Array) -> Array:
+        turned = 2.0 * np.pi * commanded_m / pitch_m + phase
+        return np.asarray(given_m + size * share * (np.sin(turned) - np.sin(phase)))
+
+    return ArmChange(faulty("actuation", UNEVEN, uneven))
 
 
-@_DRAWS.of_size("m/rad^2", 1e-3, 1.0)
+@UNLISTED.of_size("m/rad^2", 1e-3, 1.0)
 def snagging_cables(draw: ArmDraw) -> ArmChange:
     """Cables that touch and push each other aside where a joint bends one way."""
     joint = draw.segment()
@@ -57,11 +65,15 @@ def snagging_cables(draw: ArmDraw) -> ArmChange:
     pitch = draw.rng.integers(2) == 0
     sign = draw.sign()
     toward = (sign, 0.0) if pitch else (0.0, sign)
-    contact = CableContact(joint, toward, pair, 1.0, draw.uniform(0.0, 0.06))
-    return ArmChange(sets("body", cable_contacts=sized(contact, "depth_m_rad2")))
+    from_rad = draw.uniform(0.0, 0.06)
+
+    def snagging(_old: object, size: float) -> tuple[CableContact]:
+        return (CableContact(joint, toward, pair, size, from_rad),)
+
+    return ArmChange(sets("body", cable_contacts=snagging))
 
 
-@_DRAWS.of_size("rad/(N m)", 1e-4, 0.05)
+@UNLISTED.of_size("rad/(N m)", 1e-4, 0.05)
 def limber_segments(draw: ArmDraw) -> ArmChange:
     """Segments that bend in their middle under load."""
 
@@ -105,7 +117,7 @@ def _with_middles(body: Body, stiffness_nm_rad: float) -> Body:
     )
 
 
-@_DRAWS.of_size("m", 5e-4, 0.045)
+@UNLISTED.of_size("m", 5e-4, 0.045)
 def link_length(draw: ArmDraw) -> ArmChange:
     """A segment that is longer or shorter than drawn, so that the next joint is elsewhere."""
     count = draw.nominal.segment_count
@@ -113,7 +125,7 @@ def link_length(draw: ArmDraw) -> ArmChange:
     return ArmChange(sets("body", spacing_m=added(share)))
 
 
-@_DRAWS.of_size("deg", 1.0, 30.0)
+@UNLISTED.of_size("deg", 1.0, 30.0)
 def skewed_axes(draw: ArmDraw) -> ArmChange:
     """Joints whose axes are turned against the plates."""
     axes = np.zeros((draw.nominal.segment_count, 3))
@@ -127,7 +139,7 @@ def skewed_axes(draw: ArmDraw) -> ArmChange:
     return ArmChange(sets("body", skew=turned))
 
 
-@_DRAWS.of_size("N m", 0.005, 3.0)
+@UNLISTED.of_size("N m", 0.005, 3.0)
 def cogging(draw: ArmDraw) -> ArmChange:
     """Joints with notches: a torque periodic in their angle."""
     share = np.zeros((draw.nominal.segment_count, 2))
@@ -136,45 +148,52 @@ def cogging(draw: ArmDraw) -> ArmChange:
     return ArmChange(sets("body", cogging_nm=scaled(share), cogging_per_turn=per_turn))
 
 
-@_DRAWS.of_size("N/m", 0.3, 300.0)
+@UNLISTED.of_size("N/m", 0.3, 300.0)
 def tether(draw: ArmDraw) -> ArmChange:
     """A hose or a band from the arm's end to a point near the arm."""
     angle, away_m = draw.uniform(0.0, 2.0 * np.pi), draw.uniform(0.1, 0.4)
     x = _reach_m(draw) + draw.uniform(-0.2, 0.1)
-    spring = TipSpring((x, float(away_m * np.sin(angle)), float(away_m * np.cos(angle))), 1.0)
-    return ArmChange(sets("body", tip_springs=sized(spring, "stiffness_n_m")))
+    anchor_m = (x, float(away_m * np.sin(angle)), float(away_m * np.cos(angle)))
+    return ArmChange(sets("body", tip_springs=lambda _old, size: (TipSpring(anchor_m, size),)))
 
 
-@_DRAWS.of_size("N/m", 5.0, 2e4)
+@UNLISTED.of_size("N/m", 5.0, 2e4)
 def wall(draw: ArmDraw) -> ArmChange:
     """An elastic wall that the arm's end touches on one side."""
     angle, away_m = draw.uniform(0.0, 2.0 * np.pi), draw.uniform(0.003, 0.03)
     normal = (0.0, float(np.sin(angle)), float(np.cos(angle)))
-    spring = TipSpring((_reach_m(draw), away_m * normal[1], away_m * normal[2]), 1.0, normal)
-    return ArmChange(sets("body", tip_springs=sized(spring, "stiffness_n_m")))
+    at_m = (_reach_m(draw), away_m * normal[1], away_m * normal[2])
+    return ArmChange(sets("body", tip_springs=lambda _old, size: (TipSpring(at_m, size, normal),)))
 
 
 def _reach_m(draw: ArmDraw) -> float:
     return draw.nominal.plate_offset_m + float(draw.nominal.length_m.sum())
 
 
-@_DRAWS.of_size("1/N", 2e-5, 0.01)
+@UNLISTED.of_size("1/N", 2e-5, 0.01)
 def sensor_bow(draw: ArmDraw) -> ArmChange:
     """Sensors whose scale changes with the tension."""
     bow = _all_or_some(draw) * draw.sign()
-    return ArmChange(sets("sensing", bow_per_n=scaled(bow)))
+    straight_n = draw.nominal.pretension_n
+
+    def bowed(size: float, signal_n: Array, _time_s: Array) -> Array:
+        return signal_n * (1.0 + size * bow * (signal_n - straight_n))
+
+    return ArmChange(faulty("sensing", SCALED, bowed))
 
 
-@_DRAWS.of_size("N")
+@UNLISTED.of_size("N")
 def sensor_ceiling(draw: ArmDraw) -> ArmChange:
-    """Sensors or amplifiers that saturate; the size is how far below five times the pretension."""
+    """Sensors that softly saturate; the size is how far below five times the pretension."""
     full_n, sensors = 5.0 * draw.nominal.pretension_n, _all_or_some(draw)
 
-    def ceiling(old: Array, size: float) -> Array:
-        return np.where(sensors > 0.0, full_n - size, old)
+    def limited(size: float, signal_n: Array, _time_s: Array) -> Array:
+        ceiling_n = np.where(sensors > 0.0, full_n - size, np.inf)
+        over = np.maximum(signal_n - ceiling_n, 0.0)
+        return np.where(over > 0.0, ceiling_n + over / (1.0 + over / 10.0), signal_n)
 
-    limited = sets("sensing", ceiling_n=ceiling)
-    return ArmChange(limited, least=0.12 * full_n, most=0.78 * full_n)
+    saturating = faulty("sensing", LIMITED, limited)
+    return ArmChange(saturating, least=0.12 * full_n, most=0.78 * full_n)
 
 
 def _all_or_some(draw: ArmDraw) -> Array:
@@ -183,18 +202,35 @@ def _all_or_some(draw: ArmDraw) -> Array:
     return marked(chosen, draw.nominal.cable_count)
 
 
-@_DRAWS.of_size("of the rows", 0.01, 0.6)
+@UNLISTED.of_size("of the rows", 0.01, 0.6)
 def sensor_dropouts(draw: ArmDraw) -> ArmChange:
     """Channels that now and then repeat their last value for a while."""
     share = draw.weights(draw.cables(1, 6))
-    dropouts = Dropouts(share, draw.uniform(8.0, 40.0), int(draw.rng.integers(2**31)))
-    return ArmChange(sets("sensing", dropouts=sized(dropouts, "share")))
+    mean_rows, seed = draw.uniform(8.0, 40.0), int(draw.rng.integers(2**31))
+
+    def repeated(size: float, signal_n: Array, _time_s: Array) -> Array:
+        rng, rows = np.random.default_rng(seed), len(signal_n)
+        last = np.tile(np.arange(rows)[:, None], (1, len(share)))
+        for channel in np.flatnonzero(share):
+            gap = mean_rows * (1.0 / (size * share[channel]) - 1.0)
+            at = 1.0 + rng.exponential(gap)
+            while at < rows:
+                end = at + 1.0 + rng.exponential(mean_rows)
+                last[int(at) : int(end), channel] = int(at) - 1
+                at = end + 1.0 + rng.exponential(gap)
+        return np.take_along_axis(signal_n, last, axis=0)
+
+    return ArmChange(faulty("sensing", REPEATED, repeated))
 
 
-@_DRAWS.of_size("N", 0.1, 15.0)
+@UNLISTED.of_size("N", 0.1, 15.0)
 def sensor_hum(draw: ArmDraw) -> ArmChange:
     """An interference of a few tenths of a hertz on several channels."""
     share = draw.weights(draw.cables(3, 8))
     hz = draw.uniform(0.15, 0.9)
-    phase_rad = np.full(len(share), draw.uniform(0.0, 2.0 * np.pi))
-    return ArmChange(sets("sensing", hum_n=scaled(share), hum_hz=hz, hum_phase_rad=phase_rad))
+    phase_rad = draw.uniform(0.0, 2.0 * np.pi)
+
+    def humming(size: float, signal_n: Array, time_s: Array) -> Array:
+        return signal_n + size * share * np.sin(2.0 * np.pi * hz * time_s[:, None] + phase_rad)
+
+    return ArmChange(faulty("sensing", ADDED, humming))

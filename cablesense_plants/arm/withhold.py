@@ -17,10 +17,16 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
-from cablesense_plants.arm.arm import RealArm, ideal_arm, with_tolerances
+from cablesense_plants.arm.arm import (
+    RealArm,
+    Schedule,
+    draw_history,
+    draw_schedule,
+    ideal_arm,
+    with_tolerances,
+)
 from cablesense_plants.arm.body import Nominal
 from cablesense_plants.arm.listed import LISTED, ArmChange, ArmDraw
-from cablesense_plants.arm.protocol import Schedule, draw_history, draw_schedule
 from cablesense_plants.arm.unlisted import UNLISTED
 from cablesense_plants.cases import (
     NONE,
@@ -226,7 +232,8 @@ def _recorded(
     for name in rng.choice(_LACKING, 2, replace=False) if imperfect else ():
         change = UNLISTED[str(name)](ArmDraw(rng, nominal))
         lacked_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(_LACKED))))
-        plain_arm = change.apply(plain_arm, size_for(change, plain_arm, lacked_n, *done))
+        size, _ = _sized(change, plain_arm, lacked_n, *done)
+        plain_arm = change.apply(plain_arm, size)
     changes: list[tuple[ArmChange, float, float]] = []
     for name in sorted(names):
         for _ in range(_CHANGE_REDRAWS):
@@ -234,9 +241,8 @@ def _recorded(
             plain = len(names) > 1 or change.effect == UNKNOWN
             bounds = _PLAIN if plain else _FLOORS[str(rng.choice(list(_FLOORS), p=_SHARES))]
             wanted_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(bounds))))
-            size = size_for(change, plain_arm, wanted_n, *done)
+            size, alone_n = _sized(change, plain_arm, wanted_n, *done)
             least_n = _VISIBLE_FLOORS * nominal.floor_n if plain else _WANTED_SHARE * wanted_n
-            alone_n = _alone_n(change, size, plain_arm, *done)
             if alone_n >= least_n:
                 break
         changes.append((change, size, alone_n))
@@ -279,22 +285,29 @@ def _schedules(arm: RealArm, rng: np.random.Generator) -> tuple[Schedule, Schedu
     return arm.within_strength(made[0]), arm.within_strength(made[1])
 
 
-def size_for(
+def _sized(
     change: ArmChange, arm: RealArm, wanted_n: float, schedule: Schedule, history: Schedule
-) -> float:
-    """Size within the change's bounds whose gap against the arm without it is nearest.
+) -> tuple[float, float]:
+    """Size within bounds whose gap against the arm without the change is nearest, and that gap.
 
     By secants in the logarithms, to within some percent; a history-dependent arm is tried on every
     sixth row. A size that leaves no rest lowers the upper bound.
     """
     low, high = np.log(change.least), np.log(change.most)
-    rows = _rows_to_try(change, arm, schedule)
+    rows_hz = len(schedule.time_s) / (schedule.time_s[-1] - schedule.time_s[0])
+    slow = change.apply(arm, change.least).history_dependent
+    stride = max(1, round(rows_hz / _TRIED_HZ)) * (_STRIDE if slow else 1)
+    rows = schedule.rows(slice(None, None, stride))
     without = arm.signals_n(rows, history)
+
+    def gap_of(size: float) -> float:
+        return gap_n(change.apply(arm, size).signals_n(rows, history), without)
+
     at, best, nearest = 0.5 * (low + high), low, np.inf
     steepness, last = 1.0, None
     for _ in range(_TRIES):
         try:
-            gap = gap_n(change.apply(arm, float(np.exp(at))).signals_n(rows, history), without)
+            gap = gap_of(float(np.exp(at)))
         except PlantError:
             high = at + np.log(_RETREAT)
             at = min(0.5 * (low + at), high)
@@ -310,25 +323,10 @@ def size_for(
         at = float(np.clip(at - off / steepness, low, high))
         if abs(at - last[0]) < 1e-6:
             break
-    return float(np.exp(best))
+    size = float(np.exp(best))
+    return size, gap_of(size)
 
 
 def gap_n(first_n: Array, second_n: Array) -> float:
     """Root mean square difference of two recordings over rows and cables."""
     return float(np.sqrt(np.mean((first_n - second_n) ** 2)))
-
-
-def _alone_n(
-    change: ArmChange, size: float, arm: RealArm, schedule: Schedule, history: Schedule
-) -> float:
-    rows = _rows_to_try(change, arm, schedule)
-    changed = change.apply(arm, size).signals_n(rows, history)
-    return gap_n(changed, arm.signals_n(rows, history))
-
-
-def _rows_to_try(change: ArmChange, arm: RealArm, schedule: Schedule) -> Schedule:
-    """The rows of a schedule that a gap is computed from: fewer where each waits for the last."""
-    rows = len(schedule.time_s) / (schedule.time_s[-1] - schedule.time_s[0]) / _TRIED_HZ
-    history_dependent = change.apply(arm, change.least).history_dependent
-    stride = max(1, round(rows)) * (_STRIDE if history_dependent else 1)
-    return schedule.rows(slice(None, None, stride))

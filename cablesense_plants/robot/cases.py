@@ -1,16 +1,14 @@
 """Sets of cases: robots with hidden changes, their recordings, and the answers.
 
-`withhold` makes a set for any robot of hinges in a row; `drawn` one for the bundled robots.
+They are made for any robot of hinges in a row.
 """
 
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -27,12 +25,11 @@ from cablesense_plants.cases import (
     write_answers,
 )
 from cablesense_plants.robot.causes import (
+    LISTED,
+    UNLISTED,
     Drawing,
     RobotChange,
     RobotDraw,
-    of_servos,
-    of_tendons,
-    pools,
     with_tolerances,
 )
 from cablesense_plants.robot.motion import (
@@ -43,7 +40,7 @@ from cablesense_plants.robot.motion import (
     stacked_references,
     written,
 )
-from cablesense_plants.robot.robots import GUIDED, KINDS, SERVOS, RealRobot, RobotKind, stacked
+from cablesense_plants.robot.robots import RealRobot, RobotKind, stacked
 
 _OF_LINKS = ("link_centre", "link_mass", "payload")
 _NONE_SHARE, _UNKNOWN_SHARE, _SEVERAL_SHARE = 0.2, 0.2, 0.2
@@ -53,13 +50,14 @@ _TOLERANCES = 3.0
 """A cause is at least this many times the effect of tolerances."""
 _VISIBLE = 0.8
 """If the gap is below this share of the wanted one, the cause is drawn again."""
-_IMPERFECT = (0.05, 0.15)
-"""Share of each joint's torque, RMS, that an imperfect nominal robot leaves."""
 _FREE_RAD = (-np.pi, np.pi)
 _REACH_SHARE, _MOST_REACH_RAD, _SPEEDS_HZ = 0.35, 1.2, (0.5, 1.0)
 _NOISE_SHARE, _LEAST_SHARE = 0.005, 1e-3
 """Noise of one sample as a share of a joint's torque, RMS, and that as one of the largest."""
 _TRIES, _REDRAWS, _OF_ONE_NAME = 5, 60, 6
+
+
+Lacking = Callable[[RealRobot, RobotKind, np.random.Generator, ReferenceMotion], RealRobot]
 
 
 @dataclass(frozen=True)
@@ -125,9 +123,9 @@ def withhold(
         PlantError: the robot is no row of hinges, a name in `only` is unknown, or a place cannot
             be written to.
     """
-    kind, known = usual_kind(path, model), pools(commands=False)
+    kind, known = usual_kind(path, model), (LISTED, UNLISTED)
     rng = np.random.default_rng([seed])
-    sets = _sets(rng, count, known)
+    sets = sets_of_names(rng, count, known)
     if only:
         unlisted = in_turn(rng, list(known[1]))
         names = [each.split("+") for each in only]
@@ -167,29 +165,11 @@ def usual_kind(path: Path, model: mujoco.MjModel) -> RobotKind:
         model=model,
     )
     asked = reference(kind, np.random.default_rng(0))
-    torque = _rms(prescribed_n_m(kind, kind.nominal()[0], asked))
+    torque = rms(prescribed_n_m(kind, kind.nominal()[0], asked))
     return replace(kind, noise_n_m=np.maximum(torque, _LEAST_SHARE * torque.max()) * _NOISE_SHARE)
 
 
-def drawn(
-    count: int, seed: int, *, commands: bool = False, imperfect: bool = False
-) -> list[RobotCase]:
-    """Cases of a seed: robots in turn; shares of `none`, `unknown`, one and several effects.
-
-    By `commands` causes are left out that show in torques alone. With `imperfect` the nominal
-    robots lack friction by position, springs of cable bundles and ripples of gears, which all
-    recordings have.
-    """
-    rng = np.random.default_rng([seed])
-    known = pools(commands=commands)
-    sets, kinds = _sets(rng, count, known), in_turn(rng, list(KINDS))
-    return [
-        draw_case(KINDS[next(kinds)], own, seed, index, known, imperfect=imperfect)
-        for index, own in enumerate(sets, start=1)
-    ]
-
-
-def _sets(
+def sets_of_names(
     rng: np.random.Generator, count: int, known: Sequence[Mapping[str, Drawing]]
 ) -> list[list[str]]:
     """Names of each case's causes, in random order: none, unlisted ones, several, and one."""
@@ -202,57 +182,18 @@ def _sets(
     return [sets[k] for k in rng.permutation(count)]
 
 
-def with_play(count: int, seed: int) -> list[RobotCase]:
-    """Pendulums of two links, each with backlash in one joint."""
-    known, kind = pools(commands=True), KINDS["two_links"]
-    return [draw_case(kind, ["backlash"], seed, index + 1, known) for index in range(count)]
-
-
-def with_tendons(count: int, seed: int) -> list[RobotCase]:
-    """Fingers with guides: of four two have tendons that rub, one other friction, one nothing."""
-    known = of_tendons()
-    others = in_turn(np.random.default_rng([seed]), list(known[1]))
-    turns = [["capstan_friction"], [], ["capstan_friction"], ["other"]]
-    sets = [turns[k % len(turns)] for k in range(count)]
-    names = [[next(others)] if own == ["other"] else own for own in sets]
-    return [draw_case(GUIDED, own, seed, k + 1, known) for k, own in enumerate(names)]
-
-
-def with_servos(count: int, seed: int) -> list[RobotCase]:
-    """Robots under position servos that a camera watches: one cause in turn, then nothing.
-
-    Play is the pendulum's, see `with_play`.
-    """
-    known, kinds = (of_servos(),), in_turn(np.random.default_rng([seed]), list(SERVOS))
-    turns = [*([name] for name in known[0]), []]
-    cases = []
-    for k in range(count):
-        names = turns[k % len(turns)]
-        kind = "two_links" if "backlash" in names else next(kinds)
-        cases.append(draw_case(SERVOS[kind], names, seed, k + 1, known))
-    return cases
-
-
-def servo_file(kind: RobotKind, folder: Path) -> Path:
-    """The robot's model with position servos in place of its motors, written to a folder."""
-    text = kind.path.read_text(encoding="utf-8")
-    for stiffness, damping in zip(*kind.gains(), strict=True):
-        text = text.replace("<motor ", f'<position kp="{stiffness:.6g}" kv="{damping:.6g}" ', 1)
-    path = folder / kind.path.name
-    path.write_text(re.sub(r' ctrlrange="[^"]*"', "", text), encoding="utf-8")
-    return path
-
-
 def draw_case(
     kind: RobotKind,
     names: list[str],
     seed: int,
     index: int,
     known: Sequence[Mapping[str, Drawing]],
-    *,
-    imperfect: bool = False,
+    lacking: Lacking | None = None,
 ) -> RobotCase:
-    """One case; a cause that this robot cannot show is drawn anew, of another name if need be."""
+    """One case; a cause that this robot cannot show is drawn anew, of another name if need be.
+
+    `lacking` makes of the robot one whose nominal robot lacks something.
+    """
     rng = np.random.default_rng([seed, index])
     nominal, joints, links = kind.nominal()
     asked: tuple[ReferenceMotion, ...] = (reference(kind, rng), reference(kind, rng))
@@ -265,14 +206,14 @@ def draw_case(
         if kind.servos:
             turned = (asked[0].angle - kind.home_rad) @ (robot.moved - plain.moved).T
             still = robot.zero - plain.zero + 0.5 * robot.play_rad
-            off = np.hypot(_rms(turned + still), _rms(off) / kind.gains()[0])
+            off = np.hypot(rms(turned + still), rms(off) / kind.gains()[0])
         noise = kind.encoder_rad if kind.servos else kind.noise_n_m
         return float(np.sqrt(((off / noise) ** 2).mean()))
 
     scatter = gap_of(nominal)
-    if imperfect:
+    if lacking:
         own = np.random.default_rng([seed, index, 1])
-        plain, asked = _imperfect(plain, kind, own, asked[0]), (*asked, reference(kind, own))
+        plain, asked = lacking(plain, kind, own, asked[0]), (*asked, reference(kind, own))
         without = prescribed_n_m(kind, plain, asked[0])
     draw = RobotDraw(rng, kind, nominal, joints, links)
     causes: list[tuple[RobotChange, float, float]] = []
@@ -309,31 +250,8 @@ def draw_case(
     return RobotCase(answer, kind, tuple(recorded))
 
 
-def _imperfect(
-    robot: RealRobot, kind: RobotKind, rng: np.random.Generator, asked: ReferenceMotion
-) -> RealRobot:
-    """The robot with what its model lacks, in random shares, joint by joint."""
-    count, whole = len(kind.home_rad), prescribed_n_m(kind, robot, asked)
-    mix = rng.uniform(0.2, 1.0, (3, count))
-    mix *= rng.uniform(*_IMPERFECT, count) / np.linalg.norm(mix, axis=0)
-    robot = replace(
-        robot,
-        worn_waves=rng.uniform(1.0, 6.0, count),
-        worn_phase=rng.uniform(0.0, 2.0 * np.pi, count),
-        harness_rad=kind.home_rad + rng.uniform(-0.5, 0.5, count) * kind.reach_rad,
-        harness_reach=kind.reach_rad,
-        ripple_waves=rng.uniform(6.0, 30.0, count),
-        ripple_phase=rng.uniform(0.0, 2.0 * np.pi, count),
-    )
-    sizes: dict[str, Any] = {}
-    for name, share in zip(("worn", "harness", "ripple"), mix, strict=True):
-        probe: Any = 0.1 * (np.ones(count) if name == "ripple" else whole.std(0))
-        made = prescribed_n_m(kind, replace(robot, **{name: probe}), asked) - whole
-        sizes[name] = probe * share * _rms(whole) / _rms(made)
-    return replace(robot, **sizes)
-
-
-def _rms(torque: Array) -> Array:
+def rms(torque: Array) -> Array:
+    """(N,) over the rows of (T, N)."""
     return np.asarray(np.sqrt((torque**2).mean(0)))
 
 

@@ -83,10 +83,10 @@ class RobotDraw(Draw):
 
 
 Drawing = Callable[[RobotDraw], RobotChange]
-_LISTED, _MOVING, _TENDONS, _UNLISTED = Draws(), Draws(), Draws(), Draws(UNKNOWN)
+LISTED, UNLISTED = Draws(), Draws(UNKNOWN)
 
 
-def _at_joints(
+def at_joints(
     field: str,
     by: Callable[[RobotDraw], Array] | None = None,
     *,
@@ -104,7 +104,7 @@ def _at_joints(
     return drawn
 
 
-@_LISTED.of_size("rad", most=0.4)
+@LISTED.of_size("rad", most=0.4)
 def base_tilt(draw: RobotDraw) -> RobotChange:
     """A base that is not level."""
     from scipy.spatial.transform import Rotation
@@ -118,10 +118,10 @@ def base_tilt(draw: RobotDraw) -> RobotChange:
     return RobotChange(tilted, "base tilt", (), about)
 
 
-_LISTED.of_size("1", most=0.3)(_at_joints("encoder_scale", signed=True, one=True), "encoder_scale")
+LISTED.of_size("1", most=0.3)(at_joints("encoder_scale", signed=True, one=True), "encoder_scale")
 
 
-@_LISTED.of_size("1", most=0.3)
+@LISTED.of_size("1", most=0.3)
 def joint_coupling(draw: RobotDraw) -> RobotChange:
     """A drive that moves the joint before or behind it too."""
     first = int(draw.rng.integers(len(draw.joints) - 1))
@@ -132,7 +132,7 @@ def joint_coupling(draw: RobotDraw) -> RobotChange:
     return RobotChange(sets(moved=added(unit)), "a drive moves two joints", (place,))
 
 
-@_LISTED.of_size("N·m", most=30.0)
+@LISTED.of_size("N·m", most=30.0)
 def joint_friction(draw: RobotDraw) -> RobotChange:
     """Dry friction, with or without Stribeck's, behind bristles."""
     weight = draw.weighted_joints(draw.alike)
@@ -144,13 +144,13 @@ def joint_friction(draw: RobotDraw) -> RobotChange:
     return RobotChange(rough, form, draw.named(weight))
 
 
-_LISTED.of_size("N·m/rad", most=60.0)(
-    _at_joints("stiffness", lambda draw: draw.kind.reach_rad), "joint_spring"
+LISTED.of_size("N·m/rad", most=60.0)(
+    at_joints("stiffness", lambda draw: draw.kind.reach_rad), "joint_spring"
 )
-_LISTED.of_size("rad", most=0.35)(_at_joints("zero", signed=True), "joint_zero")
+LISTED.of_size("rad", most=0.35)(at_joints("zero", signed=True), "joint_zero")
 
 
-@_LISTED.of_size("m")
+@LISTED.of_size("m")
 def link_centre(draw: RobotDraw) -> RobotChange:
     """A centre of mass elsewhere."""
     link, way = int(draw.rng.integers(len(draw.links))), draw.direction()
@@ -158,7 +158,7 @@ def link_centre(draw: RobotDraw) -> RobotChange:
     return RobotChange(shifted, "shifted", (draw.links[link],), most=0.6 * draw.reach_m)
 
 
-@_LISTED.of_size("1", most=2.0)
+@LISTED.of_size("1", most=2.0)
 def link_mass(draw: RobotDraw) -> RobotChange:
     """A link that is heavier or lighter, of the same shape."""
     link, lighter = int(draw.rng.integers(len(draw.links))), draw.chance(0.3)
@@ -170,10 +170,10 @@ def link_mass(draw: RobotDraw) -> RobotChange:
     return RobotChange(changed, "lighter" if lighter else "heavier", (draw.links[link],))
 
 
-_LISTED.of_size("1", most=0.3)(_at_joints("proportional"), "load_friction")
+LISTED.of_size("1", most=0.3)(at_joints("proportional"), "load_friction")
 
 
-@_LISTED.of_size("kg")
+@LISTED.of_size("kg")
 def payload(draw: RobotDraw) -> RobotChange:
     """A point mass on a link."""
     link = int(draw.rng.integers(len(draw.links)))
@@ -185,23 +185,23 @@ def payload(draw: RobotDraw) -> RobotChange:
     return RobotChange(loaded, "point mass", (draw.links[link],), at, most=most)
 
 
-_LISTED.of_size("kg·m²", most=5.0)(
-    _at_joints("armature", lambda draw: draw.speed**2 / draw.kind.reach_rad), "rotor_inertia"
+LISTED.of_size("kg·m²", most=5.0)(
+    at_joints("armature", lambda draw: draw.speed**2 / draw.kind.reach_rad), "rotor_inertia"
 )
 
 
-@_LISTED.of_size("s", least=3.0 * _TIMING_S, most=0.04)
+@LISTED.of_size("s", least=3.0 * _TIMING_S, most=0.04)
 def torque_delay(_draw: RobotDraw) -> RobotChange:
     """Torques that are read later than angles."""
     return RobotChange(sets(delay_s=added(1.0)), "torques late")
 
 
-_LISTED.of_size("N·m", most=30.0)(
-    _at_joints("offset", lambda draw: draw.alike, signed=True), "torque_offset"
+LISTED.of_size("N·m", most=30.0)(
+    at_joints("offset", lambda draw: draw.alike, signed=True), "torque_offset"
 )
 
 
-@_LISTED.of_size("1", most=0.4)
+@LISTED.of_size("1", most=0.4)
 def torque_scale(draw: RobotDraw) -> RobotChange:
     """Torques of a wrong scale, of one joint, two or all."""
     everywhere = draw.chance(0.3)
@@ -211,25 +211,12 @@ def torque_scale(draw: RobotDraw) -> RobotChange:
     return RobotChange(wrong, where=() if everywhere else draw.named(weight))
 
 
-_LISTED.of_size("N·m·s/rad", most=50.0)(
-    _at_joints("damping", lambda draw: draw.speed), "viscous_friction"
-)
-_MOVING.of_size("rad", most=0.04)(
-    _at_joints("play_rad", form="teeth with play", one=True), "backlash"
+LISTED.of_size("N·m·s/rad", most=50.0)(
+    at_joints("damping", lambda draw: draw.speed), "viscous_friction"
 )
 
 
-@_TENDONS.of_size("1", most=1.0)
-def capstan_friction(draw: RobotDraw) -> RobotChange:
-    """Tendons that rub on their guides."""
-    names = draw.kind.drives
-    chosen, weight = draw.some(len(names)), np.zeros(len(names))
-    weight[chosen] = 1.0
-    where = tuple(names[k] for k in sorted(chosen))
-    return RobotChange(sets(capstan=added(weight)), "elastic tendons stick and slip", where)
-
-
-@_UNLISTED.of_size("N·m", most=30.0)
+@UNLISTED.of_size("N·m", most=30.0)
 def screw_error(draw: RobotDraw) -> RobotChange:
     """A ripple of torque over a turn."""
     weight = draw.weighted_joints(draw.alike)
@@ -239,7 +226,7 @@ def screw_error(draw: RobotDraw) -> RobotChange:
     return RobotChange(uneven, where=draw.named(weight))
 
 
-@_UNLISTED.of_size("N·m/rad", most=500.0)
+@UNLISTED.of_size("N·m/rad", most=500.0)
 def cable_tie(draw: RobotDraw) -> RobotChange:
     """A hose that catches a joint beyond an angle."""
     weight = draw.sign() * draw.weighted_joints(draw.kind.reach_rad, one=True)
@@ -248,13 +235,13 @@ def cable_tie(draw: RobotDraw) -> RobotChange:
     return RobotChange(tied, where=draw.named(weight))
 
 
-@_UNLISTED.of_size("1", most=0.8)
+@UNLISTED.of_size("1", most=0.8)
 def warming(draw: RobotDraw) -> RobotChange:
     """Torques whose scale drifts over the recording."""
     return RobotChange(sets(warming=added(draw.sign() * draw.alike)), where=tuple(draw.joints))
 
 
-@_UNLISTED.of_size("1", most=2.2)
+@UNLISTED.of_size("1", most=2.2)
 def torque_ceiling(draw: RobotDraw) -> RobotChange:
     """Currents clipped at one joint, at what its weight and motion often need."""
     joint, kind = int(draw.rng.integers(len(draw.joints))), draw.kind
@@ -268,7 +255,7 @@ def torque_ceiling(draw: RobotDraw) -> RobotChange:
     return RobotChange(clipped, where=(draw.joints[joint],))
 
 
-@_UNLISTED.of_size("rad/(N·m)")
+@UNLISTED.of_size("rad/(N·m)")
 def flexible_base(draw: RobotDraw) -> RobotChange:
     """A base that gives about one axis."""
     angle = draw.rng.uniform(0.0, np.pi)
@@ -279,42 +266,13 @@ def flexible_base(draw: RobotDraw) -> RobotChange:
     return RobotChange(gives, most=most)
 
 
-@_UNLISTED.of_size("N·m", most=60.0)
+@UNLISTED.of_size("N·m", most=60.0)
 def push(draw: RobotDraw) -> RobotChange:
     """Someone leans on the robot in one trial."""
     weight = draw.sign() * draw.kind.noise_n_m / draw.kind.noise_n_m.max()
     trial = float(draw.rng.integers(6))
     pushed = sets(push=scaled(weight), push_trial=np.array(trial))
     return RobotChange(pushed, details={"trial": trial})
-
-
-_IN_TORQUES = ("torque_delay", "torque_offset", "torque_scale", "warming", "torque_ceiling")
-
-
-def pools(*, commands: bool) -> tuple[dict[str, Drawing], ...]:
-    """Listed and unlisted causes; without torques, by commands, those that show in motion.
-
-    Play is among the latter alone, so that seeds with torques stay the same.
-    """
-    if not commands:
-        return _LISTED.by_name, _UNLISTED.by_name
-    listed, unlisted = (
-        {name: cause for name, cause in pool.items() if name not in _IN_TORQUES}
-        for pool in ({**_LISTED.by_name, **_MOVING.by_name}, _UNLISTED.by_name)
-    )
-    return listed, unlisted
-
-
-def of_tendons() -> tuple[dict[str, Drawing], ...]:
-    """Friction of tendons over guides, and the kinds of friction that it may be taken for."""
-    alike = ("joint_friction", "load_friction", "viscous_friction")
-    return _TENDONS.by_name, {name: _LISTED.by_name[name] for name in alike}
-
-
-def of_servos() -> dict[str, Drawing]:
-    """Causes that a camera sees between a servo's command and its joint."""
-    known = {**_LISTED.by_name, **_MOVING.by_name}
-    return {n: known[n] for n in ("joint_zero", "backlash", "joint_coupling", "payload")}
 
 
 def with_tolerances(robot: RealRobot, kind: RobotKind, rng: np.random.Generator) -> RealRobot:

@@ -10,9 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from cablesense_base import Array
 from cablesense_plants.cases import PlantError
-from cablesense_plants.robot.chain import times
-from cablesense_plants.robot.guides import Rubbing, pulls_n
-from cablesense_plants.robot.robots import RealRobot, RobotKind, stacked
+from cablesense_plants.robot.robots import RealRobot, RobotKind, stacked, times
 
 STEP_S = 1e-3
 """Step of the simulation and of the robots' controller."""
@@ -129,11 +127,10 @@ def prescribed_n_m(kind: RobotKind, robot: RealRobot, asked: ReferenceMotion) ->
     drive = at_joint @ robot.moved
     drive = drive + robots.armature * motor[2] + robots.motor_n_m(motor[0], motor[1])
     drive = drive - _push(robots, time_s, kind.trial_s)
-    if kind.guides is not None and robots.capstan.any():
-        rubbing = Rubbing(kind.guides, robots.capstan, joint[0][0])
-        lost = np.zeros_like(drive)
+    if kind.rubbing and robots.capstan.any():
+        lost_n_m, lost = kind.rubbing(robots.capstan, joint[0][0]), np.zeros_like(drive)
         for k in range(1, len(drive)):
-            lost[k] = rubbing.lost_n_m(joint[0][k], drive[k] + lost[k - 1])
+            lost[k] = lost_n_m(joint[0][k], drive[k] + lost[k - 1])
         drive = drive + lost
     drive = drive + np.tanh(motor[1] / 0.01) * robots.kinetic_n_m(motor[0], motor[1], drive)
     return robots.read_n_m(drive / robots.passed_share(motor[0]), time_s)[:, 0]
@@ -193,7 +190,7 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
     extra = np.zeros((count, angle.shape[1], angle.shape[1]))
     extra[:, 0, 0], extra[:, 1:, 1:] = base_own, inertia
     push = _push(robots, asked.time_s, kind.trial_s)
-    rubbing = kind.guides and Rubbing(kind.guides, robots.capstan, home)
+    lost_n_m = kind.rubbing and kind.rubbing(robots.capstan, home)
     bristle, drive = np.zeros_like(home), forward[0].copy()
     kept = np.empty((5, *asked.angle.shape))
     steps = _STEPS_OF_PLAY if loose.any() else 1
@@ -237,8 +234,8 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
         slides = robots.kinetic_n_m(motor, motor_speed, drive)
         friction = slides * bristle / robots.presliding_rad
         held = drive * robots.passed_share(motor) - friction + push[k]
-        if rubbing:
-            held = held - rubbing.lost_n_m(angle[:, 1:], drive)
+        if lost_n_m:
+            held = held - lost_n_m(angle[:, 1:], drive)
         for _ in range(steps):
             now = angle, speed, rotor, rotor_speed
             first, turned = acceleration(*now, held)
@@ -273,10 +270,8 @@ def written(
         step = 0.5 * kind.noise_n_m
         torque = np.round((_lagged(read[:, b], _FILTER_S) + noise) / step) * step
         command = motion.command[:, b]
-        if kind.guides is not None:
-            command = pulls_n(kind.guides.moments_m(motion.motor[:, b]), motion.drive_n_m[:, b])
-        elif kind.tendon_m is not None:
-            command = pulls_n(np.tile(kind.tendon_m, (len(command), 1, 1)), command)
+        if kind.pulls_n:
+            command = kind.pulls_n(motion.motor[:, b], motion.drive_n_m[:, b], command)
         found.append(
             {
                 "time_s": time_s[rows],

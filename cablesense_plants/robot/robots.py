@@ -1,8 +1,13 @@
-"""Real robots: drives, joints and sensors in addition to rigid bodies; and three nominal ones."""
+"""Real robots: rigid bodies in a row, joined by hinges, with drives, joints and sensors.
+
+Torques of a motion, and the motion of torques, are Newton's and Euler's equations from the base to
+the tip and back, written in base axes, where both recursions are cumulative sums (Luh, Walker and
+Paul, J. Dyn. Sys. 102, 1980). MuJoCo reads the files of the models and has no other part in it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,9 +16,7 @@ import mujoco
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_plants.cases import NO_FAULT
-from cablesense_plants.robot.chain import LinkChain, read_chain
-from cablesense_plants.robot.guides import TendonGuides, read_guides
+from cablesense_plants.cases import NO_FAULT, PlantError
 
 _T = TypeVar("_T")
 _RIGID = 1e9
@@ -23,6 +26,191 @@ _FLANK_RAD_S = 1000.0
 """At which a rotor would swing on the flank of a tooth."""
 _SETTLE_SHARE = 0.3
 """Of a base's critical damping."""
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_LEAST_KG = 1e-9
+
+
+@dataclass(frozen=True)
+class LinkChain:
+    """N links, each on the last; arrays may lead with axes for several robots, here B.
+
+    At zero the axes of all links are parallel to those of the base.
+
+    Attributes:
+        axis: (B, N, 3) of each hinge, unit vectors in the link's axes.
+        origin_m: (B, N, 3) of each hinge in the axes of the link before.
+        mass_kg: (B, N).
+        centre_m: (B, N, 3) of mass, in the link's axes from its hinge.
+        inertia_kg_m2: (B, N, 3, 3) about that centre.
+        gravity_m_s2: (B, 3) in base axes.
+    """
+
+    axis: Array
+    origin_m: Array
+    mass_kg: Array
+    centre_m: Array
+    inertia_kg_m2: Array
+    gravity_m_s2: Array
+
+    def torques_n_m(self, angle: Array, speed: Array, acceleration: Array) -> Array:
+        """Torques (..., B, N) about the hinges that a motion takes; rad, rad/s, rad/s²."""
+        return _ChainPose(self, angle).torques_n_m(speed, acceleration, self.gravity_m_s2)
+
+    def mass_matrix(self, angle: Array) -> Array:
+        """(B, N, N) at angles (B, N)."""
+        return _ChainPose(self, angle).mass_matrix()
+
+    def accelerations(
+        self, angle: Array, speed: Array, torque_n_m: Array, extra_inertia: Array
+    ) -> Array:
+        """(B, N) under torques; `extra_inertia` (B, N, N) is that of rotors."""
+        pose = _ChainPose(self, angle)
+        bias = pose.torques_n_m(speed, np.zeros_like(speed), self.gravity_m_s2)
+        inertia = pose.mass_matrix() + extra_inertia
+        return np.asarray(np.linalg.solve(inertia, (torque_n_m - bias)[..., None])[..., 0])
+
+    def with_mass(self, link: int, mass_kg: float, place_m: Array) -> LinkChain:
+        """A point mass fixed to a link, at a place in its axes; of one robot."""
+        mass, centre, inertia = (
+            each.copy() for each in (self.mass_kg, self.centre_m, self.inertia_kg_m2)
+        )
+        mass[link] += mass_kg
+        centre[link] += mass_kg / mass[link] * (place_m - self.centre_m[link])
+        for part_kg, part_m in ((self.mass_kg[link], self.centre_m[link]), (mass_kg, place_m)):
+            arm = part_m - centre[link]
+            inertia[link] += part_kg * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        return replace(self, mass_kg=mass, centre_m=centre, inertia_kg_m2=inertia)
+
+
+class _ChainPose:
+    """Chains at angles (..., N): all places and axes in the base's axes."""
+
+    def __init__(self, chain: LinkChain, angle: Array) -> None:
+        turned = _rotations(chain.axis, angle)
+        frames, origins = [turned[..., 0, :, :]], [chain.origin_m[..., 0, :]]
+        origins[0] = np.broadcast_to(origins[0], (*angle.shape[:-1], 3))
+        for n in range(1, angle.shape[-1]):
+            offset = times(frames[-1], chain.origin_m[..., n, :])
+            origins.append(origins[-1] + offset)
+            frames.append(frames[-1] @ turned[..., n, :, :])
+        frame = np.stack(frames, -3)
+        self.origin_m = np.stack(origins, -2)
+        self.offset_m = np.diff(self.origin_m, axis=-2, prepend=self.origin_m[..., :1, :])
+        self.axis = times(frame, chain.axis)
+        self.arm_m = times(frame, chain.centre_m)
+        self.centre_m = self.origin_m + self.arm_m
+        self.inertia = frame @ chain.inertia_kg_m2 @ np.swapaxes(frame, -1, -2)
+        self.mass_kg = chain.mass_kg
+
+    def torques_n_m(self, speed: Array, acceleration: Array, gravity_m_s2: Array) -> Array:
+        joint = self.axis * speed[..., None]
+        turning = np.cumsum(joint, -2)
+        before = turning - joint
+        own = self.axis * acceleration[..., None] + _cross(before, joint)
+        spin_up = np.cumsum(own, -2)
+        carried = _cross(spin_up - own, self.offset_m)
+        carried += _cross(before, _cross(before, self.offset_m))
+        hinge = np.cumsum(carried, -2)
+        centre = hinge + _cross(spin_up, self.arm_m)
+        centre += _cross(turning, _cross(turning, self.arm_m))
+        force = self.mass_kg[..., None] * (centre - gravity_m_s2[..., None, :])
+        momentum = times(self.inertia, turning)
+        moment = times(self.inertia, spin_up) + _cross(turning, momentum)
+        moment += _cross(self.centre_m, force)
+        forces, moments = _from_tip(force), _from_tip(moment)
+        return np.asarray((self.axis * (moments - _cross(self.origin_m, forces))).sum(-1))
+
+    def mass_matrix(self) -> Array:
+        """By the inertia, about the base's origin, of all that each hinge carries."""
+        mass, moment = self.mass_kg[..., None], self.mass_kg[..., None] * self.centre_m
+        across = moment[..., :, None] * self.centre_m[..., None, :]
+        about = self.inertia - across
+        about += np.trace(across, axis1=-2, axis2=-1)[..., None, None] * np.eye(3)
+        mass, moment = _from_tip(mass), _from_tip(moment)
+        about = np.cumsum(about[..., ::-1, :, :], -3)[..., ::-1, :, :]
+        drift = _cross(self.origin_m, self.axis)  # of the point at the base's origin
+        force = mass * drift + _cross(self.axis, moment)
+        spin = times(about, self.axis) + _cross(moment, drift)
+        upper = np.triu(self.axis @ np.swapaxes(spin, -1, -2) + drift @ np.swapaxes(force, -1, -2))
+        return np.asarray(upper + np.swapaxes(np.triu(upper, 1), -1, -2))
+
+
+def read_chain(model: mujoco.MjModel) -> tuple[LinkChain, dict[str, Array], list[str], list[str]]:
+    """The chain of a robot that MuJoCo has read; its links' axes are the base's at zero.
+
+    Gives also `damping`, `armature`, `stiffness` and `dry` friction by joint (N,), and the joints'
+    and the links' names. Bodies without a joint are parts of the link that carries them.
+
+    Raises:
+        PlantError: its joints are no hinges one after the other, or a spring rests elsewhere.
+    """
+    count, data = model.njnt, mujoco.MjData(model)
+    joints = [model.joint(n).name for n in range(count)]
+    data.qpos[:] = 0.0
+    mujoco.mj_kinematics(model, data)
+    link_of, bodies = {0: -1}, model.jnt_bodyid.tolist()
+    for body in range(1, model.nbody):
+        link_of[body] = carrier = link_of[int(model.body_parentid[body])]
+        if body in bodies:
+            link_of[body] = n = bodies.index(body)
+            if bodies.count(body) > 1 or n != carrier + 1 or model.jnt_type[n] != _HINGE:
+                raise PlantError(
+                    f"joint {joints[n]}: a plant's robot is a row of hinges, each on the link of "
+                    "the one before; give a model without branches, slides and balls"
+                )
+    if (model.jnt_stiffness * model.qpos_spring).any():
+        raise PlantError("springs of a plant's robot are at rest at zero; set springref to 0")
+    owner = np.array([link_of[body] for body in range(model.nbody)])
+    mass, centre, inertia = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
+    for n in range(count):
+        own = np.flatnonzero(owner == n)
+        mass[n] = model.body_mass[own].sum()
+        middle = model.body_mass[own] @ data.xipos[own] / max(mass[n], _LEAST_KG)
+        centre[n] = middle - data.xanchor[n]
+        for body in own.tolist():
+            turned, arm = data.ximat[body].reshape(3, 3), data.xipos[body] - middle
+            inertia[n] += turned * model.body_inertia[body] @ turned.T
+            inertia[n] += model.body_mass[body] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    chain = LinkChain(
+        axis=data.xaxis.copy(),
+        origin_m=np.diff(data.xanchor, axis=0, prepend=np.zeros((1, 3))),
+        mass_kg=mass,
+        centre_m=centre,
+        inertia_kg_m2=inertia,
+        gravity_m_s2=model.opt.gravity.copy(),
+    )
+    sizes = {
+        "damping": model.dof_damping,
+        "armature": model.dof_armature,
+        "stiffness": model.jnt_stiffness,
+        "dry": model.dof_frictionloss,
+    }
+    return chain, sizes, joints, [model.body(body).name for body in bodies]
+
+
+def _rotations(axis: Array, angle: Array) -> Array:
+    """Rodrigues' formula: (..., N, 3, 3) of unit axes (..., N, 3) and angles (..., N)."""
+    cos, sin = np.cos(angle)[..., None, None], np.sin(angle)[..., None, None]
+    x, y, z = np.moveaxis(axis, -1, 0)
+    zero = np.zeros_like(x)
+    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*x.shape, 3, 3)
+    return cos * np.eye(3) + sin * skew + (1.0 - cos) * axis[..., :, None] * axis[..., None, :]
+
+
+def times(matrix: Array, vector: Array) -> Array:
+    """Products (..., k) of many small matrices (..., k, n) with vectors (..., n)."""
+    return np.asarray((matrix * vector[..., None, :]).sum(-1))
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """`numpy.cross` of many short arrays, several times as fast."""
+    a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
+    b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], -1)
+
+
+def _from_tip(values: Array) -> Array:
+    return np.cumsum(values[..., ::-1, :], -2)[..., ::-1, :]
 
 
 @dataclass(frozen=True)
@@ -39,8 +227,10 @@ class RobotKind:
         trial_s: of each trial.
         gain_1_s2: of the controller's position error, by each joint's own inertia.
         drives: names of its actuators.
-        tendon_m: (K, N) by how much tendon k pulls at joint n, m; none where motors sit in joints.
-        guides: over which its tendons run, where they do.
+        pulls_n: (T, K) tensions of tendons, where it has them, of motors' angles, their torques
+            and those that are commanded, (T, N).
+        rubbing: of tendons' friction (B, K) and the joints' first angles (B, N) how much, on the
+            way to angles, motors' torques lose, (B, N).
         servos: whether its drives hold positions, while a camera reads those of the joints.
     """
 
@@ -54,8 +244,8 @@ class RobotKind:
     trial_s: float
     gain_1_s2: float
     drives: tuple[str, ...]
-    tendon_m: Array | None = None
-    guides: TendonGuides | None = None
+    pulls_n: Callable[[Array, Array, Array], Array] | None = None
+    rubbing: Callable[[Array, Array], Callable[[Array, Array], Array]] | None = None
     servos: bool = False
     model: mujoco.MjModel | None = field(default=None, compare=False)
 
@@ -213,60 +403,3 @@ def stacked(robots: Sequence[_T]) -> _T:
     each: Any = robots
     values: Any = np.stack(np.broadcast_arrays(*each))
     return values if values.ndim > 1 else values[:, None]
-
-
-MODELS = Path(__file__).parents[2] / "config" / "robots"
-
-KINDS = {
-    kind.name: kind
-    for kind in (
-        RobotKind(
-            path=MODELS / "arm_6.xml",
-            home_rad=np.array([0.0, -0.7, 1.1, 0.0, 0.5, 0.0]),
-            reach_rad=np.array([1.2, 0.6, 0.8, 1.2, 0.9, 1.5]),
-            speed_hz=np.array([0.5, 0.5, 0.6, 0.8, 0.8, 1.0]),
-            encoder_rad=2.0 * np.pi / 2**16,
-            noise_n_m=np.array([0.2, 0.25, 0.15, 0.04, 0.04, 0.02]),
-            rate_hz=250,
-            trial_s=4.0,
-            gain_1_s2=600.0,
-            drives=tuple(f"motor_{n + 1}" for n in range(6)),
-        ),
-        RobotKind(
-            path=MODELS / "two_links.xml",
-            home_rad=np.array([0.3, -0.2]),
-            reach_rad=np.array([1.8, 2.2]),
-            speed_hz=np.array([1.0, 1.3]),
-            encoder_rad=2.0 * np.pi / 2**15,
-            noise_n_m=np.array([0.02, 0.012]),
-            rate_hz=200,
-            trial_s=5.0,
-            gain_1_s2=500.0,
-            drives=("motor_1", "motor_2"),
-        ),
-        RobotKind(
-            path=MODELS / "finger.xml",
-            home_rad=np.array([0.5, 0.5]),
-            reach_rad=np.array([0.7, 0.8]),
-            speed_hz=np.array([1.5, 1.8]),
-            encoder_rad=2.0 * np.pi / 2**14,
-            noise_n_m=np.array([0.0012, 0.0008]),
-            rate_hz=500,
-            trial_s=4.0,
-            gain_1_s2=900.0,
-            drives=("flexor_1", "extensor_1", "flexor_2", "extensor_2"),
-            tendon_m=np.array([[0.011, 0.0], [-0.010, 0.0], [0.009, 0.008], [-0.008, -0.007]]),
-        ),
-    )
-}
-_SERVO_GAIN_1_S2, _CAMERA_RAD = 300.0, 1e-3
-SERVOS = {
-    name: replace(
-        KINDS[name], gain_1_s2=_SERVO_GAIN_1_S2, encoder_rad=_CAMERA_RAD, rate_hz=100, servos=True
-    )
-    for name in ("arm_6", "two_links")
-}
-"""Robots under position servos that a camera watches."""
-_GUIDED = MODELS / "guided_finger.xml"
-GUIDED = replace(KINDS["finger"], path=_GUIDED, tendon_m=None, guides=read_guides(_GUIDED))
-"""The finger with tendons over guides, for causes that the others cannot show."""

@@ -9,9 +9,8 @@ from plant_arm import ARM_FILE, NOMINAL
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
-from cablesense_plants.arm.arm import ideal_arm
-from cablesense_plants.arm.body import PlantFriction
-from cablesense_plants.arm.protocol import draw_schedule
+from cablesense_plants.arm.arm import draw_schedule, ideal_arm
+from cablesense_plants.arm.friction import PlantFriction
 from cablesense_sim.arm import open_arm
 
 pytestmark = pytest.mark.slow
@@ -26,11 +25,11 @@ def plant_n(friction: PlantFriction) -> np.ndarray:
     loads = arm.point_loads_n(SCHEDULE)
     held = arm.held_m(SCHEDULE.command_rad)
     path, sensed = arm.path(), []
-    state = path.start(SCHEDULE.command_rad[:1], held[:1], loads[:1])
+    state = path.start(SCHEDULE.command_rad[0], held[0], loads[0])
     for i in range(1, len(held)):
-        state = path.advance(state, held[i, None], loads[i, None], 1.0)
+        state = path.advance(state, held[i], loads[i], 1.0)
         sensed.append(state.sensed_n)
-    return np.concatenate(sensed)
+    return np.array(sensed)
 
 
 def simulated_n(**parameters: float) -> np.ndarray:

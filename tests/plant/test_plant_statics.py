@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from plant_arm import BODY, NOMINAL
 
-from cablesense_plants.arm.arm import ideal_arm
+from cablesense_plants.arm.arm import Schedule, ideal_arm
 from cablesense_plants.arm.body import Body, PlantError, TipSpring, rigid_body
 from cablesense_plants.arm.listed import ArmDraw
-from cablesense_plants.arm.protocol import Schedule
 from cablesense_plants.arm.statics import (
     cable_lengths_m,
     find_rest,

@@ -5,13 +5,22 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from robot_sets import (
+    GUIDED,
+    GUIDES,
+    KINDS,
+    PRETENSION_N,
+    SERVOS,
+    Rubbing,
+    drawn,
+    pulls_n,
+    servo_file,
+)
 from typer.testing import CliRunner
 
 from cablesense_plants.cases import PlantError
-from cablesense_plants.robot.cases import draw_case, drawn, servo_file, usual_kind
-from cablesense_plants.robot.causes import pools
-from cablesense_plants.robot.chain import LinkChain, read_chain
-from cablesense_plants.robot.guides import PRETENSION_N, Rubbing, pulls_n
+from cablesense_plants.robot.cases import draw_case, usual_kind
+from cablesense_plants.robot.causes import LISTED
 from cablesense_plants.robot.motion import (
     ReferenceMotion,
     prescribed_n_m,
@@ -20,7 +29,7 @@ from cablesense_plants.robot.motion import (
     stacked_references,
     written,
 )
-from cablesense_plants.robot.robots import GUIDED, KINDS, SERVOS, stacked
+from cablesense_plants.robot.robots import LinkChain, read_chain, stacked
 from cablesense_ros.cli.app import app
 
 TILTED = """<mujoco><worldbody><body pos="0 0 0.3" euler="10 0 20">
@@ -68,7 +77,7 @@ def test_a_robot_of_the_user_is_run_within_its_range_and_hides_what_is_asked(tmp
     kind = usual_kind(tmp_path / "robot.xml", mujoco.MjModel.from_xml_string(limited))
     angle = reference(kind, np.random.default_rng(1)).angle[:, 1]
     assert np.rad2deg([angle.min(), angle.max()]) == pytest.approx([-8, 48], abs=12)
-    case = draw_case(kind, ["payload"], 1, 1, pools(commands=False))
+    case = draw_case(kind, ["payload"], 1, 1, [LISTED])
     assert case.answer.effects == "payload"
     assert case.answer.where in {"upper", "lower"}
     assert case.answer.gap_over_floor > 5.0
@@ -149,7 +158,7 @@ def test_position_servos_move_a_robot_as_those_of_mujoco(tmp_path):
 def test_tendons_pull_as_those_of_mujoco():
     model = mujoco.MjModel.from_xml_path(str(GUIDED.path))
     data, angles = mujoco.MjData(model), np.random.default_rng(2).uniform(-0.2, 1.2, (5, 2))
-    for angle, moment in zip(angles, GUIDED.guides.moments_m(angles), strict=True):
+    for angle, moment in zip(angles, GUIDES.moments_m(angles), strict=True):
         data.qpos[:], data.ctrl[:] = angle, [3.0, 1.0, 2.0, 5.0]
         mujoco.mj_forward(model, data)
         assert data.ctrl @ moment == pytest.approx(data.qfrc_actuator, rel=1e-9)
@@ -160,7 +169,7 @@ def test_tendons_pull_as_those_of_mujoco():
 
 
 def test_a_tendon_that_is_drawn_over_its_guides_loses_by_their_angles():
-    friction, guides = np.array([[0.4, 0.0, 0.0, 0.0]]), GUIDED.guides
+    friction, guides = np.array([[0.4, 0.0, 0.0, 0.0]]), GUIDES
     torque = np.array([[0.05, 0.0]])
     for turned, way in ((0.2, 1.0), (-0.2, -1.0)):
         rubbing = Rubbing(guides, friction, np.array([[0.5, 0.5]]))
