@@ -134,10 +134,10 @@ def _settled(tension_n: Array, most: Array) -> Array:
 def pulls_n(moment_m: Array, torque_n_m: Array) -> Array:
     """Tensions (…, K) of a pair of tendons for each joint, the last joint's first.
 
-    They make torques (…, N) by moments (…, K, N), and none is below the pretension.
+    They make torques (…, N) by moments (…, K, N) or (K, N), and none is below the pretension.
     """
     left = torque_n_m.copy()
-    pulls = np.full(moment_m.shape[:-1], PRETENSION_N)
+    pulls = np.full((*left.shape[:-1], moment_m.shape[-2]), PRETENSION_N)
     for joint in reversed(range(left.shape[-1])):
         pair = slice(2 * joint, 2 * joint + 2)
         left = left - PRETENSION_N * moment_m[..., pair, :].sum(-2)

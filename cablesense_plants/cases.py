@@ -134,11 +134,6 @@ def added(share: Any) -> Law:
     return lambda old, size: old + size * share
 
 
-def grown(share: Any) -> Law:
-    """The old value times 1 and a share of the size."""
-    return lambda old, size: old * (1.0 + size * share)
-
-
 def at_index(index: int, law: Law) -> Law:
     """A law for one row of an array."""
 

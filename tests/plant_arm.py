@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from cablesense_base.installation import config_path
-from cablesense_plants.arm.body import read_nominal, rigid_body
+from cablesense_plants.arm.body import read_nominal
 
 ARM_FILE = config_path("arms/cdsm_lab.yaml")
 NOMINAL = read_nominal(ARM_FILE)
-BODY = rigid_body(NOMINAL)
+BODY = NOMINAL.body
 
 
 def two_segments(folder: Path) -> Path:

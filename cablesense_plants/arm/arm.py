@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_plants.arm.body import Body, Ints, Nominal, rigid_body
+from cablesense_plants.arm.body import Body, Ints, Nominal
 from cablesense_plants.arm.friction import Creep, PlantFriction, QuasiStaticPath
 from cablesense_plants.arm.statics import borne_shares, cable_lengths_m, follow_path
 from cablesense_plants.cases import PlantError
@@ -176,9 +176,8 @@ class RealArm:
 
     def held_m(self, command_rad: Array) -> Array:
         """(R, M) cable paid out by commands (R, 2N) as drawn, minus that of the straight arm."""
-        drawn = rigid_body(self.nominal)
-        straight = cable_lengths_m(drawn, np.zeros((1, command_rad.shape[1])))
-        return cable_lengths_m(drawn, command_rad) - straight
+        straight = cable_lengths_m(self.nominal.body, np.zeros((1, command_rad.shape[1])))
+        return cable_lengths_m(self.nominal.body, command_rad) - straight
 
     def path(self) -> QuasiStaticPath:
         """Takes this arm, with friction and creep, from rest to rest."""
@@ -207,7 +206,7 @@ def _in_order(faults: Faults) -> list[Callable[..., Array]]:
 
 def ideal_arm(nominal: Nominal) -> RealArm:
     """The arm exactly as drawn."""
-    return RealArm(nominal, rigid_body(nominal), np.eye(3))
+    return RealArm(nominal, nominal.body, np.eye(3))
 
 
 def with_tolerances(arm: RealArm, rng: np.random.Generator) -> RealArm:

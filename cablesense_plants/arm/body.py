@@ -1,4 +1,4 @@
-"""An arm as the plant sees it: numbers of an arm file, and a body with friction as arrays.
+"""An arm as the plant sees it: its body as arrays, and the numbers of its arm file.
 
 The arm file is read here and nowhere else, without the simulator's description of it.
 """
@@ -20,122 +20,6 @@ from cablesense_plants.cases import NO_FAULT, PlantError
 Ints = NDArray[np.int64]
 
 _MAX_FILE_BYTES = 200_000
-
-
-@dataclass(frozen=True)
-class Nominal:
-    """The arm as drawn: N segments, each with its mass on the axis at half length, and M cables.
-
-    Attributes:
-        gravity_m_s2: (3,) base frame.
-        length_m: (N,) joint centre to joint centre.
-        mass_kg: (N,) of each segment.
-        plate_offset_m: from a guide plate to its joint's centre; joint 1 is that far from x = 0.
-        contact_m: (N,) from a segment's joint centre to its contact point, on the axis.
-        reach_m: (N, 2) from there to where a segment can be touched, nearest and farthest.
-        per_segment: cables that end on a segment.
-        radius_m: (M,) of a cable's guide holes about the axis.
-        hole_angle_rad: (M,) from +z towards +y.
-        stiffness_n_m: (M,) of cable and actuator in series.
-        pretension_n: with the arm straight and weightless.
-        run_m: from actuator to base plate.
-        noise_std_n: of a reading, before it is rounded to whole steps `step_n`.
-    """
-
-    gravity_m_s2: Array
-    segment_count: int
-    length_m: Array
-    mass_kg: Array
-    plate_offset_m: float
-    contact_m: Array
-    reach_m: Array
-    per_segment: int
-    radius_m: Array
-    hole_angle_rad: Array
-    stiffness_n_m: Array
-    pretension_n: float
-    run_m: float
-    rate_hz: float
-    noise_std_n: float
-    step_n: float
-
-    @property
-    def cable_count(self) -> int:
-        """M."""
-        return self.segment_count * self.per_segment
-
-    @property
-    def floor_n(self) -> float:
-        """Root mean square error of one reading: noise, and rounding over one step."""
-        return float(np.sqrt(self.noise_std_n**2 + self.step_n**2 / 12.0))
-
-    def read_n(self, signal_n: Array, rng: np.random.Generator) -> Array:
-        """Readings of signals: noise, then whole steps."""
-        noisy = signal_n + self.noise_std_n * rng.standard_normal(signal_n.shape)
-        return np.round(noisy / self.step_n) * self.step_n if self.step_n > 0.0 else noisy
-
-
-def read_nominal(path: str | Path) -> Nominal:
-    """Read the numbers of an arm file.
-
-    Raises:
-        PlantError: the file cannot be read, lacks a number, or describes another kind of arm.
-    """
-    try:
-        text = read_bounded_text(path, _MAX_FILE_BYTES, "an arm file", PlantError)
-        keys = "segments, cables, sensors, gravity_m_s2"
-        return _nominal(parse_plain_mapping(text, str(path), keys, PlantError))
-    except KeyError as error:
-        raise PlantError(f"{path}: {error} is missing; the plant needs a complete arm") from error
-    except (TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise PlantError(
-            f"{path}: {error}; the plant builds arms like config/arms/cdsm_lab.yaml, with one "
-            "number or one for each segment"
-        ) from error
-
-
-def _nominal(text: Any) -> Nominal:
-    segments, cables, sensors = text["segments"], text["cables"], text["sensors"]
-    if text.get("effects"):
-        raise ValueError("effects are listed, and the plant draws its own from a nominal arm")
-    count, per_segment = int(segments["count"]), int(cables["per_segment"])
-    if count < 1 or per_segment < 3:
-        raise ValueError("no segment, or fewer than 3 cables each")
-    angle = cables["angle_deg"]
-    segment, cable = np.divmod(np.arange(count * per_segment), per_segment)
-    angles = angle.get("first", 0.0) + angle["per_segment"] * segment + angle["per_cable"] * cable
-
-    def by_segment(given: Any) -> Array:
-        values = np.asarray(given, dtype=float)
-        if values.shape not in ((), (count,)):
-            raise ValueError(f"{given} is not one number, nor {count}, one for each segment")
-        return np.broadcast_to(values, count)
-
-    offset_m, run_m = float(segments["plate_offset_m"]), float(cables["run_m"])
-    length_m = by_segment(segments["length_m"])
-    if (stiffness_n_m := cables.get("stiffness_n_m")) is None:
-        before_m = np.cumsum(length_m) - length_m + 2.0 * offset_m
-        alone_m_n = (run_m + before_m[segment]) / float(cables["axial_rigidity_n"])
-        stiffness_n_m = 1.0 / (alone_m_n + 1.0 / float(text["actuators"]["kp_n_m"]))
-    reach_m = (text.get("touch") or {}).get("reach_m")
-    if reach_m is None:
-        reach_m = np.stack([np.full(count, offset_m), length_m], axis=1)
-    return Nominal(
-        gravity_m_s2=np.array(text["gravity_m_s2"], dtype=float).reshape(3),
-        segment_count=count,
-        length_m=length_m,
-        mass_kg=by_segment(segments["mass_kg"]),
-        contact_m=by_segment(segments["contact_m"]),
-        reach_m=np.broadcast_to(np.asarray(reach_m, dtype=float), (count, 2)),
-        per_segment=per_segment,
-        radius_m=by_segment(cables["routing_radius_m"])[segment],
-        hole_angle_rad=np.deg2rad(angles.astype(float)),
-        stiffness_n_m=np.broadcast_to(np.asarray(stiffness_n_m, dtype=float), segment.shape),
-        plate_offset_m=offset_m,
-        run_m=run_m,
-        pretension_n=float(cables["pretension_n"]),
-        **{name: float(sensors[name]) for name in ("rate_hz", "noise_std_n", "step_n")},
-    )
 
 
 @dataclass(frozen=True)
@@ -237,31 +121,128 @@ class Body:
         return len(self.pretension_n)
 
 
-def rigid_body(nominal: Nominal) -> Body:
-    """The arm as drawn, one joint a segment."""
-    n, m, offset = nominal.segment_count, nominal.cable_count, nominal.plate_offset_m
-    angle = nominal.hole_angle_rad
-    holes = np.stack([0.0 * angle, np.sin(angle), np.cos(angle)], axis=-1)
-    holes *= nominal.radius_m[:, None]
-    before, after = np.tile(holes, (n, 1, 1)), np.tile(holes, (n, 1, 1))
-    before[..., 0], after[..., 0] = -offset, offset
-    on_axis, joints = np.array([1.0, 0.0, 0.0]), np.arange(n)
-    length = nominal.length_m
-    points_m = np.stack([nominal.contact_m, 0.0 * length, 0.5 * length, length])
-    return Body(
-        gravity_m_s2=nominal.gravity_m_s2,
-        spacing_m=np.append(offset, nominal.length_m[:-1]),
-        before_m=before,
-        after_m=after,
-        passes=joints[:, None] <= np.arange(m) // nominal.per_segment,
-        skew=np.tile(np.eye(3), (n, 1, 1)),
-        mass_kg=nominal.mass_kg,
+@dataclass(frozen=True)
+class Nominal:
+    """The arm as drawn, N segments and M cables.
+
+    Attributes:
+        body: one joint a segment, each with its mass on the axis at half length.
+        length_m: (N,) joint centre to joint centre.
+        contact_m: (N,) from a segment's joint centre to its contact point, on the axis.
+        reach_m: (N, 2) from there to where a segment can be touched, nearest and farthest.
+        per_segment: cables that end on a segment.
+        radius_m: (M,) of a cable's guide holes about the axis.
+        pretension_n: with the arm straight and weightless.
+        run_m: from actuator to base plate.
+        noise_std_n: of a reading, before it is rounded to whole steps `step_n`.
+    """
+
+    body: Body
+    segment_count: int
+    length_m: Array
+    contact_m: Array
+    reach_m: Array
+    per_segment: int
+    radius_m: Array
+    pretension_n: float
+    run_m: float
+    rate_hz: float
+    noise_std_n: float
+    step_n: float
+
+    @property
+    def cable_count(self) -> int:
+        """M."""
+        return self.segment_count * self.per_segment
+
+    @property
+    def floor_n(self) -> float:
+        """Root mean square error of one reading: noise, and rounding over one step."""
+        return float(np.sqrt(self.noise_std_n**2 + self.step_n**2 / 12.0))
+
+    def read_n(self, signal_n: Array, rng: np.random.Generator) -> Array:
+        """Readings of signals: noise, then whole steps."""
+        noisy = signal_n + self.noise_std_n * rng.standard_normal(signal_n.shape)
+        return np.round(noisy / self.step_n) * self.step_n if self.step_n > 0.0 else noisy
+
+
+def read_nominal(path: str | Path) -> Nominal:
+    """Read the numbers of an arm file.
+
+    Raises:
+        PlantError: the file cannot be read, lacks a number, or describes another kind of arm.
+    """
+    try:
+        text = read_bounded_text(path, _MAX_FILE_BYTES, "an arm file", PlantError)
+        keys = "segments, cables, sensors, gravity_m_s2"
+        return _nominal(parse_plain_mapping(text, str(path), keys, PlantError))
+    except KeyError as error:
+        raise PlantError(f"{path}: {error} is missing; the plant needs a complete arm") from error
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise PlantError(
+            f"{path}: {error}; the plant builds arms like config/arms/cdsm_lab.yaml, with one "
+            "number or one for each segment"
+        ) from error
+
+
+def _nominal(text: Any) -> Nominal:
+    segments, cables, sensors = text["segments"], text["cables"], text["sensors"]
+    if text.get("effects"):
+        raise ValueError("effects are listed, and the plant draws its own from a nominal arm")
+    count, per_segment = int(segments["count"]), int(cables["per_segment"])
+    if count < 1 or per_segment < 3:
+        raise ValueError("no segment, or fewer than 3 cables each")
+
+    def by_segment(given: Any) -> Array:
+        values = np.asarray(given, dtype=float)
+        if values.shape not in ((), (count,)):
+            raise ValueError(f"{given} is not one number, nor {count}, one for each segment")
+        return np.broadcast_to(values, count)
+
+    joints, segment = np.arange(count), np.repeat(np.arange(count), per_segment)
+    offset_m, run_m = float(segments["plate_offset_m"]), float(cables["run_m"])
+    length_m, contact_m = by_segment(segments["length_m"]), by_segment(segments["contact_m"])
+    radius_m = by_segment(cables["routing_radius_m"])[segment]
+    pretension_n = float(cables["pretension_n"])
+    if (stiffness_n_m := cables.get("stiffness_n_m")) is None:
+        before_m = np.cumsum(length_m) - length_m + 2.0 * offset_m
+        alone_m_n = (run_m + before_m[segment]) / float(cables["axial_rigidity_n"])
+        stiffness_n_m = 1.0 / (alone_m_n + 1.0 / float(text["actuators"]["kp_n_m"]))
+    reach_m = (text.get("touch") or {}).get("reach_m")
+    if reach_m is None:
+        reach_m = np.stack([np.full(count, offset_m), length_m], axis=1)
+    turn, cable = cables["angle_deg"], np.tile(np.arange(per_segment), count)
+    angle_deg = turn.get("first", 0.0) + turn["per_segment"] * segment + turn["per_cable"] * cable
+    angle = np.deg2rad(angle_deg.astype(float))  # from +z towards +y
+    holes_m = radius_m[:, None] * np.stack([0.0 * angle, np.sin(angle), np.cos(angle)], axis=-1)
+    along = np.array([1.0, 0.0, 0.0])
+    points_m = np.stack([contact_m, 0.0 * length_m, 0.5 * length_m, length_m])
+    body = Body(
+        gravity_m_s2=np.array(text["gravity_m_s2"], dtype=float).reshape(3),
+        spacing_m=np.append(offset_m, length_m[:-1]),
+        before_m=np.tile(holes_m - offset_m * along, (count, 1, 1)),
+        after_m=np.tile(holes_m + offset_m * along, (count, 1, 1)),
+        passes=joints[:, None] <= segment,
+        skew=np.tile(np.eye(3), (count, 1, 1)),
+        mass_kg=by_segment(segments["mass_kg"]),
         mass_joint=joints,
-        mass_at_m=0.5 * nominal.length_m[:, None] * on_axis,
+        mass_at_m=0.5 * length_m[:, None] * along,
         contact_joint=np.tile(joints, (4, 1)),
-        contact_at_m=points_m[..., None] * on_axis,
-        tip_at_m=nominal.length_m[-1] * on_axis,
-        stiffness_n_m=nominal.stiffness_n_m,
-        pretension_n=np.full(m, nominal.pretension_n),
+        contact_at_m=points_m[..., None] * along,
+        tip_at_m=length_m[-1] * along,
+        stiffness_n_m=np.broadcast_to(np.asarray(stiffness_n_m, dtype=float), segment.shape),
+        pretension_n=np.full(len(segment), pretension_n),
         driven=joints,
+    )
+    return Nominal(
+        body=body,
+        segment_count=count,
+        length_m=length_m,
+        contact_m=contact_m,
+        reach_m=np.broadcast_to(np.asarray(reach_m, dtype=float), (count, 2)),
+        per_segment=per_segment,
+        radius_m=radius_m,
+        pretension_n=pretension_n,
+        run_m=run_m,
+        **{name: float(sensors[name]) for name in ("rate_hz", "noise_std_n", "step_n")},
     )

@@ -16,7 +16,7 @@ from cablesense_base import Array
 from cablesense_plants.arm.arm import ADDED, LATE, LEAKED, SCALED, TAKEN_UP, RealArm, turned
 from cablesense_plants.arm.body import Nominal
 from cablesense_plants.arm.friction import Creep
-from cablesense_plants.cases import Draw, Draws, HiddenChange, added, grown, scaled, sets
+from cablesense_plants.cases import Draw, Draws, HiddenChange, added, scaled, sets
 
 ArmChange = HiddenChange[RealArm]
 Change = Callable[[RealArm, float], RealArm]
@@ -52,11 +52,7 @@ class ArmDraw(Draw):
 
 def faulty(part: str, stage: int, law: Callable[..., Array]) -> Change:
     """Adds a fault to `actuation` or `sensing`, whose law takes its size before all else."""
-
-    def apply(arm: RealArm, size: float) -> RealArm:
-        return replace(arm, **{part: (*getattr(arm, part), (stage, partial(law, size)))})
-
-    return apply
+    return sets(**{part: lambda old, size: (*old, (stage, partial(law, size)))})
 
 
 def places(kind: str, marks: Array) -> tuple[str, ...]:
@@ -150,9 +146,11 @@ def cable_creep(draw: ArmDraw) -> ArmChange:
 def cable_stiffness(draw: ArmDraw) -> ArmChange:
     """Softer or harder cables, all or those that end on a segment."""
     cables, where = _all_or_segment(draw)
-    if draw.chance(0.5):
-        return ArmChange(sets("body", stiffness_n_m=grown(-cables)), "softer", where, most=0.5)
-    return ArmChange(sets("body", stiffness_n_m=grown(cables)), "harder", where)
+    softer = draw.chance(0.5)
+    by = -cables if softer else cables
+    changed = sets("body", stiffness_n_m=lambda old, size: old * (1.0 + size * by))
+    form, most = ("softer", 0.5) if softer else ("harder", 0.0)
+    return ArmChange(changed, form, where, most=most)
 
 
 @LISTED.of_size("1", 0.003, 0.4)

@@ -167,7 +167,7 @@ def wall(draw: ArmDraw) -> ArmChange:
 
 
 def _reach_m(draw: ArmDraw) -> float:
-    return draw.nominal.plate_offset_m + float(draw.nominal.length_m.sum())
+    return float(draw.nominal.body.spacing_m[0] + draw.nominal.length_m.sum())
 
 
 @UNLISTED.of_size("1/N", 2e-5, 0.01)

@@ -36,11 +36,6 @@ class ReferenceMotion(NamedTuple):
     speed: Array
     acceleration: Array
 
-    @property
-    def time_s(self) -> Array:
-        """(T,)."""
-        return _times_s(len(self.angle))
-
 
 def reference(kind: RobotKind, rng: np.random.Generator) -> ReferenceMotion:
     """All trials of one recording, (T, N); each begins and ends at rest at home."""
@@ -189,7 +184,7 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
     base_own, base_damping = robots.base(carried)
     extra = np.zeros((count, angle.shape[1], angle.shape[1]))
     extra[:, 0, 0], extra[:, 1:, 1:] = base_own, inertia
-    push = _push(robots, asked.time_s, kind.trial_s)
+    push = _push(robots, _times_s(len(asked.angle)), kind.trial_s)
     lost_n_m = kind.rubbing and kind.rubbing(robots.capstan, home)
     bristle, drive = np.zeros_like(home), forward[0].copy()
     kept = np.empty((5, *asked.angle.shape))

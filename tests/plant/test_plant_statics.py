@@ -7,7 +7,7 @@ import pytest
 from plant_arm import BODY, NOMINAL
 
 from cablesense_plants.arm.arm import Schedule, ideal_arm
-from cablesense_plants.arm.body import Body, PlantError, TipSpring, rigid_body
+from cablesense_plants.arm.body import Body, PlantError, TipSpring
 from cablesense_plants.arm.listed import ArmDraw
 from cablesense_plants.arm.statics import (
     cable_lengths_m,
@@ -137,7 +137,7 @@ def test_a_load_beyond_all_bearing_is_refused() -> None:
 def test_a_load_at_a_place_is_one_on_an_arm_with_its_contact_points_there(at_m: float) -> None:
     """Also where segments bend in their middle: all but stiff ones are as rigid ones."""
     placed = SCHEDULE._replace(load_at_m=np.where(SCHEDULE.load_segment, at_m, np.nan))
-    there = rigid_body(replace(NOMINAL, contact_m=np.full(4, at_m)))
+    there = replace(BODY, contact_at_m=np.tile([at_m, 0.0, 0.0], (4, 4, 1)))
     ideal = ideal_arm(NOMINAL)
     loads = ideal.point_loads_n(placed)
     rest = find_rest(BODY, STRAIGHT, np.zeros((1, 12)), loads)
