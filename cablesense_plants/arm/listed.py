@@ -221,20 +221,17 @@ def load_cell(draw: ArmDraw) -> ArmChange:
     form = draw.one_of(["axes", "scale", "axes and scale"])
     axis = np.array([1.0, 0.0, 0.0]) * draw.sign() + draw.rng.uniform(-0.4, 0.4, 3)
     sign = draw.sign()
-
-    def wrong_scale(arm: RealArm, size: float) -> RealArm:
-        return replace(arm, load_turn=(1.0 + sign * size) * arm.load_turn)
-
     if form == "scale":
-        return ArmChange(wrong_scale, form, unit="1", least=0.003, most=0.5)
+        scale = sets(load_turn=lambda old, size: old * (1.0 + size * sign))
+        return ArmChange(scale, form, unit="1", least=0.003, most=0.5)
     per_deg = sign * draw.uniform(0.005, 0.02) if form == "axes and scale" else 0.0
     axis = axis / np.linalg.norm(axis)
 
-    def wrong_axes(arm: RealArm, size: float) -> RealArm:
-        turn = rotation(size, axis).as_matrix()
-        return replace(arm, load_turn=(1.0 + size * per_deg) * turn @ arm.load_turn)
+    def turned_cell(old: Array, size: float) -> Array:
+        return np.asarray((1.0 + size * per_deg) * rotation(size, axis).as_matrix() @ old)
 
-    return ArmChange(wrong_axes, form, details={"scale_per_deg": per_deg}, least=0.3, most=25.0)
+    wrong, details = sets(load_turn=turned_cell), {"scale_per_deg": per_deg}
+    return ArmChange(wrong, form, details=details, least=0.3, most=25.0)
 
 
 @LISTED.of_size("kg", 0.005, 4.0)

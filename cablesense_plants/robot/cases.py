@@ -62,19 +62,13 @@ Lacking = Callable[[RealRobot, RobotKind, np.random.Generator, ReferenceMotion],
 
 @dataclass(frozen=True)
 class RobotAnswer:
-    """The hidden changes of a recording; gaps are in noise of one sample of a torque, pooled.
+    """The hidden changes of a recording, as of arms; gaps are in pooled noise of a torque sample.
 
     Attributes:
-        recording: its name.
         robot: the name of its model.
-        effects: names joined by `+` in alphabetical order, `none` or `unknown`.
-        where: places joined by spaces.
-        form: the physical forms, joined by ` + `.
-        sizes: of each, with units, as JSON.
         gap_over_floor: of the robot as asked to move, with all that is hidden, to the one with
             tolerances alone.
         scatter_over_floor: of the latter to the nominal robot.
-        each_gap_n: of each cause alone, joined by spaces.
     """
 
     recording: str
