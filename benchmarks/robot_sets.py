@@ -257,18 +257,6 @@ def pools(*, commands: bool) -> tuple[dict[str, Drawing], ...]:
     return listed, unlisted
 
 
-def of_tendons() -> tuple[dict[str, Drawing], ...]:
-    """Friction of tendons over guides, and the kinds of friction that it may be taken for."""
-    alike = ("joint_friction", "load_friction", "viscous_friction")
-    return _TENDONS, {name: LISTED[name] for name in alike}
-
-
-def of_servos() -> dict[str, Drawing]:
-    """Causes that a camera sees between a servo's command and its joint."""
-    known = {**LISTED, **_MOVING}
-    return {n: known[n] for n in ("joint_zero", "backlash", "joint_coupling", "payload")}
-
-
 def drawn(
     count: int, seed: int, *, commands: bool = False, imperfect: bool = False
 ) -> list[RobotCase]:
@@ -319,7 +307,8 @@ def with_play(count: int, seed: int) -> list[RobotCase]:
 
 def with_tendons(count: int, seed: int) -> list[RobotCase]:
     """Fingers with guides: of four two have tendons that rub, one other friction, one nothing."""
-    known = of_tendons()
+    alike = ("joint_friction", "load_friction", "viscous_friction")
+    known = _TENDONS, {name: LISTED[name] for name in alike}
     others = in_turn(np.random.default_rng([seed]), list(known[1]))
     turns = [["capstan_friction"], [], ["capstan_friction"], ["other"]]
     sets = [turns[k % len(turns)] for k in range(count)]
@@ -332,13 +321,13 @@ def with_servos(count: int, seed: int) -> list[RobotCase]:
 
     Play is the pendulum's, see `with_play`.
     """
-    known, kinds = (of_servos(),), in_turn(np.random.default_rng([seed]), list(SERVOS))
-    turns = [*([name] for name in known[0]), []]
-    cases = []
+    shown, kinds = {**LISTED, **_MOVING}, in_turn(np.random.default_rng([seed]), list(SERVOS))
+    known = {n: shown[n] for n in ("joint_zero", "backlash", "joint_coupling", "payload")}
+    turns, cases = [*([name] for name in known), []], []
     for k in range(count):
         names = turns[k % len(turns)]
         kind = "two_links" if "backlash" in names else next(kinds)
-        cases.append(draw_case(SERVOS[kind], names, seed, k + 1, known))
+        cases.append(draw_case(SERVOS[kind], names, seed, k + 1, [known]))
     return cases
 
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import pandas as pd
 
 from cablesense_base import Array
 from cablesense_plants.cases import (
@@ -308,20 +307,11 @@ def record(cases: list[RobotCase], folder: Path) -> None:
     machines, asked, seeds = zip(*(one for case in cases for one in case.recorded), strict=True)
     robots = stacked(machines)
     motion = simulate(kind, robots, stacked_references(asked))
-    _, joints, _ = kind.nominal()
-    columns = written(kind, robots, motion, seeds)
     names = [
         folder / part / f"{case.answer.recording}.csv.gz"
         for case in cases
         for part, _ in zip(("", "second", "reference"), case.recorded, strict=False)
     ]
-    for path, each in zip(names, columns, strict=True):
-        table = {"time_s": each["time_s"], "trial": each["trial"].astype(int)}
-        measured = ("position",) if kind.servos else ("position", "velocity", "torque")
-        for what in measured:
-            table |= {f"{what}.{j}": c for j, c in zip(joints, each[what].T, strict=True)}
-        table |= {f"command.{d}": c for d, c in zip(kind.drives, each["command"].T, strict=True)}
+    for path, table in zip(names, written(kind, robots, motion, seeds), strict=True):
         with plant_file(path) as beside:
-            pd.DataFrame(table).to_csv(
-                beside, index=False, float_format="%.6g", compression="gzip"
-            )
+            table.to_csv(beside, index=False, float_format="%.6g", compression="gzip")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 from scipy.ndimage import gaussian_filter1d
 
 from cablesense_base import Array
@@ -43,8 +44,13 @@ def reference(kind: RobotKind, rng: np.random.Generator) -> ReferenceMotion:
     time_s = _times_s(steps)
     trials = [draw_trial(kind, rng, time_s) for draw_trial in _TRIALS]
     angle = kind.home_rad + np.concatenate(trials) * kind.reach_rad
-    speed = np.gradient(angle, STEP_S, axis=0)
-    return ReferenceMotion(angle, speed, np.gradient(speed, STEP_S, axis=0))
+    return ReferenceMotion(*_with_rates(angle, STEP_S))
+
+
+def _with_rates(course: Array, step_s: float) -> tuple[Array, Array, Array]:
+    """A course (T, …), its first and its second derivative."""
+    rate = np.gradient(course, step_s, axis=0)
+    return course, rate, np.gradient(rate, step_s, axis=0)
 
 
 def _sines(kind: RobotKind, rng: np.random.Generator, time_s: Array) -> Array:
@@ -99,7 +105,7 @@ def prescribed_n_m(kind: RobotKind, robot: RealRobot, asked: ReferenceMotion) ->
     without its past.
     """
     asked = ReferenceMotion(*(part[::_STRIDE, None, :] for part in asked))
-    time_s = _times_s(len(asked.angle), _STRIDE)
+    time_s, step_s = _times_s(len(asked.angle), _STRIDE), STEP_S * _STRIDE
     robots: RealRobot = stacked([robot])
     gain = 1.0 + robots.encoder_scale
     motor = [(asked.angle - robots.zero) / gain, asked.speed / gain, asked.acceleration / gain]
@@ -110,13 +116,9 @@ def prescribed_n_m(kind: RobotKind, robot: RealRobot, asked: ReferenceMotion) ->
         still = [np.concatenate([base, part], -1) for part in joint]
         borne = np.sign(chain.torques_n_m(*still)[..., 1:])
         behind = gaussian_filter1d(-0.5 * robots.play_rad * borne, _PASSING_ROWS, axis=0)
-        for part in joint:
-            part += behind
-            behind = np.gradient(behind, STEP_S * _STRIDE, axis=0)
+        joint = [a + b for a, b in zip(joint, _with_rates(behind, step_s), strict=True)]
     moment = chain.torques_n_m(*(np.concatenate([base, part], -1) for part in joint))[..., :1]
-    give = [-moment / robot.base_stiffness]
-    give += [np.gradient(give[0], STEP_S * _STRIDE, axis=0)]
-    give += [np.gradient(give[1], STEP_S * _STRIDE, axis=0)]
+    give = _with_rates(-moment / robot.base_stiffness, step_s)
     whole = [np.concatenate(parts, -1) for parts in zip(give, joint, strict=True)]
     at_joint = chain.torques_n_m(*whole)[..., 1:] + robots.spring_n_m(joint[0])
     drive = at_joint @ robot.moved
@@ -175,14 +177,14 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
     count = asked.angle.shape[1]
     home = times(robots.moved, (asked.angle[0] - zero) / gain)
     angle = np.concatenate([np.zeros((count, 1)), home], 1)
-    speed = np.zeros_like(angle)
+    links = angle.shape[1]
     chain = robots.on_base()
     loose = robots.play_rad > 0.0  # there the rotor is a mass of its own
     fixed = np.where(loose, 0.0, robots.armature)
     inertia = np.swapaxes(back, 1, 2) * fixed[:, None, :] @ back
     carried = chain.mass_matrix(angle)[:, 0, 0]
     base_own, base_damping = robots.base(carried)
-    extra = np.zeros((count, angle.shape[1], angle.shape[1]))
+    extra = np.zeros((count, links, links))
     extra[:, 0, 0], extra[:, 1:, 1:] = base_own, inertia
     push = _push(robots, _times_s(len(asked.angle)), kind.trial_s)
     lost_n_m = kind.rubbing and kind.rubbing(robots.capstan, home)
@@ -190,37 +192,34 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
     kept = np.empty((5, *asked.angle.shape))
     steps = _STEPS_OF_PLAY if loose.any() else 1
     step_s = STEP_S / steps
-    rotor, rotor_speed = times(back, angle[:, 1:]), np.zeros_like(home)
+    angle = np.concatenate([angle, times(back, home)], 1)
+    speed = np.zeros_like(angle)
 
-    def motors(
-        angle: Array, speed: Array, rotor: Array, rotor_speed: Array
-    ) -> tuple[Array, Array]:
-        rigid = times(back, angle[:, 1:]), times(back, speed[:, 1:])
-        return np.where(loose, rotor, rigid[0]), np.where(loose, rotor_speed, rigid[1])
+    def at_motors(whole: Array) -> Array:
+        return np.where(loose, whole[:, links:], times(back, whole[:, 1:links]))
 
-    def acceleration(
-        angle: Array, speed: Array, rotor: Array, rotor_speed: Array, held: Array
-    ) -> tuple[Array, Array]:
-        """Accelerations of the chain and of rotors with play."""
-        motor, motor_speed = motors(angle, speed, rotor, rotor_speed)
+    def accelerations(angle: Array, speed: Array, held: Array) -> Array:
+        """(B, 1 + 2N) of the base, the joints, and rotors with play."""
+        motor, motor_speed = at_motors(angle), at_motors(speed)
+        linked, rate = angle[:, :links], speed[:, :links]
         torque = held - robots.motor_n_m(motor, motor_speed)
-        passed = robots.flank_n_m(motor - angle[:, 1:], motor_speed - speed[:, 1:])
+        passed = robots.flank_n_m(motor - linked[:, 1:], motor_speed - rate[:, 1:])
         free = np.where(loose, torque - passed, 0.0) / np.where(loose, robots.armature, 1.0)
         torque = np.where(loose, passed, torque)
-        base = -robots.base_stiffness[:, 0] * angle[:, 0] - base_damping * speed[:, 0]
-        joint = times(np.swapaxes(back, 1, 2), torque) - robots.spring_n_m(angle[:, 1:])
+        base = -robots.base_stiffness[:, 0] * linked[:, 0] - base_damping * rate[:, 0]
+        joint = times(np.swapaxes(back, 1, 2), torque) - robots.spring_n_m(linked[:, 1:])
         whole = np.concatenate([base[:, None], joint], 1)
-        return chain.accelerations(angle, speed, whole, extra), free
+        return np.concatenate([chain.accelerations(linked, rate, whole, extra), free], 1)
 
     for k in range(len(asked.angle)):
-        motor, motor_speed = motors(angle, speed, rotor, rotor_speed)
+        motor, motor_speed = at_motors(angle), at_motors(speed)
         error = asked.angle[k] - gain * motor - zero
         if kind.servos:
             command = stiff * error - damp * motor_speed
         else:
             command = forward[k] + stiff * error + damp * (asked.speed[k] - gain * motor_speed)
         recorded = asked.angle[k] if kind.servos else command
-        kept[:, k] = motor, motor_speed, angle[:, 1:], drive, recorded
+        kept[:, k] = motor, motor_speed, angle[:, 1:links], drive, recorded
         drive = drive + (command - drive) * (STEP_S / _CURRENT_S)
         rate = np.abs(motor_speed) / robots.presliding_rad
         slip = -np.expm1(-rate * STEP_S)
@@ -230,16 +229,11 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
         friction = slides * bristle / robots.presliding_rad
         held = drive * robots.passed_share(motor) - friction + push[k]
         if lost_n_m:
-            held = held - lost_n_m(angle[:, 1:], drive)
+            held = held - lost_n_m(angle[:, 1:links], drive)
         for _ in range(steps):
-            now = angle, speed, rotor, rotor_speed
-            first, turned = acceleration(*now, held)
-            middle, half = speed + 0.5 * step_s * first, rotor_speed + 0.5 * step_s * turned
-            angle_between = angle + 0.5 * step_s * speed
-            rotor_between = rotor + 0.5 * step_s * rotor_speed
-            then, turned = acceleration(angle_between, middle, rotor_between, half, held)
+            middle = speed + 0.5 * step_s * accelerations(angle, speed, held)
+            then = accelerations(angle + 0.5 * step_s * speed, middle, held)
             angle, speed = angle + step_s * middle, speed + step_s * then
-            rotor, rotor_speed = rotor + step_s * half, rotor_speed + step_s * turned
     if not np.isfinite(angle).all():
         raise PlantError(f"{kind.name}: a controlled robot flew away; draw with another seed")
     return DrivenMotion(*kept)
@@ -247,14 +241,14 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
 
 def written(
     kind: RobotKind, robots: RealRobot, motion: DrivenMotion, seeds: Sequence[int]
-) -> list[dict[str, Array]]:
-    """The recording of each robot: columns (T, …) by name."""
-    time_s = _times_s(len(motion.motor))
+) -> list[pd.DataFrame]:
+    """The recording of each robot."""
+    time_s, (_, joints, _) = _times_s(len(motion.motor)), kind.nominal()
     read = robots.read_n_m(motion.drive_n_m, time_s)
     seen = motion.joint if kind.servos else motion.motor
     angle = (1.0 + robots.encoder_scale) * seen + robots.zero
     rows = slice(None, None, round(1.0 / (kind.rate_hz * STEP_S)))
-    found = []
+    tables = []
     for b, seed in enumerate(seeds):
         rng = np.random.default_rng(seed)
         jitter = 0.5 * kind.encoder_rad * rng.standard_normal(angle[:, b].shape)
@@ -267,17 +261,18 @@ def written(
         command = motion.command[:, b]
         if kind.pulls_n:
             command = kind.pulls_n(motion.motor[:, b], motion.drive_n_m[:, b], command)
-        found.append(
-            {
-                "time_s": time_s[rows],
-                "trial": np.floor(time_s[rows] / kind.trial_s + 1e-9),
-                "position": counted[rows],
-                "velocity": _lagged(change, _VELOCITY_S)[rows],
-                "torque": torque[rows],
-                "command": command[rows, : len(kind.drives)],
-            }
-        )
-    return found
+        trial = np.floor(time_s[rows] / kind.trial_s + 1e-9).astype(int)
+        table = {"time_s": time_s[rows], "trial": trial}
+        measured = {"position": counted}
+        if not kind.servos:
+            measured |= {"velocity": _lagged(change, _VELOCITY_S), "torque": torque}
+        for what, values in measured.items():
+            table |= {f"{what}.{j}": c for j, c in zip(joints, values[rows].T, strict=True)}
+        if kind.drives:
+            commands = zip(kind.drives, command[rows].T, strict=True)
+            table |= {f"command.{drive}": column for drive, column in commands}
+        tables.append(pd.DataFrame(table))
+    return tables
 
 
 def _lagged(signal: Array, time_s: float) -> Array:
