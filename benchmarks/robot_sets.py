@@ -268,10 +268,10 @@ def drawn(
     """
     rng = np.random.default_rng([seed])
     known = pools(commands=commands)
-    sets, kinds = sets_of_names(rng, count, known), in_turn(rng, list(KINDS))
+    hidden, kinds = sets_of_names(rng, count, known), in_turn(rng, list(KINDS))
     return [
         draw_case(KINDS[next(kinds)], own, seed, index, known, _imperfect if imperfect else None)
-        for index, own in enumerate(sets, start=1)
+        for index, own in enumerate(hidden, start=1)
     ]
 
 
@@ -311,8 +311,8 @@ def with_tendons(count: int, seed: int) -> list[RobotCase]:
     known = _TENDONS, {name: LISTED[name] for name in alike}
     others = in_turn(np.random.default_rng([seed]), list(known[1]))
     turns = [["capstan_friction"], [], ["capstan_friction"], ["other"]]
-    sets = [turns[k % len(turns)] for k in range(count)]
-    names = [[next(others)] if own == ["other"] else own for own in sets]
+    hidden = [turns[k % len(turns)] for k in range(count)]
+    names = [[next(others)] if own == ["other"] else own for own in hidden]
     return [draw_case(GUIDED, own, seed, k + 1, known) for k, own in enumerate(names)]
 
 

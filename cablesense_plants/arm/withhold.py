@@ -14,6 +14,7 @@ from math import ceil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
@@ -158,13 +159,10 @@ def _write_recording(path: Path, rate_hz: float, done: Schedule, tensions_n: Arr
     header += [f"tension_{i + 1}_n" for i in range(cables)]
     time_decimals = 2 if 100.0 % rate_hz == 0.0 else 6  # microseconds, where 10 ms are too coarse
     decimals = [time_decimals, 0, *[6] * angles, 0, *[3] * 4, *[4] * cables]
-    table = np.column_stack([*done, tensions_n])
-    for column, places in zip(table.T, decimals, strict=True):
-        column[:] = np.round(column, places) + 0.0  # no -0.00
-    texts = [np.char.mod(f"%.{n}f", column) for column, n in zip(table.T, decimals, strict=True)]
-    cells = np.column_stack([np.where(text == "nan", "", text) for text in texts])
-    with plant_file(path) as beside:
-        np.savetxt(beside, cells, "%s", ",", header=",".join(header), comments="")
+    columns = zip(header, decimals, np.column_stack([*done, tensions_n]).T, strict=True)
+    texts = {name: np.char.mod(f"%.{n}f", np.round(x, n) + 0.0) for name, n, x in columns}
+    with plant_file(path) as beside:  # + 0.0 leaves no -0.00
+        pd.DataFrame(texts).replace("nan", "").to_csv(beside, index=False)
 
 
 @dataclass(frozen=True)
