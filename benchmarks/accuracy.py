@@ -131,7 +131,7 @@ def _several(samples: int) -> dict[str, Any]:
     metrics["gradient_boosting"] = asdict(evaluate_multi_answer(*answer, test).metrics)
     bound = multi_contact_bound_n(test, WEAKEST_MULTI_N)
     metrics["noise_bound"] = {"magnitude_mae_n": bound.tolist()}
-    return {**harness.origin(), "seed": TEST_SEED, "samples": samples, "several_contacts": metrics}
+    return {"seed": TEST_SEED, "samples": samples, "several_contacts": metrics}
 
 
 def _log(text: str) -> None:

@@ -32,7 +32,6 @@ def parser(doc: str | None, writes: str, seed: int) -> argparse.ArgumentParser:
     made = harness.parser(doc, writes)
     made.add_argument("--count", type=int, default=60, help="cases")
     made.add_argument("--seed", type=int, default=seed, help="of the plant")
-    made.add_argument("--first", type=int, help="diagnose only the first cases of the set")
     made.add_argument("--minutes", type=float, default=np.inf, help="then no further case")
     made.add_argument("--folder", type=Path, help="of recordings and verdicts, continued there")
     return made

@@ -251,9 +251,7 @@ def main() -> int:
     kinds += [(CIA404, one, "both") for one in ATTACKS]
     kinds += [(CIA404, one, "SYNC") for one in HEALTHY] + [(CIA404, steady, "own")]
     figures = [measure(name, one, given.runs, timers) for name, one, timers in kinds]
-    harness.publish(
-        "can_intruders.json", {**harness.origin("python-can"), "figures": figures}, given
-    )
+    harness.publish("can_intruders.json", {"figures": figures}, given, "python-can")
     return int(any(one["false samples"] for one in figures))
 
 

@@ -14,12 +14,10 @@ per case: `ArmDynamics.settle` on one core against the solver on all.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import statistics
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import harness
@@ -27,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_base.workers import WorkerPool
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.dynamics import ArmDynamics
@@ -40,35 +39,32 @@ STEPPED_CASES = 12
 STILL_RAD_S = {"cdsm": 1e-8, "cdsm_lab": 1e-6}
 STEPPED_LARGEST_N = {"cdsm": 200.0, "cdsm_lab": 100.0}
 BAR_PER_S, RATIO_BAR = 10_000, 500
-RESULT = "equilibria.json"
 
 
 def main() -> int:
     """Measure, print, write; 1 where a bar is missed."""
-    parser = harness.parser(__doc__, f"results/{RESULT}")
+    parser = harness.parser(__doc__, "results/equilibria.json")
     parser.add_argument("--cases", type=int, default=65_536, help="random poses of each arm")
     options = parser.parse_args()
     for library in ("OMP", "OPENBLAS", "MKL"):  # read by the workers, which start afterwards
         os.environ[f"{library}_NUM_THREADS"] = "1"
     workers = len(os.sched_getaffinity(0))
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+    with WorkerPool(workers) as pool:
         arms = {name: _measure(pool, name, options.cases) for name in ("cdsm", "cdsm_lab")}
-        hard = pool.submit(_hard).result()
+    hard = _hard()
     met = (
         all(arm["per_second"] >= BAR_PER_S for arm in arms.values())
         and arms["cdsm_lab"]["ratio_as_run"] >= RATIO_BAR
         and hard["converged"] == hard["cases"]
     )
     report = {
-        **harness.origin("numpy", "mujoco"),
         "workers": f"{workers} processes with one BLAS thread each",
         "load_average_at_the_end": os.getloadavg()[0],
         "bar": {"per_second": BAR_PER_S, "cdsm_lab_ratio_as_run": RATIO_BAR, "met": met},
         "arms": arms,
         "hard": hard,
     }
-    harness.publish(RESULT, report, options)
+    harness.publish("equilibria.json", report, options, "numpy", "mujoco")
     return 0 if met else 1
 
 
@@ -103,20 +99,21 @@ def _solve(name: str, command: Array, forces: Array) -> tuple[Array, Array]:
     return rest.tensions_n, rest.residual_n_m
 
 
-def _measure(pool: ProcessPoolExecutor, name: str, cases: int) -> dict[str, Any]:
+def _measure(pool: WorkerPool, name: str, cases: int) -> dict[str, Any]:
     mechanism = mechanism_of(open_arm(name))
     command, forces = _cases(mechanism, cases, degrees=10, contacts=1, largest_n=200)
     # also warms the workers up: each has solved before the clock starts
     parts = [slice(i, i + SHARE) for i in range(0, cases, SHARE)]
-    kept = pool.map(_with_rest, *zip(*((name, command[p], forces[p]) for p in parts), strict=True))
+    tasks = [(name, command[part], forces[part]) for part in parts]
+    kept = pool.map(_with_rest, *zip(*tasks, strict=True))
     good = np.concatenate([p.start + rows for p, rows in zip(parts, kept, strict=True)])
     shares = np.array_split(good, len(parts))
     start = time.perf_counter()
-    handed_out = ((name, command[share], forces[share]) for share in shares)
-    found = list(pool.map(_solve, *zip(*handed_out, strict=True)))
+    tasks = [(name, command[share], forces[share]) for share in shares]
+    found = list(pool.map(_solve, *zip(*tasks, strict=True)))
     seconds = time.perf_counter() - start
     tensions, residual = (np.concatenate(part) for part in zip(*found, strict=True))
-    steps, with_python_s, difference = pool.submit(_step_to_rest, name).result()
+    ((steps, with_python_s, difference),) = pool.map(_step_to_rest, [name])
     return {
         "cases": len(good),
         "per_second": len(good) / seconds,

@@ -19,9 +19,8 @@ an actuator that takes in cable adds to that of the first piece, a joint that op
 
 from __future__ import annotations
 
-import argparse
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import harness
 import numpy as np
@@ -38,32 +37,29 @@ def main() -> None:
     parser = harness.parser(__doc__, "results/friction_law.json")
     parser.add_argument("--count", type=int, default=200, help="cables")
     parser.add_argument("--seed", type=int, default=7, help="of the cables")
-    options: argparse.Namespace = parser.parse_args()
+    options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
     cases = [random_history(rng, 1 + i % 8, ROWS) for i in range(options.count)]
     found = [tensions_by_law(*case) for case in cases]
     fine = [tensions_by_law(*case[:2], _divided(case[2]))[::SUBSTEPS] for case in cases]
     by_search = [
-        _error(tension, searched(*case).tension_n)
+        _error(tension, searched(*case))
         for case, tension in zip(cases, found, strict=True)
         if len(case[1]) <= MOST_SEARCHED
     ]
     by_steps = [_error(*each) for each in zip(fine, _timed(cases), strict=True)]
     result: dict[str, Any] = {
-        **harness.origin("numpy"),
         "cables": len(cases),
         "rows_each": ROWS,
         "with_slack": sum(bool((tension == 0.0).any()) for tension in found),
         "of_the_range_from_the_search": _summary(by_search),
         "of_the_range_from_the_simulation_in_time": _summary(by_steps),
+        "bars": {
+            f"from the search by at most {BAR}": max(by_search) <= BAR,
+            f"from the simulation by at most {BAR}": max(by_steps) <= BAR,
+        },
     }
-    harness.publish("friction_law.json", result, options)
-    harness.print_bars(
-        {
-            f"from the search by {max(by_search):.1e}, bar {BAR}": max(by_search) <= BAR,
-            f"from the simulation by {max(by_steps):.1e}, bar {BAR}": max(by_steps) <= BAR,
-        }
-    )
+    harness.publish("friction_law.json", result, options, "numpy")
 
 
 def tensions_by_law(stiffness_n_m: Array, grip: Array, stretch_m: Array) -> Array:
@@ -89,7 +85,7 @@ def _timed(cases: list[tuple[Array, Array, Array]]) -> list[Array]:
     for guides in {len(grip) for _, grip, _ in cases}:
         own = [i for i, case in enumerate(cases) if len(case[1]) == guides]
         stiffness, grip, stretch = (np.stack([cases[i][part] for i in own]) for part in range(3))
-        course = timed(stiffness, grip, np.swapaxes(stretch, 0, 1), 4000 * guides).tension_n
+        course = timed(stiffness, grip, np.swapaxes(stretch, 0, 1), 4000 * guides)
         found |= {i: course[:, k] for k, i in enumerate(own)}
     return [found[i] for i in range(len(cases))]
 
@@ -105,50 +101,33 @@ def _summary(errors: list[float]) -> dict[str, float]:
 _CLOSE = 1e-9
 
 
-class CableCourse(NamedTuple):
-    """The course of a cable along R rows of a history.
-
-    Attributes:
-        tension_n: (R, P).
-        passed_m: (R, G) over each guide towards the last piece since the first row.
-    """
-
-    tension_n: Array
-    passed_m: Array
-
-
-def searched(
-    stiffness_n_m: Array, grip: Array, stretch_m: Array, substeps: int = 1
-) -> CableCourse:
-    """By the one of the 3^G patterns of sticking, sliding out and sliding in that is admissible.
+def searched(stiffness_n_m: Array, grip: Array, stretch_m: Array, substeps: int = 1) -> Array:
+    """(R, P) tensions by the one admissible pattern of the 3^G of sticking, sliding out and in.
 
     Args:
         stiffness_n_m: (P,) of the pieces.
-        grip: (G,) or (R, G).
+        grip: (G,).
         stretch_m: (R, P) if nothing passed; the first row's tensions must hold as they are.
         substeps: into which each row is divided evenly; a rest is found after every one.
 
     Raises:
         ValueError: no pattern is admissible, or two with different tensions are.
     """
-    rows, guides = len(stretch_m), len(stiffness_n_m) - 1
-    grips = np.broadcast_to(grip, (rows, guides))
+    guides = len(grip)
     passes = np.eye(guides + 1, guides) - np.eye(guides + 1, guides, k=-1)
     patterns = np.array(list(product((0, 1, -1), repeat=guides)))
-    passed, found = np.zeros(guides), []
-    for row in range(rows):
-        before = max(row - 1, 0)
+    passed, found, before = np.zeros(guides), [], stretch_m[0]
+    for row in stretch_m:
         for share in np.arange(1, substeps + 1) / substeps:
-            stretch = stretch_m[before] + share * (stretch_m[row] - stretch_m[before])
-            bound = grips[before] + share * (grips[row] - grips[before])
+            stretch = before + share * (row - before)
             if stretch.sum() <= 0.0:  # wherever the slack lies, no piece has tension
                 even = stretch.sum() / stiffness_n_m / (1.0 / stiffness_n_m).sum()
                 passed, tension = np.cumsum(even - stretch)[:-1], np.zeros(guides + 1)
                 continue
-            passed, tension = _admissible(stiffness_n_m, passes, patterns, bound, stretch, passed)
-        found.append((tension, passed))
-    tensions, lengths = zip(*found, strict=True)
-    return CableCourse(np.array(tensions), np.array(lengths))
+            passed, tension = _admissible(stiffness_n_m, passes, patterns, grip, stretch, passed)
+        before = row
+        found.append(tension)
+    return np.array(found)
 
 
 def _admissible(
@@ -177,8 +156,8 @@ def _admissible(
     return passed[right_ones[0]], tension[right_ones[0]]
 
 
-def timed(stiffness_n_m: Array, grip: Array, stretch_m: Array, steps: int = 4000) -> CableCourse:
-    """By explicit steps in time: cable passes a guide in proportion to the excess of tension.
+def timed(stiffness_n_m: Array, grip: Array, stretch_m: Array, steps: int = 4000) -> Array:
+    """(R, ..., P) tensions by steps in time: cable passes a guide in proportion to the excess.
 
     Args:
         stiffness_n_m: (..., P) of the pieces.
@@ -190,8 +169,8 @@ def timed(stiffness_n_m: Array, grip: Array, stretch_m: Array, steps: int = 4000
     factor = np.exp(grip)
     mobility = 0.4 / (factor * (near + far))
     passed = np.zeros(stretch_m[0, ..., 1:].shape)
-    tensions, lengths = [], []
-    for before, row in zip(stretch_m[[0, *range(len(stretch_m) - 1)]], stretch_m, strict=True):
+    tensions, before = [], stretch_m[0]
+    for row in stretch_m:
         for share in np.arange(1, steps + 1) / steps:
             stretch = before + share * (row - before)
             stretch[..., :-1] += passed
@@ -200,9 +179,9 @@ def timed(stiffness_n_m: Array, grip: Array, stretch_m: Array, steps: int = 4000
             nearer, farther = tension[..., :-1], tension[..., 1:]
             outward = np.maximum(farther - factor * nearer, 0.0)
             passed = passed + mobility * (outward - np.maximum(nearer - factor * farther, 0.0))
+        before = row
         tensions.append(tension)
-        lengths.append(passed)
-    return CableCourse(np.array(tensions), np.array(lengths))
+    return np.array(tensions)
 
 
 def random_history(rng: np.random.Generator, guides: int, rows: int) -> tuple[Array, Array, Array]:

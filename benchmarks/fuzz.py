@@ -39,18 +39,18 @@ EXAMPLE_LIMIT_S = 60.0
 GROWTH_LIMIT_MB = 1_500.0
 """The most address space that a child may add to that at its start."""
 EXAMPLES_OF_A_CHILD = 2_000
-BARS = {"CAN frames": 1_000_000, "messages": 100_000, "files": 10_000}
+DONE = "done.json"
+AIMS = {"CAN frames": 1_000_000, "messages": 100_000, "files": 10_000}
 
 
 def targets() -> dict[str, Target]:
     """All readers of what comes from outside, by name."""
     from fuzz_files import FILE_TARGETS  # slow to import, and not needed for --help
-    from fuzz_frames import frames_check
-    from fuzz_messages import messages_check
+    from fuzz_live import check_frames, check_messages
 
     return {
-        "frames": Target("CAN frames", frames_check, 8_000),
-        "messages": Target("messages", messages_check, 10_500),
+        "frames": Target("CAN frames", check_frames, 8_000),
+        "messages": Target("messages", check_messages, 10_500),
         **FILE_TARGETS,
     }
 
@@ -85,19 +85,19 @@ def main() -> int:
             work = partial(watch, [sys.executable, str(Path(__file__).resolve())], name)
             found[name] = workers.map(work, seeds, counts)
         results = {name: _added(known[name], children) for name, children in found.items()}
-    total: Counter[str] = Counter(dict.fromkeys(BARS, 0))
+    total: Counter[str] = Counter(dict.fromkeys(AIMS, 0))
     for one in results.values():
         total[one["unit"]] += one["inputs"]
     findings = sum(len(one["findings"]) for one in results.values())
     report = {
-        **harness.origin("hypothesis", "onnx", "onnxruntime", "cantools", "PyYAML", "pydantic"),
         "seed": options.seed,
         "run_s": round(time.monotonic() - started_s, 1),
-        "bars": BARS,
+        "aims": AIMS,
         "in all": {**total, "findings": findings},
         "targets": results,
     }
-    harness.publish("fuzz.json", report, options)
+    libraries = ("hypothesis", "onnx", "onnxruntime", "cantools", "PyYAML", "pydantic")
+    harness.publish("fuzz.json", report, options, *libraries)
     return 1 if findings else 0
 
 
@@ -116,12 +116,11 @@ def watch(command: Sequence[str], name: str, seed: int, count: int) -> dict[str,
     folder = tempfile.mkdtemp(prefix=f"fuzz_{name}_")
     given = [*command, f"--seed={seed}", "--child", name, str(count), folder]
     child = subprocess.run(given, capture_output=True, text=True, check=False)
-    lines = child.stdout.splitlines()
-    done: dict[str, Any] = json.loads(lines[-1]) if child.returncode == 0 and lines else {}
-    if not done:
-        why = " | ".join(child.stderr.strip().splitlines()[-12:])
+    if child.returncode == 0 and Path(folder, DONE).exists():
+        done: dict[str, Any] = json.loads(Path(folder, DONE).read_text(encoding="utf-8"))
+    else:
         done = dict.fromkeys(("examples", *Outcome._fields), 0)
-        done["finding"] = f"its process ended with {child.returncode}: {why}"
+        done["finding"] = f"its process ended with {child.returncode}: {_end(child.stderr)}"
     if done["finding"]:
         done["finding"] = f"{name}, seed {seed}, last file in {folder}: {done['finding']}"[:2_000]
     else:
@@ -129,11 +128,12 @@ def watch(command: Sequence[str], name: str, seed: int, count: int) -> dict[str,
     return done
 
 
+def _end(text: str) -> str:
+    return " | ".join(text.strip().splitlines()[-12:])
+
+
 def run_examples(target: Target, seed: int, count: int) -> None:
-    """Check examples in this process, and print a line of JSON with counts and the finding."""
-    out = os.fdopen(os.dup(1), "w")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # readers print warnings of what they left out
-    check = target.make()
+    """Check examples in this process; counts and the finding are in `DONE` of this folder."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     limit = pages * resource.getpagesize() + int(GROWTH_LIMIT_MB * 1e6)
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -151,17 +151,16 @@ def run_examples(target: Target, seed: int, count: int) -> None:
     @hypothesis.given(st.data())
     def each(data: st.DataObject) -> None:
         faulthandler.dump_traceback_later(EXAMPLE_LIMIT_S, exit=True)
-        done.update(examples=1, **check(data.draw)._asdict())
+        done.update(examples=1, **target.check(data.draw)._asdict())
         faulthandler.cancel_dump_traceback_later()
 
     finding = ""
     try:
         each()
     except BaseException:  # whatever escapes is a finding, also an exit
-        finding = " | ".join(traceback.format_exc().strip().splitlines()[-12:])
+        finding = _end(traceback.format_exc())
     counts = {what: done[what] for what in ("examples", *Outcome._fields)}
-    out.write(json.dumps({**counts, "finding": finding}) + "\n")
-    out.flush()
+    Path(DONE).write_text(json.dumps({**counts, "finding": finding}), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -32,10 +32,10 @@ Check = Callable[[Draw], Outcome]
 
 
 class Target(NamedTuple):
-    """One reader: the unit of its inputs, what makes its check in a child process, examples."""
+    """One reader: the unit of its inputs, its check, and how many examples."""
 
     unit: str
-    make: Callable[[], Check]
+    check: Check
     examples: int
 
 

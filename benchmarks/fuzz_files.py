@@ -9,7 +9,7 @@ import itertools
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ import can
 import numpy as np
 import onnx
 from fuzz_edits import (
-    Check,
     Draw,
     FalseAnswerError,
     Outcome,
@@ -26,7 +25,7 @@ from fuzz_edits import (
     edited_text,
     require_one_line,
 )
-from fuzz_messages import ARM, SETTINGS, TaredEstimation
+from fuzz_live import ARM, SETTINGS, TaredEstimation
 from hypothesis import strategies as st
 
 from cablesense_base import CableSenseError
@@ -36,7 +35,6 @@ from cablesense_online.can.bus import FaultLedger
 from cablesense_online.can.channel_map import calibrated, load_calibration, open_channel_map
 from cablesense_online.can.reader import FrameDecoder
 from cablesense_online.estimation import Estimation
-from cablesense_online.state import EstimatorState
 from cablesense_online.state_file import StateFile
 from cablesense_sim.arm import bundled_arms, find_arm, load_arm, parse_arm
 from cablesense_sim.build import mechanism_of
@@ -63,24 +61,20 @@ Use = Callable[[Path], None]
 """Reads a file and judges its content; raises `CableSenseError` for a refused one."""
 
 
-def _check(name: str) -> Check:
-    """Examples are files in the working folder: one of a kind edited, and taken or refused."""
+def _check(name: str, draw: Draw) -> Outcome:
+    """An example is a file in the working folder: one of a kind edited, and taken or refused."""
     suffix, edit, use, _ = _READERS[name]
-    contents = _examples(name)
     path = Path(f"item.{suffix}").absolute()
-
-    def check(draw: Draw) -> Outcome:
-        path.write_bytes(edit(draw, draw(st.sampled_from(contents))))
-        try:
-            use(path)
-        except CableSenseError as error:
-            require_one_line(error)
-            return Outcome(refused=1)
-        return Outcome(taken=1)
-
-    return check
+    path.write_bytes(edit(draw, draw(st.sampled_from(_examples(name)))))
+    try:
+        use(path)
+    except CableSenseError as error:
+        require_one_line(error)
+        return Outcome(refused=1)
+    return Outcome(taken=1)
 
 
+@cache
 def _examples(name: str) -> Sequence[Any]:
     """Valid contents of files of a kind."""
     match name:
@@ -101,29 +95,23 @@ def _examples(name: str) -> Sequence[Any]:
         case "mcap":
             return [(_EXAMPLES / "recording.mcap").read_bytes()]
         case "parquet":
-            dataset = draw_dataset(ARM, SingleContact(samples=40), seed=0)
-            return [_written("whole.parquet", lambda path: write_dataset(path, dataset))]
+            with tempfile.TemporaryDirectory() as folder:
+                whole = Path(folder, "whole.parquet")
+                write_dataset(whole, draw_dataset(ARM, SingleContact(samples=40), seed=0))
+                return [whole.read_bytes()]
         case _:
             state = TaredEstimation().take_pushed().state
             assert state is not None
-            return [_written("state.json", partial(_write_state, state)).decode()]
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder, "state.json")
+                file = StateFile(path, 60.0)
+                file.keep(state)
+                file.flush()
+                return [path.read_text(encoding="utf-8")]
 
 
 def _text(name: str) -> str:
     return (_EXAMPLES / name).read_text(encoding="utf-8")
-
-
-def _written(name: str, write: Callable[[Path], object]) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, name)
-        write(path)
-        return path.read_bytes()
-
-
-def _write_state(state: EstimatorState, path: Path) -> None:
-    file = StateFile(path, 60.0)
-    file.keep(state)
-    file.flush()
 
 
 def _use_arm(path: Path) -> None:

@@ -16,9 +16,9 @@ development; the share of the past that excludes friction and creep was chosen o
 residual at which the search ends on 9107.
 `--recordings` diagnoses recordings of another plant, whose answers are unknown.
 `--speed` measures time and memory of one diagnosis with two workers, as a user runs it.
-`--exchanged` exchanges two columns, drawn at random, of recordings of all kinds. It counts how
-often they are named, and how often an exchange is seen in the recordings as they were. It does the
-same for a tare of their first rows, where the arm is straight and untouched.
+`--exchanged` exchanges two columns, drawn at random, and counts how often they are named, and how
+often an exchange is seen in the recordings as they were; so it does for a tare of their first
+rows, where the arm is straight and untouched.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def main() -> None:
         kind = "_several" if options.effects else "_friction" if options.friction else ""
         kind += "_imperfect" * options.imperfect + "_reference" * options.reference
         name, found = f"gap_blind{kind}.json", _blind(options)
-    harness.publish(name, {**harness.origin(), "arm": ARM, **found}, options)
+    harness.publish(name, {"arm": ARM, **found}, options)
 
 
 def _blind(options: Any) -> dict[str, Any]:
@@ -98,10 +98,10 @@ def _blind(options: Any) -> dict[str, Any]:
         else:
             kinds = draw_kinds(rng, options.count)
         kinds += [_FRICTION[i % len(_FRICTION)] for i in range(options.friction)]
-        more = {"second": True, "imperfect": options.imperfect}
-        drawn(folder, len(kinds), options.seed, kinds, options.workers, **more)
+        more = {"second": True, "imperfect": options.imperfect, "workers": options.workers}
+        drawn(folder, kinds, options.seed, **more)
     everything = read_answers(answers_file)
-    recordings = [folder / f"{a.recording}.csv" for a in reversed(everything[: options.first])]
+    recordings = [folder / f"{a.recording}.csv" for a in reversed(everything)]
     since = "reference" if options.reference else ""
     work = partial(_finished, until_s=began + 60.0 * options.minutes, since=since)
     found = in_pool(work, recordings, options.workers)
@@ -112,26 +112,11 @@ def _blind(options: Any) -> dict[str, Any]:
     return result
 
 
-def drawn(
-    folder: Path,
-    count: int,
-    seed: int,
-    only: Sequence[str] = (),
-    workers: int = 1,
-    *,
-    second: bool = False,
-    imperfect: bool = False,
-) -> dict[str, ArmAnswer]:
-    """Recordings `case_….csv` by the independent plant, and the hidden effects by its name.
-
-    The answers are in `answers/answers.csv` in the same folder.
-    """
+def drawn(folder: Path, kinds: Sequence[str], seed: int, **more: Any) -> list[ArmAnswer]:
+    """Write `case_….csv` of these kinds by the independent plant, and `answers/answers.csv`."""
     nominal, answers = read_nominal(find_arm(ARM)), folder / "answers" / "answers.csv"
-    made = withhold(
-        folder, answers, nominal, count, seed, tuple(only), workers,
-        second=second, imperfect=imperfect,
-    )  # fmt: skip
-    return {each.recording: each for each in track(made, description="Recording", total=count)}
+    made = withhold(folder, answers, nominal, len(kinds), seed, kinds, **more)
+    return list(track(made, "Recording", total=len(kinds)))
 
 
 def in_pool(work: Callable[[Path], Any], paths: Sequence[Path], workers: int) -> list[Any]:
@@ -177,26 +162,19 @@ def _speed(effect: str, seed: int) -> dict[str, Any]:
     loads, workers = [round(load, 1) for load in os.getloadavg()], 2
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        answer = drawn(folder, 1, seed, (effect,))["case_001"]
+        (answer,) = drawn(folder, [effect], seed)
         command = [*harness.CABLESENSE, "gap", "diagnose", str(folder / "case_001.csv")]
         command += ["--arm", ARM, "--out", str(folder / "out"), "--workers", str(workers)]
         seconds, peak_mb = harness.run_watched(command)
         verdict = read_verdict(folder / "out" / "verdict.json")
+    truth = Truth(answer.recording, (answer.effects,))
     return {
         "load_average_before": loads,
+        "workers": workers,
         "rows": verdict.rows,
-        "hidden": {key: getattr(answer, key) for key in ("effects", "where", "form")}
-        | {"gap_n": f"{answer.gap_n:.4f}"},
-        "diagnosis": {
-            "workers": workers,
-            "seconds": round(seconds, 1),
-            "peak_memory_mb": round(peak_mb),
-            "effects": list(verdict.effects),
-            "probability": round(verdict.probability, 3),
-            "gap_before_n": round(verdict.gap.before_n, 4),
-            "gap_after_n": round(verdict.gap.after_n, 4),
-            "gap_floor_n": round(verdict.gap.floor_n, 4),
-        },
+        "seconds": round(seconds, 1),
+        "peak_memory_mb": round(peak_mb),
+        "each_case": [blind_sets.case(truth, verdict, None)],
     }
 
 
@@ -205,9 +183,8 @@ def _exchanged(count: int, seed: int) -> dict[str, Any]:
     arm, rng = open_arm(ARM), np.random.default_rng([seed])
     straight_n = UnloadedTensions(arm).predict_n(np.zeros(arm.joint_count))
     named, false, tared, false_tares, seconds = 0, 0, 0, 0, []
-    kinds = draw_kinds(rng, count)
     with tempfile.TemporaryDirectory() as name:
-        drawn(Path(name), count, seed, kinds)
+        drawn(Path(name), draw_kinds(rng, count), seed)
         for path in sorted(Path(name).glob("*.csv")):
             one, other = sorted(rng.choice(arm.cable_count, 2, replace=False).tolist())
             order = np.arange(arm.cable_count)
@@ -237,7 +214,7 @@ def _exchanged(count: int, seed: int) -> dict[str, Any]:
 
 def _without_answers(options: Any) -> list[dict[str, Any]]:
     paths = sorted(options.recordings.rglob("*.csv"))
-    paths = [path for path in paths if path.name != "answers.csv"][: options.first]
+    paths = [path for path in paths if path.name != "answers.csv"]
     found = in_pool(_verdict, paths, options.workers)
     hidden = [Truth(path.stem, ()) for path in paths]
     return [blind_sets.case(*one, None) for one in zip(hidden, found, strict=True)]

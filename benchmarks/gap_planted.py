@@ -35,16 +35,17 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.effects.effect import WHOLE_ARM
 from cablesense_sim.replay import read_tensions_n
 
-RESULT = "gap_planted.json"
 ARM = "cdsm_lab"
 MULTIPLES = (0.3, 1.0, 3.0, 10.0)
 RATE_HZ = 5.0
 WITHIN = 0.05
+_Planted = tuple[Candidate, str, float]
+"""An effect, its place, and its size by the typical one."""
 
 
 def main() -> None:
     """Plants, diagnoses and counts; keeps the cases with `--write`."""
-    parser = harness.parser(__doc__, f"results/{RESULT}")
+    parser = harness.parser(__doc__, "results/gap_planted.json")
     parser.add_argument("--effects", default="", help="only these, joined by commas")
     parser.add_argument("--history", action="store_true", help="friction and creep too")
     parser.add_argument("--seed", type=int, default=1, help="of places, signs and tolerances")
@@ -65,18 +66,11 @@ def main() -> None:
     ]
     folder = options.folder or Path(tempfile.mkdtemp(prefix="gap_planted_"))
     folder.mkdir(parents=True, exist_ok=True)
-    work = partial(
-        _case,
-        asked=asked,
-        seed=options.seed,
-        folder=folder,
-        until=time.time() + 60.0 * options.minutes,
-    )
-    with WorkerPool(options.workers) as pool:
-        cases = [case for case in pool.map(work, planted) if case]
+    until_s = time.time() + 60.0 * options.minutes
+    with WorkerPool(options.workers, asked, options.seed, folder, until_s) as pool:
+        cases = [case for case in pool.map(_case, planted) if case]
     clear = [case for case in cases if case["gap_over_floor"] >= 1.0]
     result = {
-        **harness.origin(),
         "planned": len(planted),
         "cases": len(cases),
         "below_the_floor": len(cases) - len(clear),
@@ -87,7 +81,7 @@ def main() -> None:
         "missed": [case for case in clear if not case["in_place"]],
         "each": cases,
     }
-    harness.publish(RESULT, result, options)
+    harness.publish("gap_planted.json", result, options)
 
 
 def _one_of_each_kind(candidate: Candidate, seed: int) -> Iterator[str]:
@@ -99,12 +93,16 @@ def _one_of_each_kind(candidate: Candidate, seed: int) -> Iterator[str]:
 
 
 def _case(
-    planted: tuple[Candidate, str, float], asked: Recording, seed: int, folder: Path, until: float
+    asked: Recording,
+    seed: int,
+    folder: Path,
+    until_s: float,
+    planted: tuple[Candidate, str, float],
 ) -> dict[str, Any] | None:
     candidate, place, multiple = planted
     kept = folder / f"{candidate.effect}.{place}.{multiple:g}.json"
     work = partial(_planted, *planted, asked, [seed, *kept.name.encode()])
-    return harness.kept(kept, work, until) or None
+    return harness.kept(kept, work, until_s) or None
 
 
 def _planted(

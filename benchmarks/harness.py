@@ -1,7 +1,7 @@
 """The harness of all benchmarks: options, the origin of a result, its file, process statistics.
 
-A benchmark is a script in this folder: `parser` gives its options, `origin` the first entries
-of its result, `publish` or `write_result` its file under `results/`.
+A benchmark is a script in this folder: `parser` gives its options, `publish` or `write_result` its
+file under `results/`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -63,11 +63,18 @@ def origin(*libraries: str) -> dict[str, Any]:
     }
 
 
-def publish(name: str, result: dict[str, Any], options: argparse.Namespace) -> None:
-    """Print a result as JSON, and with `--write` write it."""
+def publish(
+    name: str, found: Mapping[str, Any], options: argparse.Namespace, *libraries: str
+) -> int:
+    """Print what was found with its origin, and with `--write` write it; 1 if a bar is missed."""
+    result = {**origin(*libraries), **found}
     print(json.dumps(result, indent=1))
+    bars: dict[str, bool] = result.get("bars", {})
+    for bar, kept in bars.items():
+        print(f"{'kept  ' if kept else 'MISSED'} {bar}")
     if options.write:
         write_result(name, result)
+    return int(not all(bars.values()))
 
 
 def kept(path: Path, make: Callable[[], Any], until_s: float = np.inf) -> Any:
@@ -80,12 +87,6 @@ def kept(path: Path, make: Callable[[], Any], until_s: float = np.inf) -> Any:
             return None
         path.write_text(json.dumps(make()))
     return json.loads(path.read_text())
-
-
-def print_bars(bars: dict[str, bool]) -> None:
-    """Print a line for each bar, kept or missed."""
-    for bar, kept in bars.items():
-        print(f"{'kept  ' if kept else 'MISSED'} {bar}")
 
 
 def write_result(name: str, result: dict[str, Any] | str) -> Path:

@@ -12,6 +12,12 @@ When driver or sim are dead, stale is a zero wrench with a fresh stamp. When the
 is dead nothing is published on its topic; the subscriber's own middleware reports it, by the
 liveliness that the estimator offers on `~/wrench`. Right is a force on the right segment within 2
 N or 3 % of the load, ten times in a row.
+
+    python benchmarks/kill.py --lifecycle 200 [--write]
+
+An estimator of the sim's samples is configured, activated, deactivated and cleaned up that often.
+It must answer each time, while this process subscribes to its wrenches and unsubscribes some
+hundred times a second.
 """
 
 from __future__ import annotations
@@ -20,6 +26,7 @@ import itertools
 import re
 import sys
 import time
+from collections import deque
 from collections.abc import Mapping
 from math import nan
 from typing import Any, NamedTuple
@@ -28,8 +35,11 @@ import harness
 import numpy as np
 import pandas as pd
 from geometry_msgs.msg import WrenchStamped
-from live_run import LiveRun, SpunNode, load_message
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from live_run import GROWTH_MB, PATIENCE_S, LiveRun, SpunNode, load_message, memory
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from cablesense_base import Array
@@ -67,16 +77,24 @@ _SET_UP = {
 }
 VICTIMS = tuple(_SET_UP)
 
+LOOP = (
+    Transition.TRANSITION_CONFIGURE,
+    Transition.TRANSITION_ACTIVATE,
+    Transition.TRANSITION_DEACTIVATE,
+    Transition.TRANSITION_CLEANUP,
+)
+SUBSCRIBED_EVERY_S, SUBSCRIPTIONS = 0.003, 3
 
-def start_chain(run: LiveRun, arm: str, rate_hz: float) -> None:
+
+def start_chain(run: LiveRun) -> None:
     """Start sim, amplifiers, driver and estimator."""
     link = run.folder / "adapter"
     adapter = {"interface": "slcan", "channel": link, "bitrate_bit_s": 1_000_000}
-    stale = {"arm": arm, "stale_after_s": STALE_AFTER_S}
+    stale = {"arm": ARM, "stale_after_s": STALE_AFTER_S}
     simulated = {"cable_tensions": "simulated_tensions"}
     state = {"state_file": run.folder / "estimator_state.json"}
-    run.start("sim", node_command("sim", {"arm": arm, "rate_hz": float(rate_hz)}, simulated))
-    run.start("amplifiers", node_command("can_emulator", {"arm": arm, "channel": link}))
+    run.start("sim", node_command("sim", {"arm": ARM, "rate_hz": RATE_HZ}, simulated))
+    run.start("amplifiers", node_command("can_emulator", {"arm": ARM, "channel": link}))
     run.start("driver", node_command("can_driver", stale | adapter))
     run.start("estimator", node_command("estimator", stale | state))
 
@@ -97,12 +115,10 @@ class KillTrials(SpunNode):
         self._arm, self._mechanism, self._chain = arm, mechanism_of(arm), chain
         self._rng = np.random.default_rng(seed)
         self._wrenches: list[Received] = []
-        self._living: list[tuple[float, int]] = []
+        self._gone_s: list[float] = []
         self._load_since_s = time.monotonic()
         self._force_n: Array = np.zeros(3)
         self._segment = 1
-        names = list(arm.joint_names)
-        self._command = JointState(name=names, position=[0.0] * len(names))
         self._load_out = self.create_publisher(WrenchStamped, "applied_wrench", 10)
         self._command_out = self.create_publisher(JointState, "joint_commands", 10)
         self.create_timer(LOAD_EVERY_S, self._publish_load)
@@ -129,8 +145,7 @@ class KillTrials(SpunNode):
         the first zero wrench, or for the estimator to the report of the subscriber's own
         middleware that it is gone; `right_after_set_up_s`: from the log line that the process is
         set up to the first wrench of those that are right and stay so; `wrong`: wrenches with
-        another force than the load's, a second after the load last changed; `false_deaths`:
-        reports that a living estimator is gone.
+        another force than the load's, a second after the load last changed.
 
         Raises:
             TimeoutError: what should come did not come in time.
@@ -141,12 +156,14 @@ class KillTrials(SpunNode):
         self.spin(float(self._rng.uniform(0.0, AT_ANY_MOMENT_S)))
         before, set_ups = self._other_pids(victim), len(self._set_up_epoch_s(victim))
         self._wrenches.clear()
-        self._living.clear()
+        self._gone_s.clear()
         killed_s = process.kill()
         if self._rng.random() < 0.5:
             self._push()  # the process must not come back to the old load
         self.spin(float(self._rng.uniform(*DEAD_S)))
         stale_s = [one.arrived_s for one in self._wrenches if not one.segment]
+        if victim == "estimator":
+            stale_s = self._gone_s.copy()
         started_epoch_s = time.time()
         process.start()
         started_s = process.started_s
@@ -154,16 +171,12 @@ class KillTrials(SpunNode):
             lambda: len(self._set_up_epoch_s(victim)) > set_ups, f"{victim} to be set up again"
         )
         right_s = self._until_right(f"a right wrench after {victim} came back", since_s=started_s)
-        gone_s = [at for at, alive in self._living if alive == 0]
-        if victim == "estimator":
-            stale_s = [at for at in gone_s if at < started_s]
         set_up_s = self._set_up_epoch_s(victim)[-1] - started_epoch_s
         return {
             "others_lived": before == self._other_pids(victim),
             "stale_s": min((at for at in stale_s if at >= killed_s), default=nan) - killed_s,
             "right_after_set_up_s": right_s - started_s - set_up_s,
             "wrong": self._wrong(victim, started_s),
-            "false_deaths": sum(victim != "estimator" or at > right_s for at in gone_s),
         }
 
     def _right(self, wrench: Received) -> bool:
@@ -179,8 +192,10 @@ class KillTrials(SpunNode):
             self._load_out.publish(load_message(segment, force_n))
 
     def _publish_command(self) -> None:
-        self._command.header.stamp = self.get_clock().now().to_msg()
-        self._command_out.publish(self._command)
+        names = list(self._arm.joint_names)
+        command = JointState(name=names, position=[0.0] * len(names))
+        command.header.stamp = self.get_clock().now().to_msg()
+        self._command_out.publish(command)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         force = message.wrench.force
@@ -190,7 +205,8 @@ class KillTrials(SpunNode):
         self._wrenches.append(Received(time.monotonic(), segment, force_n))
 
     def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
-        self._living.append((time.monotonic(), event.alive_count))
+        if event.alive_count == 0:
+            self._gone_s.append(time.monotonic())
 
     def _other_pids(self, victim: str) -> dict[str, int]:
         return {k: one.pid for k, one in self._chain.items() if k != victim and one.alive}
@@ -237,11 +253,91 @@ class KillTrials(SpunNode):
         return list(itertools.takewhile(right, reversed(wrenches)))[-1].arrived_s
 
 
+class Restless(SpunNode):
+    """Subscribes to wrenches and unsubscribes all the time, and changes the estimator's state.
+
+    Attributes:
+        subscribed: how often.
+        wrenches: received so far.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("restless")
+        self.subscribed = self.wrenches = 0
+        self._there: deque[Subscription] = deque()
+        self._topics = itertools.cycle(("wrench", "wrench_base", "wrench_lower", "wrench_upper"))
+        self._client = self.create_client(ChangeState, "estimator/change_state")
+        self.create_timer(SUBSCRIBED_EVERY_S, self._subscribe)
+        self.spin_until(self._client.service_is_ready, "the estimator")
+
+    def change(self, transition: int) -> None:
+        """Send the estimator through a transition.
+
+        Raises:
+            TimeoutError: it did not succeed.
+        """
+        done = self._client.call_async(ChangeState.Request(transition=Transition(id=transition)))
+        self.spin(PATIENCE_S, done)
+        if not (done.done() and done.result().success):
+            raise TimeoutError(f"transition {transition} did not succeed")
+
+    def hear(self) -> None:
+        """Wait for a wrench."""
+        before = self.wrenches
+        self.spin_until(lambda: self.wrenches > before, "a wrench")
+
+    def _subscribe(self) -> None:
+        topic = f"estimator/{next(self._topics)}"
+        self._there.append(self.create_subscription(WrenchStamped, topic, self._count, 10))
+        self.subscribed += 1
+        if len(self._there) > SUBSCRIPTIONS:
+            self.destroy_subscription(self._there.popleft())
+
+    def _count(self, _: WrenchStamped) -> None:
+        self.wrenches += 1
+
+
+def measure_lifecycle(loops: int) -> dict[str, Any]:
+    """Bring the estimator up and down; its memory at the end of each loop."""
+    notes: list[tuple[float, dict[str, float]]] = []
+    with LiveRun() as run:
+        run.start("sim", node_command("sim", {"arm": ARM}))
+        estimator = run.start("estimator", node_command("estimator", {"autostart": False}))
+        node, began_s = Restless(), time.monotonic()
+        while len(notes) < loops:
+            for transition in LOOP:
+                node.change(transition)
+                if transition == Transition.TRANSITION_ACTIVATE:
+                    node.hear()
+            run.check()
+            memory_mb = {"estimator": harness.rss_mb(estimator.pid)}
+            notes.append((time.monotonic() - began_s, memory_mb))
+        tracebacks = estimator.log.count("Traceback")
+        codes = run.stop()
+        node.destroy_node()
+    grown = memory(notes)
+    return {
+        "loops": loops,
+        "seconds": round(notes[-1][0], 1),
+        "subscriptions made": node.subscribed,
+        "wrenches received": node.wrenches,
+        "tracebacks": tracebacks,
+        "memory": grown,
+        "exit codes": codes,
+        "bars": {
+            "every process ends well": not any(codes.values()) and not tracebacks,
+            f"memory of the estimator grows by less than {GROWTH_MB:g} MB": (
+                grown["estimator"]["growth at most (MB)"] < GROWTH_MB
+            ),
+        },
+    }
+
+
 def measure(times: int) -> dict[str, Any]:
     """All kills; statistics by victim."""
     kills: dict[str, list[dict[str, float]]] = {victim: [] for victim in VICTIMS}
     with LiveRun() as run:
-        start_chain(run, ARM, RATE_HZ)
+        start_chain(run)
         trials = KillTrials(open_arm(ARM), run.processes, seed=0)
         trials.bring_up()
         for _, victim in itertools.product(range(times), VICTIMS):
@@ -250,7 +346,6 @@ def measure(times: int) -> dict[str, Any]:
         trials.destroy_node()
     statistics = {victim: _statistics(pd.DataFrame(ones)) for victim, ones in kills.items()}
     return {
-        "arm": ARM,
         "rate_hz": RATE_HZ,
         "stale_after_s": STALE_AFTER_S,
         "lease_s": LEASE_S,
@@ -265,7 +360,6 @@ def _statistics(kills: pd.DataFrame) -> dict[str, Any]:
         "kills": len(kills),
         "others lived": int(kills["others_lived"].sum()),
         "wrong forces": int(kills["wrong"].sum()),
-        "estimator taken for dead while it lived": int(kills["false_deaths"].sum()),
         **{
             name: {"seen": int(kills[name].count())}
             | harness.percentiles(kills[name].dropna(), ("median", "95 %", "worst"), 4)
@@ -291,12 +385,13 @@ def _bars(statistics: dict[str, Any]) -> dict[str, bool]:
 
 def main() -> int:
     """Measure."""
-    parser = harness.parser(__doc__, "results/kill.json")
+    parser = harness.parser(__doc__, "results/kill.json or lifecycle.json")
     parser.add_argument("--times", type=int, default=50, help="kills of each")
+    parser.add_argument("--lifecycle", type=int, metavar="LOOPS", help="loops, and no kills")
     given = parser.parse_args()
-    result = harness.origin("rclpy") | measure(given.times)
-    harness.publish("kill.json", result, given)
-    return 0 if all(result["bars"].values()) else 1
+    name = "lifecycle.json" if given.lifecycle else "kill.json"
+    found = measure_lifecycle(given.lifecycle) if given.lifecycle else measure(given.times)
+    return harness.publish(name, {"arm": ARM, **found}, given, "rclpy")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+import pandas as pd
 import rclpy
 from geometry_msgs.msg import WrenchStamped
 from harness import CABLESENSE
@@ -29,6 +30,9 @@ Integers = NDArray[np.int64]
 PATIENCE_S = 30.0
 END_WITHIN_S = 20.0
 """A node under load may take so long to end by itself."""
+
+FIRST_MINUTE_S, GROWTH_MB = 60.0, 5.0
+"""A process may not grow by more after its first minute."""
 
 
 class LiveRun:
@@ -117,11 +121,10 @@ def load_message(segment: int, force_n: Array) -> WrenchStamped:
 
 
 class Log:
-    """Arrivals of one topic; `lost_at_sink` counts those that the middleware reports as lost."""
+    """Arrivals of one topic."""
 
     def __init__(self, numbers: int) -> None:
         """A message ends with that number of `numbers`."""
-        self.lost_at_sink = 0
         self._kind = np.dtype(
             [("s", "<i4"), ("ns", "<u4"), ("letter", "u1"), ("numbers", "<f8", numbers)]
         )
@@ -132,10 +135,6 @@ class Log:
         """Keep the stamp, the last letter of segment_N and the numbers at the end."""
         self._arrived_ns.append(time.time_ns())
         self._kept.append(raw[4:12] + raw[24:25] + raw[9 - self._kind.itemsize :])
-
-    def lost(self, event: Any) -> None:
-        """Count messages that did not reach this process."""
-        self.lost_at_sink += event.total_count_change
 
     def table(self) -> Arrivals:
         """All that came so far."""
@@ -156,3 +155,18 @@ class Arrivals(NamedTuple):
     stamps_ns: Integers
     numbers: Array
     segments: Integers
+
+
+def memory(notes: Sequence[tuple[float, dict[str, float]]]) -> dict[str, Any]:
+    """MB of each process: at a minute, at the end, and by how much it grew at most.
+
+    Runs of up to two minutes count from their first quarter.
+    """
+    taken = pd.DataFrame([mb for _, mb in notes], index=[elapsed_s for elapsed_s, _ in notes])
+    later = taken[taken.index >= min(FIRST_MINUTE_S, taken.index[-1] / 4)]
+    metrics = {
+        "MB when settled": later.iloc[0],
+        "MB at the end": later.iloc[-1],
+        "growth at most (MB)": later.max() - later.iloc[0],
+    }
+    return dict(pd.DataFrame(metrics).round(2).to_dict(orient="index"))

@@ -42,7 +42,6 @@ from cablesense_gap.robot.model import Robot, load_robot
 from cablesense_gap.robot.motion import Motion
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_recording
-from cablesense_gap.robot.report import write_robot_diagnosis
 from cablesense_gap.robot.system import RobotSystem, diagnose, predicted
 from cablesense_gap.simulator import Assignment
 
@@ -68,17 +67,15 @@ def main() -> None:
     parser = harness.parser(__doc__, "robot_jaw.json or real_double_pendulum.json")
     parser.add_argument("what", choices=("jaw", "pendulums"), help="of whom the recordings are")
     parser.add_argument("--data", type=Path, required=True, help="folder of the recordings")
-    parser.add_argument("--report", type=Path, help="folder for reports of the pendulums")
     options = parser.parse_args()
-    result, data = harness.origin("mujoco"), options.data
     if options.what == "jaw":
-        fitted, unseen = _jaw_halves(data)
-        result["trials"] = [len(fitted), len(unseen)]
-        result |= {name: _jaw(MODELS / name, fitted, unseen) for name in _JAWS}
-        harness.publish("robot_jaw.json", result, options)
+        fitted, unseen = _jaw_halves(options.data)
+        found = {name: _jaw(MODELS / name, fitted, unseen) for name in _JAWS}
+        trials = {"trials": [len(fitted), len(unseen)]}
+        harness.publish("robot_jaw.json", trials | found, options, "mujoco")
     else:
-        result["designs"] = {each: _pendulum(each, data, options.report) for each in _DESIGNS}
-        harness.publish("real_double_pendulum.json", result, options)
+        designs = {each: _pendulum(each, options.data) for each in _DESIGNS}
+        harness.publish("real_double_pendulum.json", {"designs": designs}, options, "mujoco")
 
 
 def _jaw_halves(data: Path) -> tuple[list[pd.DataFrame], list[pd.DataFrame]]:
@@ -132,14 +129,12 @@ def _jaw_recording(path: Path, trials: list[pd.DataFrame], robot: Robot) -> Robo
     return read_recording(path, robot)
 
 
-def _pendulum(design: str, data: Path, report: Path | None) -> dict[str, Any]:
+def _pendulum(design: str, data: Path) -> dict[str, Any]:
     index = pd.read_csv(data / "index.csv")
     runs = index[index.design == design].recording.tolist()
     robot = load_robot(MODELS / f"double_pendulum_{_DESIGNS[design]}.xml")
     fitted, judged = (_pendulum_recording(data, own, robot) for own in (runs[::2], runs[1::2]))
     diagnosis = diagnose(fitted, robot, zeroed=True)
-    if report is not None:
-        write_robot_diagnosis(report / _DESIGNS[design], diagnosis, {})
     verdict, amended = diagnosis.verdict, diagnosis.amended
     motion = prepared(judged, robot, diagnosis.motion.compared_hz, zeroed=True)
     as_read = replace(motion, zeroed=False)

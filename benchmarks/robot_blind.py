@@ -40,7 +40,7 @@ from cablesense_gap.robot.model import Robot, load_robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose
-from cablesense_gap.scoring import Truth, score
+from cablesense_gap.scoring import read_answers, score
 from cablesense_gap.verdict import Verdict, removed_fraction
 from cablesense_plants.cases import write_answers
 from cablesense_plants.robot.cases import RobotCase, record
@@ -64,20 +64,21 @@ def main() -> None:
     usual = partial(drawn, commands=options.commands, imperfect=options.imperfect)
     ways = {"play": with_play, "tendons": with_tendons, "servos": with_servos}
     drawing = next((way for name, way in ways.items() if getattr(options, name)), usual)
-    cases = drawing(options.count, options.seed)[: options.first]
-    write_answers(folder / "answers" / "answers.csv", [case.answer for case in cases])
+    cases = drawing(options.count, options.seed)
+    answers_file = folder / "answers" / "answers.csv"
+    write_answers(answers_file, [case.answer for case in cases])
+    answers = read_answers(answers_file)
     until_s = time.time() + 60.0 * options.minutes
     since = "since." if options.reference else ""
     _record(cases, folder, until_s)
     done = {}
-    for case in cases:
+    for case, answer in zip(cases, answers, strict=True):
         diagnosed = partial(_diagnosed, case, folder, since, torques=not options.commands)
         if _second(folder, case).exists() and (
             one := blind_sets.finished(_place(folder, case, since), until_s, diagnosed)
         ):
-            done[case.answer.recording] = one
-            print(blind_sets.case(_answer(case), *one), flush=True)
-    answers = [_answer(case) for case in cases]
+            done[answer.recording] = one
+            print(blind_sets.case(answer, *one), flush=True)
     result = blind_sets.scored(answers, done)
     verdicts = {name: one.verdict for name, one in done.items()}
     several = [a for a in answers if a.recording in done and len(a.effects) > 1]
@@ -88,19 +89,8 @@ def main() -> None:
     names = {"_forward": "commands", "_play": "play", "_tendons": "tendons"}
     names |= {"_servos": "servos", "_imperfect": "imperfect", "_reference": "reference"}
     kind = "".join(part for part, option in names.items() if getattr(options, option))
-    origin = {**harness.origin("mujoco"), "seed": options.seed}
-    harness.publish(f"robot_blind{kind}.json", origin | result, options)
-
-
-def _answer(case: RobotCase) -> Truth:
-    hidden = case.answer
-    return Truth(
-        recording=hidden.recording,
-        effects=tuple(hidden.effects.split("+")),
-        where=hidden.where,
-        gap_over_floor=hidden.gap_over_floor,
-        each_gap_n=tuple(float(gap) for gap in hidden.each_gap_n.split()),
-    )
+    found = {"seed": options.seed, **result}
+    harness.publish(f"robot_blind{kind}.json", found, options, "mujoco")
 
 
 def _record(cases: Sequence[RobotCase], folder: Path, until_s: float) -> None:

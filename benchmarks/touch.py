@@ -38,7 +38,6 @@ from cablesense_sim.contact_location import (
     torque_balance,
 )
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec
 from cablesense_sim.replay import difference_variance_n2, read_tensions_n
 
@@ -104,9 +103,10 @@ class Touch(NamedTuple):
 class TouchedArm:
     """An arm with capsules around its segments, and obstacles on servos next to it."""
 
-    def __init__(self, arm: Arm, *, edge: bool, friction: float, obstacles: int) -> None:
-        """An `edge` is a thin capsule across the segment, otherwise an obstacle is a sphere."""
-        self.mechanism: Mechanism = mechanism_of(arm)
+    def __init__(self, arm: Arm, kind: Kind) -> None:
+        """An edge is a thin capsule across the segment, otherwise an obstacle is a sphere."""
+        self._kind, friction = kind, kind.friction
+        self.mechanism = mechanism_of(arm)
         spec = build_spec(self.mechanism)
         spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -115,16 +115,18 @@ class TouchedArm:
         rubbing: dict[str, Any] = {
             "friction": [friction, 0.0, 0.0],
             "condim": 3 if friction else 1,
+            # the default contact gives way by millimetres: the touched radius would not be known
+            "solref": [0.004, 1.0],
+            "solimp": [0.99, 0.999, 1e-4, 0.5, 2.0],
         }
-        # MuJoCo's default contact gives way by millimetres: the touched radius would not be known
-        rubbing |= {"solref": [0.004, 1.0], "solimp": [0.99, 0.999, 1e-4, 0.5, 2.0]}
         for n, length in enumerate(self.mechanism.segment_length_m, start=1):
             spec.body(f"segment_{n}").add_geom(
                 name=f"surface_{n}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, mass=0.0,
                 fromto=[0.0, 0.0, 0.0, float(length), 0.0, 0.0], size=[SURFACE_M, 0.0, 0.0],
                 contype=2, conaffinity=1, **rubbing,
             )  # fmt: skip
-        for k in range(obstacles):
+        shape = mujoco.mjtGeom.mjGEOM_CAPSULE if kind.edge else mujoco.mjtGeom.mjGEOM_SPHERE
+        for k in range(kind.obstacles):
             holder = spec.worldbody.add_body(name=f"holder_{k}", mocap=True)
             body = holder.add_body(name=f"obstacle_{k}")
             body.gravcomp = 1.0
@@ -136,14 +138,12 @@ class TouchedArm:
                     name=joint.name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
                 )
                 servo.set_to_position(kp=SERVO_N_M, kv=2.0 * np.sqrt(SERVO_N_M * SERVO_KG))
-            kind = mujoco.mjtGeom.mjGEOM_CAPSULE if edge else mujoco.mjtGeom.mjGEOM_SPHERE
             body.add_geom(
-                type=kind, size=[OBSTACLE_M, HALF_EDGE_M if edge else 0.0, 0.0], mass=SERVO_KG,
+                type=shape, size=[OBSTACLE_M, HALF_EDGE_M * kind.edge, 0.0], mass=SERVO_KG,
                 quat=[0.5**0.5, 0.5**0.5, 0.0, 0.0], contype=1, conaffinity=2, **rubbing,
             )  # fmt: skip
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
-        self._obstacles = obstacles
         self._rigid = not np.isfinite(self.mechanism.actuator_stiffness_n_m)
         self._screws = [
             self.model.body(f"actuator_{i + 1}").mocapid[0]
@@ -169,8 +169,9 @@ class TouchedArm:
             data.mocap_pos[self._screws, 0] = -mechanism.run_m - drawn
         else:
             data.ctrl[self._screws] = drawn
-        holders = [self.model.body(f"holder_{k}").mocapid[0] for k in range(self._obstacles)]
-        data.mocap_pos[holders] = np.arange(1, self._obstacles + 1)[:, None] * [0.0, 0.0, 10.0]
+        count = self._kind.obstacles
+        holders = [self.model.body(f"holder_{k}").mocapid[0] for k in range(count)]
+        data.mocap_pos[holders] = np.arange(1, count + 1)[:, None] * [0.0, 0.0, 10.0]
         self._settle()
         before_n = self._tensions_n()
         for k, press in enumerate(presses):
@@ -235,7 +236,7 @@ class Drawn(NamedTuple):
 
 def drawn(arm: Arm, kind: Kind, count: int, rng: np.random.Generator, title: str) -> Drawn:
     """Samples of one kind; those without the right contacts are left out."""
-    touched = TouchedArm(arm, edge=kind.edge, friction=kind.friction, obstacles=kind.obstacles)
+    touched = TouchedArm(arm, kind)
     largest_n, reach = ARMS[arm.name], reach_m(touched.mechanism)
     commands, contacts, changes = [], [], []
     edge_m = EDGE_M + kind.slide_m
@@ -290,7 +291,6 @@ def figures_of_one(samples: Drawn, found: Location, axes: Axes) -> dict[str, Any
         "segment_right": round(float(right.mean()), 4),
         "place_mm": _of(1e3 * np.abs(found.place_m - place_m)[far]),
         "lateral_force_share": _of(lateral_off[far]),
-        "force_n": _of(np.linalg.norm(found.force_n - force_n, axis=1)[far]),
         "place_coverage95": within(place_m, found.place_ci95_m, far),
         "magnitude_coverage95": within(lateral_n, found.magnitude_ci95_n, far),
         "segment_1_moment_share": _of(off_moment[first]),
@@ -334,7 +334,7 @@ def main() -> None:
     options.add_argument("--samples", type=int, default=400, help="of each kind and arm")
     options.add_argument("--seed", type=int, default=7001, help="of places, forces and noise")
     given = options.parse_args()
-    result: dict[str, Any] = harness.origin("mujoco", "numpy")
+    result: dict[str, Any] = {}
     panels, axes = plt.subplots(len(ARMS), len(KINDS), figsize=(15, 6), layout="constrained")
     for row, name in enumerate(ARMS):
         arm = open_arm(name)
@@ -355,7 +355,7 @@ def main() -> None:
             panel.set(title=f"{name}: {title}", xlabel="true place, segments", ylabel="estimated")
     if given.write:
         panels.savefig(harness.RESULTS / "touch.png", dpi=90)
-    harness.publish("touch.json", result, given)
+    harness.publish("touch.json", result, given, "mujoco", "numpy")
 
 
 def _draw(

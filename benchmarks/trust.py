@@ -244,7 +244,7 @@ def main() -> None:
     options.add_argument("--healthy", type=int, default=0, help="samples for the limit, by arm")
     options.add_argument("--seed", type=int, default=7101, help="of poses, contacts and noise")
     given = options.parse_args()
-    result: dict[str, Any] = harness.origin("numpy", "onnxruntime")
+    result: dict[str, Any] = {}
     for seed, name in enumerate(ARMS):
         result[name] = {
             HEADINGS[channels]: trial(name, given, seed, channels)
@@ -252,7 +252,7 @@ def main() -> None:
         }
         if given.healthy:
             result[name]["limit of the misfit"] = withheld(name, given.healthy, given.seed)
-    harness.publish("trust.json", result, given)
+    harness.publish("trust.json", result, given, "numpy", "onnxruntime")
 
 
 if __name__ == "__main__":

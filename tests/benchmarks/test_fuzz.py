@@ -22,7 +22,7 @@ def check(draw):
     if draw(st.integers(0, 3)) == 3:
         {fault}
     return Outcome(refused=1)
-fuzz.targets = lambda: {{"bad": Target("files", lambda: check, 16)}}
+fuzz.targets = lambda: {{"bad": Target("files", check, 16)}}
 sys.exit(fuzz.main())
 """
 
@@ -57,7 +57,7 @@ def test_a_refusal_of_two_lines_is_a_finding():
 @pytest.mark.parametrize("name", fuzz.targets())
 def test_some_examples_of_every_target_find_nothing(name, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    check, outcomes = fuzz.targets()[name].make(), []
+    check, outcomes = fuzz.targets()[name].check, []
 
     @hypothesis.settings(max_examples=8, deadline=None, database=None)
     @hypothesis.given(st.data())
