@@ -203,7 +203,9 @@ def markdown(result: dict[str, Any]) -> str:
     ]
 
     def add(headings: str, rows: Iterable[str]) -> None:
-        lines.extend(["", *harness.markdown_table(f"estimator | {headings}", rows)])
+        rule = "---" + " | ---" * (headings.count("|") + 1)
+        table = (f"estimator | {headings}", rule, *rows)
+        lines.extend(["", *(f"| {line} |" for line in table)])
 
     columns = list(_COLUMNS)
     for name, setting in result["single"].items():

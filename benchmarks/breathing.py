@@ -80,9 +80,7 @@ class Course:
         self._states = [self._path.start(*each) for each in zip(*straight, strict=True)]
         overshot = 1.1 * self.base_rad + np.radians(0.5) * self.rng.uniform(-1.0, 1.0, (arms, 8))
         for pose in (overshot, self.base_rad):
-            before = self._command_rad
-            for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
-                self.step(before + share * (pose - before))
+            self._go(pose, self._forces_n)
 
     def step(self, command_rad: Array) -> None:
         """Go to commands (B, 8) at once."""
@@ -92,10 +90,13 @@ class Course:
 
     def load(self, forces_n: Array) -> None:
         """Come to loads (B, 4, 3) step by step."""
-        before = self._forces_n
+        self._go(self._command_rad, forces_n)
+
+    def _go(self, command_rad: Array, forces_n: Array) -> None:
+        pose_rad, loads_n = self._command_rad, self._forces_n
         for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
-            self._forces_n = before + share * (forces_n - before)
-            self.step(self._command_rad)
+            self._forces_n = loads_n + share * (forces_n - loads_n)
+            self.step(pose_rad + share * (command_rad - pose_rad))
 
     def read_n(self) -> Array:
         """(B, M) readings."""

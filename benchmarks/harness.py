@@ -14,7 +14,7 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -106,12 +106,6 @@ def percentiles(values: Any, names: Sequence[str], digits: int = 3) -> dict[str,
     at = [float({"median": "50", "worst": "100"}.get(n, n.removesuffix(" %"))) for n in names]
     found = np.percentile(values, at).round(digits).tolist()
     return dict(zip(names, found, strict=True))
-
-
-def markdown_table(headings: str, rows: Iterable[str]) -> list[str]:
-    """Lines of a table in Markdown, its cells divided by bars."""
-    rule = " | ".join("---" for _ in headings.split("|"))
-    return [f"| {line} |" for line in (headings, rule, *rows)]
 
 
 def rss_mb(pid: int) -> float:

@@ -45,7 +45,7 @@ from cablesense_online.can.emulator import Emulator
 from cablesense_online.can.slcan import SlcanPort
 from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.processes import Process, node_command, wait_until
-from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
@@ -94,10 +94,16 @@ class MarkedSequence(NamedTuple):
         return self.even[cycle % len(self.even)] + bits
 
 
-def marked_sequence(
-    arm: Arm, channel_map: ChannelMap, database: Database, rate_hz: float
-) -> MarkedSequence:
-    """The sequence of an arm in the steps of its amplifier; all channels have one step."""
+def opened(map_name: str) -> tuple[ChannelMap, Database]:
+    """The map of the arm's cables, and its database."""
+    channel_map, database = open_channel_map(map_name)
+    return channel_map.arranged(open_arm(ARM).cable_names), database
+
+
+def marked_sequence(map_name: str) -> MarkedSequence:
+    """The sequence of the arm in the steps of an amplifier; all channels have one step."""
+    arm, rate_hz = open_arm(ARM), RATES_HZ[map_name]
+    channel_map, database = opened(map_name)
     (step_n,) = {
         abs(signal_conversion(database, channel)[1] * channel.scale_n_per_unit)
         for channel in channel_map.channels.values()
@@ -132,17 +138,14 @@ def _pushes(
         yield 0, 0.0, 0.0, 0.0, REST_S
 
 
-def play(arm_name: str, map_name: str, link: str, rate_hz: float, cycles: int, log: Path) -> int:
+def play(map_name: str, link: str, cycles: int, log: Path) -> int:
     """Wait for a line on stdin, play `cycles`, write the log.
 
     The log's `written_ns` is when the last frame of each cycle was on the pseudo-terminal, and
     `dropped` how many of its frames the terminal did not take.
     """
-    arm = open_arm(arm_name)
-    channel_map, database = open_channel_map(map_name)
-    channel_map = channel_map.arranged(arm.cable_names)
-    sequence = marked_sequence(arm, channel_map, database, rate_hz)
-    emulator = Emulator(channel_map, database, lambda: SlcanPort(link))
+    sequence, rate_hz = marked_sequence(map_name), RATES_HZ[map_name]
+    emulator = Emulator(*opened(map_name), lambda: SlcanPort(link))
     written_ns = np.zeros(cycles, dtype=np.int64)
     dropped = np.zeros(cycles, dtype=np.int64)
     print("ready", flush=True)
@@ -249,9 +252,9 @@ class Sink(SpunNode):
         diagnostics: the latest values of each status.
     """
 
-    def __init__(self, cable_count: int, processes: Sequence[Process]) -> None:
+    def __init__(self, processes: Sequence[Process]) -> None:
         super().__init__("soak_sink")
-        self.tensions, self.wrenches = Log(cable_count), Log(6)
+        self.tensions, self.wrenches = Log(open_arm(ARM).cable_count), Log(6)
         self.diagnostics: dict[str, dict[str, str]] = {}
         self._processes = processes
         self.begin()
@@ -298,7 +301,7 @@ class Sink(SpunNode):
 
 def measure(map_name: str, minutes: float) -> dict[str, Any]:
     """Run one map."""
-    arm, cycles = open_arm(ARM), round(60.0 * minutes * RATES_HZ[map_name])
+    cycles = round(60.0 * minutes * RATES_HZ[map_name])
     with LiveRun() as run:
         link, log = run.folder / "adapter", run.folder / "played.npz"
         played = {"map": map_name, "link": link, "log": log, "cycles": cycles}
@@ -310,7 +313,7 @@ def measure(map_name: str, minutes: float) -> dict[str, Any]:
         driven = {"arm": ARM, "map": map_name, **adapter}
         run.start("driver", node_command("can_driver", driven))
         run.start("estimator", node_command("estimator", {"arm": ARM}))
-        sink = Sink(arm.cable_count, list(run.processes.values()))
+        sink = Sink(list(run.processes.values()))
         sink.spin_until(sink.connected, "samples and wrenches")
         sink.spin(1.0)
         _send_line(amplifiers, "play")
@@ -321,7 +324,7 @@ def measure(map_name: str, minutes: float) -> dict[str, Any]:
         cpu = sink.cpu_share()
         sink.spin(LISTEN_AFTER_S)
         _send_line(amplifiers, "end")
-        judged = _judged(arm, map_name, dict(np.load(log)), sink)
+        judged = _judged(map_name, dict(np.load(log)), sink)
         codes = list(run.stop().values())
         sink.destroy_node()
     return {"minutes": minutes, "cpu (cores)": cpu, **judged, "exit codes": codes}
@@ -334,11 +337,8 @@ def _send_line(process: Process, line: str) -> None:
     pipe.flush()
 
 
-def _judged(arm: Arm, map_name: str, played: dict[str, Any], sink: Sink) -> dict[str, Any]:
-    channel_map, database = open_channel_map(map_name)
-    channel_map = channel_map.arranged(arm.cable_names)
-    rate_hz, written_ns = RATES_HZ[map_name], played["written_ns"]
-    sequence = marked_sequence(arm, channel_map, database, rate_hz)
+def _judged(map_name: str, played: dict[str, Any], sink: Sink) -> dict[str, Any]:
+    sequence, written_ns = marked_sequence(map_name), played["written_ns"]
     tensions = sink.tensions.table()
     delivered, cycle = delivery(sequence, played["dropped"], written_ns, tensions)
     driver, estimator = (
@@ -389,8 +389,7 @@ def main() -> int:
     parser.add_argument("--cycles", type=int, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.role:
-        rate_hz = RATES_HZ[given.map]
-        return play(ARM, given.map, given.link, rate_hz, given.cycles, given.log)
+        return play(given.map, given.link, given.cycles, given.log)
     shorter = min(CIA404_MINUTES, given.minutes)
     runs = [measure(PACKED, given.minutes), measure(CIA404, shorter)]
     every = {f"{run['map']}: {bar}": kept for run in runs for bar, kept in bars(run).items()}

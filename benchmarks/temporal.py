@@ -1,6 +1,6 @@
 """Estimators along sequences: in motion and at rest, history-dependent or not, under friction.
 
-    python benchmarks/temporal.py [--arm cdsm_friction] [--write]
+    python benchmarks/temporal.py --arm cdsm_friction [--write]
 
 Fresh sequences of commands and contacts, seeds that no training has seen, sensor noise on.
 Memoryless estimators get the set-point at every tick, which is more than the node gives them:
@@ -32,29 +32,23 @@ RELEASED_S = 2.0
 
 
 class SequenceCase(NamedTuple):
-    """An arm, its number of sequences, and its estimators by their names in the table.
+    """The number of sequences of an arm, and its estimators by their names in the table.
 
     Under friction there are more: an interval's share is judged by its contacts, not its ticks.
     """
 
-    arm: str
-    why: str
     sequences: int
     estimators: dict[str, str]
     long: bool = False
 
 
-CASES = (
-    SequenceCase(
-        "cdsm",
-        "no friction, in time by MuJoCo: inertia and swinging",
-        16,
-        {"temporal (shipped)": "cdsm_moving", "statics (shipped)": "cdsm"},
-        long=True,
+CASES = {
+    # without friction, in time by MuJoCo: it has inertia and swings
+    "cdsm": SequenceCase(
+        16, {"temporal (shipped)": "cdsm_moving", "statics (shipped)": "cdsm"}, long=True
     ),
-    SequenceCase(
-        "cdsm_friction",
-        "capstan friction of 0.15 with half a radian of pulley wrap, from rest to rest",
+    # from rest to rest
+    "cdsm_friction": SequenceCase(
         24,
         {
             "simulated beside (shipped)": "cdsm_friction_simulated",
@@ -62,33 +56,30 @@ CASES = (
             "statics of the arm without friction": "cdsm",
         },
     ),
-)
+}
 
 
 def main() -> None:
     """Measures and prints; writes with `--write`."""
     parser = harness.parser(__doc__, "results/temporal_*")
-    names = [case.arm for case in CASES]
-    parser.add_argument("--arm", choices=names, help="only this one")
+    parser.add_argument("--arm", choices=CASES, required=True)
     parser.add_argument("--workers", type=int, default=2, help="processes that simulate")
     options = parser.parse_args()
     protocol = MotionProtocol()
-    for case in CASES:
-        if options.arm in (None, case.arm):
-            result: dict[str, Any] = {
-                "seeds": [SEED, LONG_SEED],
-                "protocol": asdict(protocol),
-                "arms": {case.arm: _arm(case, protocol, options.workers)},
-            }
-            harness.publish(f"temporal_{case.arm}.json", result, options)
+    result: dict[str, Any] = {
+        "seeds": [SEED, LONG_SEED],
+        "protocol": asdict(protocol),
+        "arms": {options.arm: _arm(options.arm, protocol, options.workers)},
+    }
+    harness.publish(f"temporal_{options.arm}.json", result, options)
 
 
-def _arm(case: SequenceCase, protocol: MotionProtocol, workers: int) -> dict[str, Any]:
-    sequences = _drawn(case.arm, replace(protocol, sequences=case.sequences), SEED, workers)
+def _arm(arm: str, protocol: MotionProtocol, workers: int) -> dict[str, Any]:
+    case = CASES[arm]
+    sequences = _drawn(arm, replace(protocol, sequences=case.sequences), SEED, workers)
     long = None
     if case.long:
-        long_protocol = replace(protocol, sequences=1, duration_s=LONG_S)
-        long = _drawn(case.arm, long_protocol, LONG_SEED, workers)
+        long = _drawn(arm, replace(protocol, sequences=1, duration_s=LONG_S), LONG_SEED, workers)
     metrics: dict[str, Any] = {}
     for name, model in case.estimators.items():
         estimator = open_estimator(find_model(model))
@@ -108,7 +99,7 @@ def _arm(case: SequenceCase, protocol: MotionProtocol, workers: int) -> dict[str
             tenths = [float(part.mean()) for part in np.array_split(off_n, 10)]
             metrics[name]["by_tenth_of_the_long_courses"] = tenths
         metrics[name]["trained by"] = estimator.metadata.command
-    return {"why": case.why, "sequences": len(sequences), "estimators": metrics}
+    return {"sequences": len(sequences), "estimators": metrics}
 
 
 def _moved_before(sequences: Sequences) -> NDArray[np.bool_]:
