@@ -22,8 +22,7 @@ from rclpy.task import Future
 from rclpy.utilities import try_shutdown
 
 from cablesense_base import Array
-from cablesense_ros.discovery import own_graph
-from cablesense_ros.processes import Process
+from cablesense_ros.processes import Process, own_graph
 
 Integers = NDArray[np.int64]
 

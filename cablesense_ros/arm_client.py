@@ -1,13 +1,11 @@
-"""A client of a running arm: takes its messages, sends commands and loads, records moments."""
+"""A client of a running arm: takes its messages, sends commands and loads."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PolygonStamped, WrenchStamped
 from rclpy.node import Node
@@ -23,9 +21,6 @@ from cablesense_ros.endpoints import RefusalLog, of_node, qos_profile
 from cablesense_sim.arm import Arm
 from cablesense_sim.equilibrium import checked_command
 
-Moment = TypeVar("Moment")
-
-RECORD_EVERY_S = 0.04
 LISTENERS = 3
 """Readers of a command once all are up: the arm, the estimator and the client itself."""
 
@@ -112,20 +107,3 @@ class ArmClient:
 
 def _put(vector: Any, numbers: Array) -> None:
     vector.x, vector.y, vector.z = (float(number) for number in numbers)
-
-
-def record(
-    moment: Callable[[float], Moment], duration_s: float, check: Callable[[], object]
-) -> tuple[Array, list[Moment]]:
-    """Act and observe every `RECORD_EVERY_S`; gives times (K,) since the start, s, and K moments.
-
-    `moment` takes the time since the start, acts and gives an observation; `check` raises to end.
-    """
-    start_s = time.monotonic()
-    times, moments = [], []
-    while (now_s := time.monotonic() - start_s) < duration_s:
-        check()
-        moments.append(moment(now_s))
-        times.append(now_s)
-        time.sleep(RECORD_EVERY_S)
-    return np.array(times), moments

@@ -13,15 +13,17 @@ from geometry_msgs.msg import (
     Point,
     Point32,
     PointStamped,
+    Polygon,
     PolygonStamped,
     PoseWithCovarianceStamped,
     Quaternion,
+    Vector3,
     Vector3Stamped,
     WrenchStamped,
 )
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
 from visualization_msgs.msg import Marker, MarkerArray
 
 from cablesense_msgs_py import topics
@@ -47,7 +49,7 @@ _COLOUR = (0.95, 0.35, 0.1, 1.0)
 
 
 class EstimatorOutputs:
-    """The topics of a configured estimator; messages are made once and reused."""
+    """The topics of a configured estimator."""
 
     def __init__(
         self,
@@ -104,7 +106,7 @@ class EstimatorOutputs:
         ]
         self._journal_out = outputs.make(DiagnosticArray, topics.JOURNAL, JOURNAL)
         self._markers_out = outputs.make(MarkerArray, topics.MARKERS) if markers else None
-        self._markers = ContactMarkers(frames, max(1, count))
+        self._most_shown = max(1, count)
 
     def publish(self, answer: Answer, stamp_ns: int, now_s: float) -> None:
         """Publish the answer to a sample, stamped `stamp_ns`, at monotonic time `now_s`."""
@@ -164,17 +166,13 @@ class EstimatorOutputs:
 
     def _publish_contact(self, answer: Answer, stamp_ns: int) -> None:
         contact, region_m, estimate = answer.contact, answer.region_m, answer.estimate
-        frame_id, stamp = self._frames.segment(contact.segment), _time(stamp_ns)
+        stamp = _time(stamp_ns)
+        header = Header(frame_id=self._frames.segment(contact.segment), stamp=stamp)
         if self._point_out.subscribed:
-            point = PointStamped()
-            point.header.frame_id, point.header.stamp = frame_id, stamp
-            point.point.x = contact.contact_m
-            self._point_out.publish(point)
+            self._point_out.publish(PointStamped(header=header, point=Point(x=contact.contact_m)))
         if region_m is not None and self._region_out.subscribed:
-            region = PolygonStamped()
-            region.header.frame_id, region.header.stamp = frame_id, stamp
-            region.polygon.points = [Point32(x=at_m) for at_m in region_m]
-            self._region_out.publish(region)
+            ends = Polygon(points=[Point32(x=at_m) for at_m in region_m])
+            self._region_out.publish(PolygonStamped(header=header, polygon=ends))
         if region_m and estimate and self._pose_out.subscribed:
             std_m = (region_m[1] - region_m[0]) / (2.0 * NORMAL_95)
             statics = self._estimation.at_pose
@@ -190,18 +188,16 @@ class EstimatorOutputs:
             self._covariance.data = array("d", estimate.place.covariance.ravel().tolist())
             self._covariance_out.publish(self._covariance)
         if self._direction_out.subscribed:
-            direction = Vector3Stamped()
-            direction.header.frame_id, direction.header.stamp = frame_id, stamp
-            direction.vector.y, direction.vector.z = contact.direction
-            self._direction_out.publish(direction)
+            y, z = contact.direction
+            self._direction_out.publish(Vector3Stamped(header=header, vector=Vector3(y=y, z=z)))
 
     def _publish_display(self, answer: Answer, stamp_ns: int) -> None:
         if answer.probabilities and self._probabilities_out.subscribed:
             self._probabilities.data = array("d", answer.probabilities)
             self._probabilities_out.publish(self._probabilities)
         if self._markers_out and self._markers_out.subscribed:
-            self._markers.put(answer.contacts, answer.region_m, _time(stamp_ns))
-            self._markers_out.publish(self._markers.message)
+            shown = answer.contacts, answer.region_m, _time(stamp_ns)
+            self._markers_out.publish(contact_markers(self._frames, self._most_shown, *shown))
 
 
 def put_estimate(
@@ -229,56 +225,46 @@ def put_estimate(
     message.covariance = array("d", place.covariance.ravel().tolist() if place else [nan] * 16)
 
 
-class ContactMarkers:
-    """Fills one `message` again and again; each arrow ends at a contact point, as a push does.
+def contact_markers(
+    frames: Frames,
+    most: int,
+    contacts: Sequence[Contact],
+    region_m: tuple[float, float] | None,
+    stamp: Time,
+) -> MarkerArray:
+    """For each contact an arrow that ends at its point, as a push does, and a sphere there.
 
-    A band along the axis shows where a single contact lies with a probability of 95 %.
+    A band along the axis shows where a single contact lies with a probability of 95 %. Up to
+    `most` contacts are shown; markers of those that are gone are deleted.
     """
 
-    def __init__(self, frames: Frames, most: int) -> None:
-        """At most `most` contacts are shown."""
-        self._frames = frames
-        arrows = [Marker(ns="contact", id=2 * n, type=Marker.ARROW) for n in range(most)]
-        spheres = [Marker(ns="contact", id=2 * n + 1, type=Marker.SPHERE) for n in range(most)]
-        self._pairs = list(zip(arrows, spheres, strict=True))
-        self._band = Marker(ns="region", id=0, type=Marker.CUBE)
-        markers = [one for pair in self._pairs for one in pair]
-        self.message = MarkerArray(markers=[*markers, self._band])
-        for marker in self.message.markers:
-            marker.pose.orientation.w = 1.0
-            marker.color.r, marker.color.g, marker.color.b, marker.color.a = _COLOUR
-        for arrow, sphere in self._pairs:
-            arrow.scale.x, arrow.scale.y, arrow.scale.z = _ARROW_DIAMETERS_M
-            sphere.scale.x = sphere.scale.y = sphere.scale.z = _SPHERE_DIAMETER_M
-            arrow.points = [Point(), Point()]
-        self._band.scale.y = self._band.scale.z = _BAND_WIDTH_M
-        self._band.color.a = _BAND_OPACITY
+    def marker(
+        namespace: str, number: int, kind: int, contact: Contact, size_m: Sequence[float]
+    ) -> Marker:
+        one, shown = Marker(ns=namespace, id=number, type=kind), contact.segment > 0
+        one.header.frame_id = frames.segment(contact.segment) if shown else frames.base
+        one.header.stamp, one.action = stamp, Marker.ADD if shown else Marker.DELETE
+        one.pose.orientation.w = 1.0
+        one.color.r, one.color.g, one.color.b, one.color.a = _COLOUR
+        one.scale.x, one.scale.y, one.scale.z = size_m
+        return one
 
-    def put(
-        self, contacts: Sequence[Contact], region_m: tuple[float, float] | None, stamp: Time
-    ) -> None:
-        """Show contacts, and delete the markers of contacts that are gone."""
-        none = (NO_CONTACT,) * (len(self._pairs) - len(contacts))
-        for (arrow, sphere), contact in zip(self._pairs, (*contacts, *none), strict=True):
-            for marker in (arrow, sphere):
-                self._address(marker, contact, contact.segment > 0, stamp)
-            y, z = contact.direction
-            length = ARROW_M_PER_N * contact.magnitude_n
-            tail, tip = arrow.points
-            tail.x = tip.x = sphere.pose.position.x = contact.contact_m
-            tail.y, tail.z = -length * y, -length * z
-        contact = contacts[0] if contacts else NO_CONTACT
-        self._address(self._band, contact, region_m is not None, stamp)
-        if region_m is not None:
-            low_m, high_m = region_m
-            self._band.pose.position.x = 0.5 * (low_m + high_m)
-            self._band.scale.x = max(high_m - low_m, _SHORTEST_BAND_M)
-
-    def _address(self, marker: Marker, contact: Contact, shown: bool, stamp: Time) -> None:
-        marker.header.frame_id = (
-            self._frames.segment(contact.segment) if shown else self._frames.base
-        )
-        marker.header.stamp, marker.action = stamp, Marker.ADD if shown else Marker.DELETE
+    markers = []
+    for n in range(most):
+        contact = contacts[n] if n < len(contacts) else NO_CONTACT
+        arrow = marker("contact", 2 * n, Marker.ARROW, contact, _ARROW_DIAMETERS_M)
+        sphere = marker("contact", 2 * n + 1, Marker.SPHERE, contact, [_SPHERE_DIAMETER_M] * 3)
+        (y, z), length_m = contact.direction, ARROW_M_PER_N * contact.magnitude_n
+        tip = sphere.pose.position = Point(x=contact.contact_m)
+        arrow.points = [Point(x=tip.x, y=-length_m * y, z=-length_m * z), tip]
+        markers += [arrow, sphere]
+    of_region = contacts[0] if contacts and region_m is not None else NO_CONTACT
+    low_m, high_m = region_m or (0.0, 0.0)
+    size_m = max(high_m - low_m, _SHORTEST_BAND_M), _BAND_WIDTH_M, _BAND_WIDTH_M
+    band = marker("region", 0, Marker.CUBE, of_region, size_m)
+    band.pose.position.x = 0.5 * (low_m + high_m)
+    band.color.a = _BAND_OPACITY
+    return MarkerArray(markers=[*markers, band])
 
 
 def _time(stamp_ns: int) -> Time:

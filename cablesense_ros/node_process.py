@@ -28,10 +28,9 @@ from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.qos import PUBLISHER
-from cablesense_ros.discovery import prefer_quick_discovery
 from cablesense_ros.endpoints import Outputs, qos_profile, steady_timer
 from cablesense_ros.parameters import declare_parameters, parameter_table, parameter_values
-from cablesense_ros.processes import handle_end_signals
+from cablesense_ros.processes import handle_end_signals, prefer_quick_discovery
 
 _WAKE_S = 0.2
 _STUCK_AFTER_S = 60  # a start that compiles takes 20 s on a slow machine

@@ -1,4 +1,4 @@
-"""Nodes and other commands as child processes: started as a user would, ended for sure.
+"""Nodes and other commands as child processes, and which nodes find each other; without rclpy.
 
 Each child leads its own process group, so that Ctrl-C in the terminal reaches the parent alone
 and the parent ends the children in order. When the parent itself is killed, the kernel ends each
@@ -9,17 +9,21 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import fcntl
+import functools
 import json
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from cablesense_base import CableSenseError
+from cablesense_base.installation import config_path
 
 Found = TypeVar("Found")
 
@@ -130,7 +134,7 @@ class Process:
         return self._log.read_text(encoding="utf-8", errors="replace")
 
     def check(self) -> None:
-        """Raise a `ProcessError` with its exit code and the end of its log where it has ended."""
+        """Raise a `ProcessError`, with exit code and the end of the log, where it has ended."""
         code = self.child.poll()
         if code is None:
             return
@@ -187,12 +191,10 @@ class Processes(dict[str, Process]):
         commands: Mapping[str, Sequence[str]],
         log_dir: Path,
         environment: Mapping[str, str] | None = None,
-        grace_s: float = GRACE_S,
     ) -> None:
         """`commands` by the children's names; each log is `<name>.log` in `log_dir`, new."""
         super().__init__()
-        self._commands, self._log_dir = commands, log_dir
-        self._environment, self._grace_s = environment, grace_s
+        self._commands, self._log_dir, self._environment = commands, log_dir, environment
 
     def __enter__(self) -> Processes:
         self._log_dir.mkdir(parents=True, exist_ok=True)
@@ -210,7 +212,7 @@ class Processes(dict[str, Process]):
         with end_signals(signal.SIG_IGN):  # the end is carried through
             for child in reversed(self.values()):
                 child.signal(signal.SIGTERM)  # SIGINT may be ignored from birth: `nohup`, `&`
-            deadline_s = time.monotonic() + self._grace_s
+            deadline_s = time.monotonic() + GRACE_S
             for child in self.values():
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     child.wait(max(0.0, deadline_s - time.monotonic()))
@@ -238,11 +240,7 @@ class Processes(dict[str, Process]):
     def wait_until(
         self, found: Callable[[], Found | None], within_s: float, otherwise: str
     ) -> Found:
-        """The first true thing that `found` gives while all children run.
-
-        Raises:
-            ProcessError: a child ended, or nothing was found in time: `otherwise`.
-        """
+        """As the function of this name, while all children run; a `ProcessError` if one ends."""
         text = f"{otherwise} within {within_s:g} s; logs are in {self._log_dir}"
         return wait_until(found, within_s, text, self.check)
 
@@ -279,3 +277,76 @@ def _die_with_parent(parent_pid: int) -> Callable[[], None] | None:
             os._exit(1)
 
     return arrange
+
+
+PROFILES: Final = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+"""Where Fast DDS looks for profiles, by its older and its newer name."""
+
+TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
+"""Which transports Fast DDS brings along, where neither a profile nor ROS 2 sets others.
+
+Shared memory is left out: a process that is killed leaves its ports in it, and others that wrote
+to them need seconds before they reach who comes back. Over UDP they need none.
+"""
+
+RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+DOMAIN: Final = "ROS_DOMAIN_ID"
+_OLDER_RANGE: Final = "ROS_LOCALHOST_ONLY"
+_DOMAINS: Final = range(1, 101)
+"""Domain ids that are safe on Linux go from 0 to 101; 0 is everyone's."""
+
+
+def prefer_quick_discovery(environment: MutableMapping[str, str] = os.environ) -> None:
+    """Use a bundled profile and UDP, unless the user has a profile; call it before `rclpy.init`.
+
+    Who asked for this machine alone gets `dds/loopback.xml`, which keeps that promise, in place of
+    a discovery range of LOCALHOST, for which ROS 2 adds shared memory whatever else is asked for.
+    Other middleware, or another release of ROS 2, finds its settings untouched.
+    """
+    middleware = environment.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp"
+    release = environment.get("ROS_DISTRO") or "jazzy"
+    if not middleware.startswith("rmw_fastrtps") or release != "jazzy":
+        return
+    if any(environment.get(name) for name in PROFILES):
+        return
+    # the older variable wins where both are set, as in ROS 2
+    older = environment.get(_OLDER_RANGE)
+    alone = older == "1" if older else environment.get(RANGE) == "LOCALHOST"
+    alone = alone and not environment.get(TRANSPORTS)
+    path = config_path("dds/loopback.xml" if alone else "dds/quick_discovery.xml")
+    for name in PROFILES:
+        environment[name] = str(path)
+    if alone:
+        environment[RANGE] = "SYSTEM_DEFAULT"
+        environment.pop(_OLDER_RANGE, None)
+    else:
+        environment.setdefault(TRANSPORTS, "UDPv4")
+
+
+def own_graph(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """The environment of nodes that stay on this machine, in a separate domain.
+
+    A domain, a discovery range or a profile of Fast DDS that is set already stays.
+    """
+    own = dict(environment)
+    own.setdefault(RANGE, "LOCALHOST")
+    prefer_quick_discovery(own)
+    if not own.get(DOMAIN):
+        own[DOMAIN] = str(free_domain())
+    own.setdefault("OMP_NUM_THREADS", "1")
+    own["PYTHONUNBUFFERED"] = "1"
+    return own
+
+
+@functools.cache
+def free_domain() -> int:
+    """A ROS domain that no other process on this machine has got here, for this process's life."""
+    start = os.getpid() % len(_DOMAINS)
+    for domain in (*_DOMAINS[start:], *_DOMAINS[:start]):
+        path = Path(tempfile.gettempdir(), f"cablesense_ros_domain_{domain}.lock")
+        try:  # what is opened stays open until the process ends
+            fcntl.flock(os.open(path, os.O_WRONLY | os.O_CREAT), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:  # in use, or another user's
+            continue
+        return domain
+    raise CableSenseError(f"all ROS domains are in use; set {DOMAIN} to one that may be shared")

@@ -13,7 +13,7 @@ import hypothesis
 import pytest
 from xdist.scheduler import LoadFileScheduling
 
-from cablesense_ros.discovery import free_domain
+from cablesense_ros.processes import free_domain
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))  # they import each other by name
 # under nohup, or behind a shell's &, all that tests start would ignore these

@@ -14,14 +14,12 @@ from typing import Annotated
 import typer
 
 from cablesense_base import CableSenseError
-from cablesense_ros.cli.dataset import dataset
-from cablesense_ros.cli.evaluate import evaluate
+from cablesense_ros.cli.evaluate import evaluate, paper
 from cablesense_ros.cli.gap import gap
 from cablesense_ros.cli.info import info, urdf
-from cablesense_ros.cli.paper import paper
 from cablesense_ros.cli.runs import demo, record, replay
 from cablesense_ros.cli.sensors import sensors
-from cablesense_ros.cli.train import train
+from cablesense_ros.cli.train import dataset, train
 from cablesense_ros.processes import handle_end_signals
 
 app = typer.Typer(

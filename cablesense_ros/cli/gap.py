@@ -13,9 +13,7 @@ from rich.console import Console
 
 from cablesense_base import CableSenseError
 from cablesense_base.files import output_file, output_folder, write_atomically
-from cablesense_ros.cli.gap_cases import score, withhold
-from cablesense_ros.cli.gap_recordings import protocol, record
-from cablesense_ros.cli.gap_watch import watch
+from cablesense_ros.cli.gap_recordings import protocol, record, score, watch, withhold
 from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
@@ -25,9 +23,9 @@ from cablesense_ros.cli.options import (
     RecordingArgument,
     WorkersOption,
     diagnosis_progress,
+    print_json,
     refuse_given,
 )
-from cablesense_ros.cli.results import print_json
 
 if TYPE_CHECKING:
     from cablesense_gap.adaptation import Adaptation

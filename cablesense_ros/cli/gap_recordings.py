@@ -1,24 +1,34 @@
-"""`cablesense gap protocol` and `record`: what to record for a diagnosis, and the recording."""
+"""`cablesense gap …`: recordings to make, of one machine over months, and with hidden effects."""
 
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from glob import escape
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
-from cablesense_base.files import output_file
+from cablesense_base.files import output_file, output_folder
 from cablesense_ros.cli.options import (
     DurationOption,
     ForceOption,
+    JsonOption,
     ModelOption,
     NominalArmOption,
     RecordingFile,
+    WorkersOption,
+    print_json,
+    print_result,
     refuse_given,
+    titled_table,
 )
-from cablesense_ros.cli.results import titled_table
+
+if TYPE_CHECKING:
+    from cablesense_gap.verdict import Verdict
 
 _KEEP_ONE = (
     "Record one after commissioning, and keep it: cablesense gap diagnose NEW --reference IT then "
@@ -144,3 +154,171 @@ def record(
     nominal_n = replay_arm(description.nominal, *used.inputs)
     for finding in check_recording(recording, description, nominal_n, rows):
         console.print(f"{finding.severity}: {finding.text}", soft_wrap=True, markup=False)
+
+
+def watch(
+    context: typer.Context,
+    folder: Annotated[
+        Path, typer.Argument(help="Recordings of one machine whose names begin with their dates.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for drift.csv and drift.png.")],
+    arm: NominalArmOption = "cdsm_lab",
+    model: ModelOption = None,
+    workers: WorkersOption = 2,
+    force: ForceOption = False,
+    json_output: JsonOption = False,
+) -> None:
+    """Show what drifts: each recording of a folder is diagnosed with the first as the reference.
+
+    The first recording is that of the healthy machine, as after commissioning.
+
+    Example: [bold]cablesense gap watch recordings --model robot.xml --out drift[/bold]
+    """
+    from cablesense_gap.watch import WATCH_FILES, series, write_drift
+
+    if model is not None:
+        refuse_given(context, ["arm"], "with --model")
+    paths = series(folder)
+    output_folder(out, WATCH_FILES, force=force, inputs=paths)
+    diagnosed = _of_arm(arm, workers) if model is None else _of_robot(model, workers)
+    console = Console(stderr=json_output)
+    verdicts: list[Verdict] = []
+    for path in paths[1:]:
+        with console.status(f"{path.name}, {len(verdicts) + 1} of {len(paths) - 1}"):
+            verdicts.append(diagnosed(path, paths[0]))
+    write_drift(out, verdicts)
+    if json_output:
+        print_json([each.model_dump(mode="json", exclude_none=True) for each in verdicts])
+        return
+    headings = ("recording", "what changed", "sure", "gap by the floor")
+    table = titled_table(f"Since {paths[0].name}", *headings, right=headings[2:])
+    for path, verdict in zip(paths[1:], verdicts, strict=True):
+        gap, what = verdict.gap, " + ".join(verdict.effects).replace("_", " ")
+        sure = f"{verdict.probability:.0%}"
+        table.add_row(path.name, what, sure, f"{gap.before_n / gap.floor_n:.1f}")
+    console.print(table)
+    console.print(f"Numbers and picture: {out}", soft_wrap=True)
+
+
+def _of_arm(arm: str, workers: int) -> Callable[[Path, Path], Verdict]:
+    from cablesense_gap.arm_system import diagnose
+    from cablesense_gap.recordings.checks import read_recording
+    from cablesense_sim.arm import open_arm
+
+    nominal = open_arm(arm)
+
+    def diagnosed(path: Path, first: Path) -> Verdict:
+        recorded, healthy = (read_recording(each, nominal) for each in (path, first))
+        return diagnose(recorded, nominal, workers=workers, reference=healthy).verdict
+
+    return diagnosed
+
+
+def _of_robot(model: Path, workers: int) -> Callable[[Path, Path], Verdict]:
+    from cablesense_gap.robot.amending import load_amended
+    from cablesense_gap.robot.recording import read_recording
+    from cablesense_gap.robot.system import diagnose
+
+    robot, beside = load_amended(model)
+
+    def diagnosed(path: Path, first: Path) -> Verdict:
+        recorded, healthy = (read_recording(each, robot) for each in (path, first))
+        return diagnose(recorded, robot, beside, workers=workers, reference=healthy).verdict
+
+    return diagnosed
+
+
+def score(
+    verdicts: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR_OF_VERDICTS",
+            help="Holds RECORDING/verdict.json, or RECORDING.json, for each row of the answers.",
+        ),
+    ],
+    answers: Annotated[
+        Path, typer.Option(help="CSV with recording, effects joined by +, and where.")
+    ],
+    json_output: JsonOption = False,
+) -> None:
+    """Score verdicts against answers: correct names, probabilities, calibration.
+
+    Example: cablesense gap score verdicts --answers answers.csv --json
+    """
+    from cablesense_gap.scoring import read_answers, read_verdicts
+    from cablesense_gap.scoring import score as score_verdicts
+
+    listed = read_answers(answers)
+    found = score_verdicts(read_verdicts(verdicts, [a.recording for a in listed]), listed)
+    print_result(f"{found.cases} verdicts", asdict(found), json_output)
+
+
+def withhold(
+    context: typer.Context,
+    count: Annotated[int, typer.Option(min=1, max=10_000, help="How many recordings.")],
+    out: Annotated[Path, typer.Option(help="Folder for case_001.csv ….")],
+    seed: Annotated[int, typer.Option(min=0, help="The same seed makes the same files.")] = 0,
+    arm: NominalArmOption = "cdsm_lab",
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="In place of --arm: MJCF or URDF of a robot whose joints are a row of hinges."
+        ),
+    ] = None,
+    answers: Annotated[
+        Path | None, typer.Option(help="File for the answers, if not OUT/answers/answers.csv.")
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Hide only this: none, unknown, an effect's name, or several joined by +. "
+            "Repeatable; they come in turn."
+        ),
+    ] = None,
+    second: Annotated[
+        bool,
+        typer.Option(
+            "--second", help="Record every machine twice, the second time in OUT/second/."
+        ),
+    ] = False,
+    workers: WorkersOption = 1,
+    force: ForceOption = False,
+) -> None:
+    """Make recordings of arms in which something is hidden, or nothing, and a file of answers.
+
+    The arms come from a plant that shares no code with the simulator or the diagnosis; so do other
+    robots, given their --model. Every machine has manufacturing tolerances; a fifth hides nothing
+    more, a fifth something that no verdict has a name for, some two or more effects at once.
+
+    Examples: [bold]cablesense gap withhold --count 60 --seed 7 --out cases[/bold],
+    [bold]cablesense gap withhold --count 1 --only payload --model robot.xml --out cases[/bold]
+    """
+    from rich.progress import track
+
+    from cablesense_sim.arm import find_arm
+
+    if model is not None:
+        refuse_given(context, ["arm", "workers"], "with --model")
+    answers_file, kinds = answers or out / "answers" / "answers.csv", tuple(only or ())
+    names = "case_*.csv" if model is None else "case_*.csv.gz"
+    written = (names, f"second/{names}") if second else (names,)
+    source = find_arm(arm) if model is None else model
+    output_folder(out, written, force=force, inputs=(source,))
+    output_folder(answers_file.parent, (escape(answers_file.name),), force=force, inputs=(source,))
+    made: Iterator[object]
+    if model is None:
+        from cablesense_plants.arm.body import read_nominal
+        from cablesense_plants.arm.withhold import withhold as of_arms
+
+        nominal = read_nominal(source)
+        made = of_arms(out, answers_file, nominal, count, seed, kinds, workers, second=second)
+    else:
+        from cablesense_gap.robot.model import load_robot
+        from cablesense_plants.robot.cases import withhold as of_robots
+
+        read = load_robot(model).model
+        made = of_robots(out, answers_file, model, read, count, seed, kinds, second=second)
+    console = Console()
+    for _ in track(made, description="Recording", total=count, console=console):
+        pass
+    console.print(f"{count} recordings in {out}, the answers in {answers_file}", soft_wrap=True)

@@ -5,6 +5,7 @@ Each description consists of plain values, which `--json` and the tables show.
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Iterable
 from pathlib import Path
@@ -16,10 +17,10 @@ import typer
 from cablesense_base import Array, CableSenseError
 from cablesense_base.files import OutputError, output_file, write_atomically
 from cablesense_base.installation import config_path
-from cablesense_ros.cli.options import ForceOption, JsonOption, refuse_given
-from cablesense_ros.cli.results import print_result
-from cablesense_sim.arm import Arm, find_arm, load_arm
+from cablesense_ros.cli.options import ForceOption, JsonOption, print_result, refuse_given
+from cablesense_sim.arm import Arm, find_arm, load_arm, open_arm
 from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.contact_location import AXIAL_STD_N, contact_information, reach_m
 from cablesense_sim.effects.effect import Effect, Parameter
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.load_capacity import (
@@ -29,6 +30,7 @@ from cablesense_sim.load_capacity import (
     hidden_force,
     load_capacity,
 )
+from cablesense_sim.replay import difference_variance_n2
 
 Description = dict[str, Any]
 _SLOWEST_HZ = 2.0
@@ -115,15 +117,11 @@ def info(
         title, description = "Effects that an arm file can list", {"effects": known}
     elif observability:
         refuse_given(context, ["blind"], "with --observability")
-        from cablesense_ros.cli.observability import (
-            describe_observability,
-            write_observability_picture,
-        )
-
         title = "Cramér-Rao bound of a contact"
-        description = describe_observability(file, load_n, bend_deg)
+        description = _observability(open_arm(file), load_n, bend_deg)
         if picture is not None:
-            write_observability_picture(output_file(picture, force=force), file, load_n, bend_deg)
+            path = output_file(picture, force=force)
+            _draw_observability(path, open_arm(file), load_n, bend_deg)
     elif blind:
         title = "Smallest change of a contact force that the readings show, by segment, N"
         description = _hidden_force(file, load_n, bend_deg)
@@ -271,7 +269,7 @@ def _hidden_force(name: str, load_n: float, bend_deg: float) -> Description:
 
     None means more than the load. The arm goes from straight to `bend_deg` in every joint.
     """
-    arm = load_arm(find_arm(name))
+    arm = open_arm(name)
     found = hidden_force(arm, np.full(arm.joint_count, np.deg2rad(bend_deg)), load_n)
 
     def plain(values_n: Array) -> Description:
@@ -305,3 +303,107 @@ def _effect(effect: Effect) -> Description:
         "parameters": plain(effect.parameters),
         "history_of_four_segments_and_twelve_cables": plain(effect.history(4, 12)),
     }
+
+
+_TARE_SAMPLES = 50
+"""The node averages as many for a tare by default."""
+_DRAWS, _PLACES = 100, 12
+_DETERMINED = 0.5
+"""A number is called undetermined if the bound exceeds this share of its prior's deviation."""
+
+
+def _observability(arm: Arm, force_n: float, bend_deg: float) -> Description:
+    """Medians of the bound by segment, of the straight arm and of bent ones.
+
+    Poses, places and directions are random. A number that tensions do not determine is None.
+    """
+    low, high = reach_m(mechanism_of(arm)).T
+    known = {
+        "place_mm": _DETERMINED * 1e3 * (high - low) / np.sqrt(12.0),
+        "lateral_n": np.full(arm.segment_count, _DETERMINED * force_n),
+        "axial_n": np.full(arm.segment_count, _DETERMINED * AXIAL_STD_N),
+    }
+    found: Description = {}
+    for pose, bend in (("straight", 0.0), (f"joints within {bend_deg:g} degrees", bend_deg)):
+        found[pose] = {}
+        for n in range(arm.segment_count):
+            bound = _contact_bound(arm, n, force_n, bend)
+            median = {key: float(f"{np.median(values):.3g}") for key, values in bound.items()}
+            found[pose][f"segment {n + 1}"] = {
+                key: None if key in known and value > known[key][n] else value
+                for key, value in median.items()
+            }
+    return {
+        "arm": arm.identity,
+        "contact_n": force_n,
+        "poses, places and directions": _DRAWS,
+        **found,
+    }
+
+
+def _contact_bound(
+    arm: Arm, n: int, force_n: float, bend_deg: float, at_m: float | None = None
+) -> dict[str, Array]:
+    """Standard deviations (B,) that one sample leaves of lateral forces on segment `n`, from 0.
+
+    They act in random directions, joints within `bend_deg`: at `at_m`, or anywhere on the segment.
+    """
+    rng, mechanism = np.random.default_rng(n), mechanism_of(arm)
+    low, high = reach_m(mechanism)[n]
+    place_m = rng.uniform(low, high, _DRAWS) if at_m is None else np.full(_DRAWS, at_m)
+    bend = np.deg2rad(bend_deg)
+    command_rad = rng.uniform(-bend, bend, (_DRAWS, arm.joint_count))
+    angle = rng.uniform(0.0, 2.0 * np.pi, _DRAWS)
+    along = np.stack([np.zeros(_DRAWS), np.sin(angle), np.cos(angle)], axis=1)
+    variance_n2 = difference_variance_n2(arm.sensors, _TARE_SAMPLES)
+    segments = np.full(_DRAWS, n + 1)
+    information = contact_information(
+        mechanism, command_rad, segments, place_m, force_n * along, variance_n2
+    )
+    prior = np.diag([AXIAL_STD_N**-2, 0.0, 0.0, 12.0 / (high - low) ** 2])
+    covariance = np.linalg.inv(information + prior)  # (B, 4, 4) of force and place
+
+    def deviation(of_force: Array, of_place: float) -> Array:
+        gradient = np.column_stack([of_force, np.full(_DRAWS, of_place)])
+        return np.sqrt(np.einsum("bi,bij,bj->b", gradient, covariance, gradient))
+
+    return {
+        "place_mm": 1e3 * np.sqrt(covariance[:, 3, 3]),
+        "lateral_n": deviation(along, 0.0),
+        "axial_n": np.sqrt(covariance[:, 0, 0]),
+        "moment_n_m": deviation(place_m[:, None] * along, force_n),
+    }
+
+
+def _draw_observability(path: Path, arm: Arm, force_n: float, bend_deg: float) -> None:
+    """Draw the bound along the arm, as PNG or SVG by the file's ending."""
+    from matplotlib.figure import Figure
+
+    reach = reach_m(mechanism_of(arm))
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    titles = {
+        "place_mm": "place, mm",
+        "lateral_n": "lateral force, N",
+        "axial_n": "axial force, N",
+    }
+    panels = dict(zip(titles, figure.subplots(1, 3, sharex=True), strict=True))
+    for bend, style, colour in ((0.0, "--", "C0"), (bend_deg, "-", "C1")):
+        for n, (low, high) in enumerate(reach):
+            places_m = np.linspace(low, high, _PLACES)
+            bounds = [_contact_bound(arm, n, force_n, bend, place_m) for place_m in places_m]
+            label = f"joints within {bend:g}°" if n == 0 else None
+            for key, axes in panels.items():
+                median = [np.median(bound[key]) for bound in bounds]
+                axes.semilogy(n + 1 + places_m / high, median, style, color=colour, label=label)
+    for key, axes in panels.items():
+        axes.set(
+            title=titles[key], xlabel="along the arm, segments", xticks=range(1, len(reach) + 2)
+        )
+        axes.grid(which="both", alpha=0.2)
+    panels["place_mm"].legend()
+    figure.suptitle(
+        f"{arm.name}: standard deviations that one sample leaves of a contact of {force_n:g} N"
+    )
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format=path.suffix.removeprefix(".") or "png", dpi=110)
+    write_atomically(path, drawn.getvalue(), OutputError)

@@ -13,10 +13,10 @@ from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
     RecordingFile,
+    print_json,
     refuse_given,
 )
-from cablesense_ros.cli.results import print_json
-from cablesense_ros.demo.run import (
+from cablesense_ros.demo import (
     DEMO_FILES,
     DEMO_FOLDER,
     DemoOptions,

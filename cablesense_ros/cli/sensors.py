@@ -13,8 +13,14 @@ import typer
 from rich.table import Table
 
 from cablesense_base.files import output_file
-from cablesense_ros.cli.options import ForceOption, JsonOption, OptionError, refuse_given
-from cablesense_ros.cli.results import print_json, titled_table
+from cablesense_ros.cli.options import (
+    ForceOption,
+    JsonOption,
+    OptionError,
+    print_json,
+    refuse_given,
+    titled_table,
+)
 
 if TYPE_CHECKING:
     from cablesense_online.can.channel_map import Calibration
@@ -206,7 +212,7 @@ def check(
     names = described.cable_names
     expected = expectation(described.sensors, rate)
     if recording is None:
-        from cablesense_ros.tension_capture import capture_tensions
+        from cablesense_ros.recorder import capture_tensions
 
         pulled = names if pull == "all" else tuple(pull.split(",")) if pull else ()
         unknown = [cable for cable in pulled if cable not in names]

@@ -23,10 +23,9 @@ from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import NamedOrder, joint_command_rad
 from cablesense_msgs_py.qos import COMMAND
-from cablesense_ros.discovery import own_graph
 from cablesense_ros.endpoints import RefusalLog
 from cablesense_ros.node_process import node_in_thread
-from cablesense_ros.processes import Processes, node_command
+from cablesense_ros.processes import Processes, node_command, own_graph
 from cablesense_sim.arm import open_arm
 from examples.admittance.wall import Obstacle
 

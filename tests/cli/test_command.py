@@ -142,7 +142,7 @@ sys.meta_path.insert(0, Absent())
 SPARING = """
 from cablesense_training import Dataset, draw_dataset, find_model, open_estimator
 open_estimator(find_model("cdsm"))
-import cablesense_ros.sim_node, cablesense_ros.estimator_node, cablesense_ros.demo.run
+import cablesense_ros.sim_node, cablesense_ros.estimator_node, cablesense_ros.demo
 from cablesense_ros.cli.app import app, main
 try:
     app(["evaluate", "--table2"])

@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from cablesense_base import CableSenseError
-from cablesense_ros.cli.dataset import dataset
+from cablesense_ros.cli.train import dataset
 from cablesense_training.data.parquet import read_dataset
 
 app = typer.Typer()

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from cablesense_gap.amended_arm import write_arm
 from cablesense_ros.cli.app import app
-from cablesense_ros.cli.results import print_result
+from cablesense_ros.cli.options import print_result
 from cablesense_sim.arm import Arm, parse_arm
 from cablesense_sim.effects.registry import known_effects
 

@@ -53,7 +53,7 @@ def test_a_missing_package_is_named_before_anything_is_made(missing, tmp_path, m
         if name == missing:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-    monkeypatch.setattr("cablesense_ros.cli.paper.import_module", import_module)
+    monkeypatch.setattr("cablesense_ros.cli.evaluate.import_module", import_module)
     result = invoke("--out", str(tmp_path / "report"))
     assert isinstance(result.exception, ModuleNotFoundError)
     assert result.exception.name == missing

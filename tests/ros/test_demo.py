@@ -11,12 +11,20 @@ from typer.testing import CliRunner
 
 from cablesense_msgs_py.messages import ForceState, Level
 from cablesense_online.page.snapshot import KnownMoment, ShownContact, ShownStatus, Snapshot
+from cablesense_ros import demo
 from cablesense_ros.cli import runs
 from cablesense_ros.cli.app import app
-from cablesense_ros.demo import run
-from cablesense_ros.demo.pushes import PushRecord, ScriptError, make_script, push_results, summary
-from cablesense_ros.demo.report import draw_pushes, metrics, results_table
-from cablesense_ros.demo.run import DemoOptions, Source, node_commands, run_headless
+from cablesense_ros.demo import DemoOptions, Source, node_commands, run_headless
+from cablesense_ros.demo_pushes import (
+    PushRecord,
+    ScriptError,
+    draw_pushes,
+    make_script,
+    metrics,
+    push_results,
+    results_table,
+    summary,
+)
 
 REACH_M = np.tile([0.02, 0.13], (4, 1))
 SOURCES = {Source.SIM: ["sim"], Source.CAN: ["can_emulator", "can_driver", "sim"]}
@@ -53,10 +61,10 @@ def test_breathing_keeps_an_arm_that_is_asked_for(tmp_path, monkeypatch):
 )
 def test_the_page_opens_where_there_is_a_screen(monkeypatch, screens, opened):
     found = []
-    monkeypatch.setattr(run.webbrowser, "open", found.append)
-    monkeypatch.setattr(run.sys, "platform", "linux")
-    monkeypatch.setattr(run.os, "environ", screens)
-    run._open_in_browser("http://page/")
+    monkeypatch.setattr(demo.webbrowser, "open", found.append)
+    monkeypatch.setattr(demo.sys, "platform", "linux")
+    monkeypatch.setattr(demo.os, "environ", screens)
+    demo._open_in_browser("http://page/")
     assert found == opened
 
 
@@ -168,8 +176,8 @@ def test_a_moment_is_compared_as_one_and_has_no_place():
 
     _, (result,) = results_of(make_script(REACH_M, 4.0, seed=0), moment)
     assert result.segment_right
-    assert result.moment_error_n_m == pytest.approx(0.1)
-    assert (result.place_error_mm, result.magnitude_error_n) == (None, None)
+    assert result.errors.keys() == {"direction_deg", "moment_n_m"}
+    assert result.errors["moment_n_m"] == pytest.approx(0.1)
     output = io.StringIO()
     Console(file=output, width=80).print(results_table([result]))
     assert "4, moment" in output.getvalue()

@@ -10,8 +10,16 @@ from xml.etree import ElementTree
 
 import pytest
 
-from cablesense_ros.discovery import PROFILES, RANGE, TRANSPORTS, own_graph, prefer_quick_discovery
-from cablesense_ros.processes import Process, node_command, wait_until
+from cablesense_ros.processes import (
+    PROFILES,
+    RANGE,
+    TRANSPORTS,
+    Process,
+    node_command,
+    own_graph,
+    prefer_quick_discovery,
+    wait_until,
+)
 
 FAST_DDS = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
 NAMESPACE = {"dds": "http://www.eprosima.com"}
@@ -75,7 +83,7 @@ def test_no_shared_memory_unless_the_user_wants_it(wanted):
 
 
 def test_a_graph_of_its_own_has_a_domain_that_no_other_process_has():
-    code = "from cablesense_ros.discovery import own_graph; print(own_graph()['ROS_DOMAIN_ID'])"
+    code = "from cablesense_ros.processes import own_graph; print(own_graph()['ROS_DOMAIN_ID'])"
     environment = {name: value for name, value in os.environ.items() if name != "ROS_DOMAIN_ID"}
     command = [sys.executable, "-W", "always::ResourceWarning", "-c", code]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)

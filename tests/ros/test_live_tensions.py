@@ -14,17 +14,17 @@ from ros_graph import Graph
 from sensor_msgs.msg import JointState
 
 from cablesense_online.commissioning import CommissioningError
-from cablesense_ros import tension_capture
+from cablesense_ros import recorder
 from cablesense_sim.arm import open_arm
 
 SHORT_WAITS = (
-    "from cablesense_ros import tension_capture as capture; "
+    "from cablesense_ros import recorder as capture; "
     "capture._FIRST_SAMPLE_S, capture._PULLING_S, capture._RELEASED_S = 30.0, 0.5, 0.5; "
     "from cablesense_ros.cli.app import main; main()"
 )
 HEARING = (
     "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    "from cablesense_ros import tension_capture as capture; "
+    "from cablesense_ros import recorder as capture; "
     "capture._FIRST_SAMPLE_S = 60.0; "
     "from cablesense_ros.cli.app import main; main()"
 )
@@ -73,9 +73,9 @@ def test_ctrl_c_ends_it_at_once(sim):
 
 
 def test_silence_is_refused_in_one_line(monkeypatch):
-    monkeypatch.setattr(tension_capture, "_FIRST_SAMPLE_S", 0.5)
+    monkeypatch.setattr(recorder, "_FIRST_SAMPLE_S", 0.5)
     with pytest.raises(CommissioningError, match=r"^nothing on cable_tensions in 0\.5 s: .*$"):
-        tension_capture.capture_tensions(CABLES, 2.0, (), print)
+        recorder.capture_tensions(CABLES, 2.0, (), print)
 
 
 def test_two_publishers_are_one_line_and_exit_code_2():

@@ -25,8 +25,7 @@ from page_visitor import SUBPROTOCOL
 from PIL import Image
 from websockets.sync.client import connect
 
-from cablesense_ros.discovery import own_graph
-from cablesense_ros.processes import ProcessError, Processes, node_command
+from cablesense_ros.processes import ProcessError, Processes, node_command, own_graph
 
 # a picture takes Chromium fifteen seconds where other tests keep the cores busy
 pytestmark = [pytest.mark.browser, pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(500)]

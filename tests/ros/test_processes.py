@@ -59,8 +59,9 @@ def test_a_child_that_dies_is_named_with_its_code_and_last_words(tmp_path):
     assert gone(processes["page"].pid)
 
 
-def test_what_ignores_the_request_to_end_is_killed(tmp_path):
-    with Processes({"page": python(STUBBORN)}, tmp_path, grace_s=0.5) as processes:
+def test_what_ignores_the_request_to_end_is_killed(tmp_path, monkeypatch):
+    monkeypatch.setattr("cablesense_ros.processes.GRACE_S", 0.5)
+    with Processes({"page": python(STUBBORN)}, tmp_path) as processes:
         processes.wait_for_line("page", "up", PATIENCE_S)
     assert not alive(processes["page"].pid)
 

@@ -1,4 +1,4 @@
-"""A demo from start to end: live with the page, or headless with a script and a report."""
+"""A demo from start to end: live with the page, or headless with a script and a demo_pushes."""
 
 from __future__ import annotations
 
@@ -21,15 +21,14 @@ from rich.console import Console
 
 from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
-from cablesense_ros.discovery import own_graph
-from cablesense_ros.processes import Processes, node_command
+from cablesense_ros.processes import Processes, node_command, own_graph
 from cablesense_sim.arm import Arm
 from cablesense_sim.load_capacity import contact_range_n
 
 if TYPE_CHECKING:
     from cablesense_online.models import LoadedModel
     from cablesense_online.page.live_arm import LiveArm
-    from cablesense_ros.demo.pushes import PushRecord, ScriptedPush
+    from cablesense_ros.demo_pushes import PushRecord, ScriptedPush
 
 _MAP = "twelve_channel_amplifier"
 """The amplifier that the emulator poses as."""
@@ -111,8 +110,7 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
         CableSenseError: a file is wrong, a node ended, or no estimates came.
     """
     from cablesense_online.page.live_arm import LiveArm
-    from cablesense_ros.demo import report
-    from cablesense_ros.demo.pushes import MOST_ALONG, make_script, push_results
+    from cablesense_ros import demo_pushes
     from cablesense_sim.build import mechanism_of
     from cablesense_sim.contact_location import touched_at
     from cablesense_training.inference.metadata import ANYWHERE
@@ -122,22 +120,22 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
     os.environ.update(own_graph())  # before rclpy starts: this process joins the same domain
     console = Console(stderr=as_json)
     if model.estimator.metadata.kind == ANYWHERE:
-        reach_m, most_along = touched_at(arm)[0], MOST_ALONG
+        reach_m, most_along = touched_at(arm)[0], demo_pushes.MOST_ALONG
     else:  # it estimates contacts at these points alone
         reach_m, most_along = np.repeat(mechanism_of(arm).contact_m[:, None], 2, axis=1), 0.0
     range_n = contact_range_n(arm)
-    script = make_script(reach_m, duration_s, options.seed, range_n, most_along)
+    script = demo_pushes.make_script(reach_m, duration_s, options.seed, range_n, most_along)
     live = LiveArm(arm, joint_speed_rad_s=_JOINT_SPEED_RAD_S)
     played = _played(options, arm, script, live, console)
-    results = push_results(script, played)
+    results = demo_pushes.push_results(script, played)
     picture = options.out / "demo.png"
     with console.status("Drawing the picture …"):
-        report.draw_pushes(picture, played, results, arm.segment_count)
+        demo_pushes.draw_pushes(picture, played, results, arm.segment_count)
     if as_json:
-        found = {"arm": arm.identity, **report.metrics(results), "picture": str(picture)}
+        found = {"arm": arm.identity, **demo_pushes.metrics(results), "picture": str(picture)}
         print(json.dumps(found, indent=2))
     else:
-        console.print(report.results_table(results))
+        console.print(demo_pushes.results_table(results))
         console.print(f"picture: {picture}", soft_wrap=True)
     if silent := sum(not result.sample_count for result in results):
         raise DemoError(
@@ -151,7 +149,7 @@ def _played(
     from rich.progress import Progress
 
     from cablesense_ros.arm_client import ArmClient
-    from cablesense_ros.demo.pushes import play_script
+    from cablesense_ros.demo_pushes import play_script
     from cablesense_ros.node_process import node_in_thread
 
     def estimated() -> bool:
