@@ -8,7 +8,6 @@ from functools import partial
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py import topics
@@ -30,9 +29,13 @@ from cablesense_online.breathing import (
     breath_circle,
     offsets_m,
 )
-from cablesense_ros.endpoints import RefusalLog, qos_profile
-from cablesense_ros.node_process import publish_diagnostics, run_node
-from cablesense_ros.parameters import declare_parameters, parameter_table
+from cablesense_ros.endpoints import RefusalLog, qos_profile, serve
+from cablesense_ros.node_process import (
+    declare_parameters,
+    parameter_table,
+    publish_diagnostics,
+    run_node,
+)
 from cablesense_sim.arm import open_arm
 
 
@@ -57,7 +60,7 @@ class BreatherNode(Node):
         self._out = self.create_publisher(JointState, given["over"], qos_profile(COMMAND))
         self._refuse = RefusalLog(self)
         self._refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND, self._on_command)
-        self.create_service(Trigger, topics.BREATHE, self._on_request)
+        serve(self, topics.BREATHE, self._breathe_once)
         self.create_timer(0.5e-9 * self._tick_ns, self._tick)
         publish_diagnostics(self, self._statuses, lambda: arm.identity)
         self.get_logger().info(f"arm {arm.identity}: breathes over {given['over']}")
@@ -80,15 +83,10 @@ class BreatherNode(Node):
             self._send(np.zeros(self._arm.joint_count), BREATH_END, self._commanded_ns)
             self._problem = "the last breath was cut short by a command"
 
-    def _on_request(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        try:
-            if self._breath is not None:
-                raise BreathError("the arm is breathing already; wait until it has ended")
-            response.message = self._begin(self._given["turns"])
-            response.success = True
-        except CableSenseError as error:
-            response.success, response.message = False, str(error)
-        return response
+    def _breathe_once(self) -> str:
+        if self._breath is not None:
+            raise BreathError("the arm is breathing already; wait until it has ended")
+        return self._begin(self._given["turns"])
 
     def _begin(self, turns: int) -> str:
         """Begin to breathe, with this number of turns; gives the amplitude as text.

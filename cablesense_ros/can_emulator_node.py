@@ -20,8 +20,13 @@ from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.emulator import Emulator
 from cablesense_online.can.slcan import SlcanPort
 from cablesense_ros.endpoints import RefusalLog, steady_timer
-from cablesense_ros.node_process import publish_diagnostics, run_node
-from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
+from cablesense_ros.node_process import (
+    ParameterError,
+    declare_parameters,
+    parameter_table,
+    publish_diagnostics,
+    run_node,
+)
 from cablesense_sim.arm import open_arm
 
 SLCAN_PORT = "slcan_port"

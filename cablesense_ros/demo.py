@@ -30,9 +30,8 @@ if TYPE_CHECKING:
     from cablesense_online.page.live_arm import LiveArm
     from cablesense_ros.demo_pushes import PushRecord, ScriptedPush
 
-_MAP = "twelve_channel_amplifier"
+_MAP, _BITRATE_BIT_S = "twelve_channel_amplifier", 1_000_000
 """The amplifier that the emulator poses as."""
-_BITRATE_BIT_S = 1_000_000
 _START_S = 120.0
 """Slow machines import and compile for a minute the first time."""
 _JOINT_SPEED_RAD_S = math.radians(20.0)
@@ -54,21 +53,13 @@ class DemoError(CableSenseError):
     exit_code = 1
 
 
-DEMO_FOLDER = Path("out/demo")
-DEMO_FILES = ("demo.png", "logs/*.log")
-"""The files of a demo in its folder."""
+DEMO_FOLDER, DEMO_FILES = Path("out/demo"), ("demo.png", "logs/*.log")
+"""The default folder of a demo, and its files in any."""
 
 
 @dataclass(frozen=True)
 class DemoOptions:
-    """The command's options.
-
-    Attributes:
-        model: empty is the arm's own.
-        out: holds logs and picture.
-        breathe: continuously, over cable offsets.
-        open_page: in a browser, where there is a screen.
-    """
+    """The command's options: an empty `model` is the arm's own, `out` holds logs and picture."""
 
     arm: str = "cdsm"
     model: str = ""

@@ -26,9 +26,8 @@ from cablesense_online.page.snapshot import KnownMoment, ShownContact, Snapshot
 from cablesense_ros.arm_client import ArmClient
 from cablesense_sim.load_capacity import USUAL_CONTACT_N
 
-PUSH_S = 3.0
+PUSH_S, SHORTEST_SLOT_S = 3.0, 4.0
 """Each push is held this long. A pause before it fills its slot."""
-SHORTEST_SLOT_S = 4.0
 MOVE_S = 3.0
 """A move of the joints may take this long until the arm rests again."""
 WEAKEST, STRONGEST = 0.025, 0.6
@@ -47,13 +46,11 @@ class ScriptError(CableSenseError):
 
 @dataclass(frozen=True)
 class ScriptedPush:
-    """One push of the script.
+    """One push of the script; its times are since the start of the script.
 
     Attributes:
-        start_s, end_s: since the start of the script.
         contact: what pushes where, at the commanded pose.
         command_rad: (2N,) joint angles commanded at `move_s`, before the push.
-        move_s: since the start of the script.
     """
 
     start_s: float
@@ -163,7 +160,6 @@ class PushResult:
     """One push and the estimate of it, the median over its steady part.
 
     Attributes:
-        push: as scripted.
         estimate: None when nothing was reported for most of it.
         sample_count: steady moments looked at; 0 when no estimates came.
     """
@@ -239,21 +235,19 @@ def _median(found: Sequence[Seen | None]) -> Seen | None:
 
 def summary(results: Sequence[PushResult]) -> dict[str, Any]:
     """Mean errors over the pushes found on their segment; None where there are none."""
-    mean: dict[str, float | None] = {}
-    for quantity, unit in (
-        ("place", "mm"),
-        ("direction", "deg"),
-        ("magnitude", "n"),
-        ("moment", "n_m"),
-    ):
-        every = [result.errors.get(f"{quantity}_{unit}") for result in results]
-        known = [abs(error) for error in every if error is not None]
-        mean[f"{quantity}_mae_{unit}"] = float(np.mean(known)) if known else None
+
+    def mean(name: str) -> float | None:
+        known = [abs(result.errors[name]) for result in results if name in result.errors]
+        return float(np.mean(known)) if known else None
+
     return {
         "pushes": len(results),
         "estimated": sum(result.sample_count > 0 for result in results),
         "segment_right": sum(result.segment_right for result in results),
-        **mean,
+        "place_mae_mm": mean("place_mm"),
+        "direction_mae_deg": mean("direction_deg"),
+        "magnitude_mae_n": mean("magnitude_n"),
+        "moment_mae_n_m": mean("moment_n_m"),
     }
 
 

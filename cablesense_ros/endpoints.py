@@ -32,6 +32,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from cablesense_base import Array, CableSenseError
@@ -89,11 +90,25 @@ def steady_timer(node: Node, period_s: float, act: Callable[[], None]) -> Timer:
     return node.create_timer(period_s, act, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
+def serve(node: Node, service: str, act: Callable[[], str]) -> None:
+    """A `Trigger` that answers what `act` gives, or why it refuses, which is logged."""
+
+    def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            response.success, response.message = True, act()
+        except CableSenseError as error:
+            response.success, response.message = False, str(error)
+            node.get_logger().warning(f"{service.removeprefix('~/')}: {error}")
+        return response
+
+    node.create_service(Trigger, service, answer)
+
+
 class Outputs:
     """The topics of a node, kept for as long as it lives.
 
-    A publisher that is destroyed while a matched subscriber is being reported ends the process:
-    the events executor calls its handler later.
+    To destroy a publisher while a matched subscriber is being reported ends the process: the
+    events executor calls its handler later.
     """
 
     def __init__(self, node: LifecycleNode) -> None:
@@ -135,9 +150,9 @@ def subscribe_to_one(
     accept: Callable[[int, float], bool] | None = None,
     **events: Callable[[Any], None],
 ) -> Subscription:
-    """A raw subscription of which `take` gets the messages of one publisher, never of two in turn.
+    """A raw subscription: `take` gets the messages of one publisher, never of two in turn.
 
-    `refuse` takes why a message of another is not used. `accept` stands in place of
+    `refuse` gets why a message of another is not used. `accept` stands in place of
     `publisher.accept`, which it calls. `events` are callbacks by the names of rclpy.
     """
     accept = accept or publisher.accept
@@ -190,23 +205,12 @@ class RefusalLog:
         self.count = 0
 
     def __call__(self, topic: str, error: CableSenseError) -> None:
-        """Count and warn that a message on `topic` was refused for `error`."""
+        """Count it, and warn."""
         self.count += 1
         kind, now_s = (topic, getattr(error, "kind", type(error))), time.monotonic()
         if now_s - self._logged_s.get(kind, -math.inf) >= WARN_EVERY_S:
             self._logged_s[kind] = now_s
             self._node.get_logger().warning(f"{topic}: {self._what}: {error}")
-
-    def guarded(self, topic: str, handle: Callable[[Any], object]) -> Callable[[Any], None]:
-        """A callback that refuses what `handle` raises a `CableSenseError` for."""
-
-        def take(message: Any) -> None:
-            try:
-                handle(message)
-            except CableSenseError as error:
-                self(topic, error)
-
-        return take
 
     def subscribe(
         self,
@@ -217,24 +221,27 @@ class RefusalLog:
         publisher: FollowedPublisher | None = None,
         accept: Callable[[int, float], bool] | None = None,
     ) -> Subscription:
-        """A subscription of the node, guarded so; a message that is too long is never parsed.
+        """A subscription that refuses what `handle` raises a `CableSenseError` for.
 
-        With a `publisher` to follow, messages of others are refused (`subscribe_to_one`).
+        A message that is too long is never parsed. With a `publisher` to follow, messages of
+        others are refused (`subscribe_to_one`).
         """
 
         def take(raw: bytes) -> None:
-            require_bounded(raw)
             try:
-                message = deserialize_message(raw, kind)
-            except Exception as error:  # of the middleware, each its own
-                raise ContractError(f"no message of its type ({error})") from error
-            handle(message)
+                require_bounded(raw)
+                try:
+                    message = deserialize_message(raw, kind)
+                except Exception as error:  # of the middleware, each its own
+                    raise ContractError(f"no message of its type ({error})") from error
+                handle(message)
+            except CableSenseError as error:
+                self(topic, error)
 
-        guarded = self.guarded(topic, take)
         if publisher is None:
-            return self._node.create_subscription(kind, topic, guarded, qos_profile(qos), raw=True)
+            return self._node.create_subscription(kind, topic, take, qos_profile(qos), raw=True)
         refuse = partial(self, topic)
-        return subscribe_to_one(self._node, kind, topic, qos, publisher, guarded, refuse, accept)
+        return subscribe_to_one(self._node, kind, topic, qos, publisher, take, refuse, accept)
 
 
 TRAJECTORY_PERIOD_S = 0.02

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 from rclpy.event_handler import QoSMessageLostInfo
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
@@ -28,12 +26,12 @@ from cablesense_ros.endpoints import (
     WARN_EVERY_S,
     CommandInput,
     RefusalLog,
+    serve,
     steady_timer,
     subscribe_to_one,
 )
 from cablesense_ros.estimator_outputs import EstimatorOutputs
-from cablesense_ros.node_process import ConfiguredNode, run_node
-from cablesense_ros.parameters import parameter_values
+from cablesense_ros.node_process import ConfiguredNode, parameter_values, run_node
 
 STALE_CHECK_S = 0.02
 """How often silence of the input is checked for; while it lasts, a zero wrench is published."""
@@ -48,8 +46,8 @@ class EstimatorNode(ConfiguredNode):
         self._lost = 0
         self._refuse_sample = RefusalLog(self, "sample refused")
         self._refuse_command = RefusalLog(self)
-        for name, answer in ((topics.TARE, self._tare), (topics.TARE_UNDO, self._undo_tare)):
-            self.create_service(Trigger, name, partial(self._on_request, answer))
+        serve(self, topics.TARE, self._tare)
+        serve(self, topics.TARE_UNDO, self._undo_tare)
         self.add_post_set_parameters_callback(self._on_parameters)
 
     def _begin(self) -> None:
@@ -147,25 +145,18 @@ class EstimatorNode(ConfiguredNode):
                 "another pose than the assumed one; auto_tare takes another once the arm rests"
             )
 
-    def _on_request(
-        self, act: Callable[[], str], _: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        try:
-            if not self._active:
-                raise TareError("the node is not active")
-            response.message = act()
-            response.success = True
-        except CableSenseError as error:
-            response.success, response.message = False, str(error)
-            self.get_logger().warning(f"tare: {error}")
-        return response
+    def _require_active(self) -> None:
+        if not self._active:
+            raise TareError("the node is not active")
 
     def _tare(self) -> str:
+        self._require_active()
         forced = self.get_parameter("tare_force").value
         tare = self._estimation.take_tare(self._now_ns(), forced=forced)
         return self._log_tare(tare, "on request" + " (tare_force)" * forced)
 
     def _undo_tare(self) -> str:
+        self._require_active()
         tares = self._estimation.tares
         undone = tares.present
         earlier = self._estimation.undo_tare()

@@ -1,8 +1,10 @@
-"""What all nodes share: the process from start to end, lifecycle, diagnostics after REP-107."""
+"""What all nodes share: process, parameters, lifecycle, diagnostics after REP-107."""
 
 from __future__ import annotations
 
 import gc
+import math
+import re
 import signal
 import sys
 import threading
@@ -10,26 +12,36 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from importlib.resources import files
 from typing import Any
 
 import rclpy
 import rclpy.utilities
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.time_source import CLOCK_TOPIC
 
 from cablesense_base import CableSenseError
+from cablesense_base.plain_yaml import parse_plain_mapping
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.qos import PUBLISHER
 from cablesense_ros.endpoints import Outputs, qos_profile, steady_timer
-from cablesense_ros.parameters import declare_parameters, parameter_table, parameter_values
 from cablesense_ros.processes import handle_end_signals, prefer_quick_discovery
 
 _WAKE_S = 0.2
@@ -87,8 +99,7 @@ def _spin(node: Node, wanted_end: Future) -> None:
     """Spin in the events executor, which has the least latency.
 
     Its own `spin` does not return at shutdown. rclpy's signal handlers would invalidate the
-    context under a callback that is running; ours only note that the end is wanted, which the
-    loop sees after the callback, or when it wakes.
+    context under a callback that is running; ours note that the end is wanted, for the loop.
     """
     executor = EventsExecutor()
     executor.add_node(node)
@@ -143,6 +154,126 @@ def node_in_thread(name: str) -> Iterator[Node]:
             thread.join()
 
 
+class ParameterError(CableSenseError):
+    """A parameter given at start that does not fit."""
+
+
+_KINDS = {bool: "true or false", int: "a whole number", float: "a number with a decimal point"}
+
+
+@dataclass(frozen=True)
+class NodeParameter:
+    """One parameter of a node, as `parameters.yaml` has it.
+
+    Attributes:
+        name, description: as in `ros2 param`; the description has the unit.
+        default: also fixes the type.
+        bounds: least and greatest value of a number.
+        choices: the texts that are allowed; empty for any.
+        live: whether it may change while the node is at work; else the node reads it once.
+    """
+
+    name: str
+    default: bool | int | float | str
+    description: str
+    bounds: Sequence[float] = ()
+    choices: Sequence[str] = ()
+    live: bool = False
+
+    def descriptor(self, lifecycle: bool) -> ParameterDescriptor:
+        """The description that `ros2 param describe` shows."""
+        descriptor = ParameterDescriptor(
+            description=self.description,
+            read_only=not (self.live or lifecycle),
+            additional_constraints=self.valid() if self.choices else "",
+        )
+        if self.bounds:
+            low, high = self.bounds
+            if isinstance(self.default, float):
+                ends = FloatingPointRange(from_value=low, to_value=high)
+                descriptor.floating_point_range = [ends]
+            else:
+                descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
+        return descriptor
+
+    def valid(self) -> str:
+        """The valid values, for errors."""
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
+        within = " from {:g} to {:g}".format(*self.bounds) if self.bounds else ""
+        return f"{_KINDS.get(type(self.default), 'text')}{within}"
+
+    def allows(self, value: object) -> bool:
+        """Whether a value of its type is finite and among the choices.
+
+        NaN passes rclpy's own check of ranges, as it compares false with both ends.
+        """
+        finite = not isinstance(value, float) or math.isfinite(value)
+        return finite and (not self.choices or value in self.choices)
+
+
+def parameter_table(node: str) -> list[NodeParameter]:
+    """The parameters of a node such as `sim`."""
+    text = files("cablesense_ros").joinpath("parameters.yaml").read_text(encoding="utf-8")
+    tables = parse_plain_mapping(text, "parameters.yaml", "nodes", ParameterError)
+    return [
+        NodeParameter(name, **(tables["shared"][name] if entry == "shared" else entry))
+        for name, entry in tables[node].items()
+    ]
+
+
+def declare_parameters(
+    node: Node, table: Sequence[NodeParameter], configured: Callable[[], bool] | None = None
+) -> dict[str, Any]:
+    """Declare all of a table, and give their values.
+
+    A change that would have no effect is refused: those that are not live keep the value given at
+    start, or, of a lifecycle node, the one that it was `configured` with.
+
+    Raises:
+        ParameterError: a value given at start has the wrong type or lies out of range.
+    """
+    for parameter in table:
+        must = f"it must be {parameter.valid()}"
+        descriptor = parameter.descriptor(configured is not None)
+        try:
+            value = node.declare_parameter(parameter.name, parameter.default, descriptor).value
+        except ParameterException as error:
+            raise ParameterError(f"parameter {parameter.name}: {error}; {must}") from error
+        if not parameter.allows(value):
+            raise ParameterError(f"parameter {parameter.name} is {value}; {must}")
+    by_name = {parameter.name: parameter for parameter in table}
+
+    def check(given: list[Parameter]) -> SetParametersResult:
+        for one in given:
+            parameter = by_name.get(one.name)
+            if parameter is None or one.value == node.get_parameter(one.name).value:
+                continue
+            reason = ""
+            if not parameter.allows(one.value):
+                reason = f"must be {parameter.valid()}, not {one.value}"
+            elif configured is not None and configured() and not parameter.live:
+                reason = (
+                    "is read when the node is configured, so a change now would have no effect; "
+                    "deactivate the node and clean it up first"
+                )
+            if reason:
+                return SetParametersResult(successful=False, reason=f"{one.name} {reason}")
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(check)
+    return parameter_values(node)
+
+
+def parameter_values(node: Node) -> dict[str, Any]:
+    """Present values by name; those in degrees, `…_deg…`, also in radians, as `…_rad…`."""
+    given = {name: one.value for name, one in node.get_parameters_by_prefix("").items()}
+    degrees = {name: value for name, value in given.items() if re.search(r"_deg(_|$)", name)}
+    return given | {
+        name.replace("_deg", "_rad"): math.radians(value) for name, value in degrees.items()
+    }
+
+
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
@@ -180,7 +311,7 @@ class ConfiguredNode(LifecycleNode, ABC):
         return result
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop; what was configured stays."""
+        """Stop what activating began."""
         self._active = False
         self._while_active.close()
         return super().on_deactivate(state)

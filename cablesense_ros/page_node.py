@@ -21,8 +21,7 @@ from cablesense_online.page.page import Page
 from cablesense_online.page.panel import Actions
 from cablesense_ros.arm_client import ArmClient
 from cablesense_ros.endpoints import of_node, steady_timer
-from cablesense_ros.node_process import full_name, run_node
-from cablesense_ros.parameters import declare_parameters, parameter_table
+from cablesense_ros.node_process import declare_parameters, full_name, parameter_table, run_node
 from cablesense_sim.arm import open_arm
 
 

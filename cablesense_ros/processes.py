@@ -46,10 +46,9 @@ def node_command(
     remaps: Mapping[str, str] | None = None,
     namespace: str = "",
 ) -> list[str]:
-    """The command line that runs `cablesense_ros.<name>_node`, or another module, in this Python.
+    """The command line that runs `cablesense_ros.<name>_node`, or a module with a dot in its name.
 
-    `name` is a node's, or a module's with a dot. Parameters other than numbers, truth values and
-    text are given as their text.
+    Parameters other than numbers, truth values and text are given as their text.
     """
     module = name if "." in name else f"cablesense_ros.{name}_node"
     command = [sys.executable, "-m", module, "--ros-args"]
@@ -82,12 +81,9 @@ def wait_until(
 
 
 class Process:
-    """One child process; it can be killed and started again.
+    """One child process, called `name` in errors; it can be killed and started again.
 
-    Attributes:
-        name: for people.
-        started_s: when it was last started, monotonic.
-        child: the process; its stdin is a pipe.
+    `started_s` is the monotonic time of its last start; the stdin of `child` is a pipe.
     """
 
     def __init__(
@@ -230,11 +226,10 @@ class Processes(dict[str, Process]):
             ProcessError: a child ended, or no such line came in time.
         """
 
-        def found() -> str | None:
-            lines = self[name].log.splitlines()
-            return next((line for line in lines if line.startswith(start)), None)
+        def found() -> list[str]:
+            return [line for line in self[name].log.splitlines() if line.startswith(start)]
 
-        line = self.wait_until(found, within_s, f"{name} was not ready")
+        line, *_ = self.wait_until(found, within_s, f"{name} was not ready")
         return line.removeprefix(start).strip()
 
     def wait_until(
@@ -246,10 +241,7 @@ class Processes(dict[str, Process]):
 
 
 def handle_end_signals(handler: Any) -> dict[signal.Signals, Any]:
-    """One handler of SIGINT, SIGTERM and SIGHUP, but where nohup has this ignored.
-
-    Gives the handlers before, by signal.
-    """
+    """Handle SIGINT, SIGTERM and, unless nohup has it ignored, SIGHUP; gives earlier handlers."""
     ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     numbers = [signal.SIGINT, signal.SIGTERM, *([] if ignored else [signal.SIGHUP])]
     return {number: signal.signal(number, handler) for number in numbers}
@@ -281,14 +273,12 @@ def _die_with_parent(parent_pid: int) -> Callable[[], None] | None:
 
 PROFILES: Final = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """Where Fast DDS looks for profiles, by its older and its newer name."""
-
 TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
 """Which transports Fast DDS brings along, where neither a profile nor ROS 2 sets others.
 
 Shared memory is left out: a process that is killed leaves its ports in it, and others that wrote
 to them need seconds before they reach who comes back. Over UDP they need none.
 """
-
 RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 DOMAIN: Final = "ROS_DOMAIN_ID"
 _OLDER_RANGE: Final = "ROS_LOCALHOST_ONLY"
@@ -324,7 +314,7 @@ def prefer_quick_discovery(environment: MutableMapping[str, str] = os.environ) -
 
 
 def own_graph(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
-    """The environment of nodes that stay on this machine, in a separate domain.
+    """The environment of nodes that stay on this machine, in a domain of their own.
 
     A domain, a discovery range or a profile of Fast DDS that is set already stays.
     """

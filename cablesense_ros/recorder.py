@@ -39,9 +39,8 @@ _COUNTED = (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS, topics.APPLIED_WRENCH,
 class Recorder:
     """Subscribes a node to topics of the contract, and writes what comes until it is closed.
 
-    The file grows chunk by chunk; a recorder that is killed leaves all but its last one. With an
-    arm, inputs that break its contract are logged and left out; tensions of a second publisher are
-    always.
+    The file grows chunk by chunk; a recorder that is killed leaves all but its last one. Tensions
+    of a second publisher are logged and left out, with an arm all inputs that break its contract.
     """
 
     def __init__(
@@ -169,9 +168,7 @@ def record_topics(
     namespace: str = "",
     force: bool = False,
 ) -> None:
-    """Record nodes of a namespace until `duration_s` have passed, or a signal to end.
-
-    The file is whole then. Inputs are checked by the contract of an `arm`, if one is given.
+    """Record nodes of a namespace, into a whole file, until `duration_s` have passed or a signal.
 
     Raises:
         RecordingError: the file exists, cannot be written, or no tensions came.
@@ -290,7 +287,7 @@ def capture_tensions(
 def _spin(executor: EventsExecutor, seconds: float) -> None:
     """Spin for a time; a signal to end takes effect after it.
 
-    An exception that a handler raises while the executor hands an argument to Python is lost.
+    What a handler raises while the executor hands an argument to Python would be lost.
     """
     wanted_end = Future()
     with end_signals(lambda number, _: wanted_end.set_result(number)):

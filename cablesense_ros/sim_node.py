@@ -30,8 +30,13 @@ from cablesense_msgs_py.qos import COMMAND, LATCHED, PUBLISHER
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.simulated_arm import LONGEST_LAG_S, SimulatedArm
 from cablesense_ros.endpoints import CommandInput, RefusalLog, overridable, qos_profile
-from cablesense_ros.node_process import publish_diagnostics, run_node
-from cablesense_ros.parameters import ParameterError, declare_parameters, parameter_table
+from cablesense_ros.node_process import (
+    ParameterError,
+    declare_parameters,
+    parameter_table,
+    publish_diagnostics,
+    run_node,
+)
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.contact_location import touched_at

@@ -189,23 +189,14 @@ def _fresh_samples(
 
 def _anywhere(path: Path, samples: int, seed: int, workers: int) -> Result:
     from cablesense_training.data.protocols import AnywhereContact
-    from cablesense_training.evaluation.anywhere import (
-        anywhere_metrics,
-        commanded_profile,
-        evaluate_anywhere,
-    )
+    from cablesense_training.evaluation import anywhere
     from cablesense_training.inference.anywhere import AnywhereEstimator
 
     estimator = AnywhereEstimator.load(path)
     dataset, title = _fresh_samples(estimator.metadata, AnywhereContact, samples, seed, workers)
-    profile = anywhere_metrics(dataset, commanded_profile(dataset)).as_json()
-    return (
-        title,
-        {
-            "anywhere": evaluate_anywhere(estimator, dataset).as_json(),
-            "commanded_profile": profile,
-        },
-    )
+    profile = anywhere.anywhere_metrics(dataset, anywhere.commanded_profile(dataset))
+    found = anywhere.evaluate_anywhere(estimator, dataset)
+    return title, {"anywhere": found.as_json(), "commanded_profile": profile.as_json()}
 
 
 def _comparison(samples: int, seed: int, workers: int) -> Result:

@@ -74,47 +74,39 @@ def calibrate(
     from rich.console import Console
 
     from cablesense_gap.recordings.checks import read_recording
-    from cablesense_online.can.channel_map import (
-        Calibration,
-        calibrated,
-        load_calibration,
-        open_channel_map,
-        write_calibration,
-    )
-    from cablesense_online.commissioning.sensor_calibration import (
-        GRAVITY_RELATIVE_U,
-        STANDARD_GRAVITY_M_S2,
-        calibrate_sensor,
-        raw_reading,
-        read_known_loads,
-    )
+    from cablesense_online.can import channel_map as maps
+    from cablesense_online.commissioning import sensor_calibration
     from cablesense_sim.arm import open_arm
 
     output_file(out, force=force, inputs=(loads, channel_map, recording, recorded_with, arm))
-    described, database = open_channel_map(channel_map)
+    described, database = maps.open_channel_map(channel_map)
     as_recorded, recorded = described, None
     if recorded_with is not None:
-        earlier = load_calibration(recorded_with)
-        as_recorded = calibrated(described, database, earlier, str(recorded_with))
+        earlier = maps.load_calibration(recorded_with)
+        as_recorded = maps.calibrated(described, database, earlier, str(recorded_with))
     if recording is not None:
         of_arm = open_arm(arm)
         recorded = read_recording(recording, of_arm)
         as_recorded = as_recorded.arranged(of_arm.cable_names)
     else:
         refuse_given(context, ["arm"], "without --recording")
-    known = read_known_loads(loads, described.cable_names)
+    known = sensor_calibration.read_known_loads(loads, described.cable_names)
     weighed = any(load.mass_kg is not None for of_cable in known.values() for load in of_cable)
     if not weighed:
         refuse_given(context, ["gravity"], "on loads that are all given as forces")
-    gravity_m_s2 = STANDARD_GRAVITY_M_S2 if gravity is None else gravity
-    common_relative_u = GRAVITY_RELATIVE_U if weighed and gravity is None else 0.0
+    gravity_m_s2, common_relative_u = gravity or sensor_calibration.STANDARD_GRAVITY_M_S2, 0.0
+    if weighed and gravity is None:
+        common_relative_u = sensor_calibration.GRAVITY_RELATIVE_U
     cables = {}
     for cable, of_cable in known.items():
         force_n = np.array([load.applied_n(gravity_m_s2) for load in of_cable])
-        raw = np.array([raw_reading(load, as_recorded, recorded) for load in of_cable])
-        channel = described.channels[cable]
-        cables[cable] = calibrate_sensor(cable, channel, database, force_n, raw, common_relative_u)
-    calibration = Calibration(
+        raw = np.array(
+            [sensor_calibration.raw_reading(load, as_recorded, recorded) for load in of_cable]
+        )
+        cables[cable] = sensor_calibration.calibrate_sensor(
+            cable, described.channels[cable], database, force_n, raw, common_relative_u
+        )
+    calibration = maps.Calibration(
         map=described.name,
         made=datetime.now(UTC).replace(microsecond=0),
         gravity_m_s2=gravity_m_s2 if weighed else None,
@@ -122,7 +114,7 @@ def calibrate(
         uncalibrated=tuple(cable for cable in described.channels if cable not in cables),
         cables=cables,
     )
-    write_calibration(out, calibration)
+    maps.write_calibration(out, calibration)
     if json_output:
         print(calibration.model_dump_json(indent=2))
         return

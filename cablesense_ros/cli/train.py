@@ -100,25 +100,13 @@ def dataset(
         refuse_given(context, ["pose_range_deg"], "with --pose straight")
     if dask_scheduler is not None:
         refuse_given(context, ["workers"], "with --dask-scheduler")
-    chosen = {
-        "kind": protocol,
-        "samples": samples,
-        "pose": pose,
-        "pose_range_deg": pose_range_deg,
-        "noise": noise,
-        "tare_samples": tare_samples,
-        "force_low_n": force_low_n,
-        "force_high_n": force_high_n,
-        "no_contact_fraction": no_contact_fraction,
-        "max_contacts": max_contacts,
-        "two_contacts_fraction": two_contacts_fraction,
-        "axial_share": axial_share,
-        "randomise": randomise,
-    }
+    apart = ("out", "arm", "seed", "workers", "dask_scheduler", "force", "json_output")
+    chosen = {k: v for k, v in context.params.items() if k not in apart and v is not None}
+    chosen["kind"] = chosen.pop("protocol")
     arm_file = find_arm(arm)
     output_file(out, force=force, inputs=(arm_file,))
     description = load_arm(arm_file)
-    drawn = protocol_from_options({k: v for k, v in chosen.items() if v is not None}, description)
+    drawn = protocol_from_options(chosen, description)
     # what cannot change a byte of the file is left out of its command
     options = drawn.options()
     if drawn.pose == "straight":
@@ -211,14 +199,10 @@ def train(
 
     from cablesense_online.misfit_limit import put_simulated_limit
     from cablesense_sim.arm import find_arm, load_arm
+    from cablesense_training import model_training
     from cablesense_training.data.parquet import read_dataset
     from cablesense_training.fit import EpochRecord
     from cablesense_training.inference.metadata import HISTORY_SIMULATED
-    from cablesense_training.model_training import (
-        draw_training_data,
-        train_model,
-        widened_by_history,
-    )
     from cablesense_training.recipes import recipe_for
 
     if data is not None:
@@ -250,20 +234,19 @@ def train(
     description = load_arm(arm_file)
     if data is None:
         workers = (os.cpu_count() or 1) if in_motion else 1
-        training = draw_training_data(
+        training = model_training.draw_training_data(
             description, network, drawn, seed, workers=workers, show_progress=not json_output
         )
     else:
         training = read_dataset(data, description)
-    after = (
-        widened_by_history(description, seed) if network == HISTORY_SIMULATED else lambda _: None
-    )
+    widened = model_training.widened_by_history(description, seed)
+    after = widened if network == HISTORY_SIMULATED else lambda _: None
     with progress_bar(settings.epochs, shown=not json_output, what="epochs") as advance:
 
         def on_epoch(record: EpochRecord) -> None:
             advance(1, f"loss {record.total:.4f}, held out {record.validation:.4f}")
 
-        report = train_model(
+        report = model_training.train_model(
             out,
             network,
             training,

@@ -228,7 +228,7 @@ def test_a_missing_package_is_told_before_anything_starts(start, missing, argume
 def test_node_settings_name_parameters_that_exist(file, default):
     yaml = pytest.importorskip("yaml")
     pytest.importorskip("rclpy")
-    from cablesense_ros.parameters import parameter_table
+    from cablesense_ros.node_process import parameter_table
 
     content = yaml.safe_load((FOLDER.parents[1] / "config" / "nodes" / file).read_text())
     ((node, settings),) = content.items()

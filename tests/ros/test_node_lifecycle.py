@@ -31,8 +31,8 @@ from cablesense_online.state import LIVE_SETTINGS
 from cablesense_ros.can_driver_node import CanDriverNode
 from cablesense_ros.endpoints import RefusalLog
 from cablesense_ros.estimator_node import EstimatorNode
-from cablesense_ros.node_process import FAILURE
-from cablesense_ros.parameters import (
+from cablesense_ros.node_process import (
+    FAILURE,
     NodeParameter,
     ParameterError,
     declare_parameters,
