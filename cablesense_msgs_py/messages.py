@@ -37,7 +37,7 @@ class NamedOrder:
         self._what = what
 
     def arrange(self, names: Sequence[str], values: Sequence[float], field: str) -> Array:
-        """As `pick`, as an array."""
+        """What `pick` gives, as an array."""
         return np.array(self.pick(names, values, field), dtype=np.float64)
 
     def pick(self, names: Sequence[str], values: Sequence[float], field: str) -> tuple[float, ...]:
@@ -207,13 +207,10 @@ UNKNOWN_WRENCH = (math.nan,) * 6
 
 @dataclass(frozen=True)
 class Load:
-    """A force on the axis of a segment.
+    """A force (3,) on the axis of a segment, counted from 1; in base axes.
 
-    Attributes:
-        segment: counted from 1.
-        force_base_n: (3,) N, base axes.
-        contact_m: where on the axis it acts, from the segment's joint centre; None is the contact
-            point of the arm file.
+    It acts at `contact_m` from the segment's joint centre, None is the contact point of the arm
+    file.
     """
 
     segment: int
@@ -233,9 +230,8 @@ def read_load(message: Any, frames: Frames, contact_of: ContactOf | None = None)
     segment the force acts at its contact point, in base axes all the same.
 
     Raises:
-        ContractError: an unknown frame, a force that is not finite or too large, a torque in the
-            frame of a segment.
-        CableSenseError: of `contact_of`.
+        CableSenseError: an unknown frame, a force that is not finite or too large, a torque in the
+            frame of a segment; or of `contact_of`.
     """
     force, torque = (
         np.array([vector.x, vector.y, vector.z], dtype=np.float64)

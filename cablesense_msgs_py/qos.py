@@ -91,7 +91,7 @@ CONTRACT: Final = {
 
 
 def resolved(topic: str, namespace: str = "/") -> str:
-    """The full name of a topic of the contract in a namespace, as ROS would resolve it."""
+    """The full name of a topic of the contract in a namespace, as ROS resolves it."""
     if topic.startswith("/"):
         return topic
     inside = topic.replace("~/", "estimator/", 1)
@@ -107,8 +107,7 @@ def segment_of(name: str) -> int:
 def of_contract(name: str) -> str | None:
     """The topic of the contract that has a full name, in any namespace; None for other names.
 
-    `/arm/cable_tensions` is `cable_tensions`, `/arm/estimator/wrench` is `~/wrench`, and that of
-    any segment `SEGMENT_WRENCHES`.
+    `/arm/estimator/wrench` is `~/wrench`, and that of any segment `SEGMENT_WRENCHES`.
     """
     if segment_of(name):
         return topics.SEGMENT_WRENCHES

@@ -27,13 +27,7 @@ _STAMPS = {encapsulation: struct.Struct(f"{o}iI") for encapsulation, o in _BYTE_
 
 
 class Efforts(NamedTuple):
-    """Efforts as sent.
-
-    Attributes:
-        stamp_ns: time of the sample, ns; 0 when the publisher set none.
-        names: one per joint.
-        values: of any length.
-    """
+    """Efforts as sent: one name per joint, values of any length, 0 for a stamp that is not set."""
 
     stamp_ns: int
     names: tuple[str, ...]
@@ -91,11 +85,7 @@ class EffortReader:
 
 
 def require_bounded(raw: bytes) -> None:
-    """Nothing, where a message may be parsed.
-
-    Raises:
-        ContractError: it is longer than any message of the contract.
-    """
+    """Raise a `ContractError` for what is longer than any message of the contract, unparsed."""
     if len(raw) > MAX_MESSAGE_BYTES:
         raise ContractError(
             f"{len(raw)} bytes; a message of this topic has at most {MAX_MESSAGE_BYTES}"
@@ -169,7 +159,7 @@ def wrench_writers(frames: Frames) -> list[WrenchWriter]:
     return [WrenchWriter(name) for name in names]
 
 
-def _require_stamped(raw: bytes, what: str) -> None:
+def _require_stamped(raw: bytes, what: str = "message with a stamp") -> None:
     if raw[:2] not in _STAMPS or len(raw) < _HEAD_AT:
         raise ContractError(
             f"{len(raw)} bytes beginning {raw[:4].hex()} are no {what}; plain CDR begins 0000 or "
@@ -178,21 +168,17 @@ def _require_stamped(raw: bytes, what: str) -> None:
 
 
 def stamp_ns(raw: bytes) -> int:
-    """Its stamp, ns; 0 when the publisher set none.
+    """The stamp of a message with a header, ns; 0 when the publisher set none.
 
     Raises:
         ContractError: the bytes are no message with a header.
     """
-    _require_stamped(raw, "message with a stamp")
+    _require_stamped(raw)
     seconds, nanoseconds = _STAMPS[raw[:2]].unpack_from(raw, _STAMP_AT)
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
 def restamped(raw: bytes, stamp: int) -> bytes:
-    """The same message with another stamp, ns.
-
-    Raises:
-        ContractError: the bytes are no message with a header.
-    """
-    _require_stamped(raw, "message with a stamp")
+    """The same message with another stamp, ns; errors as of `stamp_ns`."""
+    _require_stamped(raw)
     return raw[:_STAMP_AT] + _STAMPS[raw[:2]].pack(*divmod(stamp, 1_000_000_000)) + raw[_HEAD_AT:]

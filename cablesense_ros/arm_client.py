@@ -51,19 +51,15 @@ class ArmClient:
             ),
         )
         refuse = RefusalLog(node)
-        for kind, topic, quality in inputs:
+        for kind, topic, asked in inputs:
             publisher = live.tension_publisher if topic == topics.CABLE_TENSIONS else None
-            if publisher is None and quality is qos.SENSOR:
+            if publisher is None and asked is qos.SENSOR:
                 publisher = FollowedPublisher()
             take = partial(self._take, topic)
-            refuse.subscribe(kind, of_node(estimator, topic), quality, take, publisher)
-        self._loads, self._commands = (
-            node.create_publisher(kind, topic, qos_profile(qos.COMMAND))
-            for kind, topic in (
-                (WrenchStamped, topics.APPLIED_WRENCH),
-                (JointState, topics.JOINT_COMMANDS),
-            )
-        )
+            refuse.subscribe(kind, of_node(estimator, topic), asked, take, publisher)
+        quality = qos_profile(qos.COMMAND)
+        self._loads = node.create_publisher(WrenchStamped, topics.APPLIED_WRENCH, quality)
+        self._commands = node.create_publisher(JointState, topics.JOINT_COMMANDS, quality)
 
     def _take(self, topic: str, message: Any) -> None:
         self._live.take(topic, message, time.monotonic())

@@ -21,7 +21,7 @@ from cablesense_base.files import written_whole
 from cablesense_msgs_py.messages import NO_CONTACT, Contact
 from cablesense_online.page.drawing import ESTIMATE_RGB, TRUE_RGB, css
 from cablesense_online.page.live_arm import LiveArm
-from cablesense_online.page.score import angle_error_deg
+from cablesense_online.page.score import SETTLING_S, angle_error_deg
 from cablesense_online.page.snapshot import KnownMoment, ShownContact, Snapshot
 from cablesense_ros.arm_client import ArmClient
 from cablesense_sim.load_capacity import USUAL_CONTACT_N
@@ -35,8 +35,6 @@ WEAKEST, STRONGEST = 0.025, 0.6
 MOST_ALONG = 0.2
 """Largest axial part, as a share of the normal force: below the friction of most surfaces."""
 POSE_LIMIT_DEG = 8.0
-SETTLING_S = 1.0
-"""The first second of a push does not count: the arm swings and the estimate follows."""
 _RECORD_EVERY_S = 0.04
 
 
@@ -99,15 +97,7 @@ def make_script(
             contact_m=float(rng.uniform(*reach_m[segment - 1])),
             along_n=float(magnitude_n * rng.uniform(-most_along, most_along)),
         )
-        script.append(
-            ScriptedPush(
-                start_s=end_s - PUSH_S,
-                end_s=end_s,
-                contact=contact,
-                command_rad=command,
-                move_s=now_s,
-            )
-        )
+        script.append(ScriptedPush(end_s - PUSH_S, end_s, contact, command, move_s=now_s))
         now_s = end_s
     return script
 

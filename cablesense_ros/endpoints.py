@@ -250,9 +250,9 @@ TRAJECTORY_PERIOD_S = 0.02
 class CommandInput:
     """The joint commands of a node: those on `joint_commands`, and those of a `JointTrajectory`.
 
-    A trajectory is taken as the commands that it comes to, one every 20 ms. Positions are
-    interpolated linearly, from the present command on where the first is later. A trajectory
-    replaces the one before; one without points stops it, as trajectory controllers have it.
+    A trajectory is interpolated linearly into a command every 20 ms, from the present one on where
+    its first point is later. It replaces the one before; one without points stops that, as
+    trajectory controllers have it.
     """
 
     def __init__(

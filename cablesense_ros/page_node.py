@@ -42,14 +42,9 @@ class PageNode(Node):
             estimator=full_name(self, estimator),
         )
         self._client = ArmClient(self, arm, self._live, estimator)
-        tare, undo_tare, breathe = (
-            self.create_client(Trigger, of_node(node, service))
-            for node, service in (
-                (estimator, topics.TARE),
-                (estimator, topics.TARE_UNDO),
-                ("breather", topics.BREATHE),
-            )
-        )
+        tare = self.create_client(Trigger, of_node(estimator, topics.TARE))
+        undo_tare = self.create_client(Trigger, of_node(estimator, topics.TARE_UNDO))
+        breathe = self.create_client(Trigger, of_node("breather", topics.BREATHE))
         self._actions = Actions(
             push=self._noting("Not pushed", self._client.push),
             command=self._noting("Not moved", self._client.command),

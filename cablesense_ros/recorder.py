@@ -210,8 +210,7 @@ def capture_tensions(
 ) -> tuple[TensionSeries, list[Pull]]:
     """Readings at rest, then while a person pulls the `pulled` cables in turn as `say` asks.
 
-    Columns are in the order of `cable_names`. Times are those of the samples' stamps, or of
-    arrival if they have none.
+    Columns are in the order of `cable_names`; times are stamps, or of arrival if there are none.
 
     Raises:
         CommissioningError: nothing comes, two nodes publish, a reading is not finite, or stamps

@@ -58,8 +58,7 @@ def options(
 def main() -> None:
     """Runs the command and ends the process with its exit code.
 
-    Signals that end it leave through the `with` statements: worker processes end, and no part of
-    a file stays behind.
+    A signal leaves through the `with` statements: workers end, and no part of a file stays.
     """
     handle_end_signals(_on_end_signal)
     line, code = _run()

@@ -7,7 +7,7 @@ import sys
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -25,11 +25,6 @@ from cablesense_ros.cli.options import (
     refuse_given,
     task_bars,
 )
-
-if TYPE_CHECKING:
-    from cablesense_training.data.dataset import Dataset
-    from cablesense_training.data.protocols import Protocol
-    from cablesense_training.inference.metadata import ModelMetadata
 
 
 def evaluate(
@@ -154,49 +149,36 @@ def _recorded(recording: Path, models: list[str], picture: Path | None) -> Resul
 
 
 def _one_model(model: str, samples: int, seed: int, workers: int) -> Result:
-    from cablesense_training.data.protocols import SingleContact
+    """Errors on samples like those of the model's training, beside what is possible on them."""
+    from cablesense_training.data.generation import draw_dataset
+    from cablesense_training.data.protocols import AnywhereContact, SingleContact
+    from cablesense_training.evaluation import anywhere
     from cablesense_training.evaluation.comparison import evaluate_estimator, metrics_json
     from cablesense_training.evaluation.noise_bound import noise_bound
+    from cablesense_training.inference.anywhere import AnywhereEstimator
     from cablesense_training.inference.estimator import Estimator
     from cablesense_training.inference.metadata import ANYWHERE, find_model
     from cablesense_training.inference.model_file import read_model
 
     path = find_model(model)
-    if read_model(path)[1].kind == ANYWHERE:
-        return _anywhere(path, samples, seed, workers)
-    estimator = Estimator.load(path)
-    dataset, title = _fresh_samples(estimator.metadata, SingleContact, samples, seed, workers)
-    metrics = evaluate_estimator(estimator, dataset).metrics
-    return (title, {"single": metrics_json(metrics), "bound": asdict(noise_bound(dataset))})
-
-
-def _fresh_samples(
-    described: ModelMetadata, kind: type[Protocol], samples: int, seed: int, workers: int
-) -> tuple[Dataset, str]:
-    """Samples like those of a model's training, and a title for their results."""
-    from cablesense_training.data.generation import draw_dataset
-
-    protocol = kind(
+    is_anywhere = read_model(path)[1].kind == ANYWHERE
+    estimator = AnywhereEstimator.load(path) if is_anywhere else Estimator.load(path)
+    described = estimator.metadata
+    protocol = (AnywhereContact if is_anywhere else SingleContact)(
         samples=samples,
         pose="random" if described.pose_range_deg > 0 else "straight",
         pose_range_deg=described.pose_range_deg,
         force_high_n=described.force_range_n,
         tare_samples=described.tare_samples,
     )
+    dataset = draw_dataset(described.arm, protocol, seed, workers=workers)
     title = f"{described.network} on {described.arm_identity}, {samples} fresh samples"
-    return draw_dataset(described.arm, protocol, seed, workers=workers), title
-
-
-def _anywhere(path: Path, samples: int, seed: int, workers: int) -> Result:
-    from cablesense_training.data.protocols import AnywhereContact
-    from cablesense_training.evaluation import anywhere
-    from cablesense_training.inference.anywhere import AnywhereEstimator
-
-    estimator = AnywhereEstimator.load(path)
-    dataset, title = _fresh_samples(estimator.metadata, AnywhereContact, samples, seed, workers)
-    profile = anywhere.anywhere_metrics(dataset, anywhere.commanded_profile(dataset))
-    found = anywhere.evaluate_anywhere(estimator, dataset)
-    return title, {"anywhere": found.as_json(), "commanded_profile": profile.as_json()}
+    if isinstance(estimator, AnywhereEstimator):
+        profile = anywhere.anywhere_metrics(dataset, anywhere.commanded_profile(dataset))
+        found = anywhere.evaluate_anywhere(estimator, dataset)
+        return title, {"anywhere": found.as_json(), "commanded_profile": profile.as_json()}
+    metrics = evaluate_estimator(estimator, dataset).metrics
+    return title, {"single": metrics_json(metrics), "bound": asdict(noise_bound(dataset))}
 
 
 def _comparison(samples: int, seed: int, workers: int) -> Result:

@@ -34,7 +34,7 @@ from cablesense_sim.replay import difference_variance_n2
 
 Description = dict[str, Any]
 _SLOWEST_HZ = 2.0
-"""Slower sensors are questioned: an estimate that is so rare is of no use to a controller."""
+"""Slower sensors are questioned, as the rate looks like one in another unit."""
 
 
 def info(
@@ -165,7 +165,7 @@ def _arm(name: str) -> Description:
     arm = load_arm(path)
     mechanism, bears = mechanism_of(arm), load_capacity(arm)
     angle_deg = np.rad2deg(np.arctan2(mechanism.hole_y_m, mechanism.hole_z_m)) % 360.0
-    return {
+    description: Description = {
         "kind": "arm",
         "file": str(path),
         "name": arm.name,
@@ -200,19 +200,14 @@ def _arm(name: str) -> Description:
         },
         "breath": _breath(arm),
         "effects": [_listed_effect(arm, entry) for entry in entries_of(arm)],
-    } | ({"questions": questions} if (questions := _questions(arm)) else {})
-
-
-def _questions(arm: Arm) -> list[str]:
-    """Questions about numbers that are allowed, but look as if given in another unit."""
-    rate_hz = arm.sensors.rate_hz
-    if rate_hz >= _SLOWEST_HZ:
-        return []
-    return [
-        f"sensors.rate_hz = {rate_hz:g}: is a reading every {1.0 / rate_hz:g} s meant? A contact "
-        f"is over by then; it must be in Hz: {1e3 * rate_hz:g} if given in kHz, "
-        f"{1.0 / rate_hz:g} if it is a period in s"
-    ]
+    }
+    if (rate_hz := arm.sensors.rate_hz) < _SLOWEST_HZ:
+        description["questions"] = [
+            f"sensors.rate_hz = {rate_hz:g}: is a reading every {1.0 / rate_hz:g} s meant? A "
+            f"contact is over by then; it must be in Hz: {1e3 * rate_hz:g} if given in kHz, "
+            f"{1.0 / rate_hz:g} if it is a period in s"
+        ]
+    return description
 
 
 def _listed_effect(arm: Arm, entry: Any) -> Description:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +15,6 @@ from rich.table import Table
 
 from cablesense_base import CableSenseError
 
-ArmOption = Annotated[str, typer.Option(help="Arm file: the name of a bundled one, or a path.")]
 NominalArmOption = Annotated[
     str, typer.Option(help="Nominal arm: a path, or the name of a bundled one.")
 ]
@@ -43,24 +41,6 @@ ForceOption = Annotated[
     bool, typer.Option("--force", help="Replace files of the same names that exist already.")
 ]
 WorkersOption = Annotated[int, typer.Option(min=1, max=256, help="Processes to use.")]
-PoseOption = Annotated[
-    str, typer.Option(metavar="straight|random", help="The arm straight, or at random poses.")
-]
-PoseRangeOption = Annotated[
-    float | None,
-    typer.Option(
-        help="Random poses: joint angles within plus or minus this.",
-        show_default="10, or less on an arm that does not hold itself there",
-    ),
-]
-RandomiseOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="EFFECT,…|all",
-        help="Draw samples on arms with these effects, of other sizes and in other places; "
-        "cablesense info --effects lists them.",
-    ),
-]
 
 
 class OptionError(CableSenseError):
@@ -68,12 +48,9 @@ class OptionError(CableSenseError):
 
 
 def refuse_given(context: typer.Context, names: Iterable[str], why: str) -> None:
-    """Refuse options that this run would ignore; a default that is spelled out is harmless.
+    """Raise an `OptionError` for options that this run would ignore; a default is harmless.
 
     `names` are the function's parameters; `why` ends the sentence "… has no effect".
-
-    Raises:
-        OptionError: one of them has another value than its default.
     """
     given = [
         parameter.opts[0] if parameter.opts[0].startswith("-") else parameter.opts[0].upper()
@@ -96,10 +73,7 @@ def task_bars(console: Console) -> Progress:
 def diagnosis_progress(
     console: Console,
 ) -> Iterator[tuple[Callable[[str, float], None], Callable[[str], None]]]:
-    """A bar for a diagnosis; findings are printed above it.
-
-    Gives what to call with what the diagnosis does and the share done, and with each finding.
-    """
+    """What to call with what a diagnosis does and the share done, and with each finding."""
     with task_bars(console) as progress:
         task = progress.add_task("reading", total=1.0)
 
@@ -110,24 +84,6 @@ def diagnosis_progress(
             progress.console.print(f"warning: {finding}", soft_wrap=True, markup=False)
 
         yield show, warn
-
-
-def command_line(verb: str, options: Mapping[str, Any]) -> str:
-    """The command that makes a file again, from the verb's options by their Python names.
-
-    Options left to their default of None are left out. A folder outside the present one is left
-    out of the output's name, as it means nothing elsewhere.
-    """
-    parts = ["cablesense", verb]
-    for name, value in options.items():
-        option = name.replace("_", "-")
-        if isinstance(value, bool):
-            parts.append(f"--{option}" if value else f"--no-{option}")
-        elif name == "out" and Path(value).is_absolute():
-            parts += [f"--{option}", Path(value).name]
-        elif value is not None:
-            parts += [f"--{option}", f"{value}"]
-    return shlex.join(parts)
 
 
 def print_json(content: Any) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,17 +13,27 @@ import typer
 
 from cablesense_base.files import output_file
 from cablesense_base.progress import progress_bar
-from cablesense_ros.cli.options import (
-    ArmOption,
-    ForceOption,
-    JsonOption,
-    PoseOption,
-    PoseRangeOption,
-    RandomiseOption,
-    command_line,
-    print_result,
-    refuse_given,
-)
+from cablesense_ros.cli.options import ForceOption, JsonOption, print_result, refuse_given
+
+ArmOption = Annotated[str, typer.Option(help="Arm file: the name of a bundled one, or a path.")]
+PoseOption = Annotated[
+    str, typer.Option(metavar="straight|random", help="The arm straight, or at random poses.")
+]
+PoseRangeOption = Annotated[
+    float | None,
+    typer.Option(
+        help="Random poses: joint angles within plus or minus this.",
+        show_default="10, or less on an arm that does not hold itself there",
+    ),
+]
+RandomiseOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="EFFECT,…|all",
+        help="Draw samples on arms with these effects, of other sizes and in other places; "
+        "cablesense info --effects lists them.",
+    ),
+]
 
 
 def dataset(
@@ -258,3 +270,20 @@ def train(
     if report.errors.keys() & {"single", "anywhere"}:
         put_simulated_limit(out)
     print_result(f"{network}, arm {description.identity}", report.as_json(), json_output)
+
+
+def command_line(verb: str, options: Mapping[str, Any]) -> str:
+    """The command that makes a file again, from the verb's options by their Python names.
+
+    None is left out, and an absolute folder of the output, which means nothing elsewhere.
+    """
+    parts = ["cablesense", verb]
+    for name, value in options.items():
+        option = name.replace("_", "-")
+        if isinstance(value, bool):
+            parts.append(f"--{option}" if value else f"--no-{option}")
+        elif name == "out" and Path(value).is_absolute():
+            parts += [f"--{option}", Path(value).name]
+        elif value is not None:
+            parts += [f"--{option}", f"{value}"]
+    return shlex.join(parts)

@@ -3,8 +3,7 @@
 import typer
 from typer.testing import CliRunner
 
-from cablesense_ros.cli.options import command_line
-from cablesense_ros.cli.train import train
+from cablesense_ros.cli.train import command_line, train
 from cablesense_training.errors import TrainingError
 
 app = typer.Typer(pretty_exceptions_enable=False)
