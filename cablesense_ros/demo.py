@@ -1,4 +1,4 @@
-"""A demo from start to end: live with the page, or headless with a script and a demo_pushes."""
+"""A demo from start to end: live with the page, or headless with a script and a report."""
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ if TYPE_CHECKING:
     from cablesense_online.page.live_arm import LiveArm
     from cablesense_ros.demo_pushes import PushRecord, ScriptedPush
 
-_MAP, _BITRATE_BIT_S = "twelve_channel_amplifier", 1_000_000
+_MAP = "twelve_channel_amplifier"
 """The amplifier that the emulator poses as."""
+_BITRATE_BIT_S = 1_000_000
 _START_S = 120.0
 """Slow machines import and compile for a minute the first time."""
 _JOINT_SPEED_RAD_S = math.radians(20.0)
@@ -53,8 +54,9 @@ class DemoError(CableSenseError):
     exit_code = 1
 
 
-DEMO_FOLDER, DEMO_FILES = Path("out/demo"), ("demo.png", "logs/*.log")
-"""The default folder of a demo, and its files in any."""
+DEMO_FOLDER = Path("out/demo")
+DEMO_FILES = ("demo.png", "logs/*.log")
+"""The files of a demo in its folder."""
 
 
 @dataclass(frozen=True)
