@@ -312,18 +312,11 @@ class ForceState(Enum):
     @property
     def level(self) -> Level:
         """As severe as the status is."""
-        return _LEVELS.get(self, Level.WARN)
-
-
-_LEVELS = {
-    ForceState.FREE: Level.OK,
-    ForceState.CONTACT: Level.OK,
-    ForceState.MOMENT: Level.OK,
-    ForceState.REFUSED: Level.ERROR,
-    ForceState.IMPLAUSIBLE: Level.ERROR,
-    ForceState.STALE: Level.STALE,
-    ForceState.SILENT: Level.STALE,
-}
+        if self in (ForceState.REFUSED, ForceState.IMPLAUSIBLE):
+            return Level.ERROR
+        if self in (ForceState.STALE, ForceState.SILENT):
+            return Level.STALE
+        return Level.OK if self.known else Level.WARN
 
 
 def read_force_state(message: Any) -> tuple[ForceState, int]:

@@ -178,21 +178,21 @@ def watch(
 
     if model is not None:
         refuse_given(context, ["arm"], "with --model")
-    paths = series(folder)
-    output_folder(out, WATCH_FILES, force=force, inputs=paths)
+    first, *later = series(folder)
+    output_folder(out, WATCH_FILES, force=force, inputs=(first, *later))
     diagnosed = _of_arm(arm, workers) if model is None else _of_robot(model, workers)
     console = Console(stderr=json_output)
     verdicts: list[Verdict] = []
-    for path in paths[1:]:
-        with console.status(f"{path.name}, {len(verdicts) + 1} of {len(paths) - 1}"):
-            verdicts.append(diagnosed(path, paths[0]))
+    for path in later:
+        with console.status(f"{path.name}, {len(verdicts) + 1} of {len(later)}"):
+            verdicts.append(diagnosed(path, first))
     write_drift(out, verdicts)
     if json_output:
         print_json([each.model_dump(mode="json", exclude_none=True) for each in verdicts])
         return
     headings = ("recording", "what changed", "sure", "gap by the floor")
-    table = titled_table(f"Since {paths[0].name}", *headings, right=headings[2:])
-    for path, verdict in zip(paths[1:], verdicts, strict=True):
+    table = titled_table(f"Since {first.name}", *headings, right=headings[2:])
+    for path, verdict in zip(later, verdicts, strict=True):
         gap, what = verdict.gap, " + ".join(verdict.effects).replace("_", " ")
         sure = f"{verdict.probability:.0%}"
         table.add_row(path.name, what, sure, f"{gap.before_n / gap.floor_n:.1f}")
