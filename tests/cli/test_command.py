@@ -166,5 +166,5 @@ def test_a_library_that_is_not_installed_is_missed_by_no_other_verb_and_named(tm
     )
     assert result.returncode == 2, result.stderr
     (line,) = result.stderr.strip().splitlines()
-    assert "package pyarrow" in line  # the first that it needs
+    assert "package torch" in line  # the first that it needs
     assert "make setup" in line
