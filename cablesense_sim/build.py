@@ -14,6 +14,7 @@ def mechanism_of(arm: Arm) -> Mechanism:
     count, each = arm.segment_count, arm.cables.per_segment
     segment = np.repeat(np.arange(1, count + 1), each)
     radius, angle = arm.holes
+    y, z = radius * np.sin(angle), radius * np.cos(angle)
     length = np.asarray(per_segment(arm.segments.length_m, count))
     offset, kp = arm.segments.plate_offset_m, arm.actuators.kp_n_m
     joint_x = offset + np.concatenate([[0.0], np.cumsum(length)[:-1]])
@@ -33,8 +34,10 @@ def mechanism_of(arm: Arm) -> Mechanism:
         contact_m=np.asarray(per_segment(arm.segments.contact_m, count)),
         plate_offset_m=offset,
         cable_segment=segment,
-        hole_y_m=radius * np.sin(angle),
-        hole_z_m=radius * np.cos(angle),
+        hole_y_m=y,
+        hole_z_m=z,
+        segment_hole_y_m=np.repeat(y[:, None], count, axis=1),
+        segment_hole_z_m=np.repeat(z[:, None], count, axis=1),
         stiffness_n_m=in_series,
         cable_stiffness_n_m=cable_alone,
         actuator_stiffness_n_m=kp,

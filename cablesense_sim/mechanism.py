@@ -24,7 +24,8 @@ class Mechanism:
         contact_m: (N,) from the segment's joint centre, on its axis: where loads act.
         plate_offset_m: guide plates sit this far before and after each joint centre.
         cable_segment: (M,) 1-based number of the segment that each cable ends on.
-        hole_y_m, hole_z_m: (M,) a cable's hole in every guide plate, in the segment's frame.
+        hole_y_m, hole_z_m: (M,) a cable's hole in the plate of the base, in its frame.
+        segment_hole_y_m, segment_hole_z_m: (M, N) in the plates that segment n carries, likewise.
         stiffness_n_m: (M,) cable and actuator in series, from command to anchor.
         cable_stiffness_n_m: (M,) of the cable alone, stiffer than the two in series.
         actuator_stiffness_n_m: of each actuator, may be infinite.
@@ -34,8 +35,6 @@ class Mechanism:
         joint_stiffness_n_m_rad: (N,) of a spring in each joint axis that is at rest straight.
         relative_friction: (M,) of a cable at its guides, relative to the value stated for all; one
             each.
-        segment_hole_y_m, segment_hole_z_m: (M, N) holes in the plates that segment n carries, or
-            None where every plate has them in the same place.
     """
 
     gravity_m_s2: Array
@@ -47,6 +46,8 @@ class Mechanism:
     cable_segment: NDArray[np.int64]
     hole_y_m: Array
     hole_z_m: Array
+    segment_hole_y_m: Array
+    segment_hole_z_m: Array
     stiffness_n_m: Array
     cable_stiffness_n_m: Array
     actuator_stiffness_n_m: float
@@ -55,8 +56,6 @@ class Mechanism:
     joint_damping_n_m_s: float
     joint_stiffness_n_m_rad: Array
     relative_friction: Array
-    segment_hole_y_m: Array | None = None
-    segment_hole_z_m: Array | None = None
 
     @property
     def segment_count(self) -> int:
@@ -89,16 +88,11 @@ class Mechanism:
 
     @property
     def plate_holes_m(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        """Holes (y, z) in the plates before and after each joint, each (M, 1) or (M, N)."""
-        base = self.hole_y_m[..., None], self.hole_z_m[..., None]
-        after = _carried_holes_m(self)
-        if self.segment_hole_y_m is None:
-            return base, after
-        y, z = (
-            np.concatenate([first, others[..., :-1]], axis=-1)
-            for first, others in zip(base, after, strict=True)
-        )
-        return (y, z), after
+        """Holes (y, z) in the plates before and after each joint, each (M, N)."""
+        y, z = self.segment_hole_y_m, self.segment_hole_z_m
+        before_y = np.concatenate([self.hole_y_m[..., None], y[..., :-1]], axis=-1)
+        before_z = np.concatenate([self.hole_z_m[..., None], z[..., :-1]], axis=-1)
+        return (before_y, before_z), (y, z)
 
     @property
     def joint_position_straight_m(self) -> Array:
@@ -129,7 +123,8 @@ class Mechanism:
 
 _STACKED = (
     "gravity_m_s2", "mass_kg", "centre_of_mass_m", "contact_m", "hole_y_m", "hole_z_m",
-    "stiffness_n_m", "pretension_n", "joint_stiffness_n_m_rad", "relative_friction",
+    "segment_hole_y_m", "segment_hole_z_m", "stiffness_n_m", "pretension_n",
+    "joint_stiffness_n_m_rad", "relative_friction",
 )  # fmt: skip
 
 
@@ -138,10 +133,6 @@ def stack(mechanisms: Sequence[Mechanism]) -> Mechanism:
     fields: dict[str, Any] = {
         name: np.stack([getattr(m, name) for m in mechanisms]) for name in _STACKED
     }
-    if any(m.segment_hole_y_m is not None for m in mechanisms):
-        shape = mechanisms[0].cable_count, mechanisms[0].segment_count
-        carried = [np.broadcast_to(_carried_holes_m(m), (2, *shape)) for m in mechanisms]
-        fields["segment_hole_y_m"], fields["segment_hole_z_m"] = np.stack(carried, axis=1)
     return replace(mechanisms[0], **fields)
 
 
@@ -152,23 +143,14 @@ def with_cables_moved(mechanism: Mechanism, outward_m: Numbers, turned_rad: Numb
     """Every hole of a cable further out and turned from +z towards +y, each (M,)."""
     y, z = _moved_m(mechanism.hole_y_m, mechanism.hole_z_m, outward_m, turned_rad)
     moved = replace(mechanism, hole_y_m=y, hole_z_m=z)
-    if mechanism.segment_hole_y_m is None:
-        return moved
     return with_plates_moved(moved, outward_m[:, None], turned_rad[:, None])
 
 
 def with_plates_moved(mechanism: Mechanism, outward_m: Numbers, turned_rad: Numbers) -> Mechanism:
     """Every hole in the plates that a segment carries further out and turned, each (N,)."""
-    y, z = _moved_m(*_carried_holes_m(mechanism), outward_m, turned_rad)
-    return replace(mechanism, segment_hole_y_m=y, segment_hole_z_m=z)
-
-
-def _carried_holes_m(mechanism: Mechanism) -> tuple[Array, Array]:
-    """Holes (y, z) in the plates that segments carry, each (M, N), or (M, 1) where all alike."""
     y, z = mechanism.segment_hole_y_m, mechanism.segment_hole_z_m
-    if y is None or z is None:
-        return mechanism.hole_y_m[..., None], mechanism.hole_z_m[..., None]
-    return y, z
+    y, z = _moved_m(y, z, outward_m, turned_rad)
+    return replace(mechanism, segment_hole_y_m=y, segment_hole_z_m=z)
 
 
 def _moved_m(y: Array, z: Array, outward_m: Numbers, turned_rad: Numbers) -> tuple[Array, Array]:

@@ -118,17 +118,14 @@ def _add_cable(
         width=_CABLE_WIDTH_M,
     )
     tendon.wrap_site(spool.name)
-    every = (mechanism.cable_count, mechanism.segment_count)
-    before, after = (
-        [np.broadcast_to(axis, every)[i] for axis in holes] for holes in mechanism.plate_holes_m
-    )
+    before, after = mechanism.plate_holes_m
     for n in range(mechanism.cable_segment[i]):
         ahead = mechanism.segment_length_m[n - 1] - o if n else 0.0
         for body, x, side, (across, up) in (
             (bodies[n], ahead, "before", before),
             (bodies[n + 1], o, "after", after),
         ):
-            place = [x, across[n], up[n]]
+            place = [x, across[i, n], up[i, n]]
             hole = body.add_site(name=f"{name}_{side}_joint_{n + 1}", pos=place)
             tendon.wrap_site(hole.name)
 

@@ -21,6 +21,7 @@ from cablesense_gap.recordings.recording import RecordingError
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.mechanism import with_cables_moved
 from cablesense_sim.replay import read_tensions_n
 
 LAB = open_arm("cdsm_lab")
@@ -172,7 +173,8 @@ def test_saturation_is_found_with_and_without_a_stated_range():
 
 def test_another_arm_and_other_units_are_refused():
     rng = np.random.default_rng(1)
-    mirrored = replace(MECHANISM, hole_y_m=-MECHANISM.hole_y_m, hole_z_m=-MECHANISM.hole_z_m)
+    still, half_a_turn = np.zeros(MECHANISM.cable_count), np.full(MECHANISM.cable_count, np.pi)
+    mirrored = with_cables_moved(MECHANISM, still, half_a_turn)
     for tensions, kind in (
         (tensions_of(mirrored, BARE), "arm"),
         (rng.normal(50.0, 10.0, NOMINAL.shape), "arm"),

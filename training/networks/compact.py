@@ -149,12 +149,11 @@ def _span_map(mechanism: Mechanism, rotation: Matrix) -> Matrix:
     span 1 there, which no derivative and no difference sees.
     """
     n, m = mechanism.segment_count, mechanism.cable_count
-    holes = [
-        [np.broadcast_to(axis, (m, n)) for axis in plates] for plates in mechanism.plate_holes_m
-    ]
     squared_map, slope_map = np.zeros((n, m, n, 9)), np.zeros((n, 2, m, n, 9))
     for joint, passes in enumerate(mechanism.passes_joint.T):
-        (y, z), (v, w) = ([axis[:, joint] for axis in plates] for plates in holes)
+        (y, z), (v, w) = (
+            [axis[:, joint] for axis in plates] for plates in mechanism.plate_holes_m
+        )
         o = np.full_like(y, mechanism.plate_offset_m)
         after, before = np.stack([o, v, w]), np.stack([-o, y, z])
         squared = -2.0 * np.einsum("km,ijkl,lm->ijm", before, rotation, after)

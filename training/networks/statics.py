@@ -53,11 +53,8 @@ def statics(
     nominal = mechanism_of(arm)
     mechanism = amended(nominal, entries_of(arm))
     # where holes are elsewhere, the held lengths are not the arm's own
-    own_lengths = (
-        mechanism.segment_hole_y_m is None
-        and np.array_equal(mechanism.hole_y_m, nominal.hole_y_m)
-        and np.array_equal(mechanism.hole_z_m, nominal.hole_z_m)
-    )
+    holes = "hole_y_m", "hole_z_m", "segment_hole_y_m", "segment_hole_z_m"
+    own_lengths = all(np.array_equal(getattr(mechanism, h), getattr(nominal, h)) for h in holes)
     needed = pose_corrections_for(mechanism)
     stiff = needed <= 1 and own_lengths and not mechanism.joint_stiffness_n_m_rad.any()
     if pose_corrections is None:
