@@ -54,19 +54,12 @@ def _installed(name: PurePosixPath) -> Path:
 
 @dataclass(frozen=True)
 class BundledFiles:
-    """One kind of bundled file, each found by its name, and any other of the kind by its path.
+    """One kind of bundled file, each found by its name, and any other of the kind by its path."""
 
-    Attributes:
-        kind: what a file is, for errors: `arm`.
-        folder: of `config/`.
-        suffixes: of a path; the first is that of the bundled files.
-        refusal: the error to raise.
-    """
-
-    kind: str
-    folder: str
-    suffixes: tuple[str, ...]
-    refusal: type[CableSenseError]
+    kind: str  # what a file is, for errors: `arm`
+    folder: str  # of `config/`
+    suffixes: tuple[str, ...]  # of a path; the first is that of the bundled files
+    refusal: type[CableSenseError]  # the error to raise
 
     def names(self) -> list[str]:
         """Names of the bundled files without suffix; with `/` where they lie in a folder."""

@@ -1,4 +1,4 @@
-"""Effects along the cables and in the joints that depend on the history."""
+"""Effects from the actuators along the cables to the joints, which depend on the history."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_sim.effects.effect import (
+    Actuation,
     ArmRest,
     CablePull,
     Effect,
@@ -24,8 +25,39 @@ from cablesense_sim.mechanism import Mechanism
 _start_share = partial(shape, unit="1", low=-1.0, high=1.0, typical=0.5, fades=True, past=True)
 """A share of its limit that friction carries before the first sample."""
 
-_LOCKED = 3.0
-"""No cable reaches a ratio of tensions of exp(3) at one guide before it breaks."""
+_LOCKED = 3.0  # no cable reaches a ratio of tensions of exp(3) at one guide before it breaks
+
+
+class ActuatorBacklash(Effect):
+    """Play between screw and nut: the held length follows the command half the play behind."""
+
+    name = "actuator_backlash"
+    acts_on = "actuator"
+    about = "lost motion of actuators on reversal"
+    source = "Nordin and Gutman, Controlling mechanical systems with backlash, Automatica 2002"
+    sites = ("cable",)
+    advice = "Check couplings and nuts of these actuators, or approach poses from one side."
+    parameters = (
+        Parameter("play_m", "m", 0.0, 0.005, 5e-5, "between the two flanks",
+                  starts=(5e-5, 2.5e-4)),
+        shape("start", "1", -1.0, 1.0, 1.0,
+              "where in the play it begins, from the short to the long side", past=True),
+    )  # fmt: skip
+
+    def actuation(self, place: str, values: Values) -> Actuation:
+        return _Play(place, values["play_m"], values["start"])
+
+
+class _Play(Actuation):
+    def __init__(self, place: str, play_m: Array, start: Array) -> None:
+        self._place, self._half_m, self._start = place, 0.5 * play_m[:, None], start[:, None]
+        self._held_m: Array | None = None
+
+    def step(self, time_s: float, values: Array) -> Array:
+        if self._held_m is None:
+            self._held_m = values + self._start * self._half_m
+        self._held_m = np.clip(self._held_m, values - self._half_m, values + self._half_m)
+        return np.where(chosen(self._place, values.shape[-1]), self._held_m, values)
 
 
 class CapstanFriction(Effect):
