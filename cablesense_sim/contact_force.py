@@ -1,10 +1,10 @@
-"""The force of a contact at a place, from the torques that a sample shows, compiled.
+"""The force and the place of a contact that the torques of a sample show, compiled.
 
 Seven torques describe a contact on one segment: those of unit forces along x, y and z at its joint
-centre, their derivatives by the place s, and that of a unit moment about its axis. Their products
-with one another (gram) and with the torque of the environment (pull) are weighted with its
-precision. The information of the force is a polynomial in s, and so is its pull. The gain is by
-how much a contact lowers chi².
+centre, their derivatives by the place s, and that of a unit moment about its axis. All that a fit
+needs are their `products` with one another, weighted with the precision of the environment's
+torque. That torque stands in the last row: a contact's products are (8, 8), and the last one is
+chi² without it. The gain is by how much a force lowers chi².
 """
 
 from __future__ import annotations
@@ -16,32 +16,29 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_sim.compiled import compiled
-from cablesense_sim.contact_location import TorqueBalance
+from cablesense_sim.contact_location import AXIAL_STD_N, LARGEST_N, Prior, TorqueBalance
 
-_LEAST_AXIAL_N = 0.01
-"""The bound of an axial force by friction where the lateral force is zero."""
+_LEAST_AXIAL_N = 0.01  # the bound of an axial force by friction where the lateral force is zero
 SOFT = 0.5
 """Deviation of the bound of friction, as a share of it. A coefficient is known about so well, and
 then the interval covers a contact that slides, which is at the bound."""
 BOUND_STD = 0.76
 """Standard deviation of an axial force within that soft bound, as a share of the bound."""
+_COARSE, _STEPS = 9, 5
+"""Places of the first grid, and most Gauss-Newton steps from there. The grid is coarse: the gain
+is smooth over a segment, however small the noise is."""
+_CONVERGED = 0.02  # a step that is this fraction of the place's deviation is the last
+_RUBBED = 2  # times that friction is linearised at the force found before
+TWISTS = 5
+"""Ranges of the friction across an arm. Its moment is a factor of that of the axial force, so the
+posterior is linear in one range only."""
+_TWIST_STD = 0.3
+"""Deviation of that friction in a range, as a share of its bound: the ranges together have the
+deviation of a soft uniform distribution."""
+_LARGEST_SINE = 0.9  # of the angle between the normal and the lateral force
 
 
-class Prior(NamedTuple):
-    """The knowledge of a contact before the tensions.
-
-    Attributes:
-        reach_m: (N, 2) places on each segment.
-        largest_n: lateral force up to which contacts are expected.
-        axial_std_n: standard deviation of the axial force, where contacts act on the axis.
-        radius_m, friction: of the touched surface; a negative radius for contacts on the axis.
-    """
-
-    reach_m: Array
-    largest_n: float
-    axial_std_n: float
-    radius_m: float
-    friction: float
+Vector = Array | tuple[float, float, float]
 
 
 class Force(NamedTuple):
@@ -60,9 +57,20 @@ class Force(NamedTuple):
     zz: float
 
 
+class Fit(NamedTuple):
+    """The best place on a segment."""
+
+    place_m: float
+    deviation_m: float
+    log_evidence: float  # by Laplace's approximation, up to the prior's volume
+    side_y_m: float  # from the axis to the touched surface, along the lateral force
+    side_z_m: float
+    log_twist: float  # share of a moment about the axis in the log evidence
+
+
 @compiled
 def true_torques(balance: TorqueBalance, b: int, n: int, turn: Array, torques: Array) -> None:
-    """The seven torques (7, 2N) of a contact on segment n of a sample, along its true axes.
+    """Write the seven torques (7, 2N) of a contact on segment n of a sample, along its true axes.
 
     The touched surface is around the true axis. That is normal to the motion by the segment's own
     two joints; `turn` (3, 3) becomes the true axes, in rows, along those at the commanded angles.
@@ -86,61 +94,29 @@ def true_torques(balance: TorqueBalance, b: int, n: int, turn: Array, torques: A
 
 
 @compiled
-def weighted_products(
-    torques: Array, balance: TorqueBalance, b: int, gram: Array, pull: Array
-) -> float:
-    """Write the products (K, K) of torques (K, 2N) with one another, and (K,) with a sample's.
-
-    They are weighted with the precision of the sample's torques. Gives chi² without a contact.
-    """
-    precision, torque, chi2 = balance.precision[b], balance.torque_n_m[b], 0.0
-    joints, weighted = len(torque), np.empty(len(torque))
-    for row in range(len(torques) + 1):
-        one = torques[row] if row < len(torques) else torque
+def weigh_products(torques: Array, precision: Array, products: Array) -> None:
+    """Write the products (K, K) of torques (K, 2N), weighted with a precision (2N, 2N)."""
+    joints, weighted = len(precision), np.empty(len(precision))
+    for row in range(len(torques)):
         for k in range(joints):
             weighted[k] = 0.0
             for j in range(joints):
-                weighted[k] += one[j] * precision[j, k]
-        if row == len(torques):
-            chi2 = (weighted * torque).sum()
-            break
-        pull[row] = (weighted * torque).sum()
+                weighted[k] += torques[row, j] * precision[j, k]
         for other in range(row + 1):
             product = 0.0
             for k in range(joints):
                 product += weighted[k] * torques[other, k]
-            gram[row, other] = gram[other, row] = product
-    return chi2
+            products[row, other] = products[other, row] = product
 
 
 @compiled
-def polynomials(gram: Array, pull: Array, shape: Array) -> None:
-    """Coefficients (9, 3) in s of the information's xx, xy, xz, yy, yz, zz, and of the pull."""
-    row = 0
-    for i in range(3):
-        for j in range(i, 3):
-            shape[row, 0] = gram[i, j]
-            shape[row, 1] = gram[i, j + 3] + gram[i + 3, j]
-            shape[row, 2] = gram[i + 3, j + 3]
-            row += 1
-    for i in range(3):
-        shape[6 + i, 0], shape[6 + i, 1] = pull[i], pull[i + 3]
-
-
-@compiled
-def best_force(shape: Array, axial: float, s: float) -> Force:
+def best_force(products: Array, axial: float, s: float) -> Force:
     """The best force at place s, with a normal prior of its axial component."""
-    xx = shape[0, 0] + s * (shape[0, 1] + s * shape[0, 2]) + axial
-    xy = shape[1, 0] + s * (shape[1, 1] + s * shape[1, 2])
-    xz = shape[2, 0] + s * (shape[2, 1] + s * shape[2, 2])
-    yy = shape[3, 0] + s * (shape[3, 1] + s * shape[3, 2])
-    yz = shape[4, 0] + s * (shape[4, 1] + s * shape[4, 2])
-    zz = shape[5, 0] + s * (shape[5, 1] + s * shape[5, 2])
-    x, y, z = (
-        shape[6, 0] + s * shape[6, 1],
-        shape[7, 0] + s * shape[7, 1],
-        shape[8, 0] + s * shape[8, 1],
-    )
+    xx, xy, xz = _at(products, 0, 0, s) + axial, _at(products, 0, 1, s), _at(products, 0, 2, s)
+    yy, yz, zz = _at(products, 1, 1, s), _at(products, 1, 2, s), _at(products, 2, 2, s)
+    x = products[0, -1] + s * products[3, -1]
+    y = products[1, -1] + s * products[4, -1]
+    z = products[2, -1] + s * products[5, -1]
     cxx, cxy, cxz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     determinant = xx * cxx + xy * cxy + xz * cxz
     scale = 1.0 / determinant
@@ -155,93 +131,62 @@ def best_force(shape: Array, axial: float, s: float) -> Force:
 
 
 @compiled
-def axial_bound(prior: Prior, lateral: float) -> float:
-    """The largest axial force by friction, next to a lateral force."""
-    return prior.friction * min(lateral, prior.largest_n) + _LEAST_AXIAL_N
+def _at(products: Array, i: int, j: int, s: float) -> float:
+    """Information that components i and j of a force at place s share."""
+    by_place = products[i, j + 3] + products[i + 3, j]
+    return products[i, j] + s * (by_place + s * products[i + 3, j + 3])
 
 
 @compiled
-def add_friction(gram: Array, pull: Array, x: int, side_y: float, side_z: float) -> None:
+def shared(f: Force, one: Vector, other: Vector) -> float:
+    """Covariance of a force's components along two vectors."""
+    (a, b, c), (x, y, z) = one, other
+    return (
+        a * (f.xx * x + f.xy * y + f.xz * z)
+        + b * (f.xy * x + f.yy * y + f.yz * z)
+        + c * (f.xz * x + f.yz * y + f.zz * z)
+    )
+
+
+@compiled
+def axial_bound(prior: Prior, lateral: float) -> float:
+    """The largest axial force by friction, next to a lateral force."""
+    return prior.friction * min(lateral, LARGEST_N) + _LEAST_AXIAL_N
+
+
+@compiled
+def add_friction(products: Array, x: int, side_y: float, side_z: float) -> None:
     """Let the axial force act at the surface, which is (side_y, side_z) along the lateral force.
 
     An axial force f_x at the radius r turns the segment as the lateral force does at r f_x / f.
     The seven torques of the contact begin at row `x`.
     """
-    _shift(gram, pull, x, x + 4, side_y, side_z)
+    _shift(products, x, x + 4, side_y, side_z)
 
 
 @compiled
-def _shift(gram: Array, pull: Array, row: int, lateral: int, y: float, z: float) -> None:
+def _shift(products: Array, row: int, lateral: int, y: float, z: float) -> None:
     """Add shares of the two lateral torques from row `lateral` on to the torque of a row."""
-    gram[row] += y * gram[lateral] + z * gram[lateral + 1]
-    gram[:, row] += y * gram[:, lateral] + z * gram[:, lateral + 1]
-    pull[row] += y * pull[lateral] + z * pull[lateral + 1]
+    products[row] += y * products[lateral] + z * products[lateral + 1]
+    products[:, row] += y * products[:, lateral] + z * products[:, lateral + 1]
 
 
 @compiled
-def fixed_twist(gram: Array, pull: Array, twist_n_m: float) -> float:
-    """Take a known moment about the axis off the torque; gives by how much that lowers chi²."""
-    gain = twist_n_m * (2.0 * pull[6] - twist_n_m * gram[6, 6])
-    pull -= twist_n_m * gram[:, 6]
-    return gain
-
-
-@compiled
-def free_twist(
-    gram: Array, pull: Array, x: int, turns_y: float, turns_z: float, std_n_m: float
-) -> tuple[float, float]:
+def free_twist(products: Array, x: int, turns_y: float, turns_z: float, std_n_m: float) -> float:
     """Take the moment of friction across a segment out of what the tensions show.
 
     Such friction twists the segment, with a normal prior. It is part of the lateral force, so the
     surface is touched beside the direction of that force, and there the axial force acts. A unit
     moment thereby turns the segment as (turns_y, turns_z) of the lateral force, further along.
-    Gives by how much the moment lowers chi², and its log share of the evidence.
+    Gives the log of what its prior makes of the evidence; its gain is taken off chi².
     """
     t, variance = x + 6, std_n_m * std_n_m
-    _shift(gram, pull, t, x + 4, turns_y, turns_z)
-    share, along = variance / (1.0 + variance * gram[t, t]), gram[t].copy()
+    _shift(products, t, x + 4, turns_y, turns_z)
+    growth, along = 1.0 + variance * products[t, t], products[t].copy()
     along[t] = 0.0
-    pull -= share * pull[t] * along
-    for i in range(len(gram)):
-        gram[i] -= share * along[i] * along
-    gain = share * pull[t] ** 2
-    return gain, 0.5 * (gain - math.log(1.0 + variance * gram[t, t]))
-
-
-@compiled
-def turned(f: Force, turn: Array) -> Force:
-    """A force along true axes (3, 3), in rows, along those at the commanded angles."""
-    x, y, z = turn.T
-    return Force(
-        f.gain,
-        f.determinant,
-        f.x * x[0] + f.y * x[1] + f.z * x[2],
-        f.x * y[0] + f.y * y[1] + f.z * y[2],
-        f.x * z[0] + f.y * z[1] + f.z * z[2],
-        _shared(f, x, x),
-        _shared(f, x, y),
-        _shared(f, x, z),
-        _shared(f, y, y),
-        _shared(f, y, z),
-        _shared(f, z, z),
-    )
-
-
-@compiled
-def _shared(f: Force, one: Array, other: Array) -> float:
-    """Covariance of components along two axes (3,)."""
-    x, y, z = other
-    return (
-        one[0] * (f.xx * x + f.xy * y + f.xz * z)
-        + one[1] * (f.xy * x + f.yy * y + f.yz * z)
-        + one[2] * (f.xz * x + f.yz * y + f.zz * z)
-    )
-
-
-@compiled
-def of_sum(a: float, xx: float, b: float, yy: float, xy: float) -> float:
-    """Variance of a x + b y."""
-    return a * a * xx + b * b * yy + 2.0 * a * b * xy
+    for i in range(len(products)):
+        products[i] -= variance / growth * along[i] * along
+    return -0.5 * math.log(growth)
 
 
 @compiled
@@ -279,3 +224,132 @@ def bounded(f: Force, bound: float) -> tuple[Force, float]:
         f.zz + f.xz * f.xz * curvature,
     )
     return bounded, log_share + 0.5 * lost
+
+
+@compiled
+def best_places(products: Array, n: int, prior: Prior, rubbed: Array, fits: list[Fit]) -> float:
+    """The best place on segment n, for each of R ranges of friction; gives the log evidence.
+
+    Writes the products (R, 8, 8) with friction at the touched surface.
+    """
+    low, high = prior.reach_m[n, 0], prior.reach_m[n, 1]
+    surface, ranges = prior.radius_m >= 0.0, len(rubbed)
+    axial, beyond = AXIAL_STD_N**-2, 0.0
+    if surface:
+        axial = axial_bound(prior, LARGEST_N) ** -2
+        beyond = prior.radius_m * prior.friction * (1.0 + SOFT)  # friction shifts it thus far
+    s, most = low, -np.inf
+    for k in range(_COARSE):
+        tried = low - beyond + (high - low + 2.0 * beyond) * k / (_COARSE - 1)
+        gain = best_force(products, axial, tried).gain
+        if gain > most:
+            s, most = tried, gain
+    s, deviation = _refined(products, axial, s, low - beyond, high + beyond, high - low)
+    force = best_force(products, axial, s)
+    if not surface:
+        rubbed[0] = products
+        evidence = _evidence(force, axial, deviation)
+        fits[n] = Fit(s, deviation, evidence, 0.0, 0.0, 0.0)
+        return evidence
+    total, top = 0.0, -np.inf
+    for k in range(ranges):
+        across = 2.0 * k / (ranges - 1) - 1.0
+        rubbed[k] = products
+        one = fits[n * ranges + k] = _rubbed(rubbed[k], across, force, s, n, prior)
+        if one.log_evidence > top:
+            total, top = total * math.exp(top - one.log_evidence), one.log_evidence
+        total += math.exp(one.log_evidence - top)
+    return top + math.log(total)
+
+
+@compiled
+def _rubbed(products: Array, across: float, force: Force, s: float, n: int, prior: Prior) -> Fit:
+    """The best place near another with its force, in a range of the friction across the arm.
+
+    `across` is the middle of the range, as a share of the bound. Friction enters the products.
+    """
+    low, high, radius = prior.reach_m[n, 0], prior.reach_m[n, 1], prior.radius_m
+    free, side_y, side_z, deviation, axial, log_twist = products.copy(), 0.0, 0.0, 0.0, 0.0, 0.0
+    # the normal force is beside the lateral one, by the friction across
+    sine = min(max(across * prior.friction, -_LARGEST_SINE), _LARGEST_SINE)
+    cosine = math.sqrt(1.0 - sine * sine)
+    for _ in range(_RUBBED):
+        lateral = max(math.hypot(force.y, force.z), 1e-12)
+        bound = axial_bound(prior, lateral)
+        y, z = force.y / lateral, force.z / lateral
+        side_y, side_z = radius * (cosine * y + sine * z), radius * (cosine * z - sine * y)
+        ratio = min(max(force.x / lateral, -prior.friction), prior.friction)
+        turns_y, turns_z = ratio * (y * sine / cosine - z), ratio * (z * sine / cosine + y)
+        known_n_m = -sine * radius * lateral  # about the axis, in the middle of the range
+        products[:] = free
+        products[-1] -= known_n_m * products[6]
+        products[:, -1] -= known_n_m * products[:, 6]
+        log_twist = free_twist(products, 0, turns_y, turns_z, _TWIST_STD * radius * bound)
+        add_friction(products, 0, side_y, side_z)
+        axial, s = (BOUND_STD * bound) ** -2, min(max(s, low), high)
+        s, deviation = _refined(products, axial, s, low, high, high - low)
+        force = best_force(products, axial, s)
+    log_twist += 0.5 * (free[-1, -1] - products[-1, -1]) - math.log(TWISTS)
+    evidence = _evidence(force, axial, deviation) + log_twist
+    return Fit(s, deviation, evidence, side_y, side_z, log_twist)
+
+
+@compiled
+def _evidence(force: Force, axial: float, deviation: float) -> float:
+    """The log evidence by a best force and the deviation of its place, by Laplace's approximation.
+
+    It is not bounded by the largest force, which another place on the segment may not exceed.
+    """
+    lateral, spread = lateral_of(force.y, force.z, force.yy, force.yz, force.zz)
+    density = log_density(force, math.sqrt(axial), lateral, spread, np.inf)
+    return density + math.log(deviation * math.sqrt(2.0 * math.pi))
+
+
+@compiled
+def lateral_of(y: float, z: float, yy: float, yz: float, zz: float) -> tuple[float, float]:
+    """The lateral force, and its standard deviation along itself."""
+    lateral = math.hypot(y, z)
+    y, z = (y / lateral, z / lateral) if lateral > 0.0 else (1.0, 0.0)
+    return lateral, math.sqrt(y * y * yy + 2.0 * y * z * yz + z * z * zz)
+
+
+@compiled
+def log_density(
+    force: Force, axial: float, lateral: float, spread: float, largest_n: float
+) -> float:
+    """The log density of a place, up to the prior of places and magnitudes.
+
+    `axial` is √2π times the prior density of the axial force. That of magnitude and direction is
+    uniform; near zero the noise is the scale of a force.
+    """
+    beyond = max(lateral - largest_n, 0.0) / spread
+    volume = force.determinant * (lateral * lateral + spread * spread)
+    return 0.5 * (force.gain + math.log(axial * axial / volume) - beyond * beyond)
+
+
+@compiled
+def _refined(
+    products: Array, axial: float, s: float, low: float, high: float, range_m: float
+) -> tuple[float, float]:
+    """The best place near another one by Gauss-Newton steps, and its standard deviation, m.
+
+    The best force for a place leaves a residual that only the place can lower. Before the tensions
+    are known a place is known to the segment's range.
+    """
+    deviation, across = range_m, np.empty(3)
+    for _ in range(_STEPS):
+        f = best_force(products, axial, s)
+        force, left, own = (f.x, f.y, f.z), 0.0, range_m**-2
+        for i in range(3):
+            across[i] = 0.0  # information that the place shares with a component of the force
+            for j in range(3):
+                across[i] += force[j] * (products[3 + j, i] + s * products[3 + j, 3 + i])
+                own += force[i] * force[j] * products[3 + i, 3 + j]
+            left += force[i] * (products[3 + i, -1] - across[i])
+        own -= shared(f, across, across)
+        deviation = 1.0 / math.sqrt(own)
+        before = s
+        s = min(max(s + left / own, low), high)
+        if abs(s - before) < _CONVERGED * deviation:
+            break
+    return s, deviation

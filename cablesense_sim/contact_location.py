@@ -25,7 +25,7 @@ External Contact Using Proprioceptive Sensors, IROS 2016, who draw particles ins
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,9 +42,6 @@ from cablesense_sim.equilibrium import (
 )
 from cablesense_sim.mechanism import Mechanism
 
-if TYPE_CHECKING:
-    from cablesense_sim.contact_force import Prior
-
 LARGEST_N = 200.0
 """Lateral force up to which contacts are expected: a person's firm push."""
 
@@ -59,8 +56,7 @@ _SLACK_WEIGHT, _POSE_SLACK_WEIGHT = 1e-3, 1e-5
 fit of the pose. The weight is nonzero, so that an arm with many slack cables still has a pose, and
 so small that a cable that lacks a hundred newtons does not bend it."""
 _SLACK_BELOW_STD = 4.0
-_POSE_STEPS = 4
-"""Each step squares the error of the pose, which is below 0.1 rad."""
+_POSE_STEPS = 4  # each step squares the error of the pose, which is below 0.1 rad
 
 
 class Surface(NamedTuple):
@@ -91,6 +87,14 @@ def reach_m(mechanism: Mechanism) -> Array:
     """
     length = mechanism.segment_length_m
     return np.stack([np.full(len(length), mechanism.plate_offset_m), length], axis=1)
+
+
+class Prior(NamedTuple):
+    """The knowledge of a contact before the tensions, as compiled code takes it."""
+
+    reach_m: Array  # (N, 2) places on each segment
+    radius_m: float  # of the surface; negative where contacts act on the axis
+    friction: float
 
 
 class TorqueBalance(NamedTuple):
@@ -239,12 +243,7 @@ def is_known(width_n: Any, size_n: Any) -> Any:
     return (width_n <= 2.0 * _KNOWN_N) | (width_n <= 2.0 * _KNOWN_SHARE * size_n)
 
 
-def locate(
-    balance: TorqueBalance,
-    reach: Array,
-    surface: Surface | None = None,
-    largest_n: float = LARGEST_N,
-) -> Location:
+def locate(balance: TorqueBalance, reach: Array, surface: Surface | None = None) -> Location:
     """The posterior of a single contact from the balance of B samples, within a reach (N, 2), m.
 
     Contacts act on the axis if no `surface` is given. No contact is as probable as a contact
@@ -253,15 +252,12 @@ def locate(
     from cablesense_sim.contact_posterior import locate_each, unfilled
 
     found = unfilled(*balance.by_place.shape[:2])
-    locate_each(*compiled_input(balance, reach, surface, largest_n), found)
+    locate_each(*compiled_input(balance, reach, surface), found)
     return found
 
 
 def locate_two(
-    balance: TorqueBalance,
-    reach: Array,
-    largest_n: float = LARGEST_N,
-    surface: Surface | None = None,
+    balance: TorqueBalance, reach: Array, surface: Surface | None = None
 ) -> ContactPair:
     """The two contacts from the balance of B samples, within a reach (N, 2), m.
 
@@ -273,17 +269,14 @@ def locate_two(
     """
     from cablesense_sim.contact_pair_fit import fit_each
 
-    return fit_each(*compiled_input(balance, reach, surface, largest_n))
+    return fit_each(*compiled_input(balance, reach, surface))
 
 
 def compiled_input(
-    balance: TorqueBalance, reach: Array, surface: Surface | None, largest_n: float = LARGEST_N
+    balance: TorqueBalance, reach: Array, surface: Surface | None
 ) -> tuple[TorqueBalance, Prior]:
     """A balance and the prior, as compiled code takes them."""
-    from cablesense_sim.contact_force import Prior
-
-    radius_m, friction = (-1.0, 0.0) if surface is None else surface
-    prior = Prior(np.ascontiguousarray(reach), largest_n, AXIAL_STD_N, radius_m, friction)
+    prior = Prior(np.ascontiguousarray(reach), *(surface or (-1.0, 0.0)))
     return TorqueBalance(*map(np.ascontiguousarray, balance)), prior
 
 

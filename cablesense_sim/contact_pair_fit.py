@@ -1,8 +1,8 @@
 """The fit of two contacts on an arm, sample by sample, compiled: see `locate_two`.
 
-The gram of the torques that contacts can make (`contact_force`) is computed once a sample. Eight
-numbers describe a pair, both forces and both places, and the derivative of its torques by them
-combines rows of that gram. For given places the forces follow from linear equations, and
+The products of the torques that contacts can make (`contact_force`) are computed once a sample.
+Eight numbers describe a pair, both forces and both places, and the derivative of its torques by
+them combines rows of these products. For given places the forces follow from linear equations, and
 Gauss-Newton steps of the places start from every peak of a grid.
 """
 
@@ -14,60 +14,47 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_sim.cholesky import solve
-from cablesense_sim.compiled import compiled
+from cablesense_sim.compiled import compiled, solve
 from cablesense_sim.contact_force import (
     BOUND_STD,
     SOFT,
-    Prior,
     add_friction,
     axial_bound,
     best_force,
     free_twist,
-    polynomials,
     true_torques,
-    weighted_products,
+    weigh_products,
 )
-from cablesense_sim.contact_location import ContactPair, TorqueBalance
+from cablesense_sim.contact_location import (
+    AXIAL_STD_N,
+    LARGEST_N,
+    ContactPair,
+    Prior,
+    TorqueBalance,
+)
 
-_ROWS = 7
-"""Torques that describe a contact on one segment."""
-_COARSE = 11
-"""Places on each segment of the first grid."""
+_ROWS = 7  # torques that describe a contact on one segment
+_COARSE = 11  # places on each segment of the first grid
 _STEPS = 40
 """Most Gauss-Newton steps from a start: a few where the places are determined, many along a
 valley where they are not."""
-_HALVINGS = 8
-"""Most halvings of a step that does not lower chi²."""
-_CONVERGED = 0.02
-"""A step that is this fraction of the places' deviations is the last."""
-_BOUNDS = 3
-"""Times that lateral forces bound the axial ones anew, from the largest force on."""
-_SINGULAR = 1e-12
-"""Share of an information below which rounding is all that is left of it."""
+_HALVINGS = 8  # most halvings of a step that does not lower chi²
+_CONVERGED = 0.02  # a step that is this fraction of the places' deviations is the last
+_BOUNDS = 3  # times that lateral forces bound the axial ones anew, from the largest force on
+_SINGULAR = 1e-12  # share of an information below which rounding is all that is left of it
 
 
 class _Pair(NamedTuple):
-    """One pair of segments, with its forces and places as they are fitted.
+    """One pair of segments, with its forces and places as they are fitted."""
 
-    Attributes:
-        gram, pull: (14, 14), (14,) of the torques of both contacts.
-        axial: (2,) information of the axial forces before the tensions.
-        low, high: (2,) ends of the places' ranges.
-        place: (2,); force: (6,) of both.
-        root: (8, 8) lower Cholesky factor of the information of forces, then places, at these.
-        slope: (2,) of half the gain by the places.
-    """
-
-    gram: Array
-    pull: Array
-    axial: Array
-    low: Array
-    high: Array
-    place: Array
-    force: Array
-    root: Array
-    slope: Array
+    products: Array  # (15, 15) of the torques of both contacts and of the environment's
+    axial: Array  # (2,) information of the axial forces before the tensions
+    low: Array  # (2,) ends of the places' ranges
+    high: Array  # (2,)
+    place: Array  # (2,)
+    force: Array  # (6,) of both
+    root: Array  # (8, 8) lower Cholesky factor of the information of forces, then places, at these
+    slope: Array  # (2,) of half the gain by the places
 
 
 def fit_each(balance: TorqueBalance, prior: Prior) -> ContactPair:
@@ -82,65 +69,58 @@ def fit_each(balance: TorqueBalance, prior: Prior) -> ContactPair:
         log_evidence=np.empty(count),
         chi2=np.empty(count),
     )
-    _fit_each(balance, prior, found)
+    rows = 2 * _ROWS + 1
+    shapes = ((rows, rows), (2,), (2,), (2,), (2,), (6,), (8, 8), (2,))
+    pair = _Pair(*(np.empty(shape) for shape in shapes))
+    _fit_each(balance, prior, pair, found)
     return found
 
 
 @compiled
-def _fit_each(balance: TorqueBalance, prior: Prior, found: ContactPair) -> None:
+def _fit_each(balance: TorqueBalance, prior: Prior, pair: _Pair, found: ContactPair) -> None:
     count, segments, _, joints = balance.by_place.shape
-    torques, turn = np.empty((_ROWS * segments, joints)), np.empty((segments, 3, 3))
-    pair = _Pair(
-        np.empty((2 * _ROWS, 2 * _ROWS)),
-        np.empty(2 * _ROWS),
-        np.empty(2),
-        np.empty(2),
-        np.empty(2),
-        np.empty(2),
-        np.empty(6),
-        np.empty((8, 8)),
-        np.empty(2),
-    )
-    gram, pull = np.empty((len(torques), len(torques))), np.empty(len(torques))
-    covariance = np.empty((8, 8))
+    torques, turn = np.empty((_ROWS * segments + 1, joints)), np.empty((segments, 3, 3))
+    products, covariance = np.empty((len(torques), len(torques))), np.empty((8, 8))
     for b in range(count):
         for n in range(segments):
             true_torques(balance, b, n, turn[n], torques[_ROWS * n : _ROWS * (n + 1)])
-        chi2 = weighted_products(torques, balance, b, gram, pull)
+        torques[-1] = balance.torque_n_m[b]
+        weigh_products(torques, balance.precision[b], products)
         for first in range(segments - 1):
             for second in range(first + 1, segments):
-                _select(gram, pull, first, second, prior, pair)
-                gain, twist_gain, log_twist = _fit(pair), 0.0, 0.0
+                _select(products, first, second, prior, pair)
+                gain, log_twist = _fit(pair), 0.0
                 if prior.radius_m >= 0.0:
-                    gain, twist_gain, log_twist = _rub(pair, first, second, prior)
+                    gain, log_twist = _rub(pair, first, second, prior)
+                chi2 = pair.products[-1, -1] - gain
                 covariance[:] = 0.0
                 for i in range(8):
                     covariance[i, i] = 1.0
                 solve(pair.root, covariance)
-                evidence = _log_evidence(pair, covariance, gain, prior) + log_twist
+                evidence = 0.5 * (products[-1, -1] - chi2) + log_twist
+                evidence += _log_volume(pair, covariance, prior)
                 if second == 1 or evidence > found.log_evidence[b]:  # the first pair, or a better
-                    found.log_evidence[b], found.chi2[b] = evidence, chi2 - gain - twist_gain
+                    found.log_evidence[b], found.chi2[b] = evidence, chi2
                     for k, n in enumerate((first, second)):
                         _state(pair, covariance, n, turn[n], k, found, b)
 
 
 @compiled
-def _select(gram: Array, pull: Array, first: int, second: int, prior: Prior, pair: _Pair) -> None:
+def _select(products: Array, first: int, second: int, prior: Prior, pair: _Pair) -> None:
     """Take the torques and the ranges of two segments, from 0 on."""
+    rows = np.full(2 * _ROWS + 1, len(products) - 1)
     for k, n in enumerate((first, second)):
+        rows[_ROWS * k : _ROWS * (k + 1)] = np.arange(_ROWS * n, _ROWS * (n + 1))
         pair.low[k], pair.high[k] = prior.reach_m[n, 0], prior.reach_m[n, 1]
-        pair.axial[k] = prior.axial_std_n**-2
+        pair.axial[k] = AXIAL_STD_N**-2
         if prior.radius_m >= 0.0:
-            pair.axial[k] = (BOUND_STD * axial_bound(prior, prior.largest_n)) ** -2
+            pair.axial[k] = (BOUND_STD * axial_bound(prior, LARGEST_N)) ** -2
             beyond = prior.radius_m * prior.friction * (1.0 + SOFT)  # friction shifts it thus far
             pair.low[k] -= beyond
             pair.high[k] += beyond
-        for i in range(_ROWS):
-            own, row = _ROWS * k + i, _ROWS * n + i
-            pair.pull[own] = pull[row]
-            for j in range(_ROWS):
-                pair.gram[own, j] = gram[row, _ROWS * first + j]
-                pair.gram[own, _ROWS + j] = gram[row, _ROWS * second + j]
+    for i in range(len(rows)):
+        for j in range(len(rows)):
+            pair.products[i, j] = products[rows[i], rows[j]]
 
 
 @compiled
@@ -162,31 +142,30 @@ def _fit(pair: _Pair) -> float:
 
 
 @compiled
-def _rub(pair: _Pair, first: int, second: int, prior: Prior) -> tuple[float, float, float]:
+def _rub(pair: _Pair, first: int, second: int, prior: Prior) -> tuple[float, float]:
     """Let friction act at the surface, once the forces are known.
 
     Lateral forces bound the axial ones, which in turn show the lateral ones better. Gives the gain
-    of the forces and that of moments about the axes, and the log share of these in the evidence.
+    of the forces, and what the prior of moments about the axes makes of the log evidence.
     """
     for _ in range(_BOUNDS):
         for k in range(2):
             lateral = math.hypot(pair.force[3 * k + 1], pair.force[3 * k + 2])
             pair.axial[k] = (BOUND_STD * axial_bound(prior, lateral)) ** -2
         _refine(pair)
-    twist_gain, log_twist = 0.0, 0.0
+    log_twist = 0.0
     for k, n in enumerate((first, second)):
         x, y, z = pair.force[3 * k], pair.force[3 * k + 1], pair.force[3 * k + 2]
         lateral = max(math.hypot(y, z), 1e-12)
         bound = BOUND_STD * axial_bound(prior, lateral)
         ratio = min(max(x / lateral, -prior.friction), prior.friction) / lateral
         row, radius, side = _ROWS * k, prior.radius_m, prior.radius_m / lateral
-        gain, share = free_twist(pair.gram, pair.pull, row, -ratio * z, ratio * y, radius * bound)
-        twist_gain, log_twist = twist_gain + gain, log_twist + share
-        add_friction(pair.gram, pair.pull, row, side * y, side * z)
+        log_twist += free_twist(pair.products, row, -ratio * z, ratio * y, radius * bound)
+        add_friction(pair.products, row, side * y, side * z)
         pair.low[k], pair.high[k] = prior.reach_m[n, 0], prior.reach_m[n, 1]
         pair.place[k] = min(max(pair.place[k], pair.low[k]), pair.high[k])
         pair.axial[k] = bound**-2
-    return _refine(pair), twist_gain, log_twist
+    return _refine(pair), log_twist
 
 
 @compiled
@@ -203,31 +182,27 @@ def _grid_gains(pair: _Pair) -> Array:
     For one place of the first contact, the torques that its force cannot explain leave a problem
     of a single contact.
     """
-    gains = np.empty((_COARSE, _COARSE))
-    first, second = np.zeros((9, 3)), np.zeros((9, 3))
-    shared, explained = np.empty((3, _ROWS)), np.empty((3, _ROWS))
-    left, pull = np.empty((_ROWS, _ROWS)), np.empty(_ROWS)
-    polynomials(pair.gram, pair.pull, first)
+    products, others = pair.products, _ROWS + 1
+    gains, left = np.empty((_COARSE, _COARSE)), np.empty((others, others))
+    shared, explained = np.empty((3, others)), np.empty((3, others))
     for i in range(_COARSE):
         s = _grid_place(pair.low[0], pair.high[0], i)
-        f = best_force(first, pair.axial[0], s)
-        for j in range(_ROWS):
+        f = best_force(products, pair.axial[0], s)
+        for j in range(others):
             for k in range(3):
-                shared[k, j] = pair.gram[k, _ROWS + j] + s * pair.gram[k + 3, _ROWS + j]
+                shared[k, j] = products[k, _ROWS + j] + s * products[k + 3, _ROWS + j]
             x, y, z = shared[0, j], shared[1, j], shared[2, j]
-            pull[j] = pair.pull[_ROWS + j] - f.x * x - f.y * y - f.z * z
             explained[0, j] = f.xx * x + f.xy * y + f.xz * z
             explained[1, j] = f.xy * x + f.yy * y + f.yz * z
             explained[2, j] = f.xz * x + f.yz * y + f.zz * z
-        for j in range(_ROWS):
-            for k in range(_ROWS):
-                left[j, k] = pair.gram[_ROWS + j, _ROWS + k]
+        for j in range(others):
+            for k in range(others):
+                left[j, k] = products[_ROWS + j, _ROWS + k]
                 for component in range(3):
                     left[j, k] -= shared[component, j] * explained[component, k]
-        polynomials(left, pull, second)
         for j in range(_COARSE):
             place = _grid_place(pair.low[1], pair.high[1], j)
-            gains[i, j] = f.gain + best_force(second, pair.axial[1], place).gain
+            gains[i, j] = f.gain + best_force(left, pair.axial[1], place).gain
     return gains
 
 
@@ -274,14 +249,12 @@ def _held(place: float, low: float, high: float, step: float) -> bool:
 @compiled
 def _profile(pair: _Pair) -> float:
     """The forces that fit best at the places, and the root there; gives the gain."""
-    gram, pull, root, force = pair.gram, pair.pull, pair.root, pair.force
-    weighted, place = np.empty((6, 2 * _ROWS)), pair.place
+    products, root, force, place = pair.products, pair.root, pair.force, pair.place
+    weighted = np.empty((6, len(products)))
     for i in range(6):
-        k = i // 3
-        at = _ROWS * k + i % 3
-        force[i] = pull[at] + place[k] * pull[at + 3]
-        for j in range(2 * _ROWS):
-            weighted[i, j] = gram[at, j] + place[k] * gram[at + 3, j]
+        at, s = _ROWS * (i // 3) + i % 3, place[i // 3]
+        weighted[i] = products[at] + s * products[at + 3]
+        force[i] = weighted[i, -1]
         for j in range(6):
             at = _ROWS * (j // 3) + j % 3
             root[i, j] = weighted[i, at] + place[j // 3] * weighted[i, at + 3]
@@ -302,11 +275,11 @@ def _profile(pair: _Pair) -> float:
     for i in range(6):
         k = i // 3
         at = _ROWS * k + i % 3 + 3
-        pair.slope[k] += force[i] * pull[at]
+        pair.slope[k] += force[i] * products[at, -1]
         for j in range(6):
             root[6 + k, j] += force[i] * weighted[j, at]
             other = _ROWS * (j // 3) + j % 3 + 3
-            root[6 + k, 6 + j // 3] += force[i] * gram[at, other] * force[j]
+            root[6 + k, 6 + j // 3] += force[i] * products[at, other] * force[j]
     for k in range(2):
         pair.slope[k] -= (root[6 + k, :6] * force).sum()
         root[6 + k, 6 + k] += 12.0 / (pair.high[k] - pair.low[k]) ** 2
@@ -329,20 +302,20 @@ def _factorise(root: Array, row: int) -> None:
 
 
 @compiled
-def _log_evidence(pair: _Pair, covariance: Array, gain: float, prior: Prior) -> float:
-    """Laplace's approximation against no contact."""
-    evidence = 0.5 * gain + 4.0 * math.log(2.0 * math.pi)
+def _log_volume(pair: _Pair, covariance: Array, prior: Prior) -> float:
+    """Volume of the posterior over that of the prior, by Laplace's approximation."""
+    log_volume = 4.0 * math.log(2.0 * math.pi)
     for i in range(8):
-        evidence -= math.log(pair.root[i, i])
+        log_volume -= math.log(pair.root[i, i])
     total_m = (prior.reach_m[:, 1] - prior.reach_m[:, 0]).sum()
     for k in range(2):
         y, z = 3 * k + 1, 3 * k + 2
         variance = covariance[y, y] + covariance[z, z]
         square = pair.force[y] ** 2 + pair.force[z] ** 2
-        disc = 2.0 * math.pi * math.sqrt(square + variance) * prior.largest_n
-        evidence -= math.log(disc * math.sqrt(2.0 * math.pi / pair.axial[k]) * total_m)
-        evidence -= 0.5 * max(math.sqrt(square) - prior.largest_n, 0.0) ** 2 / variance
-    return evidence
+        disc = 2.0 * math.pi * math.sqrt(square + variance) * LARGEST_N
+        log_volume -= math.log(disc * math.sqrt(2.0 * math.pi / pair.axial[k]) * total_m)
+        log_volume -= 0.5 * max(math.sqrt(square) - LARGEST_N, 0.0) ** 2 / variance
+    return log_volume
 
 
 @compiled

@@ -1,4 +1,8 @@
-"""The posterior of one contact on an arm, sample by sample, compiled: see `contact_location`."""
+"""The posterior of one contact, sample by sample, compiled: see `contact_location`.
+
+Around the best place on each segment it is computed on a grid of places, which gives means and
+intervals.
+"""
 
 from __future__ import annotations
 
@@ -6,51 +10,51 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_sim.compiled import compiled
 from cablesense_sim.contact_force import (
-    BOUND_STD,
-    SOFT,
-    Force,
-    Prior,
-    add_friction,
+    TWISTS,
+    Fit,
     axial_bound,
     best_force,
+    best_places,
     bounded,
-    fixed_twist,
-    free_twist,
-    of_sum,
-    polynomials,
+    lateral_of,
+    log_density,
+    shared,
     true_torques,
-    turned,
-    weighted_products,
+    weigh_products,
 )
-from cablesense_sim.contact_intervals import FINE, Grid, bound_region, compare, summarise, weigh
-from cablesense_sim.contact_location import Location, TorqueBalance
+from cablesense_sim.contact_location import AXIAL_STD_N, LARGEST_N, Location, Prior, TorqueBalance
 
-_COARSE, _STEPS = 9, 5
-"""Places of the first grid, and most Gauss-Newton steps from there to the final one. The first is
-coarse: the gain is smooth over a segment, however small the noise is."""
-_RUBBED = 2
-"""Times that friction is linearised at the force found before."""
-TWISTS = 5
-"""Ranges of the friction across an arm. Its moment is a factor of that of the axial force, so the
-posterior is linear in one range only."""
-_TWIST_STD = 0.3
-"""Deviation of that friction in a range, as a share of its bound: the ranges together have the
-deviation of a soft uniform distribution."""
-_CONVERGED = 0.02
-"""A step that is this fraction of the place's deviation is the last."""
-_FINE_REACH = 4.5
-"""Standard deviations of a place on each side that the final grid covers."""
-_LARGEST_SINE = 0.9
-"""Of the angle between the normal and the lateral force."""
+_FINE, _FINE_REACH = 41, 4.5
+"""Places of a segment's grid, and standard deviations of a place on each side that it covers."""
 _OUT_OF_QUESTION = 14.0
 """Log odds below the best at which a segment, or a range of friction on it, gets no grid: a
 probability below 1e-6."""
 _OPEN = 8.0
 """Deviation, in bounds, of the normal prior that keeps the force of a straight arm finite."""
+_NEGLIGIBLE = 1e-5  # weight of a place that adds nothing to an interval
+_NORMAL_95 = 1.959964
+_HALVED = 14  # bisections of a place: the last leaves a hundredth of a millimetre of a segment
+_ROOTS, _PRECISE = 30, 0.005
+"""Most steps towards an end of the magnitude's interval, and its error in standard deviations."""
+
+
+class _Grid(NamedTuple):
+    """The final grids on N segments, of K places in all, for each range of friction one."""
+
+    place_m: Array  # (N, K), by range
+    log_density: Array  # (N, K)
+    weight: Array  # (N, K), of a segment with the sum 1
+    force_n: Array  # (N, K, 3)
+    covariance_n2: Array  # (N, K, 3, 3)
+    lateral_n: Array  # (N, K)
+    lateral_std_n: Array  # (N, K)
+    moment_n_m: Array  # (N, K, 2)
+    moment_variance: Array  # (N, K, 2)
 
 
 def unfilled(count: int, segments: int) -> Location:
@@ -73,283 +77,248 @@ def unfilled(count: int, segments: int) -> Location:
     )
 
 
-class _Fit(NamedTuple):
-    """The best place on a segment.
-
-    Attributes:
-        place_m, deviation_m: of it.
-        log_evidence: by Laplace's approximation, up to the prior's volume.
-        side_y_m, side_z_m: from the axis to the touched surface, along the lateral force.
-        twist_gain, twist_log: by how much a moment about the axis lowers chi², and its log share
-            of the evidence.
-    """
-
-    place_m: float
-    deviation_m: float
-    log_evidence: float
-    side_y_m: float
-    side_z_m: float
-    twist_gain: float
-    twist_log: float
-
-
 @compiled
 def locate_each(balance: TorqueBalance, prior: Prior, found: Location) -> None:
     """Fill the posteriors of B samples, whose arrays are contiguous."""
     count, segments, _, joints = balance.by_place.shape
-    torques, gram, pull = np.empty((7, joints)), np.empty((7, 7)), np.empty(7)
+    torques, products = np.empty((8, joints)), np.empty((8, 8))
     ranges = TWISTS if prior.radius_m >= 0.0 else 1
-    shape = np.zeros((segments, ranges, 9, 3))
+    rubbed = np.empty((segments, ranges, 8, 8))
     evidence, turn = np.empty(segments), np.empty((segments, 3, 3))
-    fits = [_Fit(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(segments * ranges)]
+    fits = [Fit(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(segments * ranges)]
     filled = np.empty(segments, dtype=np.bool_)
-    places = ranges * FINE
-    grid = Grid(
+    places = ranges * _FINE
+    grid = _Grid(
         np.empty((segments, places)),
         np.empty((segments, places)),
         np.empty((segments, places)),
         np.zeros((segments, places, 3)),
-        np.zeros((segments, places, 9)),
+        np.zeros((segments, places, 3, 3)),
         np.zeros((segments, places)),
         np.zeros((segments, places)),
         np.zeros((segments, places, 2)),
         np.zeros((segments, places, 2)),
     )
-    log_volume = math.log(prior.largest_n * (prior.reach_m[:, 1] - prior.reach_m[:, 0]).sum())
+    log_volume = math.log(LARGEST_N * (prior.reach_m[:, 1] - prior.reach_m[:, 0]).sum())
     for b in range(count):
-        chi2 = 0.0
+        torques[7] = balance.torque_n_m[b]
         for n in range(segments):
-            true_torques(balance, b, n, turn[n], torques)
-            chi2 = weighted_products(torques, balance, b, gram, pull)
-            evidence[n] = _best_places(gram, pull, n, prior, shape[n], fits) - log_volume
-        least, best, gain = evidence.max() - _OUT_OF_QUESTION, segments, 0.0
+            true_torques(balance, b, n, turn[n], torques[:7])
+            weigh_products(torques, balance.precision[b], products)
+            evidence[n] = best_places(products, n, prior, rubbed[n], fits) - log_volume
+        least, best = evidence.max() - _OUT_OF_QUESTION, segments
         for n in range(segments):
             filled[n] = evidence[n] >= least
             if not filled[n]:
                 continue
-            one = _fill(shape[n], fits, turn[n], n, prior, grid)
-            evidence[n] = weigh(grid, n) - log_volume
+            chi2 = _fill(rubbed[n], fits, turn[n], n, prior, grid)
+            evidence[n] = _weigh(grid, n) - log_volume
             if best == segments or evidence[n] > evidence[best]:
-                best, gain = n, one
-        found.chi2[b] = chi2 - gain
-        compare(evidence, found, b)
-        summarise(grid, best, prior.largest_n, found, b)
-        bound_region(grid, filled, found.probability[b], found, b)
+                best, found.chi2[b] = n, chi2
+        _compare(evidence, found, b)
+        _summarise(grid, best, found, b)
+        _bound_region(grid, filled, found.probability[b], found, b)
 
 
 @compiled
-def _best_places(
-    gram: Array, pull: Array, n: int, prior: Prior, shape: Array, fits: list[_Fit]
-) -> float:
-    """The best place on segment n, for every range of friction; gives the log evidence.
-
-    Fills the polynomials. Friction acts at the touched surface.
-    """
-    low, high = prior.reach_m[n, 0], prior.reach_m[n, 1]
-    surface, ranges = prior.radius_m >= 0.0, len(shape)
-    polynomials(gram, pull, shape[0])
-    axial, beyond = prior.axial_std_n**-2, 0.0
-    if surface:
-        axial = axial_bound(prior, prior.largest_n) ** -2
-        beyond = prior.radius_m * prior.friction * (1.0 + SOFT)  # friction shifts it thus far
-    s, most = low, -np.inf
-    for k in range(_COARSE):
-        tried = low - beyond + (high - low + 2.0 * beyond) * k / (_COARSE - 1)
-        gain = best_force(shape[0], axial, tried).gain
-        if gain > most:
-            s, most = tried, gain
-    s, deviation = _refined(
-        gram, pull, shape[0], axial, s, low - beyond, high + beyond, high - low
-    )
-    force = best_force(shape[0], axial, s)
-    if not surface:
-        evidence = _evidence(force, axial, deviation)
-        fits[n] = _Fit(s, deviation, evidence, 0.0, 0.0, 0.0, 0.0)
-        return evidence
-    total, top = 0.0, -np.inf
-    for k in range(ranges):
-        across = 2.0 * k / (ranges - 1) - 1.0
-        one = _rubbed(gram, pull, across, force, s, n, prior, shape[k])
-        fits[n * ranges + k] = one
-        if one.log_evidence > top:
-            total, top = total * math.exp(top - one.log_evidence), one.log_evidence
-        total += math.exp(one.log_evidence - top)
-    return top + math.log(total)
-
-
-@compiled
-def _rubbed(
-    gram: Array,
-    pull: Array,
-    across: float,
-    force: Force,
-    s: float,
-    n: int,
-    prior: Prior,
-    shape: Array,
-) -> _Fit:
-    """The best place near another with its force, in a range of the friction across the arm.
-
-    `across` is the middle of the range, as a share of the bound. Fills the polynomials.
-    """
-    low, high, radius = prior.reach_m[n, 0], prior.reach_m[n, 1], prior.radius_m
-    own_gram, own_pull = np.empty_like(gram), np.empty_like(pull)
-    side_y, side_z, deviation, twist_gain, twist_log, axial = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    # the normal force is beside the lateral one, by the friction across
-    sine = min(max(across * prior.friction, -_LARGEST_SINE), _LARGEST_SINE)
-    cosine = math.sqrt(1.0 - sine * sine)
-    for _ in range(_RUBBED):
-        lateral = max(math.hypot(force.y, force.z), 1e-12)
-        bound = axial_bound(prior, lateral)
-        y, z = force.y / lateral, force.z / lateral
-        side_y, side_z = radius * (cosine * y + sine * z), radius * (cosine * z - sine * y)
-        ratio = min(max(force.x / lateral, -prior.friction), prior.friction)
-        turns_y, turns_z = ratio * (y * sine / cosine - z), ratio * (z * sine / cosine + y)
-        own_gram[:], own_pull[:] = gram, pull
-        fixed_gain = fixed_twist(own_gram, own_pull, -sine * radius * lateral)
-        std_n_m = _TWIST_STD * radius * bound
-        twist_gain, twist_log = free_twist(own_gram, own_pull, 0, turns_y, turns_z, std_n_m)
-        twist_gain, twist_log = twist_gain + fixed_gain, twist_log + 0.5 * fixed_gain
-        add_friction(own_gram, own_pull, 0, side_y, side_z)
-        polynomials(own_gram, own_pull, shape)
-        axial, s = (BOUND_STD * bound) ** -2, min(max(s, low), high)
-        s, deviation = _refined(own_gram, own_pull, shape, axial, s, low, high, high - low)
-        force = best_force(shape, axial, s)
-    twist_log -= math.log(TWISTS)
-    evidence = _evidence(force, axial, deviation) + twist_log
-    return _Fit(s, deviation, evidence, side_y, side_z, twist_gain, twist_log)
-
-
-@compiled
-def _evidence(force: Force, axial: float, deviation: float) -> float:
-    """The log evidence by a best force and the deviation of its place, by Laplace's approximation.
-
-    It is not bounded by the largest force, which another place on the segment may not exceed.
-    """
-    lateral, spread = _lateral(force)
-    density = _log_density(force, math.sqrt(axial), lateral, spread, np.inf)
-    return density + math.log(deviation * math.sqrt(2.0 * math.pi))
-
-
-@compiled
-def _lateral(force: Force) -> tuple[float, float]:
-    """The lateral force, and its standard deviation along itself."""
-    lateral = math.hypot(force.y, force.z)
-    y, z = (force.y / lateral, force.z / lateral) if lateral > 0.0 else (1.0, 0.0)
-    return lateral, math.sqrt(y * y * force.yy + 2.0 * y * z * force.yz + z * z * force.zz)
-
-
-@compiled
-def _log_density(
-    force: Force, axial: float, lateral: float, spread: float, largest_n: float
-) -> float:
-    """The log density of a place, up to the prior of places and magnitudes.
-
-    `axial` is √2π times the prior density of the axial force. That of magnitude and direction is
-    uniform; near zero the noise is the scale of a force.
-    """
-    beyond = max(lateral - largest_n, 0.0) / spread
-    volume = force.determinant * (lateral * lateral + spread * spread)
-    return 0.5 * (force.gain + math.log(axial * axial / volume) - beyond * beyond)
-
-
-@compiled
-def _refined(
-    gram: Array,
-    pull: Array,
-    shape: Array,
-    axial: float,
-    s: float,
-    low: float,
-    high: float,
-    range_m: float,
-) -> tuple[float, float]:
-    """The best place near another one by Gauss-Newton steps, and its standard deviation, m.
-
-    The best force for a place leaves a residual that only the place can lower. Before the tensions
-    are known a place is known to the segment's range.
-    """
-    deviation = range_m
-    for _ in range(_STEPS):
-        f = best_force(shape, axial, s)
-        across_x = _across(gram[3:6, 0], gram[3:6, 3], f, s)
-        across_y = _across(gram[3:6, 1], gram[3:6, 4], f, s)
-        across_z = _across(gram[3:6, 2], gram[3:6, 5], f, s)
-        left = f.x * (pull[3] - across_x) + f.y * (pull[4] - across_y) + f.z * (pull[5] - across_z)
-        own = range_m**-2
-        own += f.x * f.x * gram[3, 3] + f.y * f.y * gram[4, 4] + f.z * f.z * gram[5, 5]
-        own += 2.0 * (f.x * (f.y * gram[3, 4] + f.z * gram[3, 5]) + f.y * f.z * gram[4, 5])
-        own -= across_x * (f.xx * across_x + 2.0 * (f.xy * across_y + f.xz * across_z))
-        own -= f.yy * across_y**2 + 2.0 * f.yz * across_y * across_z + f.zz * across_z**2
-        deviation = 1.0 / math.sqrt(own)
-        before = s
-        s = min(max(s + left / own, low), high)
-        if abs(s - before) < _CONVERGED * deviation:
-            break
-    return s, deviation
-
-
-@compiled
-def _across(by_force: Array, by_place: Array, f: Force, s: float) -> float:
-    """Information that the place shares with a component of the force.
-
-    The arrays (3,) are products of the place's torques with those of the component.
-    """
-    return (
-        f.x * (by_force[0] + s * by_place[0])
-        + f.y * (by_force[1] + s * by_place[1])
-        + f.z * (by_force[2] + s * by_place[2])
-    )
-
-
-@compiled
-def _fill(shape: Array, fits: list[_Fit], turn: Array, n: int, prior: Prior, grid: Grid) -> float:
-    """Fill the grid of segment n; gives the largest gain."""
-    ranges, gain, least = len(shape), -np.inf, -np.inf
+def _fill(rubbed: Array, fits: list[Fit], turn: Array, n: int, prior: Prior, grid: _Grid) -> float:
+    """Fill the grid of segment n by the products of R ranges; gives the least chi²."""
+    ranges, chi2, least = len(rubbed), np.inf, -np.inf
     for r in range(ranges):
         least = max(least, fits[n * ranges + r].log_evidence - _OUT_OF_QUESTION)
     for r in range(ranges):
-        fit, begin = fits[n * ranges + r], r * FINE
+        fit, begin = fits[n * ranges + r], r * _FINE
         if fit.log_evidence < least:
-            grid.log_density[n, begin : begin + FINE] = -np.inf
-            grid.place_m[n, begin : begin + FINE] = fit.place_m
+            grid.log_density[n, begin : begin + _FINE] = -np.inf
+            grid.place_m[n, begin : begin + _FINE] = fit.place_m
         else:
-            gain = max(gain, _fill_range(shape[r], fit, turn, n, begin, prior, grid))
-    return gain
+            chi2 = min(chi2, _fill_range(rubbed[r], fit, turn, n, begin, prior, grid))
+    return chi2
 
 
 @compiled
 def _fill_range(
-    shape: Array, fit: _Fit, turn: Array, n: int, first: int, prior: Prior, grid: Grid
+    products: Array, fit: Fit, turn: Array, n: int, first: int, prior: Prior, grid: _Grid
 ) -> float:
-    """Fill the grid of segment n from place `first` on; gives the largest gain."""
-    surface, side = prior.radius_m >= 0.0, (fit.side_y_m, fit.side_z_m)
-    axial, root, most = prior.axial_std_n**-2, 1.0 / prior.axial_std_n, -np.inf
+    """Fill the grid of segment n from place `first` on; gives the least chi²."""
+    surface, most = prior.radius_m >= 0.0, -np.inf
+    axial, root = AXIAL_STD_N**-2, 1.0 / AXIAL_STD_N
     begin = max(prior.reach_m[n, 0], fit.place_m - _FINE_REACH * fit.deviation_m)
     end = min(prior.reach_m[n, 1], fit.place_m + _FINE_REACH * fit.deviation_m)
-    lateral, _ = _lateral(best_force(shape, axial, begin))
-    for i in range(FINE):
-        k, s = first + i, begin + (end - begin) * i / (FINE - 1)
-        log_bound = fit.twist_log
+    f = best_force(products, axial, begin)
+    lateral = math.hypot(f.y, f.z)
+    for step in range(_FINE):
+        k, s, log_prior = first + step, begin + (end - begin) * step / (_FINE - 1), fit.log_twist
         if surface:  # bounded by the lateral force, which hardly differs from place to place
             bound = axial_bound(prior, lateral)
             root = math.sqrt(2.0 * math.pi) / (2.0 * bound)
-            force, log_share = bounded(best_force(shape, (_OPEN * bound) ** -2, s), bound)
-            log_bound += log_share
+            f, log_share = bounded(best_force(products, (_OPEN * bound) ** -2, s), bound)
+            log_prior += log_share
         else:
-            force = best_force(shape, axial, s)
-        about_y, about_z = s * force.z + side[1] * force.x, s * force.y + side[0] * force.x
-        grid.moment_n_m[n, k, 0], grid.moment_n_m[n, k, 1] = -about_y, about_z
-        grid.moment_variance[n, k, 0] = of_sum(s, force.zz, side[1], force.xx, force.xz)
-        grid.moment_variance[n, k, 1] = of_sum(s, force.yy, side[0], force.xx, force.xy)
-        force = turned(force, turn)
-        lateral, spread = _lateral(force)
-        density = log_bound + _log_density(force, root, lateral, spread, prior.largest_n)
-        most = max(most, force.gain)
-        grid.place_m[n, k], grid.log_density[n, k] = s, density
+            f = best_force(products, axial, s)
+        around_y, around_z = (fit.side_z_m, 0.0, s), (fit.side_y_m, s, 0.0)
+        grid.moment_n_m[n, k, 0] = -(fit.side_z_m * f.x + s * f.z)
+        grid.moment_n_m[n, k, 1] = fit.side_y_m * f.x + s * f.y
+        grid.moment_variance[n, k, 0] = shared(f, around_y, around_y)
+        grid.moment_variance[n, k, 1] = shared(f, around_z, around_z)
+        force, covariance = grid.force_n[n, k], grid.covariance_n2[n, k]
+        for i in range(3):  # along the axes at the commanded angles
+            force[i] = f.x * turn[0, i] + f.y * turn[1, i] + f.z * turn[2, i]
+            for j in range(3):
+                covariance[i, j] = shared(f, turn[:, i], turn[:, j])
+        lateral, spread = lateral_of(
+            force[1], force[2], covariance[1, 1], covariance[1, 2], covariance[2, 2]
+        )
+        grid.log_density[n, k] = log_prior + log_density(f, root, lateral, spread, LARGEST_N)
+        grid.place_m[n, k], most = s, max(most, f.gain)
         grid.lateral_n[n, k], grid.lateral_std_n[n, k] = lateral, spread
-        f, mean, shared = force, grid.force_n[n, k], grid.covariance_n2[n, k]
-        mean[0], mean[1], mean[2] = f.x, f.y, f.z
-        for j, c in enumerate((f.xx, f.xy, f.xz, f.xy, f.yy, f.yz, f.xz, f.yz, f.zz)):
-            shared[j] = c
-    return most + fit.twist_gain
+    return products[-1, -1] - most
+
+
+@compiled
+def _weigh(grid: _Grid, n: int) -> float:
+    """Fill the weights of segment n; gives the log evidence, up to the prior's volume."""
+    top, weight = grid.log_density[n].max(), grid.weight[n]
+    weight[:] = np.exp(grid.log_density[n] - top)
+    for first in range(0, len(weight), _FINE):
+        weight[first : first + _FINE] *= grid.place_m[n, first + 1] - grid.place_m[n, first]
+    total = weight.sum()
+    weight /= total
+    return top + math.log(total)
+
+
+@compiled
+def _compare(evidence: Array, found: Location, b: int) -> None:
+    """Probabilities of no contact and of a contact on each segment, equal before."""
+    probability, top = found.probability[b], max(evidence.max(), 0.0)
+    probability[0], probability[1:] = math.exp(-top), np.exp(evidence - top)
+    found.log_evidence[b] = top + math.log(probability[1:].sum())
+    probability /= probability.sum()
+    found.segment[b] = probability.argmax()
+
+
+@compiled
+def _summarise(grid: _Grid, n: int, found: Location, b: int) -> None:
+    """Means and intervals over the places of segment n, into row b."""
+    weight, covariance = grid.weight[n], found.covariance[b]
+    mean, off = np.zeros(4), np.empty(4)
+    for k in range(len(weight)):
+        mean[0] += weight[k] * grid.place_m[n, k]
+        for i in range(3):
+            mean[i + 1] += weight[k] * grid.force_n[n, k, i]
+    covariance[:] = 0.0
+    for k in range(len(weight)):
+        off[0] = grid.place_m[n, k] - mean[0]
+        for i in range(3):
+            off[i + 1] = grid.force_n[n, k, i] - mean[i + 1]
+            for j in range(3):
+                covariance[i + 1, j + 1] += weight[k] * grid.covariance_n2[n, k, i, j]
+        for i in range(4):
+            for j in range(4):
+                covariance[i, j] += weight[k] * off[i] * off[j]
+    found.place_m[b], found.force_n[b] = mean[0], mean[1:]
+    for i in range(2):
+        moment = variance = 0.0
+        for k in range(len(weight)):
+            moment += weight[k] * grid.moment_n_m[n, k, i]
+        for k in range(len(weight)):
+            square = (grid.moment_n_m[n, k, i] - moment) ** 2
+            variance += weight[k] * (grid.moment_variance[n, k, i] + square)
+        found.moment_n_m[b, i], found.moment_std_n_m[b, i] = moment, math.sqrt(variance)
+    for i in range(2):
+        share = 0.975 if i else 0.025
+        found.place_ci95_m[b, i] = _place(grid.place_m[n], weight, share)
+        found.magnitude_ci95_n[b, i] = _magnitude_n(grid, n, share)
+
+
+@compiled
+def _bound_region(
+    grid: _Grid, filled: NDArray[np.bool_], probability: Array, found: Location, b: int
+) -> None:
+    """The interval of the place over all segments, given that there is a contact."""
+    touched = 0.0
+    for n in range(len(filled)):
+        touched += probability[n + 1] if filled[n] else 0.0
+    for i in range(2):
+        left, at, share = 0.975 if i else 0.025, 0, 0.0
+        for n in range(len(filled)):
+            if filled[n]:
+                own = probability[n + 1] / touched
+                at, share = n, min(left / own, 1.0)
+                if own >= left:
+                    break
+                left -= own
+        found.region_segment[b, i] = at + 1
+        found.region_m[b, i] = _place(grid.place_m[at], grid.weight[at], share)
+
+
+@compiled
+def _place(place_m: Array, weight: Array, share: float) -> float:
+    """The place below which a share of the weights lies, each spread over its own interval."""
+    low, high = np.inf, -np.inf
+    for k in range(len(weight)):
+        if weight[k] > 0.0:
+            low, high = min(low, place_m[k]), max(high, place_m[k])
+    for _ in range(_HALVED):
+        at, below = 0.5 * (low + high), 0.0
+        for first in range(0, len(weight), _FINE):
+            start, apart = place_m[first], place_m[first + 1] - place_m[first]
+            for k in range(first, first + _FINE):
+                if weight[k] > 0.0:
+                    part = (at - start) / apart - (k - first) + 0.5
+                    below += weight[k] * min(max(part, 0.0), 1.0)
+        if below < share:
+            low = at
+        else:
+            high = at
+    return 0.5 * (low + high)
+
+
+@compiled
+def _magnitude_n(grid: _Grid, n: int, share: float) -> float:
+    """The lateral force below which a share of the mixture of normal magnitudes lies.
+
+    Magnitudes beyond the largest that is expected count only where all are. Newton's steps start
+    at the quantile of a normal distribution with the mixture's moments.
+    """
+    mean, square, least, high = 0.0, 0.0, np.inf, 0.0
+    for k in range(grid.weight.shape[1]):
+        size, std, w = grid.lateral_n[n, k], grid.lateral_std_n[n, k], grid.weight[n, k]
+        if w > _NEGLIGIBLE:
+            least, high = min(least, size + 6.0 * std), max(high, size + 2.0 * std)
+            mean += w * size
+            square += w * (size * size + std * std)
+    std = math.sqrt(max(square - mean * mean, 0.0))
+    limit = max(least, LARGEST_N)
+    share *= _share_below(grid, n, limit)[0]
+    low, high = 0.0, min(high, limit)
+    at = min(max(mean + (_NORMAL_95 if share > 0.5 else -_NORMAL_95) * std, low), high)
+    for _ in range(_ROOTS):
+        below, density = _share_below(grid, n, at)
+        if below < share:
+            low = at
+        else:
+            high = at
+        last = at
+        at += (share - below) / max(density, 1e-30)
+        if not low <= at <= high:
+            at = 0.5 * (low + high)
+        if abs(at - last) < _PRECISE * std:
+            break
+    return at
+
+
+@compiled
+def _share_below(grid: _Grid, n: int, magnitude_n: float) -> tuple[float, float]:
+    """The share of magnitudes below one, and their density there."""
+    below, density = 0.0, 0.0
+    for k in range(grid.weight.shape[1]):
+        if grid.weight[n, k] > _NEGLIGIBLE:
+            off = (magnitude_n - grid.lateral_n[n, k]) / grid.lateral_std_n[n, k]
+            if off > 6.0:
+                below += grid.weight[n, k]
+            elif off > -6.0:
+                below += grid.weight[n, k] * 0.5 * math.erfc(-off * math.sqrt(0.5))
+                bell = math.exp(-0.5 * off * off)
+                density += grid.weight[n, k] * bell / grid.lateral_std_n[n, k]
+    return below, density / math.sqrt(2.0 * math.pi)

@@ -7,7 +7,7 @@ max(0, k_i s_i) with s_i = l_i(q) - l_i(c) + T0_i / k_i, and the arm rests where
 
 is least (A_n: weight and loads on segment n's unit axis x_n, `kinematics.load_arms`). The loads
 keep their direction in the base frame, so V exists, and slack cables only make it piecewise:
-continuously differentiable, twice so between kinks. `rest_search` finds the minimum; slack cables
+continuously differentiable, twice so between kinks. `rest` finds the minimum; slack cables
 need no special case. It is compiled, and imported when the first equilibrium is asked for.
 """
 
@@ -24,7 +24,7 @@ from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
 
 if TYPE_CHECKING:
-    from cablesense_sim.rest_pose import Balance
+    from cablesense_sim.rest import Balance
 
 RESIDUAL_LIMIT_N_M = 1e-7
 """Largest joint torque left unbalanced in a pose that counts as an equilibrium.
@@ -85,7 +85,7 @@ def solve_equilibrium(
         EquilibriumError: a shape does not fit, a number is not finite, or no pose balances a case
             to within `RESIDUAL_LIMIT_N_M`.
     """
-    from cablesense_sim.rest_search import search_rest
+    from cablesense_sim.rest import search_rest, springs_of
 
     command, forces = _checked(mechanism, command_rad, forces_n)
     leading = command.shape[:-1]
@@ -102,10 +102,9 @@ def solve_equilibrium(
     start = command if start_rad is None else np.asarray(start_rad, float).reshape(command.shape)
     arms = kinematics.load_arms(mechanism, forces)
     # contiguous, so that one kind of array is compiled for
-    given = (np.ascontiguousarray(each) for each in (rest, arms, start))
-    angles, tensions, residual, iterations = search_rest(
-        mechanism, enough, _rounding_m(mechanism), *given
-    )
+    given = (np.array(each, order="C") for each in (rest, arms, start))
+    springs, rounding_m = springs_of(mechanism), _rounding_m(mechanism)
+    angles, tensions, residual, iterations = search_rest(springs, enough, rounding_m, *given)
     _require_rest(mechanism, command, forces, angles, residual)
     return Equilibrium(
         joint_angles_rad=angles.reshape(*leading, mechanism.joint_count),
@@ -156,7 +155,7 @@ def balance_at(
     They are the first and second derivative of the potential with these tensions (..., M) and
     forces (..., N, 3), slack cables at zero tension.
     """
-    from cablesense_sim import rest_pose
+    from cablesense_sim.rest import balanced, plates_of, posed
 
     arms = kinematics.load_arms(mechanism, forces_n)
     leading = np.broadcast_shapes(
@@ -170,13 +169,13 @@ def balance_at(
             (arms, arms.shape[-2:]),
         )
     )
-    pose = rest_pose.posed(rest_pose.plates_of(mechanism, len(angles)), angles)
+    pose = posed(plates_of(mechanism, len(angles)), angles)
     stiffness = mechanism.stiffness_n_m * (tensions > 0.0)
     spring = np.tile(np.repeat(mechanism.joint_stiffness_n_m_rad, 2), (len(angles), 1))
     joints = np.ones(mechanism.segment_count)
     along = tensions[..., None] * joints
     by_span = stiffness[..., None, None] * np.ones((joints.size, joints.size))
-    found = rest_pose.balanced(pose, along, by_span, arms, spring * angles, spring)
+    found = balanced(pose, along, by_span, arms, spring * angles, spring)
     return type(found)(*(part.reshape(*leading, *part.shape[1:]) for part in found))
 
 

@@ -10,8 +10,7 @@ from cablesense_base import Array
 
 SHORTEST_MOVE_S = 0.1
 _PEAK_TO_MEAN_SPEED = 1.875
-_PEAK_ACCELERATION = 3.08
-"""Peak acceleration of a move from rest, in peak speeds by its duration."""
+_PEAK_ACCELERATION = 3.08  # peak acceleration of a move from rest, in peak speeds by its duration
 
 
 def move_duration_s(largest_turn_rad: float, joint_speed_rad_s: float) -> float:

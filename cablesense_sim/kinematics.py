@@ -33,17 +33,11 @@ class CableSpans(NamedTuple):
 
 
 class SegmentChain(NamedTuple):
-    """The chain's pose in the base frame.
+    """The chain's pose in the base frame."""
 
-    Attributes:
-        rotation: (..., N, 3, 3) segment frame to base.
-        joint_m: (..., N, 3) joint centres.
-        joint_axis: (..., 2N, 3) unit axes of the joint angles.
-    """
-
-    rotation: Array
-    joint_m: Array
-    joint_axis: Array
+    rotation: Array  # (..., N, 3, 3) segment frame to base
+    joint_m: Array  # (..., N, 3) joint centres
+    joint_axis: Array  # (..., 2N, 3) unit axes of the joint angles
 
 
 def spans(mechanism: Mechanism, joint_angles_rad: Array) -> CableSpans:

@@ -43,8 +43,7 @@ _POSES, _FAILING_SHARE = 500, 0.01
 SEARCHED_UP_TO_N = 2000.0
 """The search ends at this force."""
 
-_WORKING_SHARE = 2.0 / 3.0
-"""Share of the load of the straight arm: a bent one bears less."""
+_WORKING_SHARE = 2.0 / 3.0  # share of the load of the straight arm: a bent one bears less
 
 _MOST_SAG = 1.0 / 3.0
 """Share of the bend at which guide plates touch that the weight of an arm may take: beyond it, a
@@ -52,12 +51,10 @@ small error of its build moves the arm far."""
 
 DIRECTIONS = 12
 """From which forces come: they divide the circle evenly from +z."""
-_SIDES = 4
-"""Groups of directions that are looked at one after another."""
+_SIDES = 4  # groups of directions that are looked at one after another
 
 _LEAST_N = 1e-3
-_HALVINGS = 6
-"""Bisections between a supported force and twice that force; a hundredth remains."""
+_HALVINGS = 6  # bisections between a supported force and twice that force; a hundredth remains
 
 SHOWS_AT_STD = 5.0
 """A change shows when the vector of all readings has changed by this many standard deviations of

@@ -9,8 +9,7 @@ from cablesense_base import Array, CableSenseError
 from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
 
-_OFF_LINE_M = 0.03
-"""An arm under load is elsewhere than where it is commanded, by less than this."""
+_OFF_LINE_M = 0.03  # an arm under load is elsewhere than where it is commanded, by less than this
 _AS_NEAR, _AS_NEAR_M = 3.0, 1e-3
 """A second segment is as near to a line if it is so many times as far, or as close as this."""
 

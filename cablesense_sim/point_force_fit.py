@@ -13,67 +13,43 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_sim import kinematics
-from cablesense_sim.cholesky import factorise, solve
-from cablesense_sim.compiled import compiled
+from cablesense_sim.compiled import compiled, factorise, solve
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.rest_pose import Springs, span_m, springs_of, take_load_torque, turn_axes
+from cablesense_sim.rest import Springs, springs_of, stretch_m, take_load_torque, turn_axes
 
 _SLACK_WEIGHT = 1e-5
 """A slack cable's length has this weight in the fit of the pose, which it holds where few cables
 are taut."""
-_POSE_STEPS, _POSE_FOUND_RAD = 8, 3e-5
-"""Each step squares the error of the pose."""
+_POSE_STEPS, _POSE_FOUND_RAD = 8, 3e-5  # each step squares the error of the pose
 
 
 class PointArm(NamedTuple):
-    """An arm with contact points.
+    """An arm with contact points."""
 
-    Attributes:
-        springs: its cables and joints.
-        weight_n_m: (N, 3) of the segments, as `kinematics.load_arms` has it.
-        length_m, contact_m: (N,) of each segment, and from its joint centre to its contact point.
-    """
-
-    springs: Springs
-    weight_n_m: Array
-    length_m: Array
-    contact_m: Array
+    springs: Springs  # its cables and joints
+    weight_n_m: Array  # (N, 3) of the segments, as `kinematics.load_arms` has it
+    length_m: Array  # (N,) of each segment
+    contact_m: Array  # (N,) from its joint centre to its contact point
 
 
 class Resting(NamedTuple):
-    """A command at which the arm rests.
+    """A command at which the arm rests."""
 
-    Attributes:
-        angles_rad: (2N,).
-        axes: (N, 3, 3) segment frames to base.
-        rest_m: (M,) sums of the spans at which cables are just slack.
-    """
-
-    angles_rad: Array
-    axes: Array
-    rest_m: Array
+    angles_rad: Array  # (2N,)
+    axes: Array  # (N, 3, 3) segment frames to base
+    rest_m: Array  # (M,) sums of the spans at which cables are just slack
 
 
 class _Pose(NamedTuple):
-    """The pose that readings show.
+    """The pose that readings show."""
 
-    Attributes:
-        angles_rad: (2N,).
-        axis, joint_axis: (N, 3) and (2N, 3) as in `rest_pose.Pose`, but for the last step, which
-            is small.
-        taut: (M,) which cables are.
-        lever_m: (M, 2N) derivative of the cable lengths by the angles, likewise.
-        elastic_n: (M,) tensions, negative where a slack cable lacks length.
-        root: (2N, 2N) lower Cholesky factor of the information of the angles.
-    """
-
-    angles_rad: Array
-    axis: Array
-    joint_axis: Array
-    taut: NDArray[np.bool_]
-    lever_m: Array
-    elastic_n: Array
-    root: Array
+    angles_rad: Array  # (2N,)
+    axis: Array  # (N, 3), as in `rest.Pose`, before the last step, which is small
+    joint_axis: Array  # (2N, 3), likewise
+    taut: NDArray[np.bool_]  # (M,) which cables are
+    lever_m: Array  # (M, 2N) derivative of the cable lengths by the angles, likewise
+    elastic_n: Array  # (M,) tensions, negative where a slack cable lacks length
+    root: Array  # (2N, 2N) lower Cholesky factor of the information of the angles
 
 
 def point_arm(mechanism: Mechanism) -> PointArm:
@@ -160,22 +136,17 @@ def _read_pose(springs: Springs, at: Resting, reading_n: Array, taut_above_n: fl
 
     Cables that are read as taut determine it, and then also those that it would make taut.
     """
-    (cables, segments), plates = springs.plates.passes.shape, springs.plates
+    cables, segments = len(springs.cable_n_m), len(at.axes)
     joints, angles, turn = 2 * segments, at.angles_rad.copy(), np.zeros(2 * segments)
-    axis, joint_axis, by_turns = np.zeros((segments, 3)), np.zeros((joints, 3)), np.zeros(3)
+    axis, joint_axis = np.zeros((segments, 3)), np.zeros((joints, 3))
     taut, lever, elastic = reading_n > taut_above_n, np.zeros((cables, joints)), np.zeros(cables)
-    information = np.zeros((joints, joints))
+    information, by_turns = np.zeros((joints, joints)), np.zeros((segments, 3))
     for step in range(_POSE_STEPS):
         cos, sin = np.cos(angles), np.sin(angles)
         information[:], turn[:] = 0.0, 0.0
         for m in range(cables):
-            stiffness, stretch = springs.cable_n_m[m], -at.rest_m[m]
-            for n in range(segments):
-                if plates.passes[m, n]:
-                    both, holes = slice(2 * n, 2 * n + 2), plates.holes_m[0, m, n]
-                    stretch += span_m(
-                        plates.offset_m, holes, cos[both], sin[both], lever[m, both], by_turns
-                    )[0]
+            stiffness = springs.cable_n_m[m]
+            stretch = stretch_m(springs.plates, m, at.rest_m[m], cos, sin, lever[m], by_turns)
             elastic[m] = stiffness * stretch
             taut[m] = reading_n[m] > taut_above_n or (step > 0 and stretch > 0.0)
             missing, weight = reading_n[m] - elastic[m], stiffness

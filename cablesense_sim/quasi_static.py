@@ -19,12 +19,12 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_sim import kinematics, rest_pose
+from cablesense_sim import kinematics
 from cablesense_sim.effects.effect import ArmRest, CablePull
 from cablesense_sim.effects.registry import Variants, transmissions
 from cablesense_sim.equilibrium import RESIDUAL_LIMIT_N_M, EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism, stack
-from cablesense_sim.rest_search import escape_step
+from cablesense_sim.rest import Balance, Pose, balanced, escape_step, plates_of, posed
 
 _TOLERATED_N_M = 1e-4
 _MOST_STEPS = 80
@@ -38,9 +38,9 @@ _SMALL_STEPS = 5
 
 class _TrialPose(NamedTuple):
     angles_rad: Array
-    shape: rest_pose.Pose
+    shape: Pose
     tensions_n: Array
-    balance: rest_pose.Balance
+    balance: Balance
 
 
 class QuasiStaticArm:
@@ -56,7 +56,7 @@ class QuasiStaticArm:
         """
         self._each = list(mechanisms)
         self._mechanism = stack(mechanisms)
-        self._plates = rest_pose.plates_of(self._mechanism, len(self._each))
+        self._plates = plates_of(self._mechanism, len(self._each))
         spring = self._mechanism.joint_stiffness_n_m_rad
         self._spring_n_m_rad = np.repeat(spring, 2, axis=-1)
         self._transmissions = transmissions(variants)
@@ -159,7 +159,7 @@ class QuasiStaticArm:
             return angles
         wanted = self._last[2].shape.span_m.sum(-1) - last_m + rest_m
         for _ in range(_FOLLOWING_STEPS):
-            shape = rest_pose.posed(self._plates, angles)
+            shape = posed(self._plates, angles)
             jacobian = shape.by_turn_m.reshape(*wanted.shape, -1)
             every = np.broadcast_to(stiffness, wanted.shape)[..., None, :]
             pull = np.swapaxes(jacobian, -1, -2) * every
@@ -193,7 +193,7 @@ class QuasiStaticArm:
                 self._lose(EquilibriumError(str(error), np.arange(len(self._each))[arms]))
                 continue
             self._angles_rad[arms], tensions[arms] = rest.joint_angles_rad, rest.tensions_n
-        shape = rest_pose.posed(self._plates, self._angles_rad)
+        shape = posed(self._plates, self._angles_rad)
         begun = ArmRest(time_s, self._angles_rad, shape.span_m, shape.bend_rad, tensions)
         for transmission in self._transmissions:
             transmission.begin(self._mechanism, begun)
@@ -250,7 +250,7 @@ class QuasiStaticArm:
         )
 
     def _pose(self, angles: Array, rest_m: Array, arms: Array) -> _TrialPose:
-        shape = rest_pose.posed(self._plates, angles)
+        shape = posed(self._plates, angles)
         pull = self._pull(shape.span_m, shape.bend_rad, rest_m)
         resisted, stiffer = self._spring_n_m_rad * angles, self._spring_n_m_rad
         for transmission in self._transmissions:
@@ -260,7 +260,7 @@ class QuasiStaticArm:
         # copies, so that the compiled code is of one kind of array
         along = pull.tensions_n[..., 1:].copy()
         by_span = pull.by_length_n_m[..., 1:, 1:].copy()
-        balance = rest_pose.balanced(shape, along, by_span, arms, resisted, stiffer)
+        balance = balanced(shape, along, by_span, arms, resisted, stiffer)
         balance.torque_n_m[self._lost] = 0.0
         balance.slope_n_m[self._lost] = np.eye(angles.shape[-1])
         return _TrialPose(angles, shape, pull.tensions_n[..., 0], balance)

@@ -39,10 +39,8 @@ from cablesense_sim.mechanism import Mechanism
 
 _HARMONICS = 100
 """Terms of the series of rounding. What the others would add is below 1 % of step² / 12."""
-_KEPT = 4
-"""Arms whose tensions are kept for those that differ from them in their sensors alone."""
-_FADED_N = 2e-4
-"""Change of a tension that counts as none: rests are balanced to some 1e-5 N."""
+_KEPT = 4  # arms whose tensions are kept for those that differ from them in their sensors alone
+_FADED_N = 2e-4  # change of a tension that counts as none: rests are balanced to some 1e-5 N
 
 
 class Replay:

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from joint_torques import axis_torques_n_m, gravity_torques_n_m
 
-from cablesense_sim import kinematics, rest_pose
+from cablesense_sim import kinematics, rest
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import LoadError, contact_angle_deg, normal_force_n
@@ -108,7 +108,7 @@ def test_the_compiled_pose_is_the_same(arm: Arm) -> None:
     loads = rng.normal(size=(4, mechanism.segment_count, 3))
     stacked = stack([mechanism] * 4)
     span, chain = kinematics.spans(stacked, angles), kinematics.chain(stacked, angles)
-    pose = rest_pose.posed(rest_pose.plates_of(stacked, 4), angles)
+    pose = rest.posed(rest.plates_of(stacked, 4), angles)
     by_turn = np.stack([span.by_pitch, span.by_yaw], axis=-1)
     same = partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-12)
     same(pose.span_m, span.length_m)
@@ -123,7 +123,7 @@ def test_the_compiled_pose_is_the_same(arm: Arm) -> None:
     none = np.zeros_like(pose.span_m)
     still = np.zeros_like(angles)
     by_span = np.zeros((*none.shape, none.shape[-1]))
-    balance = rest_pose.balanced(pose, none, by_span, loads, still, still)
+    balance = rest.balanced(pose, none, by_span, loads, still, still)
     same(-balance.torque_n_m, axis_torques_n_m(chain, loads))
 
     def torque_n_m(q: np.ndarray) -> np.ndarray:
