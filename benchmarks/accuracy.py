@@ -28,6 +28,7 @@ from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import Protocol
 from cablesense_training.evaluation.comparison import (
+    DOWN_DEG,
     MULTI_ARM,
     SETTINGS,
     SHIPPED,
@@ -38,18 +39,20 @@ from cablesense_training.evaluation.comparison import (
     evaluate_multi_answer,
     evaluate_multi_models,
     evaluate_setting,
+    evaluate_table2,
     metrics_json,
     multi_protocol,
 )
-from cablesense_training.evaluation.metrics import ContactAnswer, angle_difference_deg
-from cablesense_training.evaluation.noise_bound import multi_contact_bound_n
-from cablesense_training.evaluation.table2 import DOWN_DEG, evaluate_table2
+from cablesense_training.evaluation.metrics import (
+    ContactAnswer,
+    angle_difference_deg,
+    multi_contact_bound_n,
+)
 from cablesense_training.fit import FitSettings, fit
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
-from cablesense_training.model_training import contact_answer
+from cablesense_training.model_training import build_network, contact_answer, recipe_for
 from cablesense_training.networks.layers import ContactNetwork
-from cablesense_training.recipes import build_network, recipe_for
 from examples.paper.boosting import BoostingBaseline, BoostingSettings, MultiBoostingBaseline
 
 TEST_SEED = 20_260_001

@@ -36,8 +36,7 @@ from cablesense_training.evaluation.anywhere import (
 from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
-from cablesense_training.model_training import draw_training_data, train_model
-from cablesense_training.recipes import recipe_for
+from cablesense_training.model_training import draw_training_data, recipe_for, train_model
 
 
 class Range(NamedTuple):

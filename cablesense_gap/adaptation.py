@@ -49,13 +49,12 @@ from cablesense_training.model_training import (
     balance_answer,
     contact_answer,
     draw_training_data,
+    recipe_for,
     train_model,
 )
-from cablesense_training.networks.corrected import CorrectedClosedForm
 from cablesense_training.networks.layers import ContactNetwork
-from cablesense_training.networks.statics import AnywhereStatics
+from cablesense_training.networks.statics import AnywhereStatics, CorrectedClosedForm
 from cablesense_training.networks.temporal import TemporalNetwork
-from cablesense_training.recipes import recipe_for
 
 _SAMPLES, _EPOCHS, _TEST_SAMPLES = 4096, 8, 512
 """A small training: the network only corrects a closed form."""

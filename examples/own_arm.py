@@ -15,7 +15,7 @@ import numpy as np
 from cablesense_base.installation import config_path
 from cablesense_sim import load_arm, mechanism_of, normal_force_n, solve_equilibrium
 from cablesense_training import Estimator, draw_training_data, train_model
-from cablesense_training.recipes import recipe_for
+from cablesense_training.model_training import recipe_for
 
 NETWORK = "closed-form"
 

@@ -23,9 +23,8 @@ from cablesense_training.inference.metadata import ModelMetadata
 from cablesense_training.inference.model_file import store_as_single
 from cablesense_training.inference.session import INTERVAL, TAUT, input_widths
 from cablesense_training.inference.temporal_estimator import TEMPORAL_OUTPUTS
-from cablesense_training.networks.corrected import CorrectedClosedForm
 from cablesense_training.networks.layers import ContactNetwork
-from cablesense_training.networks.statics import AnywhereStatics
+from cablesense_training.networks.statics import AnywhereStatics, CorrectedClosedForm
 from cablesense_training.networks.temporal import TemporalNetwork, Ticks
 
 OPSET = 20
@@ -42,8 +41,6 @@ def export_model(
     network: ContactNetwork | TemporalNetwork, path: Path, metadata: ModelMetadata
 ) -> None:
     """Write a trained network as an ONNX file in float64 that answers as PyTorch does, checked.
-
-    The file is written under another name and then renamed, so a failure leaves nothing behind.
 
     Raises:
         TrainingError: PyTorch and ONNX Runtime differ by more than `AGREEMENT`, or the folder
@@ -115,10 +112,9 @@ def _trial_inputs(metadata: ModelMetadata) -> list[Tensor]:
 
 
 def _to_onnx(answers: _Answers, inputs: dict[str, Tensor]) -> onnx.ModelProto:
-    """The graph; the exporter's reports and warnings about itself are left out.
+    """The graph, traced for `_TRACED_ROWS` samples and made to take any number.
 
-    It is traced for `_TRACED_ROWS` samples, and made to take any number: with that number as a
-    symbol tracing takes more than twice as long.
+    With that number as a symbol tracing takes more than twice as long.
     """
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -1,7 +1,7 @@
 """Training: one loop for all networks, with Adam, the best weights kept and calibrated spread.
 
-An `Objective` has the data, split into a part to train on and a held-out part, and knows their
-losses; (4) to (8) are those of the paper. `fit` trains on samples, `fit_sequences` on sequences.
+`fit` trains on samples, `fit_sequences` on sequences; `fit_anywhere` only calibrates. Losses (4)
+to (8) are those of the paper.
 """
 
 from __future__ import annotations
@@ -15,21 +15,34 @@ from dataclasses import dataclass
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import torch
+from scipy.stats import chi2
 from torch import Tensor
-from torch.nn import functional
 
 from cablesense_base import Array
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.errors import TrainingError
 from cablesense_training.inference.estimator import NORMAL_95
+from cablesense_training.networks.closed_form import Balance
 from cablesense_training.networks.layers import (
     ContactNetwork,
-    MultiContactOutput,
-    SingleContactOutput,
+    LossTerms,
+    MultiContactTarget,
+    SingleContactTarget,
+    multi_contact_loss,
+    multi_contact_ratios,
+    single_contact_loss,
+    single_contact_ratios,
 )
+from cablesense_training.networks.statics import AnywhereStatics
 
 ROWS_AT_ONCE = 8192
 """Samples that a network answers together outside training."""
+
+_CALIBRATED_AT = 0.95
+"""The share of samples of contacts anywhere whose misfit is made that of noise."""
+_LEAST_DETERMINED = 0.1
+"""Share of the median of the taut cables' least squared lever; below it, the pose shows what no
+cable measures."""
 
 Parts = TypeVar("Parts", bound=NamedTuple)
 
@@ -43,15 +56,12 @@ class FitSettings:
         epochs: at most this many.
         batch_size: samples, or sequences, a step.
         learning_rate: of Adam, at the start; along sequences it falls to nothing by a cosine.
-        threads: of PyTorch; the result is the same for the same seed and the same number of
-            threads.
+        threads: of PyTorch; seed and number of threads determine the result.
         decay, patience, tolerance: λ, Δ and ε of equation (15): when the validation loss has not
-            fallen below (1 - ε) of its best for Δ epochs, the learning rate is multiplied by λ
-            (`ReduceLROnPlateau`). Read literally, (15) would set the rate to zero whenever the
-            loss does improve; the text means this.
+            fallen below (1 - ε) of its best for Δ epochs, the learning rate is multiplied by λ.
+            Read literally, (15) would set it to zero whenever the loss does improve.
         stop_patience: epochs without such an improvement after which training ends.
-        part_ticks: ticks of a sequence through which gradients flow; the state flows on through
-            all.
+        part_ticks: ticks of a sequence through which gradients flow; the state flows through all.
     """
 
     seed: int = 0
@@ -71,16 +81,6 @@ class FitSettings:
                 raise TrainingError(f"{name} = {getattr(self, name)}: must be at least 1")
         if not 0.0 < self.learning_rate <= 1.0:
             raise TrainingError(f"learning_rate = {self.learning_rate:g}: must be in (0, 1]")
-
-
-class LossTerms(NamedTuple):
-    """The parts of a loss; `total` is equation (8); `spread` is trained separately."""
-
-    total: Tensor
-    contact: Tensor
-    direction: Tensor
-    magnitude: Tensor
-    spread: Tensor
 
 
 class EpochRecord(NamedTuple):
@@ -114,19 +114,19 @@ class FitHistory:
 
 
 def each(parts: Parts, change: Callable[[Tensor], Tensor]) -> Parts:
-    """A named tuple of tensors, or of such tuples, with every tensor changed."""
+    """A tree of named tuples, with every tensor in it changed."""
     return parts._make(
         change(part) if isinstance(part, Tensor) else each(part, change) for part in parts
     )
 
 
 def take(parts: Parts, index: Tensor | tuple[slice, ...]) -> Parts:
-    """A named tuple of tensors, or of such tuples, with every tensor indexed alike."""
+    """A tree of named tuples, with every tensor indexed alike."""
     return each(parts, lambda part: part[index])
 
 
 def joined(rows: Sequence[Parts]) -> Parts:
-    """Named tuples as `take` has them, one after the other."""
+    """The rows of such trees, one after the other."""
     columns = zip(*rows, strict=True)
     return rows[0]._make(
         torch.cat(column) if isinstance(column[0], Tensor) else joined(column)
@@ -135,17 +135,14 @@ def joined(rows: Sequence[Parts]) -> Parts:
 
 
 class Objective(ABC, Generic[Parts]):
-    """Data and losses that a network is trained with, and the generator of all that is drawn.
-
-    Attributes:
-        optimiser: of the trainable parameters; None where there are none.
-        largest_gradient: norm to which the gradients of a step are clipped.
-        held_out_share: of the rows, to choose the best epoch and to calibrate.
-    """
+    """Data and losses that a network is trained with, and the generator of all that is drawn."""
 
     optimiser: torch.optim.Optimizer | None = None
+    """Of the trainable parameters; None where there are none."""
     largest_gradient = math.inf
+    """Norm to which the gradients of a step are clipped."""
     held_out_share = 0.1
+    """Of the rows, to choose the best epoch and to calibrate."""
 
     def __init__(self, samples: Parts, rows: int, settings: FitSettings) -> None:
         self.settings = settings
@@ -168,11 +165,7 @@ class Objective(ABC, Generic[Parts]):
         """Make what the trained network states of its errors hold on the held-out data."""
 
     def fit(self, network: torch.nn.Module, on_epoch: OnEpoch | None) -> FitHistory:
-        """Train in place, keep the weights of the best epoch, calibrate the stated deviations.
-
-        Raises:
-            TrainingError: the loss is no longer finite.
-        """
+        """Train in place, keep the weights of the best epoch, calibrate the stated deviations."""
         start = time.perf_counter()
         records: list[EpochRecord] = []
         best, best_epoch = math.inf, 0
@@ -231,8 +224,7 @@ def fit(
 ) -> FitHistory:
     """Train a network in place and leave it in evaluation mode with the best weights seen.
 
-    A network without trainable parameters is only calibrated: its stated deviations are scaled
-    to the held-out errors.
+    One without trainable parameters is only calibrated, to the held-out errors.
 
     Raises:
         TrainingError: the dataset does not fit the network, is too small to hold any of it out,
@@ -256,35 +248,56 @@ def outputs_of(
     return [torch.cat(parts).double() for parts in zip(*outputs, strict=True)]
 
 
-class SingleContactTarget(NamedTuple):
-    """True contacts of B samples: segment (B,), 0 for none; angle (B,), deg; magnitude (B,), N."""
-
-    segment: Tensor
-    angle_deg: Tensor
-    magnitude_n: Tensor
-
-
-class MultiContactTarget(NamedTuple):
-    """True contacts of B samples: touched (B, N), 0 or 1; magnitudes (B, N), N, 0 elsewhere."""
-
-    touched: Tensor
-    magnitude_n: Tensor
-
-
 class _TrainingSamples(NamedTuple):
-    """Tensors whose rows belong together."""
-
     tension_difference_n: Tensor
     joint_command_rad: Tensor
     target: SingleContactTarget | MultiContactTarget
 
 
-def require_fitting(network: ContactNetwork, dataset: Dataset) -> None:
-    """Refuse a dataset of an arm of another size, or one too small to hold any of it out.
+def fit_anywhere(network: AnywhereStatics, dataset: Dataset, threads: int = 2) -> FitHistory:
+    """Widen in place what a network states, until it holds on the samples of a dataset.
 
     Raises:
-        TrainingError: such a dataset.
+        TrainingError: the dataset does not fit the network, or too few of its samples count.
     """
+    start = time.perf_counter()
+    with torch_threads(threads):
+        found = torch.quantile(misfits(network, dataset), _CALIBRATED_AT)
+    expected = chi2.ppf(_CALIBRATED_AT, 2 * network.segment_count)
+    # strong contacts leave slack cables, whose misfit is less than noise; weak ones do not
+    network.spread.factor *= torch.sqrt(found / expected).clamp(min=1.0)
+    return FitHistory((), 0, time.perf_counter() - start)
+
+
+def misfits(network: AnywhereStatics, dataset: Dataset) -> Tensor:
+    """chi² of the torques that the known contacts leave, with 2N degrees of freedom.
+
+    Left out are samples whose pose the taut cables do not determine, and those where a cable
+    counts as slack and is not, or the reverse: what statics says there is no matter of noise.
+
+    Raises:
+        TrainingError: as `fit_anywhere`.
+    """
+    _require_fitting(network, dataset)
+    balance = Balance._make(outputs_of(network, dataset.tension_difference_n, dataset.command_rad))
+    known = dataset.local_forces_n, dataset.places_m, dataset.slack_cables
+    force, place, slack = map(torch.as_tensor, known)
+    lever = balance.by_force_m + place[..., None, None] * balance.by_place
+    torque = balance.torque_n_m - (lever * force[..., None]).sum((1, 2))
+    chi_square = torch.einsum("bi,bij,bj->b", torque, balance.precision, torque)
+    least_lever = 1.0 / torch.linalg.eigvalsh(balance.precision)[:, -1]
+    determined = least_lever > _LEAST_DETERMINED * least_lever.median()
+    left = chi_square[determined & (balance.taut.sum(1) == network.cable_count - slack)]
+    if len(left) < 10:
+        raise TrainingError(
+            f"the taut cables of {len(left)} of {len(dataset)} samples show torques, which "
+            "are too few to train on; give more samples, or weaker contacts"
+        )
+    return left
+
+
+def _require_fitting(network: ContactNetwork, dataset: Dataset) -> None:
+    """Refuse a dataset of an arm of another size, or one too small to hold any of it out."""
     shape = (dataset.arm.cable_count, dataset.arm.segment_count)
     if shape != (network.cable_count, network.segment_count):
         raise TrainingError(
@@ -296,7 +309,7 @@ def require_fitting(network: ContactNetwork, dataset: Dataset) -> None:
 
 
 def _samples(network: ContactNetwork, dataset: Dataset) -> _TrainingSamples:
-    require_fitting(network, dataset)
+    _require_fitting(network, dataset)
     dtype = network.magnitude.std.dtype
 
     def real(values: object) -> Tensor:
@@ -361,76 +374,3 @@ class _SampleObjective(Objective[_TrainingSamples]):
         for rows in batches:
             batch = take(samples, rows)
             yield self._network(batch.tension_difference_n, batch.joint_command_rad), batch.target
-
-
-def direction_of(angle_deg: Tensor) -> Tensor:
-    """(B, 2) (sin θ, cos θ) of angles (B,), equation (5)."""
-    angle = torch.deg2rad(angle_deg)
-    return torch.stack([torch.sin(angle), torch.cos(angle)], dim=-1)
-
-
-def angle_error_deg(direction: Tensor, angle_deg: Tensor) -> Tensor:
-    """Signed difference (B,), ±180 at most, of directions (B, 2), any length, from angles (B,)."""
-    true = direction_of(angle_deg)
-    sine = direction[:, 0] * true[:, 1] - direction[:, 1] * true[:, 0]
-    cosine = direction[:, 0] * true[:, 0] + direction[:, 1] * true[:, 1]
-    return torch.rad2deg(torch.atan2(sine, cosine))
-
-
-def gaussian_nll(error: Tensor, std: Tensor) -> Tensor:
-    """Negative log-likelihood, without its constant, of errors under a stated deviation."""
-    return 0.5 * (error / std) ** 2 + torch.log(std)
-
-
-def single_contact_loss(
-    output: SingleContactOutput, target: SingleContactTarget, magnitude_scale_n: Tensor
-) -> LossTerms:
-    """Equation (8) with α = β = γ = 1.
-
-    Cross-entropy (4), the squared error (6) of (sin θ, cos θ) and L1 on standardised magnitudes
-    (7), the last two over contacts. `magnitude_scale_n` is the standard deviation that
-    standardises the labels; their mean cancels in the difference.
-    """
-    touched = target.segment > 0
-    contact = functional.cross_entropy(output.contact_logits, target.segment)
-    off = output.direction - direction_of(target.angle_deg)
-    direction = _mean_where((off**2).sum(dim=-1), touched)
-    error_n = output.magnitude_n - target.magnitude_n
-    magnitude = _mean_where(error_n.abs() / magnitude_scale_n, touched)
-    angle_error = angle_error_deg(output.direction, target.angle_deg).detach()
-    spread = gaussian_nll(error_n.detach(), output.magnitude_std_n)
-    spread = spread + gaussian_nll(angle_error, output.angle_std_deg)
-    total = contact + direction + magnitude
-    return LossTerms(total, contact, direction, magnitude, _mean_where(spread, touched))
-
-
-def multi_contact_loss(
-    output: MultiContactOutput, target: MultiContactTarget, magnitude_scale_n: Tensor
-) -> LossTerms:
-    """Cross-entropy of each segment's contact and L1 on standardised magnitudes; no directions."""
-    contact = functional.binary_cross_entropy_with_logits(output.contact_logits, target.touched)
-    error_n = output.magnitude_n - target.magnitude_n
-    magnitude = (error_n.abs() / magnitude_scale_n).mean()
-    spread = gaussian_nll(error_n.detach(), output.magnitude_std_n)
-    spread = _mean_where(spread, target.touched > 0)
-    total = contact + magnitude
-    return LossTerms(total, contact, torch.zeros_like(total), magnitude, spread)
-
-
-def single_contact_ratios(output: SingleContactOutput, target: SingleContactTarget) -> Tensor:
-    """|error| / stated deviation (B, 2) of magnitude and angle; NaN where no contact was found."""
-    force = (output.magnitude_n - target.magnitude_n).abs() / output.magnitude_std_n
-    angle = angle_error_deg(output.direction, target.angle_deg).abs() / output.angle_std_deg
-    found = (target.segment > 0) & (output.contact_logits.argmax(-1) > 0)
-    return torch.stack([force, angle], dim=-1).where(found[:, None], math.nan)
-
-
-def multi_contact_ratios(output: MultiContactOutput, target: MultiContactTarget) -> Tensor:
-    """|error| / stated deviation (B, N) of magnitudes; NaN where no contact was found."""
-    ratio = (output.magnitude_n - target.magnitude_n).abs() / output.magnitude_std_n
-    return ratio.where((target.touched > 0) & (output.contact_logits > 0), math.nan)
-
-
-def _mean_where(values: Tensor, chosen: Tensor) -> Tensor:
-    """Mean over the chosen entries, 0 where there are none."""
-    return values.where(chosen, 0.0).sum() / chosen.sum().clamp(min=1)

@@ -1,8 +1,8 @@
 """Training of a history-dependent network along sequences in motion.
 
-The objective carries the network's state from part to part of a sequence. `fit_interval` then fits
-what the network states of its errors to sequences that were held out: two thirds of them train the
-head; on the others its interval is moved until it holds as often as it states.
+The network's state is carried from part to part of a sequence. `fit_interval` then fits what the
+network states of its errors to sequences that were held out: two thirds of them train the head; on
+the others its interval is moved until it holds as often as it states.
 """
 
 from __future__ import annotations
@@ -21,20 +21,22 @@ from cablesense_training.fit import (
     ROWS_AT_ONCE,
     FitHistory,
     FitSettings,
-    LossTerms,
     Objective,
     OnEpoch,
-    SingleContactTarget,
-    angle_error_deg,
-    direction_of,
     each,
-    gaussian_nll,
     joined,
     take,
     torch_threads,
 )
 from cablesense_training.inference.estimator import NORMAL_95
-from cablesense_training.networks.layers import SingleContactOutput
+from cablesense_training.networks.layers import (
+    LossTerms,
+    SingleContactOutput,
+    SingleContactTarget,
+    angle_error_deg,
+    direction_of,
+    gaussian_nll,
+)
 from cablesense_training.networks.temporal import (
     CorrectedAnswer,
     StatedInterval,
@@ -52,14 +54,11 @@ a history."""
 
 
 class SequenceSamples(NamedTuple):
-    """S sequences of T ticks.
+    """S sequences of T ticks, all (S, T, …).
 
     Attributes:
-        ticks: inputs (S, T, …), float64.
-        torque_n_m: (S, T, 2N) of the environment by statics alone.
+        torque_n_m, true_torque_n_m: (S, T, 2N) by statics alone, and of the true contact.
         past: (S, T, `DrawnCables.past.size`) of the commands, known since before the tare.
-        true_torque_n_m: (S, T, 2N) of the true contact.
-        target: true contacts, each (S, T).
     """
 
     ticks: Ticks
@@ -201,11 +200,10 @@ class _SequenceObjective(Objective[SequenceSamples]):
         return answer, seen, following
 
     def _terms(self, answer: CorrectedAnswer, judged: SequenceSamples) -> LossTerms:
-        """The loss of the judged ticks.
+        """The loss of the judged ticks; a newton of error weighs as much as a nat of the contact.
 
-        One newton of error weighs as much as a nat of the contact. The force is judged on the
-        segment that is truly touched: where another was chosen, its force holds nothing about what
-        to correct.
+        The force is judged on the segment that is truly touched: that of another holds nothing
+        about what to correct.
         """
         target = judged.target
         contact = functional.cross_entropy(answer.output.contact_logits, target.segment)
@@ -233,14 +231,7 @@ _LEAST_OFF_DEG = 1e-3
 
 
 class Answered(NamedTuple):
-    """B ticks as a network has answered them.
-
-    Attributes:
-        sequence: (B,) which sequence a tick belongs to.
-        seen: (B, features), as in `CorrectedAnswer`.
-        output: the answers.
-        target: the true contacts.
-    """
+    """B ticks of numbered sequences (B,), answered as in `CorrectedAnswer`, with the truth."""
 
     sequence: Tensor
     seen: Tensor
@@ -248,11 +239,8 @@ class Answered(NamedTuple):
     target: SingleContactTarget
 
 
-def pinball(error: Tensor, quantile: float) -> Tensor:
-    """Loss of true less stated values that is least where the stated is that quantile.
-
-    Koenker and Bassett, Regression Quantiles, 1978.
-    """
+def _pinball(error: Tensor, quantile: float) -> Tensor:
+    """Loss of true less stated values, least at that quantile (Koenker and Bassett, 1978)."""
     return torch.maximum(quantile * error, (quantile - 1.0) * error)
 
 
@@ -286,9 +274,9 @@ def _head_loss(stated: Statement, answered: Answered) -> Tensor:
     touched = answered.target.segment > 0
     true = torch.asinh(answered.target.magnitude_n)
     none = functional.binary_cross_entropy_with_logits(stated.none_logit, (~touched).double())
-    high = pinball(true - stated.high, 1.0 - _EITHER_SIDE).mean()
-    of_contacts = pinball(true - stated.low, _EITHER_SIDE)
-    of_contacts = of_contacts + pinball(_log_ratio(stated, answered), 1.0 - 2.0 * _EITHER_SIDE)
+    high = _pinball(true - stated.high, 1.0 - _EITHER_SIDE).mean()
+    of_contacts = _pinball(true - stated.low, _EITHER_SIDE)
+    of_contacts = of_contacts + _pinball(_log_ratio(stated, answered), 1.0 - 2.0 * _EITHER_SIDE)
     return none + high + of_contacts.where(touched, 0.0).sum() / touched.sum().clamp(min=1)
 
 

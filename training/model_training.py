@@ -1,14 +1,18 @@
-"""Makes a model file for an arm, with its errors on fresh data: draw, train, test, export."""
+"""Makes a model file for an arm, with its errors on fresh data: draw, train, test, export.
+
+`RECIPES` has the networks by the names that commands and model files use.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+import torch
 
 from cablesense_base import Array
 from cablesense_base.files import output_file
@@ -16,10 +20,9 @@ from cablesense_base.installation import package_version
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import Arm
 from cablesense_sim.contact_location import TorqueBalance
-from cablesense_sim.load_capacity import contact_range_n, pose_range_deg
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset, generate
-from cablesense_training.data.protocols import protocol_from_options
+from cablesense_training.data.protocols import borne_by, protocol_from_options
 from cablesense_training.data.sequences import MotionProtocol, Sequences, draw_sequences
 from cablesense_training.errors import TrainingError
 from cablesense_training.evaluation.anywhere import evaluate_anywhere
@@ -32,24 +35,37 @@ from cablesense_training.evaluation.metrics import (
     sequence_metrics,
 )
 from cablesense_training.export import export_model
-from cablesense_training.fit import FitHistory, FitSettings, OnEpoch, fit, outputs_of
-from cablesense_training.fit_anywhere import fit_anywhere
+from cablesense_training.fit import FitHistory, FitSettings, OnEpoch, fit, fit_anywhere, outputs_of
 from cablesense_training.fit_sequences import fit_sequences
 from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import NORMAL_95, Estimates, Estimator, MultiEstimator
-from cablesense_training.inference.history_simulation import HistorySimulation
+from cablesense_training.inference.history_simulation import (
+    HistorySimulation,
+    depends_on_history,
+    without_history,
+)
 from cablesense_training.inference.metadata import (
     ANYWHERE,
+    HISTORY_SIMULATED,
     ModelKind,
     ModelMetadata,
     effect_versions,
 )
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
-from cablesense_training.networks.corrected import CorrectedClosedForm
 from cablesense_training.networks.layers import ContactNetwork
-from cablesense_training.networks.statics import AnywhereStatics
+from cablesense_training.networks.learnt import (
+    DecoupledNetwork,
+    ScaleAwareNetwork,
+    SharedBackboneNetwork,
+    TwoStageMultiContactNetwork,
+    TwoStageNetwork,
+)
+from cablesense_training.networks.statics import (
+    AnywhereStatics,
+    CorrectedClosedForm,
+    MultiContactClosedForm,
+)
 from cablesense_training.networks.temporal import TemporalNetwork
-from cablesense_training.recipes import build_network, recipe_for
 
 TEST_SAMPLES = 20_000
 TEST_SHARE_OF_SEQUENCES = 0.125
@@ -61,14 +77,96 @@ _JUDGED_SEQUENCES = 12
 
 
 @dataclass(frozen=True)
+class Recipe:
+    """How a network is trained unless chosen otherwise: the least that reached its accuracy.
+
+    Attributes:
+        learns_from: kind of the protocol of its samples, or `motion` for sequences.
+        build: makes it for an arm and the number of readings averaged into a tare.
+        samples: how many of these, or sequences, to draw.
+        drawn_on: makes of the arm the one whose samples it learns from.
+    """
+
+    learns_from: Literal["single", "multi", "anywhere", "motion"]
+    build: Callable[[Arm, int], ContactNetwork | TemporalNetwork]
+    samples: int
+    settings: FitSettings = field(default_factory=FitSettings)
+    drawn_on: Callable[[Arm], Arm] = lambda arm: arm
+
+
+def _closed_form_without_history(arm: Arm, tare_samples: int) -> CorrectedClosedForm:
+    """For what `inference.history_simulation` leaves of the readings; trained as any other."""
+    if not depends_on_history(arm):
+        raise TrainingError(
+            f"network {HISTORY_SIMULATED} is for an arm file that lists friction, creep, "
+            f"backlash or lagging sensors; {arm.identity} does not"
+        )
+    return CorrectedClosedForm.for_arm(without_history(arm), tare_samples)
+
+
+_CORRECTED = FitSettings(epochs=20, batch_size=1024, learning_rate=5e-3, stop_patience=4)
+
+RECIPES: dict[str, Recipe] = {
+    "anywhere": Recipe("anywhere", AnywhereStatics.for_arm, 20_000),
+    "closed-form": Recipe("single", CorrectedClosedForm.untrained, 20_000),
+    "closed-form-corrected": Recipe("single", CorrectedClosedForm.for_arm, 40_000, _CORRECTED),
+    HISTORY_SIMULATED: Recipe(
+        "single", _closed_form_without_history, 40_000, _CORRECTED, without_history
+    ),
+    "decoupled": Recipe("single", DecoupledNetwork.for_arm, 100_000),
+    "shared-backbone": Recipe("single", SharedBackboneNetwork.for_arm, 100_000),
+    "two-stage": Recipe("single", TwoStageNetwork.for_arm, 100_000),
+    "scale-aware": Recipe(
+        "single",
+        ScaleAwareNetwork.for_arm,
+        300_000,
+        FitSettings(epochs=45, batch_size=1024, tolerance=5e-3, decay=0.6),
+    ),
+    "multi-contact": Recipe("multi", TwoStageMultiContactNetwork.for_arm, 100_000),
+    "multi-contact-closed-form": Recipe(
+        "multi",
+        MultiContactClosedForm.for_arm,
+        50_000,
+        FitSettings(epochs=20, batch_size=1024, learning_rate=1e-2),
+    ),
+    "temporal": Recipe(
+        "motion",
+        TemporalNetwork.for_arm,
+        256,
+        FitSettings(epochs=20, batch_size=32, learning_rate=3e-3),
+    ),
+}
+
+
+def recipe_for(name: str) -> Recipe:
+    """The recipe of a network.
+
+    Raises:
+        TrainingError: there is no network of that name; the message lists those there are.
+    """
+    if name not in RECIPES:
+        raise TrainingError(f"no network {name!r}; there are: {', '.join(RECIPES)}")
+    return RECIPES[name]
+
+
+def build_network(
+    name: str, arm: Arm, seed: int = 0, tare_samples: int = 50
+) -> ContactNetwork | TemporalNetwork:
+    """A network for an arm with the initial weights that the seed gives; see `recipe_for`."""
+    recipe = recipe_for(name)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return recipe.build(arm, tare_samples)
+
+
+@dataclass(frozen=True)
 class TrainingReport:
     """The result of a training run: the model file, the network's name, and how it was trained.
 
     Attributes:
         parameters: number of trained numbers.
-        errors: on test data, as plain values: of a network on samples by `single`; `multi` and
-            `multi_firm`, contacts below `WEAKEST_MULTI_N` left out; or `anywhere`. Of one on
-            sequences those of `SequenceMetrics`, with the numbers of sequences.
+        errors: on test data, as plain values: `single`; `multi` and `multi_firm`, contacts below
+            `WEAKEST_MULTI_N` left out; or `anywhere`. Of sequences those of `SequenceMetrics`.
     """
 
     path: Path
@@ -104,14 +202,8 @@ def draw_training_data(
 ) -> Dataset | Sequences:
     """Fresh samples or sequences for a network.
 
-    Args:
-        arm: the arm.
-        network: its name.
-        options: of the protocol, None standing for its default, or for what the arm bears if
-            that is less; `samples` counts sequences where the network learns from them.
-        seed: of the draw.
-        workers: processes.
-        show_progress: draw a bar.
+    Of its `options`, those of a protocol, None stands for the default, or for what the arm bears
+    if that is less; `samples` counts sequences where the network learns from them.
 
     Raises:
         TrainingError: there is no such network.
@@ -121,11 +213,7 @@ def draw_training_data(
     recipe = recipe_for(network)
     given = {name: value for name, value in options.items() if value is not None}
     if recipe.learns_from == "motion":
-        if "force_high_n" not in given:
-            given["force_high_n"] = contact_range_n(arm, MotionProtocol.force_high_n)
-        if "pose_range_deg" not in given:
-            usual_deg, force_n = MotionProtocol.pose_range_deg, given["force_high_n"]
-            given["pose_range_deg"] = pose_range_deg(arm, usual_deg, force_n)
+        given = borne_by(arm, MotionProtocol, given)
         motion = MotionProtocol(sequences=given.pop("samples", recipe.samples), **given)
         with progress_bar(motion.sequences, shown=show_progress, what="sequences") as advance:
             return draw_sequences(arm, motion, seed, workers=workers, on_done=advance)
@@ -153,14 +241,14 @@ def train_model(
 
     Args:
         path: of the file.
-        network: name of the network.
+        network: its name.
         data: what to train on; its arm is the model's arm.
         settings: how to train; the seed also fixes the initial weights.
         command: what makes the file again, kept in it.
         test_samples: size of the test set, drawn afresh by the data's own protocol; None means
             `TEST_SAMPLES`, or `TEST_SHARE_OF_SEQUENCES`.
         on_epoch: called after every epoch.
-        on_trained: called with the trained network, which it may change, before that is tested.
+        on_trained: may change the trained network before it is tested.
 
     Raises:
         TrainingError: unknown network, data or settings that do not fit it, a place that cannot
@@ -220,10 +308,10 @@ def _sample_errors(path: Path, kind: ModelKind, test: Dataset) -> dict[str, Any]
 
 
 def widened_by_history(arm: Arm, seed: int) -> Callable[[ContactNetwork | TemporalNetwork], None]:
-    """For `train_model`: widens a network's intervals until they hold the forces of sequences.
+    """For `train_model`: widens a network's intervals until they hold forces of fresh sequences.
 
     Behind a simulation of its history an arm is known as well as its friction tells, which no
-    network learns from samples without history. Forces are those of fresh sequences.
+    network learns from samples without history.
     """
 
     def widen(trained: ContactNetwork | TemporalNetwork) -> None:

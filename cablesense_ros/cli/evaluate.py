@@ -106,8 +106,12 @@ Result = tuple[str, dict[str, Any]]
 
 
 def _table2(model: str) -> Result:
-    from cablesense_training.evaluation.comparison import SHIPPED, TABLE2_MODELS
-    from cablesense_training.evaluation.table2 import DOWN_DEG, evaluate_table2
+    from cablesense_training.evaluation.comparison import (
+        DOWN_DEG,
+        SHIPPED,
+        TABLE2_MODELS,
+        evaluate_table2,
+    )
     from cablesense_training.inference.estimator import Estimator
     from cablesense_training.inference.metadata import find_model
 
@@ -154,7 +158,7 @@ def _one_model(model: str, samples: int, seed: int, workers: int) -> Result:
     from cablesense_training.data.protocols import AnywhereContact, SingleContact
     from cablesense_training.evaluation import anywhere
     from cablesense_training.evaluation.comparison import evaluate_estimator, metrics_json
-    from cablesense_training.evaluation.noise_bound import noise_bound
+    from cablesense_training.evaluation.metrics import noise_bound
     from cablesense_training.inference.anywhere import AnywhereEstimator
     from cablesense_training.inference.estimator import Estimator
     from cablesense_training.inference.metadata import ANYWHERE, find_model

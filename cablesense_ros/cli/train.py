@@ -215,14 +215,13 @@ def train(
     from cablesense_training.data.parquet import read_dataset
     from cablesense_training.fit import EpochRecord
     from cablesense_training.inference.metadata import HISTORY_SIMULATED
-    from cablesense_training.recipes import recipe_for
 
     if data is not None:
         drawing = ("samples", "pose", "pose_range_deg", "force_high_n", "randomise")
         refuse_given(context, drawing, "with --data, which draws no samples")
     elif pose == "straight":
         refuse_given(context, ["pose_range_deg"], "with --pose straight")
-    recipe = recipe_for(network)
+    recipe = model_training.recipe_for(network)
     in_motion = recipe.learns_from == "motion"
     chosen = {"epochs": epochs, "batch_size": batch_size, "learning_rate": learning_rate}
     given: dict[str, Any] = {k: value for k, value in chosen.items() if value is not None}

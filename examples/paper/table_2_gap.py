@@ -20,7 +20,7 @@ from cablesense_gap.diagnosis.search import search
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import NONE
 from cablesense_sim.arm import Arm, open_arm
-from cablesense_training.evaluation.table2 import read_table2
+from cablesense_training.evaluation.comparison import read_table2
 from examples.paper.study import PaperError
 from examples.paper.tension_changes import (
     ChangeSimulator,

@@ -6,7 +6,7 @@ from paper_studies import compared, result_of
 
 from cablesense_gap.simulator import Term
 from cablesense_sim.arm import open_arm
-from cablesense_training.evaluation.table2 import read_table2
+from cablesense_training.evaluation.comparison import read_table2
 from examples.paper import tension_changes
 from examples.paper.studies.sim_to_real import figures_of, numbers_of
 from examples.paper.study import PAPER, Agreement

@@ -12,7 +12,7 @@ from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
 from cablesense_training.networks import statics as statics_of_arms
-from cablesense_training.networks.near_command import NearCommand
+from cablesense_training.networks.closed_form import NearCommand
 from cablesense_training.networks.statics import statics, unexplained_variance_n2
 
 PAYLOAD = ("payload", "segment_3", {"mass_kg": 0.6})

@@ -11,8 +11,7 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_training.networks.closed_form import ClosedForm, pose_corrections_for
-from cablesense_training.networks.near_command import NearCommand
+from cablesense_training.networks.closed_form import ClosedForm, NearCommand, pose_corrections_for
 
 VARIANCE_N2 = 0.005
 BARELY_TAUT_N = 0.3

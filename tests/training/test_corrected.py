@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from cablesense_sim.arm import open_arm
-from cablesense_training.networks.corrected import LARGEST_CORRECTION, CorrectedClosedForm
+from cablesense_training.networks.statics import LARGEST_CORRECTION, CorrectedClosedForm
 
 CDSM = open_arm("cdsm")
 

@@ -16,8 +16,8 @@ from cablesense_training.inference.metadata import bundled_models, find_model
 from cablesense_training.inference.model_file import read_model
 from cablesense_training.inference.session import COMMAND, TENSION
 from cablesense_training.inference.temporal_estimator import open_estimator
+from cablesense_training.model_training import build_network
 from cablesense_training.networks.learnt import TwoStageNetwork
-from cablesense_training.recipes import build_network
 
 CDSM = open_arm("cdsm")
 

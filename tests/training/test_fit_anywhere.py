@@ -9,10 +9,10 @@ from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import AnywhereContact
 from cablesense_training.errors import TrainingError
 from cablesense_training.evaluation.anywhere import evaluate_anywhere
-from cablesense_training.fit_anywhere import fit_anywhere, misfits
+from cablesense_training.fit import fit_anywhere, misfits
 from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.metadata import find_model
-from cablesense_training.recipes import build_network
+from cablesense_training.model_training import build_network
 
 
 def drawn(arm, **options):

@@ -10,11 +10,13 @@ from cablesense_ros.cli.app import app
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.parquet import read_dataset
 from cablesense_training.data.protocols import SingleContact
-from cablesense_training.evaluation.metrics import ContactTruth, single_contact_metrics
-from cablesense_training.evaluation.noise_bound import noise_bound
+from cablesense_training.evaluation.metrics import (
+    ContactTruth,
+    noise_bound,
+    single_contact_metrics,
+)
 from cablesense_training.inference.estimator import Estimator
-from cablesense_training.model_training import contact_answer
-from cablesense_training.recipes import build_network
+from cablesense_training.model_training import build_network, contact_answer
 
 
 def run(*arguments):

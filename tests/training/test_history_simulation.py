@@ -23,7 +23,7 @@ from cablesense_training.inference.history_simulation import (
 )
 from cablesense_training.inference.metadata import find_model
 from cablesense_training.inference.temporal_estimator import open_estimator
-from cablesense_training.recipes import build_network
+from cablesense_training.model_training import build_network
 
 PROTOCOL = small_recording()
 STILL = np.zeros(LAB.joint_count)

@@ -13,7 +13,7 @@ from cablesense_training.data.protocols import MultiContact
 from cablesense_training.errors import ModelFileError
 from cablesense_training.inference.estimator import MultiEstimator
 from cablesense_training.inference.metadata import find_model
-from cablesense_training.networks.corrected import MultiContactClosedForm
+from cablesense_training.networks.statics import MultiContactClosedForm
 
 pytestmark = pytest.mark.slow
 

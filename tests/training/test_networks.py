@@ -5,7 +5,7 @@ import torch
 
 from cablesense_base.installation import config_path
 from cablesense_sim.arm import load_arm
-from cablesense_training.recipes import RECIPES, build_network
+from cablesense_training.model_training import RECIPES, build_network
 
 ARM = load_arm(config_path("arms/cdsm.yaml"))
 SAMPLE_NETWORKS = [

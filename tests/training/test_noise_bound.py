@@ -8,7 +8,7 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
-from cablesense_training.evaluation.noise_bound import force_covariance_n2, noise_bound
+from cablesense_training.evaluation.metrics import force_covariance_n2, noise_bound
 
 CDSM = open_arm("cdsm")
 

@@ -18,8 +18,12 @@ from cablesense_training.evaluation.metrics import (
 from cablesense_training.fit import FitSettings
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.temporal_estimator import TemporalEstimator
-from cablesense_training.model_training import TEST_SEED_OFFSET, draw_training_data, train_model
-from cablesense_training.recipes import recipe_for
+from cablesense_training.model_training import (
+    TEST_SEED_OFFSET,
+    draw_training_data,
+    recipe_for,
+    train_model,
+)
 
 ARM = open_arm("cdsm")
 QUICK = FitSettings(epochs=2, batch_size=256, threads=1)

@@ -1,7 +1,4 @@
-"""A dataset in memory: tension differences of one arm with the contacts that caused them.
-
-`contact_forces_n` gives the forces of rows of labels, `summarise` what a dataset holds.
-"""
+"""A dataset in memory: tension differences of one arm with the contacts that caused them."""
 
 from __future__ import annotations
 
@@ -67,31 +64,24 @@ class RunRows:
         return replace(parts[0], **arrays)
 
 
-CONTACT_ARRAYS = ("contacts", "angles_deg", "magnitudes_n", "places_m", "along_n")
-"""Arrays of a dataset that have a column for each segment."""
-
-
 @dataclass(frozen=True, eq=False)
 class Dataset(RunRows):
     """B samples of an arm with N segments and M cables. Rows of all arrays belong together.
 
+    Labels are 0 where nothing touches.
+
     Attributes:
-        arm: the arm the samples come from.
-        protocol: how they were drawn (its `samples` counts the whole run, of which this may be a
-            part).
-        seed: seed of the run.
+        protocol: how they were drawn; its `samples` counts the whole run, this may be a part.
         sample_id: (B,) number of each sample in the run, from 0.
         command_rad: (B, 2N) commanded joint angles.
         tension_difference_n: (B, M) reading minus `unloaded_n`.
         unloaded_n: (B, M) the tare: mean of the unloaded arm's readings at the same command.
         contacts: (B, N) bool, whether a segment is touched.
         angles_deg: (B, N) contact angle [0, 360) in the plane normal to the segment at the
-            commanded angles, from +z towards +y; 0 where nothing touches.
-        magnitudes_n: (B, N) forces normal to the segment; 0 where nothing touches.
-        places_m: (B, N) distances of the contacts from the segments' joint centres; 0 where
-            nothing touches.
-        along_n: (B, N) forces along the segments at the commanded angles, towards their ends; 0
-            where nothing touches.
+            commanded angles, from +z towards +y.
+        magnitudes_n: (B, N) forces normal to the segment.
+        places_m: (B, N) distances of the contacts from the segments' joint centres.
+        along_n: (B, N) forces along the segments at the commanded angles, towards their ends.
         slack_cables: (B,) number of cables that hang slack under the load.
         redrawn: (B,) how often the case was drawn again because it lay beyond the arm.
     """
@@ -112,7 +102,8 @@ class Dataset(RunRows):
     def __post_init__(self) -> None:
         rows, n, m = len(self.sample_id), self.arm.segment_count, self.arm.cable_count
         widths = {"command_rad": 2 * n, "tension_difference_n": m, "unloaded_n": m}
-        widths |= dict.fromkeys(CONTACT_ARRAYS, n)
+        labels = ("contacts", "angles_deg", "magnitudes_n", "places_m", "along_n")
+        widths |= dict.fromkeys(labels, n)
         for name in self.array_names():
             shape = (rows, widths[name]) if name in widths else (rows,)
             if getattr(self, name).shape != shape:
@@ -127,13 +118,8 @@ class Dataset(RunRows):
     @cached_property
     def forces_n(self) -> Array:
         """(B, N, 3) forces of the environment, base axes; zero where nothing touches."""
-        return contact_forces_n(
-            mechanism_of(self.arm),
-            self.command_rad,
-            self.angles_deg,
-            self.magnitudes_n,
-            self.along_n,
-        )
+        labels = self.angles_deg, self.magnitudes_n, self.along_n
+        return contact_forces_n(mechanism_of(self.arm), self.command_rad, *labels)
 
     @cached_property
     def local_forces_n(self) -> Array:

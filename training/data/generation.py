@@ -59,9 +59,8 @@ def generate(
 ) -> Iterator[Dataset]:
     """The dataset in parts, in order: the same parts for any `workers` and for a Dask cluster.
 
-    With one worker everything happens in this process. With more, a script that calls this needs
-    the usual `if __name__ == "__main__":` guard, as the processes are spawned. Few chunks are
-    held at a time, so that a run of any size can be written as it comes.
+    A script that asks for several workers needs the usual `if __name__ == "__main__":` guard, as
+    processes are spawned. Few chunks are held at a time, so a run of any size can be written.
 
     Raises:
         DatasetError: an option out of range, a sample without equilibrium, a lost worker, a
@@ -92,10 +91,7 @@ def _on_processes(workers: int, chunks: int, *run: Any) -> Iterator[Dataset]:
 
 
 def _on_dask(address: str, chunks: int, *run: Any) -> Iterator[Dataset]:
-    """Keep every worker of a cluster busy, and hand the parts on in order.
-
-    Errors of the cluster become errors of the dataset.
-    """
+    """Keep every worker of a cluster busy, and hand the parts on in order."""
     try:
         import distributed
 
@@ -142,9 +138,8 @@ _MAX_REDRAWN_SHARE = 0.02
 def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Dataset:
     """The samples of one chunk; the last chunk of a run may hold fewer than `CHUNK_SAMPLES`.
 
-    A sample's reading is one sensor reading of the loaded arm at rest. Its tare is the mean of
-    `tare_samples` readings of the unloaded arm at rest under the same command. With effects, both
-    come at the end of a separate `LoadHistory`.
+    A sample's reading is one of the loaded arm at rest, its tare the mean of `tare_samples` of the
+    unloaded arm at the same command. With effects, both come at the end of a `LoadHistory`.
 
     Raises:
         DatasetError: the protocol does not fit the arm.

@@ -28,6 +28,8 @@ _RISE = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
 _BACK = np.array([0.5, 1.0, 1.0])
 """Shares of the way from there to the sample's force; the last is where it is read."""
 
+_RESTS = len(_ON_THE_WAY) + len(_RISE) + len(_BACK)
+
 TARED = len(_ON_THE_WAY) - 1
 """The rest at which the tare is taken; the reading is that of the last."""
 
@@ -43,8 +45,8 @@ class LoadHistory:
 
     Attributes:
         time_s: (R,) of the rests.
-        from_share: (B,) the pose at the start is that share of the command, from -1 to 1.
-        peak_share: (B,) the highest force on the way is that share of the sample's, from 1 up.
+        from_share: (B,) of the command, -1 to 1: the pose at the start.
+        peak_share: (B,) of the sample's force, from 1 up: the highest force on the way.
     """
 
     time_s: Array
@@ -54,7 +56,7 @@ class LoadHistory:
     @classmethod
     def drawn(cls, count: int, rng: np.random.Generator) -> LoadHistory:
         """A history for `count` samples; half of them are loaded beyond their force and back."""
-        steps = np.full(len(_ON_THE_WAY) + len(_RISE) + len(_BACK), _STEP_S)
+        steps = np.full(_RESTS, _STEP_S)
         steps[TARED] += rng.uniform(0.0, _LONGEST_WAIT_S)
         steps[TARED + 1] += rng.uniform(0.0, _LONGEST_WAIT_S)
         steps[-1] = rng.uniform(0.0, _LONGEST_HOLD_S)
@@ -65,8 +67,7 @@ class LoadHistory:
     @classmethod
     def plain(cls, count: int) -> LoadHistory:
         """At the command and the force at once, for arms that do not depend on history."""
-        rests = len(_ON_THE_WAY) + len(_RISE) + len(_BACK)
-        return cls(np.arange(rests, dtype=float), np.ones(count), np.ones(count))
+        return cls(np.arange(_RESTS, dtype=float), np.ones(count), np.ones(count))
 
     def select(self, rows: NDArray[np.int64]) -> LoadHistory:
         """The same for some of the samples."""
@@ -74,7 +75,7 @@ class LoadHistory:
 
     def commands_rad(self, command_rad: Array) -> Array:
         """(R, B, 2N) for the samples' commands (B, 2N)."""
-        way = np.concatenate([_ON_THE_WAY, np.ones(len(_RISE) + len(_BACK))])
+        way = np.append(_ON_THE_WAY, np.ones(_RESTS - len(_ON_THE_WAY)))
         share = self.from_share + way[:, None] * (1.0 - self.from_share)
         return share[..., None] * command_rad
 
@@ -122,10 +123,8 @@ def tensions_along_n(
 
     Commands are (R, B, 2N), loads (R, B, N, 3). They act at `places_m` (B, N) from the segments'
     joint centres, by default at the arm's contact points. If nothing depends on the history,
-    tensions are zero at rests that are not `needed`.
-
-    Raises:
-        EquilibriumError: an arm finds no rest.
+    tensions are zero at rests that are not `needed`. An `EquilibriumError` says which arms find
+    no rest.
     """
     held, arms = held_lengths_m(nominal, commands_rad), [entries] * commands_rad.shape[1]
     for actuation in actuations(arms):
@@ -134,11 +133,9 @@ def tensions_along_n(
     if transmissions(arms):
         from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
 
-        touched = [mechanism] * len(arms)
-        if places_m is not None:
-            touched = [replace(mechanism, contact_m=place_m) for place_m in places_m]
-        arm = QuasiStaticArm(touched, arms)
-        return np.stack([arm.step(t, held[r], loads_n[r]) for r, t in enumerate(time_s)])
+        arm = QuasiStaticArm([mechanism] * len(arms), arms)
+        rests = zip(time_s, held, loads_n, strict=True)
+        return np.stack([arm.step(*rest, places_m) for rest in rests])
     if places_m is not None:
         mechanism = replace(mechanism, contact_m=places_m)
     tensions = np.zeros_like(held)

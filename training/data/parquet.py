@@ -1,7 +1,7 @@
 """Datasets as Parquet files: one row a sample, units and provenance in the schema's metadata.
 
-docs/data.md describes the columns and the metadata. Nothing in a file depends on when, where or
-by how many workers it was made. Files are read whole and every value is checked.
+docs/data.md describes both. Nothing in a file depends on when, where or by how many workers it was
+made. Files are read whole and every value is checked.
 """
 
 from __future__ import annotations
@@ -86,13 +86,9 @@ def _columns(arm: Arm, protocol: Protocol) -> list[_Column]:
 def read_dataset(path: str | Path, arm: Arm | None = None) -> Dataset:
     """The dataset in a Parquet file that `write_dataset` or `cablesense dataset` wrote.
 
-    Args:
-        path: the file.
-        arm: the arm that the samples must come from; None takes any.
-
     Raises:
-        DatasetError: not such a file, cut short, of another arm than `arm`, a column missing or
-            with another type or unit, a value that is not finite or out of its range.
+        DatasetError: not such a file, cut short, of another arm than `arm` if one is given, a
+            column missing or with another type or unit, a value not finite or out of its range.
     """
     path = Path(path)
     table = _read_table(path)
@@ -229,9 +225,7 @@ def _require_possible_labels(path: Path, dataset: Dataset) -> None:
 
 
 def write_dataset(path: str | Path, dataset: Dataset, command: str = "") -> None:
-    """Write a dataset to a file that appears under its name when it is whole.
-
-    `command` is recorded as the command that makes the dataset.
+    """Write a dataset, with the command that makes it, to a file that appears when it is whole.
 
     Raises:
         DatasetError: the file cannot be written.

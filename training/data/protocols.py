@@ -60,9 +60,7 @@ def chunk_sizes(samples: int) -> list[int]:
 
 
 def effect_names(randomise: str) -> list[str]:
-    """The effects that an option means, in alphabetical order, each once.
-
-    `all` means every effect that changes samples; effects of recorded loads do not.
+    """The effects that an option means, in alphabetical order; `all` is all that change samples.
 
     Raises:
         DatasetError: an effect that is not known, or none.
@@ -138,14 +136,9 @@ _Force = Annotated[float, Field(ge=0.0, le=10_000.0)]
 
 
 class _Touches(NamedTuple):
-    """Contacts of B samples; shares in [0, 1) that broadcast to (B, N).
+    """Contacts (B, N) of B samples, as shares of the circle and of the ranges, in [0, 1).
 
-    Attributes:
-        contacts: (B, N) bool, whether a segment is touched.
-        turn: share of the circle.
-        force: share of the range of forces.
-        place: share of the range of places.
-        along: axial over lateral force, from -1 to 1 of the largest.
+    They broadcast to (B, N). `along` is the axial over the lateral force.
     """
 
     contacts: NDArray[np.bool_]
@@ -156,16 +149,7 @@ class _Touches(NamedTuple):
 
 
 class Cases(NamedTuple):
-    """Poses and contacts of B samples on an arm of N segments.
-
-    Attributes:
-        command_rad: (B, 2N) commanded joint angles.
-        contacts: (B, N) bool, whether a segment is touched.
-        angles_deg: (B, N) contact angles, [0, 360); 0 where nothing touches.
-        magnitudes_n: (B, N) forces normal to the segment; 0 where nothing touches.
-        places_m: (B, N) distances from the segments' joint centres; 0 where nothing touches.
-        along_n: (B, N) forces along the segments, towards their ends; 0 where nothing touches.
-    """
+    """Poses and contacts of B samples, as a `Dataset` has them."""
 
     command_rad: Array
     contacts: NDArray[np.bool_]
@@ -180,12 +164,9 @@ class Protocol(Options, ABC):
     """Options that every protocol has.
 
     Attributes:
-        samples: number of samples.
         pose: `straight`, or `random` joint angles uniform within ± `pose_range_deg`.
-        pose_range_deg: half range of every joint angle at random poses.
         noise: whether the arm's sensor noise and step act on readings and tare.
-        tare_samples: number of unloaded readings averaged into a sample's tare; one tare per
-            sample.
+        tare_samples: number of unloaded readings averaged into each sample's own tare.
         force_low_n, force_high_n: magnitudes are uniform in this range.
         no_contact_fraction: share of contact-free samples; None stands for 1/(N+1).
         randomise: names of effects, with commas between them, or `all`: samples are drawn on arms
@@ -216,10 +197,7 @@ class Protocol(Options, ABC):
             effect_names(self.randomise)
 
     def options(self) -> dict[str, Any]:
-        """Kind and options as plain values; `protocol_from_options` is the inverse.
-
-        An arm that is not randomised is left out, as it was before there was a choice.
-        """
+        """Kind and options as plain values; `protocol_from_options` is the inverse."""
         options = {"kind": self.kind, **asdict(self)}
         if self.randomise is None:
             del options["randomise"]
@@ -334,7 +312,7 @@ class AnywhereContact(Protocol):
 
     Coordinates are the set of touched segments, then direction, magnitude, place and axial share
     of the first contact and of the second, then the joints. Each pair of segments is equally
-    likely. Each of two contacts has a magnitude in the lower half of the range.
+    likely; the forces of two contacts are in the lower half of the range.
 
     Attributes:
         two_contacts_fraction: share of the touched samples that have contacts on two segments.
@@ -385,10 +363,7 @@ _PROTOCOLS = {
 
 
 def protocol_from_options(options: dict[str, Any], arm: Arm | None = None) -> Protocol:
-    """The protocol with the options that `Protocol.options` gave.
-
-    Without a `force_high_n` or a `pose_range_deg` that is the protocol's default, or less on an
-    `arm` that supports less (`cablesense_sim.load_capacity`).
+    """The protocol with the options that `Protocol.options` gave, and those `borne_by` an arm.
 
     Raises:
         DatasetError: unknown protocol, unknown option, or a value out of range.
@@ -404,12 +379,19 @@ def protocol_from_options(options: dict[str, Any], arm: Arm | None = None) -> Pr
         contacts = at_once if protocol is MultiContact else 1
         if protocol.anywhere:
             arm = _touched_at_its_end(arm)
-        if "force_high_n" not in given:
-            given["force_high_n"] = contact_range_n(arm, protocol.force_high_n, contacts)
-        if "pose_range_deg" not in given and given.get("pose") == "random":
-            force_n = given["force_high_n"]
-            given["pose_range_deg"] = pose_range_deg(arm, protocol.pose_range_deg, force_n)
+        given = borne_by(arm, protocol, given, contacts)
     return protocol(**given)
+
+
+def borne_by(arm: Arm, protocol: Any, given: dict[str, Any], contacts: int = 1) -> dict[str, Any]:
+    """Options with the largest force and pose, where not given, as usual or as the arm bears."""
+    options = dict(given)
+    if "force_high_n" not in options:
+        options["force_high_n"] = contact_range_n(arm, protocol.force_high_n, contacts)
+    if "pose_range_deg" not in options and options.get("pose", protocol.pose) == "random":
+        usual_deg, force_n = protocol.pose_range_deg, options["force_high_n"]
+        options["pose_range_deg"] = pose_range_deg(arm, usual_deg, force_n)
+    return options
 
 
 def _touched_at_its_end(arm: Arm) -> Arm:

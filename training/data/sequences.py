@@ -1,9 +1,8 @@
 """Sequences of samples in motion: tensions along trajectories, with the contacts behind them.
 
 Commands are as people and controllers give them: moves from pose to pose, and streams of steps.
-Contacts come, grow, turn and go. `draw_sequences` gives the sequences that arm, protocol and seed
-determine, the same for any number of worker processes. True tensions come from MuJoCo in time, or
-along a quasi-static path where the arm is history-dependent.
+Contacts come, grow, turn and go. True tensions come from MuJoCo in time, or along a quasi-static
+path where the arm is history-dependent.
 """
 
 from __future__ import annotations
@@ -39,13 +38,10 @@ class MotionProtocol(Options):
     """Options of a run of sequences.
 
     Attributes:
-        sequences: number of sequences, independent of each other.
-        duration_s: of each.
+        sequences: number of independent sequences.
         tick_s: time from sample to sample.
         pose_range_deg: joint angles are commanded within plus or minus this.
-        joint_speed_deg_s: peak speed of a move, as the parameter of that name of sim and
-            estimator.
-        force_high_n: strongest contact.
+        joint_speed_deg_s: peak speed of a move, as the parameter of that name of the nodes.
         tare_samples: readings averaged into the unloaded state, which is taken once, at the start.
         noise: whether the sensors' noise and step act.
     """
@@ -202,10 +198,7 @@ class ContactTrajectory(NamedTuple):
 def drawn_contacts(
     protocol: MotionProtocol, segment_count: int, rng: np.random.Generator
 ) -> ContactTrajectory:
-    """One contact at a time, with pauses between; most swell, and turn a little, while they last.
-
-    A contact rises within 20 ms to 1.5 s, holds, and falls likewise. A third are weak.
-    """
+    """One contact at a time, with pauses between; many swell or turn a little while they last."""
     ticks = protocol.ticks
     segment = np.zeros(ticks, dtype=np.int64)
     angle, magnitude = np.zeros(ticks), np.zeros(ticks)
@@ -236,15 +229,13 @@ class Sequences(RunRows):
     """S sequences of T ticks of an arm with N segments and M cables.
 
     Attributes:
-        arm, protocol, seed: what determines them.
         before_rad: (S, W, 2N) set-points before the first tick, from rest to rest, as far as an
             estimator knows them: one that was started later knows of the last alone.
         tension_difference_n: (S, T, M) readings minus the unloaded tensions at the set-point: the
             tare of the sequence's start, carried along by the arm's model.
         joint_command_rad, joint_speed_rad_s, joint_acceleration_rad_s2: (S, T, 2N) set-points.
         segment: (S, T) touched segment, 0 for none.
-        angle_deg: (S, T) contact angle at the set-point; 0 where nothing touches.
-        magnitude_n: (S, T) force; 0 where nothing touches.
+        angle_deg, magnitude_n: (S, T) of the contact at the set-point; 0 where nothing touches.
     """
 
     protocol: MotionProtocol
@@ -373,8 +364,8 @@ def _quasi_static_tensions_n(
 ) -> Array:
     """(S, T, M) tensions of history-dependent arms, side by side, under loads (S, T, N, 3).
 
-    Each goes through set-points (S, W, 2N) before those (S, T, 2N) that are asked for. NaN for
-    sequences in which an arm finds no rest.
+    Set-points are (S, W, 2N) before the first tick, then (S, T, 2N). NaN for sequences in which an
+    arm finds no rest.
     """
     before = before_rad.shape[1]
     path = np.concatenate([before_rad, command_rad], axis=1).swapaxes(0, 1)

@@ -1,8 +1,8 @@
 """Errors of contacts anywhere, segment by segment, their Cramér-Rao bounds, and baselines.
 
-The bound is that of Cramér and Rao, of all components of the force and the place at once, with the
-posterior's priors of the axial force and of the place: without them a straight arm determines no
-axial force, and segment 1 no place. Errors over the bound are one where an estimate is efficient.
+The bound is of all components of the force and the place at once, with the posterior's priors of
+the axial force and of the place: without them a straight arm determines no axial force, and
+segment 1 no place. Errors over the bound are one where an estimate is efficient.
 """
 
 from __future__ import annotations
@@ -26,8 +26,12 @@ from cablesense_sim.contact_location import (
     locate_two,
 )
 from cablesense_training.data.dataset import Dataset
-from cablesense_training.evaluation.metrics import mean_or_nan, plain_values
-from cablesense_training.evaluation.noise_bound import reading_variance_n2, tension_gain
+from cablesense_training.evaluation.metrics import (
+    mean_or_nan,
+    plain_values,
+    reading_variance_n2,
+    tension_gain,
+)
 from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import Estimator
 
@@ -47,14 +51,9 @@ _FALSE_CONTACTS = 1e-5
 
 
 class LocatedContacts(NamedTuple):
-    """Answers on B samples, with 95 % intervals if they have any.
+    """Answers on B samples as `Location` has them, with 95 % intervals if there are any.
 
-    Attributes:
-        segment: (B,) from 1 on, 0 for none.
-        place_m: (B,) distance from the segment's joint centre.
-        force_n: (B, 3) along the axes of that segment at the commanded angles.
-        moment_n_m: (B,) about the joint centre.
-        place_ci95_m, magnitude_ci95_n: (B, 2) of the place and of the force normal to the segment.
+    `moment_n_m` is (B,) about the joint centre.
     """
 
     segment: NDArray[np.int64]
@@ -82,10 +81,7 @@ class LocatedContacts(NamedTuple):
 class BoundedErrors:
     """Absolute errors of one number over a set of contacts, in its unit; NaN of none.
 
-    Attributes:
-        median, rms, quantile95: of the errors.
-        rms_over_bound, median_over_bound: of the errors over their standard deviations at best;
-            one where they are normal with these.
+    Those over the bound are one where errors are normal with their standard deviations at best.
     """
 
     median: float
@@ -117,11 +113,8 @@ class SegmentErrors:
         contacts: their number.
         segment_right: share of them.
         clear_segment_right: share of those whose place is `CLEAR_STD` deviations from the ends.
-        place_mm: along the segment.
         normal_n, axial_n: of the force's magnitude normal to the segment, and along it.
-        moment_n_m: about the joint centre.
-        place_coverage95, normal_coverage95: share of the intervals that hold the truth; NaN of
-            answers without intervals.
+        place_coverage95, normal_coverage95: share of the intervals that hold the truth, or NaN.
     """
 
     contacts: int
@@ -158,8 +151,7 @@ class AnywhereMetrics:
     """Metrics over a dataset of protocol `anywhere`.
 
     Attributes:
-        untouched: samples without a contact.
-        false_contacts: those of them that were answered with one.
+        untouched, false_contacts: samples without a contact, and those answered with one.
         segments: by segment, from 1 on.
         pairs: two contacts at once; None where the answers are of one.
     """
@@ -186,7 +178,7 @@ class AnywhereMetrics:
 def bound_covariance(dataset: Dataset, count: int) -> Array:
     """(B, 4K, 4K) bound on the covariance of (f_x, f_y, f_z, place) of `count` = K contacts each.
 
-    All samples have K contacts; forces are along the axes of the segments at the command.
+    Forces are along the axes of the segments at the command.
 
     Raises:
         EquilibriumError: the arm has no rest under one of the samples' contacts.

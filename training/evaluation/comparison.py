@@ -1,33 +1,40 @@
 """The one evaluation of estimators: their errors on a dataset, and every bundled model compared.
 
 A `Setting` is an arm, poses and the models that answer: the shipped model and its baselines, with
-the noise bound on the same fresh samples.
+the noise bound on the same fresh samples. The paper's Table II has tensions that were measured on
+the physical arm: loads of 1 and 2 kg hung at mid-segment on segments 1 to 3 of a three-segment,
+nine-cable arm, straight and level.
 """
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_base.installation import config_path
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact, Pose, SingleContact
+from cablesense_training.errors import ModelFileError
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
     ContactTruth,
     MultiContactMetrics,
+    NoiseBound,
     SingleContactMetrics,
     multi_contact_metrics,
+    noise_bound,
     plain_values,
     single_contact_metrics,
 )
-from cablesense_training.evaluation.noise_bound import NoiseBound, noise_bound
-from cablesense_training.inference.estimator import Estimator, MultiEstimator
+from cablesense_training.inference.estimator import Estimate, Estimator, MultiEstimator
 from cablesense_training.inference.metadata import find_model
 
 SHIPPED = "shipped"
@@ -44,6 +51,14 @@ TABLE2_MODELS = {
 }
 """Models of the three-segment arm, likewise."""
 
+STANDARD_GRAVITY_M_S2 = 9.81
+"""The paper's conversion: its 2 kg load counts as 19.62 N."""
+
+DOWN_DEG = 180.0
+"""Contact angle of a hung load on the level arm: -z."""
+
+_TABLE2_CABLES = 9
+
 WEAKEST_MULTI_N = 5.0
 """Recognition of several contacts is judged on forces of at least this."""
 
@@ -56,8 +71,7 @@ class Setting:
     """One column of the comparison, as `cablesense evaluate --json` names it; single contacts.
 
     Attributes:
-        pose: straight, or joints within ± 10 degrees: known to pose-aware models, unknown to the
-            others.
+        pose: straight, or joints within ± 10 degrees, which pose-aware models know.
         models: bundled models by the name that reports use; the first is the shipped one.
     """
 
@@ -112,10 +126,9 @@ class MultiEvaluation(NamedTuple):
 
 
 class SettingEvaluation(NamedTuple):
-    """One setting: its models by name, and the bound, all on the same samples.
+    """Models by name and the bound on the same samples.
 
-    Attributes:
-        firm_ratio: magnitude MAE of the shipped model over that of the bound, contacts above 2 N.
+    `firm_ratio` is the shipped model's magnitude MAE over the bound's, of contacts above 2 N.
     """
 
     models: dict[str, SingleContactMetrics]
@@ -136,11 +149,7 @@ def evaluate_estimator(estimator: Estimator, dataset: Dataset) -> Evaluation:
 
 
 def evaluate_models(models: Mapping[str, str], dataset: Dataset) -> dict[str, Evaluation]:
-    """Bundled single-contact models, or files, on a dataset of their arm.
-
-    Raises:
-        ModelFileError: a model is missing or does not fit the dataset's arm.
-    """
+    """Bundled single-contact models, or files, on a dataset of their arm."""
     return {
         name: evaluate_estimator(Estimator.load(find_model(model), dataset.arm), dataset)
         for name, model in models.items()
@@ -186,8 +195,7 @@ def compare(
 ) -> dict[str, Any]:
     """Draw `samples` fresh samples a setting and let every bundled model answer.
 
-    Gives plain values, as `cablesense evaluate --json` prints them; `coverage95` is that of
-    shipped models.
+    Gives plain values, as `cablesense evaluate --json` prints them.
 
     Raises:
         ModelFileError: a bundled model is missing or does not fit its arm.
@@ -238,3 +246,47 @@ def metrics_json(metrics: SingleContactMetrics) -> dict[str, Any]:
         for part in metrics.bins
     ]
     return dict(plain_values({**overall, "by_force": by_force}))
+
+
+class HungLoad(NamedTuple):
+    """A load of Table II on a segment, `physical` or `simulated`, and changes (9,) of tensions."""
+
+    source: str
+    segment: int
+    weight_n: float
+    tension_difference_n: Array
+
+
+def read_table2() -> list[HungLoad]:
+    """The rows of Table II, physical and simulated, from the bundled file."""
+    cables = [f"cable_{i + 1}_n" for i in range(_TABLE2_CABLES)]
+    with config_path("measurements/table2.csv").open(newline="", encoding="utf-8") as file:
+        return [
+            HungLoad(
+                source=row["source"],
+                segment=int(row["load_segment"]),
+                weight_n=float(row["load_kg"]) * STANDARD_GRAVITY_M_S2,
+                tension_difference_n=np.array([float(row[name]) for name in cables]),
+            )
+            for row in csv.DictReader(file)
+        ]
+
+
+def evaluate_table2(estimator: Estimator) -> list[tuple[HungLoad, Estimate]]:
+    """The loads on the physical arm, with what a model of the three-segment arm answers to each.
+
+    Raises:
+        ModelFileError: the model is for an arm of other cables.
+    """
+    metadata = estimator.metadata
+    if metadata.arm.cable_count != _TABLE2_CABLES:
+        raise ModelFileError(
+            f"a model of arm {metadata.arm_identity} with {metadata.arm.cable_count} cables; "
+            f"Table II was measured on one with {_TABLE2_CABLES}, such as cdsm_table2"
+        )
+    straight = np.zeros(metadata.arm.joint_count)
+    return [
+        (load, estimator.estimate(load.tension_difference_n, straight))
+        for load in read_table2()
+        if load.source == "physical"
+    ]

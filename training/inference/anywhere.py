@@ -1,7 +1,6 @@
-"""A model of contacts anywhere: the balance of torques from the graph, then its posterior.
+"""A model of contacts anywhere: its graph makes a `TorqueBalance` (`networks.statics`).
 
-The graph makes a `TorqueBalance` of tensions (`networks.statics`); the posterior of place and
-force within the arm's reach follows from it (`cablesense_sim.contact_location`).
+The posterior of place and force in the reach follows (`cablesense_sim.contact_location`).
 """
 
 from __future__ import annotations
@@ -69,24 +68,16 @@ class AnywhereEstimator(Estimator):
     def locate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> tuple[Location, Array]:
-        """The contacts behind differences (B, M) at commands (B, 2N) or (2N,), and misfits (B,).
-
-        Raises:
-            EstimateError: see its docstring.
-        """
+        """Contacts behind differences (B, M) at commands (B, 2N) or (2N,), and misfits (B,)."""
         balance, residual = self.balance_batch(tension_differences_n, joint_commands_rad)
         found = locate(balance, self.reach_m, self.surface)
-        each = zip(found.chi2.tolist(), residual, strict=True)
-        return found, np.array([_misfit(chi2, left, 1) for chi2, left in each])
+        misfits = map(_misfit, found.chi2.tolist(), residual)
+        return found, np.array(list(misfits))
 
     def balance_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> tuple[TorqueBalance, Array]:
-        """The balance of torques of differences (B, M), and the residuals (B, M) of lengths.
-
-        Raises:
-            EstimateError: see its docstring.
-        """
+        """The balance of torques of differences (B, M), and the residuals (B, M) of lengths."""
         *balance, residual = self._batch(tension_differences_n, joint_commands_rad)
         return TorqueBalance(*balance), residual
 
@@ -146,14 +137,14 @@ class AnywhereEstimator(Estimator):
                 covariance=covariance,
                 moment_n_m=math.hypot(*found.moment_n_m[row].tolist()),
                 force_known=is_known(high_n - low_n, size_n),
-                misfit=_misfit(chi2, residual, 1),
+                misfit=_misfit(chi2, residual),
                 log_evidence=found.log_evidence.item(row),
                 chi2=max(chi2, 0.0),
             ),
         )
 
 
-def _misfit(chi2: float, residual: Array, contacts: int) -> float:
+def _misfit(chi2: float, residual: Array, contacts: int = 1) -> float:
     """Root mean square of all residuals, by chi² of torques and residuals (M,) of lengths."""
     free = max(len(residual) - _NUMBERS * contacts, 1)
     return math.sqrt((max(chi2, 0.0) + float(residual.dot(residual))) / free)

@@ -1,7 +1,8 @@
 """Estimators in model files: one contact or several, from each sample by itself or one by one.
 
 They take tension differences against the unloaded arm, N; pose-aware models also the commanded
-joint angles, rad.
+joint angles, rad. An `EstimateError` refuses inputs of a wrong shape or that are not finite, a
+command that is missing, and answers that are not finite.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class ContactPlace(NamedTuple):
             where the neighbour may be touched.
         along_n: force along the segment, towards its end.
         covariance: (4, 4) of the place, m, and the force along the segment's axes, N.
-        moment_n_m: moment of the normal force about the joint centre.
+        moment_n_m: of the normal force about the joint centre.
         force_known: whether the tensions determine the normal force; else only its moment.
         misfit: root mean square of the readings' residuals, in their standard deviations.
         log_evidence: of one contact against none.
@@ -82,7 +83,6 @@ class Estimate(NamedTuple):
         angle_deg: contact angle in [0, 360), in the normal plane of the segment at the commanded
             angles, from +z towards +y.
         magnitude_n: force; without a contact, that of the likeliest segment.
-        magnitude_std_n, angle_std_deg: stated standard deviations.
         low_n, high_n: between which the force lies with 95 %, where there is a contact. A
             recurrent model answers one only where this does not begin at 0.
         place: of a contact anywhere; None from a model of contacts at the arm file's points.
@@ -113,10 +113,7 @@ class Estimates(NamedTuple):
 
     @classmethod
     def of_outputs(cls, outputs: Sequence[Array]) -> Estimates:
-        """Estimates from a model's `OUTPUTS`, and its `INTERVAL` if it has one.
-
-        Leading axes may be any; values that are not finite stay so.
-        """
+        """Estimates from a model's `OUTPUTS` with any leading axes, and its `INTERVAL` if any."""
         probability, direction, magnitude_n, std_n, angle_std_deg, *interval_n = outputs
         angle_deg = np.rad2deg(np.arctan2(direction[..., 0], direction[..., 1])) % 360.0 % 360.0
         segment = probability.argmax(axis=-1)
@@ -138,11 +135,7 @@ class Estimates(NamedTuple):
 
 
 def finite_table(values: ArrayLike, columns: int, what: str, rows: int | None = None) -> Array:
-    """Finite numbers (B, columns) from (B, columns) or (columns,), of `rows` rows or any number.
-
-    Raises:
-        EstimateError: a wrong shape, or numbers that are not finite.
-    """
+    """Finite numbers (B, columns) from (B, columns) or (columns,), of `rows` or any number."""
     try:
         table = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -159,17 +152,12 @@ def finite_table(values: ArrayLike, columns: int, what: str, rows: int | None = 
 
 
 class ContactEstimator(OpenedModel):
-    """The common base of estimators: an `EstimateError` refuses inputs that do not fit the model.
+    """The common base of estimators."""
 
-    The same refuses answers that are not finite.
-    """
-
-    def answers(self, inputs: dict[str, Array], names: Sequence[str] | None = None) -> list[Array]:
-        """The model's outputs, those of these `names` where some are asked for.
-
-        Raises:
-            EstimateError: an answer is not finite.
-        """
+    def _finite_outputs(
+        self, inputs: dict[str, Array], names: Sequence[str] | None = None
+    ) -> list[Array]:
+        """What `run` gives, if it is finite."""
         outputs = self.run(inputs, names)
         if not all(np.isfinite(output).all() for output in outputs):
             raise EstimateError(_NO_ANSWER)
@@ -180,7 +168,7 @@ class ContactEstimator(OpenedModel):
         inputs = {TENSION: self._tensions(tensions_n)}
         if self.pose_aware:
             inputs[COMMAND] = self._commands(commands_rad, len(inputs[TENSION]))
-        return self.answers(inputs)
+        return self._finite_outputs(inputs)
 
     def _tensions(self, values: ArrayLike, rows: int | None = None) -> Array:
         count = self.metadata.arm.cable_count
@@ -213,13 +201,7 @@ class Estimator(ContactEstimator):
     def estimate(
         self, tension_difference_n: ArrayLike, joint_command_rad: ArrayLike | None = None
     ) -> Estimate:
-        """The contact behind tension differences (M,) at commanded joint angles (2N,).
-
-        The part of the graph that depends on the command alone runs when the command changes.
-
-        Raises:
-            EstimateError: see its docstring.
-        """
+        """The contact behind tension differences (M,) at commanded joint angles (2N,)."""
         estimate = self._of_one(self._outputs(tension_difference_n, joint_command_rad))
         if not math.isfinite(sum(estimate.probabilities.tolist()) + sum(estimate[2:8])):
             self._tensions(tension_difference_n, 1)
@@ -250,11 +232,7 @@ class Estimator(ContactEstimator):
     def estimate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> Estimates:
-        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,).
-
-        Raises:
-            EstimateError: see its docstring.
-        """
+        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,)."""
         return Estimates.of_outputs(self._batch(tension_differences_n, joint_commands_rad))
 
     def estimate_sequences(self, sequences: Sequences) -> Estimates:
@@ -273,7 +251,10 @@ class Estimator(ContactEstimator):
 
 
 class SequenceEstimator(ContactEstimator, ABC):
-    """A single-contact model that takes samples one after another; for one thread at a time."""
+    """A single-contact model that takes samples one after another; for one thread at a time.
+
+    The samples given since `forget`, their times and their set-points determine its answers.
+    """
 
     @abstractmethod
     def forget(self) -> None:
@@ -298,7 +279,6 @@ class SequenceEstimator(ContactEstimator, ABC):
         """The contact behind tension differences (M,) at a set-point (2N,) in motion or at rest.
 
         Raises:
-            EstimateError: a wrong shape, or numbers that are not finite.
             EquilibriumError: a simulated arm has no rest where it is set to be.
         """
         joints = self.metadata.arm.joint_count
@@ -311,11 +291,7 @@ class SequenceEstimator(ContactEstimator, ABC):
         return self._answer(inputs, time_s)
 
     def estimate_sequences(self, sequences: Sequences) -> Estimates:
-        """Estimates (S, T) of sequences, the tare being that of the first tick of each.
-
-        Raises:
-            EstimateError: an answer is not finite.
-        """
+        """Estimates (S, T) of sequences, the tare being that of the first tick of each."""
         tick_s, found = sequences.protocol.tick_s, []
         for number in range(len(sequences)):
             self.forget()
@@ -332,13 +308,7 @@ class SequenceEstimator(ContactEstimator, ABC):
 
 
 class MultiEstimates(NamedTuple):
-    """B estimates of an arm with N segments, all (B, N).
-
-    Attributes:
-        probabilities: that a segment is touched.
-        magnitude_n: force on it, meant where it is touched.
-        magnitude_std_n: stated standard deviation.
-    """
+    """B estimates, all (B, N): of each segment that it is touched, and if so, its force."""
 
     probabilities: Array
     magnitude_n: Array
@@ -353,9 +323,5 @@ class MultiEstimator(ContactEstimator):
     def estimate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> MultiEstimates:
-        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,).
-
-        Raises:
-            EstimateError: wrong shape, not finite, or a command that is missing.
-        """
+        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,)."""
         return MultiEstimates(*self._batch(tension_differences_n, joint_commands_rad))

@@ -1,13 +1,11 @@
 """An estimator with friction, creep and backlash, from a simulation that runs with the arm.
 
-An arm whose readings depend on history is simulated along with the real one, from sample to
-sample, under the load that explains the readings. The part of history in the simulated readings is
-subtracted from the real ones, and the model file's network, made for the same arm without history,
-answers the difference.
+The arm is simulated from sample to sample under the load that explains the readings. The part of
+history in the simulated readings is subtracted from the real ones, and the model file's network,
+made for the same arm without history, answers the difference.
 
 A reading may not follow a changed load while a cable sticks. The load is therefore kept while it
-explains the readings, and none is assumed if none explains them. An arm that has not moved yet is
-assumed to have none.
+explains the readings, and none is assumed if none explains them.
 """
 
 from __future__ import annotations
@@ -45,12 +43,9 @@ _TICK_S = 0.05
 _OFF = 3.5
 """Another load is sought if the squared misfit exceeds that of noise, or that of the best earlier
 load, by this many standard deviations: once in 500 samples by noise alone, with twelve cables."""
-_RELEASED = 12.0
-"""A load is kept if it lowers the squared misfit by this much, times the unexplained part. Chance
-alone does so once in 400 samples, with two components of a force."""
-_HIDDEN = 4.0
-"""A change of the load shows with 95 % if it raises the squared misfit by this much, times the
-unexplained part."""
+_RELEASED, _HIDDEN = 12.0, 4.0
+"""A load is kept if it lowers the squared misfit by this much, times the unexplained part: chance
+does so once in 400 samples. A change of the load shows with 95 % if it raises it by this much."""
 _WIDENED, _LEAST_HIDDEN_N, _MOST_HIDDEN_N = 2, 0.01, 100.0
 _PROBE_N = 0.3
 """Step of the numeric derivative by the force."""
@@ -68,7 +63,7 @@ def remembered(arm: Arm) -> Arm:
     """The arm with those effects that a parallel simulation can follow, without initial states.
 
     Excluded are effects on loads, which are not the arm's, and drifting sensors, whose drift has
-    no known beginning. The initial friction state of another run does not apply to this one.
+    no known beginning. Initial friction states are those of another run.
     """
     kept = []
     for listed, entry in zip(arm.effects, entries_of(arm), strict=True):
@@ -145,12 +140,7 @@ _NOTHING = _Load(0, np.zeros(2))
 
 
 class HistorySimulation:
-    """An arm that is simulated along with the real one, and the effect of history on readings.
-
-    Args:
-        arm: the arm with its known effects.
-        tare_samples: readings averaged into a tare.
-    """
+    """An arm that is simulated along with the real one, and the effect of history on readings."""
 
     def __init__(self, arm: Arm, tare_samples: int) -> None:
         self._arm = remembered(arm)
@@ -167,17 +157,13 @@ class HistorySimulation:
         self.tare()
 
     def tare(self) -> None:
-        """The next sample is one of the unloaded arm, with the history that it has."""
+        """The next sample is one of the unloaded arm, with its history."""
         self._bias_n: Array | None = None
         self._load, self._usual = _NOTHING, 0.0
         self._unexplained_n = self._history_n = np.zeros(self._arm.cable_count)
 
     def unloaded(self, time_s: float, command_rad: Array) -> None:
-        """The arm is untouched at a command (2N,); differences are relative to its readings.
-
-        Raises:
-            EquilibriumError: the arm has no rest there.
-        """
+        """The arm is untouched at a command (2N,); differences are relative to its readings."""
         self.tare()
         none = np.zeros((4, self._arm.segment_count, 3))
         bias = self._arms.readings_n(time_s, command_rad, none)[0]
@@ -191,8 +177,8 @@ class HistorySimulation:
     def without_n(self, difference_n: Array, time_s: float, command_rad: Array) -> Array:
         """The difference (M,) of readings without the effect of history, at a command (2N,).
 
-        Differences are relative to the tare, and follow commands as unloaded tensions do. If the
-        time runs back by over a tick, the history ends and the arm counts as unloaded.
+        Differences are relative to the tare, and follow commands as unloaded tensions do. Where
+        time runs back by over a tick, the arm counts as unloaded and without a past.
 
         Raises:
             EquilibriumError: the arm has no rest there.
@@ -366,10 +352,7 @@ class HistorySimulation:
 
 
 class HistoryEstimator(SequenceEstimator):
-    """A memoryless single-contact model that follows a simulation of its arm's history.
-
-    Its state is determined by the samples since `forget`, their times and their set-points.
-    """
+    """A memoryless single-contact model that follows a simulation of its arm's history."""
 
     outputs = OUTPUTS
 
@@ -382,14 +365,14 @@ class HistoryEstimator(SequenceEstimator):
         self._simulation.forget()
 
     def tare(self) -> None:
-        """See the base class; the next sample counts as one of the unloaded arm."""
+        """See the base class; so does this."""
         self._simulation.tare()
 
     def _answer(self, inputs: dict[str, Array], time_s: float) -> Estimate:
         """See the base class; speeds and accelerations are ignored, as the arm goes by rests.
 
-        A contact is answered if the readings require a load, however uncertain its size: its
-        interval may begin at zero. Otherwise the interval ends at the force that may act unseen.
+        A contact is answered if the readings require a load, though its interval may begin at
+        zero. Otherwise the interval ends at the force that may act unseen.
         """
         difference_n, command_rad = inputs[TENSION][0], inputs[COMMAND][0]
         freed_n = self._simulation.without_n(difference_n, time_s, command_rad)

@@ -63,7 +63,7 @@ class MisfitLimit(BaseModel):
             a multiple of that of noise.
         false_alarm_rate: share of healthy samples above it that was aimed at, by the tail of a
             chi-square distribution as wide as the simulated misfits.
-        samples, above: how many were simulated, and how many of these were above it.
+        samples, above: how many were simulated, and were above it.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -78,27 +78,22 @@ class ModelMetadata(BaseModel):
     """Purpose and origin of a model; one JSON text in the ONNX file's metadata.
 
     Attributes:
-        format: `FORMAT`.
         kind: single contact with direction, several contacts with magnitudes, both at the contact
             points of the arm file; or the statics of contacts anywhere.
-        network: the network's name, as `cablesense train --network` takes it.
-        arm: the whole arm description.
-        arm_identity: name and hash of that arm.
+        network: as `cablesense train --network` takes it.
+        arm_identity: name and hash of the arm.
         cable_names, joint_names: order of the inputs.
-        units: of inputs and outputs by their names.
         pose_aware: whether the commanded joint angles are an input.
-        pose_range_deg: joint angles within ± this were trained on.
-        force_range_n: forces up to this were trained on.
+        pose_range_deg, force_range_n: joint angles within ± this and forces up to this were
+            trained on.
         tare_samples: readings averaged into the unloaded state in training.
-        memory: size of the state that the model carries from tick to tick; 0 of one without.
-        hidden: size of its part that belongs to the recurrent unit, see `TemporalState`.
-        tick_s: time from tick to tick; 0 of a model without memory.
-        joint_speed_deg_s: peak speed of the moves it was trained on; 0 of a model without memory.
-        effect_versions: of the laws of the arm's effects that it was trained on; 1 of those that
-            are not named.
+        memory, hidden: sizes of the state that is carried from tick to tick, 0 of a model without
+            memory, and of its part that belongs to the recurrent unit, see `TemporalState`.
+        tick_s: time from tick to tick.
+        joint_speed_deg_s: peak speed of the moves that a model with memory was trained on.
+        effect_versions: of the laws of the arm's effects that it was trained on, if not 1.
         command, seed: what makes the file again.
         version: of CableSense.
-        misfit_limit: of readings at rest; none where the file has none.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -138,11 +133,7 @@ class ModelMetadata(BaseModel):
 
     @classmethod
     def from_properties(cls, properties: Mapping[str, str], source: str) -> ModelMetadata:
-        """From ONNX metadata properties.
-
-        Raises:
-            ModelFileError: not a CableSense model, or one of another format.
-        """
+        """From ONNX metadata properties; a `ModelFileError` says what is wrong with them."""
         if _KEY not in properties:
             raise ModelFileError(
                 f"{source}: an ONNX file, but not a CableSense model (no metadata {_KEY!r}); "
@@ -204,10 +195,9 @@ def bundled_models() -> list[str]:
 
 
 def find_model_of(arm: Arm, arm_file: str, model: str = "") -> Path:
-    """The model file of a name or a path; by default the arm's bundled one.
+    """The model file of a name or a path; by default the arm's bundled one, of contacts anywhere.
 
-    That is the one of contacts anywhere (`cdsm_anywhere`) if there is one, or else that of the
-    arm's name.
+    Without such a model (`cdsm_anywhere`) it is that of the arm's name.
 
     Raises:
         ModelFileError: as `find_model`, or no model is bundled for the arm.

@@ -1,8 +1,4 @@
-"""Model files from outside: read, and checked before any of a graph is run.
-
-Plain operators on the numbers in the file and nothing beyond (`require_harmless`), in bounded
-memory and work for a sample (`require_bounded`).
-"""
+"""Model files from outside: read, and checked before any of a graph is run."""
 
 from __future__ import annotations
 
@@ -85,21 +81,13 @@ def one_line(error: Exception) -> str:
 
 
 def replace_misfit_limit(path: Path, limit: MisfitLimit | None) -> None:
-    """Put another limit of the misfit, or none, into a model file; all else of it stays.
-
-    Raises:
-        ModelFileError: no model file, or it cannot be written.
-    """
+    """Put another limit of the misfit, or none, into a model file; all else of it stays."""
     model, _ = read_model(path)
     write_atomically(path, _with_misfit_limit(model, limit), ModelFileError)
 
 
 def model_sha256(path: str | Path) -> str:
-    """SHA-256 of a model file without its limit of the misfit, which no estimate follows from.
-
-    Raises:
-        ModelFileError: no model file.
-    """
+    """SHA-256 of a model file without its limit of the misfit, which no estimate follows from."""
     model, _ = read_model(path)
     return hashlib.sha256(_with_misfit_limit(model, None)).hexdigest()
 
@@ -145,11 +133,7 @@ def widen_constants(graph: GraphProto) -> None:
 
 
 def require_harmless(model: ModelProto, source: str) -> None:
-    """Refuse a graph that is more than operators on the numbers in this very file.
-
-    Raises:
-        ModelFileError: external data, nested graphs, functions, other operators, huge tensors.
-    """
+    """Refuse a graph that is more than plain operators on the numbers in this very file."""
     graph = model.graph
     problem = ""
     if model.functions or model.training_info or graph.sparse_initializer:
@@ -180,11 +164,7 @@ def require_harmless(model: ModelProto, source: str) -> None:
 
 
 def require_bounded(model: ModelProto, source: str) -> None:
-    """Refuse a graph whose tensors have no size that is certain beforehand, or that are huge.
-
-    Raises:
-        ModelFileError: names the tensor, or the number.
-    """
+    """Refuse a graph whose memory or work for a sample is huge, or not certain beforehand."""
     if len(model.graph.node) > MAX_NODES:
         raise ModelFileError(
             f"{source}: has {len(model.graph.node)} operators; a model has at most {MAX_NODES}"

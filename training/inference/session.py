@@ -1,11 +1,10 @@
 """A model opened: tried, run for any number of samples, or quickly for one after another.
 
-For single samples, inputs and outputs are bound once to buffers that stay where they are, which
-spares ONNX Runtime's looking up of names, and the making of arrays, at every sample. The graph is
-split into three parts by how often their results change. Commands change seldom, the set of slack
-cables now and then, tensions a thousand times a second. The part that depends on the command
-alone is *steady*; what depends on the command and on one named tensor is *held* while that tensor
-stays the same; the rest is *moving*, and computes that tensor too.
+For single samples, inputs and outputs are bound once to buffers that stay where they are. The
+graph is split into three parts by how often their results change: commands change seldom, the set
+of slack cables now and then, tensions a thousand times a second. The part that depends on the
+command alone is *steady*; what depends on the command and on one named tensor is *held* while that
+tensor stays the same; the rest is *moving*, and computes that tensor too.
 """
 
 from __future__ import annotations
@@ -63,8 +62,6 @@ class OpenedModel:
     """A model whose file has been checked, and which has answered once; for one thread at a time.
 
     Attributes:
-        metadata: the model's description, as its file has it.
-        model: the graph.
         beside: the further outputs of the model: `TAUT` or `INTERVAL`, or none.
     """
 
@@ -100,8 +97,8 @@ class OpenedModel:
     def load(cls, path: str | Path, arm: Arm | None = None) -> Self:
         """Open a model file, for a certain arm where one is given.
 
-        A model made for the same arm without its effects or some of them, whatever that is named,
-        fits as well: it answers without knowledge of the others.
+        A model made for the same arm without its effects or some of them fits as well, whatever
+        that is named.
 
         Raises:
             ModelFileError: the file is no model of this kind, or not one for this arm.
@@ -118,8 +115,7 @@ class OpenedModel:
     ) -> list[Array]:
         """The model's `outputs` for the inputs that `input_widths` names, each (B, width).
 
-        Raises:
-            ModelFileError: ONNX Runtime cannot run the model.
+        A `ModelFileError` says why ONNX Runtime cannot run it.
         """
         parts = []
         for start in range(0, len(inputs[TENSION]), _ROWS_AT_ONCE):
@@ -188,10 +184,7 @@ def open_session(model: ModelProto) -> onnxruntime.InferenceSession:
 class GraphParts(NamedTuple):
     """Parts of one graph; a part's outputs are inputs of later parts, by the same names.
 
-    Attributes:
-        steady: from the inputs that do not change; None where there is nothing in it to keep.
-        held: from those, the steady part and the held tensor; None likewise.
-        moving: from all that and the changing input to the graph's outputs.
+    Those in which there is nothing to keep are None.
     """
 
     steady: ModelProto | None
@@ -258,9 +251,7 @@ _Bound = tuple[onnxruntime.InferenceSession, onnxruntime.IOBinding]
 
 
 class SingleRun:
-    """A model bound to buffers of one sample; not for use from several threads at once.
-
-    A `ModelFileError` says where ONNX Runtime cannot run a part of it.
+    """A model bound to buffers of one sample; a `ModelFileError` says why it cannot be run.
 
     Attributes:
         tension_difference_n: (M,) to be filled in before `run`.
@@ -301,26 +292,17 @@ class SingleRun:
         return session, binding
 
     def set_command(self, joint_command_rad: Array) -> None:
-        """Take over what the graph makes of commanded angles (1, 2N) alone.
-
-        Raises:
-            ModelFileError: ONNX Runtime cannot run the model.
-        """
+        """Take over what the graph makes of commanded angles (1, 2N) alone."""
         self._buffers[COMMAND][:] = joint_command_rad
         self._run(self._steady)
         self._taut = b""
 
     def run(self) -> None:
-        """Answer for `tension_difference_n` at the command last set, into `outputs`.
-
-        The answer stands if the cables found taut are those that the held part was computed for.
-
-        Raises:
-            ModelFileError: ONNX Runtime cannot run the model.
-        """
+        """Answer for `tension_difference_n` at the command last set, into `outputs`."""
         self._run(self._moving)
         if self._held is None:
             return
+        # the answer stands if the cables found taut are those that the held part is for
         taut = self._buffers[TAUT].tobytes()
         if taut != self._taut:
             self._run(self._held)

@@ -1,8 +1,4 @@
-"""The history-dependent estimator: samples along a motion in, one contact for each out.
-
-`TemporalState` is the layout of what such a model carries from tick to tick. `open_estimator`
-opens any single-contact model file with the class that fits it.
-"""
+"""The history-dependent estimator: samples along a motion in, one contact for each out."""
 
 from __future__ import annotations
 
@@ -37,10 +33,7 @@ class TemporalState:
     share from -1 to 1 for each cable and give; those lengths (M,) and the set-point (2N,); shares
     and set-point as they were at the tare; one where all this is known, and zero before that.
 
-    Attributes:
-        hidden: size of the recurrent unit's state.
-        shares: number of shares, M times the number of gives.
-        cables, joints: M and 2N.
+    `hidden` is the size of the first, and `shares` M times the number of gives.
     """
 
     hidden: int
@@ -65,10 +58,7 @@ class TemporalState:
         return sum(self.parts)
 
     def tared(self, state: Any) -> Any:
-        """The state right after a tare: recurrent part empty, past commands kept.
-
-        Takes arrays or tensors (…, size).
-        """
+        """An array or tensor (…, size) after a tare: recurrent part empty, past commands kept."""
         taken_from = np.arange(self.size)
         ends = np.cumsum(self.parts)
         shares, set_point = taken_from[self.hidden : ends[1]], taken_from[ends[2] : ends[3]]
@@ -88,11 +78,7 @@ _EARLY = 0.25
 
 
 class TemporalEstimator(SequenceEstimator):
-    """A single-contact model that carries a state from tick to tick; for one thread at a time.
-
-    Its state follows from the samples given since `forget`, their times and their set-points
-    alone, so the same samples give the same answers again.
-    """
+    """A single-contact model that carries a state from tick to tick."""
 
     outputs = TEMPORAL_OUTPUTS
 
@@ -125,7 +111,7 @@ class TemporalEstimator(SequenceEstimator):
             self.forget()
         answers = [self._state]
         for _ in range(ticks or 1):
-            answers = self.answers({**inputs, STATE: answers[-1]}, self._stated)
+            answers = self._finite_outputs({**inputs, STATE: answers[-1]}, self._stated)
         if ticks != 0:
             self._state = answers[-1]
             # from where the tick is due, not from where it came: early ones would add up

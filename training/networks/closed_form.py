@@ -1,24 +1,20 @@
 """The closed-form estimator: from tensions to one candidate contact per segment, by statics alone.
 
-At rest the cables' joint torques balance weight and contact, slack or not. Against the unloaded
-state (q0, T0) of the same command, with B_s the Jacobian of segment s's contact point,
+At rest the cables' joint torques balance weight and contact. Against the unloaded state (q0, T0)
+of the same command, with B_s the Jacobian of segment s's contact point,
 
     tau := J(q)' dT + (J(q) - J(q0))' T0 - (tau_weight(q) - tau_weight(q0)) = B_s(q)' f
 
-are 2N equations for the two components of f, solved by generalised least squares for every
-segment; the segment whose misfit chi² is least is the contact. The pose q is not the commanded
-one: each taut cable's stretch T/k determines its true length, and Gauss-Newton on those gives q.
-docs/physics.md derives both.
-
-Readings of equal variance v make tau's covariance v J' W J, with W one for taut cables and nearly
-zero for slack ones, whose tension is known; with T = k J dq this compresses the M tensions without
-loss.
+are 2N equations for the two components of f, solved by generalised least squares. Each taut
+cable's stretch T/k determines its true length, and Gauss-Newton on those gives the pose q.
+Readings of variance v make tau's covariance v J' W J, with W one for taut cables and nearly zero
+for slack ones, whose tension is known. docs/physics.md derives this.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -27,16 +23,15 @@ from torch import Tensor, nn
 from cablesense_base import Array
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.networks.compact import CompactKinematics, CompactPose
+from cablesense_training.networks.compact import CompactKinematics, CompactPose, constant
 from cablesense_training.networks.layers import one_hot_of_argmax
 
 SLACK_WEIGHT = 1e-3
 """Variance of a slack cable's tension over that of a taut one's reading."""
 
 POSE_SLACK_WEIGHT = 1e-5
-"""Weight of a slack cable's length in the fit of the pose, over that of a taut one. It lacks up to
-100 N, a thousand standard deviations, and must not bend the pose, but holds it where few are taut.
-"""
+"""Weight of a slack cable's length in the fit of the pose, over that of a taut one. It must not
+bend the pose, but holds it where few are taut."""
 
 _NUDGE_N = 1e-6
 """Added to forces to keep them off zero, so that they always have a direction."""
@@ -44,6 +39,9 @@ _NUDGE_N = 1e-6
 _LARGEST_N = 200.0
 _LOG_PRIOR = -2.0 * math.log(_LARGEST_N)
 """Of a contact: uniform over the disc of forces up to the largest, but for pi."""
+
+_STEP_RAD = 1e-4
+"""Step of the central differences by the pose; their error is a part in 1e8."""
 
 _MOST_POSE_CORRECTIONS = 4
 _POSE_TOLERANCE_RAD = 1e-5
@@ -53,8 +51,8 @@ _POSE_TOLERANCE_RAD = 1e-5
 def pose_corrections_for(mechanism: Mechanism) -> int:
     """Gauss-Newton steps that this arm's give under the largest force at its tip calls for.
 
-    Each step about squares the error that is left, so a give of g rad needs n steps with g^(2^n)
-    below the tolerance. An arm without equilibrium under the force gets the largest number.
+    Each step about squares the error that is left. An arm without equilibrium under the force
+    gets the largest number.
     """
     forces = np.zeros((2, mechanism.segment_count, 3))
     forces[0, -1, 1] = forces[1, -1, 2] = _LARGEST_N
@@ -75,10 +73,7 @@ class Balance(NamedTuple):
     Attributes:
         torque_n_m: (B, 2N) torques of the environment on the joints.
         precision: (B, 2N, 2N) inverse covariance of them.
-        by_force_m: (B, N, 3, 2N) torques of unit forces at the joint centre of each segment, along
-            the axes of the segment at the commanded angles.
-        by_place: (B, N, 3, 2N) their derivative by the place on the segment.
-        by_twist: (B, N, 2N) torques of unit moments about the axes of the segments.
+        by_force_m, by_place, by_twist: as in `cablesense_sim.contact_location.TorqueBalance`.
         residual: (B, M) readings minus the tensions of the pose, in standard deviations; zero for
             a slack cable, unless it would be taut in the pose.
         taut: (B, M) one for taut cables, zero for slack ones.
@@ -104,7 +99,7 @@ class Candidates(NamedTuple):
 
     Attributes:
         force_n: (B, N, 2) y and z components in the frame of each segment at the commanded angles.
-        covariance_n2: (B, N, 2, 2) of the force.
+        covariance_n2: (B, N, 2, 2).
         explained: (B, N) chi² that each contact explains.
     """
 
@@ -113,12 +108,11 @@ class Candidates(NamedTuple):
     explained: Tensor
 
     def log_evidence(self, trust: Tensor) -> Tensor:
-        """(B, N) log evidence of a contact on each segment against none.
+        """(B, N) log evidence of a contact on each segment against none, by Laplace.
 
-        Half the explained misfit, times a trust in it, minus the Occam factor of two free
-        components: with a prior density of 1 / (pi F_max²), the evidence integral over f is
-        2 sqrt(det C) / F_max² at the best fit (Laplace; MacKay, Information Theory, Inference, and
-        Learning Algorithms, 2003, chapter 28).
+        Half the explained misfit, times a trust in it, and the Occam factor
+        2 sqrt(det C) / F_max² of two components whose prior density is 1 / (pi F_max²) (MacKay,
+        Information Theory, Inference, and Learning Algorithms, 2003, chapter 28).
         """
         c = self.covariance_n2
         determinant = c[..., 0, 0] * c[..., 1, 1] - c[..., 0, 1] * c[..., 1, 0]
@@ -159,22 +153,14 @@ class ClosedForm(nn.Module):
     Args:
         mechanism: the arm.
         reading_variance_n2: variance of one tension difference, N².
-        pose_corrections: Gauss-Newton steps from the commanded to the true pose; 0 takes the
-            command as the pose.
+        pose_corrections: Gauss-Newton steps from the commanded to the true pose.
         unexplained_n2: what effects that no statics carries add to that variance; a slack cable
             is recognised by the sensor's own.
-        held_by: the arm whose cable lengths the actuators hold at a command, where that is not
-            `mechanism`: an arm whose holes are elsewhere than its controller assumes.
+        held_by: the arm whose cable lengths the actuators hold at a command, if that has its
+            holes elsewhere than `mechanism`.
         unread: (M, M) by which rows of differences as read become those of the tensions; None
             where readings are tensions.
     """
-
-    unread: Tensor | None
-    compliance_m_n: Tensor
-    pretension_n: Tensor
-    contact_m: Tensor
-    spring_n_m_rad: Tensor
-    excess_straight_m: Tensor
 
     def __init__(
         self,
@@ -187,43 +173,39 @@ class ClosedForm(nn.Module):
     ) -> None:
         super().__init__()
         self.kinematics = CompactKinematics(mechanism)
-        self.register_buffer("unread", None if unread is None else torch.as_tensor(unread))
+        self.unread = None if unread is None else constant(unread)
         sensor_n2 = max(reading_variance_n2, 1e-12)
         self.reading_variance_n2 = sensor_n2 + unexplained_n2
         self.slack_below_n = 4.0 * sensor_n2**0.5
         self.pose_corrections = pose_corrections
         self.springy = bool(mechanism.joint_stiffness_n_m_rad.any())
-        for name, value in (
-            ("compliance_m_n", 1.0 / mechanism.stiffness_n_m),
-            ("pretension_n", mechanism.pretension_n),
-            ("contact_m", mechanism.contact_m[:, None, None]),
-            ("spring_n_m_rad", np.repeat(mechanism.joint_stiffness_n_m_rad, 2)),
-        ):
-            self.register_buffer(name, torch.as_tensor(value))
+        self.compliance_m_n = constant(1.0 / mechanism.stiffness_n_m)
+        self.pretension_n = constant(mechanism.pretension_n)
+        self.contact_m = constant(mechanism.contact_m[:, None, None])
+        self.spring_n_m_rad = constant(np.repeat(mechanism.joint_stiffness_n_m_rad, 2))
         self.held_by = None if held_by is None else CompactKinematics(held_by)
         if self.held_by is not None:
             straight = torch.zeros(1, mechanism.joint_count, dtype=torch.float64)
-            excess = self._excess_m(straight, self.kinematics(straight))
-            self.register_buffer("excess_straight_m", excess)
+            self.excess_straight_m = nn.Buffer(self._excess_m(straight, self.kinematics(straight)))
 
     def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Balance:
         """The balance; the arm stands where the stretches of its taut cables say."""
         commanded = self.kinematics(joint_command_rad)
-        unloaded_n, unbalanced = self.unloaded(joint_command_rad, commanded)
-        tension = self.as_tensions(tension_difference_n) + unloaded_n
+        unloaded_n, unbalanced = self._unloaded(joint_command_rad, commanded)
+        tension = self._as_tensions(tension_difference_n) + unloaded_n
         taut = (tension > self.slack_below_n).to(tension.dtype)
         tension = tension * taut
         stretch = tension - self._at_command_n(joint_command_rad, commanded)
         missing = stretch = stretch * self.compliance_m_n
-        weight = weights(taut, POSE_SLACK_WEIGHT)
+        weight = _weights(taut, POSE_SLACK_WEIGHT)
         angles, pose = joint_command_rad, commanded
         for _ in range(self.pose_corrections):
             pull = pose.jacobian_t_m @ (weight * missing)[..., None]
-            angles = angles + (gram_inverse(pose.jacobian_t_m, weight) @ pull)[..., 0]
+            angles = angles + (_gram_inverse(pose.jacobian_t_m, weight) @ pull)[..., 0]
             pose = self.kinematics(angles)
-            missing = missing_of(stretch - (pose.length_m - commanded.length_m), taut)
+            missing = _missing_of(stretch - (pose.length_m - commanded.length_m), taut)
         jacobian = pose.jacobian_t_m
-        gram = gram_inverse(jacobian, weights(taut, SLACK_WEIGHT))
+        gram = _gram_inverse(jacobian, _weights(taut, SLACK_WEIGHT))
         torque = (jacobian @ tension[..., None])[..., 0]
         torque = torque - self.kinematics.weight_n_m(pose) - unbalanced
         precision = gram * (1.0 / self.reading_variance_n2)
@@ -231,20 +213,18 @@ class ClosedForm(nn.Module):
             self._sprung(torque, angles),
             precision,
             *self.kinematics.levers(pose, commanded.frames),
-            self.residual(missing, jacobian, precision, taut),
+            self._residual(missing, jacobian, precision, taut),
             taut,
             tension,
             jacobian,
             commanded.length_m,
         )
 
-    def as_tensions(self, tension_difference_n: Tensor) -> Tensor:
+    def _as_tensions(self, tension_difference_n: Tensor) -> Tensor:
         """Differences (B, M) of the tensions behind differences as read."""
-        if self.unread is None:
-            return tension_difference_n
-        return tension_difference_n @ self.unread
+        return tension_difference_n if self.unread is None else tension_difference_n @ self.unread
 
-    def residual(
+    def _residual(
         self, missing_m: Tensor, jacobian_t_m: Tensor, precision: Tensor, taut: Tensor
     ) -> Tensor:
         """The `residual` (B, M) of a `Balance`, from stretches that the pose does not explain."""
@@ -254,18 +234,18 @@ class ClosedForm(nn.Module):
         known_n = torch.sqrt(variance_n2 * (1.0 + (1.0 - taut) * leverage))
         return missing_m / (self.compliance_m_n * known_n)
 
-    def unloaded(self, angles: Tensor, commanded: CompactPose) -> tuple[Tensor, Tensor]:
-        """Tensions (B, M) under the arm's own weight, and the torque (B, 2N) left unbalanced.
+    def _unloaded(self, angles: Tensor, commanded: CompactPose) -> tuple[Tensor, Tensor]:
+        """Tensions (B, M) of taut cables under the arm's weight, and torques (B, 2N) left over.
 
-        Cables are assumed taut. The torque is that at the pose where the unloaded arm is assumed
-        to stand: the command, without corrections.
+        These are at the pose where the unloaded arm is assumed to stand: without corrections, the
+        command.
         """
         tension = at_command = self._at_command_n(angles, commanded) + 0.0 * commanded.length_m
         stiffness = self.compliance_m_n.reciprocal() + 0.0 * tension
         pose, taken, at_angles = commanded, commanded, 0.0 * angles
         for _ in range(max(1, self.pose_corrections)):
             excess = self._unbalanced(pose, tension, angles)
-            turn = gram_inverse(pose.jacobian_t_m, stiffness) @ excess[..., None]
+            turn = _gram_inverse(pose.jacobian_t_m, stiffness) @ excess[..., None]
             angles = angles - turn[..., 0]
             pose = self.kinematics(angles)
             stretched = pose.length_m - commanded.length_m
@@ -311,17 +291,94 @@ class ClosedForm(nn.Module):
         return Candidates(force[..., 0], covariance, explained)
 
 
-def weights(taut: Tensor, slack: float) -> Tensor:
+class NearCommand(ClosedForm):
+    """`ClosedForm` to second order in the give of a stiff arm: a thousand answers a second.
+
+    The joints deflect by milliradians, so kinematics are linear about the command, and cable
+    lengths quadratic. The expansion depends on the command alone, and the matrices that give the
+    pose on that and on which cables are taut: `inference.session` computes both as seldom as they
+    change. For arms of one pose correction, without joint springs, whose actuators hold the
+    lengths of the arm itself. `jacobian_t_m` of the balance is that at the command.
+    """
+
+    def __init__(self, mechanism: Mechanism, *statics: Any, **options: Any) -> None:
+        super().__init__(mechanism, *statics, **options)
+        forward = _STEP_RAD * torch.eye(mechanism.joint_count, dtype=torch.float64)
+        self.offsets = nn.Buffer(torch.cat([forward, -forward]))
+
+    def forward(self, tension_difference_n: Tensor, joint_command_rad: Tensor) -> Balance:
+        """See the base class."""
+        n, m = self.kinematics.segment_count, self.kinematics.cable_count
+        joints = 2 * n
+        commanded = self.kinematics(joint_command_rad)
+        unloaded_n, unbalanced = self._unloaded(joint_command_rad, commanded)
+        at, by_angle = self._expand(joint_command_rad, commanded)
+        jacobian, bend_by = commanded.jacobian_t_m, by_angle[:, :, : joints * m]
+
+        tension = self._as_tensions(tension_difference_n) + unloaded_n
+        # all that depends on which cables are taut does so through this one tensor
+        taut = (tension > self.slack_below_n).to(tension.dtype)
+        tension = tension * taut
+        of_pose = _weights(taut, POSE_SLACK_WEIGHT)
+        to_turn = (_gram_inverse(jacobian, of_pose) @ (jacobian * of_pose[:, None])).transpose(
+            1, 2
+        )
+        gram = _gram_inverse(jacobian, _weights(taut, SLACK_WEIGHT))
+
+        stretch = ((tension - self.pretension_n) * self.compliance_m_n)[:, None]
+        turn = stretch @ to_turn
+        half_bent = (turn @ bend_by).reshape(-1, joints, m) * 0.5 + jacobian
+        turn = turn + (stretch - turn @ half_bent) @ to_turn
+        sizes = [joints * m, 3 * n * joints, 3 * n * joints, n * joints, joints]
+        bent, by_force, by_place, by_twist, own_weight = (
+            part[:, 0] for part in (turn @ by_angle + at[:, None]).split(sizes, dim=2)
+        )
+        bent = bent.reshape(-1, joints, m)
+        missing = _missing_of((stretch - turn @ (bent + jacobian) * 0.5)[:, 0], taut)
+        torque = (bent @ tension[..., None])[..., 0] - own_weight - unbalanced
+        precision = gram * (1.0 / self.reading_variance_n2)
+        return Balance(
+            torque,
+            precision,
+            by_force.reshape(-1, n, 3, joints),
+            by_place.reshape(-1, n, 3, joints),
+            by_twist.reshape(-1, n, joints),
+            self._residual(missing, jacobian, precision, taut),
+            taut,
+            tension,
+            jacobian,
+            commanded.length_m,
+        )
+
+    def _expand(self, command_rad: Tensor, commanded: CompactPose) -> tuple[Tensor, Tensor]:
+        """Kinematics (B, K) at the command and, by central differences, their slopes (B, 2N, K).
+
+        They are the Jacobian, torques by force, place and twist, and those of the weight.
+        """
+        joints = 2 * self.kinematics.segment_count
+        around = self.kinematics((command_rad[:, None] + self.offsets).reshape(-1, joints))
+        frames = commanded.frames[:, None] + 0.0 * self.offsets[:, :1, None]
+        at = self._flat(commanded, commanded.frames)
+        sides = self._flat(around, frames.flatten(0, 1)).reshape(-1, 2, joints, at.shape[1])
+        return at, (sides[:, 0] - sides[:, 1]) * (0.5 / _STEP_RAD)
+
+    def _flat(self, pose: CompactPose, frames: Tensor) -> Tensor:
+        levers, weight = self.kinematics.levers(pose, frames), self.kinematics.weight_n_m(pose)
+        parts = [pose.jacobian_t_m, *levers, weight]
+        return torch.cat([part.reshape(-1, part[0].numel()) for part in parts], dim=1)
+
+
+def _weights(taut: Tensor, slack: float) -> Tensor:
     """One for taut cables, and that of `slack` for slack ones."""
     return taut * (1.0 - slack) + slack
 
 
-def missing_of(residual_m: Tensor, taut: Tensor) -> Tensor:
+def _missing_of(residual_m: Tensor, taut: Tensor) -> Tensor:
     """Residuals (B, M) of cable lengths; a slack cable may be longer than the pose needs."""
     return taut * residual_m + (1.0 - taut) * residual_m.clamp(max=0.0)
 
 
-def gram_inverse(jacobian_t: Tensor, weight: Tensor) -> Tensor:
+def _gram_inverse(jacobian_t: Tensor, weight: Tensor) -> Tensor:
     """Inverse (B, 2N, 2N) of J' W J, with weights (B, M)."""
     return inverse((jacobian_t * weight[:, None]) @ jacobian_t.transpose(1, 2))
 

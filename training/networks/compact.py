@@ -1,16 +1,15 @@
 """Kinematics in few tensor operations, for a graph that runs a thousand times a second.
 
-A small ONNX graph costs what its operators' dispatch costs, so this says what
-`cablesense_sim.kinematics` says in thirty operators instead of three hundred. With a = (1, cos,
-sin) of a joint's pitch and b = (1, cos, sin) of its yaw, the nine products a_i b_j are features in
-which the joint's rotation `Ry Rz`, the squared cable spans and their derivatives are all linear,
-so constant matrices do the rest.
+A small ONNX graph costs what its operators' dispatch costs, and this needs thirty instead of the
+three hundred of `cablesense_sim.kinematics`. With a = (1, cos, sin) of a joint's pitch and b of
+its yaw, the joint's rotation `Ry Rz`, the squared cable spans and their derivatives are all linear
+in the nine products a_i b_j, so constant matrices do the rest.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -29,6 +28,11 @@ _LEVI_CIVITA = np.zeros((3, 3, 3))
 for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
     _LEVI_CIVITA[_i, _j, _k] = 1.0
     _LEVI_CIVITA[_k, _j, _i] = -1.0
+
+
+def constant(value: NDArray[Any]) -> nn.Buffer:
+    """Numbers of an arm that go with a network and are not trained."""
+    return nn.Buffer(torch.as_tensor(np.ascontiguousarray(value)))
 
 
 def _about(axis: int) -> Matrix:
@@ -54,20 +58,6 @@ class CompactPose(NamedTuple):
 class CompactKinematics(nn.Module):
     """`CompactPose` of joint angles (B, 2N), and the torques that forces make there."""
 
-    trig_map: Tensor
-    trig_shift: Tensor
-    pitch_feature: Tensor
-    yaw_feature: Tensor
-    span_map: Tensor
-    rotation_map: Tensor
-    joint_axes: Tensor
-    segment_axes: Tensor
-    cross: Tensor
-    gravity_cross: Tensor
-    moment_kg_m: Tensor
-    centre_map: Tensor
-    beyond: Tensor
-
     def __init__(self, mechanism: Mechanism) -> None:
         super().__init__()
         n = mechanism.segment_count
@@ -77,22 +67,19 @@ class CompactKinematics(nn.Module):
         first, second = np.divmod(np.tile(np.arange(9), n), 3)
         joint, segment = np.repeat(np.arange(n), 9), np.arange(n)
         beyond = np.repeat(np.tril(np.ones((n, n))), 2, axis=1)
-        for name, value in (
-            ("trig_map", np.kron(np.eye(2 * n), [0.0, 1.0, 1.0])),
-            ("trig_shift", np.tile([0.0, 0.0, -0.5 * np.pi], 2 * n)),
-            ("pitch_feature", 6 * joint + first),
-            ("yaw_feature", 6 * joint + 3 + second),
-            ("span_map", _span_map(mechanism, rotation).T),
-            ("rotation_map", _rotation_map(n, rotation).T),
-            ("joint_axes", (3 * segment[:, None] + [1, 5]).ravel()),
-            ("segment_axes", 3 * (segment + 1)),
-            ("cross", _LEVI_CIVITA.transpose(1, 0, 2).reshape(3, 9)),
-            ("gravity_cross", np.einsum("ijk,j->ik", _LEVI_CIVITA, mechanism.gravity_m_s2)),
-            ("moment_kg_m", beyond * _mass_moments_kg_m(mechanism)[:, None]),
-            ("centre_map", _centre_map(mechanism)),
-            ("beyond", beyond[:, None]),
-        ):
-            self.register_buffer(name, torch.as_tensor(np.ascontiguousarray(value)))
+        self.trig_map = constant(np.kron(np.eye(2 * n), [0.0, 1.0, 1.0]))
+        self.trig_shift = constant(np.tile([0.0, 0.0, -0.5 * np.pi], 2 * n))
+        self.pitch_feature = constant(6 * joint + first)
+        self.yaw_feature = constant(6 * joint + 3 + second)
+        self.span_map = constant(_span_map(mechanism, rotation).T)
+        self.rotation_map = constant(_rotation_map(n, rotation).T)
+        self.joint_axes = constant((3 * segment[:, None] + [1, 5]).ravel())
+        self.segment_axes = constant(3 * (segment + 1))
+        self.cross = constant(_LEVI_CIVITA.transpose(1, 0, 2).reshape(3, 9))
+        self.gravity_cross = constant(np.einsum("ijk,j->ik", _LEVI_CIVITA, mechanism.gravity_m_s2))
+        self.moment_kg_m = constant(beyond * _mass_moments_kg_m(mechanism)[:, None])
+        self.centre_map = constant(_centre_map(mechanism))
+        self.beyond = constant(beyond[:, None])
 
     def forward(self, joint_angles_rad: Tensor) -> CompactPose:
         """See `CompactPose`."""

@@ -1,8 +1,4 @@
-"""Networks that know nothing of the arm: the paper's designs, and a scale-aware one.
-
-The stated uncertainty is a small separate head that cannot disturb the answers. Single-contact
-designs have a class for no contact.
-"""
+"""Networks that know nothing of the arm: the paper's designs, and a scale-aware one."""
 
 from __future__ import annotations
 
@@ -34,11 +30,10 @@ def tension_norm_n(tension_difference_n: Tensor) -> Tensor:
 
 
 class Spread(StatedSpread):
-    """Standard deviations (B, outputs) from the answering network's hidden features.
+    """Standard deviations (B, outputs) from the answering network's hidden features, detached.
 
-    The features arrive detached, so the likelihood that trains this head leaves the answers
-    alone. The length of the tension difference joins them: sensor noise makes directions of weak
-    forces uncertain as its inverse.
+    The length of the tension difference joins them: sensor noise makes directions of weak forces
+    uncertain as its inverse.
     """
 
     def __init__(self, features: int, outputs: int, width: int = 48) -> None:
@@ -59,11 +54,7 @@ _Answer = tuple[Tensor, Tensor | None, Tensor, Tensor]
 
 
 class LearntNetwork(ContactNetwork):
-    """A network without physics in it; subclasses give `_answer`.
-
-    Attributes:
-        tension: scaling of the M tension differences, in buffers that `adapt` sets.
-    """
+    """A network without physics in it; subclasses give `_answer`."""
 
     spread: Spread
 
@@ -78,7 +69,7 @@ class LearntNetwork(ContactNetwork):
         return cls(arm.cable_count, arm.segment_count)  # type: ignore[call-arg]
 
     def adapt(self, tension_difference_n: Tensor, magnitude_n: Tensor) -> None:
-        """Set the scaling from tension differences (B, M) and magnitudes (B,) or (B, N)."""
+        """See the base class."""
         self.tension.adapt(tension_difference_n)
         self.magnitude.adapt(magnitude_n.reshape(len(magnitude_n), -1))
         unit = self.magnitude.std
@@ -92,7 +83,7 @@ class LearntNetwork(ContactNetwork):
     def forward(
         self, tension_difference_n: Tensor, joint_command_rad: Tensor | None = None
     ) -> SingleContactOutput | MultiContactOutput:
-        """Answers for tension differences (B, M); the commanded angles are not used."""
+        """See the base class; the commanded angles are not used."""
         logits, direction, magnitude_n, features = self._answer(tension_difference_n)
         std = self.spread(features, tension_difference_n)
         if direction is None:
@@ -103,9 +94,8 @@ class LearntNetwork(ContactNetwork):
 class TwoStageNetwork(LearntNetwork):
     """First the contact, then magnitude and direction given the contact; equations (9) to (13).
 
-    Stage one gives the contact class, whose one-hot code joins the standardised tension
-    differences as input of the trunk that magnitude and direction share. In training, too, it is
-    the network's own verdict, so stage two learns from the mistakes of stage one.
+    The contact's one-hot code joins the tension differences as input of the second trunk. It is
+    the network's own verdict in training too, so stage two learns from mistakes of stage one.
     """
 
     usual_contact_widths: ClassVar[Sequence[int]] = (128, 128)
@@ -192,8 +182,8 @@ class SharedBackboneNetwork(LearntNetwork):
 class GatedLayer(nn.Module):
     """SiLU(W x + a) times (V x + b), elementwise: a layer that can multiply its inputs.
 
-    An unknown pose changes tensions by a product of angles and forces, which a plain layer can
-    only approximate. Shazeer, GLU Variants Improve Transformer, 2020 (there: SwiGLU).
+    An unknown pose changes tensions by a product of angles and forces. Shazeer, GLU Variants
+    Improve Transformer, 2020 (there: SwiGLU).
     """
 
     def __init__(self, inputs: int, width: int) -> None:
@@ -207,11 +197,10 @@ class GatedLayer(nn.Module):
 
 
 class ScaleAwareNetwork(SharedBackboneNetwork):
-    """Separates the pattern of the tension differences from their size.
+    """Separates the pattern ΔT / |ΔT| from the size: without slack, twice the force is twice ΔT.
 
-    While no cable goes slack, twice the force makes twice the differences. The pattern ΔT / |ΔT|,
-    log |ΔT| and the standardised differences (slack and sensor noise do depend on size) enter one
-    trunk of gated layers; the magnitude's head answers the logarithm of F / |ΔT|.
+    Slack and sensor noise do depend on size, so log |ΔT| and the standardised differences enter
+    the trunk of gated layers too. The magnitude's head answers the logarithm of F / |ΔT|.
     """
 
     usual_widths: ClassVar[Sequence[int]] = (208, 208, 208)

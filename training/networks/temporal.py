@@ -1,10 +1,9 @@
 """Statics on joint torques that a recurrent network has cleared of motion and friction.
 
 In motion, torques by statics include inertia. With friction each cable's tension along the arm
-differs from that at its actuator, by a factor that depends on the friction state (equation (2) of
-the paper). A gated recurrent unit (Cho et al., Learning phrase representations using RNN
-encoder-decoder, 2014) keeps this history and estimates the factors, further offsets, and their
-deviations. The contact is then sought by statics on the torques so corrected.
+differs from that at its actuator, by a factor that depends on the past (equation (2) of the
+paper). A gated recurrent unit (Cho et al., Learning phrase representations using RNN
+encoder-decoder, 2014) estimates the factors, further offsets, and their deviations.
 
 A stop operator follows the cable that is drawn, in units of its give, and stops at -1 and 1
 (Visintin, Differential Models of Hysteresis, 1994, chapter III): the share of its largest friction
@@ -18,13 +17,12 @@ from typing import ClassVar, NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.estimator import NORMAL_95
 from cablesense_training.inference.temporal_estimator import TemporalState
 from cablesense_training.networks.closed_form import Balance, ClosedForm, inverse
-from cablesense_training.networks.layers import SingleContactOutput, Standardiser
+from cablesense_training.networks.layers import SingleContactOutput, Standardiser, contact_of
 from cablesense_training.networks.statics import statics
 
 GIVES_M = (2e-5, 2e-4, 2e-3)
@@ -51,12 +49,7 @@ _PER_RAD = 10.0
 
 
 class DrawnCables:
-    """Follows set-points.
-
-    Attributes:
-        past: layout of the known part of them, a `TemporalState` without its recurrent part.
-        seen_size: of what `seen` gives.
-    """
+    """Follows set-points; `past` is the layout of a `TemporalState` without its recurrent part."""
 
     def __init__(self, cables: int, joints: int) -> None:
         self.past = TemporalState(0, cables * len(GIVES_M), cables, joints)
@@ -81,12 +74,7 @@ class DrawnCables:
 
 
 class Ticks(NamedTuple):
-    """Inputs of one or more ticks, leading axes alike.
-
-    Attributes:
-        tension_difference_n: (…, M) tensions minus the unloaded ones at the set-point.
-        joint_command_rad, joint_speed_rad_s, joint_acceleration_rad_s2: (…, 2N) the set-point.
-    """
+    """Inputs of one or more ticks, as `Sequences` has them: (…, M), and three times (…, 2N)."""
 
     tension_difference_n: Tensor
     joint_command_rad: Tensor
@@ -98,11 +86,9 @@ class CorrectedAnswer(NamedTuple):
     """Answers for B ticks.
 
     Attributes:
-        output: contacts with their uncertainty.
-        seen: (B, features) of the network that `StatedInterval` sees.
+        seen: (B, features) that `StatedInterval` sees.
         force_n: (B, N, 2) y and z components of the contact that each segment would have.
-        torque_n_m: (B, 2N) of the environment as corrected.
-        torque_std_n_m: (B, 2N) its stated deviation.
+        torque_n_m, torque_std_n_m: (B, 2N) of the environment as corrected, and its deviation.
     """
 
     output: SingleContactOutput
@@ -113,10 +99,7 @@ class CorrectedAnswer(NamedTuple):
 
 
 class Statement(NamedTuple):
-    """Of B answers: logit of no contact, ends of the force's interval, deviation of its angle.
-
-    Ends as inverse hyperbolic sines of newtons, the deviation as the logarithm of degrees.
-    """
+    """Of B answers: logit of none, ends of the force, asinh N, deviation of its angle, log deg."""
 
     none_logit: Tensor
     low: Tensor
@@ -128,25 +111,20 @@ class StatedInterval(nn.Module):
     """The statement about an answer: whether it is a contact, and where its force lies.
 
     Friction makes errors lopsided: a load that falls is read late, one that rises is not. After
-    the network is trained, this head is fitted to the errors on held-out data: to the probability
-    of no contact, the quantiles of the force, and the angle's. It sees the answer alone: with the
-    network's memory as input it would be too certain. Forces are counted by their inverse
-    hyperbolic sine: in newtons below one newton, by their ratios above it.
+    the network is trained, this head is fitted to the errors on held-out data. It sees the answer
+    alone: with the network's memory as input it would be too certain. Forces are counted by their
+    inverse hyperbolic sine: in newtons below one newton, by their ratios above it.
 
     Attributes:
-        shift: (3,) by which low end, high end and the angle's deviation are moved outwards, until
-            they hold on data that the head has not seen either (Romano, Patterson and Candès,
-            Conformalized Quantile Regression, 2019).
+        shift: (3,) by which low end, high end and the angle's deviation are moved outwards
+            (Romano, Patterson and Candès, Conformalized Quantile Regression, 2019).
         surely: probability of no contact below which the low end is above nothing.
     """
 
-    shift: Tensor
-    surely: Tensor
-
     def __init__(self, segments: int) -> None:
         super().__init__()
-        self.register_buffer("shift", torch.zeros(3))
-        self.register_buffer("surely", torch.tensor(0.025))
+        self.shift = nn.Buffer(torch.zeros(3))
+        self.surely = nn.Buffer(torch.tensor(0.025))
         seen = 2 * segments + 4
         self.seen = Standardiser(seen)
         last = nn.Linear(_STATED_WIDTH, 4)
@@ -167,7 +145,7 @@ class StatedInterval(nn.Module):
     def stated(
         self, seen: Tensor, output: SingleContactOutput
     ) -> tuple[SingleContactOutput, Tensor]:
-        """The answers with the statement about them, and the intervals (B, 2) of the forces.
+        """The answers as stated, and the intervals (B, 2) of the forces.
 
         From 0 on where there may be none; up to what may act unseen.
         """
@@ -187,16 +165,11 @@ class StatedInterval(nn.Module):
 
 
 class TemporalNetwork(nn.Module):
-    """One contact from a sequence of ticks.
-
-    Args:
-        closed_form: statics of the arm.
-        hidden: size of the recurrent unit's state.
+    """One contact from a sequence of ticks, by the closed form of an arm.
 
     Attributes:
-        pose_aware: it needs the set-point.
-        drawn: follows the commands.
-        memory: size of the state that is carried from tick to tick.
+        hidden: size of the recurrent unit's state.
+        memory: size of the whole state that is carried from tick to tick.
     """
 
     several: ClassVar[bool] = False
@@ -278,7 +251,7 @@ class TemporalNetwork(nn.Module):
     def answer(
         self, balance: Balance, encoded: Tensor, states: Tensor, speed_rad_s: Tensor
     ) -> CorrectedAnswer:
-        """Answers for B flat ticks, from the encoded and remembered features (B, hidden) of each.
+        """Answers for B flat ticks, from encoded and remembered features (B, hidden).
 
         `speed_rad_s` (B, 2N) is that of the set-point.
         """
@@ -299,29 +272,17 @@ class TemporalNetwork(nn.Module):
         )
         evidence = candidates.log_evidence(torch.exp(self.log_trust)) + self.belief(read)
         found = candidates.likeliest(evidence)
-        magnitude = torch.linalg.vector_norm(found.force_n, dim=-1)
-        std_n, turned_n = found.std_n.unbind(-1)
-        logits = functional.pad(evidence, (1, 0))
-        output = SingleContactOutput(
-            contact_logits=logits,
-            direction=found.force_n / magnitude[:, None],
-            magnitude_n=magnitude,
-            magnitude_std_n=std_n,
-            angle_std_deg=torch.rad2deg(turned_n / magnitude),
-        )
+        output = contact_of(evidence, found.force_n, found.std_n)
         seen = [
-            torch.softmax(logits, dim=-1),
+            torch.softmax(output.contact_logits, dim=-1),
             _asinh(torch.linalg.vector_norm(candidates.force_n, dim=-1)),
-            torch.log(torch.stack([std_n, turned_n, speed + _STILL_RAD_S], dim=-1)),
+            torch.log(torch.cat([found.std_n, speed[:, None] + _STILL_RAD_S], dim=-1)),
         ]
         seen_of = torch.cat([part.to(read.dtype) for part in seen], dim=-1).detach()
         return CorrectedAnswer(output, seen_of, candidates.force_n, torque, std)
 
     def forward(self, ticks: Ticks, state: Tensor) -> tuple[SingleContactOutput, Tensor, Tensor]:
-        """One tick: answers for inputs of B rows with states (B, memory).
-
-        Gives the answers, the next states and the intervals of the forces (B, 2).
-        """
+        """Answers for one tick of B rows with states (B, memory), next states, and intervals."""
         balance = self.balance(ticks)
         kind = self.log_trust.dtype
         before, past = state.split([self.hidden, self.drawn.past.size], dim=-1)

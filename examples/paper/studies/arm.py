@@ -17,7 +17,7 @@ from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.kinematics import cable_jacobian_m, cable_lengths_m
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec
-from cablesense_training.evaluation.table2 import STANDARD_GRAVITY_M_S2, read_table2
+from cablesense_training.evaluation.comparison import STANDARD_GRAVITY_M_S2, read_table2
 from examples.paper.drawing import (
     BLACK,
     BLUE,

@@ -22,8 +22,7 @@ from cablesense_training.evaluation.comparison import (
     evaluate_multi_models,
     multi_protocol,
 )
-from cablesense_training.evaluation.metrics import confusion_matrix
-from cablesense_training.evaluation.noise_bound import multi_contact_bound_n
+from cablesense_training.evaluation.metrics import confusion_matrix, multi_contact_bound_n
 from examples.paper.boosting import BoostingSettings, MultiBoostingBaseline
 from examples.paper.drawing import BLACK, DOTTED, confusion_grid, one_panel
 from examples.paper.studies.single_contact import (

@@ -13,7 +13,7 @@ from cablesense_gap.report.style import AFTER, BEFORE, GRID, INK, OTHER, newtons
 from cablesense_gap.report.text import candidate_name
 from cablesense_gap.verdict import listed
 from cablesense_sim.effects.registry import known_effects
-from cablesense_training.evaluation.table2 import STANDARD_GRAVITY_M_S2
+from cablesense_training.evaluation.comparison import STANDARD_GRAVITY_M_S2
 from examples.paper.drawing import GREEN, one_panel, panels
 from examples.paper.study import Figures, Numbers, Progress
 from examples.paper.table_2_gap import STEP_N, TableDiagnosis, best_of_each, diagnose_table

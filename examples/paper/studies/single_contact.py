@@ -21,8 +21,12 @@ from cablesense_training.evaluation.comparison import (
     evaluate_answer,
     evaluate_models,
 )
-from cablesense_training.evaluation.metrics import ContactTruth, angle_difference_deg
-from cablesense_training.evaluation.noise_bound import NoiseBound, noise_bound
+from cablesense_training.evaluation.metrics import (
+    ContactTruth,
+    NoiseBound,
+    angle_difference_deg,
+    noise_bound,
+)
 from examples.paper.boosting import BoostingBaseline, BoostingSettings
 from examples.paper.drawing import (
     BLACK,
