@@ -2,7 +2,7 @@
 
 A chunk follows from arm, protocol, seed and its number, wherever it is computed (processor types
 may differ in the last bit). A case beyond the arm is drawn again, and a protocol that would
-need that often is refused. An arm with effects is sampled along a `LoadHistory`; randomised arms
+need that often is refused. An arm with effects is sampled along a `_LoadHistory`; randomised arms
 in blocks of samples on one arm each.
 """
 
@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -22,17 +23,17 @@ from cablesense_base.installation import package_version
 from cablesense_base.workers import WorkerPool
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.effects.registry import EffectEntry
-from cablesense_sim.equilibrium import EquilibriumError
+from cablesense_sim.effects.registry import (
+    EffectEntry,
+    actuations,
+    amended,
+    sensings,
+    transmissions,
+)
+from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import read_tensions_n
 from cablesense_training.data.dataset import Dataset, contact_forces_n
-from cablesense_training.data.history import (
-    TARED,
-    LoadHistory,
-    sensed_along_n,
-    solved_rows,
-    tensions_along_n,
-)
 from cablesense_training.data.protocols import (
     ARM,
     CHUNK_SAMPLES,
@@ -139,7 +140,7 @@ def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Datas
     """The samples of one chunk; the last chunk of a run may hold fewer than `CHUNK_SAMPLES`.
 
     A sample's reading is one of the loaded arm at rest, its tare the mean of `tare_samples` of the
-    unloaded arm at the same command. With effects, both come at the end of a `LoadHistory`.
+    unloaded arm at the same command. With effects, both come at the end of a `_LoadHistory`.
 
     Raises:
         DatasetError: the protocol does not fit the arm.
@@ -199,7 +200,7 @@ class _Resting:
         self._listed = entries_of(arm)
         self._varied = bool(self._listed) or protocol.randomise is not None
         self._seed = seed, chunk
-        self._arms: dict[int, tuple[list[EffectEntry], LoadHistory]] = {}
+        self._arms: dict[int, tuple[list[EffectEntry], _LoadHistory]] = {}
 
     def tensions_n(self, points: Array, rows: NDArray[np.int64], allowed: int) -> Array:
         """(3, B, M): loaded and unloaded readings, true loaded tensions; NaN without equilibrium.
@@ -226,13 +227,10 @@ class _Resting:
             entries, whole = self._arms[block]
             history = whole.select(members[rows])
             commands, loads = history.commands_rad(command[rows]), history.loads_n(forces[rows])
-            needed = (TARED, len(history.time_s) - 1)
             at_m = places_m[rows] if self._protocol.anywhere else None
-            true = tensions_along_n(
-                mechanism, entries, history.time_s, commands, loads, needed, at_m
-            )
+            true = tensions_along_n(mechanism, entries, history.time_s, commands, loads, at_m)
             sensed = sensed_along_n(entries, history.time_s, true.swapaxes(0, 1))
-            return np.stack([sensed[:, -1], sensed[:, TARED], true[-1]])
+            return np.stack([sensed[:, -1], sensed[:, _TARED], true[-1]])
 
         shape = (3, len(command), mechanism.cable_count)
         if block in self._arms:
@@ -242,9 +240,9 @@ class _Resting:
         for left in reversed(range(1 if randomise is None else _MAX_ARMS_DRAWN)):
             entries = list(self._listed)
             if self._varied:
-                history = LoadHistory.drawn(_BLOCK_SAMPLES, rng)
+                history = _LoadHistory.drawn(_BLOCK_SAMPLES, rng)
             else:
-                history = LoadHistory.plain(CHUNK_SAMPLES)
+                history = _LoadHistory.plain(CHUNK_SAMPLES)
             if randomise is not None:
                 size = mechanism.segment_count, mechanism.cable_count
                 entries += drawn_entries(effect_names(randomise), *size, rng)
@@ -255,3 +253,135 @@ class _Resting:
                 if not left:
                     raise
         raise AssertionError("a loop that returns or raises")
+
+
+_ON_THE_WAY = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+"""Shares of the way to the command, at which the arm comes to rest."""
+
+_RISE = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
+"""Shares of the highest force on the way up."""
+
+_BACK = np.array([0.5, 1.0, 1.0])
+"""Shares of the way from there to the sample's force; the last is where it is read."""
+
+_RESTS = len(_ON_THE_WAY) + len(_RISE) + len(_BACK)
+
+_TARED = len(_ON_THE_WAY) - 1
+"""The rest at which the tare is taken; the reading is that of the last."""
+
+_STEP_S = 0.5
+_LONGEST_WAIT_S = 30.0
+_LONGEST_HOLD_S = 5.0
+_HIGHEST_PEAK = 1.4
+
+
+@dataclass(frozen=True)
+class _LoadHistory:
+    """What B samples go through in R rests: from another pose to the command, then the load.
+
+    Attributes:
+        time_s: (R,) of the rests.
+        from_share: (B,) of the command, -1 to 1: the pose at the start.
+        peak_share: (B,) of the sample's force, from 1 up: the highest force on the way.
+    """
+
+    time_s: Array
+    from_share: Array
+    peak_share: Array
+
+    @classmethod
+    def drawn(cls, count: int, rng: np.random.Generator) -> _LoadHistory:
+        """A history for `count` samples; half of them are loaded beyond their force and back."""
+        steps = np.full(_RESTS, _STEP_S)
+        steps[_TARED] += rng.uniform(0.0, _LONGEST_WAIT_S)
+        steps[_TARED + 1] += rng.uniform(0.0, _LONGEST_WAIT_S)
+        steps[-1] = rng.uniform(0.0, _LONGEST_HOLD_S)
+        beyond = rng.random(count) < 0.5
+        peak = np.where(beyond, rng.uniform(1.0, _HIGHEST_PEAK, count), 1.0)
+        return cls(np.cumsum(steps), rng.uniform(-1.0, 1.0, count), peak)
+
+    @classmethod
+    def plain(cls, count: int) -> _LoadHistory:
+        """At the command and the force at once, for arms that do not depend on history."""
+        return cls(np.arange(_RESTS, dtype=float), np.ones(count), np.ones(count))
+
+    def select(self, rows: NDArray[np.int64]) -> _LoadHistory:
+        """The same for some of the samples."""
+        return _LoadHistory(self.time_s, self.from_share[rows], self.peak_share[rows])
+
+    def commands_rad(self, command_rad: Array) -> Array:
+        """(R, B, 2N) for the samples' commands (B, 2N)."""
+        way = np.append(_ON_THE_WAY, np.ones(_RESTS - len(_ON_THE_WAY)))
+        share = self.from_share + way[:, None] * (1.0 - self.from_share)
+        return share[..., None] * command_rad
+
+    def loads_n(self, forces_n: Array) -> Array:
+        """(R, B, N, 3) for the samples' loads (B, N, 3)."""
+        none = np.zeros((len(_ON_THE_WAY), len(forces_n)))
+        rise = _RISE[:, None] * self.peak_share
+        back = self.peak_share + _BACK[:, None] * (1.0 - self.peak_share)
+        return np.concatenate([none, rise, back])[..., None, None] * forces_n
+
+
+def solved_rows(
+    shape: tuple[int, ...], allowed_failures: int, solve: Callable[[NDArray[np.int64]], Array]
+) -> Array:
+    """What `solve` gives for rows, the last axis but one of `shape`; NaN without equilibrium.
+
+    Raises:
+        EquilibriumError: more rows than allowed have none; it names one of the last.
+    """
+    whole = np.full(shape, np.nan)
+    rows = np.arange(shape[-2])
+    while rows.size:
+        try:
+            whole[..., rows, :] = solve(rows)
+        except EquilibriumError as error:
+            allowed_failures -= error.failed.size
+            if not error.failed.size or allowed_failures < 0:
+                raise
+            rows = np.delete(rows, error.failed)
+        else:
+            break
+    return whole
+
+
+def tensions_along_n(
+    nominal: Mechanism,
+    entries: list[EffectEntry],
+    time_s: Array,
+    commands_rad: Array,
+    loads_n: Array,
+    places_m: Array | None = None,
+) -> Array:
+    """True tensions (R, B, M) of an arm with effects, from rest to rest at times (R,).
+
+    Commands are (R, B, 2N), loads (R, B, N, 3). They act at `places_m` (B, N) from the segments'
+    joint centres, by default at the arm's contact points. If nothing depends on the history,
+    tensions are zero but at the tare and at the last rest. An `EquilibriumError` says which arms
+    find no rest.
+    """
+    held, arms = held_lengths_m(nominal, commands_rad), [entries] * commands_rad.shape[1]
+    for actuation in actuations(arms):
+        held = actuation.along(time_s, held.swapaxes(0, 1)).swapaxes(0, 1)
+    mechanism = amended(nominal, entries)
+    if transmissions(arms):
+        from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
+
+        arm = QuasiStaticArm([mechanism] * len(arms), arms)
+        rests = zip(time_s, held, loads_n, strict=True)
+        return np.stack([arm.step(*rest, places_m) for rest in rests])
+    if places_m is not None:
+        mechanism = replace(mechanism, contact_m=places_m)
+    tensions = np.zeros_like(held)
+    for row in range(len(held)) if sensings(arms) else (_TARED, len(held) - 1):
+        rest = solve_equilibrium(mechanism, commands_rad[row], loads_n[row], held_m=held[row])
+        tensions[row] = rest.tensions_n
+    return tensions
+
+
+def sensed_along_n(entries: list[EffectEntry], time_s: Array, tensions_n: Array) -> Array:
+    """Readings of tensions (B, R, M) at times (R,), with the sensors' effects."""
+    for sensing in sensings([entries] * len(tensions_n)):
+        tensions_n = sensing.along(time_s, tensions_n)
+    return tensions_n

@@ -53,10 +53,10 @@ def unit_points(dimensions: int, seed: int, chunk: int) -> Array:
     return np.asarray(sequence.random(CHUNK_SAMPLES))
 
 
-def chunk_sizes(samples: int) -> list[int]:
-    """How many samples each chunk contributes: full chunks, then the rest."""
-    full, rest = divmod(samples, CHUNK_SAMPLES)
-    return [CHUNK_SAMPLES] * full + [rest] * (rest > 0)
+def chunk_sizes(samples: int, most: int = CHUNK_SAMPLES) -> list[int]:
+    """How many samples each chunk contributes: `most`, then the rest."""
+    full, rest = divmod(samples, most)
+    return [most] * full + [rest] * (rest > 0)
 
 
 def effect_names(randomise: str) -> list[str]:

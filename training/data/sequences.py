@@ -25,11 +25,12 @@ from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.effects.registry import EffectEntry, amended, transmissions
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.joint_motion import JointMotion
+from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import read_tensions_n
-from cablesense_training.data.dataset import RunRows, contact_forces_n
-from cablesense_training.data.history import sensed_along_n, solved_rows, tensions_along_n
-from cablesense_training.data.protocols import Options, PoseRange, Readings
+from cablesense_training.data.dataset import RunRows
+from cablesense_training.data.generation import sensed_along_n, solved_rows, tensions_along_n
+from cablesense_training.data.protocols import Options, PoseRange, Readings, chunk_sizes
 from cablesense_training.errors import DatasetError
 
 
@@ -271,7 +272,7 @@ def draw_sequences(
     seed: int,
     *,
     workers: int = 1,
-    on_done: Callable[[int], None] | None = None,
+    on_done: Callable[[int], None] = lambda _: None,
 ) -> Sequences:
     """The sequences that arm, protocol and seed determine; `on_done` counts them.
 
@@ -280,19 +281,17 @@ def draw_sequences(
     Raises:
         DatasetError: none is left.
     """
-    full, rest = divmod(protocol.sequences, _BLOCK_SEQUENCES)
-    counts = [_BLOCK_SEQUENCES] * full + [rest] * (rest > 0)
+    counts = chunk_sizes(protocol.sequences, _BLOCK_SEQUENCES)
     parts: list[Sequences] = []
     with WorkerPool(min(workers, len(counts)), arm, protocol, seed, refusal=DatasetError) as pool:
         results = pool.map(_draw_block, range(len(counts)), counts)
         for part, count in zip(results, counts, strict=True):
             parts.append(part)
-            if on_done is not None:
-                on_done(count)
-    parts = [part for part in parts if len(part)]
-    if not parts:
+            on_done(count)
+    drawn = Sequences.concatenate(parts)
+    if not len(drawn):
         raise DatasetError("no sequences: every one of them lay beyond the arm")
-    return Sequences.concatenate(parts)
+    return drawn
 
 
 def _draw_block(
@@ -305,9 +304,7 @@ def _draw_block(
     contacts = [drawn_contacts(protocol, arm.segment_count, rng) for _ in range(count)]
     command = np.stack([motion.angle_rad for motion in motions])
     segment, angle, magnitude = (np.stack(parts) for parts in zip(*contacts, strict=True))
-    here = segment[..., None] == np.arange(1, arm.segment_count + 1)
-    by_segment = here * angle[..., None], here * magnitude[..., None]
-    forces = contact_forces_n(nominal, command, *by_segment)
+    forces = normal_force_n(nominal, command, segment, angle, magnitude)
     before = drawn_before(command[:, 0], np.abs(command).max(), rng)
     if transmissions([entries]):
         true = _quasi_static_tensions_n(nominal, entries, before, command, forces, protocol.tick_s)
@@ -370,10 +367,10 @@ def _quasi_static_tensions_n(
     before = before_rad.shape[1]
     path = np.concatenate([before_rad, command_rad], axis=1).swapaxes(0, 1)
     loads = np.pad(forces_n, ((0, 0), (before, 0), (0, 0), (0, 0))).swapaxes(0, 1)
-    time_s, ticks = np.arange(len(path), dtype=float) * tick_s, range(len(path))
+    time_s = np.arange(len(path), dtype=float) * tick_s
 
     def tensions_n(rows: NDArray[np.int64]) -> Array:
-        return tensions_along_n(nominal, entries, time_s, path[:, rows], loads[:, rows], ticks)
+        return tensions_along_n(nominal, entries, time_s, path[:, rows], loads[:, rows])
 
     shape = (*path.shape[:2], nominal.cable_count)
     return solved_rows(shape, path.shape[1], tensions_n)[before:].swapaxes(0, 1)

@@ -25,8 +25,7 @@ from cablesense_sim.effects.registry import actuations, amended, sensings, trans
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.load_capacity import contact_range_n
 from cablesense_sim.replay import difference_variance_n2
-from cablesense_training.data.generation import draw_dataset
-from cablesense_training.data.history import sensed_along_n
+from cablesense_training.data.generation import draw_dataset, sensed_along_n
 from cablesense_training.data.protocols import SingleContact, protocol_from_options
 from cablesense_training.networks.closed_form import (
     Balance,
