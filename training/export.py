@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-import onnxruntime
 import torch
 from torch import Tensor, nn
 
@@ -21,7 +20,7 @@ from cablesense_training.inference.anywhere import BALANCE_OUTPUTS
 from cablesense_training.inference.estimator import MULTI_OUTPUTS, OUTPUTS
 from cablesense_training.inference.metadata import ModelMetadata
 from cablesense_training.inference.model_file import store_as_single
-from cablesense_training.inference.session import INTERVAL, TAUT, input_widths
+from cablesense_training.inference.session import INTERVAL, TAUT, input_widths, open_session
 from cablesense_training.inference.temporal_estimator import TEMPORAL_OUTPUTS
 from cablesense_training.networks.layers import ContactNetwork
 from cablesense_training.networks.statics import AnywhereStatics, CorrectedClosedForm
@@ -52,9 +51,8 @@ def export_model(
     onnx.helper.set_model_props(model, metadata.to_properties())
     store_as_single(model.graph)
     onnx.checker.check_model(model, full_check=False)
-    content = model.SerializeToString()
-    _require_agreement(answers, content, inputs)
-    write_atomically(path, content, TrainingError)
+    _require_agreement(answers, model, inputs)
+    write_atomically(path, model.SerializeToString(), TrainingError)
 
 
 class _Answers(nn.Module):
@@ -161,10 +159,10 @@ def _take_any_number_of_rows(graph: onnx.GraphProto) -> None:
         constant.CopyFrom(onnx.numpy_helper.from_array(values, constant.name))
 
 
-def _require_agreement(answers: nn.Module, content: bytes, inputs: dict[str, Tensor]) -> None:
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = 3
-    session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+def _require_agreement(
+    answers: nn.Module, model: onnx.ModelProto, inputs: dict[str, Tensor]
+) -> None:
+    session = open_session(model)
     found = session.run(None, {name: value.numpy() for name, value in inputs.items()})
     with torch.no_grad():
         expected = answers(*inputs.values())

@@ -199,7 +199,7 @@ class Protocol(Options, ABC):
     def options(self) -> dict[str, Any]:
         """Kind and options as plain values; `protocol_from_options` is the inverse."""
         options = {"kind": self.kind, **asdict(self)}
-        if self.randomise is None:
+        if self.randomise is None:  # files are as before there was a choice
             del options["randomise"]
         return options
 

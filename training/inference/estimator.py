@@ -189,7 +189,10 @@ class ContactEstimator(OpenedModel):
 
 
 class Estimator(ContactEstimator):
-    """A single-contact model, opened; not for use from several threads at once."""
+    """A single-contact model, opened; not for use from several threads at once.
+
+    An `EstimateError` refuses inputs that it cannot take, and answers that are not finite.
+    """
 
     outputs: ClassVar[Sequence[str]] = OUTPUTS
 
@@ -253,7 +256,8 @@ class Estimator(ContactEstimator):
 class SequenceEstimator(ContactEstimator, ABC):
     """A single-contact model that takes samples one after another; for one thread at a time.
 
-    The samples given since `forget`, their times and their set-points determine its answers.
+    The samples given since `forget`, their times and their set-points determine its answers. An
+    `EstimateError` refuses those that it cannot take.
     """
 
     @abstractmethod
@@ -316,7 +320,7 @@ class MultiEstimates(NamedTuple):
 
 
 class MultiEstimator(ContactEstimator):
-    """A multi-contact model, opened."""
+    """A multi-contact model, opened; an `EstimateError` refuses inputs that it cannot take."""
 
     outputs = MULTI_OUTPUTS
 

@@ -192,9 +192,7 @@ class ClosedForm(nn.Module):
         """The balance; the arm stands where the stretches of its taut cables say."""
         commanded = self.kinematics(joint_command_rad)
         unloaded_n, unbalanced = self._unloaded(joint_command_rad, commanded)
-        tension = self._as_tensions(tension_difference_n) + unloaded_n
-        taut = (tension > self.slack_below_n).to(tension.dtype)
-        tension = tension * taut
+        tension, taut = self._loaded(tension_difference_n, unloaded_n)
         stretch = tension - self._at_command_n(joint_command_rad, commanded)
         missing = stretch = stretch * self.compliance_m_n
         weight = _weights(taut, POSE_SLACK_WEIGHT)
@@ -220,9 +218,13 @@ class ClosedForm(nn.Module):
             commanded.length_m,
         )
 
-    def _as_tensions(self, tension_difference_n: Tensor) -> Tensor:
-        """Differences (B, M) of the tensions behind differences as read."""
-        return tension_difference_n if self.unread is None else tension_difference_n @ self.unread
+    def _loaded(self, tension_difference_n: Tensor, unloaded_n: Tensor) -> tuple[Tensor, Tensor]:
+        """Tensions (B, M) behind differences as read, and one for each taut cable."""
+        if self.unread is not None:
+            tension_difference_n = tension_difference_n @ self.unread
+        tension = tension_difference_n + unloaded_n
+        taut = (tension > self.slack_below_n).to(tension.dtype)
+        return tension * taut, taut
 
     def _residual(
         self, missing_m: Tensor, jacobian_t_m: Tensor, precision: Tensor, taut: Tensor
@@ -315,10 +317,8 @@ class NearCommand(ClosedForm):
         at, by_angle = self._expand(joint_command_rad, commanded)
         jacobian, bend_by = commanded.jacobian_t_m, by_angle[:, :, : joints * m]
 
-        tension = self._as_tensions(tension_difference_n) + unloaded_n
         # all that depends on which cables are taut does so through this one tensor
-        taut = (tension > self.slack_below_n).to(tension.dtype)
-        tension = tension * taut
+        tension, taut = self._loaded(tension_difference_n, unloaded_n)
         of_pose = _weights(taut, POSE_SLACK_WEIGHT)
         to_turn = (_gram_inverse(jacobian, of_pose) @ (jacobian * of_pose[:, None])).transpose(
             1, 2
