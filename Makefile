@@ -50,7 +50,7 @@ lint: setup build/mypy  ## style, types and dependencies between packages
 
 # What a node compiles for contacts anywhere, but their fits, or for contact points.
 PREPARE = from cablesense_online.stated_contacts import *; from cablesense_sim.arm import open_arm; \
-	RestingArm(UnloadedTensions(open_arm("cdsm")), 1).prepare(np.zeros(8), anywhere=$(1))
+	RestingArm(open_arm("cdsm"), 1).prepare(np.zeros(8), anywhere=$(1))
 # A minute, that many processes at once would take several times; two compile nothing that both need.
 # Numba does not see that a module of which code is in another module's has changed.
 build/compiled: $(shell grep -l '^@compiled' cablesense_sim/*.py)

@@ -31,8 +31,8 @@ from cablesense_online.answer import Answer
 from cablesense_online.can.assembler import Sample
 from cablesense_online.can.bus import CanInterface, FaultLedger
 from cablesense_online.can.channel_map import open_channel_map
+from cablesense_online.can.emulator import frame_line, line_frame
 from cablesense_online.can.reader import SCATTER_OF_READING_S, TensionReader
-from cablesense_online.can.slcan import frame_line, line_frame
 from cablesense_online.estimation import Estimation
 from cablesense_online.samples import PLAUSIBLE_N
 from cablesense_sim.arm import open_arm

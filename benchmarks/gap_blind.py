@@ -46,8 +46,8 @@ from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_gap.recordings.thinning import rows_to_use
 from cablesense_gap.scoring import Truth, read_answers
 from cablesense_gap.verdict import Verdict, read_verdict, removed_fraction
-from cablesense_online.exchanged_plugs import exchanged_plugs
-from cablesense_online.tare import UnloadedTensions
+from cablesense_online.stated_contacts import RestingArm
+from cablesense_online.tare import exchanged_plugs
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.withhold import ArmAnswer, draw_kinds, draw_several, withhold
 from cablesense_sim.arm import Arm, find_arm, open_arm
@@ -181,7 +181,7 @@ def _speed(effect: str, seed: int) -> dict[str, Any]:
 def _exchanged(count: int, seed: int) -> dict[str, Any]:
     """How often exchanged columns are named by a diagnosis and at a tare; false alarms."""
     arm, rng = open_arm(ARM), np.random.default_rng([seed])
-    straight_n = UnloadedTensions(arm).predict_n(np.zeros(arm.joint_count))
+    straight_n = RestingArm(arm, 1).predict_n(np.zeros(arm.joint_count))
     named, false, tared, false_tares, seconds = 0, 0, 0, 0, []
     with tempfile.TemporaryDirectory() as name:
         drawn(Path(name), draw_kinds(rng, count), seed)

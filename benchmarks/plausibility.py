@@ -25,7 +25,7 @@ from cablesense_online.answer import decide
 from cablesense_online.models import load_model
 from cablesense_online.plausibility import PlausibilityCheck
 from cablesense_online.samples import SampleError
-from cablesense_online.tare import UnloadedTensions
+from cablesense_online.stated_contacts import RestingArm
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
@@ -51,13 +51,11 @@ class Bench:
         assert isinstance(loaded.estimator, Estimator)
         self.arm, self.estimator = loaded.arm, loaded.estimator
         self.rng = np.random.default_rng([20_260_013, ARMS.index(arm_name), number])
-        statics = UnloadedTensions(self.arm)
-        self.mechanism = statics.mechanism
-        self.check = PlausibilityCheck(
-            statics, TARE_SAMPLES, LARGEST_MISFIT, self.estimator.metadata
-        )
+        resting = RestingArm(self.arm, TARE_SAMPLES)
+        self.mechanism = resting.mechanism
+        self.check = PlausibilityCheck(resting, LARGEST_MISFIT, self.estimator.metadata)
         self.command = np.deg2rad(self.rng.uniform(-10.0, 10.0, self.arm.joint_count))
-        unloaded = statics.predict_n(self.command)
+        unloaded = resting.predict_n(self.command)
         self.tare = self.read(np.tile(unloaded, (TARE_SAMPLES, 1))).mean(axis=0)
         self._stamp_ns = 0
 

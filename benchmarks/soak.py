@@ -41,8 +41,7 @@ from sensor_msgs.msg import JointState
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.qos import Qos
 from cablesense_online.can.channel_map import ChannelMap, open_channel_map, signal_conversion
-from cablesense_online.can.emulator import Emulator
-from cablesense_online.can.slcan import SlcanPort
+from cablesense_online.can.emulator import Emulator, SlcanPort
 from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.processes import Process, node_command, wait_until
 from cablesense_sim.arm import open_arm

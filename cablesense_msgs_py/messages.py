@@ -184,6 +184,18 @@ class Contact(NamedTuple):
     along_n: float = 0.0
     moment_n_m: float | None = None
 
+    @classmethod
+    def of_force(
+        cls, segment: int, force_n: Sequence[float], contact_m: float, *, known: bool = True
+    ) -> Contact:
+        """Of a force (3,) in the segment's frame at a place; where not `known`, of its moment."""
+        along_n, y, z = force_n
+        size_n, moment_n_m = math.hypot(y, z), None
+        if not known:
+            size_n, moment_n_m = 0.0, contact_m * size_n
+        angle_deg = math.degrees(math.atan2(y, z)) % 360.0
+        return cls(segment, angle_deg, size_n, contact_m, along_n, moment_n_m)
+
     @property
     def direction(self) -> tuple[float, float]:
         """(y, z) of the lateral force's unit vector in the segment's frame."""

@@ -17,8 +17,9 @@ The breather commands a `Breath` along its `Circle`; the estimator averages by `
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -71,13 +72,10 @@ class Circle:
     Attributes:
         axes_rad: (2, 2N) deviation from the command, at the start and a quarter turn later.
         tip_m: largest commanded displacement of the arm's tip.
-        least_rad: largest angle of the least circle that turns every guide; 0 where that is
-            unknown, as the arm file has no friction.
     """
 
     axes_rad: Array
-    tip_m: float
-    least_rad: float
+    tip_m: float = 0.0
 
     @property
     def largest_rad(self) -> float:
@@ -94,29 +92,24 @@ class Breath:
     """Set-points of one breath: up to the full circle, whole turns, and back to the command."""
 
     def __init__(self, circle: Circle, turns: int) -> None:
-        """With this number of whole turns; 0 continues until `end`."""
+        """With this number of whole turns; 0 continues for ever."""
         self._circle = circle
         self._first = _RISE + _LEAD
-        self._last = self._first + turns * SET_POINTS_A_TURN if turns else None
+        self._last = self._first + turns * SET_POINTS_A_TURN if turns else math.inf
         self._number = 0
 
     @property
     def over(self) -> bool:
         """Whether the last set-point has been given."""
-        return self._last is not None and self._number > self._last + _FALL
-
-    def end(self) -> None:
-        """Return to the command from the present point of the circle."""
-        if self._last is None or self._number < self._last:
-            self._last = self._number
+        return self._number > self._last + _FALL
 
     def next(self) -> tuple[Array, int]:
         """The next deviation from the command (2N,), and its turn (`messages.breath_turn`)."""
         number = self._number
         self._number += 1
         size, turn = min(1.0, number / _RISE), 0
-        if self._last is not None and number >= self._last:
-            size = min(size, self._last / _RISE) * (1.0 - (number - self._last) / _FALL)
+        if number >= self._last:
+            size = 1.0 - (number - self._last) / _FALL
         elif number >= self._first:
             turn = 1 + (number - self._first) // SET_POINTS_A_TURN
         if self.over:
@@ -127,13 +120,12 @@ class Breath:
 def breath_circle(
     arm: Arm, command_rad: Array, amplitude_rad: float = 0.0, largest_tip_m: float = 0.0
 ) -> Circle:
-    """The circle of a breath of an arm at a command (2N,).
+    """The circle of a breath of an arm about a command (2N,).
 
     Args:
         arm: with `capstan_friction` among its effects, unless the amplitude is given.
-        command_rad: (2N,) centre of the circle.
-        amplitude_rad: amplitude of the joint that turns most; 0 takes the least that turns every
-            guide.
+        command_rad: centre of the circle.
+        amplitude_rad: of the joint that turns most; 0 takes the least that turns every guide.
         largest_tip_m: largest displacement of the tip; 0 for any.
 
     Raises:
@@ -161,7 +153,7 @@ def breath_circle(
             f"{np.degrees(amplitude):.2f} degrees, more than {np.degrees(MOST_RAD):g}; less "
             "friction or stiffer cables need less"
         )
-    circle = Circle(axes * (amplitude / largest_wave), 0.0, least_rad)
+    circle = Circle(axes * (amplitude / largest_wave))
     poses = command_rad + np.array([circle.at(k / _PHASES) for k in range(_PHASES)])
     lowest_n = solve_equilibrium(mechanism, poses).tensions_n.min(0) * np.exp(-2.0 * grip)
     worst = int(np.argmin(lowest_n))
@@ -178,7 +170,7 @@ def breath_circle(
             f"{1e3 * farthest_m:.2f} mm, more than {1e3 * largest_tip_m:g}; allow that, or give a "
             "smaller amplitude"
         )
-    return Circle(circle.axes_rad, farthest_m, least_rad)
+    return replace(circle, tip_m=farthest_m)
 
 
 def offsets_m(arm: Arm, command_rad: Array, deviation_rad: Array) -> Array:
@@ -237,10 +229,10 @@ def _motion_m(mechanism: Mechanism, command_rad: Array, axes_rad: Array) -> Arra
 class BreathReadings:
     """Takes readings and the marks of a breath as they come; gives the tensions to answer from.
 
-    Over each whole turn of a breath the readings' logarithms are averaged. Their mean is answered
-    from, from the end of the turn to the end of the next. When the breath is over and the arm at
-    rest again, each cable's reading differs from that mean by its friction. Readings are corrected
-    by this difference until the arm is commanded elsewhere.
+    The mean of the readings' logarithms over each whole turn of a breath is answered from until
+    the end of the next. When the breath is over and the arm at rest again, each cable's reading
+    differs from that mean by its friction. Readings are corrected by this difference until the arm
+    is commanded elsewhere.
 
     Attributes:
         state: progress and results of the breath.

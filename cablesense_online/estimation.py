@@ -23,9 +23,8 @@ from cablesense_msgs_py.messages import (
 )
 from cablesense_msgs_py.serialized import EffortReader
 from cablesense_msgs_py.topics import ContractError
-from cablesense_online.answer import Answer
+from cablesense_online.answer import Answer, ContactStatics
 from cablesense_online.breathing import BreathReadings
-from cablesense_online.contact_statics import ContactStatics
 from cablesense_online.models import AnyEstimator, FoundContacts, contact_model
 from cablesense_online.motion_gate import MotionGate
 from cablesense_online.plausibility import PlausibilityCheck
@@ -46,7 +45,8 @@ from cablesense_online.state import (
     EventLog,
     Tare,
 )
-from cablesense_online.tare import DriftWatch, Tares, UnloadedTensions
+from cablesense_online.stated_contacts import RestingArm
+from cablesense_online.tare import DriftWatch, Tares
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.estimator import SequenceEstimator
 
@@ -64,13 +64,13 @@ class Estimation:
     carries the new state; `restore` makes another object give the same answers from there on.
 
     Attributes:
-        largest_force_n: largest force since the reporter last set it to zero, N.
         publisher, clock, check, health: checks of the input.
         gate: the command in force, and whether the arm moves.
         breathing: what readings would be without friction.
         tares, drift: the unloaded state, and its drift over the time without contact.
         plausibility: whether readings fit the estimates.
         model: finds the contacts.
+        largest_force_n: since the reporter last set it to zero.
         command_received: whether any joint command has come; until then the arm is assumed to be
             straight.
         reproducible: whether the answers after `restore` are those of the object that made the
@@ -91,28 +91,23 @@ class Estimation:
         self._reader = EffortReader()
         self._cable_order = NamedOrder(arm.cable_names, "cables")
         self._joint_order = NamedOrder(arm.joint_names, "joints")
-        straight, unloaded = np.zeros(arm.joint_count), UnloadedTensions(arm)
-        self._contact_m = unloaded.mechanism.contact_m.tolist()
-        self._statics = ContactStatics(unloaded.mechanism)
+        straight, resting = np.zeros(arm.joint_count), RestingArm(arm, settings.tare_samples)
+        self._contact_m = resting.mechanism.contact_m.tolist()
+        self._statics = ContactStatics(resting.mechanism)
         self.clock = SampleClock(settings.stale_after_s)
-        self.publisher = FollowedPublisher(settings.stale_after_s)
         self.check = SampleCheck(arm.sensors.range_n, settings.slack_below_n)
-        self.health = InputHealth(self.clock, self.publisher, now_s)
         self.gate = MotionGate(straight, settings)
-        self.tares = Tares(unloaded, settings, straight)
-        self.drift = DriftWatch(unloaded, settings)
+        self.tares = Tares(resting, settings, straight)
+        self.drift = DriftWatch(resting, settings)
         in_motion = isinstance(estimator, SequenceEstimator)
         self.plausibility = PlausibilityCheck(
-            unloaded,
-            settings.tare_samples,
+            resting,
             settings.largest_misfit,
             # without a limit the estimator may be any object that answers
             estimator.metadata if settings.largest_misfit else None,
             "the model is history-dependent" if in_motion else "",
         )
-        self.model = contact_model(
-            estimator, self.tares, self.gate, self.plausibility.arm, settings
-        )
+        self.model = contact_model(estimator, self.tares, self.gate, resting, settings)
         self.reproducible = not in_motion
         self.breathing = BreathReadings(settings.settle_s)
         self._breath_rad: Array | None = None
@@ -120,7 +115,7 @@ class Estimation:
         self.command_received = False
         self.largest_force_n = 0.0
         self._events = EventLog()
-        self._events.note(EventKind.START, self.gate.command_rad)
+        self.start(now_s)
 
     def follow(self, number: int, now_s: float) -> bool:
         """Whether another publisher is followed from the sample with this publication number on.
@@ -184,7 +179,7 @@ class Estimation:
             self.drift.interrupt()
         elif gate.angles_rad is not self._angles_rad:
             self._angles_rad = gate.angles_rad
-            if gate.angles_rad is not gate.command_rad or tares.linear:
+            if gate.angles_rad is not gate.command_rad or tares.state.linear_at_rad.size:
                 tares.follow(gate.angles_rad)
             followed = gate.pose_rad is not pose_rad and gate.pose_rad is not gate.command_rad
             if followed or tares.state.linear_at_rad is not linear_at_rad:
@@ -195,11 +190,7 @@ class Estimation:
         return moving
 
     def _answered(self, readings_n: Sequence[float], stamp_ns: int, moving: bool) -> Answer:
-        """Estimate and decide on checked readings (M,), without stamp and state.
-
-        Raises:
-            CableSenseError: the model cannot take them, or they fit no contact.
-        """
+        """Estimate and decide on checked readings (M,), without stamp and state."""
         freed_n = self.breathing.without_friction(readings_n, stamp_ns)
         if self.breathing.learnt:
             self._events.note(EventKind.BREATH)

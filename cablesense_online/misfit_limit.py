@@ -23,7 +23,6 @@ from cablesense_online.answer import decide
 from cablesense_online.models import MOST_OF_NOISE, LoadedModel
 from cablesense_online.plausibility import FALSE_ALARM_RATE, noise_limit
 from cablesense_online.stated_contacts import RestingArm
-from cablesense_online.tare import UnloadedTensions
 from cablesense_sim.contact_location import touched_at
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.loads import normal_force_n
@@ -42,9 +41,8 @@ def simulated_misfits(loaded: LoadedModel, seed: int, poses: int) -> Iterator[fl
     arm, estimator = loaded.arm, loaded.estimator
     assert isinstance(estimator, Estimator)
     metadata, rng = estimator.metadata, np.random.default_rng(seed)
-    statics, count = UnloadedTensions(arm), arm.segment_count
-    resting = RestingArm(statics, metadata.tare_samples)
-    mechanism, range_rad = statics.mechanism, np.deg2rad(metadata.pose_range_deg)
+    count, resting = arm.segment_count, RestingArm(arm, metadata.tare_samples)
+    mechanism, range_rad = resting.mechanism, np.deg2rad(metadata.pose_range_deg)
     contact_m, (reach, _) = mechanism.contact_m, touched_at(arm)
 
     def readings(tensions_n: Array, count: int) -> Array:
@@ -97,7 +95,7 @@ def put_simulated_limit(path: Path) -> MisfitLimit | None:
         ModelFileError: no such model file, or it cannot be written.
     """
     loaded, limit = LoadedModel.open(path), None
-    if isinstance(loaded.estimator, Estimator) and not UnloadedTensions(loaded.arm).incomplete:
+    if isinstance(loaded.estimator, Estimator) and not RestingArm(loaded.arm, 1).incomplete:
         misfits = np.fromiter(simulated_misfits(loaded, 0, POSES), float)
         limit = _limit(misfits, loaded.free)
     replace_misfit_limit(path, limit)

@@ -1,13 +1,11 @@
 """A model as the online estimator uses it: loaded, asked for a contact, its estimate decided on.
 
 A memoryless estimator takes samples of an arm at rest, with one contact or several. A
-history-dependent one takes every sample along the trajectory of the joints. `ContactModel` is
-their common interface.
+history-dependent one takes every sample along the trajectory of the joints.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,14 +38,11 @@ from cablesense_training.inference.metadata import find_model_of
 from cablesense_training.inference.model_file import model_sha256, read_model
 from cablesense_training.inference.temporal_estimator import open_estimator
 
-PREDICTED_EVERY_RAD = 2e-3
-"""How far a joint turns before the unloaded tensions on the way are predicted anew.
+_PREDICTED_EVERY_RAD = 2e-3
+"""How far a joint turns before the unloaded tensions on the way are predicted anew: on the arm
+`cdsm` they change by less than 0.1 N over this."""
 
-On the arm `cdsm` they change by less than 0.1 N over this.
-"""
-
-
-ALONG_KNOWN_N = 1.0
+_ALONG_KNOWN_N = 1.0
 """An axial force is stated if its standard deviation is below this: the arm is then so bent that a
 small error of the pose does not make one."""
 
@@ -148,12 +143,11 @@ def load_model(arm: str, model: str) -> LoadedModel:
 
 
 class FoundContacts(NamedTuple):
-    """The contacts that a model finds in a sample.
+    """The contacts that a model finds in a sample, the strongest first.
 
     Attributes:
         probabilities: (N + 1,) that nothing touches, and of each segment that it is touched.
-        contacts: those decided on, the strongest first.
-        estimate: the one behind them, if the model states one.
+        estimate: the one behind the contacts, if the model states one.
         doubt: why readings do not determine the contacts; empty where they do.
         misfit: root mean square of the readings' residuals, if the model states it.
     """
@@ -168,16 +162,22 @@ class FoundContacts(NamedTuple):
 class ContactModel:
     """A memoryless estimator, asked at the gate's pose; the caller ensures that the arm rests.
 
-    Attributes:
-        in_motion: whether it estimates while the arm moves.
-        several: whether it estimates several contacts at once.
+    Others estimate `in_motion`, or `several` contacts at once.
     """
 
     in_motion = several = False
 
-    def __init__(self, estimator: Any, tares: Tares, gate: MotionGate, arm: RestingArm) -> None:
+    def __init__(
+        self,
+        estimator: Any,
+        tares: Tares,
+        gate: MotionGate,
+        arm: RestingArm,
+        joint_speed_rad_s: float,
+    ) -> None:
         self._estimator, self._tares, self._gate, self._arm = estimator, tares, gate, arm
-        self._contact_m = arm.statics.mechanism.contact_m.tolist()
+        self._speed_rad_s = joint_speed_rad_s
+        self._contact_m = arm.mechanism.contact_m.tolist()
         self._prepare()
 
     def _prepare(self) -> None:
@@ -185,16 +185,14 @@ class ContactModel:
         self._arm.prepare(self._gate.pose_rad, anywhere=False)
 
     def find(self, tensions_n: Array, stamp_ns: int, threshold: float) -> FoundContacts | None:
-        """The contacts behind tensions (M,), of a probability `threshold`; None without a tare.
-
-        Raises:
-            CableSenseError: the model cannot take this sample.
-        """
+        """The contacts behind tensions (M,), of a probability `threshold`; None without a tare."""
         unloaded = self._tares.unloaded_n
-        if unloaded is None:
-            return None
-        pose = self._gate.pose_rad if self._estimator.pose_aware else None
-        return self._decided(self._estimator.estimate(tensions_n - unloaded, pose), threshold)
+        return None if unloaded is None else self._found(tensions_n - unloaded, threshold)
+
+    def _found(self, difference_n: Array, threshold: float) -> FoundContacts:
+        """As `find`, behind tensions less unloaded ones (M,)."""
+        pose_rad = self._gate.pose_rad if self._estimator.pose_aware else None
+        return self._decided(self._estimator.estimate(difference_n, pose_rad), threshold)
 
     def _decided(self, estimate: Estimate, threshold: float) -> FoundContacts:
         probabilities = estimate.probabilities.tolist()
@@ -221,22 +219,10 @@ class HistoryDependentModel(ContactModel):
 
     in_motion = True
 
-    def __init__(
-        self,
-        estimator: SequenceEstimator,
-        tares: Tares,
-        gate: MotionGate,
-        arm: RestingArm,
-        joint_speed_rad_s: float,
-    ) -> None:
-        super().__init__(estimator, tares, gate, arm)
-        self._speed_rad_s = joint_speed_rad_s
+    def _prepare(self) -> None:
         self._last_ns: int | None = None
         self._predicted: tuple[Array, Array] | None = None
-        self.restart(gate.command_rad)
-
-    def _prepare(self) -> None:
-        """Nothing compares its contacts with the readings."""
+        self.restart(self._gate.command_rad)
 
     def find(self, tensions_n: Array, stamp_ns: int, threshold: float) -> FoundContacts | None:
         """See `ContactModel`; the trajectory is followed without a tare too."""
@@ -274,8 +260,8 @@ class HistoryDependentModel(ContactModel):
             self._predicted = None
             return self._tares.unloaded_n
         at = self._predicted
-        if at is None or np.abs(angle_rad - at[0]).max() > PREDICTED_EVERY_RAD:
-            self._predicted = at = angle_rad, self._arm.statics.predict_n(angle_rad)
+        if at is None or np.abs(angle_rad - at[0]).max() > _PREDICTED_EVERY_RAD:
+            self._predicted = at = angle_rad, self._arm.predict_n(angle_rad)
         tare = self._tares.present
         return None if tare is None else tare.unloaded_n(at[1])
 
@@ -288,12 +274,8 @@ class MultiContactModel(ContactModel):
 
     several = True
 
-    def find(self, tensions_n: Array, stamp_ns: int, threshold: float) -> FoundContacts | None:
-        """See `ContactModel`."""
-        unloaded = self._tares.unloaded_n
-        if unloaded is None:
-            return None
-        pose_rad, difference_n = self._gate.pose_rad, tensions_n - unloaded
+    def _found(self, difference_n: Array, threshold: float) -> FoundContacts:
+        pose_rad = self._gate.pose_rad
         estimates = self._estimator.estimate_batch(difference_n, pose_rad)
         touching, force_n = estimates.probabilities[0], estimates.magnitude_n[0].tolist()
         probabilities = [float(np.prod(1.0 - touching)), *touching.tolist()]
@@ -322,12 +304,12 @@ class AnywhereModel(ContactModel):
     def _prepare(self) -> None:
         self._estimator.prepare()
         self._arm.prepare(self._gate.pose_rad, anywhere=True)
-        mechanism = self._arm.statics.mechanism
+        mechanism = self._arm.mechanism
         self._damping_n_m_s = mechanism.joint_damping_n_m_s
         self._inertia_kg_m2 = _inertia_kg_m2(mechanism)
 
-    def find(self, tensions_n: Array, stamp_ns: int, threshold: float) -> FoundContacts | None:
-        """See `ContactModel`; torques of damping and inertia count as noise of their own size."""
+    def _found(self, difference_n: Array, threshold: float) -> FoundContacts:
+        """Torques of damping and inertia count as noise of their own size."""
         covariance_n2_m2 = None
         if (unrest := self._gate.unrest) is not None:
             speed_rad_s, swing_rad_s2 = unrest
@@ -335,7 +317,7 @@ class AnywhereModel(ContactModel):
             damping_n_m = self._damping_n_m_s * speed_rad_s
             covariance_n2_m2 = swing_n_m @ swing_n_m.T + np.diag(damping_n_m**2)
         self._estimator.torque_covariance_n2_m2 = covariance_n2_m2
-        return super().find(tensions_n, stamp_ns, threshold)
+        return super()._found(difference_n, threshold)
 
     def _decided(self, estimate: Estimate, threshold: float) -> FoundContacts:
         place, probabilities = estimate.place, estimate.probabilities.tolist()
@@ -353,7 +335,7 @@ class AnywhereModel(ContactModel):
             estimate.angle_deg,
             estimate.magnitude_n if place.force_known else 0.0,
             place.place_m,
-            place.along_n if place.along_std_n < ALONG_KNOWN_N else 0.0,
+            place.along_n if place.along_std_n < _ALONG_KNOWN_N else 0.0,
             place.moment_n_m,
         )
         doubt, surface = "", self._estimator.surface
@@ -379,16 +361,13 @@ def _two(pair: ContactPair, reach: Array) -> tuple[tuple[Contact, ...], None, st
     contacts, unknown_n = [], 0.0
     for k, (along_n, y, z) in enumerate(pair.force_n[0].tolist()):
         number, place_m = int(pair.segments[0, k]), float(pair.place_m[0, k])
-        size_n, angle_deg = math.hypot(y, z), math.degrees(math.atan2(y, z)) % 360.0
         along_std_n, *std_n = pair.force_std_n[0, k].tolist()
         low_m, high_m = reach[number - 1].tolist()
-        moment_n_m = None
-        if pair.place_std_m[0, k] > _UNKNOWN_PLACE * (high_m - low_m):
-            size_n, moment_n_m = 0.0, place_m * size_n
-        else:
+        anywhere = bool(pair.place_std_m[0, k] > _UNKNOWN_PLACE * (high_m - low_m))
+        if not anywhere:
             unknown_n = max(unknown_n, *std_n)
-        along_n = along_n if along_std_n < ALONG_KNOWN_N else 0.0
-        contacts.append(Contact(number, angle_deg, size_n, place_m, along_n, moment_n_m))
+        force_n = (along_n if along_std_n < _ALONG_KNOWN_N else 0.0, y, z)
+        contacts.append(Contact.of_force(number, force_n, place_m, known=not anywhere))
     contacts.sort(key=lambda contact: -contact.magnitude_n)
     doubt = ""
     if not contacts[-1].magnitude_n:
@@ -406,11 +385,11 @@ def contact_model(
     settings: EstimationSettings,
 ) -> ContactModel:
     """The model of an estimator's kind."""
-    if isinstance(estimator, SequenceEstimator):
-        return HistoryDependentModel(estimator, tares, gate, arm, settings.joint_speed_rad_s)
     kind = ContactModel
-    if isinstance(estimator, MultiEstimator):
+    if isinstance(estimator, SequenceEstimator):
+        kind = HistoryDependentModel
+    elif isinstance(estimator, MultiEstimator):
         kind = MultiContactModel
     elif isinstance(estimator, AnywhereEstimator):
         kind = AnywhereModel
-    return kind(estimator, tares, gate, arm)
+    return kind(estimator, tares, gate, arm, settings.joint_speed_rad_s)

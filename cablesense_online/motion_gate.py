@@ -1,8 +1,8 @@
 """The commanded pose, whether the arm may still be moving towards it, and its pose on the way.
 
 Controllers stream commands that differ in the last digit, or turn slowly. Such a motion is
-followed: the arm passes from rest to rest along the set-points between the commands
-(`joint_motion`). Only faster motions shut the gate.
+followed along the set-points between the commands (`joint_motion`). Only faster ones shut the
+gate.
 """
 
 from __future__ import annotations
@@ -30,10 +30,7 @@ _CLOCK_JITTER_S = 0.02
 
 
 class MotionGate:
-    """Shut from a changed command until the arm must have arrived and come to rest.
-
-    The set-points between the commands are followed (`joint_motion`). The gate waits until they
-    have arrived at the command, and then `settle_s`.
+    """Shut from a changed command until its set-points have arrived, and then for `settle_s`.
 
     Time is that of the samples' stamps, so that a recording has the same answers: a command counts
     from the first sample after it. If stamps step back, the remaining wait is kept. If they step
@@ -102,12 +99,11 @@ class MotionGate:
         """Take over a command (2N,); gives whether it differs from the previous one."""
         if np.array_equal(command_rad, self.command_rad):
             return False
-        followed = self.follows(command_rad)
+        if not self.follows(command_rad):
+            self._starting, self.shortened_s = True, 0.0
         self.state.command_rad = command_rad.copy()
         self._heading, self._resting = True, False
         self._commands_since += 1
-        if not followed:
-            self._starting, self.shortened_s = True, 0.0
         return True
 
     def follows(self, command_rad: Array) -> bool:
@@ -174,9 +170,10 @@ class MotionGate:
         too_long_s = (state.rest_from_ns - latest_ns) * 1e-9
         if restored and too_long_s > _ROUNDING_S:
             self.shortened_s = too_long_s
-        if self._starting or too_long_s > _ROUNDING_S:
+        changed = self._starting or too_long_s > _ROUNDING_S
+        if changed:
             state.rest_from_ns = latest_ns
-        if self._starting or restored or too_long_s > _ROUNDING_S:
+        if changed or restored:
             self._rest_from_s = sampled_s + (state.rest_from_ns - stamp_ns) * 1e-9
         self._heading = self._starting = False
 
@@ -253,11 +250,8 @@ class MotionGate:
     ) -> Status:
         """Command, motion and pose, for diagnostics.
 
-        Args:
-            pose_range_deg: the model was trained within ± this.
-            refused: number of commands refused since the last report.
-            received: whether any command has come.
-            in_motion: whether the model estimates while the arm moves.
+        The model was trained within ± `pose_range_deg`. So many commands were `refused` since the
+        last report, and any was `received`. The model estimates only at rest, or `in_motion` too.
         """
         command_deg = np.rad2deg(self.command_rad).tolist()
         values = {

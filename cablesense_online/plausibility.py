@@ -8,8 +8,7 @@ segments, which friction at a contact may add. A model of contacts anywhere stat
 the contacts that fit best do (`RestingArm.explained`).
 
 A verdict depends on nothing before its sample, except the time that forces are withheld after a
-misfit. The equilibrium of an earlier sample may serve where a cable reads slack and this sample
-fits it.
+misfit, and an earlier equilibrium that fits this sample too where a cable reads slack.
 
 A fit proves nothing: a fault with the pattern of a force looks like that force. Therefore a
 contact is `unconfirmed` if one wrong reading would pass, or if the average of a steady contact's
@@ -41,7 +40,6 @@ from cablesense_online.stated_contacts import (
     StatedContacts,
     SteadyContact,
 )
-from cablesense_online.tare import UnloadedTensions
 from cablesense_sim.contact_location import touched_at
 from cablesense_sim.replay import mean_variance_n2
 from cablesense_training.inference.metadata import ANYWHERE, ModelMetadata
@@ -75,7 +73,6 @@ class PlausibilityCheck:
 
     Attributes:
         state: until when forces are withheld.
-        arm: the arm at the command of the last sample.
         unchecked: why nothing is checked; empty where all is.
         doubt: why the contact of the last sample that fits is unconfirmed; empty where it is not.
         misfit: misfit of the last sample; infinite if it was compared with no equilibrium.
@@ -83,8 +80,7 @@ class PlausibilityCheck:
 
     def __init__(
         self,
-        statics: UnloadedTensions,
-        tare_samples: int,
+        arm: RestingArm,
         largest_misfit: float,
         model: ModelMetadata | None,
         unchecked: str = "",
@@ -93,20 +89,17 @@ class PlausibilityCheck:
 
         `unchecked` states why a model's answers cannot be checked.
         """
-        self._sensors, self._tare_samples = statics.arm.sensors, tare_samples
-        self._cable_names = statics.arm.cable_names
-        self.arm = RestingArm(statics, tare_samples)
-        self.unchecked = unchecked or statics.incomplete
+        self.arm, self._cable_names = arm, arm.arm.cable_names
+        self.unchecked = unchecked or arm.incomplete
         if not largest_misfit:
             self.unchecked = "switched off (largest_misfit is 0)"
         self._largest, self._model = largest_misfit, model
         self._largest_force_n = BEYOND_TRAINING * (model.force_range_n if model else 0.0)
         kind = model.kind if model else ""
-        self._reach_m = touched_at(statics.arm)[0] if kind == ANYWHERE else None
-        most: dict[str, int] = {"multi-contact": statics.arm.segment_count, ANYWHERE: 2}
-        self._limits = _limits(
-            largest_misfit, statics.arm.cable_count, most.get(kind, 1), numbers_of(kind)
-        )
+        self._reach_m = touched_at(arm.arm)[0] if kind == ANYWHERE else None
+        most_by_kind: dict[str, int] = {"multi-contact": arm.arm.segment_count, ANYWHERE: 2}
+        most = most_by_kind.get(kind, 1)
+        self._limits = _limits(largest_misfit, arm.arm.cable_count, most, numbers_of(kind))
         self.state = MisfitState()
         self.misfit = self._worst = 0.0
         self._withheld, self._last_problem, self._suspects = 0, "", ""
@@ -220,17 +213,6 @@ class PlausibilityCheck:
                 f"{BEYOND_TRAINING:g} times what the model was trained on"
             )
         contacts = sorted(contacts, key=lambda contact: contact.segment)
-        return self._explained(difference_n, contacts, stated_misfit, due=due)
-
-    def _explained(
-        self,
-        difference_n: Array,
-        contacts: Sequence[Contact],
-        stated_misfit: float | None,
-        *,
-        due: bool,
-    ) -> str:
-        """Why readings do not fit contacts in the order of their segments, or others near."""
         largest = self._limits[len(contacts)]
         where = on_segments([contact.segment for contact in contacts])
         off_n = 0.0
@@ -265,31 +247,30 @@ class PlausibilityCheck:
         reading_n = self.arm.unloaded_n + difference_n
         if reading_n.min() > TAUT_SPREADS * self.arm.spread_n:
             return fit.misfit
-        for near in self._near(fit) if due else [self._nearly_slack]:
-            if near is None or near.segments != fit.segments:
-                continue
+        for near in self._near(fit, due=due):
             misfit, off_n = near.misfit_of(difference_n), math.dist(near.force_n, fit.force_n)
             if misfit <= largest and off_n <= FORCE_OFF_N:
                 self._nearly_slack = near
                 return misfit
         return fit.misfit
 
-    def _near(self, fit: StatedContacts) -> Iterator[StatedContacts | None]:
-        yield self._nearly_slack
-        yield fit
-        yield fit.refitted()
+    def _near(self, fit: StatedContacts, *, due: bool) -> Iterator[StatedContacts]:
+        if self._nearly_slack is not None and self._nearly_slack.segments == fit.segments:
+            yield self._nearly_slack
+        if due:
+            yield fit
+            if (refitted := fit.refitted()) is not None:
+                yield refitted
 
     def _described(self, contact: str) -> str:
-        return (
-            f"readings lie {self.misfit:.1f} times as far from {contact} as by their noise (at "
-            f"most {self._largest:g})"
-        )
+        text = f"readings lie {self.misfit:.1f} times as far from {contact} as by their noise"
+        return f"{text} (at most {self._largest:g})"
 
     def _suspected(self, difference_n: Array) -> str:
         """The cable, or the cables of a segment, without which all other readings fit."""
         if self.misfit <= self._largest:
             return ""
-        ends_on = self.arm.statics.mechanism.cable_segment
+        ends_on = self.arm.mechanism.cable_segment
         segments = [np.flatnonzero(ends_on == segment).tolist() for segment in np.unique(ends_on)]
         for sets in ([[cable] for cable in range(len(ends_on))], segments):
             names = [
@@ -363,8 +344,9 @@ class PlausibilityCheck:
         The limit is that of one reading, reduced as the noise of an average is.
         """
         count, full = steady.count, stamp_ns - steady.began_ns >= AVERAGED_S * 1e9
-        variances_n2 = (mean_variance_n2(self._sensors, n) for n in (count, self._tare_samples))
-        spread_n = max(sum(variances_n2) ** 0.5, LEAST_SPREAD_N)
+        averaged = (count, self.arm.tare_samples)
+        variance_n2 = sum(mean_variance_n2(self.arm.arm.sensors, number) for number in averaged)
+        spread_n = max(variance_n2**0.5, LEAST_SPREAD_N)
         largest = self._limits[len(steady.segments)] * spread_n / self.arm.spread_n
         mean_n = steady.sum_n / count
         # contacts whose forces are steady within a newton are near those that were judged

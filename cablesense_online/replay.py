@@ -48,7 +48,6 @@ class RecordedSample(NamedTuple):
         answers: serialized `WrenchStamped`: that of `~/wrench` at 0, those of segments at their
             numbers; none if the estimator was not running, did not receive the sample, or refused
             its stamp.
-        states: states in their order.
         taken: whether the estimator took the sample. Its answer or its status was recorded, or it
             came after the estimator's start and before the first recorded answer: the recorder
             receives answers only once it has discovered the estimator.
@@ -71,7 +70,6 @@ class RecordedRun:
     """A recording of `cablesense record`, with its journal read.
 
     Attributes:
-        path: the file.
         states: the journal, in the order of recording.
         has_answers: whether it contains an estimator's answers.
         segments: numbers of the segments with wrenches, from a model of several contacts.
@@ -114,11 +112,7 @@ class RecordedRun:
         self.cut = messages.cut
 
     def samples(self) -> Iterator[RecordedSample]:
-        """Every sample in order; no answer can be assigned to one without a stamp.
-
-        Raises:
-            RecordingError: the file has become unreadable.
-        """
+        """Every sample in order; no answer can be assigned to one without a stamp."""
         journal, before_first_answer = deque(self._journal), False
         for sample in self._answered_samples():
             states: list[EstimatorState] = []
@@ -264,8 +258,7 @@ def _numbers(raw: bytes) -> tuple[float, ...]:
 class RebuiltEstimation:
     """An estimation that goes from state to state and answers samples as serialized wrenches.
 
-    Attributes:
-        loaded: arm and model; None before the first state.
+    Its arm and model are `loaded` with the first state.
     """
 
     def __init__(self, arm: str, model: str) -> None:
@@ -341,8 +334,8 @@ def replay_in_process(
 
     Args:
         run: the recording.
-        arm: an arm other than the recorded one, or empty.
-        model: a model other than the recorded one, or empty.
+        arm: one other than the recorded one, or empty.
+        model: as `arm`.
         estimates: a CSV file for the answers, numbers with all their digits. `segment` is 0
             without a contact. Probabilities are empty if nothing was estimated: in a move, before
             the first tare, and at a sample that was refused, whose `problem` is given.
@@ -371,11 +364,11 @@ def replay_in_process(
                 segments = [f"p_segment_{n + 1}" for n in range(segment_count)]
                 head = ("stamp_ns", "segment", "angle_deg", "magnitude_n", "p_none")
                 table.writerow([*head, *segments, "problem"])
-            contact = answer.contact
-            touched = (contact.angle_deg, contact.magnitude_n) if contact.segment else ("", "")
+            segment, *touched = answer.contact[:3]
             probabilities = answer.probabilities or ("",) * (segment_count + 1)
             problem = "" if answer.problem is None else answer.problem.kind.value
-            table.writerow([stamp, contact.segment, *touched, *probabilities, problem])
+            row = (stamp, segment, *(touched if segment else ("", "")), *probabilities, problem)
+            table.writerow(row)
     return comparison
 
 

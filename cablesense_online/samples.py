@@ -30,7 +30,7 @@ class ProblemKind(Enum):
 
 
 class SampleError(CableSenseError):
-    """A sample that cannot be used: the kind of fault, its content and what would be right."""
+    """A sample that cannot be used, and what would be right."""
 
     def __init__(self, kind: ProblemKind, message: str) -> None:
         super().__init__(message)
@@ -48,13 +48,12 @@ class SampleCheck:
     force estimated from it would be false.
 
     Attributes:
-        slack_below_n: tension below which a cable counts as slack.
-        slack: numbers, from 1, of the cables that were slack in the last sample.
+        slack: numbers, from 1, of the cables below `slack_below_n` in the last sample.
     """
 
     def __init__(self, range_n: tuple[float, float] | None, slack_below_n: float) -> None:
         """`range_n` is the sensors' range, if the arm file gives one."""
-        self._range_n = range_n
+        self._given, self._range_n = range_n is not None, range_n or PLAUSIBLE_N
         self.slack_below_n = slack_below_n
         self.slack: tuple[int, ...] = ()
 
@@ -64,7 +63,7 @@ class SampleCheck:
         Raises:
             SampleError: a reading is not finite, saturated or implausible.
         """
-        low, high = self._range_n or PLAUSIBLE_N
+        low, high = self._range_n
         lowest = min(tensions_n)
         if not (isfinite(sum(tensions_n)) and low < lowest and max(tensions_n) < high):
             self._refuse(tensions_n)
@@ -82,12 +81,12 @@ class SampleCheck:
         return Status("cables", Level.OK, "all cables taut", values)
 
     def _refuse(self, tensions_n: Sequence[float]) -> NoReturn:
-        low, high = self._range_n or PLAUSIBLE_N
+        low, high = self._range_n
         numbered = enumerate(tensions_n, start=1)
         cable, tension = next((n, t) for n, t in numbered if not low < t < high)
         if not isfinite(tension):
             kind, text = ProblemKind.NOT_FINITE, "; it must be a finite number"
-        elif self._range_n is None:
+        elif not self._given:
             text = f"; no cable of such an arm is outside {low:g} … {high:g} N"
             kind = ProblemKind.IMPLAUSIBLE
         else:
@@ -103,7 +102,7 @@ class SampleClock:
     come. Stamps may step back only if this machine's clock has.
 
     Attributes:
-        stale_after_s: largest age that is accepted.
+        stale_after_s: largest age that is accepted; may be changed.
         largest_age_s: largest age since the last report set it to zero.
     """
 
@@ -245,22 +244,20 @@ class InputHealth:
         self._clock, self._publisher = clock, publisher
         clock.largest_age_s = 0.0
         self._report_s = self._last_arrival_s = now_s
-        self._received = False
+        self._received, self._last_problem = False, ""
         self._arrived = self._total_missing = self._total_refused = 0
         self._refused: Counter[ProblemKind] = Counter()
-        self._last_problem = ""
 
     def arrived(self, now_s: float) -> None:
         """Count a message, whatever its content."""
         self._arrived += 1
-        self._received = True
-        self._last_arrival_s = now_s
+        self._received, self._last_arrival_s = True, now_s
 
     def refused(self, problem: SampleError) -> None:
         """Count a sample that could not be used."""
         self._refused[problem.kind] += 1
-        self._last_problem = str(problem)
         self._total_refused += 1
+        self._last_problem = str(problem)
 
     def silence_s(self, now_s: float) -> float:
         """Time since the last message, or since the start before the first."""

@@ -57,9 +57,7 @@ LONGEST_LAG_S = 0.1
 class SimulatedArm:
     """One arm in real time; times are of one monotonic clock, s.
 
-    Attributes:
-        pacer: real time factor and skipped time.
-        resets: how often the dynamics were restarted because they diverged.
+    `resets` counts how often the dynamics were restarted because they diverged.
     """
 
     def __init__(
@@ -108,11 +106,7 @@ class SimulatedArm:
         self._offset_motion.go_to(lengths_m)
 
     def push(self, load: Load, now_s: float) -> None:
-        """Replace the load on a segment; a zero force removes it.
-
-        Raises:
-            LoadError: no such segment or place.
-        """
+        """Replace the load on a segment; a zero force removes it."""
         self._dynamics.load(load.segment, load.force_base_n, load.contact_m)
         self._loads[load.segment] = (load, now_s)
         if not load.force_base_n.any():

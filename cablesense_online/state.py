@@ -1,9 +1,8 @@
-"""The estimator's state as data, with the settings and events in it, and its journal messages.
+"""The estimator's state as data, with settings and events, and its journal messages.
 
-Every answer follows from a state and the samples after it, whatever came before. The state is one
-`EstimatorState`, whose parts the estimation's components change in place. Its JSON is the only
-serialized form, in the state file and in the messages of `~/journal`. To restore a state is to
-assign its parts.
+Every answer follows from a state and the samples after it, whatever came before. The estimation's
+components change its parts in place, and to restore it is to assign them. Its JSON is the only
+serialized form.
 """
 
 from __future__ import annotations
@@ -79,7 +78,7 @@ class EstimationSettings(BaseModel):
 
 
 LIVE_SETTINGS: Final = ("contact_threshold", "stale_after_s", "slack_below_n")
-"""The settings that may change while an estimator runs."""
+"""These may change while an estimator runs."""
 
 
 class EventKind(Enum):
@@ -142,7 +141,7 @@ LONG_AGO_NS: Final = -(2**62)
 
 
 class GateState(BaseModel):
-    """The command in force, and where the arm may be on its way to it.
+    """Where the arm may be on its way to the command in force.
 
     Attributes:
         command_rad: (2N,) the command in force.
@@ -174,11 +173,10 @@ class Tare(BaseModel):
     """Tensions of the unloaded arm at one command.
 
     Attributes:
-        measured_n: (M,) mean of the readings.
+        measured_n: (M,) mean of `sample_count` readings.
         predicted_n: (M,) unloaded tensions by the arm file at the same command.
         command_rad: (2N,) that command.
-        sample_count: number of readings averaged.
-        taken_ns: time since the epoch, ns.
+        taken_ns: time since the epoch.
         by_itself: whether the estimator took it by itself (`auto_tare`).
     """
 
@@ -218,13 +216,10 @@ class Tare(BaseModel):
 
 
 class TareState(BaseModel):
-    """The tare in use, and what the arm file predicts at the present angles.
+    """The tare in use, and (M,) unloaded tensions by the arm file at the present angles.
 
-    Attributes:
-        tare: the tare in use.
-        predicted_n: (M,) unloaded tensions by the arm file at the present angles.
-        linear_at_rad: (2N,) angles about which predicted tensions are linearised; empty where they
-            are predicted directly.
+    `linear_at_rad` (2N,) are the angles about which these are linearised; empty where they are
+    predicted directly.
     """
 
     tare: Tare | None = None
@@ -280,11 +275,9 @@ class EstimatorState(BaseModel):
         before_ns: stamp of the first sample that it holds for.
         events: changes since the previous sample, in order.
         arm: identity of the arm.
-        settings: settings of the estimator.
         origin: model file, its SHA-256, frame prefix and joint names, as text.
         command_received: whether any joint command has come; until then the arm is assumed to be
             straight.
-        gate, tare, misfit, breath: states of the components.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -351,9 +344,9 @@ def put_state(
     make_status: Callable[..., Any],
     make_value: Callable[..., Any],
 ) -> None:
-    """Put a state into a `DiagnosticArray`: one status with its events and its fields as JSON.
+    """Put a state into a `DiagnosticArray`: one `DiagnosticStatus` with the events' names.
 
-    The message's classes are `DiagnosticStatus` and `KeyValue`.
+    Its `KeyValue`s are the state's fields as JSON.
     """
     stamp = message.header.stamp
     stamp.sec, stamp.nanosec = divmod(state.before_ns, 1_000_000_000)

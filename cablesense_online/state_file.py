@@ -1,7 +1,7 @@
-"""A JSON file that keeps the estimator's latest state.
+"""A JSON file that keeps the estimator's latest state, so that one that was killed keeps its tare.
 
-An estimator that was killed continues with its tare. Without the file, one that restarts next to a
-loaded arm would have no tare until the load is taken away.
+Without the file, one that restarts next to a loaded arm would have no tare until the load is taken
+away.
 """
 
 from __future__ import annotations
@@ -66,16 +66,13 @@ class StateFile:
                 f"{self._within_s:g} s is accepted"
             )
         text = read_bounded_text(self._path, MAX_BYTES, "a state file", StateFileError)
-        problem = f"{self._path}: is no state of an estimator"
         try:
             values = json.loads(text)
             if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
-                raise StateFileError(f"{problem} ({FORMAT})")
+                raise ContractError(f"its format is not {FORMAT}")
             state = validated_state(values)
-        except ContractError as error:
-            raise StateFileError(f"{problem}: {error}") from error
-        except (ValueError, RecursionError) as error:
-            raise StateFileError(f"{problem} ({FORMAT})") from error
+        except (ContractError, ValueError, RecursionError) as error:
+            raise StateFileError(f"{self._path}: is no state of an estimator: {error}") from error
         if state.arm != arm_identity:
             raise StateFileError(
                 f"{self._path}: is of arm {state.arm[:80]!r}; this is {arm_identity}"
@@ -92,8 +89,8 @@ class StateFile:
     def flush(self) -> None:
         """Write the state that was kept, or renew the file's time.
 
-        If that fails the file is removed, as its state is outdated or its estimator would seem
-        dead. The write is tried again every `ALIVE_PERIOD_S`.
+        If that fails the file is removed, as its state is outdated, and the write is tried again
+        every `ALIVE_PERIOD_S`.
 
         Raises:
             StateFileError: it cannot be written.
@@ -118,14 +115,6 @@ class StateFile:
             raise StateFileError(self._problem) from error
         self._written, self._ours, self._problem = True, True, ""
 
-    def status(self) -> Status | None:
-        """Whether the present state is in the file; None where no file is wanted."""
-        if self._path is None:
-            return None
-        if self._problem:
-            return Status("state file", Level.ERROR, f"the state is not kept: {self._problem}")
-        return Status("state file", Level.OK, f"the state is kept in {self._path}")
-
     def _removed(self, path: Path) -> str:
         """Leave no outdated state in the file; gives the consequence for a restart, as text."""
         try:
@@ -135,3 +124,11 @@ class StateFile:
             return "an earlier state stays in it: delete it before an estimator is started again"
         self._ours = False
         return "until it is, an estimator that is started again begins without tare"
+
+    def status(self) -> Status | None:
+        """Whether the present state is in the file; None where no file is wanted."""
+        if self._path is None:
+            return None
+        if self._problem:
+            return Status("state file", Level.ERROR, f"the state is not kept: {self._problem}")
+        return Status("state file", Level.OK, f"the state is kept in {self._path}")

@@ -3,7 +3,7 @@
 The lengths of the taut cables determine the pose. The joint torques there determine which forces
 at the contact points of the arm file explain the readings best. Near stated contacts the readings
 respond linearly: that tells which other contacts would have these readings if one or two of them
-were wrong. The average of a steady contact's readings has less noise.
+were wrong.
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Contact
-from cablesense_online.tare import UnloadedTensions
 from cablesense_sim import kinematics
+from cablesense_sim.arm import Arm
+from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.contact_location import AXIAL_STD_N, contact_response
-from cablesense_sim.equilibrium import EquilibriumError
+from cablesense_sim.effects.registry import actuations, amended, sensings, transmissions
+from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.point_force_fit import Resting, fit_point_forces, point_arm
 from cablesense_sim.replay import difference_variance_n2
 
@@ -64,33 +66,50 @@ _LONGEST_GAP_NS = 500_000_000
 
 
 class RestingArm:
-    """An arm at rest at a command, whose readings are compared with contacts.
+    """An arm at rest, commanded as if its effects were unknown; its readings are compared.
 
     Attributes:
-        statics: the arm.
-        spread_n: expected standard deviation of a reading minus the unloaded one, N.
-        command_rad: (2N,) the command in force.
+        arm, mechanism: as described, and as amended by its effects.
+        incomplete: why unloaded tensions may not be those of the arm at rest; empty where they
+            are.
+        spread_n: expected standard deviation of a reading minus the unloaded one.
+        command_rad: (2N,) the last `command`.
         unloaded_n: (M,) its unloaded tensions.
         held_m: (M,) the cable lengths that are held there.
     """
 
-    def __init__(self, statics: UnloadedTensions, tare_samples: int) -> None:
-        spread_n = difference_variance_n2(statics.arm.sensors, tare_samples) ** 0.5
-        self.statics, self.spread_n = statics, max(spread_n, LEAST_SPREAD_N)
+    def __init__(self, arm: Arm, tare_samples: int) -> None:
+        self.arm, self.tare_samples = arm, tare_samples
+        self._nominal, entries = mechanism_of(arm), entries_of(arm)
+        self.mechanism = mechanism = amended(self._nominal, entries)
+        causes = [[entry for entry in entries if not entry.effect.tolerance]]
+        past = actuations(causes) or transmissions(causes) or sensings(causes)
+        listed = "the arm file lists effects of actuators, friction or sensors"
+        self.incomplete = listed if past else ""
+        spread_n = difference_variance_n2(arm.sensors, tare_samples) ** 0.5
+        self.spread_n = max(spread_n, LEAST_SPREAD_N)
         self.command_rad = self.unloaded_n = self.held_m = np.zeros(0)
-        mechanism = statics.mechanism
         straight = kinematics.spans(mechanism, np.zeros(mechanism.joint_count))
         loose_m = mechanism.pretension_n / mechanism.stiffness_n_m
         self._loose_m = straight.length_m.sum(axis=-1) - loose_m
         self._points = point_arm(mechanism)
 
+    def predict_n(self, command_rad: Array) -> Array:
+        """Unloaded tensions (..., M) at rest at commands (..., 2N).
+
+        Raises:
+            EquilibriumError: the arm has no rest at a command.
+        """
+        held_m = held_lengths_m(self._nominal, command_rad)
+        return solve_equilibrium(self.mechanism, command_rad, held_m=held_m).tensions_n
+
     def command(self, command_rad: Array) -> None:
         """The arm rests at a command (2N,); another array is another command."""
         if command_rad is not self.command_rad:
             self.command_rad = command_rad
-            self.unloaded_n = self.statics.predict_n(command_rad)
-            self.held_m = self.statics.held_m(command_rad)
-            axes = kinematics.segment_rotations(self.statics.mechanism, command_rad)
+            self.unloaded_n = self.predict_n(command_rad)
+            self.held_m = held_lengths_m(self._nominal, command_rad)
+            axes = kinematics.segment_rotations(self.mechanism, command_rad)
             self._resting = Resting(np.array(command_rad), axes, self._loose_m + self.held_m)
 
     def prepare(self, command_rad: Array, *, anywhere: bool) -> None:
@@ -100,7 +119,7 @@ class RestingArm:
         """
         self.command(command_rad)
         nothing_n = np.zeros(len(self.unloaded_n))
-        contacts = [Contact(1, contact_m=float(self.statics.mechanism.contact_m[0]))]
+        contacts = [Contact(1, contact_m=float(self.mechanism.contact_m[0]))]
         if not anywhere:
             self.explained(nothing_n, contacts)
         StatedContacts(self, nothing_n, contacts, 0.0).misfit_of(nothing_n)
@@ -130,14 +149,8 @@ class RestingArm:
         )
         free = max(len(reading_n) - POINT_NUMBERS * len(contacts), 1)
         best = [
-            Contact(
-                contact.segment,
-                math.degrees(math.atan2(y, z)) % 360.0,
-                math.hypot(y, z),
-                contact.contact_m,
-                x,
-            )
-            for contact, (x, y, z) in zip(contacts, force_n.tolist(), strict=True)
+            Contact.of_force(contact.segment, each_n, contact.contact_m)
+            for contact, each_n in zip(contacts, force_n.tolist(), strict=True)
         ]
         return best, math.sqrt(squared_n2 / free) / self.spread_n
 
@@ -181,7 +194,7 @@ class StatedContacts:
 
     @property
     def size_n(self) -> float:
-        """The size of the normal forces together; of a known moment that at its place."""
+        """Of the normal forces together; of a known moment that at its place."""
         return float(np.linalg.norm(self._forces[:, 1:]))
 
     def is_near(self, other: StatedContacts) -> bool:
@@ -219,13 +232,10 @@ class StatedContacts:
         change = (self._linear[2] @ self._residual(self._difference_n)).reshape(-1, 4)
         contacts = []
         for contact, force, part in zip(self._contacts, self._forces, change, strict=True):
-            (x, y, z), reach_m = (force + part[:3]).tolist(), self._reach_m[contact.segment - 1]
+            force_n, reach_m = (force + part[:3]).tolist(), self._reach_m[contact.segment - 1]
             at_m = float(np.clip(contact.contact_m + part[3], *reach_m))
-            size_n, moment_n_m = math.hypot(y, z), None
-            if not contact.magnitude_n:  # its moment is known
-                size_n, moment_n_m = 0.0, size_n * at_m
-            angle_deg = math.degrees(math.atan2(y, z)) % 360.0
-            contacts.append(Contact(contact.segment, angle_deg, size_n, at_m, x, moment_n_m))
+            known = contact.magnitude_n > 0.0  # else its moment is
+            contacts.append(Contact.of_force(contact.segment, force_n, at_m, known=known))
         return StatedContacts(self._arm, self._difference_n, contacts, self.misfit, self._reach_m)
 
     def hidden_n(self, difference_n: Array, largest: float) -> Array:
@@ -320,7 +330,7 @@ class StatedContacts:
         arm, command = self._arm, self._arm.command_rad
         try:
             elastic_n, gain = contact_response(
-                arm.statics.mechanism,
+                arm.mechanism,
                 command[None],
                 np.array([self.segments]),
                 np.array([[contact.contact_m for contact in self._contacts]]),
@@ -341,8 +351,7 @@ class SteadyContact:
     """The readings of one or several contacts, averaged while their forces are steady.
 
     Attributes:
-        segments: the touched segments.
-        sum_n, count: sum of the readings (M,) less unloaded tensions, N, and their number.
+        sum_n, count: sum of the readings (M,) less unloaded tensions, and their number.
         began_ns, last_ns: stamps of the first and the last of them.
         force_n: y and z of each force at the first of them.
         averaged_ns: stamp at which the average was last judged.

@@ -18,21 +18,16 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import Contact, Level, Status
-from cablesense_online.exchanged_plugs import exchanged_plugs
 from cablesense_online.state import EstimationSettings, Tare, TareState, utc_text
-from cablesense_sim.arm import Arm
-from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.effects.registry import actuations, amended, sensings, transmissions
-from cablesense_sim.equilibrium import Equilibrium, held_lengths_m, solve_equilibrium
+from cablesense_online.stated_contacts import RestingArm
 from cablesense_sim.replay import reading_variance_n2
 
-MOST_TARES_KEPT = 16
+_MOST_KEPT = 16
 """How many times a tare can be undone."""
 _LINEAR_RAD = 0.02
 """Unloaded tensions are taken as linear while a joint turns by this."""
@@ -42,48 +37,8 @@ _ONE_POSE_RAD = 1e-3
 """Readings of a tare are of poses within this of the first."""
 
 
-class UnloadedTensions:
-    """The static equilibrium of an arm that is commanded as if its effects were unknown.
-
-    Attributes:
-        arm, mechanism: the arm, as described and as amended by its effects.
-        incomplete: why these tensions may not be those of the arm at rest; empty where they are.
-    """
-
-    def __init__(self, arm: Arm) -> None:
-        self.arm = arm
-        self._nominal, entries = mechanism_of(arm), entries_of(arm)
-        self.mechanism = amended(self._nominal, entries)
-        causes = [[entry for entry in entries if not entry.effect.tolerance]]
-        past = actuations(causes) or transmissions(causes) or sensings(causes)
-        self.incomplete = (
-            "the arm file lists effects of actuators, friction or sensors" if past else ""
-        )
-
-    def predict_n(self, command_rad: Array) -> Array:
-        """Unloaded tensions (..., M) at rest at commands (..., 2N).
-
-        Raises:
-            CableSenseError: the arm has no rest at a command.
-        """
-        return self.at_rest(command_rad).tensions_n
-
-    def at_rest(self, command_rad: Array, forces_n: Array | None = None) -> Equilibrium:
-        """Pose and tensions at commands (..., 2N) under forces (..., N, 3) in base axes.
-
-        Raises:
-            EquilibriumError: the arm has no rest there.
-        """
-        held = self.held_m(command_rad)
-        return solve_equilibrium(self.mechanism, command_rad, forces_n, held_m=held)
-
-    def held_m(self, command_rad: Array) -> Array:
-        """Cable lengths (M,) that are held at a command (2N,), relative to the straight arm."""
-        return held_lengths_m(self._nominal, command_rad)
-
-
 class TareError(CableSenseError):
-    """No tare can be taken or undone now; the message states why, and what to do."""
+    """Why no tare can be taken or undone now, and what to do."""
 
 
 class Tares:
@@ -96,13 +51,9 @@ class Tares:
     """
 
     def __init__(
-        self, unloaded: UnloadedTensions, settings: EstimationSettings, command_rad: Array
+        self, unloaded: RestingArm, settings: EstimationSettings, command_rad: Array
     ) -> None:
-        """Without a tare, at a command (2N,).
-
-        Raises:
-            CableSenseError: the arm has no unloaded state at this command.
-        """
+        """Without a tare, at a command (2N,)."""
         self._unloaded, self._settings = unloaded, settings
         self._deviation_n = settings.tare_deviation_n or math.inf
         self.automatic = settings.auto_tare
@@ -111,7 +62,7 @@ class Tares:
         self._readings: deque[Sequence[float]] = deque(maxlen=settings.tare_samples)
         self._readings_at_rad = command_rad
         self._near: tuple[Array, Array, Array] | None = None
-        self._earlier: deque[Tare] = deque(maxlen=MOST_TARES_KEPT - 1)
+        self._earlier: deque[Tare] = deque(maxlen=_MOST_KEPT - 1)
         self.state = TareState(predicted_n=unloaded.predict_n(command_rad))
         self.unloaded_n: Array | None = None
 
@@ -152,9 +103,6 @@ class Tares:
         """Carry the tare over to angles (2N,) on the way of a followed motion.
 
         Predicted tensions are linear between the angles at which they are solved.
-
-        Raises:
-            CableSenseError: the arm has no unloaded state there.
         """
         if self._near is None or np.abs(angles_rad - self._near[0]).max() > _LINEAR_RAD:
             self._linearise(angles_rad)
@@ -166,11 +114,6 @@ class Tares:
         if not self._readings:
             self._readings_at_rad = angles_rad
         self._use(self.present)
-
-    @property
-    def linear(self) -> bool:
-        """Whether predicted tensions are linearised, on the way of a followed motion."""
-        return self._near is not None
 
     def forget_readings(self) -> None:
         """Exclude all earlier readings from the next tare."""
@@ -235,10 +178,6 @@ class Tares:
         """Take the average of the last readings as the unloaded state at angles (2N,).
 
         `now_ns` is the time since the epoch. `forced` takes any steady readings.
-
-        Raises:
-            TareError: too few readings yet, they are not steady, or the arm seems to be loaded or
-                elsewhere.
         """
         if refusal := self.refusal(forced=forced):
             raise TareError(refusal)
@@ -247,7 +186,7 @@ class Tares:
         predicted_n = self.state.predicted_n
         tare = Tare(
             measured_n=np.mean(self._readings, axis=0),
-            predicted_n=self._unloaded.predict_n(command_rad) if self.linear else predicted_n,
+            predicted_n=self._unloaded.predict_n(command_rad) if self._near else predicted_n,
             command_rad=command_rad,
             sample_count=len(self._readings),
             taken_ns=now_ns,
@@ -272,9 +211,6 @@ class Tares:
         """Continue from a state at angles (2N,); readings begin anew.
 
         A state of another arm keeps its measured tensions and gets this arm's predictions.
-
-        Raises:
-            CableSenseError: this arm has no unloaded state at these angles or at the tare's.
         """
         state = state.model_copy()
         if not same_arm:
@@ -332,7 +268,7 @@ class Tares:
 def tare_undone_line(
     undone: Tare, earlier: Tare | None, cable_names: Sequence[str], undoable: int
 ) -> str:
-    """Log line of an undo: the undone tare, the one in force, and how many `undoable` remain."""
+    """What an undo has done, for the log; `undoable` tares remain."""
     line = f"tare of {undone.since} undone; "
     if earlier is None:
         return line + "there is none now, so no estimate"
@@ -340,11 +276,38 @@ def tare_undone_line(
     return f"{line}again in force is the one {described}; {undoable} left to undo"
 
 
-WINDOW_S: Final = 0.5
-FEWEST_READINGS: Final = 25
-WINDOWS: Final = 3
+_APART_N = 1.0
+"""Cables whose unloaded tensions differ by less cannot be distinguished: builds scatter more."""
+_LEFT = 0.5
+"""An exchange is believed if it leaves at most this share of the deviation from the arm file."""
+
+
+def exchanged_plugs(measured_n: Array, predicted_n: Array) -> str:
+    """The plugs whose exchange explains most of how readings (M,) differ from predicted ones (M,).
+
+    Of an untouched arm at a known pose, as a sentence; empty where none does.
+    """
+    before_n2 = float(((measured_n - predicted_n) ** 2).sum())
+    apart_n = np.abs(np.subtract.outer(predicted_n, predicted_n))
+    # by how much each exchange lowers the sum of squares
+    lower_n2 = -2.0 * np.subtract.outer(measured_n, measured_n)
+    lower_n2 = np.triu(lower_n2 * np.subtract.outer(predicted_n, predicted_n))
+    one, other = np.unravel_index(np.argmax(lower_n2), lower_n2.shape)
+    after_n2 = max(before_n2 - float(lower_n2[one, other]), 0.0)
+    if apart_n[one, other] < _APART_N or after_n2 > _LEFT**2 * before_n2:
+        return ""
+    before_n, after_n = (math.sqrt(each / len(measured_n)) for each in (before_n2, after_n2))
+    return (
+        f"the plugs of cable_{one + 1} and cable_{other + 1} look exchanged: the readings are "
+        f"{before_n:.2f} N (RMS) from the arm file's unloaded tensions, and {after_n:.2f} N once "
+        "these two are exchanged"
+    )
+
+
+_WINDOW_S, _FEWEST_READINGS = 0.5, 25
+_WINDOWS = 3
 """Windows in a row; their smallest deviation is the drift, if all have its sign."""
-MOST_TOUCHED: Final = 10
+_MOST_TOUCHED = 10
 """This many contacts in a row begin the windows anew; fewer are noise and excluded."""
 _LEAST_STDS = 5.0
 """No limit is below this many standard deviations of a window and its tare."""
@@ -362,16 +325,16 @@ class DriftWatch:
         limit_n: a warning is due from here on; infinite where nothing is watched.
     """
 
-    def __init__(self, unloaded: UnloadedTensions, settings: EstimationSettings) -> None:
+    def __init__(self, unloaded: RestingArm, settings: EstimationSettings) -> None:
         self._cable_names = unloaded.arm.cable_names
-        share = 1.0 / FEWEST_READINGS + 1.0 / settings.tare_samples
+        share = 1.0 / _FEWEST_READINGS + 1.0 / settings.tare_samples
         noise_n = math.sqrt(reading_variance_n2(unloaded.arm.sensors) * share)
         self._unwatched, limit_n = unloaded.incomplete, settings.tare_drift_n
         if not limit_n:
             self._unwatched = self._unwatched or "switched off (tare_drift_n is 0)"
         self.limit_n = math.inf if self._unwatched else max(limit_n, _LEAST_STDS * noise_n)
         self._sum_n = np.zeros(len(self._cable_names))
-        self._means_n: deque[Array] = deque(maxlen=WINDOWS)
+        self._means_n: deque[Array] = deque(maxlen=_WINDOWS)
         self.tared()
 
     def tared(self) -> None:
@@ -388,7 +351,7 @@ class DriftWatch:
     def add(self, difference_n: Array, stamp_ns: int, *, touched: bool) -> None:
         """Add a reading minus the unloaded one (M,), at rest; `touched` as estimated."""
         self._touched = self._touched + 1 if touched else 0
-        if self._touched == MOST_TOUCHED:
+        if self._touched == _MOST_TOUCHED:
             self.interrupt()
         if touched:
             return
@@ -399,11 +362,11 @@ class DriftWatch:
                 self._first_ns = stamp_ns
         self._sum_n += difference_n
         self._count += 1
-        if self._count < FEWEST_READINGS or abs(stamp_ns - self._began_ns) < WINDOW_S * 1e9:
+        if self._count < _FEWEST_READINGS or abs(stamp_ns - self._began_ns) < _WINDOW_S * 1e9:
             return
         self._means_n.append(self._sum_n / self._count)
         self._count = 0
-        if len(self._means_n) == WINDOWS:
+        if len(self._means_n) == _WINDOWS:
             lowest, highest = np.min(self._means_n, axis=0), np.max(self._means_n, axis=0)
             self.drift_n = np.maximum(lowest, 0.0) + np.minimum(highest, 0.0)
             if np.abs(self.drift_n).max() < self.limit_n:

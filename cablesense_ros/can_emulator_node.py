@@ -17,8 +17,7 @@ from cablesense_msgs_py.messages import Level, NamedOrder, Status
 from cablesense_msgs_py.qos import SENSOR
 from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.channel_map import open_channel_map
-from cablesense_online.can.emulator import Emulator
-from cablesense_online.can.slcan import SlcanPort
+from cablesense_online.can.emulator import Emulator, SlcanPort
 from cablesense_ros.endpoints import RefusalLog, steady_timer
 from cablesense_ros.node_process import (
     ParameterError,

@@ -19,10 +19,15 @@ from rich.table import Table
 from cablesense_base import Array, CableSenseError
 from cablesense_base.files import written_whole
 from cablesense_msgs_py.messages import NO_CONTACT, Contact
-from cablesense_online.page.drawing import ESTIMATE_RGB, TRUE_RGB, css
 from cablesense_online.page.live_arm import LiveArm
-from cablesense_online.page.score import SETTLING_S, angle_error_deg
-from cablesense_online.page.snapshot import KnownMoment, ShownContact, Snapshot
+from cablesense_online.page.snapshot import (
+    ESTIMATE_RGB,
+    SETTLING_S,
+    TRUE_RGB,
+    Snapshot,
+    angle_error_deg,
+    css,
+)
 from cablesense_ros.arm_client import ArmClient
 from cablesense_sim.load_capacity import USUAL_CONTACT_N
 
@@ -36,6 +41,8 @@ MOST_ALONG = 0.2
 """Largest axial part, as a share of the normal force: below the friction of most surfaces."""
 POSE_LIMIT_DEG = 8.0
 _RECORD_EVERY_S = 0.04
+_LOCATED = ("magnitude_n", "contact_m", "along_n")
+"""Not known of a contact of which the moment alone is."""
 
 
 class ScriptError(CableSenseError):
@@ -141,10 +148,6 @@ def play_script(
     return PushRecord(np.array(times_s), snapshots)
 
 
-Seen = ShownContact | KnownMoment
-"""An estimated contact: its force and place, or the moment alone."""
-
-
 @dataclass(frozen=True)
 class PushResult:
     """One push and the estimate of it, the median over its steady part.
@@ -155,8 +158,13 @@ class PushResult:
     """
 
     push: ScriptedPush
-    estimate: Seen | None
+    estimate: Contact | None
     sample_count: int
+
+    @property
+    def moment_alone(self) -> bool:
+        """Whether neither force nor place is known of the estimated contact."""
+        return self.estimate is not None and self.estimate.moment_n_m is not None
 
     @property
     def segment_right(self) -> bool:
@@ -173,7 +181,7 @@ class PushResult:
         if found is None or not self.segment_right:
             return {}
         errors = {"direction_deg": angle_error_deg(found.angle_deg, true.angle_deg)}
-        if isinstance(found, KnownMoment):
+        if found.moment_n_m is not None:
             return errors | {"moment_n_m": found.moment_n_m - true.contact_m * true.magnitude_n}
         return errors | {
             "place_mm": 1e3 * (found.contact_m - true.contact_m),
@@ -181,7 +189,7 @@ class PushResult:
         }
 
 
-def seen(now: Snapshot) -> Seen | None:
+def seen(now: Snapshot) -> Contact | None:
     """The estimate of the strongest contact."""
     return now.moment or next(iter(now.estimated), None)
 
@@ -199,28 +207,22 @@ def push_results(script: Sequence[ScriptedPush], played: PushRecord) -> list[Pus
     return results
 
 
-def _median(found: Sequence[Seen | None]) -> Seen | None:
+def _median(found: Sequence[Contact | None]) -> Contact | None:
     """The median of the most frequent kind on its segment; None where that is no contact."""
-    kinds = [(type(each), each.segment if each else 0) for each in found]
+    kinds = [(each.segment, each.moment_n_m is None) if each else None for each in found]
     usual = max(set(kinds), key=kinds.count, default=None)
     same = [each for each, kind in zip(found, kinds, strict=True) if each and kind == usual]
     if not same:
         return None
     turn = np.exp(1j * np.deg2rad([each.angle_deg for each in same]))
     middle = np.median(turn.real) + 1j * np.median(turn.imag)
-    segment, angle_deg = same[0].segment, float(np.angle(middle, deg=True) % 360.0)
-    moments = [each.moment_n_m for each in same if isinstance(each, KnownMoment)]
-    if moments:
-        return KnownMoment(segment, angle_deg, float(np.median(moments)))
-    contacts = [each for each in same if isinstance(each, ShownContact)]
-    return ShownContact(
-        segment,
-        angle_deg,
-        float(np.median([each.magnitude_n for each in contacts])),
-        float(np.median([each.contact_m for each in contacts])),
-        float(np.median([each.along_n for each in contacts])),
-        np.median([each.force_base_n for each in contacts], axis=0),
-    )
+    medians = {
+        name: float(np.median([getattr(each, name) for each in same]))
+        for name in ("magnitude_n", "contact_m", "along_n", "moment_n_m")
+        if getattr(same[0], name) is not None
+    }
+    angle_deg = float(np.angle(middle, deg=True) % 360.0)
+    return Contact(same[0].segment, angle_deg, **medians)
 
 
 def summary(results: Sequence[PushResult]) -> dict[str, Any]:
@@ -244,10 +246,10 @@ def summary(results: Sequence[PushResult]) -> dict[str, Any]:
 def metrics(results: Sequence[PushResult]) -> dict[str, Any]:
     """Everything that the table shows, as plain values."""
 
-    def plain(contact: Contact | Seen) -> dict[str, float]:
-        """Force and place, or the moment where that is known alone; base axes aside."""
-        numbers = contact._asdict() if isinstance(contact, tuple) else vars(contact)
-        return {name: n for name, n in numbers.items() if isinstance(n, int | float)}
+    def plain(contact: Contact) -> dict[str, float]:
+        """Force and place, or the moment where that is known alone."""
+        unknown = _LOCATED if contact.moment_n_m is not None else ("moment_n_m",)
+        return {name: n for name, n in contact._asdict().items() if name not in unknown}
 
     return {
         "summary": summary(results),
@@ -292,7 +294,7 @@ def results_table(results: Sequence[PushResult]) -> Table:
             _text("{:+.1f} mm", errors.get("place_mm")),
             _text("{:.2f}°", errors.get("direction_deg")),
             _text("{:+.2f} N·m", errors.get("moment_n_m"))
-            if isinstance(result.estimate, KnownMoment)
+            if result.moment_alone
             else _text("{:+.2f} N", errors.get("magnitude_n")),
             end_section=number == straight,
         )
@@ -302,8 +304,14 @@ def results_table(results: Sequence[PushResult]) -> Table:
 def _found(result: PushResult) -> str:
     if result.estimate is None:
         return "no contact" if result.sample_count else "no estimate"
-    moment = ", moment" if isinstance(result.estimate, KnownMoment) else ""
+    moment = ", moment" if result.moment_alone else ""
     return f"{result.estimate.segment}{moment}"
+
+
+def _known(contact: Contact, name: str) -> float:
+    """A number of a contact; of a moment neither force nor place is known."""
+    unknown = contact.moment_n_m is not None and name in _LOCATED
+    return np.nan if unknown else float(getattr(contact, name))
 
 
 def _text(form: str, value: float | None) -> str:
@@ -349,10 +357,7 @@ def _draw_time(rows: Sequence[Any], played: PushRecord, segment_count: int) -> N
             (true, TRUE_RGB, "true", 4.5),
             (estimated, ESTIMATE_RGB, "estimated", 1.6),
         ):
-            # of a moment neither force nor place is known
-            values = [
-                none if now is None else scale * getattr(now, name, np.nan) for now in contacts
-            ]
+            values = [none if now is None else scale * _known(now, name) for now in contacts]
             row.plot(played.times_s, values, color=css(rgb), lw=width, label=kind)
         row.set_ylabel(label)
         row.grid(visible=True, alpha=0.3)

@@ -21,13 +21,12 @@ from sensor_msgs.msg import JointState
 from cablesense_base import CableSenseError
 from cablesense_gap.recordings.mcap_file import BagRows
 from cablesense_gap.recordings.mcap_messages import CHUNK_S, TopicFile, topic_file_path
-from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import NamedOrder
 from cablesense_msgs_py.qos import INPUTS, SENSOR, TopicType, resolved, segment_of
-from cablesense_online.commissioning import CommissioningError
-from cablesense_online.commissioning.sensor_check import Pull, TensionSeries
 from cablesense_online.samples import FollowedPublisher
+from cablesense_online.sensor_check import CommissioningError, Pull
 from cablesense_ros.endpoints import RefusalLog, message_class, qos_profile, subscribe_to_one
 from cablesense_ros.node_process import spun_node
 from cablesense_ros.processes import end_signals
@@ -207,7 +206,7 @@ def capture_tensions(
     pulled: Sequence[str],
     say: Callable[[str], object],
     namespace: str = "",
-) -> tuple[TensionSeries, list[Pull]]:
+) -> tuple[Recording, list[Pull]]:
     """Readings at rest, then while a person pulls the `pulled` cables in turn as `say` asks.
 
     Columns are in the order of `cable_names`; times are stamps, or of arrival if there are none.
@@ -279,8 +278,9 @@ def capture_tensions(
             f"{topics.CABLE_TENSIONS} has readings that are not finite, or stamps that do not "
             "ascend; its driver's diagnostics give the cause"
         )
-    block, at_rest = np.zeros(len(time_s), dtype=np.int64), np.ones(len(time_s), dtype=bool)
-    return TensionSeries(order.names, time_s - time_s[0], block, at_rest, read_n), pulls
+    none, nowhere = np.zeros(len(time_s), dtype=np.int64), np.zeros((len(time_s), 3))
+    name = topics.CABLE_TENSIONS
+    return Recording(name, time_s - time_s[0], none, nowhere, none, nowhere, read_n), pulls
 
 
 def _spin(executor: EventsExecutor, seconds: float) -> None:

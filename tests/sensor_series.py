@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablesense_online.commissioning.sensor_check import TensionSeries, expectation
+from cablesense_gap.recordings.recording import Recording
+from cablesense_online.sensor_check import check_sensors, expectation
 from cablesense_sim.arm import open_arm
 
 ARM = open_arm("cdsm")
@@ -22,12 +23,13 @@ def good_tensions_n(seconds=10.0, seed=1):
 
 
 def series(tensions_n, time_s=None, at_rest=None):
-    """Them as a series of one block, at rest unless told otherwise."""
+    """Them as a recording of one trial, without a load unless told otherwise."""
     rows = len(tensions_n)
-    return TensionSeries(
-        ARM.cable_names,
-        np.arange(rows) / RATE_HZ if time_s is None else time_s,
-        np.zeros(rows, dtype=np.int64),
-        np.ones(rows, dtype=bool) if at_rest is None else at_rest,
-        tensions_n,
-    )
+    time_s = np.arange(rows) / RATE_HZ if time_s is None else time_s
+    loaded = np.zeros(rows, dtype=np.int64) if at_rest is None else 1 - at_rest
+    still = np.zeros((rows, 3))
+    return Recording("", time_s, np.zeros(rows), still, loaded, still, tensions_n)
+
+
+def checked(recording, pulls=()):
+    return check_sensors(recording, ARM.cable_names, EXPECTED, pulls)

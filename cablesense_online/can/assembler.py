@@ -38,7 +38,6 @@ class Decoded(NamedTuple):
 
     Attributes:
         readings: (channel, N) pairs; the channel is its position in the map.
-        valid: whether all readings are valid.
         counter: the number of the cycle that the frame opens, if it opens one.
         message: name and id of the frame.
     """
@@ -67,8 +66,7 @@ class Sample:
 class _Senders:
     """Finds ids with a second sender, and counters that jump.
 
-    Attributes:
-        frames: number of frames of each message since the cycle was opened.
+    `frames` is the number of frames of each message since the cycle was opened.
     """
 
     def __init__(
@@ -224,9 +222,11 @@ class SampleAssembler:
         self._awaited_pause_s = 0.0
         if self._open_s is None:
             self._pause_before_s, self._widest_pause_s = pause_s, 0.0
+            if self._modulo:
+                return None  # the rest of a cycle whose counter did not come, or a second frame
+            self._open(time_s)
         else:
             self._widest_pause_s = max(self._widest_pause_s, pause_s)
-        if self._open_s is not None:
             late = abs(time_s - self._open_s) > self._skew_limit_s
             if late or not self._missing.issuperset(channels):
                 self._note_late(channels, time_s - self._open_s, late)
@@ -235,10 +235,6 @@ class SampleAssembler:
                 else:
                     released = self._release(time_s)
                     self._open(time_s)
-        elif self._modulo:
-            return None  # the rest of a cycle whose counter did not come, or a second frame
-        else:
-            self._open(time_s)
         for channel, tension_n in decoded.readings:
             self._tensions_n[channel] = tension_n
             self._missing.discard(channel)

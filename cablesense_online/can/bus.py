@@ -1,17 +1,17 @@
 """A CAN interface: opening, error state of the bus, CANopen node control, and the count of faults.
 
 Error frames have the classes of SocketCAN (`linux/can/error.h`), which python-can passes on in a
-frame's id and data. Other interfaces send error frames with other codes, or none.
+frame's id and data.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from threading import Lock
-from typing import Any
+from typing import Any, NamedTuple
 
 import can
 
@@ -132,24 +132,19 @@ class FaultKind(Enum):
         return self not in (*kept, FaultKind.FLOODED)
 
 
-@dataclass(frozen=True)
-class FaultReport:
-    """Faults since the previous report.
+class FaultReport(NamedTuple):
+    """Faults by kind.
 
     Attributes:
-        places: how often each kind occurred at each place (a cable, an id, a message).
-        total: how often each kind has occurred in all.
-        last: the latest detail of each kind.
+        recent: how often it occurred at each place (a cable, an id, a message) since the previous
+            report.
+        total: how often it has occurred in all.
+        last: the latest detail.
     """
 
-    places: Mapping[FaultKind, Counter[str]]
-    total: Mapping[FaultKind, int]
-    last: Mapping[FaultKind, str]
-
-    @property
-    def recent(self) -> dict[FaultKind, int]:
-        """How often each kind occurred since the previous report."""
-        return {kind: counted.total() for kind, counted in self.places.items()}
+    recent: dict[FaultKind, Counter[str]]
+    total: Counter[FaultKind]
+    last: dict[FaultKind, str]
 
 
 class FaultLedger:
@@ -157,22 +152,22 @@ class FaultLedger:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._places: dict[FaultKind, Counter[str]] = {}
-        self._total: Counter[FaultKind] = Counter()
-        self._last: dict[FaultKind, str] = {}
+        self._faults = FaultReport({}, Counter(), {})
 
     def note(self, kind: FaultKind, place: str, detail: str = "") -> None:
         """Count a fault of a cable, id, message or interface, and keep its detail."""
         with self._lock:
-            self._places.setdefault(kind, Counter())[place] += 1
-            self._total[kind] += 1
-            self._last[kind] = detail or place
+            recent, total, last = self._faults
+            recent.setdefault(kind, Counter())[place] += 1
+            total[kind] += 1
+            last[kind] = detail or place
 
     def report(self) -> FaultReport:
         """The faults since the previous report."""
         with self._lock:
-            places, self._places = self._places, {}
-            return FaultReport(places, dict(self._total), dict(self._last))
+            recent, total, last = self._faults
+            self._faults = FaultReport({}, total.copy(), last.copy())
+            return FaultReport(recent, total, last)
 
 
 ERROR_ACTIVE, BUS_OFF = "error active", "bus off"
@@ -184,7 +179,7 @@ class BusState:
     """Follows the error state of the bus.
 
     Attributes:
-        condition: the present state. It stays active if error frames have no classes.
+        condition: the present state, active if error frames have no classes.
         recoveries: how often the controller has come back from bus off.
     """
 

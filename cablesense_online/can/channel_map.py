@@ -97,9 +97,7 @@ class StatusMasks(FilePart):
 class StuckLimits(FilePart):
     """When a reading that stays the same to the last bit counts as stuck.
 
-    Attributes:
-        after_s: minimum time for which it has stayed the same.
-        others_moved_n: minimum movement, in that time, of half of the other channels.
+    It has, for `after_s` at least, while half of the others moved by `others_moved_n` at least.
     """
 
     after_s: Annotated[Number, Field(ge=0.01, le=3600.0)]
@@ -249,11 +247,7 @@ def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC fi
 
 
 def signal_conversion(database: Database, place: SignalPlace) -> tuple[str, float, float]:
-    """Unit, factor and offset of a signal by the DBC file: `value = factor * bits + offset`.
-
-    Raises:
-        ChannelMapError: the database lacks its message or signal.
-    """
+    """Unit, factor and offset of a signal by the DBC file: `value = factor * bits + offset`."""
     signal = _signal_of(database, place, "DBC file")
     return signal.unit or "", float(signal.scale), float(signal.offset)
 
@@ -316,11 +310,9 @@ class Calibration(FilePart):
 
     Attributes:
         map: name of the channel map it belongs to.
-        made: date and time of the calibration.
         gravity_m_s2: the value that converted masses to forces, if there were masses.
         common_relative_u: relative standard uncertainty that all loads shared.
         uncalibrated: names of the cables that keep the map's scale and zero.
-        cables: the sensors of the other cables.
     """
 
     map: str
@@ -373,21 +365,13 @@ def calibrated(
 
 
 def load_calibration(path: str | Path) -> Calibration:
-    """Read a calibration.
-
-    Raises:
-        ChannelMapError: the file cannot be read, is not YAML, or has an impossible key or value.
-    """
+    """Read a calibration."""
     text = read_bounded_text(path, MAX_MAP_BYTES, "a calibration", ChannelMapError)
     return read_plain(text, str(path), Calibration, ChannelMapError)
 
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
-    """Write a calibration.
-
-    Raises:
-        ChannelMapError: the file cannot be written.
-    """
+    """Write a calibration."""
     content = calibration.model_dump(mode="json", exclude_none=True)
     text = _CALIBRATION_HEAD + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
     write_atomically(path, text, ChannelMapError)

@@ -45,9 +45,6 @@ class CanDriver:
 
     CANopen nodes of the map's `nmt_start_nodes` are started whenever the interface is opened, and
     each again when its boot-up message shows that it lost power.
-
-    Attributes:
-        ledger: counts the faults.
     """
 
     def __init__(
@@ -116,7 +113,7 @@ class CanDriver:
             "largest skew (s)": f"{reader.largest_skew_s:.6f}",
         }
         reader.largest_skew_s = 0.0
-        values |= {f"{kind.value} in all": str(faults.total.get(kind, 0)) for kind in FaultKind}
+        values |= {f"{kind.value} in all": str(faults.total[kind]) for kind in FaultKind}
         values |= {f"last {kind.value}": detail for kind, detail in faults.last.items()}
         silent_s = now_s - self._last_sample_s
         verdict = _sample_verdict(faults, withheld, silent_s if silent_s > stale_after_s else 0.0)
@@ -203,8 +200,8 @@ class CanDriver:
 
 def _sample_verdict(faults: FaultReport, withheld: int, stale_s: float) -> tuple[Level, str]:
     text = "; ".join(
-        f"{count} {kind.value} ({some_of(sorted(faults.places[kind]), most=4)})"
-        for kind, count in faults.recent.items()
+        f"{places.total()} {kind.value} ({some_of(sorted(places), most=4)})"
+        for kind, places in faults.recent.items()
     )
     if stale_s:
         return Level.STALE, f"no sample for {stale_s:.1f} s" + (f": {text}" if text else "")

@@ -44,8 +44,7 @@ class _Plan(NamedTuple):
 class FrameDecoder:
     """Decodes the frames of the map and notes faulty ones.
 
-    Attributes:
-        counter_modulo: the counter restarts at 0 when it would reach this; 0 without a counter.
+    The counter restarts at 0 when it would reach `counter_modulo`, which is 0 without a counter.
     """
 
     def __init__(self, channel_map: ChannelMap, database: Database, ledger: FaultLedger) -> None:
@@ -173,8 +172,7 @@ class TensionReader:
     Attributes:
         hold_s: silence after which a held sample may be given.
         bus: the error state of the bus.
-        frames: number of frames taken, of any kind.
-        samples: number of samples given.
+        frames, samples: number of frames taken, of any kind, and of samples given.
         largest_skew_s: of the samples given since the caller last set it to zero.
     """
 

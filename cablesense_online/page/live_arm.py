@@ -1,8 +1,4 @@
-"""The state of a running arm as the page shows it.
-
-`LiveArm` takes the contract's messages (duck-typed: no ROS is needed here) and gives a `Snapshot`
-of the present.
-"""
+"""The state of a running arm as the page shows it, from the contract's messages, duck-typed."""
 
 from __future__ import annotations
 
@@ -31,9 +27,7 @@ from cablesense_online.page.snapshot import (
     ANSWERED,
     IN_CONTACT,
     ForceBounds,
-    KnownMoment,
     PlaceInterval,
-    ShownContact,
     ShownStatus,
     Snapshot,
     headline,
@@ -69,11 +63,8 @@ class _Wrench(NamedTuple):
 class LiveArm:
     """Takes messages and gives a Snapshot of the present; safe to call from several threads.
 
-    Times are of one monotonic clock, s.
-
-    Attributes:
-        mechanism, frames: of the arm.
-        tension_publisher: the one whose tensions are shown; others are an error.
+    Times are of one monotonic clock, s. Tensions of others than the `tension_publisher` are an
+    error.
     """
 
     def __init__(
@@ -105,7 +96,7 @@ class LiveArm:
         self._lock = threading.Lock()
 
     def take(self, topic: str, message: Any, now_s: float) -> None:
-        """Takes a message of a topic as `cablesense_msgs_py.topics` names it.
+        """Take a message of a topic as `cablesense_msgs_py.topics` names it.
 
         Raises:
             CableSenseError: it breaks the contract, or commands what the arm cannot do.
@@ -217,7 +208,7 @@ class LiveArm:
             self._motion_s = now_s
             command = self._motion.advance(elapsed_s)
             state = self._state if self._fresh(topics.STATUS, now_s) else ForceState.SILENT
-            estimated = self._estimated(command, now_s) if state in IN_CONTACT else ()
+            estimated = self._estimated(now_s) if state in IN_CONTACT else ()
             moment = self._moment(now_s) if state in IN_CONTACT else None
             bounds = self._bounds(now_s) if state in ANSWERED else None
             located = state in IN_CONTACT and self._fresh(topics.CONTACT_REGION, now_s)
@@ -225,6 +216,7 @@ class LiveArm:
             return Snapshot(
                 time_s=self._came_s.get(topics.CABLE_TENSIONS, now_s),
                 joint_angles_rad=self._pose_rad,
+                command_rad=command,
                 tensions_n=self._tensions_n,
                 true=self._true(command),
                 state=state,
@@ -239,61 +231,39 @@ class LiveArm:
     def _fresh(self, topic: str, now_s: float) -> bool:
         return now_s - self._came_s.get(topic, -math.inf) <= STALE_S
 
-    def _true(self, command_rad: Array) -> tuple[ShownContact, ...]:
+    def _true(self, command_rad: Array) -> tuple[Contact, ...]:
         rotations = segment_rotations(self.mechanism, command_rad)
         felt = []
         for n, load in self._loads.items():
             usual_m = float(self.mechanism.contact_m[n - 1])
             place_m = usual_m if load.contact_m is None else load.contact_m
             if _norm(load.force_base_n) >= _LEAST_FELT_N:
-                felt.append((n, load.force_base_n @ rotations[n - 1], place_m))
-        return self._contacts(rotations, felt)
+                force_n = (load.force_base_n @ rotations[n - 1]).tolist()
+                felt.append(Contact.of_force(n, force_n, place_m))
+        return _strongest_first(felt)
 
-    def _estimated(self, command_rad: Array, now_s: float) -> tuple[ShownContact, ...]:
+    def _estimated(self, now_s: float) -> tuple[Contact, ...]:
         """Contacts of all segments, from a model of several contacts; else the one contact."""
         numbers = range(1, self.mechanism.segment_count + 1)
         several = [topics.SEGMENT_WRENCHES.format(number) for number in numbers]
-        found = self._forces(several, now_s) or self._forces([topics.WRENCH], now_s)
-        return self._contacts(segment_rotations(self.mechanism, command_rad), found)
+        return self._pushing(several, now_s) or self._pushing([topics.WRENCH], now_s)
 
-    def _forces(self, wrenches: list[str], now_s: float) -> list[tuple[int, Array, float]]:
-        """Segment, force and place of those wrenches that are fresh and push."""
+    def _pushing(self, wrenches: list[str], now_s: float) -> tuple[Contact, ...]:
+        """The contacts of those wrenches that are fresh and push."""
         present = [self._wrenches[topic] for topic in wrenches if self._fresh(topic, now_s)]
-        return [
-            (each.segment, each.force_n, self._place_m(each))
-            for each in present
-            if each.segment and each.force_n[1:].any()
-        ]
+        pushing = [each for each in present if each.segment and each.force_n[1:].any()]
+        return _strongest_first(
+            [Contact.of_force(n, f.tolist(), _place_m(f, t)) for n, f, t in pushing]
+        )
 
-    def _place_m(self, wrench: _Wrench) -> float:
-        """Where on the axis a force acts, by its torque about the segment's origin."""
-        (_, y, z), (_, torque_y, torque_z) = wrench.force_n, wrench.torque_n_m
-        return float((y * torque_z - z * torque_y) / (y * y + z * z))
-
-    def _moment(self, now_s: float) -> KnownMoment | None:
+    def _moment(self, now_s: float) -> Contact | None:
         if not self._fresh(topics.WRENCH, now_s):
             return None
         segment, force_n, (_, y, z) = self._wrenches[topics.WRENCH]
         if not segment or force_n[1:].any():
             return None
-        return KnownMoment(segment, _angle_deg(np.array([0.0, z, -y])), math.hypot(y, z))
-
-    def _contacts(
-        self, rotations: Array, forces: list[tuple[int, Array, float]]
-    ) -> tuple[ShownContact, ...]:
-        """Contacts, the strongest first, from forces in the axes of their segments and places."""
-        contacts = [
-            ShownContact(
-                segment=n,
-                angle_deg=_angle_deg(local_n),
-                magnitude_n=_norm(local_n[1:]),
-                contact_m=place_m,
-                along_n=float(local_n[0]),
-                force_base_n=rotations[n - 1] @ local_n,
-            )
-            for n, local_n, place_m in forces
-        ]
-        return tuple(sorted(contacts, key=lambda contact: -contact.magnitude_n))
+        angle_deg = _angle_deg(np.array([0.0, z, -y]))
+        return Contact(segment, angle_deg, moment_n_m=math.hypot(y, z))
 
     def _bounds(self, now_s: float) -> ForceBounds | None:
         ends = (topics.WRENCH_LOWER, topics.WRENCH_UPPER)
@@ -339,6 +309,16 @@ class LiveArm:
         if topics.STATUS not in self._came_s:
             return ShownStatus(Level.STALE, "Waiting for the estimator")
         return None
+
+
+def _strongest_first(contacts: list[Contact]) -> tuple[Contact, ...]:
+    return tuple(sorted(contacts, key=lambda contact: -contact.magnitude_n))
+
+
+def _place_m(force_n: Array, torque_n_m: Array) -> float:
+    """Where on the axis a force acts, by its torque about the segment's origin."""
+    (_, y, z), (_, torque_y, torque_z) = force_n, torque_n_m
+    return float((y * torque_z - z * torque_y) / (y * y + z * z))
 
 
 def _angle_deg(local_n: Array) -> float:

@@ -11,12 +11,10 @@ from functools import partial
 
 import viser
 
-from cablesense_online.page.drawing import VIEW_ANGLE_RAD, Arrows, full_scale_n, view
 from cablesense_online.page.guard import free_port, guarded_server
-from cablesense_online.page.panel import Actions, Controls, ForceTrace, TensionTrace, html
-from cablesense_online.page.scene import ArmScene
-from cablesense_online.page.score import Score
-from cablesense_online.page.snapshot import Snapshot
+from cablesense_online.page.panel import Actions, Controls, ForceTrace, html, tension_trace
+from cablesense_online.page.scene import VIEW_ANGLE_RAD, ArmScene, Arrows, view
+from cablesense_online.page.snapshot import Score, Snapshot, full_scale_n
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.contact_location import touched_at
@@ -33,19 +31,13 @@ class Page:
 
     The visitor who has been there longest commands, the others watch.
 
-    Attributes:
-        port: that is served on.
-        url: where a browser finds the page; with the token, without which it is refused.
+    The `url` has the token without which a browser is refused.
     """
 
     def __init__(
         self, arm: Arm, actions: Actions | None, host: str = "127.0.0.1", port: int = 8080
     ) -> None:
-        """Starts serving; without `actions` the page only shows.
-
-        Raises:
-            PageError: no port from `port` on can be bound on `host`, or viser cannot be guarded.
-        """
+        """Starts serving; without `actions` the page only shows."""
         self._mechanism = mechanism = mechanism_of(arm)
         self._actions, self._force_limit_n = actions, contact_range_n(arm)
         self._reach_m, _ = touched_at(arm)
@@ -88,7 +80,7 @@ class Page:
             reset = gui.add_button("Reset the errors", icon=viser.Icon.REFRESH, color="gray")
             reset.on_click(lambda _: self._reset_errors())
             self._legend = gui.add_html("")
-            self._tensions = TensionTrace(gui, mechanism)
+            self._tensions = tension_trace(gui, mechanism)
             gui.add_html(html("style") + html("traces", mechanism.segment_count))
         dock.dock_left()
         dock.set_width(390)

@@ -16,8 +16,14 @@ import viser
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import NO_CONTACT, Contact, Level
-from cablesense_online.page.drawing import ESTIMATE_RGB, TENSION_CSS, TRUE_RGB, css, segment_rgb
-from cablesense_online.page.snapshot import Snapshot
+from cablesense_online.page.snapshot import (
+    ESTIMATE_RGB,
+    TENSION_CSS,
+    TRUE_RGB,
+    Snapshot,
+    css,
+    segment_rgb,
+)
 from cablesense_sim.mechanism import Mechanism
 
 JOINT_LIMIT_DEG = 20.0
@@ -295,7 +301,7 @@ class TraceBuffer:
         return tuple(rows[rows[:, 0] >= -self._window_s].T)
 
 
-class _Trace:
+class Trace:
     """A TraceBuffer drawn in the page; `draw` shows its samples."""
 
     def __init__(
@@ -338,7 +344,7 @@ class _Trace:
         self._plot.data = self.buffer.columns
 
 
-class ForceTrace(_Trace):
+class ForceTrace(Trace):
     """True and estimated force, with the stated 95 % interval as a band."""
 
     def __init__(self, gui: viser.GuiApi, least_n: float) -> None:
@@ -346,12 +352,8 @@ class ForceTrace(_Trace):
         ends = [{"label": end, "width": 0, "stroke": fill} for end in ("from", "to")]
         true = {"label": "true", "stroke": css(TRUE_RGB), "width": 2.5}
         dots = {"show": True, "size": 3, "width": 0, "fill": css(ESTIMATE_RGB)}
-        estimated = {
-            "label": "estimated",
-            "width": 0,
-            "stroke": "rgba(0, 0, 0, 0)",
-            "points": dots,
-        }
+        none = "rgba(0, 0, 0, 0)"
+        estimated = {"label": "estimated", "width": 0, "stroke": none, "points": dots}
         band = {"series": [2, 1], "fill": fill}
         super().__init__(gui, [*ends, true, estimated], "force, N", least_n, 170, (band,))
 
@@ -364,17 +366,15 @@ class ForceTrace(_Trace):
         self.buffer.add(now.time_s, np.array([*ends, true, estimate]))
 
 
-class TensionTrace(_Trace):
+def tension_trace(gui: viser.GuiApi, mechanism: Mechanism) -> Trace:
     """Every cable's tension, in the colour of the segment that it ends on."""
-
-    def __init__(self, gui: viser.GuiApi, mechanism: Mechanism) -> None:
-        segments = mechanism.cable_segment.tolist()
-        series = [
-            {
-                "label": f"cable_{cable + 1}",
-                "stroke": css(segment_rgb(segment)),
-                "dash": _DASHES[segments[:cable].count(segment) % len(_DASHES)],
-            }
-            for cable, segment in enumerate(segments)
-        ]
-        super().__init__(gui, series, "tension, N", 100.0, 210)
+    segments = mechanism.cable_segment.tolist()
+    series = [
+        {
+            "label": f"cable_{cable + 1}",
+            "stroke": css(segment_rgb(segment)),
+            "dash": _DASHES[segments[:cable].count(segment) % len(_DASHES)],
+        }
+        for cable, segment in enumerate(segments)
+    ]
+    return Trace(gui, series, "tension, N", 100.0, 210)

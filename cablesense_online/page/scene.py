@@ -4,18 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
 import viser
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from cablesense_base import Array
-from cablesense_online.page import drawing
-from cablesense_online.page.drawing import ESTIMATE_RGB, TRUE_RGB, Rgb
+from cablesense_msgs_py.messages import Contact
 from cablesense_online.page.panel import newtons_text
-from cablesense_online.page.snapshot import ShownContact, Snapshot
+from cablesense_online.page.snapshot import (
+    ESTIMATE_RGB,
+    TRUE_RGB,
+    ForceBounds,
+    Rgb,
+    Snapshot,
+    linear_rgb,
+    tension_rgb,
+)
 from cablesense_sim.kinematics import chain, joint_positions_m, segment_rotations
 from cablesense_sim.mechanism import Mechanism
 
@@ -41,6 +51,141 @@ _Place = tuple[float, float, float]
 _Anchor = Literal["center-center", "bottom-center", "top-center", "bottom-left", "bottom-right"]
 
 
+PLATE_MARGIN = 1.18
+"""Radius of a guide plate over that of its outermost hole."""
+
+
+@dataclass(frozen=True)
+class Arrows:
+    """Sizes of the arrows: that of `strongest_n` is 3/4 of `reach_m`, the length of the arm."""
+
+    reach_m: float
+    strongest_n: float
+
+    def length_m(self, magnitude_n: ArrayLike) -> Array:
+        """Within what can be seen and fits the view."""
+        share = 0.75 * np.asarray(magnitude_n) / self.strongest_n
+        return self.reach_m * np.clip(share, 0.1, 0.85)
+
+    @property
+    def apart_m(self) -> float:
+        """Distance of true and estimated arrow along the segment: neither hides the other."""
+        return 0.015 * self.reach_m
+
+
+def routing_radius_m(mechanism: Mechanism) -> float:
+    """The largest distance of a guide hole from the axis: all drawn parts follow it."""
+    return float(np.hypot(mechanism.hole_y_m, mechanism.hole_z_m).max())
+
+
+def plate_positions_m(mechanism: Mechanism, segment: int) -> list[float]:
+    """Places of the guide plates of a segment (1 … N; 0 is the base) along its own x axis."""
+    if segment == 0:
+        return [0.0]
+    length = float(mechanism.segment_length_m[segment - 1])
+    return [mechanism.plate_offset_m, length - mechanism.plate_offset_m]
+
+
+def cable_pieces(mechanism: Mechanism, joint_angles_rad: Array) -> tuple[Array, NDArray[np.int64]]:
+    """The straight pieces of all cables, from actuator to anchor through the guide holes.
+
+    Returns:
+        Both ends (P, 2, 3) of each piece, base frame, and the position (P,) of its cable.
+    """
+    joints_m = joint_positions_m(mechanism, joint_angles_rad)
+    rotations = segment_rotations(mechanism, joint_angles_rad)
+    ends: list[tuple[Array, Array]] = []
+    for cable, last_segment in enumerate(mechanism.cable_segment):
+        y, z = mechanism.hole_y_m[cable], mechanism.hole_z_m[cable]
+        points = [np.array([-mechanism.run_m, y, z]), np.array([0.0, y, z])]
+        for n in range(1, last_segment + 1):
+            plates_m = plate_positions_m(mechanism, n)
+            for x in plates_m[:1] if n == last_segment else plates_m:
+                points.append(joints_m[n - 1] + rotations[n - 1] @ np.array([x, y, z]))
+        ends += pairwise(points)
+    pieces_each = 2 * mechanism.cable_segment
+    return np.array(ends), np.repeat(np.arange(mechanism.cable_count), pieces_each)
+
+
+def unit(vector: Array) -> Array:
+    """The unit vector along a vector that is not zero."""
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def arrow_m(contact_m: Array, force_n: Array, clearance_m: float, arrows: Arrows) -> Array:
+    """Tail and tip (2, 3) of the arrow that pushes on a contact.
+
+    It points at the arm and ends `clearance_m` before its axis.
+    """
+    direction = unit(force_n)
+    tip = contact_m - clearance_m * direction
+    return np.stack([tip - arrows.length_m(np.linalg.norm(force_n)) * direction, tip])
+
+
+INTERVAL_LINES = 66
+"""Half of them for each arc."""
+
+
+def interval_m(
+    contact_m: Array,
+    normal: Array,
+    force_n: Array,
+    angle_deg: float,
+    bounds: ForceBounds,
+    clearance_m: float,
+    arrows: Arrows,
+) -> Array:
+    """Lines (L, 2, 3) around the places where the arrow of a force within `bounds` may begin.
+
+    It turns in the plane with the `normal` (3,), the axis of the segment. The lines begin at the
+    arrow of the estimated force (3,), at its contact angle; its part along the axis is left out.
+    The others as in `arrow_m`.
+    """
+    ahead = unit(force_n - (force_n @ normal) * normal)
+    aside = np.cross(ahead, normal)  # contact angles grow from +z to +y, against the axis' screw
+    first_deg, last_deg = bounds.angles_deg or (0.0, 360.0)
+    width_deg = (last_deg - first_deg) % 360.0 if bounds.angles_deg else 360.0
+    turn = np.deg2rad(first_deg - angle_deg + np.linspace(0.0, width_deg, INTERVAL_LINES // 2))
+    rays = np.outer(np.cos(turn), ahead) + np.outer(np.sin(turn), aside)
+    near, far = (
+        contact_m - (clearance_m + arrows.length_m(end_n)) * rays
+        for end_n in (bounds.low_n, bounds.high_n)
+    )
+    outline = np.concatenate([near, far[::-1], near[:1]])
+    return np.stack([outline[:-1], outline[1:]], axis=1)
+
+
+def place_m(joint_m: Array, axis: Array, ray_origin: Array, ray_direction: Array) -> float:
+    """Distance from a joint centre of the point on a segment's axis that is nearest to a ray.
+
+    All are (3,) in one frame; the axis is a unit vector. The distance is NaN along the axis.
+    """
+    ahead = unit(ray_direction)
+    aside = axis - (axis @ ahead) * ahead
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return float((ray_origin - joint_m) @ aside / (aside @ axis))
+
+
+VIEW_ANGLE_RAD = 0.75
+"""Height of the view."""
+_SIDE_VIEW = np.array([0.36, -1.66, 0.74])
+_TALL = 0.6
+"""The view of a phone, upright: its lower part is under the panel."""
+
+
+def view(reach_m: float, aspect: float) -> tuple[Array, Array]:
+    """Camera position and the point that it looks at, (3,) each, to see an arm of a reach.
+
+    `aspect` is the view's width over its height.
+    """
+    look_at = reach_m * np.array([0.56, 0.0, -0.04])
+    from_there = reach_m * _SIDE_VIEW * max(1.0, 1.05 / max(aspect, 0.2))
+    if aspect < _TALL:
+        half_height_m = float(np.linalg.norm(from_there)) * math.tan(0.5 * VIEW_ANGLE_RAD)
+        look_at = look_at - np.array([0.0, 0.0, 0.55 * half_height_m])
+    return look_at + from_there, look_at
+
+
 class ArmScene:
     """The arm in a viser scene, made once; `show` moves and colours it."""
 
@@ -48,14 +193,14 @@ class ArmScene:
         self,
         scene: viser.SceneApi,
         mechanism: Mechanism,
-        arrows: drawing.Arrows,
+        arrows: Arrows,
         touched: Touched | None = None,
     ) -> None:
         """`touched` is called by a click on a segment."""
         self._arrows, reach_m = arrows, arrows.reach_m
         self._scene, self._mechanism, self._touched = scene, mechanism, touched
         self._pose_rad = np.zeros(mechanism.joint_count)
-        self._radius_m = drawing.routing_radius_m(mechanism)
+        self._radius_m = routing_radius_m(mechanism)
         self._clearance_m = 1.1 * _BODY_SHARE * self._radius_m
         square_m = min(_SQUARES_M, key=lambda side_m: abs(math.log(side_m / (0.1 * reach_m))))
         scene.add_grid(
@@ -77,9 +222,7 @@ class ArmScene:
         self._add_label("/base/label", "base", (0.0, 0.0, 1.5 * self._radius_m), "bottom-center")
         numbers = range(1, mechanism.segment_count + 1)
         self._segments = [self._add_segment(n) for n in numbers]
-        ends_m, self._piece_cable = drawing.cable_pieces(
-            mechanism, np.zeros(mechanism.joint_count)
-        )
+        ends_m, self._piece_cable = cable_pieces(mechanism, np.zeros(mechanism.joint_count))
         self._cables = scene.add_line_segments(
             "/cables",
             ends_m,
@@ -88,8 +231,8 @@ class ArmScene:
         )
         self._interval = scene.add_line_segments(
             "/interval",
-            np.zeros((drawing.INTERVAL_LINES, 2, 3)),
-            np.tile(drawing.linear_rgb(np.array(ESTIMATE_RGB)), (drawing.INTERVAL_LINES, 2, 1)),
+            np.zeros((INTERVAL_LINES, 2, 3)),
+            np.tile(linear_rgb(np.array(ESTIMATE_RGB)), (INTERVAL_LINES, 2, 1)),
             thickness=_INTERVAL_WIDTH * reach_m,
             visible=False,
         )
@@ -112,27 +255,34 @@ class ArmScene:
         joints_m = joint_positions_m(self._mechanism, pose)
         for frame, joint_m, turn in zip(self._segments, joints_m, turns, strict=True):
             frame.position, frame.wxyz = joint_m, turn
-        ends_m, _ = drawing.cable_pieces(self._mechanism, pose)
+        ends_m, _ = cable_pieces(self._mechanism, pose)
         self._cables.points = ends_m.astype(np.float32)
         if snapshot.tensions_n is not None:
-            rgb = drawing.linear_rgb(drawing.tension_rgb(snapshot.tensions_n, full_scale_n))
+            rgb = linear_rgb(tension_rgb(snapshot.tensions_n, full_scale_n))
             self._cables.colors = np.repeat(rgb[self._piece_cable][:, None], 2, axis=1)
         self._pose_rad = pose
         axes, aside_m = rotations[:, :, 0], 0.5 * self._arrows.apart_m
+        at_command = segment_rotations(self._mechanism, snapshot.command_rad)
 
-        def points_m(contacts: Sequence[ShownContact], further_m: float) -> list[Array]:
-            at = [(each.segment - 1, each.contact_m + further_m) for each in contacts]
-            return [joints_m[n] + place_m * axes[n] for n, place_m in at]
+        def forces(contacts: Sequence[Contact], further_m: float) -> list[tuple[Array, Array]]:
+            """Points and forces (3,) of contacts in the base frame, so much further along."""
+            found = []
+            for each in contacts:
+                n = each.segment - 1
+                point_m = joints_m[n] + (each.contact_m + further_m) * axes[n]
+                found.append((point_m, at_command[n] @ each.wrench[:3]))
+            return found
 
-        behind_m = points_m(snapshot.estimated, aside_m)
-        self._true.show(snapshot.true, points_m(snapshot.true, -aside_m), self._clearance_m)
-        self._estimated.show(snapshot.estimated, behind_m, self._clearance_m)
+        behind = forces(snapshot.estimated, aside_m)
+        self._true.show(snapshot.true, forces(snapshot.true, -aside_m), self._clearance_m)
+        self._estimated.show(snapshot.estimated, behind, self._clearance_m)
         strongest, bounds = next(iter(snapshot.estimated), None), snapshot.bounds
         self._interval.visible = bool(strongest and strongest.magnitude_n and bounds)
         if self._interval.visible and strongest and bounds:
-            axis = axes[strongest.segment - 1]
-            lines_m = drawing.interval_m(
-                behind_m[0], axis, strongest, bounds, self._clearance_m, self._arrows
+            (point_m, force_n), axis = behind[0], axes[strongest.segment - 1]
+            angle_deg, clearance_m = strongest.angle_deg, self._clearance_m
+            lines_m = interval_m(
+                point_m, axis, force_n, angle_deg, bounds, clearance_m, self._arrows
             )
             self._interval.points = lines_m.astype(np.float32)
         region = snapshot.region
@@ -143,23 +293,17 @@ class ArmScene:
             lying = Rotation.from_quat(_ALONG_X, scalar_first=True)
             turn = Rotation.from_matrix(rotations[n]) * lying
             self._region.wxyz = turn.as_quat(scalar_first=True)
-            self._region.scale = (
-                1.0,
-                1.0,
-                max(high_m - low_m, _THINNEST_REGION * self._arrows.reach_m),
-            )
+            thinnest_m = _THINNEST_REGION * self._arrows.reach_m
+            self._region.scale = (1.0, 1.0, max(high_m - low_m, thinnest_m))
 
     def _add_segment(self, segment: int) -> viser.FrameHandle:
         name, radius_m = f"/arm/segment_{segment}", _BODY_SHARE * self._radius_m
         frame = self._scene.add_frame(name, show_axes=False)
         self._scene.add_icosphere(f"{name}/joint", 0.62 * radius_m, _JOINT_RGB)
         length_m = float(self._mechanism.segment_length_m[segment - 1])
-        offset_m = self._mechanism.plate_offset_m
-        body_m = length_m - 2 * offset_m
-        for part, thick_m, long_m in (
-            ("neck", 0.45 * radius_m, length_m),
-            ("body", radius_m, body_m),
-        ):
+        body_m = length_m - 2 * self._mechanism.plate_offset_m
+        parts = (("neck", 0.45 * radius_m, length_m), ("body", radius_m, body_m))
+        for part, thick_m, long_m in parts:
             handle = self._add_disc(f"{name}/{part}", length_m / 2, thick_m, long_m, _BODY_RGB)
             if self._touched is not None:
                 handle.on_click(partial(self._on_click, self._touched, segment))
@@ -171,15 +315,15 @@ class ArmScene:
     def _on_click(self, touched: Touched, segment: int, event: Any) -> None:
         pose, n = chain(self._mechanism, self._pose_rad), segment - 1
         ray = np.array(event.ray_origin), np.array(event.ray_direction)
-        place_m = drawing.place_m(pose.joint_m[n], pose.rotation[n, :, 0], *ray)
-        if math.isfinite(place_m):
-            touched(event.client_id, segment, place_m)
+        at_m = place_m(pose.joint_m[n], pose.rotation[n, :, 0], *ray)
+        if math.isfinite(at_m):
+            touched(event.client_id, segment, at_m)
 
     def _add_plates(self, name: str, segment: int) -> None:
-        radius_m = drawing.PLATE_MARGIN * self._radius_m
+        radius_m = PLATE_MARGIN * self._radius_m
         opacity = 0.55 if segment else None
         thick_m = _PLATE_THICKNESS * self._arrows.reach_m
-        for number, x_m in enumerate(drawing.plate_positions_m(self._mechanism, segment)):
+        for number, x_m in enumerate(plate_positions_m(self._mechanism, segment)):
             plate = f"{name}/plate_{number}"
             self._add_disc(plate, x_m, radius_m, thick_m, _PLATE_RGB, opacity)
 
@@ -207,7 +351,7 @@ class _Forces:
         self,
         scene: viser.SceneApi,
         mechanism: Mechanism,
-        sizes: drawing.Arrows,
+        sizes: Arrows,
         name: str,
         rgb: Rgb,
         anchor: _Anchor,
@@ -216,30 +360,25 @@ class _Forces:
         self._arrows = scene.add_arrows(
             f"/forces/{name}",
             np.zeros((1, 2, 3)),
-            drawing.linear_rgb(np.array(rgb)),
+            linear_rgb(np.array(rgb)),
             shaft_radius=_SHAFT_RADIUS * sizes.reach_m,
             head_radius=_HEAD_RADIUS * sizes.reach_m,
             head_length=_HEAD_LENGTH * sizes.reach_m,
             visible=False,
         )
-        self._labels = [
-            scene.add_label(
-                f"/forces/{name}/{number}",
-                "",
-                anchor=anchor,
-                font_screen_scale=1.05,
-                visible=False,
-            )
-            for number in range(1, mechanism.segment_count + 1)
-        ]
+        look: Any = {"anchor": anchor, "font_screen_scale": 1.05, "visible": False}
+        numbers = range(1, mechanism.segment_count + 1)
+        self._labels = [scene.add_label(f"/forces/{name}/{n}", "", **look) for n in numbers]
 
     def show(
-        self, contacts: Sequence[ShownContact], points_m: Sequence[Array], clearance_m: float
+        self,
+        contacts: Sequence[Contact],
+        forces: Sequence[tuple[Array, Array]],
+        clearance_m: float,
     ) -> None:
-        """Shows these forces and no others, each at a point (3,) in the base frame."""
+        """Shows these contacts and no others, each with its point and force in the base frame."""
         arrows_m = [
-            drawing.arrow_m(point_m, each.force_base_n, clearance_m, self._sizes)
-            for each, point_m in zip(contacts, points_m, strict=True)
+            arrow_m(point_m, force_n, clearance_m, self._sizes) for point_m, force_n in forces
         ]
         if contacts:
             self._arrows.points = np.array(arrows_m, dtype=np.float32)

@@ -1,47 +1,22 @@
-"""One moment of the arm as the page shows it: contacts with their intervals, and the state."""
+"""One moment of the arm as the page shows it, the errors over many, and the colours.
+
+Colours are safe for colour-blind eyes and readable on a dark ground. Tensions use the viridis map
+without its darkest tenth; the two forces and the segments use the palette of Okabe and Ito
+(*Color Universal Design*, 2008).
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from cablesense_base import Array
-from cablesense_msgs_py.messages import ForceState, Level
-
-
-@dataclass(frozen=True)
-class ShownContact:
-    """A force on the axis of a segment; true or estimated.
-
-    Attributes:
-        segment: 1 … N.
-        angle_deg: of the normal part at the commanded pose, from the segment's +z towards its +y.
-        magnitude_n: of the part normal to the segment, N.
-        contact_m: where it acts, from the segment's joint centre, m.
-        along_n: the part towards the segment's end, N; 0 where it is not estimated.
-        force_base_n: (3,) the whole force in base axes.
-    """
-
-    segment: int
-    angle_deg: float
-    magnitude_n: float
-    contact_m: float
-    along_n: float
-    force_base_n: Array
-
-
-class KnownMoment(NamedTuple):
-    """A contact of which only force times place is known.
-
-    Attributes:
-        segment: 1 … N.
-        angle_deg: of the force, as in `ShownContact`.
-        moment_n_m: about the segment's joint centre.
-    """
-
-    segment: int
-    angle_deg: float
-    moment_n_m: float
+from cablesense_msgs_py.messages import Contact, ForceState, Level
 
 
 class PlaceInterval(NamedTuple):
@@ -79,6 +54,7 @@ class Snapshot:
     Attributes:
         time_s: of the newest tensions, any steady clock.
         joint_angles_rad: (2N,) measured or commanded.
+        command_rad: (2N,) commanded pose, in whose axes contacts are.
         tensions_n: (M,).
         true: contacts that the applied loads make, the strongest first.
         state: of the estimate.
@@ -86,21 +62,21 @@ class Snapshot:
             unknown.
         bounds: of the strongest estimated force, or of the one behind `moment`.
         probabilities: (N + 1,) of no contact and of each segment.
-        status: of the estimator.
-        moment: of a contact of which only this is known.
+        moment: a contact of which only that is known.
         region: where the strongest contact, or the one behind `moment`, acts.
     """
 
     time_s: float
     joint_angles_rad: Array
+    command_rad: Array
     tensions_n: Array | None
-    true: tuple[ShownContact, ...]
+    true: tuple[Contact, ...]
     state: ForceState
-    estimated: tuple[ShownContact, ...]
+    estimated: tuple[Contact, ...]
     bounds: ForceBounds | None
     probabilities: Array | None
     status: ShownStatus
-    moment: KnownMoment | None = None
+    moment: Contact | None = None
     region: PlaceInterval | None = None
 
     @property
@@ -128,9 +104,9 @@ _HEADLINES = {
 
 def headline(
     state: ForceState,
-    estimated: tuple[ShownContact, ...],
+    estimated: tuple[Contact, ...],
     bounds: ForceBounds | None,
-    moment: KnownMoment | None,
+    moment: Contact | None,
 ) -> str:
     """One sentence for the head of the page."""
     text = _HEADLINES[state]
@@ -144,3 +120,158 @@ def headline(
     if state is ForceState.HIDDEN and bounds is not None:
         text += f"; up to {bounds.high_n:.1f} N may act"
     return text
+
+
+SETTLING_S = 1.0
+"""A comparison waits this long after a change: the arm swings and the estimate follows."""
+_STILL_N, _STILL_M, _STILL_RAD = 0.01, 0.001, 0.003
+"""Load, its place and pose that change by less stand still."""
+GUESS_DEG = 90.0
+"""Direction error of a contact that was missed, or found on another segment: a guess's mean."""
+
+
+def angle_error_deg(a_deg: float, b_deg: float) -> float:
+    """The smaller turn between two angles, 0 … 180 degrees."""
+    return abs((a_deg - b_deg + 180.0) % 360.0 - 180.0)
+
+
+class Errors(NamedTuple):
+    """Mean errors over the moments `compared` with an answer; None before the first.
+
+    Attributes:
+        compared: number of moments.
+        unanswered: share, 0 … 1, of the moments at rest in which the estimator gave no answer.
+        segment_right: share, 0 … 1, of moments with the right segments, or rightly none.
+        place_mae_m: over contacts on the right segment whose place is estimated.
+        angle_mae_deg: over contacts; `GUESS_DEG` for a miss.
+        magnitude_mae_n: over contacts, true or estimated, but those of which the moment alone is
+            known. The error of a contact on a wrong segment is the greater of the true and the
+            estimated force.
+    """
+
+    compared: int
+    unanswered: float | None
+    segment_right: float | None
+    place_mae_m: float | None
+    angle_mae_deg: float | None
+    magnitude_mae_n: float | None
+
+
+class Score:
+    """Adds up errors while load and pose stay put."""
+
+    def __init__(self, settling_s: float = SETTLING_S) -> None:
+        self._settling_s = settling_s
+        self._still: Array | None = None
+        self._still_since_s = 0.0
+        self.reset()
+
+    def reset(self) -> None:
+        """Discards every comparison."""
+        self._count = self._right = self._unanswered = 0
+        # number and sum of errors
+        self._aside, self._turned, self._off = np.zeros(2), np.zeros(2), np.zeros(2)
+
+    def add(self, snapshot: Snapshot) -> None:
+        """Takes one moment, which counts if load and pose have stood still."""
+        self._watch(snapshot)
+        if snapshot.time_s - self._still_since_s < self._settling_s:
+            return
+        if snapshot.tensions_n is None or snapshot.state is ForceState.MOVING:
+            return
+        if not snapshot.state.known and not snapshot.estimated:
+            self._unanswered += 1
+            return
+        true = {each.segment: each for each in snapshot.true}
+        found = {each.segment: each for each in snapshot.estimated}
+        both = true.keys() & found.keys()
+        angles_deg = [(true[n].angle_deg, found[n].angle_deg) for n in both]
+        seen, moment = set(found), snapshot.moment
+        if moment is not None:
+            seen.add(moment.segment)
+        self._right += true.keys() == seen
+        if moment is not None and moment.segment in true:  # no place and no force to compare
+            angles_deg.append((true.pop(moment.segment).angle_deg, moment.angle_deg))
+        missed_n = [true[n].magnitude_n for n in true.keys() - both]
+        ghosts_n = [found[n].magnitude_n for n in found.keys() - both]
+        aside_m = [abs(true[n].contact_m - found[n].contact_m) for n in both]
+        turned_deg = [angle_error_deg(*pair) for pair in angles_deg]
+        turned_deg += [GUESS_DEG] * len(missed_n)
+        off_n = [abs(true[n].magnitude_n - found[n].magnitude_n) for n in both]
+        off_n += map(max, zip_longest(missed_n, ghosts_n, fillvalue=0.0))
+        self._count += 1
+        self._aside += len(aside_m), sum(aside_m)
+        self._turned += len(turned_deg), sum(turned_deg)
+        self._off += len(off_n), sum(off_n)
+
+    def _watch(self, snapshot: Snapshot) -> None:
+        """Notes since when load and pose have stood still."""
+        loads = np.zeros((len(snapshot.joint_angles_rad) // 2, 4))
+        for contact in snapshot.true:
+            force = np.array(contact.wrench[:3]) / _STILL_N
+            loads[contact.segment - 1] = *force, contact.contact_m / _STILL_M
+        now = np.append(loads, snapshot.joint_angles_rad / _STILL_RAD)
+        if self._still is None or np.abs(now - self._still).max() >= 1.0:
+            self._still, self._still_since_s = now, snapshot.time_s
+
+    @property
+    def errors(self) -> Errors:
+        """The errors up to now."""
+
+        def mean(count: float, total: float) -> float | None:
+            return total / count if count else None
+
+        return Errors(
+            self._count,
+            mean(self._count + self._unanswered, self._unanswered),
+            mean(self._count, self._right),
+            mean(*self._aside),
+            mean(*self._turned),
+            mean(*self._off),
+        )
+
+
+Rgb = tuple[int, int, int]
+
+TRUE_RGB: Rgb = (230, 159, 0)
+ESTIMATE_RGB: Rgb = (86, 180, 233)
+_SEGMENT_RGB: tuple[Rgb, ...] = ((86, 180, 233), (0, 178, 128), (240, 228, 66), (224, 140, 190))
+
+TENSION_CSS = (
+    *("#482475", "#414487", "#355f8d", "#2a788e", "#21918c"),
+    *("#22a884", "#44bf70", "#7ad151", "#bddf26", "#fde725"),
+)
+"""Colours of tensions from slack to full scale, at equal steps."""
+_TENSION_STOPS = np.array([list(bytes.fromhex(stop[1:])) for stop in TENSION_CSS], dtype=float)
+
+
+def tension_rgb(tensions_n: ArrayLike, full_scale_n: float) -> NDArray[np.uint8]:
+    """Colours (..., 3) of tensions: violet at 0 N (slack), yellow from `full_scale_n` on."""
+    share = np.nan_to_num(np.asarray(tensions_n, dtype=float)) / full_scale_n
+    at = np.linspace(0.0, 1.0, len(_TENSION_STOPS))
+    rgb = [np.interp(share, at, channel) for channel in _TENSION_STOPS.T]
+    return np.rint(np.stack(rgb, axis=-1)).astype(np.uint8)
+
+
+def linear_rgb(srgb: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Colours for vertices, which the browser's renderer takes as linear light (IEC 61966-2-1)."""
+    share = np.asarray(srgb, dtype=float) / 255.0
+    linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return np.rint(255.0 * linear).astype(np.uint8)
+
+
+def full_scale_n(peak_n: float) -> float:
+    """The round tension, at least 100 N, that covers a peak: a scale that seldom changes."""
+    power = 10.0 ** max(2, math.floor(math.log10(max(peak_n, 1.0))))
+    steps_n = [step * power for step in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.5, 10.0)]
+    return next(step_n for step_n in steps_n if step_n >= peak_n)
+
+
+def segment_rgb(segment: int) -> Rgb:
+    """The colour of a segment's traces and bars; `segment` counts from 1."""
+    return _SEGMENT_RGB[(segment - 1) % len(_SEGMENT_RGB)]
+
+
+def css(rgb: Rgb) -> str:
+    """A colour as `#rrggbb`."""
+    return f"#{bytes(rgb).hex()}"

@@ -24,7 +24,7 @@ from cablesense_ros.cli.options import (
 
 if TYPE_CHECKING:
     from cablesense_online.can.channel_map import Calibration
-    from cablesense_online.commissioning.sensor_check import SensorExpectation, SensorReport
+    from cablesense_online.sensor_check import SensorExpectation, SensorReport
 
 
 def calibrate(
@@ -74,8 +74,8 @@ def calibrate(
     from rich.console import Console
 
     from cablesense_gap.recordings.checks import read_recording
+    from cablesense_online import sensor_calibration
     from cablesense_online.can import channel_map as maps
-    from cablesense_online.commissioning import sensor_calibration
     from cablesense_sim.arm import open_arm
 
     output_file(out, force=force, inputs=(loads, channel_map, recording, recorded_with, arm))
@@ -197,7 +197,7 @@ def check(
     from rich.console import Console
 
     from cablesense_gap.recordings.checks import read_recording
-    from cablesense_online.commissioning.sensor_check import check_sensors, expectation, series_of
+    from cablesense_online.sensor_check import check_sensors, expectation
     from cablesense_sim.arm import open_arm
 
     described = open_arm(arm)
@@ -213,11 +213,11 @@ def check(
                 f"--pull: no cable {unknown[0][:40]!r}; there are {', '.join(names)}"
             )
         prompts = Console(stderr=True)
-        series, pulls = capture_tensions(names, seconds, pulled, prompts.print, namespace)
-        report = check_sensors(series, expected, pulls)
+        readings, pulls = capture_tensions(names, seconds, pulled, prompts.print, namespace)
+        report = check_sensors(readings, names, expected, pulls)
     else:
         refuse_given(context, ["pull", "seconds", "namespace"], "on a recording")
-        report = check_sensors(series_of(read_recording(recording, described), names), expected)
+        report = check_sensors(read_recording(recording, described), names, expected)
     if json_output:
         print_json({"usable": report.usable, "expected": asdict(expected), **asdict(report)})
     else:

@@ -120,9 +120,9 @@ FRAMES = Frames(4)
 def test_force_and_moment_are_those_of_a_push_at_the_contact_point(angle_deg):
     contact = Contact(2, angle_deg, 40.0, 0.065)
     assert np.linalg.norm(contact.wrench[:3]) == pytest.approx(40.0)
-    assert np.degrees(np.arctan2(contact.wrench[1], contact.wrench[2])) % 360 == pytest.approx(
-        angle_deg
-    )
+    y, z = contact.wrench[1:3]
+    assert np.degrees(np.arctan2(y, z)) % 360 == pytest.approx(angle_deg)
+    assert Contact.of_force(2, contact.wrench[:3], 0.065)[:5] == pytest.approx(contact[:5])
     np.testing.assert_allclose(
         contact.wrench[3:], np.cross([0.065, 0.0, 0.0], contact.wrench[:3]), atol=1e-12
     )

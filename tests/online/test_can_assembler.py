@@ -48,7 +48,7 @@ class Assembly:
 
     @property
     def faults(self):
-        return self.ledger.report().places
+        return self.ledger.report().recent
 
 
 @pytest.fixture(params=[0, 256], ids=["without a counter", "with a counter"])

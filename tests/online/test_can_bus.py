@@ -50,14 +50,15 @@ def test_bus_off_counts_once_and_a_restart_ends_it(watch, ledger):
     watch.error_frame(0x100, bytes(8))
     assert watch.condition == ERROR_ACTIVE
     assert watch.recoveries == 1
-    assert ledger.report().recent == {FaultKind.BUS_OFF: 1, FaultKind.ERROR_FRAME: 1}
+    once = {"socketcan can0": 1}
+    assert ledger.report().recent == {FaultKind.BUS_OFF: once, FaultKind.ERROR_FRAME: once}
 
 
 def test_codes_of_other_drivers_are_not_read_as_classes(ledger):
     watch = BusState(CanInterface("pcan", "PCAN_USBBUS1"), ledger)
     watch.error_frame(0x44, bytes([0, 0x30]))
     assert watch.condition == ERROR_ACTIVE
-    assert ledger.report().recent == {FaultKind.ERROR_FRAME: 1}
+    assert ledger.report().recent == {FaultKind.ERROR_FRAME: {"pcan PCAN_USBBUS1": 1}}
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,7 @@ from cablesense_msgs_py.messages import Level
 from cablesense_online.can import driver as driver_module
 from cablesense_online.can.bus import CanInterface, CanInterfaceError, FaultKind
 from cablesense_online.can.driver import CanDriver
-from cablesense_online.can.emulator import Emulator
-from cablesense_online.can.slcan import SlcanPort
+from cablesense_online.can.emulator import Emulator, SlcanPort
 
 TENSIONS_N = np.linspace(40.0, 62.0, 12)
 _numbers = itertools.count()

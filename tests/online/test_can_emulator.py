@@ -147,7 +147,7 @@ def test_a_stuck_channel_is_found_while_the_others_move(packed):
     packed.request("stuck_value cable_6")
     given = sum(len(packed.cycles(1, TENSIONS_N + 0.05 * number)) for number in range(2200))
     assert 1900 < given < 2100
-    assert packed.ledger.report().places == {FaultKind.STUCK_VALUE: {"cable_6": 2200 - given}}
+    assert packed.ledger.report().recent == {FaultKind.STUCK_VALUE: {"cable_6": 2200 - given}}
 
 
 @pytest.mark.parametrize(

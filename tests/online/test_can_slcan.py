@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cablesense_online.can.bus import CanInterface
-from cablesense_online.can.slcan import SlcanPort, SlcanPortError, frame_line, line_frame
+from cablesense_online.can.emulator import SlcanPort, SlcanPortError, frame_line, line_frame
 
 FRAMES = [
     can.Message(arbitration_id=0x121, is_extended_id=False, data=bytes(range(8))),

@@ -12,7 +12,7 @@ from sample_feed import ARM, Feed, message_bytes
 from cablesense_base import CableSenseError
 from cablesense_msgs_py.messages import BREATH_END, NO_CONTACT
 from cablesense_online.state import Event, EventKind
-from cablesense_online.tare import UnloadedTensions
+from cablesense_online.stated_contacts import RestingArm
 from cablesense_training.inference.estimator import Estimate
 
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
@@ -148,7 +148,7 @@ def test_another_arm_carries_the_tare_over_by_its_own_model():
     measured_n = state.tare.tare.measured_n
     np.testing.assert_array_equal(same.tares.unloaded_n, measured_n)
     gone = other.tares.unloaded_n - measured_n
-    predict_n = UnloadedTensions(ARM).predict_n
+    predict_n = RestingArm(ARM, 1).predict_n
     np.testing.assert_allclose(
         gone, predict_n(np.full(8, 0.01)) - predict_n(np.zeros(8)), atol=1e-9
     )

@@ -6,8 +6,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cablesense_online.page.drawing import Arrows, arrow_m, cable_pieces, place_m
 from cablesense_online.page.panel import TraceBuffer, interval_text, known_text
+from cablesense_online.page.scene import Arrows, arrow_m, cable_pieces, place_m
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import cable_lengths_m, joint_positions_m

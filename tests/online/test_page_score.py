@@ -5,19 +5,19 @@ import dataclasses
 import numpy as np
 import pytest
 
-from cablesense_msgs_py.messages import ForceState, Level
-from cablesense_online.page.score import GUESS_DEG, Score
-from cablesense_online.page.snapshot import KnownMoment, ShownContact, ShownStatus, Snapshot
+from cablesense_msgs_py.messages import Contact, ForceState, Level
+from cablesense_online.page.snapshot import GUESS_DEG, Score, ShownStatus, Snapshot
 
 
 def contact(segment=2, angle=350.0, newtons=40.0, place_m=0.08):
-    return ShownContact(segment, angle, newtons, place_m, 0.0, np.array([0.0, 0.0, newtons]))
+    return Contact(segment, angle, newtons, place_m)
 
 
 def moment(time_s, true, estimated, pose=0.0, state=None):
     state = state or (ForceState.CONTACT if estimated else ForceState.FREE)
     pose, tensions, fine = np.full(8, pose), np.full(12, 50.0), ShownStatus(Level.OK, "fine")
-    return Snapshot(time_s, pose, tensions, tuple(true), state, tuple(estimated), None, None, fine)
+    contacts = tuple(true), state, tuple(estimated)
+    return Snapshot(time_s, pose, pose, tensions, *contacts, None, None, fine)
 
 
 def scored(*moments):
@@ -55,7 +55,7 @@ def test_misses_and_wrong_segments_count_with_all_of_their_force(
 
 
 def test_of_a_known_moment_segment_and_direction_count_and_neither_place_nor_force():
-    state, seen = ForceState.MOMENT, KnownMoment(2, 352.0, 3.2)
+    state, seen = ForceState.MOMENT, Contact(2, 352.0, moment_n_m=3.2)
     now = dataclasses.replace(moment(0.0, [contact(2)], [], state=state), moment=seen)
     assert scored(now) == pytest.approx((1, 0.0, 1.0, None, 2.0, None))
     elsewhere = dataclasses.replace(now, moment=seen._replace(segment=1))

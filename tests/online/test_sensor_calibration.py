@@ -8,14 +8,14 @@ from hypothesis import strategies as st
 
 from cablesense_base import CableSenseError
 from cablesense_gap.recordings.recording import Recording
-from cablesense_online.commissioning import CommissioningError
-from cablesense_online.commissioning.sensor_calibration import (
+from cablesense_online.sensor_calibration import (
     KnownLoad,
     calibrate_sensor,
     characteristics,
     raw_reading,
     read_known_loads,
 )
+from cablesense_online.sensor_check import CommissioningError
 
 UP_AND_DOWN_N = (0.0, 20.0, 40.0, 60.0, 80.0, 60.0, 40.0, 20.0, 0.0)
 SCALE, ZERO = 0.0125, -310.0

@@ -5,17 +5,16 @@ import pytest
 from gap_recordings import small_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sensor_series import ARM, EXPECTED, RATE_HZ, STEP_N, good_tensions_n, series
+from sensor_series import ARM, EXPECTED, RATE_HZ, STEP_N, checked, good_tensions_n, series
 
-from cablesense_online.commissioning import CommissioningError
-from cablesense_online.commissioning.sensor_check import (
+from cablesense_online.sensor_check import (
     SETTLING_S,
+    CommissioningError,
     Pull,
     channel_statistics,
-    check_sensors,
     judge_pull,
     quantisation_step_n,
-    series_of,
+    rows_at_rest,
     timing_statistics,
 )
 
@@ -25,7 +24,7 @@ def wrong(report):
 
 
 def test_good_sensors_are_usable():
-    report = check_sensors(series(good_tensions_n()), EXPECTED)
+    report = checked(series(good_tensions_n()))
     assert report.usable, report.findings
     assert len(report.channels) == 12
     assert report.timing.rate_hz == pytest.approx(RATE_HZ)
@@ -50,7 +49,7 @@ def coarse(tensions_n):
 def test_a_fault_is_found_at_its_cable(spoil, kind):
     tensions_n = good_tensions_n()
     spoil(tensions_n)
-    found = wrong(check_sensors(series(tensions_n), EXPECTED))
+    found = wrong(checked(series(tensions_n)))
     assert (kind, "cable_5") in found
     assert {where for _, where in found} == {"cable_5"}
 
@@ -58,7 +57,7 @@ def test_a_fault_is_found_at_its_cable(spoil, kind):
 def test_a_channel_that_stands_still_is_wrong_only_while_others_move():
     tensions_n = good_tensions_n()
     tensions_n[:, 4] = 50.0
-    resting = check_sensors(series(tensions_n), EXPECTED)
+    resting = checked(series(tensions_n))
     assert resting.usable
     assert [(finding.kind, finding.where) for finding in resting.findings] == [
         ("stuck", "cable_5")
@@ -66,32 +65,32 @@ def test_a_channel_that_stands_still_is_wrong_only_while_others_move():
     moving = np.arange(len(tensions_n)) > 500
     tensions_n[moving] += 30.0
     tensions_n[:, 4] = 50.0
-    report = check_sensors(series(tensions_n, at_rest=~moving), EXPECTED)
+    report = checked(series(tensions_n, at_rest=~moving))
     assert wrong(report) == {("stuck", "cable_5")}
 
 
 def test_rate_jitter_and_loss_are_of_all():
     tensions_n = good_tensions_n()
     time_s = np.arange(len(tensions_n)) / RATE_HZ
-    slow = check_sensors(series(tensions_n, 1.2 * time_s), EXPECTED)
+    slow = checked(series(tensions_n, 1.2 * time_s))
     assert wrong(slow) == {("rate", "all")}
     lossy = np.delete(time_s, slice(300, 310))
-    lost = check_sensors(series(tensions_n[:-10], lossy), EXPECTED)
+    lost = checked(series(tensions_n[:-10], lossy))
     assert wrong(lost) == {("lost", "all")}
     shaken_s = time_s + 0.45 / RATE_HZ * np.random.default_rng(0).choice([-1, 1], len(time_s))
-    assert ("jitter", "all") in wrong(check_sensors(series(tensions_n, shaken_s), EXPECTED))
+    assert ("jitter", "all") in wrong(checked(series(tensions_n, shaken_s)))
 
 
 def test_pulls_show_a_swap_and_are_no_rest():
     tensions_n = good_tensions_n()
     tensions_n[400:600, 6] += 25.0
-    right = check_sensors(series(tensions_n), EXPECTED, [Pull("cable_7", 3.5, 6.5)])
+    right = checked(series(tensions_n), [Pull("cable_7", 3.5, 6.5)])
     assert right.usable, right.findings
     other = [Pull("cable_2", 3.5, 6.5)]
-    swapped = check_sensors(series(tensions_n), EXPECTED, other)
+    swapped = checked(series(tensions_n), other)
     assert wrong(swapped) == {("swapped", "cable_2")}
     assert "cable_7 moved most (25" in swapped.findings[0].text
-    weak = check_sensors(series(good_tensions_n()), EXPECTED, other)
+    weak = checked(series(good_tensions_n()), other)
     assert weak.usable
     assert weak.findings[0].kind == "pull"
 
@@ -102,7 +101,7 @@ REST = np.ones(2000, dtype=bool)
 
 def figures_of(readings_n, at_rest=REST):
     made = series(np.repeat(readings_n[:, None], 12, axis=1), TIME_S)
-    return channel_statistics(made, at_rest, 100.0)[3]
+    return channel_statistics(made, ARM.cable_names, at_rest, 100.0)[3]
 
 
 def noise_n(deviation_n, seed=0):
@@ -139,14 +138,14 @@ def test_missing_samples_are_counted_and_do_not_lower_the_rate(rate_hz, missing)
 
 def test_rest_is_the_usual_pose_without_a_load_once_settled():
     recording = small_recording()
-    found = series_of(recording, ARM.cable_names)
-    assert found.at_rest[:20].all()
-    assert not found.at_rest[recording.load_segment > 0].any()
-    assert not found.at_rest[recording.command_rad.any(axis=1)].any()
+    found = rows_at_rest(recording)
+    assert found[:20].all()
+    assert not found[recording.load_segment > 0].any()
+    assert not found[recording.command_rad.any(axis=1)].any()
     unloading = np.flatnonzero(np.diff((recording.load_segment > 0).astype(int)) == -1)[0] + 1
     settled = recording.time_s > recording.time_s[unloading] + SETTLING_S
-    assert not found.at_rest[unloading]
-    assert found.at_rest[settled].any()
+    assert not found[unloading]
+    assert found[settled].any()
 
 
 WINDOW = (4.0, 7.0)
@@ -160,7 +159,9 @@ def judged(moves_n, dead=None, window=WINDOW):
         tensions_n[pulled, channel] += move_n
     if dead is not None:
         tensions_n[:, dead] = 50.0
-    return judge_pull(series(tensions_n), Pull("cable_3", *window), EXPECTED.floor_n)
+    return judge_pull(
+        series(tensions_n), ARM.cable_names, Pull("cable_3", *window), EXPECTED.floor_n
+    )
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,10 @@ from sample_feed import ARM, MECHANISM, UNLOADED, Feed
 from scipy.spatial.transform import Rotation
 
 from cablesense_msgs_py.messages import Contact, ForceState
-from cablesense_online.contact_statics import ContactStatics
+from cablesense_online.answer import ContactStatics
 from cablesense_online.models import load_model
 from cablesense_online.plausibility import LARGEST_MISFIT
 from cablesense_online.stated_contacts import RestingArm
-from cablesense_online.tare import UnloadedTensions
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -87,7 +86,7 @@ def test_the_contacts_that_fit_best_are_those_of_the_exported_closed_form(name):
     mechanism, rng = mechanism_of(arm), np.random.default_rng(2)
     spread_n = difference_variance_n2(arm.sensors, 50) ** 0.5
     graph = ClosedForm(mechanism, spread_n**2, pose_corrections_for(mechanism))
-    resting = RestingArm(UnloadedTensions(arm), 50)
+    resting = RestingArm(arm, 50)
     for segment in (1, 2, 3, 4):
         command = rng.uniform(-0.1, 0.1, 8)
         angle_deg, size_n = rng.uniform(0.0, 360.0), rng.uniform(10.0, 60.0)

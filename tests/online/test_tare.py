@@ -9,7 +9,8 @@ from arm_variants import variant
 from estimation_settings import estimation_settings
 
 from cablesense_msgs_py.messages import Level
-from cablesense_online.tare import DriftWatch, TareError, Tares, UnloadedTensions
+from cablesense_online.stated_contacts import RestingArm
+from cablesense_online.tare import DriftWatch, TareError, Tares
 from cablesense_sim.arm import open_arm
 
 pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
@@ -88,8 +89,8 @@ def test_an_arm_whose_file_lists_more_than_the_model_has_is_not_judged_by_it():
     assert tares.status().level is Level.OK
     friction = {"effect": "capstan_friction", "at": "arm", "parameters": {"coefficient": 0.1}}
     zero = {"effect": "cable_tolerance", "at": "cable_1", "parameters": {"zero_n": 0.3}}
-    assert not UnloadedTensions(variant({"effects": [zero]})).incomplete
-    assert UnloadedTensions(variant({"effects": [zero, friction]})).incomplete
+    assert not RestingArm(variant({"effects": [zero]}), 1).incomplete
+    assert RestingArm(variant({"effects": [zero, friction]}), 1).incomplete
 
 
 @pytest.mark.parametrize(
@@ -116,7 +117,7 @@ ARM = open_arm("cdsm")
 
 @pytest.mark.parametrize(("one", "other"), [(1, 4), (3, 10), (6, 9)])
 def test_exchanged_plugs_of_an_untouched_arm_are_named_at_the_tare(one, other):
-    unloaded = UnloadedTensions(ARM)
+    unloaded = RestingArm(ARM, 1)
     straight = unloaded.predict_n(np.zeros(8))
     build = np.random.default_rng(one).normal(0.0, 0.2, 12)  # zeros, pretension and masses
     order = np.arange(12)

@@ -9,8 +9,8 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from cablesense_msgs_py.messages import ForceState, Level
-from cablesense_online.page.snapshot import KnownMoment, ShownContact, ShownStatus, Snapshot
+from cablesense_msgs_py.messages import Contact, ForceState, Level
+from cablesense_online.page.snapshot import ShownStatus, Snapshot
 from cablesense_ros import demo
 from cablesense_ros.cli import runs
 from cablesense_ros.cli.app import app
@@ -108,22 +108,22 @@ def results_of(script, estimate_of, unknown=None):
     for time_s in times:
         push = next((p for p in script if p.start_s <= time_s < p.end_s), None)
         estimate = estimate_of(push) if push else None
-        moment = estimate if isinstance(estimate, KnownMoment) else None
+        moment = estimate if estimate and estimate.moment_n_m else None
         contacts = () if estimate is None or moment else (estimate,)
         state = unknown or (ForceState.CONTACT if estimate else ForceState.FREE)
         fine, pose, tensions = ShownStatus(Level.OK, "fine"), np.zeros(8), np.full(12, 50.0)
-        now = Snapshot(time_s, pose, tensions, contacts, state, contacts, None, None, fine, moment)
-        snapshots.append(now)
+        shown = contacts, state, contacts, None, None, fine, moment
+        snapshots.append(Snapshot(time_s, pose, pose, tensions, *shown))
     played = PushRecord(times, snapshots)
     return played, push_results(script, played)
 
 
 def shown(segment, angle_deg=0.0):
-    return ShownContact(segment, angle_deg, 10.0, 0.05, 0.0, np.zeros(3))
+    return Contact(segment, angle_deg, 10.0, 0.05)
 
 
 def exact(push):
-    return ShownContact(*push.contact[:5], np.ones(3))
+    return push.contact
 
 
 def test_exact_estimates_have_no_error_and_are_reported_in_full(tmp_path):
@@ -170,9 +170,8 @@ def test_a_wrong_segment_silence_and_no_contact_are_told_apart():
 def test_a_moment_is_compared_as_one_and_has_no_place():
     def moment(push):
         contact = push.contact
-        return KnownMoment(
-            contact.segment, contact.angle_deg, 0.1 + contact.contact_m * contact.magnitude_n
-        )
+        moment_n_m = 0.1 + contact.contact_m * contact.magnitude_n
+        return Contact(contact.segment, contact.angle_deg, moment_n_m=moment_n_m)
 
     _, (result,) = results_of(make_script(REACH_M, 4.0, seed=0), moment)
     assert result.segment_right

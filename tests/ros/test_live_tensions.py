@@ -13,7 +13,7 @@ import pytest
 from ros_graph import Graph
 from sensor_msgs.msg import JointState
 
-from cablesense_online.commissioning import CommissioningError
+from cablesense_online.sensor_check import CommissioningError
 from cablesense_ros import recorder
 from cablesense_sim.arm import open_arm
 

@@ -36,7 +36,7 @@ from cablesense_online.can.channel_map import (
     ChannelMap,
     signal_conversion,
 )
-from cablesense_online.commissioning import CommissioningError
+from cablesense_online.sensor_check import CommissioningError
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """3rd CGPM (1901)."""

@@ -1,8 +1,6 @@
 """Check of tension sensors: noise, step, drift, timing and pulls, against the expected values.
 
-A series of readings comes from a recording or from the live topic. Noise and drift are computed at
-rest: static equilibrium in one pose without contact. The expected values come from the arm file or
-from options.
+Noise and drift are computed at rest: static equilibrium in one pose without contact.
 """
 
 from __future__ import annotations
@@ -14,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import detrend
 
-from cablesense_base import Array
+from cablesense_base import Array, CableSenseError
 from cablesense_gap.recordings.recording import Recording
-from cablesense_online.commissioning import CommissioningError
 from cablesense_sim.arm import Sensors
 from cablesense_sim.replay import reading_variance_n2
 
@@ -52,27 +49,12 @@ DRIFT_FLOORS = 4.0
 """A larger drift, in standard deviations of a reading, is soon estimated as a force."""
 
 
-@dataclass(frozen=True)
-class TensionSeries:
-    """R readings of M sensors in time order.
-
-    Attributes:
-        cable_names: (M,).
-        time_s: (R,) ascending.
-        block: (R,) number of the uninterrupted block that each row belongs to.
-        at_rest: (R,) whether the arm was at rest, always in the same pose and without contact.
-        tensions_n: (R, M).
-    """
-
-    cable_names: tuple[str, ...]
-    time_s: Array
-    block: NDArray[np.int64]
-    at_rest: NDArray[np.bool_]
-    tensions_n: Array
+class CommissioningError(CableSenseError):
+    """Unusable input for commissioning; the message names file, row or cable, and the remedy."""
 
 
-def series_of(recording: Recording, cable_names: tuple[str, ...]) -> TensionSeries:
-    """A recording's readings; rest is its most frequent unloaded pose, after settling."""
+def rows_at_rest(recording: Recording) -> NDArray[np.bool_]:
+    """(R,) the rows of the most frequent pose without load, after settling."""
     at_rest, time_s = recording.load_segment == 0, recording.time_s
     if at_rest.any():
         _, pose = np.unique(recording.command_rad, axis=0, return_inverse=True)
@@ -80,7 +62,7 @@ def series_of(recording: Recording, cable_names: tuple[str, ...]) -> TensionSeri
         at_rest &= pose == np.bincount(pose[at_rest]).argmax()
     for start_s in time_s[1:][np.diff(at_rest.astype(int)) == 1].tolist():
         at_rest &= (time_s < start_s) | (time_s >= start_s + SETTLING_S)
-    return TensionSeries(cable_names, time_s, recording.trial, at_rest, recording.tensions_n)
+    return at_rest
 
 
 @dataclass(frozen=True)
@@ -88,7 +70,6 @@ class ChannelStatistics:
     """Statistics of one sensor; none if there were too few readings at rest.
 
     Attributes:
-        cable: its name.
         mean_n: at rest, or of all readings if too few are at rest.
         lowest_n, highest_n: of all readings.
         noise_n: standard deviation at rest about a straight line, the median of windows of 1 s.
@@ -106,10 +87,11 @@ class ChannelStatistics:
 
 
 def channel_statistics(
-    series: TensionSeries, at_rest: NDArray[np.bool_], rate_hz: float
+    recording: Recording, cable_names: Sequence[str], at_rest: NDArray[np.bool_], rate_hz: float
 ) -> tuple[ChannelStatistics, ...]:
     """Statistics of every sensor; `at_rest` (R,) marks the readings at rest."""
-    read_n, rest_n, rest_s = series.tensions_n, series.tensions_n[at_rest], series.time_s[at_rest]
+    read_n, rest_s = recording.tensions_n, recording.time_s[at_rest]
+    rest_n = read_n[at_rest]
     enough = len(rest_n) >= WINDOW_SAMPLES
     noise_n = drift_n = mean_n = read_n.mean(axis=0)
     if enough:
@@ -130,7 +112,7 @@ def channel_statistics(
             step_n=quantisation_step_n(read_n[:, at]),
             drift_n=float(drift_n[at]) if enough else None,
         )
-        for at, cable in enumerate(series.cable_names)
+        for at, cable in enumerate(cable_names)
     )
 
 
@@ -150,10 +132,9 @@ def quantisation_step_n(readings_n: Array) -> float | None:
 
 @dataclass(frozen=True)
 class TimingStatistics:
-    """Timing of the samples' stamps, within blocks.
+    """Timing of the samples' stamps, within trials.
 
     Attributes:
-        samples: number of samples.
         rate_hz: one over the mean interval between samples, without intervals that span a loss.
         jitter_s: 99 % quantile of the deviation of such intervals from the median.
         lost: number of missing samples, from the length of the intervals.
@@ -165,23 +146,23 @@ class TimingStatistics:
     lost: int
 
 
-def timing_statistics(series: TensionSeries) -> TimingStatistics:
-    """The timing of a series.
+def timing_statistics(recording: Recording) -> TimingStatistics:
+    """The timing of a recording.
 
     Raises:
         CommissioningError: too few samples.
     """
-    interval_s = np.diff(series.time_s)[np.diff(series.block) == 0]
+    interval_s = np.diff(recording.time_s)[np.diff(recording.trial) == 0]
     if len(interval_s) < FEWEST_INTERVALS:
         raise CommissioningError(
-            f"only {len(series.time_s)} samples; at least {FEWEST_INTERVALS + 1} without a break "
+            f"only {len(recording)} samples; at least {FEWEST_INTERVALS + 1} without a break "
             "are needed, better ten seconds"
         )
     usual_s = float(np.median(interval_s))
     whole = interval_s < 1.5 * usual_s
     missing = np.round(interval_s[~whole] / usual_s) - 1.0
     return TimingStatistics(
-        samples=len(series.time_s),
+        samples=len(recording),
         rate_hz=1.0 / float(interval_s[whole].mean()),
         jitter_s=float(np.quantile(np.abs(interval_s[whole] - usual_s), 0.99)),
         lost=int(missing.sum()),
@@ -206,9 +187,8 @@ class PullResult:
     between its sensor and the arm.
 
     Attributes:
-        cable: the cable that was pulled.
-        moved: the channel whose reading changed most.
-        own_n, moved_n: change of the pulled cable's reading and of that one.
+        own_n: change of the pulled cable's reading.
+        moved, moved_n: the channel whose reading changed most, and its change.
         verdict: `right`, `swapped`, `dead`, `unclear` or `too weak`.
     """
 
@@ -228,13 +208,15 @@ _OF_PULLS = {
 """Whether a verdict means wrong sensors, its kind for programs, and the remedy."""
 
 
-def judge_pull(series: TensionSeries, pull: Pull, floor_n: float) -> PullResult:
+def judge_pull(
+    recording: Recording, cable_names: Sequence[str], pull: Pull, floor_n: float
+) -> PullResult:
     """The result of a pull; `floor_n` is the expected standard deviation at rest.
 
     Raises:
         CommissioningError: too few readings before or during the pull.
     """
-    time_s, names = series.time_s, series.cable_names
+    time_s, read_n = recording.time_s, recording.tensions_n
     before = (time_s >= pull.start_s - BEFORE_S) & (time_s < pull.start_s)
     during = (time_s >= pull.start_s) & (time_s <= pull.end_s)
     if min(before.sum(), during.sum()) < FEWEST_SAMPLES:
@@ -243,22 +225,22 @@ def judge_pull(series: TensionSeries, pull: Pull, floor_n: float) -> PullResult:
             f"readings in the second before and {during.sum()} in it; at least {FEWEST_SAMPLES} "
             "of each are needed"
         )
-    rest_n = np.median(series.tensions_n[before], axis=0)
+    rest_n = np.median(read_n[before], axis=0)
     # 95 % quantile, so that single outliers do not count
-    moved_n = np.quantile(np.abs(series.tensions_n[during] - rest_n), 0.95, axis=0)
+    moved_n = np.quantile(np.abs(read_n[during] - rest_n), 0.95, axis=0)
     second, first = np.argsort(moved_n)[-2:].tolist()
-    own = names.index(pull.cable)
+    own = cable_names.index(pull.cable)
     rival = second if first == own else own
     if moved_n[first] < PULLED_FLOORS * floor_n:
         verdict = "too weak"
-    elif first != own and np.ptp(series.tensions_n[during, own]) == 0.0:
+    elif first != own and np.ptp(read_n[during, own]) == 0.0:
         verdict = "dead"
     elif moved_n[rival] > CLEARLY * moved_n[first]:
         verdict = "unclear"
     else:
         verdict = "right" if first == own else "swapped"
     return PullResult(
-        pull.cable, float(moved_n[own]), names[first], float(moved_n[first]), verdict
+        pull.cable, float(moved_n[own]), cable_names[first], float(moved_n[first]), verdict
     )
 
 
@@ -332,22 +314,21 @@ class SensorReport:
 
 
 def check_sensors(
-    series: TensionSeries, expected: SensorExpectation, pulls: Sequence[Pull] = ()
+    recording: Recording,
+    cable_names: Sequence[str],
+    expected: SensorExpectation,
+    pulls: Sequence[Pull] = (),
 ) -> SensorReport:
-    """Check a series of readings; pulls, and the settling that follows, do not count as rest.
-
-    Raises:
-        CommissioningError: too few readings, overall or around a pull.
-    """
-    timing = timing_statistics(series)
-    results = tuple(judge_pull(series, pull, expected.floor_n) for pull in pulls)
-    at_rest = series.at_rest.copy()
+    """Check readings of these cables; pulls, and the settling after them, do not count as rest."""
+    timing, time_s = timing_statistics(recording), recording.time_s
+    results = tuple(judge_pull(recording, cable_names, pull, expected.floor_n) for pull in pulls)
+    at_rest = rows_at_rest(recording)
     for pull in pulls:
         settled_s = pull.end_s + SETTLING_S
-        at_rest &= (series.time_s < pull.start_s) | (series.time_s > settled_s)
-    channels = channel_statistics(series, at_rest, timing.rate_hz)
+        at_rest &= (time_s < pull.start_s) | (time_s > settled_s)
+    channels = channel_statistics(recording, cable_names, at_rest, timing.rate_hz)
     findings = list(_timing_findings(timing, expected))
-    moved_n = np.ptp(series.tensions_n, axis=0)
+    moved_n = np.ptp(recording.tensions_n, axis=0)
     others_move = 2 * np.count_nonzero(moved_n > MOVED_FLOORS * expected.floor_n) >= len(moved_n)
     for channel in channels:
         findings += _channel_findings(channel, expected, bool(at_rest.all()), bool(others_move))
