@@ -40,10 +40,8 @@ from rich.progress import track
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.arm_simulator import counted_rows, settled
 from cablesense_gap.arm_system import diagnose
-from cablesense_gap.recordings.channels import EXCHANGED
 from cablesense_gap.recordings.checks import check_recording, read_recording
-from cablesense_gap.recordings.recording import Recording, RecordingError
-from cablesense_gap.recordings.thinning import rows_to_use
+from cablesense_gap.recordings.recording import EXCHANGED, Recording, RecordingError, rows_to_use
 from cablesense_gap.scoring import Truth, read_answers
 from cablesense_gap.verdict import Verdict, read_verdict, removed_fraction
 from cablesense_online.stated_contacts import RestingArm

@@ -42,7 +42,7 @@ from cablesense_gap.robot.model import Robot, load_robot
 from cablesense_gap.robot.motion import Motion
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_recording
-from cablesense_gap.robot.system import RobotSystem, diagnose, predicted
+from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Assignment
 
 MODELS = Path(__file__).parents[1] / "config" / "robots"
@@ -100,7 +100,8 @@ def _jaw(path: Path, fitted: list[pd.DataFrame], unseen: list[pd.DataFrame]) -> 
         found = diagnose(one, robot)
         write_amended(folder, robot, found.amended, {})
         gaps = [
-            predicted(other, *model).gaps[0][2] for model in ((robot, {}), load_amended(folder))
+            RobotSystem(nominal, prepared(other, nominal), beside).gaps()[0][2]
+            for nominal, beside in ((robot, {}), load_amended(folder))
         ]
     verdict = found.verdict
     return {
@@ -136,7 +137,7 @@ def _pendulum(design: str, data: Path) -> dict[str, Any]:
     fitted, judged = (_pendulum_recording(data, own, robot) for own in (runs[::2], runs[1::2]))
     diagnosis = diagnose(fitted, robot, zeroed=True)
     verdict, amended = diagnosis.verdict, diagnosis.amended
-    motion = prepared(judged, robot, diagnosis.motion.compared_hz, zeroed=True)
+    motion = prepared(judged, robot, diagnosis.system.motion.compared_hz, zeroed=True)
     as_read = replace(motion, zeroed=False)
     friction = [verdict.parameters.get(_FRICTION.format(joint)) for joint in (1, 2)]
     return {

@@ -17,10 +17,18 @@ from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.diagnosis.problem import Explanation, Past, Problem, unit_of
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.pipeline import FOLDS, Reference, System, Unlisted, diagnose_system, problem_of
-from cablesense_gap.recordings.channels import EXCHANGED, Finding, unborne_findings
-from cablesense_gap.recordings.checks import check_recording, refuse_unusable
-from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.recordings.thinning import returns, rows_along_path, rows_to_use
+from cablesense_gap.recordings.checks import check_recording
+from cablesense_gap.recordings.recording import (
+    EXCHANGED,
+    Finding,
+    Recording,
+    refuse_unusable,
+    returns,
+    rows_along_path,
+    rows_named,
+    rows_to_use,
+    warn,
+)
 from cablesense_gap.residuals import decompose, regimes
 from cablesense_gap.simulator import Assignment, Simulator, Term
 from cablesense_gap.unlisted import describe_unlisted, in_play, repeat_largest_trial
@@ -169,7 +177,7 @@ class Diagnosis:
     """A verdict, the arm that follows from it, and what both arms predict.
 
     Attributes:
-        recording: the R rows that were used (`recordings.thinning`).
+        recording: the R rows that were used (`rows_to_use`).
         amended: the arm with the effects and tolerances that were found.
         predicted_n: (R, M) by the nominal arm.
         held_out_n: (R, M) by the amended arm, each trial fitted without its fold.
@@ -302,7 +310,14 @@ def _checked_system(
     system.row_count = len(recording)
     findings = check_recording(recording, arm, system.nominal_n, rows)
     refuse_unusable(recording, findings, force=force)
-    return system, [*findings, *unborne_findings(unsupported, arm)]
+    if unsupported.any():
+        text = (
+            f"{rows_named(unsupported)}: {arm.name} as its file describes it finds no rest under "
+            "the recorded loads, though the real arm did; left out. Check the scale of the loads, "
+            "or load the arm less"
+        )
+        findings.append(warn("unborne", text))
+    return system, findings
 
 
 def folds_of(recording: Recording, unseen: Collection[int] = ()) -> NDArray[np.int64]:

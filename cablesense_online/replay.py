@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from cablesense_base.files import written_whole
-from cablesense_gap.recordings.mcap_messages import BagTypes, McapMessages, RawMessage
+from cablesense_gap.recordings.mcap_messages import McapMessages, RawMessage, parsed_message
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import CONTRACT, of_contract, segment_of
@@ -88,7 +88,7 @@ class RecordedRun:
         self.lone_contacts = 0
         if self.path.is_dir():
             raise RecordingError(f"{path}: is a folder; give the .mcap file in it")
-        messages, types = McapMessages(self.path), BagTypes()
+        messages = McapMessages(self.path)
         self._journal: list[tuple[int, EstimatorState]] = []
         names: dict[str, str] = {}
         segments: set[int] = set()
@@ -99,7 +99,7 @@ class RecordedRun:
             elif topic is not None:
                 self._check(topic, raw, names)
                 if topic == topics.JOURNAL:
-                    self._journal.append((raw.log_ns, self._state(types, raw)))
+                    self._journal.append((raw.log_ns, self._state(raw)))
         if topics.CABLE_TENSIONS not in names:
             there = ", ".join(sorted(names.values())[:8]) or "nothing"
             raise RecordingError(
@@ -179,10 +179,10 @@ class RecordedRun:
                 f"{CONTRACT[topic].kind}"
             )
 
-    def _state(self, types: BagTypes, raw: RawMessage) -> EstimatorState:
+    def _state(self, raw: RawMessage) -> EstimatorState:
         where = f"{self.path}: {raw.topic}, message {len(self._journal) + 1}"
         try:
-            return state_of(types.message(raw.kind, raw.data))
+            return state_of(parsed_message(raw))
         except ContractError as error:
             raise RecordingError(f"{where}: {error}") from error
         except Exception as error:  # bytes that are no message raise anything in a parser

@@ -1,22 +1,20 @@
-"""A recording read by its path, and checked in its form: shapes, numbers, time and labels."""
+"""A recording read by its path, and checked.
+
+Its form first: shapes, numbers, time and labels. Then its channels: saturated, stuck or exchanged
+ones, those of another arm.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from cablesense_base import Array
-from cablesense_gap.recordings.channels import (
-    EXCHANGED,
-    Finding,
-    Severity,
-    channel_findings,
-    refuse,
-    warn,
-)
 from cablesense_gap.recordings.csv_file import (
     LOAD,
     LOAD_AT,
@@ -27,11 +25,21 @@ from cablesense_gap.recordings.csv_file import (
     tension_columns,
 )
 from cablesense_gap.recordings.mcap_file import is_bag, read_mcap
-from cablesense_gap.recordings.recording import Recording, RecordingError, rows_named
+from cablesense_gap.recordings.recording import (
+    EXCHANGED,
+    Finding,
+    Recording,
+    RecordingError,
+    refuse,
+    refuse_unusable,
+    rows_named,
+    warn,
+)
 from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD, MAX_LOAD_N
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.replay import reading_variance_n2
 
 FEWEST_ROWS, FEWEST_TRIALS = 6, 2
 """Below these nothing can be held out."""
@@ -39,32 +47,18 @@ GOOD_ROWS, GOOD_TRIALS = 200, 8
 
 _FASTEST_RAD_S = float(np.deg2rad(40.0))
 """Twice the speed at which arms approach a command; a faster command is a jump."""
-_GAP_INTERVALS = 10.0
-_OTHER_RATE = 3.0
+_GAP_INTERVALS, _OTHER_RATE = 10.0, 3.0
 _MILLISECONDS = (700.0, 1400.0)
 """Ratios of the rows' interval to the sensors', where milliseconds are taken for seconds."""
-
-
-def _rank(finding: Finding) -> bool:
-    return finding.severity is not Severity.REFUSE
-
-
-def refuse_unusable(
-    recording: Recording, findings: Sequence[Finding], *, force: bool = False
-) -> None:
-    """Nothing, where no finding rules the recording out; with `force`, exchanged channels do not.
-
-    Raises:
-        RecordingError: the first reason that rules it out, and how many more there are.
-    """
-    refusals = [
-        f.text
-        for f in findings
-        if f.severity is Severity.REFUSE and not (force and f.kind == EXCHANGED)
-    ]
-    if refusals:
-        more = f" (and {len(refusals) - 1} more)" if len(refusals) > 1 else ""
-        raise RecordingError(f"{recording.name}: {refusals[0]}{more}")
+_MOVED_FLOORS = 50.0
+"""A cable whose prediction varies by this many noise floors must show it."""
+_STUCK_TRIALS, _SATURATED_RUNS = 3, 3
+_LEAST_CORRELATION = 0.5
+"""No effect turns the responses of half the cables further away from the prediction than this."""
+_SCALES = (0.2, 5.0)
+"""No effect scales them by more."""
+_BETTER = 0.4
+"""A channel belongs to another cable whose prediction leaves less than this of the residual."""
 
 
 def read_recording(path: str | Path, arm: Arm) -> Recording:
@@ -94,7 +88,7 @@ def check_form(recording: Recording, arm: Arm) -> list[Finding]:
     found: list[Finding] = []
     for checks in ((_shapes,), (_numbers,), (_time, _labels, _angles)):
         found = found or [f for check in checks for f in check(recording, arm)]
-    return sorted(found, key=_rank)
+    return sorted(found, key=lambda each: not each.refuses)
 
 
 def check_recording(
@@ -109,9 +103,9 @@ def check_recording(
     (K, M): exchanged channels and other arms can only be found with it.
     """
     found = check_form(recording, arm)
-    if not any(finding.severity is Severity.REFUSE for finding in found):
-        found += [*_amount(recording), *channel_findings(recording, arm, nominal_n, rows)]
-    return sorted(found, key=_rank)
+    if not any(finding.refuses for finding in found):
+        found += [*_amount(recording), *_channels(recording, arm, nominal_n, rows)]
+    return sorted(found, key=lambda each: not each.refuses)
 
 
 def _shapes(recording: Recording, arm: Arm) -> Iterator[Finding]:
@@ -265,3 +259,165 @@ def _amount(recording: Recording) -> Iterator[Finding]:
             f"has only {rows} rows in {trials} trials; `cablesense gap protocol` lists what to "
             "record so that effects can be distinguished",
         )
+
+
+def _channels(
+    recording: Recording, arm: Arm, nominal_n: Array | None, rows: NDArray[np.int64] | None
+) -> list[Finding]:
+    """Problems of the channels: saturated, stuck, of other cables or another arm.
+
+    Without a nominal prediction for the `rows`, as in `check_recording`, only constant and
+    saturated ones can be found.
+    """
+    read = recording.tensions_n
+    findings = list(_at_range_ends(read, arm))
+    if np.ptp(recording.command_rad, axis=0).any() or np.ptp(recording.load_n, axis=0).any():
+        findings += [
+            warn(
+                "stuck",
+                f"tension_{cable + 1}_n is {read[0, cable]:g} N in every row, whatever loads and "
+                "poses; see whether its sensor is connected",
+            )
+            for cable in np.flatnonzero(np.ptp(read, axis=0) == 0.0)
+        ]
+    if nominal_n is None:
+        return findings
+    moved_n = _MOVED_FLOORS * float(np.sqrt(reading_variance_n2(arm.sensors)))
+    predicted = np.ptp(nominal_n, axis=0) > moved_n
+    if predicted.sum() < 2:
+        return findings
+    rows = np.arange(len(recording)) if rows is None else rows
+    compared = recording.rows(rows)
+    read = compared.tensions_n
+    cables = np.flatnonzero(predicted & (np.ptp(read, axis=0) > 0.0))
+    own, expected = (v[:, cables] - v[:, cables].mean(axis=0) for v in (read, nominal_n))
+    stuck = list(_stuck(compared, rows, nominal_n, moved_n))
+    if len(cables) < 2:
+        return [*findings, *stuck]
+    exchanged = list(_exchanged(own, expected, cables))
+    if exchanged:  # other findings would be of the wrong channels
+        return [*findings, *exchanged]
+    _, pose = np.unique(compared.command_rad, axis=0, return_inverse=True)
+    responses_n = [(own, expected)]
+    of_loads = _less_means(own, pose), _less_means(expected, pose)
+    if (np.ptp(of_loads[1], axis=0) > moved_n).all():
+        responses_n.append(of_loads)
+    return [*findings, *stuck, *_foreign(responses_n, arm)]
+
+
+def _at_range_ends(read: Array, arm: Arm) -> Iterator[Finding]:
+    """Saturated channels. A reading of 0 N is no finding: a slack cable has no tension."""
+    if arm.sensors.range_n is None:
+        return
+    low, high = arm.sensors.range_n
+    tolerance = 0.5 * arm.sensors.step_n
+    for cable, values in enumerate(read.T, start=1):
+        for end, limit in ((values <= low - tolerance, low), (values >= high - tolerance, high)):
+            if end.any() and limit != 0.0:
+                yield warn(
+                    "saturated",
+                    f"tension_{cable}_n is at the end of the sensors' range, {limit:g} N, in "
+                    f"{rows_named(end)}; load less, or widen the range",
+                )
+
+
+def _stuck(
+    recording: Recording, numbers: NDArray[np.int64], nominal_n: Array, moved_n: float
+) -> Iterator[Finding]:
+    """Channels that stay at one value while the prediction changes; rows have `numbers` from 0.
+
+    Friction and slack hold a tension too. A dead channel holds it from one trial to the next, and
+    a saturated one has the same maximum in several load cycles.
+    """
+    channels = zip(recording.tensions_n.T, nominal_n.T, strict=True)
+    for cable, (values, predicted) in enumerate(channels, start=1):
+        if np.ptp(values) == 0.0:  # found already
+            continue
+        edges = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0.0, [True]]))
+        runs = [slice(start, end) for start, end in pairwise(edges)]
+        longest = max(runs, key=lambda run: run.stop - run.start)
+        trials = len(np.unique(recording.trial[longest]))
+        if trials >= _STUCK_TRIALS and np.ptp(predicted[longest]) > moved_n:
+            yield warn(
+                "stuck",
+                f"tension_{cable}_n stands still in rows {numbers[longest.start] + 1} to "
+                f"{numbers[longest.stop - 1] + 1}, while loads or poses change; see whether its "
+                "sensor is connected",
+            )
+            continue
+        tops = [
+            run for run in runs if values[run.start] == values.max() and run.stop - run.start >= 3
+        ]
+        at_top = np.concatenate([predicted[run] for run in tops]) if tops else np.zeros(1)
+        if len(tops) >= _SATURATED_RUNS and np.ptp(at_top) > moved_n:
+            highest = np.zeros(numbers[-1] + 1, dtype=bool)
+            highest[numbers[values == values.max()]] = True
+            yield warn(
+                "saturated",
+                f"tension_{cable}_n does not exceed {values.max():g} N in "
+                f"{rows_named(highest)}, while the load on it increases; load less, "
+                "or give the sensors' range_n in the arm file",
+            )
+
+
+def _exchanged(own: Array, predicted: Array, cables: NDArray[np.int64]) -> Iterator[Finding]:
+    """Channels that another cable's prediction explains better, if all fit an exchange.
+
+    `own` and `predicted` (R, C) are of the C `cables`, less their means.
+    """
+    left_n = np.sqrt(((own[:, :, None] - predicted[:, None, :]) ** 2).mean(axis=0))
+    # cables that answer alike would be exchanged by chance
+    costs = np.where(np.eye(len(cables), dtype=bool), left_n, left_n / _BETTER)
+    channel, cable = linear_sum_assignment(costs)
+    moved = channel != cable
+    better = left_n[channel, cable] < _BETTER * left_n[channel, channel]
+    pairs = [
+        f"tension_{cables[i] + 1}_n reads cable_{cables[j] + 1}"
+        for i, j in zip(channel[moved & better], cable[moved & better], strict=True)
+    ]
+    if pairs and (better | ~moved).all():
+        yield refuse(
+            EXCHANGED,
+            f"{', '.join(pairs)}, by all that loads and poses do to it: plugs or columns look "
+            "exchanged; correct the recording, or continue with --force",
+        )
+
+
+def _foreign(responses_n: list[tuple[Array, Array]], arm: Arm) -> list[Finding]:
+    """Tensions of another arm, or in another unit, if no pair of `responses_n` is of this one.
+
+    A pair is the readings and the predictions (R, C), both without their means. Springs in joints
+    outweigh the rest of a recording over poses, and friction hides loads, but neither does both.
+    """
+    found = []
+    for read, predicted in responses_n:
+        product, power = (read * predicted).sum(axis=0), (predicted**2).sum(axis=0)
+        correlation = np.median(product / np.sqrt((read**2).sum(axis=0) * power))
+        scale = np.median(product / power)
+        if correlation < _LEAST_CORRELATION:
+            found.append(
+                refuse(
+                    "arm",
+                    f"the tensions do not follow loads and poses as arm {arm.name} does "
+                    f"(correlation {correlation:.2f}); give the arm file of this arm, and see "
+                    "that axes and signs of loads and joints are those of the base frame",
+                )
+            )
+        elif not _SCALES[0] <= scale <= _SCALES[1]:
+            found.append(
+                refuse(
+                    "unit",
+                    f"the tensions answer {scale:.3g} times as much as those of arm {arm.name}; "
+                    "they and the loads must be in N",
+                )
+            )
+        else:
+            return []
+    return found[:1]
+
+
+def _less_means(values: Array, group: NDArray[np.int64]) -> Array:
+    """`values` (R, C) minus the mean of their group (R,)."""
+    sums = np.zeros((group.max() + 1, values.shape[1]))
+    np.add.at(sums, group, values)
+    return values - (sums / np.bincount(group)[:, None])[group]

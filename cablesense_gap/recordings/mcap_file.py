@@ -16,14 +16,13 @@ from typing import Any
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
-from cablesense_gap.recordings.mcap_messages import BagTypes, McapMessages, RawMessage
+from cablesense_gap.recordings.mcap_messages import McapMessages, RawMessage, parsed_message
 from cablesense_gap.recordings.recording import (
     MAX_NUMBERS,
     Recording,
     RecordingError,
     derive_trials,
     given_places,
-    numbers_a_row,
 )
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
@@ -70,7 +69,7 @@ class BagRows:
         self._loads: dict[int, Load] = {}
         self._trial = np.nan
         self._offset = False
-        self._most_rows = MAX_NUMBERS // numbers_a_row(arm.joint_count, arm.cable_count)
+        self._most_rows = MAX_NUMBERS // (7 + arm.joint_count + arm.cable_count)
         # plain arrays, as objects would take four times the memory
         self._times_ns, self._numbers = array("q"), array("d")
 
@@ -230,7 +229,6 @@ def decoded(path: Path, wanted: Callable[[RawMessage], bool]) -> Iterator[tuple[
     Raises:
         RecordingError: as `raw_messages`; a message over the contract's size, or not of its type.
     """
-    types = BagTypes()
     try:
         for raw in raw_messages(path):
             if not wanted(raw):
@@ -239,7 +237,7 @@ def decoded(path: Path, wanted: Callable[[RawMessage], bool]) -> Iterator[tuple[
                 require_bounded(raw.data)
             except ContractError as error:
                 raise RecordingError(f"{path}: {raw.topic}: {error}") from error
-            yield raw, types.message(raw.kind, raw.data)
+            yield raw, parsed_message(raw)
     except CableSenseError:
         raise
     except Exception as error:  # a broken file raises anything in a parser: struct, zstd, keys …

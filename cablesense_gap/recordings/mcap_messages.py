@@ -15,6 +15,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, cast
@@ -189,25 +190,25 @@ def _unpacked(chunk: Chunk, left: int) -> bytes:
     return records
 
 
-class BagTypes:
+@cache
+def _standard_types() -> Any:
     """The standard messages of ROS 2 Jazzy, without a ROS installation."""
+    from rosbags.typesys import Stores, get_typestore
 
-    def __init__(self) -> None:
-        from rosbags.typesys import Stores, get_typestore
+    return get_typestore(Stores.ROS2_JAZZY)
 
-        self._store = get_typestore(Stores.ROS2_JAZZY)
 
-    def message(self, kind: str, data: bytes) -> Any:
-        """A message of its type's full name and its bytes (CDR).
+def parsed_message(raw: RawMessage) -> Any:
+    """A message from its bytes (CDR).
 
-        Bytes after its end are ignored. Other bytes raise whatever a parser can.
-        """
-        definition = self._store.get_msgdef(kind)
-        little = bytes(data[:2]) == b"\x00\x01"
-        read = definition.deserialize_cdr_le if little else definition.deserialize_cdr_be
-        return read(
-            np.frombuffer(data, dtype=np.uint8)[4:].tobytes(), 0, definition.cls, self._store
-        )[0]
+    Bytes after its end are ignored. Other bytes raise whatever a parser can.
+    """
+    types = _standard_types()
+    definition = types.get_msgdef(raw.kind)
+    little = bytes(raw.data[:2]) == b"\x00\x01"
+    read = definition.deserialize_cdr_le if little else definition.deserialize_cdr_be
+    content = np.frombuffer(raw.data, dtype=np.uint8)[4:].tobytes()
+    return read(content, 0, definition.cls, types)[0]
 
 
 def topic_file_path(path: str | Path, force: bool) -> Path:
@@ -222,21 +223,18 @@ def topic_file_path(path: str | Path, force: bool) -> Path:
 
 
 class TopicFile:
-    """One rosbag2 .mcap file that grows under its name while it is written."""
+    """One rosbag2 .mcap file that grows under its name while it is written.
+
+    A file that cannot be written raises a `RecordingError`.
+    """
 
     def __init__(self, path: str | Path, force: bool = True) -> None:
-        """Open the file; `force` replaces one that is there already.
-
-        Raises:
-            RecordingError: the name does not end in .mcap, or the file must not be written.
-        """
+        """Open the file, whose name ends in .mcap; `force` replaces one that is there already."""
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_typestore
 
         self._path = topic_file_path(path, force)
         self._beside = self._path.parent / f".{self._path.name}.{os.getpid()}.part"
         self._folder = self._beside / self._path.stem  # rosbags names the file for its folder
-        self._types = get_typestore(Stores.ROS2_JAZZY)
         self._writer = Writer(
             self._folder, version=_BAG_VERSION, storage_plugin=StoragePlugin.MCAP
         )
@@ -256,15 +254,11 @@ class TopicFile:
     def add(self, topic: str, kind: str, qos: Qos) -> Any:
         """A channel for a topic's full name and type, to be written to; `qos` as it is offered."""
         return self._writer.add_connection(
-            topic, kind, typestore=self._types, offered_qos_profiles=[_profile(qos)]
+            topic, kind, typestore=_standard_types(), offered_qos_profiles=[_profile(qos)]
         )
 
     def write(self, channel: Any, log_ns: int, raw: bytes) -> None:
-        """One message that came at `log_ns`.
-
-        Raises:
-            RecordingError: it cannot be written.
-        """
+        """One message that came at `log_ns`."""
         if not self._storage.chunk.msgs:
             self._chunk_from_ns = log_ns
         elif abs(log_ns - self._chunk_from_ns) >= CHUNK_S * 1e9:
@@ -274,22 +268,14 @@ class TopicFile:
             self._writer.write(channel, log_ns, raw)
 
     def flush(self) -> None:
-        """Close the chunk and hand it to the operating system.
-
-        Raises:
-            RecordingError: it cannot be written.
-        """
+        """Close the chunk and hand it to the operating system."""
         with self._refusing():
             if self._storage.chunk.msgs:
                 self._storage.close_chunk()
             self._storage.bio.flush()
 
     def close(self) -> None:
-        """Finish the file.
-
-        Raises:
-            RecordingError: it cannot be written.
-        """
+        """Finish the file."""
         try:
             with self._refusing():
                 self._folder.mkdir(parents=True, exist_ok=True)  # for rosbags' metadata

@@ -204,16 +204,16 @@ def bearable_load_n(
     command_rad: Array,
     segment: int,
     direction: Array,
-    at_m: float | None = None,
+    at_m: float,
     *,
     slacken: bool = False,
 ) -> float:
     """Largest force in N along `direction` (3,) on segment 1..N that leaves every cable taut.
 
-    It acts `at_m` from the segment's joint centre, by default at its contact point. It is at most
-    `STRONGEST_N`, in steps of a thirtieth; less on a weak arm. The nominal arm still has an
-    equilibrium at 1.3 times the force. If no visible force (20 noise floors in some cable) leaves
-    all cables taut, the result is the weakest visible one.
+    It acts `at_m` from the segment's joint centre. It is at most `STRONGEST_N`, in steps of a
+    thirtieth; less on a weak arm. The nominal arm still has an equilibrium at 1.3 times the force.
+    If no visible force (20 noise floors in some cable) leaves all cables taut, the result is the
+    weakest visible one.
 
     To `slacken` a cable it is 1.5 times the weakest force that does, where the arm bears that and
     no sensor comes near the end of its range.
@@ -239,7 +239,7 @@ def bearable_load_n(
 
 
 def _increasing_loads(
-    arm: Arm, command_rad: Array, where: tuple[int, float | None], direction: Array
+    arm: Arm, command_rad: Array, where: tuple[int, float], direction: Array
 ) -> tuple[Array, Array, NDArray[np.bool_], int]:
     """Loads from 0 to 1.3 times the strongest, N; as far as the arm finds rest, the tensions.
 
@@ -250,8 +250,7 @@ def _increasing_loads(
     It is so weak that the arm bears a third of it.
     """
     mechanism, (segment, at_m) = mechanism_of(arm), where
-    if at_m is not None:
-        mechanism = replace(mechanism, contact_m=np.full(mechanism.segment_count, at_m))
+    mechanism = replace(mechanism, contact_m=np.full(mechanism.segment_count, at_m))
     radius_m = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)
     moment_nm = float((mechanism.pretension_n * radius_m).sum())
     most_n = min(STRONGEST_N, 3.0 * moment_nm / float(mechanism.segment_length_m.sum()))

@@ -1,6 +1,6 @@
-"""The folder that a diagnosis leaves: verdict, amended arm, and the report with its pictures.
+"""The folder that a diagnosis leaves: verdict, amended arm or robot, the report with its pictures.
 
-Pictures are half as wide as the page, so that a phone shows them large enough to read.
+An arm's pictures are half as wide as the page, so that a phone shows them large enough to read.
 """
 
 from __future__ import annotations
@@ -9,13 +9,14 @@ from collections.abc import Mapping, Sequence
 from itertools import cycle, pairwise
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cablesense_gap.amended_arm import AMENDED_ARM, write_arm
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recorded_contacts import RecordedErrors
+from cablesense_gap.report import text
 from cablesense_gap.report.style import (
     AFTER,
     BEFORE,
@@ -23,31 +24,20 @@ from cablesense_gap.report.style import (
     INK,
     LOADED,
     OTHER,
+    WIDTH_IN,
     Line,
     as_uri,
     draw_lines,
-    newtons,
-    percent,
     rendered,
     style,
 )
-from cablesense_gap.report.text import (
-    FRICTION_HIDES,
-    SURE,
-    candidate_name,
-    common_content,
-    earlier_sentence,
-    effect_places,
-    error_rows,
-    headline,
-    numbers,
-    place_text,
-    write_common,
-)
 from cablesense_gap.residuals import ALL, EVERYWHERE, TRIAL, decompose
-from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, listed
+from cablesense_gap.verdict import NONE, UNKNOWN, Verdict
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
+
+if TYPE_CHECKING:
+    from cablesense_gap.robot.system import RobotDiagnosis
 
 DIAGNOSIS_FILES = ("verdict.json", AMENDED_ARM, "report.html")
 
@@ -66,12 +56,24 @@ def write_diagnosis(
     """Write all three files, each whole or not at all; `models` as `report_page` takes them.
 
     Raises:
-        VerdictError: the folder cannot be made, or the verdict not be written.
+        VerdictError, ReportError: as `text.write_common`.
         ArmFileError: the arm file cannot be written.
-        ReportError: the report cannot be written.
     """
-    write_common(folder, found.verdict, report_page(found, models))
-    write_arm(folder / AMENDED_ARM, found.amended, headline(found.verdict))
+    text.write_common(folder, found.verdict, report_page(found, models))
+    write_arm(folder / AMENDED_ARM, found.amended, text.headline(found.verdict))
+
+
+def write_robot_diagnosis(folder: Path, found: RobotDiagnosis) -> None:
+    """Write all four files, each whole or not at all.
+
+    Raises:
+        VerdictError, ReportError: as `text.write_common`.
+        RobotError: the amended model cannot be written.
+    """
+    from cablesense_gap.robot.amending import write_amended
+
+    text.write_common(folder, found.verdict, robot_page(found, folder.name))
+    write_amended(folder, found.system.robot, found.amended, found.beside)
 
 
 def report_page(
@@ -94,28 +96,48 @@ def report_page(
             "estimator": as_uri(drawn_errors(models), "png") if models else "",
         }
     content = {
-        **common_content(verdict),
-        "sure": verdict.probability >= SURE,
+        **text.common_content(verdict),
+        "sure": verdict.probability >= text.SURE,
         "recording": recording,
         "uncounted": int((~found.counted).sum()),
         "trials": len(set(recording.trial.tolist())),
         "arm": found.nominal,
-        "places": place_text(verdict.where.places),
+        "places": text.place_text(verdict.where.places),
         "everywhere": EVERYWHERE,
         "pictures": pictures,
-        "numbers": numbers(verdict, found.nominal),
+        "numbers": text.numbers(verdict, found.nominal),
         "before": before,
         "after": after,
         "changed": found.after_label != "",
         "worst": sorted(parts, key=lambda part: -part.over_floor)[:_WORST],
         "findings": found.findings,
-        "errors": error_rows(verdict.estimator) if verdict.estimator else [],
-        "hidden": FRICTION_HIDES if "capstan_friction" in verdict.effects else "",
+        "earlier": [text.earlier_sentence(each) for each in verdict.earlier],
+        "errors": text.error_rows(verdict.estimator) if verdict.estimator else [],
+        "hidden": text.FRICTION_HIDES if "capstan_friction" in verdict.effects else "",
     }
-    filters: dict[str, Any] = {
-        made.__name__: made for made in (newtons, percent, listed, earlier_sentence)
+    return rendered(__package__, "report.html", content)
+
+
+def robot_page(found: RobotDiagnosis, folder: str) -> str:
+    """The report on a robot as one self-contained HTML page; `folder` is where it will lie."""
+    verdict = found.verdict
+    with style():
+        overlay = _robot_overlay(found)
+    content = {
+        **text.common_content(verdict),
+        "trials": int(found.system.trial.max()) + 1,
+        "folder": folder,
+        "findings": found.findings,
+        "forward": found.system.motion.forward,
+        "external": found.system.motion.external,
+        "overlay": overlay,
+        "parameters": [
+            (effect, " ".join(place or verdict.shares[effect].places), parameter, estimate)
+            for name, estimate in verdict.parameters.items()
+            for effect, *place, parameter in (name.split("."),)
+        ],
     }
-    return rendered("cablesense_gap.report", "report.html", content, filters)
+    return rendered(__package__, "robot.html", content)
 
 
 def _marked(verdict: Verdict) -> dict[str, tuple[str, ...]]:
@@ -123,7 +145,7 @@ def _marked(verdict: Verdict) -> dict[str, tuple[str, ...]]:
     if verdict.effects == (UNKNOWN,):
         return {"where the gap is": verdict.where.places}
     return {
-        candidate_name((name,)): effect_places(verdict, name)
+        text.candidate_name((name,)): text.effect_places(verdict, name)
         for name in verdict.effects
         if name != NONE
     }
@@ -185,6 +207,33 @@ def overlay_picture(found: Diagnosis) -> str:
         panel.set(xlabel="time, s", ylabel="tension, N", xlim=(time_s[0], time_s[-1]))
     _legend(figure, axes[0])
     return as_uri(figure, "png")
+
+
+def _robot_overlay(found: RobotDiagnosis) -> str:
+    """The trial with the largest gap, channel by channel."""
+    import matplotlib.pyplot as plt
+
+    compared = found.system.comparison
+    gap = (((compared.readings - found.before) / compared.floor) ** 2).sum(1)
+    worst = int(np.bincount(compared.trial, gap).argmax())
+    rows = compared.trial == worst
+    figure, axes = plt.subplots(
+        len(compared.names), 1, figsize=(WIDTH_IN, 0.7 + 1.5 * len(compared.names)),
+        sharex=True, squeeze=False, layout="constrained",
+    )  # fmt: skip
+    drawn: list[Line] = [
+        (compared.readings, INK, 1.8, "measured"), (found.before, BEFORE, 1.2, "nominal model"),
+    ]  # fmt: skip
+    if not np.allclose(found.before, found.after):
+        drawn.append((found.after, AFTER, 1.2, "amended model"))
+    for c, name in enumerate(compared.names):
+        lines = [(v[rows, c], colour, width, label) for v, colour, width, label in drawn]
+        draw_lines(axes[c, 0], compared.time_s[rows], lines)
+        axes[c, 0].set_title(name, pad=2)
+        axes[c, 0].set_ylabel(compared.units[c])
+    axes[-1, 0].set_xlabel("time, s")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    return as_uri(figure)
 
 
 def arm_picture(arm: Arm, marked: Mapping[str, Sequence[str]]) -> str:

@@ -12,12 +12,13 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import resources
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
-from cablesense_gap.verdict import FittedNumber
+from cablesense_gap.verdict import FittedNumber, listed
 
 BEFORE, AFTER, FLOOR = "#E69F00", "#0072B2", "#555555"
 OTHER, INK, GRID, LOADED = "#9AA3AD", "#1C2126", "#DDE1E6", "#EEF1F4"
@@ -97,15 +98,6 @@ def image_uri(image: bytes, kind: str) -> str:
     return f"data:{mime};base64,{base64.b64encode(image).decode()}"
 
 
-def plain_log_ticks(axis: Any) -> None:
-    """Ticks of a logarithmic axis as 0.1, 0.2, 0.5, 1 … rather than powers."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(NullFormatter())
-
-
 class ReportError(CableSenseError):
     """A report that cannot be written: names the place and the reason."""
 
@@ -117,11 +109,12 @@ def rendered(
     package: str,
     template: str,
     content: Mapping[str, Any],
-    filters: Mapping[str, Callable[..., str]],
+    filters: Mapping[str, Callable[..., Any]] = MappingProxyType({}),
 ) -> str:
     """A package's Jinja template as HTML text; `content` and the common style, `css`, go in.
 
-    The template may extend `layout.html` and import `charts.html`.
+    The template may extend `layout.html` and import `charts.html`. `filters` are in addition to
+    those of sizes and lists.
     """
     from jinja2 import DictLoader, Environment, StrictUndefined
 
@@ -133,13 +126,11 @@ def rendered(
         lstrip_blocks=True,
         loader=DictLoader({name: _text(__package__, name) for name in _SHARED}),
     )
-    environment.filters.update(filters)
-    return environment.from_string(source).render({"css": page_css(), **content})
-
-
-def page_css() -> str:
-    """The style sheet that all pages share."""
-    return _text(__package__, "page.css")
+    common = (newtons, size_text, percent, with_interval, listed)
+    environment.filters.update({each.__name__: each for each in common}, **filters)
+    return environment.from_string(source).render(
+        {"css": _text(__package__, "page.css"), **content}
+    )
 
 
 def _text(package: str, name: str) -> str:

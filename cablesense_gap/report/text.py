@@ -39,12 +39,8 @@ _PREPOSITIONS = {"cable": "at", "segment": "on", "joint": "in"}
 _PLACE = re.compile(r"(cable|segment|joint)_(\d+)")
 
 
-Known = Mapping[str, EffectDescription]
-"""Effects by name; those that are not installed here keep their names in a report."""
-
-
-def headline(verdict: Verdict, known: Known | None = None) -> str:
-    """The first line: what, where, how sure; `known` are the effects of an arm by default."""
+def headline(verdict: Verdict) -> str:
+    """The first line: what, where, how sure."""
     sure, gap = _how_sure(verdict), size_text(verdict.gap.before_n, verdict.unit)
     since = " since the reference" if verdict.reference else ""
     if verdict.effects == (NONE,):
@@ -62,7 +58,7 @@ def headline(verdict: Verdict, known: Known | None = None) -> str:
         return (
             f"Something that no known effect explains makes a gap of {gap}{where}{since} ({sure})."
         )
-    causes = ", and from ".join(cause(verdict, name, known) for name in verdict.effects)
+    causes = ", and from ".join(cause(verdict, name) for name in verdict.effects)
     comes = "probably comes" if verdict.probability > PROBABLE else "may come"
     if verdict.probability >= SURE:
         comes = "comes"
@@ -127,9 +123,18 @@ def error_rows(estimator: EstimatorErrors) -> list[tuple[str, str, str]]:
     return found
 
 
-def cause(verdict: Verdict, name: str, known: Known | None = None) -> str:
+def _known(verdict: Verdict) -> Mapping[str, EffectDescription]:
+    """Effects of its kind of machine; those not installed here keep their names in a report."""
+    if not verdict.channels:
+        return known_effects()
+    from cablesense_gap.robot import amending  # loads MuJoCo
+
+    return amending.known_effects()
+
+
+def cause(verdict: Verdict, name: str) -> str:
     """An effect in plain text with its places."""
-    effect = (known_effects() if known is None else known).get(name)
+    effect = _known(verdict).get(name)
     about = effect.about if effect else name.replace("_", " ")
     places = effect_places(verdict, name)
     if not verdict.channels:
@@ -138,11 +143,11 @@ def cause(verdict: Verdict, name: str, known: Known | None = None) -> str:
     return f"{about} at {named}" if places else about
 
 
-def causes_and_advice(verdict: Verdict, known: Known | None = None) -> list[tuple[str, str]]:
+def causes_and_advice(verdict: Verdict) -> list[tuple[str, str]]:
     """Each effect in plain text, and what someone at the machine can do about it, if anything."""
-    every = known_effects() if known is None else known
+    known = _known(verdict)
     return [
-        (cause(verdict, name, known), every[name].advice if name in every else "")
+        (cause(verdict, name), known[name].advice if name in known else "")
         for name in verdict.effects
     ]
 
@@ -306,14 +311,14 @@ def _signed(change: float, unit: str) -> str:
     return size if change >= 0.0 or size == size_text(0.0, unit) else f"\N{MINUS SIGN}{size}"
 
 
-def common_content(verdict: Verdict, known: Known | None = None) -> dict[str, Any]:
-    """What `layout.html` and the budget show; `known` are the effects of an arm by default."""
+def common_content(verdict: Verdict) -> dict[str, Any]:
+    """What `layout.html` and the budget show."""
     alone = verdict.effects[0] in (NONE, UNKNOWN)
     return {
         "kind": verdict.effects[0] if alone else "effect",
-        "headline": headline(verdict, known),
+        "headline": headline(verdict),
         "rivals": rival_names(verdict),
-        "causes": [] if alone else causes_and_advice(verdict, known),
+        "causes": [] if alone else causes_and_advice(verdict),
         "verdict": verdict,
         "bars": gap_bars(verdict),
         "steps": steps(verdict),

@@ -9,22 +9,32 @@ import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from functools import cache
-from itertools import groupby
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from pydantic import ValidationError
 
 from cablesense_base.files import read_bounded_text, write_atomically
+from cablesense_base.plain_yaml import FilePart, describe_problem
 from cablesense_gap.robot import effects
-from cablesense_gap.robot.effects.effect import PRESLIDING, SIDE, RobotEffect
+from cablesense_gap.robot.effects import PRESLIDING, SIDE, RobotEffect
 from cablesense_gap.robot.model import Change, Robot, RobotError, load_robot, read_spec
 from cablesense_gap.simulator import Assignment, Term
+from cablesense_sim.arm import ListedEffect
 from cablesense_sim.effects.registry import effects_in
 
 AMENDED_MODEL, BESIDE_MODEL = "amended_model.xml", "amended_model.json"
+ROBOT_FILES = ("verdict.json", AMENDED_MODEL, BESIDE_MODEL, "report.html")
 """In the folder of a diagnosis."""
 _MAX_BYTES = 10_000_000
+
+
+class _Beside(FilePart):
+    """Effects that act on a model in addition to its MJCF."""
+
+    model: str
+    effects: tuple[ListedEffect, ...]
 
 
 @cache
@@ -41,11 +51,19 @@ def changed(robot: Robot, lists: Sequence[Assignment]) -> Change:
     """
     change = robot.nominal()
     for values in lists:
-        for (name, place), terms in groupby(sorted(values), key=lambda term: term[:2]):
+        for (name, place), numbers in sorted(_by_site(values).items()):
             effect = known_effects()[name]
-            numbers = defaultdict(float, {t.parameter: values[t] for t in terms})
-            effect.act(change, effect.places(robot).index(place), numbers)
+            at = effect.places(robot).index(place)
+            effect.act(change, at, defaultdict(float, numbers))
     return change
+
+
+def _by_site(values: Assignment) -> dict[tuple[str, str], dict[str, float]]:
+    """Numbers by effect and place, then by parameter."""
+    found: dict[tuple[str, str], dict[str, float]] = {}
+    for term, value in values.items():
+        found.setdefault(term[:2], {})[term.parameter] = float(value)
+    return found
 
 
 def write_amended(folder: Path, robot: Robot, values: Assignment, beside: Assignment) -> None:
@@ -62,12 +80,11 @@ def write_amended(folder: Path, robot: Robot, values: Assignment, beside: Assign
         if term not in _in_model(values):  # what is found again comes on top
             known = 0.0 if term.parameter in (PRESLIDING, SIDE) else left.get(term, 0.0)
             left[term] = known + value
-    listed: dict[tuple[str, str], dict[str, float]] = {}
-    for term, value in left.items():
-        listed.setdefault(term[:2], {})[term.parameter] = float(value)
     content = {
         "model": AMENDED_MODEL,
-        "effects": [{"effect": e, "at": p, "parameters": n} for (e, p), n in listed.items()],
+        "effects": [
+            {"effect": e, "at": p, "parameters": n} for (e, p), n in _by_site(left).items()
+        ],
     }
     write_atomically(folder / BESIDE_MODEL, json.dumps(content, indent=2) + "\n", RobotError)
 
@@ -117,32 +134,23 @@ def load_amended(path: str | Path) -> tuple[Robot, dict[Term, float]]:
         return robot, {}
     text = read_bounded_text(beside, _MAX_BYTES, "effects beside a model", RobotError)
     try:
-        listed = json.loads(text)["effects"]
-        values = {
-            Term(each["effect"], each["at"], name): float(value)
-            for each in listed
-            for name, value in each["parameters"].items()
-        }
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise RobotError(f"{beside}: is no list of effects ({error}); diagnose again") from error
-    return robot, _checked(beside, robot, values)
-
-
-def _checked(path: Path, robot: Robot, values: Mapping[Term, float]) -> dict[Term, float]:
-    for term, value in values.items():
-        effect = known_effects().get(term.effect)
+        listed = _Beside.model_validate_json(text).effects
+    except ValidationError as error:
+        problem = describe_problem(error, _Beside)
+        raise RobotError(f"{beside}: is no list of effects ({problem}); diagnose again") from None
+    for each in listed:
+        effect = known_effects().get(each.effect)
         if effect is None:
             raise RobotError(
-                f"{path}: effect {term.effect!r} is unknown; known: {', '.join(known_effects())}"
+                f"{beside}: effect {each.effect!r} is unknown; known: {', '.join(known_effects())}"
             )
-        if term.place not in effect.places(robot):
+        if each.at not in effect.places(robot):
             raise RobotError(
-                f"{path}: effect {term.effect} cannot be at {term.place!r}; valid: "
+                f"{beside}: effect {each.effect} cannot be at {each.at!r}; valid: "
                 f"{', '.join(effect.places(robot)[:8])}"
             )
-        if not np.isfinite(value):
-            raise RobotError(f"{path}: {term} must be a finite number")
-    return dict(values)
+    numbers = [(e, name, value) for e in listed for name, value in e.parameters.items()]
+    return robot, {Term(e.effect, e.at, name): value for e, name, value in numbers}
 
 
 def _in_model(values: Mapping[Term, float]) -> dict[Term, float]:

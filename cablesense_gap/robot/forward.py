@@ -17,11 +17,17 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.recordings.recording import RecordingError
-from cablesense_gap.robot import smoothing
-from cablesense_gap.robot.inverse import BacklashMotion
 from cablesense_gap.robot.model import Change, Robot, actuated, inverse_dynamics
-from cablesense_gap.robot.motion import LEAST_FLOOR, Motion, MotionComparison, inner_rows
-from cablesense_gap.robot.tendons import GuidedTendons
+from cablesense_gap.robot.motion import (
+    LEAST_FLOOR,
+    Motion,
+    MotionComparison,
+    derivatives,
+    inner_rows,
+    smoothed,
+    through,
+)
+from cablesense_gap.robot.transmission import BacklashMotion, GuidedTendons
 
 _OF_MOTION, _OF_COMPARISON = 1.0, 0.5
 """Periods of these bandwidths, that a window takes at least and at most: shorter ones show what
@@ -47,7 +53,7 @@ class ForwardComparison(MotionComparison):
         self._step_s, self._rate_hz = 1.0 / (rate_hz * self._substeps), rate_hz
         self.span_s = span / rate_hz
         begins, self._ends, self.trial = _windows(motion, span, self._substeps)
-        moved = [smoothing.derivatives(path, rate_hz) for path in motion.paths]
+        moved = [derivatives(path, rate_hz) for path in motion.paths]
         speed, acceleration = (np.concatenate(each) for each in zip(*moved, strict=True))
         position = np.concatenate(motion.paths)
         self._state = position[begins], speed[begins]
@@ -77,7 +83,7 @@ class ForwardComparison(MotionComparison):
 
     def _smoothed(self, drive: Array) -> Array:
         """As the motion is: what drives make beyond that shows in none of its states."""
-        return smoothing.smoothed(drive, self._rate_hz, self._smoothed_hz)
+        return smoothed(drive, self._rate_hz, self._smoothed_hz)
 
     def predicted(self, change: Change) -> Array:
         """(Q, C) by a variant of the robot."""
@@ -239,7 +245,7 @@ def _span(motion: Motion) -> int:
 
 def _noise_and_least(motion: Motion, span_s: float) -> tuple[Array, Array]:
     """(C,) noise of the channels by positions and by measured torques; the least floor."""
-    drift = smoothing.noise_of_drift(motion.noise.position, span_s, motion.smoothed_hz)
+    drift = _noise_of_drift(motion.noise.position, span_s, motion.smoothed_hz)
     noise = [*drift]
     if not motion.by_command:
         by_torque = np.sqrt(0.5 * motion.noise.torque * span_s) / motion.inertia
@@ -247,6 +253,20 @@ def _noise_and_least(motion: Motion, span_s: float) -> tuple[Array, Array]:
         noise = [np.hypot(*each) for each in zip(drift, through, strict=True)]
     least = LEAST_FLOOR * motion.scale.torque / motion.inertia * span_s
     return np.concatenate(noise), np.concatenate([0.5 * span_s * least, least])
+
+
+def _noise_of_drift(density: Array, over_s: float, bandwidth_hz: float) -> tuple[Array, Array]:
+    """The error that white noise of positions causes in free motion from a smoothed state.
+
+    Free motion starts at the first state and is compared with the last one. The result has the
+    standard deviations of position and speed.
+    """
+    frequency, passed = through(bandwidth_hz)
+    w = 2.0 * np.pi * frequency
+    later = np.exp(1j * w * over_s) - 1.0
+    gains = np.abs(later - 1j * w * over_s) ** 2, w**2 * np.abs(later) ** 2
+    of_position, of_speed = ((passed * gain).sum() * frequency[1] for gain in gains)
+    return np.sqrt(density * of_position), np.sqrt(density * of_speed)
 
 
 def _at(values: Array, at: Array) -> Array:

@@ -1,6 +1,6 @@
 """Measured motion in, torques out: what the model says the drives must have given.
 
-Nothing is integrated, so nothing drifts.
+Nothing is integrated, so nothing drifts. From these torques follow the positions of servos, too.
 """
 
 from __future__ import annotations
@@ -9,23 +9,34 @@ import copy
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from cablesense_base import Array
+from cablesense_base import Array, some_of
 from cablesense_gap.diagnosis.discrepancy import Conditions
-from cablesense_gap.robot import smoothing
+from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot.model import Change, Robot, inverse_dynamics
-from cablesense_gap.robot.motion import Motion, MotionComparison, Recent, Trajectory
-from cablesense_gap.robot.tendons import GuidedTendons
+from cablesense_gap.robot.motion import (
+    Motion,
+    MotionComparison,
+    Recent,
+    Trajectory,
+    derivatives,
+    noise_of_smoothed,
+    smoothed,
+)
+from cablesense_gap.robot.transmission import BacklashMotion, GuidedTendons
 
 _OF_BODIES = ("mass_kg", "centre_m", "inertia_kg_m2")
 _OF_MOTION = ("gravity_m_s2", "zero", "encoder_scale", "coupling", "play")
-_LEAST_KG = _LEAST_KG_M2 = 1e-9
+_LEAST_KG = 1e-9
 _PLACES = np.array([*np.zeros((1, 3)), *np.eye(3), *-np.eye(3), *(1.0 - np.eye(3))])
 """Of point masses, m; their inertial parameters are independent."""
+_LEAST_OF_RANGE = 0.002
+"""Share of half a joint's range: some milliradians, the error of a calibrated camera."""
 
 
 class InverseDynamics:
@@ -49,7 +60,7 @@ class InverseDynamics:
         )
         behind: Array | Sequence[float] = (0.0, 0.0, 0.0)
         if self._gaps is not None and change.play.any():
-            behind = self._gaps.moved(change.play, rows_alone=True)
+            behind = self._gaps.moved(change.play)[:, self._gaps.rows]
         position, speed, acceleration = (
             each + each @ change.coupling.T + gap for each, gap in zip(drive, behind, strict=True)
         )
@@ -192,59 +203,126 @@ class InverseComparison(MotionComparison):
         return self._motion.compared(torque)[:, self._joints]
 
 
-class BacklashMotion:
-    """Motion of joints relative to their drives, within the gaps that backlash leaves.
+class Servos(NamedTuple):
+    """The model's position servos, by joint (J,).
 
-    It follows from motion measured at the drives, and the model. A joint lies at that end of its
-    gap at which the drive gives the torque that the link needs. The link moves freely to the other
-    end when that torque changes its sign.
+    Attributes:
+        actuator: its number.
+        per_command: position by unit of the command; `offset` is that of a command of zero.
+        stiffness, damping: of the position, in torque.
+    """
+
+    actuator: Array
+    per_command: Array
+    offset: Array
+    stiffness: Array
+    damping: Array
+
+    @staticmethod
+    def of(robot: Robot) -> Servos:
+        """Those of a robot.
+
+        Raises:
+            RecordingError: a joint has no position servo.
+        """
+        model, servo = robot.model, np.full(len(robot.joints), -1)
+        for a in range(model.nu):
+            at_joint = model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
+            if at_joint and model.actuator_biasprm[a, 1] < 0.0:
+                servo[model.actuator_trnid[a, 0]] = a
+        if (servo < 0).any():
+            lacking = [robot.joints[j] for j in np.flatnonzero(servo < 0)]
+            raise RecordingError(
+                f"{robot.path.name}: {some_of(lacking)} without a position servo; positions "
+                "measured outside are compared with the commands of an actuator `position` at "
+                "every joint"
+            )
+        gear, bias = model.actuator_gear[servo, 0], model.actuator_biasprm[servo]
+        by_position = -bias[:, 1] * gear
+        return Servos(
+            actuator=servo,
+            per_command=model.actuator_gainprm[servo, 0] / by_position,
+            offset=bias[:, 0] / by_position,
+            stiffness=by_position * gear,
+            damping=-bias[:, 2] * gear**2,
+        )
+
+
+class ServoComparison(MotionComparison):
+    """Positions measured outside the drives less those commanded, see `MotionComparison`.
+
+    A servo holds its own encoder at the command, except that it yields to the torque it bears. The
+    zeros, scales, couplings and play between that encoder and the joint then show in a camera's
+    positions, and in no torque.
     """
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
-        """`motion` is what was measured."""
-        self._robot, self._motion = robot, motion
-        self._known = Recent()
+        """The positions of `motion` are the joints'.
 
-    @cached_property
-    def _free_acceleration(self) -> tuple[Array, ...]:
-        """By trial, accelerations (T, J) of freely moving joints relative to their drives."""
-        model = copy.copy(self._robot.model)
-        inertia = np.maximum(self._motion.inertia - model.dof_armature, _LEAST_KG_M2)
-        model.dof_armature[:], model.dof_damping[:] = 0.0, 0.0
-        rate_hz = self._motion.rate_hz
-        return tuple(
-            -inverse_dynamics(model, path, *smoothing.derivatives(path, rate_hz)) / inertia
-            for path in self._motion.paths
+        Raises:
+            RecordingError: a joint has no position servo.
+        """
+        self._motion, self._servos = motion, Servos.of(robot)
+        self._dynamics = InverseDynamics(robot, motion)
+        own = motion.command[:, self._servos.actuator]
+        self._target = own * self._servos.per_command + self._servos.offset
+        self._gaps = BacklashMotion(robot, self._of_drives(robot))
+        self.names = self.columns = tuple(f"position.{joint}" for joint in robot.joints)
+        self.units = robot.position_units
+        noise = noise_of_smoothed(motion.noise.position, motion.compared_hz)
+        self.floor = self.noise = np.hypot(noise, _LEAST_OF_RANGE * motion.scale.position)
+        self.readings = motion.passed(motion.position - self._target)
+        self.trial, self.time_s = motion.compared_trial, motion.compared_time_s
+        self.description = (
+            "Positions measured outside the drives are compared with those that the servos' "
+            "commands and the torques they bear make, with a bandwidth of "
+            f"{motion.compared_hz:.3g} Hz at {len(self.trial):,} rows."
         )
 
-    def moved(self, play: Array, *, rows_alone: bool = False) -> Array:
-        """Positions, speeds and accelerations (3, ΣT, J) of joints from drives, smoothed alike.
+    def predicted(self, change: Change) -> Array:
+        """(Q, C) by a variant of the robot."""
+        motion, servos = self._motion, self._servos
+        target = self._target
+        if change.delay_s:
+            trials = [motion.trial == t for t in np.unique(motion.trial)]
+            late = [self._at(rows, motion.time_s[rows] + change.delay_s) for rows in trials]
+            target = np.concatenate(late)
+        yields = self._torque(change) + servos.damping * motion.speed
+        drive = target - yields / servos.stiffness
+        joint = drive + drive @ change.coupling.T
+        if change.play.any():
+            joint = joint + self._gaps.moved(change.play)[0, self._gaps.rows]
+        read = change.zero + (1.0 + change.encoder_scale) * joint
+        return motion.passed(read - self._target)
 
-        With `rows_alone` those of the motion's R rows.
-        """
-        found = np.zeros((3, sum(map(len, self._motion.paths)), len(play)))
-        for j in np.flatnonzero(play).tolist():
-            key = j, float(play[j])
-            found[:, :, j] = self._known.of(key, partial(self._of_joint, *key))
-        return found[:, self._motion.rows] if rows_alone else found
+    def conditions(self, change: Change) -> Conditions:
+        """As compared."""
+        motion = self._motion
+        parts = motion.position, motion.speed, self._torque(change)
+        return Conditions(*map(motion.passed, parts))
 
-    def _of_joint(self, joint: int, play: float) -> Array:
-        motion, found = self._motion, []
-        for free in self._free_acceleration:
-            gap = _place_in_gap(free[:, joint], 0.5 * play, 1.0 / motion.rate_hz)[:, None]
-            smooth = smoothing.smoothed(gap, motion.rate_hz, motion.smoothed_hz)
-            moved = smooth, *smoothing.derivatives(smooth, motion.rate_hz)
-            found.append(np.hstack(moved).T)
-        return np.concatenate(found, 1)
+    def _of_drives(self, robot: Robot) -> Motion:
+        """The motion of the drives: the measured one has crossed the gaps already."""
+        motion, servos, trials = self._motion, self._servos, []
+        for trial in motion.trials:
+            command = smoothed(trial.command, motion.rate_hz, motion.smoothed_hz)
+            target = command[:, servos.actuator] * servos.per_command + servos.offset
+            speed, acceleration = derivatives(trial.position, motion.rate_hz)
+            torque = inverse_dynamics(robot.model, trial.position, speed, acceleration)
+            yields = (torque + servos.damping * speed) / servos.stiffness
+            trials.append(replace(trial, position=target - yields))
+        return replace(motion, trials=tuple(trials))
 
+    def _torque(self, change: Change) -> Array:
+        """(R, J) of the drives, with the joints where they were measured."""
+        none, still = np.zeros_like(change.zero), np.zeros_like(change.coupling)
+        at_joint = replace(
+            change, coupling=still, play=none, torque_scale=none, torque_offset=none, delay_s=0.0
+        )
+        torque = self._dynamics.torques(at_joint)
+        return torque + torque @ change.coupling
 
-def _place_in_gap(acceleration: Array, reach: float, interval_s: float) -> Array:
-    """(T,) positions within ±`reach` of a joint that moves freely with an acceleration (T,)."""
-    place, speed, found = float(np.sign(acceleration[0])) * reach, 0.0, []
-    for each in acceleration.tolist():
-        speed += each * interval_s
-        place += speed * interval_s
-        if abs(place) >= reach:
-            place, speed = (reach if place > 0.0 else -reach), 0.0
-        found.append(place)
-    return np.array(found)
+    def _at(self, rows: Array, time_s: Array) -> Array:
+        """Targets of a trial's rows at other times."""
+        own = self._motion.time_s[rows]
+        return np.stack([np.interp(time_s, own, each) for each in self._target[rows].T], axis=1)

@@ -1,25 +1,65 @@
-"""Motion as it is compared: a trajectory of joints, and torques along it."""
+"""Motion as it is compared: smoothed, a trajectory of joints, and torques along it."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.discrepancy import Conditions
-from cablesense_gap.robot import smoothing
-from cablesense_gap.robot.effects.effect import Scale
 from cablesense_gap.robot.model import Change
 
 LEAST_FLOOR = 0.005
 """Of a joint's torque: no model of a machine is better."""
 _MOST_RECENT = 48
+
+
+def smoothed(signal: Array, rate_hz: float, bandwidth_hz: float) -> Array:
+    """(T, …) of evenly sampled signals (T, …), smoothed with a stated bandwidth.
+
+    A Butterworth filter of third order, forwards and backwards: no lag, and a gain of
+    1 / (1 + (f / bandwidth)^6), that of a smoothing spline with a penalty on the third derivative.
+    Whatever is compared with smoothed motion goes through the same filter.
+    """
+    if len(signal) < 8:
+        return np.repeat(signal.mean(0, keepdims=True), len(signal), axis=0)
+    most = len(signal) - 1
+    pad = min(int(3.0 * rate_hz / bandwidth_hz), most)
+    return np.asarray(sosfiltfilt(_sections(rate_hz, bandwidth_hz), signal, axis=0, padlen=pad))
+
+
+@lru_cache
+def _sections(rate_hz: float, bandwidth_hz: float) -> Array:
+    return np.asarray(butter(3, bandwidth_hz, fs=rate_hz, output="sos"))
+
+
+def derivatives(signal: Array, rate_hz: float) -> tuple[Array, Array]:
+    """First and second time derivatives (T, J) of smoothed signals (T, J), by five points."""
+    padded = np.concatenate([signal[[0, 0]], signal, signal[[-1, -1]]])
+    a, b, c, d, e = (padded[k : k + len(signal)] for k in range(5))
+    first = (a - 8.0 * b + 8.0 * d - e) * (rate_hz / 12.0)
+    second = (-a + 16.0 * b - 30.0 * c + 16.0 * d - e) * (rate_hz**2 / 12.0)
+    return first, second
+
+
+def noise_of_smoothed(density: Array, *bandwidths_hz: float) -> Array:
+    """Standard deviation of white noise after filters of some bandwidths."""
+    frequency, gain = through(*bandwidths_hz)
+    return np.asarray(np.sqrt(density * gain.sum() * frequency[1]))
+
+
+def through(*bandwidths_hz: float) -> tuple[Array, Array]:
+    """Frequencies (F,) and the gains (F,) of power by filters of some bandwidths."""
+    frequency = np.linspace(0.0, 6.0 * max(bandwidths_hz), 2000)
+    gains = [1.0 / (1.0 + (frequency / each) ** 6) for each in bandwidths_hz]
+    return frequency, np.asarray(np.prod(gains, axis=0) ** 2)
 
 
 class Recent(dict[tuple[Any, ...], Array]):
@@ -36,6 +76,39 @@ class Recent(dict[tuple[Any, ...], Array]):
     def __reduce__(self) -> tuple[type[Recent], tuple[()]]:
         """An empty one."""
         return Recent, ()
+
+
+def rms(values: Array) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@dataclass(frozen=True)
+class Scale:
+    """How large torques and motion are in one recording; typical sizes follow from it.
+
+    Attributes:
+        torque: (J,) root mean square of the torque at each joint.
+        speed: (J,) root mean square of its speed while it moves.
+        acceleration: (J,) root mean square of its acceleration while it moves.
+        position: (J,) half its span.
+        inertia: (J,) that it feels alone, by the nominal model.
+    """
+
+    torque: Array
+    speed: Array
+    acceleration: Array
+    position: Array
+    inertia: Array
+
+    def per(self, other: Array) -> float:
+        """The typical ratio of a joint's torque to another quantity (J,) of that joint."""
+        return rms(self.torque / np.maximum(other, 1e-2 * rms(other) + 1e-9))
+
+    @property
+    def typical_torque(self) -> float:
+        """Root mean square over all joints."""
+        return rms(self.torque)
 
 
 @dataclass(frozen=True)
@@ -163,7 +236,7 @@ class Motion(Trajectory):
         for path, rows, own in zip(self.paths, self.inner, self._by_trial(by_joint), strict=True):
             whole = np.stack([np.interp(np.arange(len(path)), rows, b) for b in own.T], axis=1)
             share = _dahl(_way(path, whole), give)
-            found.append(smoothing.smoothed(share, self.rate_hz, self.smoothed_hz)[rows])
+            found.append(smoothed(share, self.rate_hz, self.smoothed_hz)[rows])
         return np.concatenate(found)
 
     def compared(self, torque: Array) -> Array:

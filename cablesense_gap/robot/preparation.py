@@ -16,18 +16,32 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
+from scipy.signal import welch
 
 from cablesense_base import Array
 from cablesense_gap.recordings.recording import RecordingError
-from cablesense_gap.robot import smoothing
-from cablesense_gap.robot.effects.effect import Scale
 from cablesense_gap.robot.model import Robot, actuated, inverse_dynamics
-from cablesense_gap.robot.motion import LEAST_FLOOR, Motion, Noise, Trial, inner_rows
+from cablesense_gap.robot.motion import (
+    LEAST_FLOOR,
+    Motion,
+    Noise,
+    Scale,
+    Trial,
+    derivatives,
+    inner_rows,
+    noise_of_smoothed,
+    smoothed,
+    through,
+)
 from cablesense_gap.robot.recording import RobotRecording
 
 MOST_ROWS = 5000
 """Rows at which a model is evaluated; a longer recording has them at longer intervals."""
 
+_LEAST_HZ, _MOST_HZ = 1.0, 20.0
+"""Arms and their controllers are slower than this; faster ones state a bandwidth."""
+_SAMPLES = 8.0
+"""Least number in a period at the bandwidth: derivatives are then good to 1 %."""
 _ROWS_A_PERIOD = 3.0
 _LIGHTER = 4.0
 """Times the bandwidth of the comparison, at most, motion is smoothed with."""
@@ -40,6 +54,7 @@ _LEAST_MOVING = 0.05
 _REST_S = 0.4
 _FEWEST_ROWS, _FEWEST_SAMPLES = 30, 16
 _GLITCH_SAMPLES, _GLITCH_DEVIATIONS = 5, 6.0
+_SHARES, _SPECTRUM_S = 40, 10.0
 
 
 def prepared(
@@ -54,22 +69,24 @@ def prepared(
     """The recording's motion and torques; by default compared as far as torques have power.
 
     Without torques those count that the model's actuators make of the commands, and, unless asked
-    otherwise, the comparison goes forward. With `external` positions it is neither: torques are
-    those that the nominal robot needs.
+    otherwise, the comparison goes forward in time. With `zeroed` encoders, set to zero where each
+    trial starts, each trial has the zeros that fit it. Positions that were measured outside the
+    drives, `external`, are compared with the commands of position servos; torques are then those
+    that the nominal robot needs.
 
     Raises:
         RecordingError: it has neither torques nor commands, or its trials are too short.
     """
     trials, interval_s = _evenly_sampled(recording)
     rate_hz = 1.0 / interval_s
-    most_hz = min(smoothing.MOST_HZ, rate_hz / smoothing.SAMPLES)
+    most_hz = min(_MOST_HZ, rate_hz / _SAMPLES)
     by_command = external or not np.isfinite(recording.torque).any()
     if by_command:
         _check_commands(recording, robot)
-        made = _needed if external else _commanded
-        trials = [replace(t, torque=made(robot, t, rate_hz, most_hz)) for t in trials]
+        made = [_modelled(robot, t, rate_hz, most_hz, needed=external) for t in trials]
+        trials = [replace(t, torque=torque) for t, torque in zip(trials, made, strict=True)]
     if bandwidth_hz is None:
-        compared_hz = float(np.clip(_comparison_hz(trials, rate_hz), smoothing.LEAST_HZ, most_hz))
+        compared_hz = float(np.clip(_comparison_hz(trials, rate_hz), _LEAST_HZ, most_hz))
     elif 0.1 <= bandwidth_hz <= most_hz:
         compared_hz = bandwidth_hz
     else:
@@ -101,8 +118,8 @@ def prepared(
     scale = _scale(joined, moving, inertia)
     torque_noise = np.maximum(noise.torque, _noise_at_rest(trials, parts, rate_hz, compared_hz))
     floor = np.hypot(
-        smoothing.noise_of_smoothed(torque_noise, compared_hz),
-        inertia * smoothing.noise_of_acceleration(noise.position, compared_hz, smoothed_hz),
+        noise_of_smoothed(torque_noise, compared_hz),
+        inertia * _noise_of_acceleration(noise.position, compared_hz, smoothed_hz),
     )
     return Motion(
         **joined,
@@ -176,17 +193,15 @@ def _check_commands(recording: RobotRecording, robot: Robot) -> None:
         )
 
 
-def _commanded(robot: Robot, trial: Trial, rate_hz: float, most_hz: float) -> Array:
-    """(T, J) what the actuators make of a trial's commands."""
-    position = smoothing.smoothed(trial.position, rate_hz, most_hz)
-    return actuated(robot, position, smoothing.derivatives(position, rate_hz)[0], trial.command)
-
-
-def _needed(robot: Robot, trial: Trial, rate_hz: float, most_hz: float) -> Array:
-    """(T, J) what the nominal robot needs for a trial's motion."""
-    position = smoothing.smoothed(trial.position, rate_hz, most_hz)
-    moved = smoothing.derivatives(position, rate_hz)
-    return inverse_dynamics(robot.model, position, *moved)
+def _modelled(
+    robot: Robot, trial: Trial, rate_hz: float, most_hz: float, *, needed: bool
+) -> Array:
+    """(T, J) torques that actuators make of a trial's commands, or that its motion needs."""
+    position = smoothed(trial.position, rate_hz, most_hz)
+    speed, acceleration = derivatives(position, rate_hz)
+    if needed:
+        return inverse_dynamics(robot.model, position, speed, acceleration)
+    return actuated(robot, position, speed, trial.command)
 
 
 def _comparison_hz(trials: Sequence[Trial], rate_hz: float) -> float:
@@ -205,11 +220,40 @@ def _frequency_below(
 ) -> Array:
     """(J,) frequencies, Hz, below which a derivative of signals has a share of its power."""
     known = [np.nan_to_num(signal) for signal in signals]
-    frequency, density = smoothing.mean_spectrum(known, rate_hz)
-    noise = np.mean([smoothing.noise_density(s, rate_hz, rate_hz / 4.0) for s in known], axis=0)
+    frequency, density = _mean_spectrum(known, rate_hz)
+    noise = np.mean([_noise_density(s, rate_hz, rate_hz / 4.0) for s in known], axis=0)
     beyond = np.maximum(density - 2.0 * noise, 0.0) * frequency[:, None] ** (2 * derivative)
     power = np.cumsum(beyond, axis=0)
     return frequency[(power < share * power[-1]).sum(0)]
+
+
+def _mean_spectrum(signals: Sequence[Array], rate_hz: float) -> tuple[Array, Array]:
+    """Frequencies (F,) and power densities (F, J) of signals (T, J), over all of them."""
+    count = min(int(np.median([len(s) for s in signals])), int(_SPECTRUM_S * rate_hz))
+    every = [s for s in signals if len(s) >= count]
+    found = [welch(s, rate_hz, nperseg=count, axis=0, detrend="constant") for s in every]
+    return found[0][0], np.asarray(np.mean([density for _, density in found], axis=0))
+
+
+def _noise_density(
+    signal: Array, rate_hz: float, above_hz: float, below_hz: float = np.inf
+) -> Array:
+    """(J,) power by hertz of what signals (T, J) have above a frequency, its median.
+
+    Motion and its torques end below that frequency. The rest is noise; white noise has the same
+    density below.
+    """
+    count = min(len(signal), max(64, int(_SHARES * rate_hz / above_hz)))
+    frequency, density = welch(signal, rate_hz, nperseg=count, axis=0, detrend="linear")
+    beyond = (frequency >= min(above_hz, 0.7 * frequency[-1])) & (frequency <= below_hz)
+    return np.asarray(np.median(density[beyond], axis=0) / np.log(2.0))
+
+
+def _noise_of_acceleration(density: Array, *bandwidths_hz: float) -> Array:
+    """Standard deviation that positions' white noise leaves in accelerations, smoothed."""
+    frequency, gain = through(*bandwidths_hz)
+    power = ((2.0 * np.pi * frequency) ** 4 * gain).sum() * frequency[1]
+    return np.asarray(np.sqrt(density * power))
 
 
 def _noise(trials: Sequence[Trial], rate_hz: float) -> Noise:
@@ -218,7 +262,7 @@ def _noise(trials: Sequence[Trial], rate_hz: float) -> Noise:
     long = [t for t in trials if len(t.position) >= 0.5 * longest]
     densities = []
     for signals in ([t.position for t in long], [t.torque for t in long]):
-        each = [smoothing.noise_density(np.nan_to_num(s), rate_hz, rate_hz / 4.0) for s in signals]
+        each = [_noise_density(np.nan_to_num(s), rate_hz, rate_hz / 4.0) for s in signals]
         densities.append(np.median(each, axis=0))
     return Noise(*densities)
 
@@ -244,11 +288,11 @@ def _smoothing_hz(
     As compared it stays below the noise of the torques, or 1 % of the torques.
     """
     torque = np.concatenate([t.torque for t in trials])
-    own = smoothing.noise_of_smoothed(noise.torque, compared_hz)
+    own = noise_of_smoothed(noise.torque, compared_hz)
     least = np.maximum(own, 0.01 * np.nan_to_num(torque.std(0)).max())
     good = compared_hz
     for tried_hz in np.geomspace(compared_hz, most_hz, 20):
-        left = smoothing.noise_of_acceleration(noise.position, compared_hz, float(tried_hz))
+        left = _noise_of_acceleration(noise.position, compared_hz, float(tried_hz))
         if (inertia * left <= least).all():
             good = float(tried_hz)
     return good
@@ -263,10 +307,10 @@ def _smoothed(
     """
 
     def filtered(signal: Array) -> Array:
-        return smoothing.smoothed(signal, rate_hz, smoothed_hz)
+        return smoothed(signal, rate_hz, smoothed_hz)
 
     smooth = [replace(t, position=filtered(t.position)) for t in trials]
-    moved = [smoothing.derivatives(t.position, rate_hz) for t in smooth]
+    moved = [derivatives(t.position, rate_hz) for t in smooth]
     usual = np.sqrt(np.concatenate([speed**2 for speed, _ in moved]).mean(0))
     speed_noise = np.sqrt(noise.position) * 2.0 * np.pi * smoothed_hz**1.5 / np.sqrt(3.0)
     slow = np.maximum(np.maximum(_NOISE_DEVIATIONS * speed_noise, _SLOW_SHARE * usual), 1e-9)
@@ -299,12 +343,10 @@ def _low_passes(
     passes, kept, begin = [], [], 0
     for count in counts:
         own = np.arange(min(edge, count // 2), count - edge, step)
-        low = compared_hz < rows_hz / 2.5
-        passes.append(
-            smoothing.smoothed(np.eye(count), rows_hz, compared_hz)[own]
-            if low
-            else np.eye(count)[own]
-        )
+        whole = np.eye(count)
+        if compared_hz < rows_hz / 2.5:
+            whole = smoothed(whole, rows_hz, compared_hz)
+        passes.append(whole[own])
         kept.append(begin + own)
         begin += count
     return tuple(passes), np.concatenate(kept)
@@ -342,7 +384,7 @@ def _noise_at_rest(
         edge = (len(trial.time_s) - len(still)) // 2
         ends = np.flatnonzero(np.diff(still.astype(int), prepend=0, append=0)) + edge
         found += [
-            smoothing.noise_density(torque, rate_hz, low_hz, 2.0 * low_hz)
+            _noise_density(torque, rate_hz, low_hz, 2.0 * low_hz)
             for begin, end in zip(ends[::2], ends[1::2], strict=True)
             if len(torque := np.nan_to_num(trial.torque[begin:end])) >= least
         ]

@@ -15,8 +15,7 @@ from cablesense_gap.recordings.csv_file import write_table
 from cablesense_gap.robot.amending import changed
 from cablesense_gap.robot.inverse import InverseDynamics
 from cablesense_gap.robot.model import Robot
-from cablesense_gap.robot.motion import Trajectory
-from cablesense_gap.robot.smoothing import derivatives
+from cablesense_gap.robot.motion import Trajectory, derivatives
 from cablesense_gap.simulator import Assignment
 
 RATE_HZ = 100.0

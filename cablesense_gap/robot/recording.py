@@ -178,12 +178,13 @@ def _part(path: Path, table: dict[str, Array], robot: Robot) -> dict[str, Array]
     rows = len(table["time_s"])
     if rows < 2:
         raise RecordingError(f"{path}: has {rows} rows; a recording of motion has thousands")
-    position, torque = ([f"{kind}.{j}" for j in robot.joints] for kind in ("position", "torque"))
-    command = [f"command.{name}" for name in robot.actuators]
-    _refuse_other_names(path, table, robot, {*position, *torque, *command})
-    for name in filter(table.__contains__, ("time_s", "trial", *position, *torque, *command)):
+    names = {"position": robot.joints, "torque": robot.joints, "command": robot.actuators}
+    labels = {kind: [f"{kind}.{name}" for name in own] for kind, own in names.items()}
+    known = [label for own in labels.values() for label in own]
+    _refuse_other_names(path, table, robot, set(known))
+    for name in filter(table.__contains__, ("time_s", "trial", *known)):
         gaps = np.flatnonzero(~np.isfinite(table[name]))
-        optional = name in (*torque, *command)
+        optional = name in (*labels["torque"], *labels["command"])
         if gaps.size and not (optional and np.isnan(table[name]).all()):
             remedy = ", or leave the column out" if optional else ""
             raise RecordingError(
@@ -191,16 +192,11 @@ def _part(path: Path, table: dict[str, Array], robot: Robot) -> dict[str, Array]
                 f"row{remedy}"
             )
 
-    def stacked(labels: Sequence[str]) -> Array:
-        columns = [table.get(label, np.full(rows, np.nan)) for label in labels]
-        return np.ascontiguousarray(np.array(columns).reshape(len(labels), rows).T)
+    def stacked(own: Sequence[str]) -> Array:
+        columns = [table.get(label, np.full(rows, np.nan)) for label in own]
+        return np.ascontiguousarray(np.array(columns).reshape(len(own), rows).T)
 
-    return {
-        "time_s": table["time_s"],
-        "position": stacked(position),
-        "torque": stacked(torque),
-        "command": stacked(command),
-    }
+    return {"time_s": table["time_s"], **{kind: stacked(own) for kind, own in labels.items()}}
 
 
 def _refuse_other_names(

@@ -5,8 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +18,16 @@ from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.pipeline import FOLDS, Reference, System, Unlisted, diagnose_system
 from cablesense_gap.recordings.csv_file import write_table
 from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.robot import doubts
 from cablesense_gap.robot.amending import changed, known_effects
-from cablesense_gap.robot.effects.effect import RobotEffect
-from cablesense_gap.robot.exchanged import exchanged
+from cablesense_gap.robot.effects import RobotEffect
 from cablesense_gap.robot.forward import ForwardComparison
-from cablesense_gap.robot.inverse import InverseComparison
+from cablesense_gap.robot.inverse import InverseComparison, ServoComparison
 from cablesense_gap.robot.model import Robot, RobotError
 from cablesense_gap.robot.motion import Motion, MotionComparison
-from cablesense_gap.robot.plausible import at_bounds, far_beyond, little_removed, weighed
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.protocol import next_experiment
 from cablesense_gap.robot.recording import RobotRecording
-from cablesense_gap.robot.servo import ServoComparison
 from cablesense_gap.simulator import Assignment, Candidate, Term, parameters_of
 from cablesense_gap.verdict import ChannelGap, Gap, Verdict, Where
 
@@ -36,8 +35,6 @@ UNIT = "floors"
 """Each channel is given in units of its floor."""
 _FOLLOWS, _OTHER_UNIT = 0.8, 5.0
 """Least correlation of a channel with the model's, and the ratio of both that is doubtful."""
-_AT_ZERO = 0.002
-"""Share of a joint's span within which its position counts as zero."""
 _PROBED, _USUAL = 0.01, 0.1
 """Error of a zero in rad or m: to find its influence, and as usual in a trial."""
 
@@ -53,6 +50,7 @@ class RobotSystem(System):
 
     Attributes: see `System`, and
         listed: effects that the nominal robot has.
+        motion: as it was measured.
         comparison: the channels in rad, N·m and so on; `readings` are in units of their noise.
     """
 
@@ -60,7 +58,7 @@ class RobotSystem(System):
 
     def __init__(self, robot: Robot, motion: Motion, listed: Assignment) -> None:
         """`motion` is the measured one, `listed` are effects that the nominal robot has."""
-        self.robot, self.name, self.listed, self._motion = robot, robot.name, dict(listed), motion
+        self.robot, self.name, self.listed, self.motion = robot, robot.name, dict(listed), motion
         compare: type[ServoComparison | ForwardComparison | InverseComparison] = (
             ServoComparison
             if motion.external
@@ -84,7 +82,6 @@ class RobotSystem(System):
         self.row_count, count = len(self.trial), int(self.trial.max()) + 1
         self.fold = np.arange(count) % min(FOLDS, count)
         self.counted = np.ones(self.row_count, dtype=bool)
-        self._floor, self._inertia = motion.floor, motion.inertia
         self._zeros: tuple[_Zeros, ...] = ()
         if motion.zeroed:
             self._zeros = self._of_zeros()
@@ -116,6 +113,18 @@ class RobotSystem(System):
             found[rows] += (by_zeros @ zeros).reshape(-1, found.shape[1])
         return found
 
+    @cached_property
+    def nominal(self) -> Array:
+        """(Q, C) channels in their own units, as the nominal robot has them."""
+        return np.asarray(self.predict([{}])[0] * self.comparison.noise)
+
+    def gaps(self) -> list[tuple[str, str, float, float]]:
+        """Of each channel its name, unit, RMS of measured less `nominal`, and of measured."""
+        compared = self.comparison
+        both = compared.readings - self.nominal, compared.readings
+        sizes = [np.sqrt((each**2).mean(0)).tolist() for each in both]
+        return list(zip(compared.names, compared.units, *sizes, strict=True))
+
     def _of_zeros(self) -> tuple[_Zeros, ...]:
         """By trial its rows, what zeros (J,) make of them, and the zeros that fit a residual."""
         trial, joints = self.comparison.trial, self.robot.joints
@@ -136,7 +145,7 @@ class RobotSystem(System):
 
     def with_listed(self, values: Assignment) -> RobotSystem:
         """Values of the same number are added."""
-        system = RobotSystem(self.robot, self._motion, added(self.listed, values))
+        system = RobotSystem(self.robot, self.motion, added(self.listed, values))
         system.recording_name, system.row_count = self.recording_name, self.row_count
         return system
 
@@ -158,7 +167,7 @@ class RobotSystem(System):
 
     def completed(self, problem: Problem, found: Sequence[Explanation]) -> list[Explanation]:
         """The same; far tolerances, implausible sizes and further places count against them."""
-        return [weighed(problem, each) for each in found]
+        return [doubts.weighed(problem, each) for each in found]
 
     def where(self, values: Mapping[Term, float], residual: Array) -> Where:
         """Joints, bodies and tendons of the effects; of a coupling the joint of its drive."""
@@ -171,7 +180,7 @@ class RobotSystem(System):
 
     def next_experiment(self, rivals: Sequence[Assignment], question: str) -> str:
         """A block of the robot's protocol."""
-        text = next_experiment(self.robot, rivals, self._floor)
+        text = next_experiment(self.robot, rivals, self.motion.floor)
         return f"To find out {question}: {text}" if text and question else text
 
     def unlisted(self, problem: Problem, residual: Array) -> Unlisted:
@@ -190,15 +199,9 @@ class RobotSystem(System):
 
     def doubts(self, values: Mapping[Term, float], gap: Gap) -> tuple[str, ...]:
         """Numbers that end at their bounds or far beyond the model's own; a gap that stays."""
-        ranges, change = (
-            parameters_of(self.candidates),
-            changed(self.robot, [self.listed, values]),
-        )
-        return (
-            *at_bounds(ranges, values),
-            *far_beyond(self.robot, change, self._inertia),
-            *little_removed(gap),
-        )
+        change, ranges = changed(self.robot, [self.listed, values]), parameters_of(self.candidates)
+        inertia = self.motion.inertia
+        return tuple(doubts.of_verdict(self.robot, change, inertia, ranges, values, gap))
 
     def channels(self, before: Array, after: Array) -> dict[str, ChannelGap]:
         """The gap at each joint."""
@@ -238,27 +241,27 @@ class RobotDiagnosis:
     """A verdict, and the channels behind it as measured and predicted.
 
     Attributes:
+        system: the nominal robot, its motion and how it is compared.
         amended: effects of the verdict and tolerances, as fitted.
-        comparison: by which rows and channels.
         before, after: (Q, C) predicted, in the channels' units; after by fits that have not seen
             the trial.
         findings: changes to recording and model, and doubts about them, as sentences.
+        beside: effects of the nominal model that its JSON file lists.
     """
 
-    robot: Robot
-    motion: Motion
+    system: RobotSystem
     verdict: Verdict
     amended: dict[Term, float]
-    comparison: MotionComparison
     before: Array
     after: Array
     findings: tuple[str, ...]
+    beside: Assignment
 
 
 def diagnose(
     recording: RobotRecording,
     robot: Robot,
-    beside: Assignment | None = None,
+    beside: Assignment = MappingProxyType({}),
     bandwidth_hz: float | None = None,
     progress: Callable[[str, float], None] = lambda *_: None,
     workers: int = 1,
@@ -269,23 +272,13 @@ def diagnose(
     force: bool = False,
     reference: RobotRecording | None = None,
 ) -> RobotDiagnosis:
-    """Find what makes the recorded robot differ from its model.
+    """Find what makes the recorded robot differ from its nominal model.
 
-    Args:
-        recording: see `read_recording`.
-        robot: the nominal one.
-        beside: effects that an amended model lists in addition to its MJCF.
-        bandwidth_hz: up to which motion and torques are compared, see `prepared`.
-        progress: receives the present step and the share of the whole that is done.
-        workers: processes that share the search.
-        forward: whether to compare forward in time; by default if commands and no torques are
-            recorded.
-        zeroed: whether encoders were set to zero where each trial starts; each trial then has
-            the zeros that fit it.
-        external: whether positions were measured outside the drives; they are then compared with
-            the commands of position servos.
-        force: whether to continue if columns look exchanged or reversed; the findings then say so.
-        reference: of the same robot when it was healthy; the verdict says what changed since.
+    `beside` are effects that an amended model lists in addition to its MJCF. How they are compared
+    (`bandwidth_hz`, `forward`, `zeroed`, `external`) is as of `prepared`. `progress` receives the
+    present step and the share of the whole that is done; `workers` processes share the search.
+    With `force` it continues if columns look exchanged or reversed; the findings then say so.
+    A `reference` is of the same robot when it was healthy; the verdict says what changed since.
 
     Raises:
         RecordingError: the recording or the reference cannot be compared, or columns look
@@ -299,52 +292,51 @@ def diagnose(
 
     def left(recorded: RobotRecording) -> dict[str, float]:
         by_torque = prepared(recorded, robot, bandwidth_hz, forward=False, zeroed=zeroed)
-        return RobotSystem(robot, by_torque, beside or {}).left_shares()
+        return RobotSystem(robot, by_torque, beside).left_shares()
 
-    doubts = [] if external else exchanged(recording, robot, left)
-    if doubts and not force:
+    suspect = [] if external else doubts.exchanged(recording, robot, left)
+    if suspect and not force:
         raise RecordingError(
-            f"{recording.name}: {', '.join(doubts)}: the model then fits far better; correct the "
+            f"{recording.name}: {', '.join(suspect)}: the model then fits far better; correct the "
             "recording, or continue with --force"
         )
-    system, healthy = RobotSystem(robot, motion, beside or {}), None
+    system, healthy = RobotSystem(robot, motion, beside), None
     system.recording_name, system.row_count = recording.name, len(recording)
     if reference is not None:
         progress("fitting the reference", 0.0)
-        healthy = _healthy(reference, system, motion)
+        healthy = _healthy(reference, system)
         system = system.with_listed(healthy.tolerances)
     found = diagnose_system(system, progress, workers, began_s, healthy)
     tolerances = {} if healthy is None else healthy.tolerances
     return RobotDiagnosis(
-        robot=robot,
-        motion=motion,
+        system=system,
         verdict=found.verdict,
         amended={**found.values, **added(found.tolerances, tolerances)},
-        comparison=system.comparison,
         before=found.nominal * system.comparison.noise,
         after=found.held_out * system.comparison.noise,
         findings=(
             *recording.notes,
-            *(f"{doubt[0].upper()}{doubt[1:]}." for doubt in doubts),
+            *(f"{column[0].upper()}{column[1:]}." for column in suspect),
             *(() if motion.forward else robot.left_out),
-            *beyond_range(recording, robot),
-            *servos_read(robot, motion),
-            *(() if zeroed else starts_at_zero(recording)),
+            *doubts.beyond_range(recording, robot),
+            *doubts.servos_read(robot, motion),
+            *(() if zeroed else doubts.starts_at_zero(recording)),
             *system.doubtful(),
             system.compared,
         ),
+        beside=beside,
     )
 
 
-def _healthy(reference: RobotRecording, system: RobotSystem, motion: Motion) -> Reference:
+def _healthy(reference: RobotRecording, system: RobotSystem) -> Reference:
     """The reference, compared as the recording is.
 
     Raises:
         RecordingError: other channels are measured in it, or it cannot be compared.
     """
-    as_compared = motion.compared_hz, motion.forward
+    motion = system.motion
     alike = {"zeroed": motion.zeroed, "external": motion.external}
-    own = prepared(reference, system.robot, *as_compared, **alike)
+    own = prepared(reference, system.robot, motion.compared_hz, motion.forward, **alike)
     known = RobotSystem(system.robot, own, system.listed)
     known.recording_name = reference.name
     columns, others = (set(each.comparison.columns) for each in (system, known))
@@ -361,90 +353,17 @@ def added(values: Assignment, others: Assignment) -> dict[Term, float]:
     return dict(values) | {t: values.get(t, 0.0) + value for t, value in others.items()}
 
 
-def beyond_range(recording: RobotRecording, robot: Robot) -> list[str]:
-    """Commands that the model's actuators clip, if torques are computed from commands."""
-    if np.isfinite(recording.torque).any():
-        return []
-    low, high = robot.model.actuator_ctrlrange.T
-    most, least = recording.command.max(0), recording.command.min(0)
-    clipped = robot.model.actuator_ctrllimited.astype(bool) & ((most > high) | (least < low))
-    return [
-        f"command.{robot.actuators[a]} goes from {least[a]:.3g} to {most[a]:.3g}, which the model "
-        f"clips to its range of {low[a]:.3g} to {high[a]:.3g}."
-        for a in np.flatnonzero(clipped)
-    ]
+def write_prediction(path: Path, system: RobotSystem) -> None:
+    """Write channels as measured, and as the nominal robot has them, into a CSV file.
 
-
-def servos_read(robot: Robot, motion: Motion) -> list[str]:
-    """A sentence if servos of the model are taken to act on the recorded positions."""
-    model = robot.model
-    servos = [robot.actuators[a] for a in np.flatnonzero(model.actuator_biasprm[:, 1])]
-    if not (motion.forward and motion.by_command and servos):
-        return []
-    return [
-        f"The servos {some_of(servos)} are taken to act on the recorded positions, so joint_zero "
-        "shows in weights alone, and a zero of a servo that differs appears as torque_offset."
-    ]
-
-
-def starts_at_zero(recording: RobotRecording) -> list[str]:
-    """Whether all joints read zero at the start of each trial: by chance, or as they were set."""
-    position = recording.position
-    starts = np.diff(recording.trial, prepend=recording.trial[0] - 1) != 0
-    at_zero = np.abs(position[starts]) <= _AT_ZERO * np.ptp(position, axis=0)
-    if starts.sum() < 2 or not at_zero.all():
-        return []
-    return ["All trials start at zero; if encoders were set to zero there, say so with --zeroed."]
-
-
-class Prediction(NamedTuple):
-    """Measured and predicted, as compared.
-
-    Attributes:
-        predicted: (Q, C) in the comparison's units.
-        gaps: of each channel its name, unit, and root mean squares of measured less predicted
-            and of measured.
-    """
-
-    comparison: MotionComparison
-    predicted: Array
-    gaps: tuple[tuple[str, str, float, float], ...]
-
-
-def predicted(
-    recording: RobotRecording,
-    robot: Robot,
-    beside: Assignment,
-    bandwidth_hz: float | None = None,
-    forward: bool | None = None,
-    *,
-    zeroed: bool = False,
-    external: bool = False,
-) -> Prediction:
-    """The prediction of a model with the effects listed in addition; arguments as of `diagnose`.
-
-    Raises:
-        RecordingError: the recording cannot be compared.
-    """
-    own = {"zeroed": zeroed, "external": external}
-    motion = prepared(recording, robot, bandwidth_hz, forward, **own)
-    system = RobotSystem(robot, motion, beside)
-    compared = system.comparison
-    found = system.predict([{}])[0] * compared.noise
-    sizes = [np.sqrt((each**2).mean(0)) for each in (compared.readings - found, compared.readings)]
-    gaps = zip(compared.names, compared.units, *(s.tolist() for s in sizes), strict=True)
-    return Prediction(compared, found, tuple(gaps))
-
-
-def write_prediction(path: Path, found: Prediction) -> None:
-    """Write measured and predicted channels as CSV; the file appears whole or not at all.
+    It appears whole or not at all.
 
     Raises:
         RecordingError: the place cannot be written to.
     """
-    compared = found.comparison
+    compared, predicted = system.comparison, system.nominal
     columns = {"time_s": compared.time_s, "trial": compared.trial}
     for c, (name, column) in enumerate(zip(compared.names, compared.columns, strict=True)):
         columns[column] = compared.readings[:, c]
-        columns[f"predicted.{name}"] = found.predicted[:, c]
+        columns[f"predicted.{name}"] = predicted[:, c]
     write_table(path, columns, "%.6g")

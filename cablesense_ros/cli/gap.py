@@ -110,25 +110,26 @@ def diagnose(
         refuse_given(context, OF_ROBOTS, "without --model")
         verdict, lines = _diagnosed_arm(recording, out, arm, reference, workers, force, console)
     else:
-        from cablesense_gap.robot import amending, report, system
+        from cablesense_gap.report.page import write_robot_diagnosis
+        from cablesense_gap.report.text import headline
+        from cablesense_gap.robot.amending import ROBOT_FILES, load_amended
         from cablesense_gap.robot.recording import read_recording
+        from cablesense_gap.robot.system import diagnose as make
 
         refuse_given(context, ["arm"], "with --model")
         _refuse_forward(context, positions)
-        robot, beside = amending.load_amended(model)
-        output_folder(out, report.ROBOT_FILES, force=force, inputs=(recording, robot.path))
+        robot, beside = load_amended(model)
+        output_folder(out, ROBOT_FILES, force=force, inputs=(recording, robot.path))
         recorded = read_recording(recording, robot)
         healthy = None if reference is None else read_recording(reference, robot)
         with diagnosis_progress(console) as (show, _):
-            found = system.diagnose(
+            found = make(
                 recorded, robot, beside, bandwidth, show, workers, forward,
                 zeroed=zeroed, external=positions == "external", force=force, reference=healthy,
             )  # fmt: skip
-        report.write_robot_diagnosis(out, found, beside)
-        verdict, lines = (
-            found.verdict,
-            [*found.findings, report.robot_headline(found.verdict), *found.verdict.doubts],
-        )
+        write_robot_diagnosis(out, found)
+        verdict = found.verdict
+        lines = [*found.findings, headline(verdict), *verdict.doubts]
     if json_output:
         print_json(verdict.model_dump(mode="json", exclude_none=True))
         return
@@ -212,8 +213,9 @@ def predict(
         figures, lines = _predicted_arm(recording, out, arm, settle, force, console)
     else:
         from cablesense_gap.robot.amending import load_amended
+        from cablesense_gap.robot.preparation import prepared
         from cablesense_gap.robot.recording import read_recording
-        from cablesense_gap.robot.system import predicted, write_prediction
+        from cablesense_gap.robot.system import RobotSystem, write_prediction
 
         refuse_given(context, ["arm", "settle"], "with --model")
         _refuse_forward(context, positions)
@@ -221,14 +223,14 @@ def predict(
         output_file(out, force=force, inputs=(recording, robot.path))
         recorded = read_recording(recording, robot)
         own = {"zeroed": zeroed, "external": positions == "external"}
-        found = predicted(recorded, robot, beside, bandwidth, forward, **own)
-        write_prediction(out, found)
-        gaps = {name: gap for name, _, gap, _ in found.gaps}
-        figures = {"rows": len(found.predicted), "gap": gaps}
+        system = RobotSystem(robot, prepared(recorded, robot, bandwidth, forward, **own), beside)
+        write_prediction(out, system)
+        gaps = system.gaps()
+        figures = {"rows": system.row_count, "gap": {name: gap for name, _, gap, _ in gaps}}
         sizes = ", ".join(
-            f"{name} {gap:.3g} of {size:.3g} {unit}" for name, unit, gap, size in found.gaps
+            f"{name} {gap:.3g} of {size:.3g} {unit}" for name, unit, gap, size in gaps
         )
-        lines = [f"{found.comparison.description} Gap, of the measured values (RMS): {sizes}"]
+        lines = [f"{system.compared} Gap, of the measured values (RMS): {sizes}"]
     if json_output:
         print_json({"out": str(out), **figures})
         return

@@ -145,7 +145,7 @@ def record(
     if description is None:
         return
     from cablesense_gap.recordings.checks import check_recording, read_recording
-    from cablesense_gap.recordings.thinning import rows_to_use
+    from cablesense_gap.recordings.recording import rows_to_use
     from cablesense_sim.replay import replay_arm
 
     recording = read_recording(out, description)
@@ -153,7 +153,8 @@ def record(
     used = recording.rows(rows)
     nominal_n = replay_arm(description.nominal, *used.inputs)
     for finding in check_recording(recording, description, nominal_n, rows):
-        console.print(f"{finding.severity}: {finding.text}", soft_wrap=True, markup=False)
+        what = "refuse" if finding.refuses else "warn"
+        console.print(f"{what}: {finding.text}", soft_wrap=True, markup=False)
 
 
 def watch(

@@ -10,6 +10,7 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
 from cablesense_base import Array
@@ -56,6 +57,13 @@ def plot_by_cable(axes: Any, time_s: Array, values: Array, **style: Any) -> None
 def plain_ticks(axis: Any, scale: float = 1.0) -> None:
     """Tick labels as plain numbers, without powers of ten."""
     axis.set_major_formatter(lambda value, _: f"{value * scale:g}")
+
+
+def plain_log_ticks(axis: Any) -> None:
+    """Ticks of a logarithmic axis as 0.1, 0.2, 0.5, 1 … rather than powers."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    plain_ticks(axis)
+    axis.set_minor_formatter(NullFormatter())
 
 
 def confusion_grid(

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from cablesense_gap.amended_arm import amended_arm, write_arm
 from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, is_held, settled
-from cablesense_gap.recordings.thinning import returns
+from cablesense_gap.recordings.recording import returns
 from cablesense_gap.simulator import Term
 from cablesense_sim.arm import ListedEffect, load_arm
 from cablesense_sim.build import mechanism_of

@@ -77,7 +77,7 @@ def test_every_segment_is_loaded_at_three_places_within_reach(arm):
 def test_a_bearable_load_is_the_strongest_that_leaves_all_taut():
     down = np.array([0.0, 0.0, -1.0])
     mechanism = mechanism_of(LAB)
-    found = bearable_load_n(LAB, np.zeros(8), 4, down)
+    found = bearable_load_n(LAB, np.zeros(8), 4, down, float(mechanism.contact_m[3]))
     forces = np.zeros((2, 4, 3))
     forces[:, 3] = np.outer([found, found + 2.0], down)
     least = solve_equilibrium(mechanism, np.zeros(8), forces).tensions_n.min(axis=1)

@@ -8,16 +8,10 @@ import numpy as np
 import pytest
 from gap_recordings import small_recording
 
-from cablesense_gap.recordings.channels import EXCHANGED, Finding, Severity
-from cablesense_gap.recordings.checks import (
-    check_form,
-    check_recording,
-    read_recording,
-    refuse_unusable,
-)
+from cablesense_gap.recordings.checks import check_form, check_recording, read_recording
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.protocol import rows_of, standard_protocol
-from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.recordings.recording import EXCHANGED, Finding, RecordingError, refuse_unusable
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -34,7 +28,7 @@ def of_kind(found: list[Finding], kind: str) -> list[Finding]:
 
 
 def refused(found: list[Finding]) -> bool:
-    return any(finding.severity is Severity.REFUSE for finding in found)
+    return any(finding.refuses for finding in found)
 
 
 def tensions_of(mechanism, recording):
@@ -109,7 +103,7 @@ def test_what_rules_a_recording_out_is_reported_with_its_place(broken, kind, sai
     found = check_recording(broken, LAB)
     assert of_kind(found, kind), found
     assert refused(found)
-    assert found[0].severity is Severity.REFUSE
+    assert found[0].refuses
     with pytest.raises(RecordingError, match=said):
         refuse_unusable(broken, found)
 
@@ -134,7 +128,7 @@ def test_exchanged_channels_are_named(one, other):
     order[[one - 1, other - 1]] = order[[other - 1, one - 1]]
     exchanged = with_tensions(lambda t: t[:, order])
     finding = only(check_recording(exchanged, LAB, NOMINAL))
-    assert (finding.severity, finding.kind) == (Severity.REFUSE, EXCHANGED)
+    assert (finding.refuses, finding.kind) == (True, EXCHANGED)
     assert f"tension_{one}_n reads cable_{other}" in finding.text
     assert f"tension_{other}_n reads cable_{one}" in finding.text
     with pytest.raises(RecordingError, match="or continue with --force"):
@@ -199,5 +193,5 @@ def test_times_in_another_unit_or_of_another_rate_are_named(factor, kind):
     made = small_recording()
     (found,) = check_form(replace(made, time_s=factor * made.time_s), LAB)
     assert found.kind == kind
-    assert (found.severity is Severity.REFUSE) == (kind == "milliseconds")
+    assert found.refuses == (kind == "milliseconds")
     assert not check_form(made, LAB)

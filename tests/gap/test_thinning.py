@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.recordings import thinning
-from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.recordings.thinning import returns, rows_along_path, rows_to_use
+from cablesense_gap.recordings import recording as recordings
+from cablesense_gap.recordings.recording import Recording, returns, rows_along_path, rows_to_use
 
 
 def recording(command, load_z_n, trial=None) -> Recording:
@@ -52,8 +51,8 @@ def test_there_are_never_too_many_and_of_each_trial_the_ends(blocks, seed, noise
     load_n = 9.0 * rng.integers(0, 2, len(trial)) * rng.normal(size=len(trial))
     made = recording(held + noise * rng.normal(size=len(trial)), load_n, trial)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(thinning, "MOST_READINGS", 3600)
-        patch.setattr(thinning, "MOST_TRIALS", 30)
+        patch.setattr(recordings, "MOST_READINGS", 3600)
+        patch.setattr(recordings, "MOST_TRIALS", 30)
         rows = rows_to_use(made)
     assert (np.diff(rows) > 0).all()
     assert len(rows) <= 300 or len(rows) == len(trial)
@@ -70,7 +69,7 @@ def test_turns_of_a_sweep_are_kept_to_the_row():
     command = np.interp(np.arange(60_000), turns, [0.0, 0.1, -0.15, 0.02, -0.01, 0.0])
     rows = rows_to_use(recording(command, np.zeros(60_000)))
     assert np.isin(turns, rows).all()
-    assert len(rows) <= thinning.MOST_READINGS // 12
+    assert len(rows) <= recordings.MOST_READINGS // 12
     assert np.diff(rows).max() <= 60_000 / 5_000
 
 

@@ -9,11 +9,12 @@ from two_link import model_torques, motion, recorded, torques, write_model
 from typer.testing import CliRunner
 
 from cablesense_gap.robot.amending import changed, load_amended, write_amended
+from cablesense_gap.robot.doubts import starts_at_zero
 from cablesense_gap.robot.inverse import InverseDynamics
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import read_recording
-from cablesense_gap.robot.system import RobotSystem, diagnose, predicted, starts_at_zero
+from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import read_verdict
 from cablesense_ros.cli.app import app
@@ -98,7 +99,8 @@ def test_encoders_that_are_zeroed_where_trials_begin_give_each_its_own_zeros(tmp
     sizes = zip(("shoulder", "elbow"), (0.1, 0.08), strict=True)
     friction = {Term("joint_friction", joint, "torque_n_m"): size for joint, size in sizes}
     for zeroed in (False, True):
-        gaps = predicted(read_recording(path, robot), robot, friction, zeroed=zeroed).gaps
+        motion = prepared(read_recording(path, robot), robot, zeroed=zeroed)
+        gaps = RobotSystem(robot, motion, friction).gaps()
         found[zeroed] = max(gap for _, _, gap, _ in gaps)
     assert found[False] > 3.0 * found[True]
     assert found[True] < 0.012  # N·m

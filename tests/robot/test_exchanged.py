@@ -7,7 +7,7 @@ import pytest
 from two_link import motion, torques, write_model
 
 from cablesense_gap.recordings.recording import RecordingError
-from cablesense_gap.robot.exchanged import exchanged
+from cablesense_gap.robot.doubts import exchanged
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording

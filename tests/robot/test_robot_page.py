@@ -9,10 +9,10 @@ from two_link import recorded, write_model
 from verdict_cases import gap_of, verdict_of
 
 from cablesense_gap.pipeline import problem_of
+from cablesense_gap.report.page import robot_page
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import read_recording
-from cablesense_gap.robot.report import report_page
 from cablesense_gap.robot.system import RobotDiagnosis, RobotSystem
 from cablesense_gap.verdict import ChannelGap
 
@@ -38,14 +38,14 @@ def test_the_simulator_of_the_page_finds_the_sticking_pointer(capsys):
 def test_the_report_says_what_to_do(tmp_path, effects, more, says, never):
     robot = load_robot(write_model(tmp_path))
     motion = prepared(read_recording(recorded(tmp_path / "recording.csv"), robot), robot)
-    compared = RobotSystem(robot, motion, {}).comparison
+    system = RobotSystem(robot, motion, {})
     channels = {"elbow": ChannelGap(unit="N·m", before=1.0, after=0.1, floor=0.1)}
     gap = gap_of(45.9, 16.7, 1.0).model_copy(update={"effects_n": 17.0})
     named = verdict_of(effects, gap=gap, channels=channels, rows=9, **more)
     named = named.model_copy(update={"unit": "floors"})
-    nothing = np.zeros_like(compared.readings)
-    found = RobotDiagnosis(robot, motion, named, {}, compared, nothing, nothing, ())
-    page = " ".join(report_page(found, "folder").split())
+    nothing = np.zeros_like(system.readings)
+    found = RobotDiagnosis(system, named, {}, nothing, nothing, (), {})
+    page = " ".join(robot_page(found, "folder").split())
     assert says in page
     assert never not in page
 

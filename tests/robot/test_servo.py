@@ -8,9 +8,9 @@ from two_link import JOINTS, XML, motion, torques
 from typer.testing import CliRunner
 
 from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.robot.inverse import Servos
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.recording import read_recording
-from cablesense_gap.robot.servo import Servos
 from cablesense_gap.robot.system import diagnose
 from cablesense_gap.verdict import read_verdict
 from cablesense_ros.cli.app import app

@@ -8,18 +8,17 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cablesense_gap.robot.effects.effect import (
+from cablesense_gap.robot.effects import (
     PRESLIDING,
     SIDE,
     Parameter,
     RobotEffect,
-    Scale,
     Values,
     joint_unit,
-    rms,
     size,
 )
 from cablesense_gap.robot.model import Change, Robot
+from cablesense_gap.robot.motion import Scale, rms
 
 _PRESLIDING = "elastic displacement before it slips the other way"
 
@@ -32,12 +31,15 @@ class DryFriction(RobotEffect):
     source = "Dahl, Solid friction damping of mechanical vibrations, AIAA Journal 14(12), 1976"
     advice = "Turn the joint by hand without current: bearings, seals, brakes that drag, gears."
     against_motion = True
+    numbers = (
+        size("torque_n_m", "{torque}", 3.0, 0.05, "against the motion, whatever the load", 0.0),
+    )
+
+    def usual(self, robot: Robot, scale: Scale) -> float:
+        return scale.typical_torque
 
     def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        most, typical = 3.0 * scale.typical_torque, 0.05 * scale.typical_torque
-        unit, about = joint_unit(robot, "{torque}"), "against the motion, whatever the load"
-        torque = size("torque_n_m", unit, most, typical, about, 0.0)
-        return torque, _presliding(robot, scale)
+        return *super().parameters(robot, scale), _presliding(robot, scale)
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.friction[at] += values["torque_n_m"]
@@ -107,11 +109,10 @@ class ViscousFriction(RobotEffect):
     about = "viscous friction"
     adds = "damping"
     advice = "Check the lubricant and its temperature."
+    numbers = (size("torque_s_n_m", "{torque} s/{position}", 60.0, 1.0, "by the speed", 0.0),)
 
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        typical = 0.05 * scale.per(scale.speed)
-        unit = joint_unit(robot, "{torque} s/{position}")
-        return (size("torque_s_n_m", unit, 60.0 * typical, typical, "by the speed", 0.0),)
+    def usual(self, robot: Robot, scale: Scale) -> float:
+        return 0.05 * scale.per(scale.speed)
 
 
 class Backlash(RobotEffect):
@@ -162,11 +163,19 @@ class JointSpring(RobotEffect):
     about = "a spring in the joint"
     adds = "stiffness"
     advice = "Look at hoses, wires and covers that bend with the joint."
+    numbers = (
+        size(
+            "stiffness_n_m_rad",
+            "{torque}/{position}",
+            60.0,
+            1.0,
+            "towards the model's reference",
+            0.0,
+        ),
+    )
 
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        typical = 0.05 * scale.per(scale.position)
-        unit, about = joint_unit(robot, "{torque}/{position}"), "towards the model's reference"
-        return (size("stiffness_n_m_rad", unit, 60.0 * typical, typical, about, 0.0),)
+    def usual(self, robot: Robot, scale: Scale) -> float:
+        return 0.05 * scale.per(scale.position)
 
 
 class LinkMass(RobotEffect):
@@ -190,13 +199,10 @@ class LinkCentre(RobotEffect):
     at = "bodies"
     about = "a wrong centre of mass"
     advice = "Balance the link on an edge, or compare with the drawing."
+    numbers = tuple(size(f"{axis}_m", "m", 1.0, 0.1, f"along the link's {axis}") for axis in "xyz")
 
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        reach = robot.reach_m
-        return tuple(
-            size(f"{axis}_m", "m", reach, 0.1 * reach, f"along the link's {axis}")
-            for axis in "xyz"
-        )
+    def usual(self, robot: Robot, scale: Scale) -> float:
+        return robot.reach_m
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.centre_m[at] += [values[f"{axis}_m"] for axis in "xyz"]
@@ -227,21 +233,10 @@ class AddedMass(RobotEffect):
         most, moment = max(most, 10.0 * float(own.max())), 0.3 * typical * robot.reach_m
         spread = most / typical
         about = "first moment about the body's centre of mass: over the mass it gives the place"
-        return (
-            size("mass_kg", "kg", 10.0 * most, typical, "of what was added", 0.0, spread),
-            *(
-                size(
-                    f"moment_{axis}_kg_m",
-                    "kg·m",
-                    20.0 * spread * moment,
-                    moment,
-                    about,
-                    None,
-                    spread,
-                )
-                for axis in "xyz"
-            ),
-        )
+        mass = size("mass_kg", "kg", 10.0 * most, typical, "of what was added", 0.0, spread)
+        far = 20.0 * spread * moment
+        names = [f"moment_{axis}_kg_m" for axis in "xyz"]
+        return mass, *(size(n, "kg·m", far, moment, about, spread=spread) for n in names)
 
     def act(self, change: Change, at: int, values: Values) -> None:
         moment = np.array([values[f"moment_{axis}_kg_m"] for axis in "xyz"])
@@ -257,12 +252,11 @@ class RotorInertia(RobotEffect):
     about = "inertia of a rotor that nobody modelled"
     adds = "armature"
     advice = "Take the rotor's inertia from its data sheet, times the gear ratio squared."
+    numbers = (size("inertia_kg_m2", "{inertia}", 60.0, 1.0, "as the joint feels it", 0.0),)
 
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
+    def usual(self, robot: Robot, scale: Scale) -> float:
         """Slow motion shows no inertia, so the model's own inertia limits the typical size."""
-        typical = min(0.05 * scale.per(scale.acceleration), 0.3 * rms(scale.inertia))
-        unit, about = joint_unit(robot, "{inertia}"), "as the joint feels it"
-        return (size("inertia_kg_m2", unit, 60.0 * typical, typical, about, 0.0),)
+        return min(0.05 * scale.per(scale.acceleration), 0.3 * rms(scale.inertia))
 
 
 class TiltedBase(RobotEffect):

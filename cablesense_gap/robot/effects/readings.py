@@ -7,16 +7,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablesense_gap.robot.effects.effect import (
+from cablesense_gap.robot.effects import (
     WHOLE_ARM,
     Parameter,
     RobotEffect,
-    Scale,
     Values,
     joint_unit,
     size,
 )
 from cablesense_gap.robot.model import Change, Robot
+from cablesense_gap.robot.motion import Scale
 
 
 class EncoderScale(RobotEffect):
@@ -70,11 +70,10 @@ class TorqueOffset(RobotEffect):
     advice = "Read the torque with the drive off, or the current at standstill from both sides."
     in_model = False
     of_torques = True
+    numbers = (size("torque_n_m", "{torque}", 3.0, 0.05, "read without a torque"),)
 
-    def parameters(self, robot: Robot, scale: Scale) -> tuple[Parameter, ...]:
-        most, typical = 3.0 * scale.typical_torque, 0.05 * scale.typical_torque
-        unit = joint_unit(robot, "{torque}")
-        return (size("torque_n_m", unit, most, typical, "read without a torque"),)
+    def usual(self, robot: Robot, scale: Scale) -> float:
+        return scale.typical_torque
 
 
 class TorqueDelay(RobotEffect):

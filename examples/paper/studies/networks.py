@@ -18,7 +18,6 @@ import torch
 from scipy.stats import gmean
 
 from cablesense_base.workers import WorkerPool
-from cablesense_gap.report.style import plain_log_ticks
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
@@ -32,7 +31,17 @@ from cablesense_training.networks.learnt import (
     SharedBackboneNetwork,
     TwoStageNetwork,
 )
-from examples.paper.drawing import BLACK, BLUE, DASHES, GREEN, ORANGE, SERIES, panels, plain_ticks
+from examples.paper.drawing import (
+    BLACK,
+    BLUE,
+    DASHES,
+    GREEN,
+    ORANGE,
+    SERIES,
+    panels,
+    plain_log_ticks,
+    plain_ticks,
+)
 from examples.paper.study import Figures, Numbers, Progress
 
 DECOUPLED, SHARED_TRUNK, TWO_STAGE = "decoupled", "shared trunk", "two-stage"

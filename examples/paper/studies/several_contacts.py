@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.report.style import plain_log_ticks
 from cablesense_sim.arm import open_arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
@@ -24,7 +23,7 @@ from cablesense_training.evaluation.comparison import (
 )
 from cablesense_training.evaluation.metrics import confusion_matrix, multi_contact_bound_n
 from examples.paper.boosting import BoostingSettings, MultiBoostingBaseline
-from examples.paper.drawing import BLACK, DOTTED, confusion_grid, one_panel
+from examples.paper.drawing import BLACK, DOTTED, confusion_grid, one_panel, plain_log_ticks
 from examples.paper.studies.single_contact import (
     LABELS,
     STYLES,

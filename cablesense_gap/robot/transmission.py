@@ -1,30 +1,88 @@
-"""Friction of tendons over guides, by the chain law of `cable_chain`.
-
-If commands give the tensions at the actuators, cables are elastic: joints stretch the piece beyond
-a guide until it slips. If tensions follow from torques alone, cables are rigid and give by Dahl's
-law along the length that passes each guide.
-"""
+"""What joints and drives lose between them: motion in gaps, and friction of guided tendons."""
 
 from __future__ import annotations
 
+import copy
 import math
-from functools import cached_property
+from functools import cached_property, partial
 
 import mujoco
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.robot.model import Change, Robot
-from cablesense_gap.robot.motion import Recent, Trajectory
+from cablesense_gap.robot.model import Change, Robot, inverse_dynamics
+from cablesense_gap.robot.motion import Motion, Recent, Trajectory, derivatives, smoothed
 
+_LEAST_KG_M2 = 1e-9
 _LEAST_GIVE = 1e-4
 """Cable gives at least this share of the length that passes a guide."""
 _LEAST_M, _RIDGE, _LEAST_SHARE = 1e-9, 1e-9, 1e-6
 _SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
 
 
+class BacklashMotion:
+    """Motion of joints relative to their drives, within the gaps that backlash leaves.
+
+    It follows from motion measured at the drives, and the model. A joint lies at that end of its
+    gap at which the drive gives the torque that the link needs. The link moves freely to the other
+    end when that torque changes its sign. `rows` are the motion's R of all ΣT rows.
+    """
+
+    def __init__(self, robot: Robot, motion: Motion) -> None:
+        """`motion` is what was measured."""
+        self._robot, self._motion, self.rows = robot, motion, motion.rows
+        self._known = Recent()
+
+    @cached_property
+    def _free_acceleration(self) -> tuple[Array, ...]:
+        """By trial, accelerations (T, J) of freely moving joints relative to their drives."""
+        model = copy.copy(self._robot.model)
+        inertia = np.maximum(self._motion.inertia - model.dof_armature, _LEAST_KG_M2)
+        model.dof_armature[:], model.dof_damping[:] = 0.0, 0.0
+        rate_hz = self._motion.rate_hz
+        return tuple(
+            -inverse_dynamics(model, path, *derivatives(path, rate_hz)) / inertia
+            for path in self._motion.paths
+        )
+
+    def moved(self, play: Array) -> Array:
+        """Positions, speeds and accelerations (3, ΣT, J) of joints from drives, smoothed alike."""
+        found = np.zeros((3, sum(map(len, self._motion.paths)), len(play)))
+        for j in np.flatnonzero(play).tolist():
+            key = j, float(play[j])
+            found[:, :, j] = self._known.of(key, partial(self._of_joint, *key))
+        return found
+
+    def _of_joint(self, joint: int, play: float) -> Array:
+        motion, found = self._motion, []
+        for free in self._free_acceleration:
+            gap = _place_in_gap(free[:, joint], 0.5 * play, 1.0 / motion.rate_hz)[:, None]
+            smooth = smoothed(gap, motion.rate_hz, motion.smoothed_hz)
+            moved = smooth, *derivatives(smooth, motion.rate_hz)
+            found.append(np.hstack(moved).T)
+        return np.concatenate(found, 1)
+
+
+def _place_in_gap(acceleration: Array, reach: float, interval_s: float) -> Array:
+    """(T,) positions within ±`reach` of a joint that moves freely with an acceleration (T,)."""
+    place, speed, found = float(np.sign(acceleration[0])) * reach, 0.0, []
+    for each in acceleration.tolist():
+        speed += each * interval_s
+        place += speed * interval_s
+        if abs(place) >= reach:
+            place, speed = (reach if place > 0.0 else -reach), 0.0
+        found.append(place)
+    return np.array(found)
+
+
 class GuidedTendons:
-    """The K guided tendons of a robot along a motion, as it was measured or is asked for."""
+    """The K guided tendons of a robot along a motion, as it was measured or is asked for.
+
+    Friction over guides is by the chain law of `cable_chain`. If commands give the tensions at
+    the actuators, cables are elastic: joints stretch the piece beyond a guide until it slips. If
+    tensions follow from torques alone, cables are rigid and give by Dahl's law along the length
+    that passes each guide.
+    """
 
     def __init__(self, robot: Robot, motion: Trajectory) -> None:
         """Tensions are those that the actuators make of recorded commands, where there are any."""

@@ -1,0 +1,188 @@
+"""Doubts about a robot's recording, its explanations and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from cablesense_base import Array, some_of
+from cablesense_gap.diagnosis.problem import Explanation, Problem
+from cablesense_gap.robot.model import Change, Robot
+from cablesense_gap.robot.motion import Motion
+from cablesense_gap.robot.recording import RobotRecording
+from cablesense_gap.simulator import Term
+from cablesense_gap.verdict import Gap
+from cablesense_sim.effects.effect import Parameter
+
+_LEAVES, _GAIN = 0.6, 0.5
+"""Columns are tried where the model's residual is more than the first share of a measured channel.
+Changed columns are believed if it is then less, and at most the second share of the former."""
+_TOUCHED, _MOST = 0.02, 2.0
+"""By how much changed columns alter the share of a channel that they touch; no share is larger."""
+_AT_ZERO = 0.002
+"""Share of a joint's span within which its position counts as zero."""
+_FAR_OFF = 3.0
+"""Standard deviations that one tolerance among many may be off."""
+_FURTHER = 0.5
+"""Each number in a further place of an effect costs this, natural logarithm."""
+_FAR_BEYOND, _LITTLE = 10.0, 0.5
+"""Times the model's own value, and removed share of the gap, that make a verdict doubtful."""
+
+Left = Callable[[RobotRecording], Mapping[str, float]]
+"""By channel, the nominal model's residual as a share of the measured values, RMS."""
+
+
+def exchanged(recording: RobotRecording, robot: Robot, left: Left) -> list[str]:
+    """Exchanges and reversals of columns with which the nominal model fits far better.
+
+    As sentences. They are sought before any effect is fitted: such a column is no property of a
+    robot, and effects that imitate it get impossible numbers.
+    """
+    found: list[str] = []
+    while max((now := left(recording)).values()) >= _LEAVES:
+        tried = [(_gain(now, left(each)), text, each) for text, each in _changes(recording, robot)]
+        gain, text, changed = max(tried, key=lambda each: each[0])
+        if gain <= 0.0 or text in found:
+            break
+        found.append(text)
+        recording = changed
+    return found
+
+
+def _gain(before: Mapping[str, float], after: Mapping[str, float]) -> float:
+    """By how much the channels that a change of columns touches are better, if that is plain."""
+    pairs = np.array([(before[c], after.get(c, np.inf)) for c in before])
+    one, other = np.minimum(pairs[np.abs(np.diff(pairs)[:, 0]) > _TOUCHED], _MOST).T
+    was, left = float(one @ one), float(other @ other)
+    much = len(one) * _LEAVES**2
+    return was - left if was >= much > left and left <= _GAIN**2 * was else 0.0
+
+
+def _changes(recording: RobotRecording, robot: Robot) -> Iterator[tuple[str, RobotRecording]]:
+    """Every exchange of two columns of one kind, and every column with the other sign."""
+    units = robot.position_units
+    driven = "torque" if np.isfinite(recording.torque).any() else "command"
+    names = robot.joints if driven == "torque" else robot.actuators
+    for kind, labels, alike in (
+        (driven, names, units if driven == "torque" else [""] * len(names)),
+        ("position", robot.joints, units),
+    ):
+        values: Array = getattr(recording, kind)
+
+        def changed(values: Array, kind: str = kind) -> RobotRecording:
+            columns: dict[str, Any] = {kind: values}
+            return replace(recording, **columns)
+
+        known = np.flatnonzero(np.isfinite(values).all(0)).tolist()
+        for a, b in combinations(known, 2):
+            if alike[a] == alike[b]:
+                order = np.arange(values.shape[1])
+                order[[a, b]] = b, a
+                text = f"{kind}.{labels[a]} and {kind}.{labels[b]} look exchanged"
+                yield text, changed(values[:, order])
+        for a in known:
+            sign = np.where(np.arange(values.shape[1]) == a, -1.0, 1.0)
+            text = f"{kind}.{labels[a]} looks as if it had the other sign"
+            yield text, changed(values * sign)
+
+
+def beyond_range(recording: RobotRecording, robot: Robot) -> list[str]:
+    """Commands that the model's actuators clip, if torques are computed from commands."""
+    if np.isfinite(recording.torque).any():
+        return []
+    low, high = robot.model.actuator_ctrlrange.T
+    most, least = recording.command.max(0), recording.command.min(0)
+    clipped = robot.model.actuator_ctrllimited.astype(bool) & ((most > high) | (least < low))
+    return [
+        f"command.{robot.actuators[a]} goes from {least[a]:.3g} to {most[a]:.3g}, which the model "
+        f"clips to its range of {low[a]:.3g} to {high[a]:.3g}."
+        for a in np.flatnonzero(clipped)
+    ]
+
+
+def servos_read(robot: Robot, motion: Motion) -> list[str]:
+    """A sentence if servos of the model are taken to act on the recorded positions."""
+    model = robot.model
+    servos = [robot.actuators[a] for a in np.flatnonzero(model.actuator_biasprm[:, 1])]
+    if not (motion.forward and motion.by_command and servos):
+        return []
+    return [
+        f"The servos {some_of(servos)} are taken to act on the recorded positions, so joint_zero "
+        "shows in weights alone, and a zero of a servo that differs appears as torque_offset."
+    ]
+
+
+def starts_at_zero(recording: RobotRecording) -> list[str]:
+    """Whether all joints read zero at the start of each trial: by chance, or as they were set."""
+    position = recording.position
+    starts = np.diff(recording.trial, prepend=recording.trial[0] - 1) != 0
+    at_zero = np.abs(position[starts]) <= _AT_ZERO * np.ptp(position, axis=0)
+    if starts.sum() < 2 or not at_zero.all():
+        return []
+    return ["All trials start at zero; if encoders were set to zero there, say so with --zeroed."]
+
+
+def weighed(problem: Problem, explanation: Explanation) -> Explanation:
+    """The explanation, with what its tolerances, sizes and places cost.
+
+    One tolerance far off counts as much as all of them off. A robot has dozens of tolerances. A
+    single one, for example a delay of many samples, would not show in the sum of their squares.
+    """
+    std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
+    tolerances = explanation.tolerances
+    largest = max((abs(value) / std[term] for term, value in tolerances.items()), default=0.0)
+    least = len(tolerances) * (largest / _FAR_OFF) ** 4
+    return replace(
+        explanation,
+        tolerance_chi2=max(explanation.tolerance_chi2, least),
+        surprise=_surprise(problem, explanation),
+    )
+
+
+def _surprise(problem: Problem, explanation: Explanation) -> float:
+    """Sizes cost nothing within their expected range, and beyond it the same for each decade.
+
+    The size that is surely farthest off counts for its site.
+    """
+    far: dict[tuple[str, str], list[float]] = {site: [] for site in explanation.sites}
+    for term, value in explanation.values.items():
+        parameter = problem.parameters[term]
+        if parameter.role == "size":
+            sure = max(abs(value) - explanation.deviations[term], 0.0)
+            far[term[:2]].append(sure / (parameter.spread * parameter.typical))
+    first = {site[0]: site for site in reversed(far)}
+    numbers = sum(len(own) for site, own in far.items() if site != first[site[0]])
+    return float(2.0 * sum(np.log(max(1.0, *own)) for own in far.values())) + _FURTHER * numbers
+
+
+def of_verdict(
+    robot: Robot,
+    change: Change,
+    inertia: Array,
+    ranges: Mapping[Term, Parameter],
+    values: Mapping[Term, float],
+    gap: Gap,
+) -> Iterator[str]:
+    """Sizes at their bounds, a robot changed far beyond its model, and a gap that stays.
+
+    `inertia` (J,) is what joints feel of the model. Its dampers and friction are often
+    placeholders, so these may be far off.
+    """
+    for term, value in values.items():
+        bounds, name = (ranges[term].low, ranges[term].high), f"{term.effect} at {term.place}"
+        if ranges[term].role == "size" and value and value in bounds:
+            yield f"{name}: {term.parameter} ends at its bound of {value:.3g}."
+    nominal = robot.nominal()
+    mass, rotor = change.mass_kg - nominal.mass_kg, change.armature - nominal.armature
+    for name, places, more, own in (
+        ("mass", robot.bodies, mass, nominal.mass_kg),
+        ("inertia", robot.joints, rotor, inertia),
+    ):
+        for k in np.flatnonzero(more > _FAR_BEYOND * own).tolist():
+            yield f"The {name} of {places[k]} is {1.0 + more[k] / own[k]:.1f} times the model's."
+    if gap.removed_fraction < _LITTLE:
+        yield f"The amended model leaves {1.0 - gap.removed_fraction:.0%} of the gap."
