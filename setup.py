@@ -48,6 +48,7 @@ EXTRAS = {
         "matplotlib",  # the report's pictures
         "mcap",  # reads recordings record by record, also one that breaks off
         "pandas",  # recordings and tables of residuals
+        "pillow",  # an animation in few colours
         "rosbags",  # message types, folders of rosbag2 and its writer, without a ROS installation
         "zstandard",  # as lz4, for what rosbag2 packs by default
     ],

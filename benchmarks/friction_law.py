@@ -106,25 +106,26 @@ def searched(stiffness_n_m: Array, grip: Array, stretch_m: Array, substeps: int 
 
     Args:
         stiffness_n_m: (P,) of the pieces.
-        grip: (G,).
+        grip: (G,) or (R, G).
         stretch_m: (R, P) if nothing passed; the first row's tensions must hold as they are.
         substeps: into which each row is divided evenly; a rest is found after every one.
 
     Raises:
         ValueError: no pattern is admissible, or two with different tensions are.
     """
-    guides = len(grip)
+    guides = len(stiffness_n_m) - 1
     passes = np.eye(guides + 1, guides) - np.eye(guides + 1, guides, k=-1)
     patterns = np.array(list(product((0, 1, -1), repeat=guides)))
-    passed, found, before = np.zeros(guides), [], stretch_m[0]
-    for row in stretch_m:
+    rows = np.concatenate([stretch_m, np.broadcast_to(grip, (len(stretch_m), guides))], axis=1)
+    passed, found, before = np.zeros(guides), [], rows[0]
+    for row in rows:
         for share in np.arange(1, substeps + 1) / substeps:
-            stretch = before + share * (row - before)
+            stretch, bound = np.split(before + share * (row - before), [guides + 1])
             if stretch.sum() <= 0.0:  # wherever the slack lies, no piece has tension
                 even = stretch.sum() / stiffness_n_m / (1.0 / stiffness_n_m).sum()
                 passed, tension = np.cumsum(even - stretch)[:-1], np.zeros(guides + 1)
                 continue
-            passed, tension = _admissible(stiffness_n_m, passes, patterns, grip, stretch, passed)
+            passed, tension = _admissible(stiffness_n_m, passes, patterns, bound, stretch, passed)
         before = row
         found.append(tension)
     return np.array(found)

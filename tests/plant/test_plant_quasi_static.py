@@ -107,7 +107,7 @@ def test_cables_do_what_a_search_over_all_patterns_finds() -> None:
         stretch = stretch + longer - longer[0]
         found = searched(1.0 / compliance[cable, :pieces], grip, stretch)
         tension = np.array([state.tension_n[cable, :pieces] for state in states]).clip(0.0)
-        np.testing.assert_allclose(tension, found.tension_n, atol=1e-4)
+        np.testing.assert_allclose(tension, found, atol=1e-4)
         assert np.ptp(tension) > 1.0
 
 
