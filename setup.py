@@ -48,13 +48,13 @@ EXTRAS = {
         "matplotlib",  # the report's pictures
         "mcap",  # reads recordings record by record, also one that breaks off
         "pandas",  # recordings and tables of residuals
-        "pillow",  # an animation in few colours
         "rosbags",  # message types, folders of rosbag2 and its writer, without a ROS installation
         "zstandard",  # as lz4, for what rosbag2 packs by default
     ],
     "train": [
         "distributed",  # datasets made on a Dask cluster of more than one machine
         "onnxscript",  # torch exports through it
+        "pillow",  # the animation of an example in few colours
         "pyarrow>=14.0.1",  # datasets are Parquet; older releases run code that a file brings
         "scikit-learn",  # the gradient-boosting baseline
         "torch==2.13.0",  # trains the networks; exact, so that a model can be made again

@@ -385,7 +385,7 @@ class _Forces:
         self._arrows.visible = bool(contacts)
         for label in self._labels[len(contacts) :]:
             label.visible = False
-        for label, contact, arrow_m in zip(self._labels, contacts, arrows_m, strict=False):
-            label.position = arrow_m[0]
+        for label, contact, drawn_m in zip(self._labels, contacts, arrows_m, strict=False):
+            label.position = drawn_m[0]
             label.text = f"{self._name} {newtons_text(contact.magnitude_n)} N"
             label.visible = True
