@@ -185,7 +185,11 @@ class ContactModel:
         self._arm.prepare(self._gate.pose_rad, anywhere=False)
 
     def find(self, tensions_n: Array, stamp_ns: int, threshold: float) -> FoundContacts | None:
-        """The contacts behind tensions (M,), of a probability `threshold`; None without a tare."""
+        """The contacts behind tensions (M,), of a probability `threshold`; None without a tare.
+
+        Raises:
+            CableSenseError: the model cannot take this sample.
+        """
         unloaded = self._tares.unloaded_n
         return None if unloaded is None else self._found(tensions_n - unloaded, threshold)
 

@@ -250,8 +250,11 @@ class MotionGate:
     ) -> Status:
         """Command, motion and pose, for diagnostics.
 
-        The model was trained within ± `pose_range_deg`. So many commands were `refused` since the
-        last report, and any was `received`. The model estimates only at rest, or `in_motion` too.
+        Args:
+            pose_range_deg: the model was trained within ± this.
+            refused: number of commands refused since the last report.
+            received: whether any command has come.
+            in_motion: whether the model estimates while the arm moves.
         """
         command_deg = np.rad2deg(self.command_rad).tolist()
         values = {

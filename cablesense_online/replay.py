@@ -112,7 +112,11 @@ class RecordedRun:
         self.cut = messages.cut
 
     def samples(self) -> Iterator[RecordedSample]:
-        """Every sample in order; no answer can be assigned to one without a stamp."""
+        """Every sample in order; no answer can be assigned to one without a stamp.
+
+        Raises:
+            RecordingError: the file has become unreadable.
+        """
         journal, before_first_answer = deque(self._journal), False
         for sample in self._answered_samples():
             states: list[EstimatorState] = []

@@ -106,7 +106,11 @@ class SimulatedArm:
         self._offset_motion.go_to(lengths_m)
 
     def push(self, load: Load, now_s: float) -> None:
-        """Replace the load on a segment; a zero force removes it."""
+        """Replace the load on a segment; a zero force removes it.
+
+        Raises:
+            LoadError: no such segment or place.
+        """
         self._dynamics.load(load.segment, load.force_base_n, load.contact_m)
         self._loads[load.segment] = (load, now_s)
         if not load.force_base_n.any():

@@ -38,7 +38,7 @@ _ONE_POSE_RAD = 1e-3
 
 
 class TareError(CableSenseError):
-    """Why no tare can be taken or undone now, and what to do."""
+    """No tare can be taken or undone now; the message states why, and what to do."""
 
 
 class Tares:
@@ -53,7 +53,11 @@ class Tares:
     def __init__(
         self, unloaded: RestingArm, settings: EstimationSettings, command_rad: Array
     ) -> None:
-        """Without a tare, at a command (2N,)."""
+        """Without a tare, at a command (2N,).
+
+        Raises:
+            EquilibriumError: the arm has no rest at this command.
+        """
         self._unloaded, self._settings = unloaded, settings
         self._deviation_n = settings.tare_deviation_n or math.inf
         self.automatic = settings.auto_tare
@@ -103,6 +107,9 @@ class Tares:
         """Carry the tare over to angles (2N,) on the way of a followed motion.
 
         Predicted tensions are linear between the angles at which they are solved.
+
+        Raises:
+            EquilibriumError: the unloaded arm has no rest there.
         """
         if self._near is None or np.abs(angles_rad - self._near[0]).max() > _LINEAR_RAD:
             self._linearise(angles_rad)
@@ -178,6 +185,10 @@ class Tares:
         """Take the average of the last readings as the unloaded state at angles (2N,).
 
         `now_ns` is the time since the epoch. `forced` takes any steady readings.
+
+        Raises:
+            TareError: too few readings yet, they are not steady, or the arm seems to be loaded or
+                elsewhere.
         """
         if refusal := self.refusal(forced=forced):
             raise TareError(refusal)
@@ -211,6 +222,9 @@ class Tares:
         """Continue from a state at angles (2N,); readings begin anew.
 
         A state of another arm keeps its measured tensions and gets this arm's predictions.
+
+        Raises:
+            EquilibriumError: this arm has no unloaded rest at these angles or at the tare's.
         """
         state = state.model_copy()
         if not same_arm:
@@ -268,7 +282,7 @@ class Tares:
 def tare_undone_line(
     undone: Tare, earlier: Tare | None, cable_names: Sequence[str], undoable: int
 ) -> str:
-    """What an undo has done, for the log; `undoable` tares remain."""
+    """Log line of an undo: the undone tare, the one in force, and how many `undoable` remain."""
     line = f"tare of {undone.since} undone; "
     if earlier is None:
         return line + "there is none now, so no estimate"

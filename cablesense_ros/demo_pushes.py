@@ -175,7 +175,7 @@ class PushResult:
     def errors(self) -> dict[str, float]:
         """Estimated minus true, by name with unit, of a push found on its segment.
 
-        Where the moment about the joint is known alone, it stands in place of place and force.
+        If only the moment about the joint is known, its error replaces those of place and force.
         """
         found, true = self.estimate, self.push.contact
         if found is None or not self.segment_right:

@@ -1,4 +1,4 @@
-"""What is taken from running nodes: topics into an MCAP file, tensions for a check of sensors."""
+"""Records from running nodes: topics into an MCAP file, tensions for a check of sensors."""
 
 from __future__ import annotations
 

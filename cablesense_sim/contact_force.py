@@ -3,7 +3,7 @@
 Seven torques describe a contact on one segment: those of unit forces along x, y and z at its joint
 centre, their derivatives by the place s, and that of a unit moment about its axis. All that a fit
 needs are their `products` with one another, weighted with the precision of the environment's
-torque. That torque stands in the last row: a contact's products are (8, 8), and the last one is
+torque. The last row is of that torque: a contact's products are (8, 8), and the last one is
 chi² without it. The gain is by how much a force lowers chi².
 """
 

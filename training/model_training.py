@@ -202,8 +202,8 @@ def draw_training_data(
 ) -> Dataset | Sequences:
     """Fresh samples or sequences for a network.
 
-    Of its `options`, those of a protocol, None stands for the default, or for what the arm bears
-    if that is less; `samples` counts sequences where the network learns from them.
+    `options` are those of a protocol. None means the default, or the load that the arm bears if
+    that is less; `samples` counts sequences where the network learns from them.
 
     Raises:
         TrainingError: there is no such network.

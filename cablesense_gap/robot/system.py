@@ -119,7 +119,7 @@ class RobotSystem(System):
         return np.asarray(self.predict([{}])[0] * self.comparison.noise)
 
     def gaps(self) -> list[tuple[str, str, float, float]]:
-        """Of each channel its name, unit, RMS of measured less `nominal`, and of measured."""
+        """Name, unit, RMS of measured less `nominal`, and RMS of measured, of each channel."""
         compared = self.comparison
         both = compared.readings - self.nominal, compared.readings
         sizes = [np.sqrt((each**2).mean(0)).tolist() for each in both]

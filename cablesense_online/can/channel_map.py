@@ -247,7 +247,11 @@ def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC fi
 
 
 def signal_conversion(database: Database, place: SignalPlace) -> tuple[str, float, float]:
-    """Unit, factor and offset of a signal by the DBC file: `value = factor * bits + offset`."""
+    """Unit, factor and offset of a signal by the DBC file: `value = factor * bits + offset`.
+
+    Raises:
+        ChannelMapError: the database lacks its message or signal.
+    """
     signal = _signal_of(database, place, "DBC file")
     return signal.unit or "", float(signal.scale), float(signal.offset)
 
@@ -365,13 +369,21 @@ def calibrated(
 
 
 def load_calibration(path: str | Path) -> Calibration:
-    """Read a calibration."""
+    """Read a calibration.
+
+    Raises:
+        ChannelMapError: the file cannot be read, is not YAML, or has an impossible key or value.
+    """
     text = read_bounded_text(path, MAX_MAP_BYTES, "a calibration", ChannelMapError)
     return read_plain(text, str(path), Calibration, ChannelMapError)
 
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
-    """Write a calibration."""
+    """Write a calibration.
+
+    Raises:
+        ChannelMapError: the file cannot be written.
+    """
     content = calibration.model_dump(mode="json", exclude_none=True)
     text = _CALIBRATION_HEAD + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
     write_atomically(path, text, ChannelMapError)

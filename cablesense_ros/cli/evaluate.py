@@ -153,7 +153,7 @@ def _recorded(recording: Path, models: list[str], picture: Path | None) -> Resul
 
 
 def _one_model(model: str, samples: int, seed: int, workers: int) -> Result:
-    """Errors on samples like those of the model's training, beside what is possible on them."""
+    """A model's errors on samples like those of its training, next to their noise bound."""
     from cablesense_training.data.generation import draw_dataset
     from cablesense_training.data.protocols import AnywhereContact, SingleContact
     from cablesense_training.evaluation import anywhere

@@ -68,7 +68,11 @@ class AnywhereEstimator(Estimator):
     def locate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> tuple[Location, Array]:
-        """Contacts behind differences (B, M) at commands (B, 2N) or (2N,), and misfits (B,)."""
+        """Contacts behind differences (B, M) at commands (B, 2N) or (2N,), and misfits (B,).
+
+        Raises:
+            EstimateError: inputs of a wrong shape or not finite, or an answer that is not.
+        """
         balance, residual = self.balance_batch(tension_differences_n, joint_commands_rad)
         found = locate(balance, self.reach_m, self.surface)
         misfits = map(_misfit, found.chi2.tolist(), residual)
@@ -77,7 +81,11 @@ class AnywhereEstimator(Estimator):
     def balance_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> tuple[TorqueBalance, Array]:
-        """The balance of torques of differences (B, M), and the residuals (B, M) of lengths."""
+        """The balance of torques of differences (B, M), and the residuals (B, M) of lengths.
+
+        Raises:
+            EstimateError: inputs of a wrong shape or not finite, or an answer that is not.
+        """
         *balance, residual = self._batch(tension_differences_n, joint_commands_rad)
         return TorqueBalance(*balance), residual
 

@@ -204,7 +204,11 @@ class Estimator(ContactEstimator):
     def estimate(
         self, tension_difference_n: ArrayLike, joint_command_rad: ArrayLike | None = None
     ) -> Estimate:
-        """The contact behind tension differences (M,) at commanded joint angles (2N,)."""
+        """The contact behind tension differences (M,) at commanded joint angles (2N,).
+
+        Raises:
+            EstimateError: inputs of a wrong shape or not finite, or an answer that is not.
+        """
         estimate = self._of_one(self._outputs(tension_difference_n, joint_command_rad))
         if not math.isfinite(sum(estimate.probabilities.tolist()) + sum(estimate[2:8])):
             self._tensions(tension_difference_n, 1)
@@ -235,7 +239,11 @@ class Estimator(ContactEstimator):
     def estimate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> Estimates:
-        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,)."""
+        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,).
+
+        Raises:
+            EstimateError: inputs of a wrong shape or not finite, or an answer that is not.
+        """
         return Estimates.of_outputs(self._batch(tension_differences_n, joint_commands_rad))
 
     def estimate_sequences(self, sequences: Sequences) -> Estimates:
@@ -327,5 +335,9 @@ class MultiEstimator(ContactEstimator):
     def estimate_batch(
         self, tension_differences_n: ArrayLike, joint_commands_rad: ArrayLike | None = None
     ) -> MultiEstimates:
-        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,)."""
+        """The contacts behind tension differences (B, M) at commanded angles (B, 2N) or (2N,).
+
+        Raises:
+            EstimateError: inputs of a wrong shape or not finite, or an answer that is not.
+        """
         return MultiEstimates(*self._batch(tension_differences_n, joint_commands_rad))

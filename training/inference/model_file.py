@@ -81,13 +81,21 @@ def one_line(error: Exception) -> str:
 
 
 def replace_misfit_limit(path: Path, limit: MisfitLimit | None) -> None:
-    """Put another limit of the misfit, or none, into a model file; all else of it stays."""
+    """Put another limit of the misfit, or none, into a model file; all else of it stays.
+
+    Raises:
+        ModelFileError: no model file, or it cannot be written.
+    """
     model, _ = read_model(path)
     write_atomically(path, _with_misfit_limit(model, limit), ModelFileError)
 
 
 def model_sha256(path: str | Path) -> str:
-    """SHA-256 of a model file without its limit of the misfit, which no estimate follows from."""
+    """SHA-256 of a model file without its limit of the misfit, which no estimate follows from.
+
+    Raises:
+        ModelFileError: no model file.
+    """
     model, _ = read_model(path)
     return hashlib.sha256(_with_misfit_limit(model, None)).hexdigest()
 
