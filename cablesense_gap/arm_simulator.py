@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.simulator import Assignment, Candidate
+from cablesense_gap.simulator import Assignment, Candidate, parameters_of
 from cablesense_sim.arm import Arm, ListedEffect
 from cablesense_sim.build import entries_of
 from cablesense_sim.effects.effect import Effect, Parameter, Transmission
@@ -18,10 +18,11 @@ from cablesense_sim.effects.registry import EffectEntry, known_effects, transmis
 from cablesense_sim.equilibrium import EquilibriumError
 from cablesense_sim.replay import Replay, reading_variance_n2
 
-SLACK_SHARE = 0.05
-"""A cable with less than this share of its pretension is slack or about to be."""
 _SAME_N = 1e-3
 """Tensions that differ by less are of one equilibrium, which is balanced to some 1e-5 N."""
+_SIMILAR_ARMS, _MOST_SCATTER = 16, 5.0
+"""Arms with other tolerances, and by how many times their readings may scatter more in a row that
+counts than in the middle one: on arms drawn at random 3 to 4 times where nothing turns."""
 _PRIOR = 0.05
 """Weight of the default state against residuals in units of the floor: first rows that do not
 show a state leave it at its default."""
@@ -88,17 +89,6 @@ def _candidate(effect: Effect, segment_count: int, cable_count: int) -> Candidat
     return Candidate(effect.name, places, numbers, history_dependent, effect.against_motion)
 
 
-def is_held(tensions_n: Array, arm: Arm) -> NDArray[np.bool_]:
-    """(…,) whether two own cables or more of every segment are taut, by the tensions (…, M).
-
-    With a single one a segment is about to turn to either side.
-    """
-    slack = tensions_n < SLACK_SHARE * arm.cables.pretension_n
-    each = arm.cables.per_segment
-    own = slack.reshape(*slack.shape[:-1], arm.segment_count, each).sum(-1)
-    return np.asarray(own.max(-1) < each - 1)
-
-
 def supported_rows(arm: Arm, recording: Recording) -> NDArray[np.bool_]:
     """(R,) in which an arm has an equilibrium under the recorded commands and loads.
 
@@ -116,17 +106,37 @@ def supported_rows(arm: Arm, recording: Recording) -> NDArray[np.bool_]:
 
 
 def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[np.bool_]:
-    """(R,) which rows count in the size of a gap: the arm without effects has one equilibrium.
+    """(R,) which rows count in the size of a gap, by the arm without effects.
 
     The nominal and the amended arm then count the same rows. Rows without an equilibrium of the
-    arm without effects are judged by the prediction (R, M) of the arm with its effects. A segment
-    that a load has turned to one side may also rest on the other: the search begins on each side.
+    arm without effects are judged by the prediction (R, M) of the arm with its effects. A row does
+    not count if its equilibrium is not the only one: a segment that a load has turned to one side
+    may also rest on the other, so the search begins on each side. Nor does it count if the load
+    is near the one that turns a segment: there manufacturing tolerances change the readings far
+    more than elsewhere, and not in proportion.
     """
     replay = Replay(arm, *recording.inputs)
-    here = replay.readings_n([[]], predicted_n)[0]
+    (here,) = replay.readings_n([[]], predicted_n)
+    similar = replay.readings_n(_similar_arms(arm), predicted_n)
     there = [replay.turned_over(axis).readings_n([[]], predicted_n)[0] for axis in range(2)]
     same = np.abs(np.subtract(there, here)).max(axis=(0, 2)) < _SAME_N
-    return np.asarray(is_held(here, arm) & same)
+    scatter_n = np.sqrt((np.subtract(similar, here) ** 2).mean(0)).max(-1)
+    usual_n = np.median(scatter_n[same]) if same.any() else 0.0
+    return np.asarray(same & (scatter_n <= _MOST_SCATTER * usual_n))
+
+
+def _similar_arms(arm: Arm) -> list[list[EffectEntry]]:
+    """Arms with other tolerances, each one standard deviation from its nominal value."""
+    tolerances = parameters_of(
+        [
+            _candidate(e, arm.segment_count, arm.cable_count)
+            for e in known_effects().values()
+            if e.tolerance
+        ]
+    )
+    signs = np.random.default_rng(0).choice([-1.0, 1.0], (_SIMILAR_ARMS, len(tolerances)))
+    std = np.array([p.typical for p in tolerances.values()])
+    return [entries_from(dict(zip(tolerances, each * std, strict=True))) for each in signs]
 
 
 def settled(arm: Arm, recording: Recording, rows: int) -> Arm:

@@ -51,8 +51,8 @@ _SKETCH_SHARE = 0.7
 class ArmSystem(ArmSimulator, System):
     """An arm with a recording of it.
 
-    Rows do not count where the arm may have more than one static equilibrium (`counted_rows`), and
-    those of the trials `unseen` do not.
+    Rows do not count where the arm's equilibrium is not unique, or about to turn (`counted_rows`),
+    and those of the trials `unseen` do not.
     """
 
     def __init__(self, arm: Arm, recording: Recording, unseen: Collection[int] = ()) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.arm_simulator import entries_from, is_held
+from cablesense_gap.arm_simulator import counted_rows, entries_from
 from cablesense_gap.recordings.protocol import Block, rows_of, standard_protocol
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import listed, short
@@ -100,15 +100,16 @@ def _without_history(arm: Arm, rival: Rival) -> dict[Term, float]:
 def _differences_n(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> list[Array]:
     """Differences (R, M) of the first rival to each other in a block.
 
-    Of the rows in which every prediction holds all segments. Empty without such a row, or if
-    an explanation cannot be simulated.
+    Of the rows that count in sizes of gaps. Empty without such a row, or if an explanation cannot
+    be simulated.
     """
-    replay = Replay(arm, *rows_of((block,), rate_hz).inputs)
+    rows = rows_of((block,), rate_hz)
+    replay = Replay(arm, *rows.inputs)
     try:
         predicted = [replay.readings_n([[*entries_of(arm), *entries_from(r)]])[0] for r in rivals]
     except EquilibriumError:
         return []
-    used = np.all([is_held(p, arm) for p in predicted], axis=0)
+    used = counted_rows(arm, rows, predicted[0])
     return [(predicted[0] - other)[used] for other in predicted[1:]] if used.any() else []
 
 

@@ -61,10 +61,13 @@ def final_refinement(
 
 
 def _is_consistent(problem: Problem, explanation: Explanation) -> bool:
-    """Whether the simulator predicts the same with the fitted tolerances, which are linear."""
+    """Whether the simulator predicts each trial the same with the fitted, linear tolerances."""
     predicted = problem.simulator.predict([{**explanation.values, **explanation.tolerances}])[0]
-    off = (predicted - explanation.prediction)[problem.used]
-    return bool(np.sqrt((off**2).mean()) <= RESOLUTION * problem.floor)
+    off = np.where(problem.used[:, None], predicted - explanation.prediction, 0.0)
+    squares = np.bincount(problem.trial, (off**2).mean(1), len(problem.fold))
+    used = np.bincount(problem.trial, problem.used, len(problem.fold))
+    limit = (RESOLUTION * problem.floor) ** 2
+    return bool((squares <= limit * used).all())
 
 
 def _with_tolerances_of(problem: Problem, explanation: Explanation) -> Problem | None:

@@ -274,7 +274,7 @@ def _predicted_arm(
         lines.append(f"Not counted: the first {settle}, that the state was estimated from")
     if other := rows - settle - judged:
         lines.append(
-            f"Not counted: {other} rows, where cables are slack and several rests are possible"
+            f"Not counted: {other} rows, where the arm has several rests or is about to turn"
         )
     return {"rows": rows, "settled": settle, "rows_counted": judged, "gap_n": gap_n}, lines
 
