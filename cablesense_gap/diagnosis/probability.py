@@ -2,15 +2,16 @@
 
 The log weight of an explanation with k effects and n sizes is
 
-    log w = -κ log(excess) - τ log(s / m) - π_1 - (k - 1) (π_2 - π_1) - ν n - surprise
+    log w = -κ log(excess) - τ (s / m - 1) - π_1 - (k - 1) (π_2 - π_1) - ν n - surprise
 
 `excess` is the RMS residual on held-out trials beyond the sensors' floor. s is the sum of squares
-of the m tolerances in standard deviations, at least m. `surprise` is the cost of implausible sizes
+of the m tolerances in standard deviations, at least m; τ is below the m / 2 of independent
+Gaussian tolerances because residuals are correlated. `surprise` is the cost of implausible sizes
 and places, where a kind of machine has one. Tolerances alone have their own power κ₀ beyond the
 least excess that can be resolved. An unlisted effect is weighed as if the best listed one imitated
 it, down to a share φ of the gap, and to γ floors if the gap is small (docs/diagnosis_method.md):
 
-    log w = -κ log(least) - κ₀ log(excess / least) - τ log(s / m)                    for none
+    log w = -κ log(least) - κ₀ log(excess / least) - τ (s / m - 1)                   for none
     log w = -κ log √((φ · excess of none)² + (γ σ₀)²) - π_unknown                    for unknown
 
 `benchmarks/gap_calibration.py` fits these numbers to simulated cases by their mean log
@@ -199,7 +200,7 @@ def log_weights(
     power = np.where(counts == 0, c.none, c.power)
     several = c.one + (counts - 1) * (c.two - c.one)
     penalty = np.where(counts == 0, 0.0, several) + c.size * sizes + surprise
-    penalty += c.tolerance_chi2 * np.log(np.maximum(tolerance_chi2 / tolerance_count, 1.0))
+    penalty += c.tolerance_chi2 * (np.maximum(tolerance_chi2 / tolerance_count, 1.0) - 1.0)
     stand_in = np.hypot(c.share * none, c.stand_in * floor)
     unknown = -c.power * np.log(stand_in / least) - c.unknown
     return np.append(-power * np.log(left / least) - penalty, unknown)
