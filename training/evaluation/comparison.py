@@ -29,6 +29,7 @@ from cablesense_training.evaluation.metrics import (
     MultiContactMetrics,
     NoiseBound,
     SingleContactMetrics,
+    multi_contact_bound_n,
     multi_contact_metrics,
     noise_bound,
     plain_values,
@@ -224,7 +225,8 @@ def compare(
         "seed": seed,
         "samples": samples,
         "single": single,
-        "multi": {name: getattr(multi, name) for name in shown},
+        "multi": {name: getattr(multi, name) for name in shown}
+        | {"bound_mae_n": multi_contact_bound_n(dataset, WEAKEST_MULTI_N).tolist()},
         "bound": bounds,
         "peers": peers,
         "coverage95": sum(n * share for n, share in found) / sum(n for n, _ in found),
