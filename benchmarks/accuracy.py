@@ -2,9 +2,8 @@
 
     python benchmarks/accuracy.py [--samples 100000] [--write]
 
-One contact at rest in every setting of `cablesense evaluate`, and several contacts at once. There
-recognition counts contacts from 5 N and all untouched segments. `--write` puts `accuracy.json` and
-the tables `accuracy.md` into `benchmarks/results/`.
+One contact at rest in every setting of `cablesense evaluate`, which prints the same as tables, and
+several contacts at once. There recognition counts contacts from 5 N and all untouched segments.
 
     python benchmarks/accuracy.py --moving cdsm_friction [--write]
 
@@ -18,12 +17,10 @@ friction hides most of it then.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from typing import Any
 
 import harness
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base.progress import progress_bar
 from cablesense_sim.arm import open_arm
@@ -48,7 +45,7 @@ ESTIMATORS = {
 
 def main() -> None:
     """Measures and prints; writes with `--write`."""
-    parser = harness.parser(__doc__, "results/accuracy.* or temporal_*")
+    parser = harness.parser(__doc__, "results/accuracy.json or temporal_*.json")
     parser.add_argument("--samples", type=int, default=100_000, help="test samples per setting")
     parser.add_argument("--moving", choices=SEQUENCES, help="instead: sequences of this arm")
     parser.add_argument("--workers", type=int, default=2, help="processes that draw samples")
@@ -61,57 +58,6 @@ def main() -> None:
         SEED, options.samples, options.workers, lambda name: print(f"{name} …", file=sys.stderr)
     )
     harness.publish("accuracy.json", compared, options)
-    if options.write:
-        harness.write_result("accuracy.md", tables(compared))
-
-
-_COLUMNS = {
-    "contact": ("contact_accuracy", ".2%"),
-    "direction MAE, °": ("direction_mae_deg", ".3f"),
-    "force MAE, N": ("magnitude_mae_n", ".3f"),
-    "force RMSE, N": ("magnitude_rmse_n", ".3f"),
-    "95 % interval holds": ("coverage95", ".1%"),
-}
-_RULE = " --- |" * (1 + len(_COLUMNS))
-
-
-def tables(compared: Mapping[str, Any]) -> str:
-    """What `compare` gives, for people."""
-    lines = [
-        "# Accuracy",
-        "",
-        f"{compared['samples']:,} fresh samples a setting, seed {compared['seed']}: 0 to 200 N, "
-        "one fifth of the samples without contact, sensor noise and step on. Contact counts *no "
-        "contact* as a class; direction is over the contacts found; force over all contacts, an "
-        "answer of none counting as 0 N.",
-    ]
-    for setting, shipped in compared["single"].items():
-        answers = {"shipped": shipped}
-        answers |= {n: peer[setting] for n, peer in compared["peers"].items() if setting in peer}
-        lines += ["", f"## {setting.replace('_', ' ')}", ""]
-        lines += [f"| estimator, force | {' | '.join(_COLUMNS)} |", f"|{_RULE}"]
-        for name, metrics in answers.items():
-            label = name.replace("_", " ")
-            lines.append(_row(f"**{label}**", metrics))
-            for part in metrics["by_force"]:
-                lines.append(_row(f"{label}, {part['low_n']:g}–{part['high_n']:g} N", part))
-        lines.append(_row("noise bound", compared["bound"][setting]))
-        ratio = shipped["mae_over_bound"]
-        lines += ["", f"Force MAE over that of the noise bound, above 2 N: {ratio:.2f}."]
-    multi = compared["multi"]
-    errors = ", ".join(f"{value:.2f}" for value in multi["magnitude_mae_n"])
-    lines += ["", "## several contacts", ""]
-    lines.append(
-        f"Recognised: {multi['recognition_accuracy']:.2%} of the segments, macro F1 "
-        f"{multi['macro_f1']:.4f}; force MAE by segment: {errors} N."
-    )
-    return "\n".join(lines) + "\n"
-
-
-def _row(label: str, metrics: Mapping[str, Any]) -> str:
-    found = [(metrics.get(key), form) for key, form in _COLUMNS.values()]
-    cells = ["" if value is None else format(value, form) for value, form in found]
-    return f"| {' | '.join([label, *cells])} |"
 
 
 def _moving(arm: str, workers: int) -> dict[str, Any]:
@@ -168,8 +114,9 @@ def _intervals(found: Estimates, sequences: Sequences) -> dict[str, dict[str, fl
     force_n, touched = sequences.magnitude_n, sequences.segment > 0
     since = round(RELEASED_S / sequences.protocol.tick_s)
     padded = np.pad(touched, ((0, 0), (since, 0)))
-    lately = np.lib.stride_tricks.sliding_window_view(padded, since + 1, axis=1).any(-1)
-    phases: dict[str, NDArray[np.bool_]] = {
+    windows = np.lib.stride_tricks.sliding_window_view(padded, since + 1, axis=1)
+    lately = np.asarray(windows.any(axis=-1))
+    phases = {
         "all": np.ones_like(touched),
         "touched": touched,
         f"within {RELEASED_S:g} s of a release": lately & ~touched,

@@ -22,14 +22,14 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import harness
 import numpy as np
+import pandas as pd
 from estimated_arm import START_NS, EstimatedArm
 
 from cablesense_base import Array
@@ -88,15 +88,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2, help="processes, for faults")
     options = parser.parse_args()
     if options.faults:
-        arms = {
-            name: {
-                state: measure(name, options.workers, touched=touched)
-                for state, touched in (("untouched", False), ("in contact", True))
-            }
-            for name in ARMS
-        }
-        found = {"bar_deg": BAR_DEG, "arms": arms}
-        harness.publish("admittance_faults.json", found, options)
+        harness.publish("admittance_faults.json", _faults(options.workers), options)
     else:
         harness.publish("admittance.json", _walls(), options, "mujoco")
 
@@ -113,10 +105,6 @@ def _walls() -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         nodes = play(DEMO_S, Path(folder))
     return {
-        "assumed_worst_stiffness_n_m": settings.worst_stiffness_n_m,
-        "deadband_n": settings.deadband_n,
-        "period_s": PERIOD_S,
-        "steps": STEPS,
         "stable": f"{sum(case['stable'] for case in cases)} of {len(cases)}",
         "real_nodes": {k: round(v, 2) if isinstance(v, float) else v for k, v in nodes.items()},
         "cases": cases,
@@ -131,18 +119,37 @@ def _case(
     law = AdmittanceLaw(mechanism, settings)
     wall = wall_beside(mechanism, home, segment, angle_deg, stiffness_n_m)
     advance = HELD_N * (1.0 / stiffness_n_m + wall.compliance_m_n)
-    forces, commands = run_loop(mechanism, law, wall, segment, home, advance, STEPS, PERIOD_S)
+    forces = run_loop(mechanism, law, wall, segment, home, advance, STEPS, PERIOD_S)
     final = float(forces[-1])
     unsettled = np.flatnonzero(np.abs(forces - final) > SETTLED_WITHIN_N)
     settled = int(unsettled[-1]) + 1 if len(unsettled) else 0
     return {
         "case": f"{arm}, segment {segment}, {angle_deg:g} degrees, {stiffness_n_m:g} N/m",
-        "loop_gain": round(law.loop_gain(home, segment, wall.normal, stiffness_n_m, PERIOD_S), 3),
         "without_n": round(float(forces[0]), 2),
         "with_n": round(final, 2),
         "settling_s": round(settled * PERIOD_S, 2),
         "stable": bool(np.ptp(forces[-LAST:]) <= CHATTER_N or np.all(np.diff(forces) <= 1e-3)),
-        "largest_angle_deg": round(float(np.rad2deg(np.abs(commands[-1]).max())), 3),
+    }
+
+
+def _faults(workers: int) -> dict[str, Any]:
+    """Every kind of fault of every cable in all its sizes, untouched and in contact."""
+    cases = []
+    for arm, touched in product(ARMS, (False, True)):
+        every = [Fault("none", 0.0, 0)]
+        for cable in range(open_arm(arm).cable_count):
+            every += [Fault(kind, size, cable) for kind in KINDS for size in KINDS[kind]]
+        cases += [(arm, touched, fault, seed) for seed, fault in enumerate(every)]
+    with WorkerPool(workers) as pool:
+        turns_deg = list(pool.map(turned_deg, *zip(*cases, strict=True)))
+    table = pd.DataFrame(cases, columns=["arm", "in_contact", "fault", "seed"])
+    table["kind"] = [fault.kind for fault in table.fault]
+    table["deg"] = turns_deg
+    by_kind = table.dropna().groupby(["arm", "in_contact", "kind"], sort=False).deg
+    kinds = by_kind.agg(cases="count", moved=lambda deg: (deg > 0.0).sum(), worst_deg="max")
+    return {
+        "kinds": kinds.reset_index().to_dict("records"),
+        "bars": {f"within {BAR_DEG:g} degrees": bool(table.deg.max() <= BAR_DEG)},
     }
 
 
@@ -155,16 +162,17 @@ def run_loop(
     advance_m: float,
     step_count: int,
     period_s: float,
-) -> tuple[Array, Array]:
+) -> Array:
     """Wall, arm in static equilibrium, an exact estimate and the law: a step every `period_s`.
 
-    Starts at home (2N,) against the wall at an advance. Gives the wall's forces (K+1,), N, and the
-    commands (K+1, 2N), rad, before each of K steps and after the last.
+    Starts at home (2N,) against the wall at an advance. Gives the wall's forces (K+1,), N, before
+    each of K steps and after the last.
 
     Raises:
         EquilibriumError: the arm cannot rest under the wall's force.
     """
-    command, forces_n, commands_rad = home_rad, [], []
+    command = home_rad
+    forces_n: list[float] = []
     while True:
         loads = np.zeros((mechanism.segment_count, 3))
         for _ in range(MOST_ITERATIONS):
@@ -175,21 +183,22 @@ def run_loop(
             if abs(wall.force_n - before_n) <= BALANCED_N:
                 break
         forces_n.append(wall.force_n)
-        commands_rad.append(command)
         if len(forces_n) > step_count:
-            return np.array(forces_n), np.array(commands_rad)
+            return np.array(forces_n)
         axis = kinematics.segment_rotations(mechanism, command)[segment - 1][:, 0]
         normal = loads[segment - 1] - axis * (axis @ loads[segment - 1])
         contact = ContactForce(segment, np.asarray(normal)) if normal.any() else None
         command = law.step(command, home_rad, contact, period_s)
 
 
+@dataclass
 class Fault:
-    """A fault of one cable, from 0; `none` has none."""
+    """A fault of one cable, from 0; `none` has none. What is stuck keeps its first reading."""
 
-    def __init__(self, kind: str, size: float, cable: int) -> None:
-        self.kind, self.size, self.cable = kind, size, cable
-        self._stuck_at_n: float | None = None
+    kind: str
+    size: float
+    cable: int
+    stuck_at_n: float | None = None
 
     def change(self, reading_n: Array, since_s: float) -> None:
         """Change readings (M,) in place, so long after the fault began, s."""
@@ -204,20 +213,12 @@ class Fault:
             case "drift":
                 reading_n[at] += size * since_s
             case "stuck":
-                if self._stuck_at_n is None:
-                    self._stuck_at_n = reading_n[at] + size
-                reading_n[at] = self._stuck_at_n
+                if self.stuck_at_n is None:
+                    self.stuck_at_n = reading_n[at] + size
+                reading_n[at] = self.stuck_at_n
             case "exchanged":
                 other = (at + round(size)) % len(reading_n)
                 reading_n[[at, other]] = reading_n[[other, at]]
-
-
-def faults(cables: int) -> Iterator[Fault]:
-    """Every kind of every cable in all its sizes."""
-    yield Fault("none", 0.0, 0)
-    for cable in range(cables):
-        for kind, sizes in KINDS.items():
-            yield from (Fault(kind, size, cable) for size in sizes)
 
 
 class Run(EstimatedArm):
@@ -266,8 +267,15 @@ class Run(EstimatedArm):
                 self.commanded(command, now_s)
 
 
-def moved_deg(arm_name: str, fault: Fault, seed: int, *, touched: bool) -> float:
-    """Largest turn of a joint by the controller."""
+def turned_deg(arm_name: str, touched: bool, fault: Fault, seed: int) -> float:
+    """Largest turn of a joint by the controller; NaN where the arm collapses."""
+    try:
+        return _turned_deg(arm_name, touched, fault, seed)
+    except EquilibriumError:
+        return float("nan")
+
+
+def _turned_deg(arm_name: str, touched: bool, fault: Fault, seed: int) -> float:
     run = Run(arm_name, seed, **({"joint_limit_deg": TOUCHED_LIMIT_DEG} if touched else {}))
     pose = np.deg2rad(run.rng.uniform(-4.0, 4.0, run.arm.joint_count))
     turned_rad = 0.0
@@ -296,36 +304,6 @@ def moved_deg(arm_name: str, fault: Fault, seed: int, *, touched: bool) -> float
             turned_rad = max(turned_rad, float(np.abs(away_rad).max()))
     assert run.estimation.tares.present is not None
     return float(np.rad2deg(turned_rad))
-
-
-def cable_turns(arm_name: str, touched: bool, cable: int) -> list[tuple[float, str, str]]:
-    """The turn in degrees by each fault of a cable, the fault's kind, and its name."""
-    turns = []
-    for number, fault in enumerate(faults(open_arm(arm_name).cable_count)):
-        if fault.cable == cable:
-            with suppress(EquilibriumError):  # the arm collapses
-                turned_deg = moved_deg(arm_name, fault, number, touched=touched)
-                turns.append((turned_deg, fault.kind, f"cable_{cable + 1} {fault.size:g}"))
-    return turns
-
-
-def measure(arm_name: str, workers: int, *, touched: bool) -> dict[str, Any]:
-    """All faults of one arm, by kind."""
-    count = open_arm(arm_name).cable_count
-    with WorkerPool(workers, arm_name, touched) as pool:
-        turns = [turn for found in pool.map(cable_turns, range(count)) for turn in found]
-    result = {}
-    for each in dict.fromkeys(kind for _, kind, _ in turns):
-        of = sorted((turn for turn in turns if turn[1] == each), reverse=True)
-        result[each] = {
-            "cases": len(of),
-            "moved": sum(deg > 0.0 for deg, *_ in of),
-            "beyond_the_bar": [
-                f"{name}: {deg:.2f} degrees" for deg, _, name in of if deg > BAR_DEG
-            ],
-            "worst_deg": round(of[0][0], 3),
-        }
-    return result
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Breathing on the independent plant: forces under friction, passive and after a breath.
 
-    python benchmarks/breathing.py [--arms 32] [--friction 0.05 0.10 0.15] [--write]
+    python benchmarks/breathing.py [--arms 32] [--write]
 
 Cables stick rigidly at every guide and at a pulley of a quarter turn. Half of the arms are
 straight and half bent by up to 8 degrees. They are loaded with 5 to 100 N on one segment; the load
@@ -8,13 +8,6 @@ is lowered, then removed. At each of these rests they breathe once. The shipped 
 the arm without friction, answers from one reading after the breath, with noise and step. So does
 that of contacts anywhere, which is not told the place. The same course is also run without
 breathing (`passive`).
-
-    python benchmarks/breathing.py --hidden [--write]
-
-measures the part of a load that friction hides without breathing, against its coefficient, on the
-laboratory's arm, straight and bent: the smallest changes of `HIDDEN_LOAD_N` that show
-(`cablesense_sim.load_capacity`), medians over the directions around the third segment. It writes
-`hidden_force.json` and a picture.
 """
 
 from __future__ import annotations
@@ -24,9 +17,8 @@ from dataclasses import replace
 from typing import Any
 
 import harness
-import matplotlib as mpl
-import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 
 from cablesense_base import Array
 from cablesense_online.breathing import (
@@ -41,26 +33,19 @@ from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.friction import PlantFriction
 from cablesense_sim.arm import Arm, find_arm, open_arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.load_capacity import DIRECTIONS, SHOWS_AT_STD, hidden_force
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.replay import read_tensions_n
+from cablesense_training.evaluation.metrics import angle_difference_deg
 from cablesense_training.inference.anywhere import AnywhereEstimator
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.inference.metadata import find_model
 
 SEED = 20_261_122
+FRICTIONS = (0.05, 0.10, 0.15)
 TURN_S, SETTLE_S = 0.4, 0.5
 _PULLEY_RAD, _BENT_DEG, _FORCES_N = np.pi / 2, 8.0, (5.0, 100.0)
 _STEPS = 4
 """The steps of a load, and of a move."""
-HIDING_ARM, HIDING_SEGMENT, HIDDEN_LOAD_N = "cdsm_lab", 3, 20.0
-_FRICTIONS = (0.0, 0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2)
-_LABELS = {
-    "touching_n": "a first push",
-    "rising_n": "more, at the load",
-    "falling_n": "less, at the load",
-    "released_n": "a push after release",
-}
 
 
 class Course:
@@ -120,7 +105,9 @@ class Breathing:
 
     def __init__(self, course: Course, coefficient: float) -> None:
         """With the least circle that turns every guide."""
-        arm = with_friction(course.arm, coefficient)
+        parameters = {"coefficient": coefficient, "pulley_wrap_rad": _PULLEY_RAD}
+        effect = {"effect": "capstan_friction", "at": "arm", "parameters": parameters}
+        arm = Arm.model_validate(course.arm.model_dump() | {"effects": [effect]})
         self._course = course
         self.circles = [breath_circle(arm, base) for base in course.base_rad]
         self.tip_mm: list[float] = []
@@ -155,21 +142,13 @@ class Breathing:
         return np.array(answers)
 
 
-def with_friction(arm: Arm, coefficient: float) -> Arm:
-    """The arm with the plant's friction in its file."""
-    parameters = {"coefficient": coefficient, "pulley_wrap_rad": _PULLEY_RAD}
-    effect = {"effect": "capstan_friction", "at": "arm", "parameters": parameters}
-    return Arm.model_validate(arm.model_dump() | {"effects": [effect]})
-
-
 def errors(course: Course, read: Callable[[], Array], loads: int) -> dict[str, Any]:
     """Figures of one course, answered from `read` at every rest."""
     arms = len(course.base_rad)
     estimator = Estimator.load(find_model(course.arm.name), course.arm)
-    mechanism, rng = mechanism_of(course.arm), np.random.default_rng(SEED + 1)
-    unloaded_n, right, off_n, off_deg, ghost_n = read(), [], [], [], []
     anywhere = AnywhereEstimator.load(find_model(f"{course.arm.name}_anywhere"), course.arm)
-    located, off_mm, off_there_n = [], [], []
+    mechanism, rng = mechanism_of(course.arm), np.random.default_rng(SEED + 1)
+    unloaded_n, rests, ghost_n = read(), [], []
     for _ in range(loads):
         segment, angle = rng.integers(1, 5, arms), rng.uniform(0.0, 360.0, arms)
         highest = rng.uniform(*_FORCES_N, arms)
@@ -180,29 +159,33 @@ def errors(course: Course, read: Callable[[], Array], loads: int) -> dict[str, A
             found = estimator.estimate_batch(difference_n, course.base_rad)
             touched = found.probabilities[:, 0] < 0.5
             if not force.any():
-                ghost_n += np.where(touched, found.magnitude_n, 0.0).tolist()
+                ghost_n.append(np.where(touched, found.magnitude_n, 0.0).mean())
                 continue
             likeliest = 1 + found.probabilities[:, 1:].argmax(axis=1)
-            right += (touched & (likeliest == segment)).tolist()
-            off_n += np.abs(found.magnitude_n - force).tolist()
-            off_deg += np.abs((found.angle_deg - angle + 180.0) % 360.0 - 180.0).tolist()
-            place, _ = anywhere.locate_batch(difference_n, course.base_rad)
-            at_m, named = mechanism.contact_m[segment - 1], place.segment == segment
-            far = named & (segment > 1)  # on segment 1 the moment alone is determined
-            located += named.tolist()
-            off_mm += (1e3 * np.abs(place.place_m - at_m))[far].tolist()
-            size_n = np.hypot(*place.force_n[:, 1:].T)
-            off_there_n += np.abs(size_n - force)[far].tolist()
+            there, _ = anywhere.locate_batch(difference_n, course.base_rad)
+            at_m, size_n = mechanism.contact_m[segment - 1], np.hypot(*there.force_n[:, 1:].T)
+            figures = {
+                "segment": segment,
+                "right": touched & (likeliest == segment),
+                "off_n": np.abs(found.magnitude_n - force),
+                "off_deg": np.abs(angle_difference_deg(found.angle_deg, angle)),
+                "located": there.segment == segment,
+                "place_off_mm": 1e3 * np.abs(there.place_m - at_m),
+                "off_there_n": np.abs(size_n - force),
+            }
+            rests.append(pd.DataFrame(figures))
+    loaded = pd.concat(rests)
+    far = loaded[loaded.located & (loaded.segment > 1)]  # on segment 1 only a moment is determined
     return {
         "anywhere": {
-            "contact": float(np.mean(located)),
-            "place_mm": harness.percentiles(off_mm, ["median", "95 %"]),
-            "force_n": harness.percentiles(off_there_n, ["median", "95 %"]),
+            "contact": float(loaded.located.mean()),
+            "place_mm": harness.percentiles(far.place_off_mm, ["median", "95 %"]),
+            "force_n": harness.percentiles(far.off_there_n, ["median", "95 %"]),
         },
-        "samples": len(right),
-        "contact": float(np.mean(right)),
-        "force_mae_n": round(float(np.mean(off_n)), 3),
-        "direction_mae_deg": round(float(np.mean(off_deg)), 3),
+        "samples": len(loaded),
+        "contact": float(loaded.right.mean()),
+        "force_mae_n": round(float(loaded.off_n.mean()), 3),
+        "direction_mae_deg": round(float(loaded.off_deg.mean()), 3),
         "ghost_n": round(float(np.mean(ghost_n)), 3),
     }
 
@@ -221,55 +204,15 @@ def breathed(name: str, coefficient: float, options: Any) -> dict[str, Any]:
     }
 
 
-def hidden(write: bool) -> dict[str, Any]:
-    """The force hidden by friction, against its coefficient; `write` draws its picture too."""
-    mpl.use("Agg")
-    result: dict[str, Any] = {
-        "arm": HIDING_ARM,
-        "segment": HIDING_SEGMENT,
-        "load_n": HIDDEN_LOAD_N,
-        "pulley_wrap_rad": _PULLEY_RAD,
-        "shows_at_std": SHOWS_AT_STD,
-        "directions": DIRECTIONS,
-        "coefficients": _FRICTIONS,
-    }
-    figure, every = plt.subplots(1, 2, figsize=(8.0, 3.2), sharey=True)
-    for bend_deg, axes in zip((0.0, 5.0), every, strict=True):
-        curves: dict[str, list[float | None]] = {name: [] for name in _LABELS}
-        for coefficient in _FRICTIONS:
-            arm = with_friction(open_arm(HIDING_ARM), coefficient)
-            pose_rad = np.full(arm.joint_count, np.deg2rad(bend_deg))
-            for name, values in hidden_force(arm, pose_rad, HIDDEN_LOAD_N)._asdict().items():
-                median = float(np.median(values[HIDING_SEGMENT - 1]))
-                curves[name].append(round(median, 3) if np.isfinite(median) else None)
-        result[f"median_n_bent_by_{bend_deg:g}_deg"] = curves
-        for name, label in _LABELS.items():
-            shown = [np.nan if n is None else n for n in curves[name]]  # the whole load is hidden
-            axes.plot(_FRICTIONS, shown, marker=".", label=label)
-        axes.set(title=f"every joint at {bend_deg:g}°", xlabel="coefficient of friction")
-        axes.axhline(HIDDEN_LOAD_N, color="grey", linestyle=":", linewidth=1.0)
-    every[0].set(ylabel="smallest change that shows, N", ylim=(0.0, 1.05 * HIDDEN_LOAD_N))
-    every[0].legend(frameon=False, fontsize=8)
-    figure.tight_layout()
-    if write:
-        figure.savefig(harness.RESULTS / "hidden_force.png", dpi=150)
-    return result
-
-
 def main() -> None:
     """Measures and prints; writes with `--write`."""
-    parser = harness.parser(__doc__, "results/breathing.json or hidden_force.*")
+    parser = harness.parser(__doc__, "results/breathing.json")
     parser.add_argument("--arms", type=int, default=32, help="side by side")
     parser.add_argument("--loads", type=int, default=2, help="of each arm")
-    parser.add_argument("--friction", type=float, nargs="+", default=[0.05, 0.10, 0.15])
-    parser.add_argument("--hidden", action="store_true", help="what friction hides, instead")
     options = parser.parse_args()
-    if options.hidden:
-        harness.publish("hidden_force.json", hidden(options.write), options, "numpy")
-        return
     cases: list[dict[str, Any]] = []
     for name in ("cdsm", "cdsm_lab"):
-        for coefficient in options.friction:
+        for coefficient in FRICTIONS:
             breath = breathed(name, coefficient, options)
             course = Course(name, coefficient, options.arms)
             passive = errors(course, course.read_n, options.loads)

@@ -2,8 +2,8 @@
 
     python benchmarks/motion.py [--moves 6] [--seed 7301] [--write]
 
-The estimator's core answers a simulated arm with its dynamics, at 500 Hz in simulated time. The
-readings have the sensors' noise and step. A push acts on a segment while the joints step, or
+The estimator's core answers a simulated arm with its dynamics, at 500 Hz in simulated time, with
+the sensors' noise and step. A push acts on a segment while the joints step, or
 follow commands that stream at 50 Hz as those of a trajectory do. The time counts from when the
 set-points have arrived until there is a force for good. On the way, the share of samples without a
 force counts, that of true forces outside the stated interval, and the largest error of a force
@@ -27,6 +27,7 @@ from cablesense_online.simulated_arm import SimulatedArm
 from cablesense_sim.dynamics import ArmDynamics
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.kinematics import segment_rotations
+from cablesense_sim.loads import normal_force_n
 
 RATE_HZ, COMMANDS_HZ = 500, 50
 PUSH_N, BEND_DEG = 20.0, (5.0, 8.0)
@@ -66,7 +67,7 @@ MOVES: dict[str, Course] = {
 
 
 class Bench(EstimatedArm):
-    """The simulated arm that the estimator's core answers."""
+    """The simulated arm that the estimator's core answers, in simulated time `now_s`."""
 
     def __init__(self, name: str, rng: np.random.Generator) -> None:
         super().__init__(
@@ -76,44 +77,32 @@ class Bench(EstimatedArm):
             still_rad=float(np.deg2rad(0.02)),
             follow_rad_s=float(np.deg2rad(4.0)),
         )
-        self._tick, dynamics = 0, ArmDynamics(self.arm)
+        self._tick, self.now_s, dynamics = 0, 0.0, ArmDynamics(self.arm)
         self._simulated = SimulatedArm(dynamics, 1e-3, JOINT_SPEED_RAD_S, 0.0, now_s=0.0)
-        self._set_points = JointMotion(dynamics.command_rad, JOINT_SPEED_RAD_S)
-
-    @property
-    def now_s(self) -> float:
-        """Simulated time."""
-        return self._tick / RATE_HZ
-
-    @property
-    def moving(self) -> bool:
-        """Whether the set-points are on their way."""
-        return self._set_points.moving
+        self.set_points = JointMotion(dynamics.command_rad, JOINT_SPEED_RAD_S)
 
     def command(self, angles_rad: Array) -> None:
         """Command arm and estimator."""
         self._simulated.go_to(angles_rad)
-        self._set_points.go_to(angles_rad)
+        self.set_points.go_to(angles_rad)
         super().command(angles_rad)
 
-    def push(self, segment: int, angle_rad: float, command_rad: Array) -> None:
+    def push(self, load: Load) -> None:
         """Push on a segment at its middle."""
-        axes = self._axes(segment, command_rad)
-        self._push_n = PUSH_N * axes @ [0.0, np.sin(angle_rad), np.cos(angle_rad)]
-        self._simulated.push(Load(segment, self._push_n), self.now_s)
+        self._load = load
+        self._simulated.push(load, self.now_s)
 
-    def pushed_n(self, segment: int) -> float:
+    def pushed_n(self) -> float:
         """The part of the push that is normal to its segment now."""
-        axis = self._axes(segment, self._set_points.state[0])[:, 0]
-        return float(np.linalg.norm(np.cross(axis, self._push_n)))
-
-    def _axes(self, segment: int, angles_rad: Array) -> Array:
-        return segment_rotations(self.mechanism, angles_rad)[segment - 1]
+        rotations = segment_rotations(self.mechanism, self.set_points.state[0])
+        axis = rotations[self._load.segment - 1][:, 0]
+        return float(np.linalg.norm(np.cross(axis, self._load.force_base_n)))
 
     def next(self) -> Answer:
         """The answer to the next sample."""
         self._tick += 1
-        self._set_points.advance(1.0 / RATE_HZ)
+        self.now_s = self._tick / RATE_HZ
+        self.set_points.advance(1.0 / RATE_HZ)
         self._simulated.advance_to(self.now_s)
         return self.sample(self._simulated.reading_n(self.arm.sensors, self.rng), self.now_s)
 
@@ -132,21 +121,23 @@ def away_s(name: str, course: Course, rng: np.random.Generator) -> list[float]:
     bench.rest()
     bench.command(start_rad)
     bench.rest()
-    bench.push(segment, rng.uniform(0.0, 2.0 * np.pi), start_rad)
+    angle_deg = rng.uniform(0.0, 360.0)
+    forces_n = normal_force_n(bench.mechanism, start_rad, segment, angle_deg, PUSH_N)
+    bench.push(Load(segment, forces_n[segment - 1]))
     bench.rest()
     began_s, commands = bench.now_s, list(course)
     away_s = arrived_s = began_s
     away = on_the_way = stated = outside = 0
     worst_n = 0.0
-    while commands or bench.moving or bench.now_s < arrived_s + AFTER_S:
+    while commands or bench.set_points.moving or bench.now_s < arrived_s + AFTER_S:
         while commands and bench.now_s >= began_s + commands[0][0]:
             bench.command(start_rad + signs * commands.pop(0)[1])
         answer = bench.next()
         contact = answer.contact
         if not contact.segment:
             away_s = bench.now_s
-        if commands or bench.moving:
-            arrived_s, pushed_n = bench.now_s, bench.pushed_n(segment)
+        if commands or bench.set_points.moving:
+            arrived_s, pushed_n = bench.now_s, bench.pushed_n()
             on_the_way += 1
             away += not contact.segment
             if contact.segment == segment and answer.estimate is not None:

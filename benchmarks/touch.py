@@ -16,10 +16,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import harness
-import matplotlib.pyplot as plt
 import mujoco
 import numpy as np
-from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from rich.progress import track
 
@@ -45,7 +43,7 @@ SURFACE_M = 0.055
 """Radius of the touched surface: just outside the cables, which run 0.05 m from the axis."""
 OBSTACLE_M = 0.01
 SERVO_N_M, SERVO_KG = 2e3, 0.2
-HALF_EDGE_M, GAP_M, SEGMENT_M = 0.04, 0.002, 0.13
+HALF_EDGE_M, GAP_M = 0.04, 0.002
 TARE_SAMPLES = 50
 STEPS, AT_REST_RAD_S = 6000, 1e-6
 NOSLIP_ITERATIONS = 20
@@ -144,13 +142,6 @@ class TouchedArm:
             )  # fmt: skip
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
-        self._rigid = not np.isfinite(self.mechanism.actuator_stiffness_n_m)
-        self._screws = [
-            self.model.body(f"actuator_{i + 1}").mocapid[0]
-            if self._rigid
-            else self.model.actuator(f"servo_{i + 1}").id
-            for i in range(arm.cable_count)
-        ]
         self._joints = [self.model.joint(name).qposadr[0] for name in arm.joint_names]
 
     def touch(
@@ -165,10 +156,11 @@ class TouchedArm:
         data.qpos[self._joints] = command_rad
         straight = kinematics.cable_lengths_m(mechanism, np.zeros(mechanism.joint_count))
         drawn = straight - kinematics.cable_lengths_m(mechanism, command_rad)
-        if self._rigid:
-            data.mocap_pos[self._screws, 0] = -mechanism.run_m - drawn
+        cables = slice(mechanism.cable_count)  # their actuators come before those of obstacles
+        if np.isfinite(mechanism.actuator_stiffness_n_m):
+            data.ctrl[cables] = drawn
         else:
-            data.ctrl[self._screws] = drawn
+            data.mocap_pos[cables, 0] = -mechanism.run_m - drawn
         count = self._kind.obstacles
         holders = [self.model.body(f"holder_{k}").mocapid[0] for k in range(count)]
         data.mocap_pos[holders] = np.arange(1, count + 1)[:, None] * [0.0, 0.0, 10.0]
@@ -271,7 +263,7 @@ def balanced(arm: Arm, samples: Drawn, rng: np.random.Generator) -> TorqueBalanc
     return torque_balance(mechanism, samples.command_rad, difference_n, variance_n2)
 
 
-def figures_of_one(samples: Drawn, found: Location, axes: Axes) -> dict[str, Any]:
+def figures_of_one(samples: Drawn, found: Location) -> dict[str, Any]:
     """Errors and coverage: beyond the first segment of place and force, on it of the moment."""
     contacts = [touches[0] for touches in samples.contacts]
     truth, place_m, force_n, turned = (np.array(part) for part in zip(*contacts, strict=True))
@@ -279,49 +271,47 @@ def figures_of_one(samples: Drawn, found: Location, axes: Axes) -> dict[str, Any
     right = found.segment == truth
     far, first = right & (truth > 1), right & (truth == 1)
     lateral_off = np.linalg.norm((found.force_n - force_n)[:, 1:], axis=1) / lateral_n
-
-    def within(value: Array, interval: Array, rows: NDArray[np.bool_]) -> float:
-        inside = (value >= interval[:, 0]) & (value <= interval[:, 1])
-        return round(float(inside[rows].mean()), 3)
-
     off_moment = np.linalg.norm(found.moment_n_m - turned, axis=1) / np.linalg.norm(turned, axis=1)
-    _draw(axes, truth, place_m, found.segment, found.place_m, found.place_ci95_m)
+    place_held = _holds(found.place_ci95_m, place_m)
+    force_held = _holds(found.magnitude_ci95_n, lateral_n)
     return {
         "contacts": len(contacts),
         "segment_right": round(float(right.mean()), 4),
         "place_mm": _of(1e3 * np.abs(found.place_m - place_m)[far]),
         "lateral_force_share": _of(lateral_off[far]),
-        "place_coverage95": within(place_m, found.place_ci95_m, far),
-        "magnitude_coverage95": within(lateral_n, found.magnitude_ci95_n, far),
+        "place_coverage95": _share(place_held[far]),
+        "magnitude_coverage95": _share(force_held[far]),
         "segment_1_moment_share": _of(off_moment[first]),
-        "segment_1_place_coverage95": within(place_m, found.place_ci95_m, first),
-        "segment_1_magnitude_coverage95": within(lateral_n, found.magnitude_ci95_n, first),
+        "segment_1_place_coverage95": _share(place_held[first]),
+        "segment_1_magnitude_coverage95": _share(force_held[first]),
     }
 
 
-def figures_of_two(
-    samples: Drawn, found: ContactPair, single: Location, axes: Axes
-) -> dict[str, Any]:
+def figures_of_two(samples: Drawn, found: ContactPair, single: Location) -> dict[str, Any]:
     """Errors where the segments are right, and whether the evidence is for two contacts."""
-    truth = np.array([[touch.segment for touch in both] for both in samples.contacts])
-    place_m = np.array([[touch.place_m for touch in both] for both in samples.contacts])
-    force_n = np.array([[touch.force_n for touch in both] for both in samples.contacts])
+    truth, place_m, force_n = (
+        np.array([[touch[k] for touch in both] for both in samples.contacts]) for k in range(3)
+    )
     both = (found.segments == truth).all(axis=1)
-    interval = found.place_m[..., None] + 1.96 * found.place_std_m[..., None] * [-1.0, 1.0]
-    for k in range(2):
-        _draw(axes, truth[both, k], place_m[both, k], found.segments[both, k],
-              found.place_m[both, k], interval[both, k])  # fmt: skip
+    interval_m = found.place_m[..., None] + 1.96 * found.place_std_m[..., None] * [-1.0, 1.0]
     off_n = np.linalg.norm((found.force_n - force_n)[..., 1:], axis=-1)
-    covered = (place_m > interval[..., 0]) & (place_m < interval[..., 1])
     return {
         "samples": len(truth),
-        "two_by_evidence": round(float((found.log_evidence > single.log_evidence).mean()), 3),
-        "segments_right": round(float(both.mean()), 3),
-        "place_coverage95": round(float(covered[both].mean()), 3),
+        "two_by_evidence": _share(found.log_evidence > single.log_evidence),
+        "segments_right": _share(both),
+        "place_coverage95": _share(_holds(interval_m, place_m)[both]),
         "place_std_mm": _of(1e3 * found.place_std_m[both]),
         "place_mm": _of(1e3 * np.abs(found.place_m - place_m)[both]),
         "lateral_force_n": _of(off_n[both]),
     }
+
+
+def _holds(interval: Array, value: Array) -> NDArray[np.bool_]:
+    return np.asarray((value >= interval[..., 0]) & (value <= interval[..., 1]))
+
+
+def _share(rows: NDArray[np.bool_]) -> float:
+    return round(float(rows.mean()), 3)
 
 
 def _of(values: Array) -> dict[str, float]:
@@ -329,48 +319,28 @@ def _of(values: Array) -> dict[str, float]:
 
 
 def main() -> None:
-    """Draws, estimates, prints; keeps figures and a picture with `--write`."""
-    options = harness.parser(__doc__, "touch.json and touch.png")
+    """Draws, estimates, prints; keeps figures with `--write`."""
+    options = harness.parser(__doc__, "touch.json")
     options.add_argument("--samples", type=int, default=400, help="of each kind and arm")
     options.add_argument("--seed", type=int, default=7001, help="of places, forces and noise")
     given = options.parse_args()
     result: dict[str, Any] = {}
-    panels, axes = plt.subplots(len(ARMS), len(KINDS), figsize=(15, 6), layout="constrained")
+    surface = Surface(SURFACE_M, FRICTION)
     for row, name in enumerate(ARMS):
         arm = open_arm(name)
         reach = reach_m(mechanism_of(arm))
         for column, (title, kind) in enumerate(KINDS.items()):
             rng = np.random.default_rng([given.seed, row, column])
             samples = drawn(arm, kind, given.samples, rng, f"{name}, {title}")
-            balance, panel = balanced(arm, samples, rng), axes[row, column]
-            surface = Surface(SURFACE_M, FRICTION)
+            balance = balanced(arm, samples, rng)
             single = locate(balance, reach, surface)
             if kind.obstacles == 1:
-                figures = figures_of_one(samples, single, panel)
+                figures = figures_of_one(samples, single)
             else:
                 pairs = locate_two(balance, reach, surface=surface)
-                figures = figures_of_two(samples, pairs, single, panel)
+                figures = figures_of_two(samples, pairs, single)
             result.setdefault(name, {})[title] = figures
-            panel.plot([1, 5], [1, 5], color="C3", lw=0.6)
-            panel.set(title=f"{name}: {title}", xlabel="true place, segments", ylabel="estimated")
-    if given.write:
-        panels.savefig(harness.RESULTS / "touch.png", dpi=90)
     harness.publish("touch.json", result, given, "mujoco", "numpy")
-
-
-def _draw(
-    axes: Axes,
-    truth: NDArray[np.int64],
-    place_m: Array,
-    segment: NDArray[np.int64],
-    estimated_m: Array,
-    interval_m: Array,
-) -> None:
-    """Estimated over true place in segments along the arm, with 95 % intervals."""
-    x = truth + place_m / SEGMENT_M
-    low, high = (segment[:, None] + interval_m / SEGMENT_M).T
-    axes.vlines(x, low, high, color="0.75", lw=1.5, zorder=1)
-    axes.plot(x, segment + estimated_m / SEGMENT_M, ".", ms=3, color="C0", zorder=2)
 
 
 if __name__ == "__main__":

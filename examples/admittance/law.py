@@ -112,17 +112,6 @@ class AdmittanceLaw:
         bend = np.linalg.norm(angles_rad.reshape(-1, 2), axis=1)
         return bool((bend <= self.radius_rad + ROUNDING_RAD).all())
 
-    def loop_gain(
-        self, command_rad: Array, segment: int, normal: Array, stiffness_n_m: float, step_s: float
-    ) -> float:
-        """The share of a contact's excess force that one unlimited step removes.
-
-        Below 1 the force falls without overshoot, below 2 the loop is stable.
-        """
-        squared = float(np.sum((self._jacobian(command_rad, segment).T @ normal) ** 2))
-        implicit = self.settings.worst_stiffness_n_m * squared
-        return stiffness_n_m * squared / (self._diagonal(step_s) + implicit)
-
     def _homeward(self, command_rad: Array, away_rad: Array, period_s: float) -> Array:
         step = -away_rad * (self.settings.return_stiffness_n_m_rad / self._diagonal(period_s))
         jacobians = kinematics.contact_jacobians_m(self._mechanism, command_rad)

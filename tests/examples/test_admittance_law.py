@@ -118,7 +118,7 @@ def run(mechanism, given_settings, segment, stiffness, force_n, steps, home=None
     wall = wall_beside(mechanism, home, segment, angle_deg, stiffness)
     advance_m = force_n * (1.0 / stiffness + wall.compliance_m_n)
     law = AdmittanceLaw(mechanism, given_settings)
-    return run_loop(mechanism, law, wall, segment, home, advance_m, steps, PERIOD_S)[0]
+    return run_loop(mechanism, law, wall, segment, home, advance_m, steps, PERIOD_S)
 
 
 @pytest.mark.slow
