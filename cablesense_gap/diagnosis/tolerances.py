@@ -15,11 +15,14 @@ from cablesense_base import Array
 from cablesense_gap.diagnosis.fitting import refine, refit
 from cablesense_gap.diagnosis.problem import RESOLUTION, Explanation, Problem
 
-_STEP_OF_STD = 0.1
-"""For derivatives by tolerances."""
-_MOST_REPEATED, _FAR_OFF = 4, 5.0
-"""Times that tolerances are made linear anew, and the standard deviations from which on one of
-them imitates an effect and is no place to be linear about."""
+_STEP_OF_STD, _STEP_OF_FLOOR = 0.1, 0.2
+"""For derivatives by tolerances: of a standard deviation, but no more than changes the readings by
+this share of the floor (RMS). On a stiff arm a larger step takes cables slack, and derivatives
+across such kinks lead fits astray. The rests' rounding is a thousandth of that."""
+_MOST_REPEATED, _BETTER, _FAR_OFF = 6, 0.95, 5.0
+"""Times that tolerances are made linear anew, and the share of the cost that a time must save for
+another one. From so many standard deviations on, a tolerance imitates an effect that is not in the
+explanation, and is no place to be linear about."""
 
 
 def with_fitted_tolerances(problem: Problem) -> Problem:
@@ -28,15 +31,10 @@ def with_fitted_tolerances(problem: Problem) -> Problem:
     The tensions of a stiff arm are far from linear in them. The same problem where that is no
     more than what residuals can show.
     """
-    for _ in range(_MOST_REPEATED):
-        none = refine(problem, {}, [[]])
-        assert none is not None
-        std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
-        far_off = any(abs(value) > _FAR_OFF * std[term] for term, value in none.tolerances.items())
-        if far_off or _is_consistent(problem, none):
-            break
-        problem = _with_tolerances_of(problem, none) or problem
-    return problem
+    none = refine(problem, {}, [[]])
+    assert none is not None
+    columns, rest = final_refinement(problem, none)[1]
+    return replace(problem, tolerance_columns=columns, tolerance_rest=rest)
 
 
 def final_refinement(
@@ -48,16 +46,25 @@ def final_refinement(
     choose by. Gives the columns (K, R, C) of the tolerances and their rest (R, C) too.
     """
     best, used = explanation, problem
-    for _ in range(_MOST_REPEATED if explanation.values else 0):
-        if _is_consistent(problem, best):
-            break
-        about = _with_tolerances_of(problem, best)
+    repeated = 0 if _is_consistent(problem, explanation) else _MOST_REPEATED
+    for _ in range(repeated):
+        about = None if _imitates(used, best) else _with_tolerances_of(used, best)
         start_at = best.without_tolerances, best.columns
         fitted = None if about is None else refit(about, best.values, 3, start_at)
         if about is None or fitted is None or problem.cost_of(fitted) > problem.cost_of(best):
             break
+        much_better = problem.cost_of(fitted) < _BETTER * problem.cost_of(best)
         best, used = fitted, about
+        if not much_better:
+            break
     return best, (used.tolerance_columns, used.tolerance_rest)
+
+
+def _imitates(problem: Problem, explanation: Explanation) -> bool:
+    """Whether tolerances alone have to imitate an effect."""
+    std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
+    off = (abs(value) > _FAR_OFF * std[term] for term, value in explanation.tolerances.items())
+    return not explanation.values and any(off)
 
 
 def _is_consistent(problem: Problem, explanation: Explanation) -> bool:
@@ -76,8 +83,10 @@ def _with_tolerances_of(problem: Problem, explanation: Explanation) -> Problem |
         return None
     std = dict(zip(problem.tolerance_terms, problem.tolerance_std.tolist(), strict=True))
     at = dict.fromkeys(std, 0.0) | dict(explanation.tolerances)
+    change = np.sqrt((problem.tolerance_columns[:, problem.used] ** 2).mean(axis=(1, 2)))
+    size = 1.0 / np.maximum(1.0 / _STEP_OF_STD, change / (_STEP_OF_FLOOR * problem.floor))
     # towards zero, so that no tolerance leaves its range
-    steps = {term: -_STEP_OF_STD * np.copysign(std[term], value) for term, value in at.items()}
+    steps = {t: -s * np.copysign(std[t], at[t]) for t, s in zip(std, size, strict=True)}
     predict, candidates = problem.simulator.predict, problem.simulator.candidates
     # a hundred simulations with friction or creep would take minutes, to change the columns little
     history = {c.effect for c in candidates if c.history_dependent}

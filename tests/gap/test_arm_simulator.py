@@ -12,8 +12,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from cablesense_gap.amended_arm import amended_arm, write_arm
 from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, settled
+from cablesense_gap.arm_system import ArmSystem
+from cablesense_gap.diagnosis.fitting import refine
+from cablesense_gap.pipeline import problem_of
 from cablesense_gap.recordings.recording import returns
-from cablesense_gap.simulator import Term
+from cablesense_gap.simulator import Term, parameters_of
 from cablesense_sim.arm import ListedEffect, load_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.effects.registry import known_effects
@@ -251,3 +254,44 @@ def test_rows_in_which_a_little_more_load_would_turn_a_segment_do_not_count():
     assert np.abs(np.diff(tensions_n[[steepest, steepest + 1]], axis=0)).max() > 10.0
     assert not counted[steepest : steepest + 2].all()
     assert counted[np.abs(loads_n - loads_n[steepest]) > 0.3].all()
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_tolerances_of_a_very_stiff_arm_are_found(seed):
+    """A tenth of their standard deviation takes cables slack in bent poses."""
+    stiff = variant(
+        {
+            "segments.count": 2,
+            "segments.length_m": [0.082, 0.089],
+            "segments.plate_offset_m": 0.013,
+            "segments.contact_m": [0.041, 0.044],
+            "cables.per_segment": 4,
+            "cables.routing_radius_m": 0.059,
+            "cables.stiffness_n_m": 9.3e6,
+            "cables.pretension_n": 55.0,
+            "cables.angle_deg": {"first": 0.0, "per_segment": 45.0, "per_cable": -90.0},
+        },
+        "cdsm_lab",
+    )
+    poses_rad = np.random.default_rng(1).uniform(-0.25, 0.25, (6, 4))
+    segment = np.tile(np.repeat([0, 1, 2], [8, 6, 6]), 6)
+    loads_n = np.random.default_rng(2).uniform(-40.0, 40.0, (120, 3)) * [0.1, 1.0, 1.0]
+    recording = replace(
+        small_recording().rows(slice(0, 120)),
+        trial=np.repeat(np.arange(6), 20),
+        command_rad=np.repeat(poses_rad, 20, axis=0),
+        load_segment=segment,
+        load_n=np.where(segment[:, None] > 0, loads_n, 0.0),
+        tensions_n=np.zeros((120, 8)),
+    )
+    system = ArmSystem(stiff, recording)
+    std = {t: p.typical for t, p in parameters_of(system.tolerances).items()}
+    rng = np.random.default_rng(seed)
+    planted = {t: s * float(rng.standard_normal()) for t, s in std.items()}
+    noise_n = system.floor * rng.standard_normal(recording.tensions_n.shape)
+    readings_n = system.predict([planted])[0] + noise_n
+    problem = problem_of(ArmSystem(stiff, replace(recording, tensions_n=readings_n)))
+    found = refine(problem, {}, [[]])
+    angles = [term for term in planted if term.parameter == "angle_rad"]
+    off = [(found.tolerances[t] - planted[t]) / std[t] for t in angles]
+    assert_allclose(off, 0.0, atol=0.5)
