@@ -36,17 +36,16 @@ import harness
 import numpy as np
 import pandas as pd
 
-from cablesense_base import Array
-from cablesense_gap.robot.amending import load_amended, write_amended
 from cablesense_gap.robot.model import Robot, load_robot
 from cablesense_gap.robot.motion import Motion
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Assignment
+from cablesense_gap.verdict import Verdict
 
 MODELS = Path(__file__).parents[1] / "config" / "robots"
-_JAWS, _SAMPLE_S, _TRIAL_GAP_S = ("jaw.xml", "jaw_cable.xml"), 0.01, 30.0
+_JAWS, _SAMPLE_S = ("jaw.xml", "jaw_cable.xml"), 0.01
 _JAW_COLUMNS = {
     "position.drive": ("drive_angle_rad", 1.0),
     "position.jaw": ("jaw_angle_rad", 1.0),
@@ -59,7 +58,6 @@ _PENDULUM_COLUMNS = {
     for what, unit in (("position", "rad"), ("torque", "nm"))
     for joint in (1, 2)
 }
-_FRICTION = "joint_friction.joint_{}.torque_n_m"
 
 
 def main() -> None:
@@ -68,120 +66,92 @@ def main() -> None:
     parser.add_argument("what", choices=("jaw", "pendulums"), help="of whom the recordings are")
     parser.add_argument("--data", type=Path, required=True, help="folder of the recordings")
     options = parser.parse_args()
+    index = pd.read_csv(options.data / "index.csv")
     if options.what == "jaw":
-        fitted, unseen = _jaw_halves(options.data)
-        found = {name: _jaw(MODELS / name, fitted, unseen) for name in _JAWS}
-        trials = {"trials": [len(fitted), len(unseen)]}
-        harness.publish("robot_jaw.json", trials | found, options, "mujoco")
+        harness.publish("robot_jaw.json", _jaws(options.data, index), options, "mujoco")
     else:
-        designs = {each: _pendulum(each, options.data) for each in _DESIGNS}
+        designs = {each: _pendulum(each, options.data, index) for each in _DESIGNS}
         harness.publish("real_double_pendulum.json", {"designs": designs}, options, "mujoco")
 
 
-def _jaw_halves(data: Path) -> tuple[list[pd.DataFrame], list[pd.DataFrame]]:
-    """Recordings of the reference tool at its 1st, 3rd … level of the brake, and at the others."""
-    index = pd.read_csv(data / "index.csv")
+def _jaws(data: Path, index: pd.DataFrame) -> dict[str, Any]:
+    """Of the tool with the most levels, its 1st, 3rd … are diagnosed, the others are judged."""
     tool = index.groupby("folder", sort=False)["brake_percent"].nunique().idxmax()
     own = index[index["folder"] == tool]
     fitted_levels = sorted(own["brake_percent"].unique())[::2]
     halves: tuple[list[pd.DataFrame], list[pd.DataFrame]] = [], []
     for row in own.itertuples():
-        table = pd.read_csv(data / f"{row.recording}.csv.gz")
+        read = pd.read_csv(data / f"{row.recording}.csv.gz")
+        columns = {name: sign * read[source] for name, (source, sign) in _JAW_COLUMNS.items()}
+        time_s = _SAMPLE_S * np.arange(len(read))
+        table = pd.DataFrame({"time_s": time_s, "trial": 0, **columns})
         halves[row.brake_percent not in fitted_levels].append(table)
-    return halves
+    found: dict[str, Any] = {"trials": [len(half) for half in halves]}
+    for name in _JAWS:
+        robot = load_robot(MODELS / name)
+        fitted, unseen = (_recording(half, robot) for half in halves)
+        diagnosis, motion = diagnose(fitted, robot), prepared(unseen, robot)
+        before, after = (
+            1e3 * RobotSystem(robot, motion, effects).gaps()[0][2]  # of the drive
+            for effects in ({}, diagnosis.amended)
+        )
+        found[name] = {
+            **_stated(diagnosis.verdict),
+            "levels not fitted, drive's torque before and after, mN·m": [
+                round(before, 2),
+                round(after, 2),
+            ],
+        }
+    return found
 
 
-def _jaw(path: Path, fitted: list[pd.DataFrame], unseen: list[pd.DataFrame]) -> dict[str, Any]:
-    robot = load_robot(path)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        one = _jaw_recording(folder / "fitted.csv", fitted, robot)
-        other = _jaw_recording(folder / "unseen.csv", unseen, robot)
-        found = diagnose(one, robot)
-        write_amended(folder, robot, found.amended, {})
-        gaps = [
-            RobotSystem(nominal, prepared(other, nominal), beside).gaps()[0][2]
-            for nominal, beside in ((robot, {}), load_amended(folder))
-        ]
-    verdict = found.verdict
-    return {
-        "effects": verdict.effects,
-        "probability": round(verdict.probability, 3),
-        "ambiguity_group": verdict.ambiguity_group,
-        "numbers": {
-            name: f"{e.value:.3g} ({e.ci95[0]:.3g} to {e.ci95[1]:.3g}) {e.unit}"
-            for name, e in verdict.parameters.items()
-        },
-        "levels not fitted, drive's torque before and after, mN·m": [
-            round(1e3 * gap, 2) for gap in gaps
-        ],
-        "removed": round(1.0 - gaps[1] / gaps[0], 3),
-        "seconds": round(verdict.seconds or 0.0, 1),
-    }
-
-
-def _jaw_recording(path: Path, trials: list[pd.DataFrame], robot: Robot) -> RobotRecording:
-    tables = []
-    for trial, table in enumerate(trials):
-        time_s = _TRIAL_GAP_S * trial + _SAMPLE_S * np.arange(len(table))
-        columns = {name: sign * table[source] for name, (source, sign) in _JAW_COLUMNS.items()}
-        tables.append(pd.DataFrame({"time_s": time_s, "trial": trial, **columns}))
-    pd.concat(tables).to_csv(path, index=False)
-    return read_recording(path, robot)
-
-
-def _pendulum(design: str, data: Path) -> dict[str, Any]:
-    index = pd.read_csv(data / "index.csv")
-    runs = index[index.design == design].recording.tolist()
+def _pendulum(design: str, data: Path, index: pd.DataFrame) -> dict[str, Any]:
+    """Every other run of a design is diagnosed, those between are judged."""
     robot = load_robot(MODELS / f"double_pendulum_{_DESIGNS[design]}.xml")
-    fitted, judged = (_pendulum_recording(data, own, robot) for own in (runs[::2], runs[1::2]))
-    diagnosis = diagnose(fitted, robot, zeroed=True)
-    verdict, amended = diagnosis.verdict, diagnosis.amended
-    motion = prepared(judged, robot, diagnosis.system.motion.compared_hz, zeroed=True)
+    runs = [
+        pd.read_csv(data / f"{run}.csv.gz", usecols=["time_s", *_PENDULUM_COLUMNS])
+        for run in index[index.design == design].recording
+    ]
+    tables = [run.rename(columns=_PENDULUM_COLUMNS) for run in runs]
+    diagnosis = diagnose(_recording(tables[::2], robot), robot, zeroed=True)
+    compared_hz = diagnosis.system.motion.compared_hz
+    motion = prepared(_recording(tables[1::2], robot), robot, compared_hz, zeroed=True)
     as_read = replace(motion, zeroed=False)
-    friction = [verdict.parameters.get(_FRICTION.format(joint)) for joint in (1, 2)]
     return {
-        "diagnosed": runs[::2],
-        "judged": runs[1::2],
-        "effects": verdict.effects,
-        "probability": round(verdict.probability, 2),
-        "friction_n_m": [None if each is None else round(each.value, 3) for each in friction],
-        "parameters": {
-            name: [round(estimate.value, 4), *(round(end, 4) for end in estimate.ci95)]
-            for name, estimate in verdict.parameters.items()
-        },
-        "seconds": round(verdict.seconds or 0.0, 1),
-        "compared up to, Hz": round(motion.compared_hz, 2),
+        **_stated(diagnosis.verdict),
+        "compared up to, Hz": round(compared_hz, 2),
         "torque error on judged runs, N·m": {
-            "torque itself": _sizes(motion, motion.compared(motion.torque)),
             "published model, zeros as they are read": _errors(robot, as_read, {}),
-            "amended model, zeros as they are read": _errors(robot, as_read, amended),
+            "amended model, zeros as they are read": _errors(robot, as_read, diagnosis.amended),
             "published model": _errors(robot, motion, {}),
-            "amended model": _errors(robot, motion, amended),
+            "amended model": _errors(robot, motion, diagnosis.amended),
         },
     }
 
 
-def _pendulum_recording(data: Path, runs: Sequence[str], robot: Robot) -> RobotRecording:
-    """Runs in the columns that recordings of robots have, a file each."""
+def _recording(tables: Sequence[pd.DataFrame], robot: Robot) -> RobotRecording:
+    """Tables in the columns that recordings of robots have, read from a file each."""
     with tempfile.TemporaryDirectory() as folder:
-        for run in runs:
-            table = pd.read_csv(data / f"{run}.csv.gz", usecols=["time_s", *_PENDULUM_COLUMNS])
-            renamed = table.rename(columns=_PENDULUM_COLUMNS)
-            renamed.to_csv(Path(folder) / f"{run}.csv.gz", index=False)
+        for number, table in enumerate(tables):
+            table.to_csv(Path(folder) / f"trial_{number:03d}.csv", index=False)
         return read_recording(Path(folder), robot)
 
 
+def _stated(verdict: Verdict) -> dict[str, Any]:
+    return {
+        "effects": verdict.effects,
+        "probability": round(verdict.probability, 3),
+        "parameters": {
+            name: [float(f"{number:.3g}") for number in (each.value, *each.ci95)]
+            for name, each in verdict.parameters.items()
+        },
+    }
+
+
 def _errors(robot: Robot, motion: Motion, effects: Assignment) -> list[float]:
-    """Of a model and effects."""
-    simulator = RobotSystem(robot, motion, effects)
-    left = simulator.readings - simulator.predict([{}])[0]
-    return _sizes(motion, left * simulator.comparison.noise)
-
-
-def _sizes(motion: Motion, compared: Array) -> list[float]:
-    """Root mean square of the comparison, joint by joint, and of both together."""
-    square = (compared**2).mean(0) / motion.counts.mean(0)
+    """Root mean square of a model's torque error, joint by joint, and of both together."""
+    gaps = np.array([gap for *_, gap, _ in RobotSystem(robot, motion, effects).gaps()])
+    square = gaps**2 / motion.counts.mean(0)  # rows at rest are compared as zeros
     return [round(float(np.sqrt(each)), 4) for each in (*square, square.mean())]
 
 
