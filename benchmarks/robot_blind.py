@@ -36,7 +36,8 @@ import numpy as np
 import pandas as pd
 from robot_sets import drawn, servo_file, with_play, with_servos, with_tendons
 
-from cablesense_gap.robot.model import Robot, load_robot
+from cablesense_gap.robot.model import load_robot
+from cablesense_gap.robot.motion import rms
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose
@@ -69,8 +70,8 @@ def main() -> None:
     write_answers(answers_file, [case.answer for case in cases])
     answers = read_answers(answers_file)
     until_s = time.time() + 60.0 * options.minutes
-    since = "since." if options.reference else ""
     _record(cases, folder, until_s)
+    since = "since." if options.reference else ""
     done = {}
     for case, answer in zip(cases, answers, strict=True):
         diagnosed = partial(_diagnosed, case, folder, since, torques=not options.commands)
@@ -79,18 +80,19 @@ def main() -> None:
         ):
             done[answer.recording] = one
             print(blind_sets.case(answer, *one), flush=True)
-    result = blind_sets.scored(answers, done)
+    result = {"seed": options.seed, **blind_sets.scored(answers, done)}
     verdicts = {name: one.verdict for name, one in done.items()}
     several = [a for a in answers if a.recording in done and len(a.effects) > 1]
     result["budgets"] = asdict(score(verdicts, several).budgets) if several else {}
     result["budgets"].pop("shares", None)  # of the verdict's floors; answers count samples' noise
-    long_s = _long_s(cases, folder, until_s, torques=not options.commands)
-    result[f"seconds of {_LONG_ROWS:,} rows of a 6-joint arm"] = long_s
+    arms = [c for c in cases if c.kind.name == "arm_6" and "+" in c.answer.effects]
+    if arms and not options.commands and time.time() < until_s:
+        long_s = _long_s(arms[0], folder)
+        result[f"seconds of {_LONG_ROWS:,} rows of a 6-joint arm"] = long_s
     names = {"_forward": "commands", "_play": "play", "_tendons": "tendons"}
     names |= {"_servos": "servos", "_imperfect": "imperfect", "_reference": "reference"}
     kind = "".join(part for part, option in names.items() if getattr(options, option))
-    found = {"seed": options.seed, **result}
-    harness.publish(f"robot_blind{kind}.json", found, options, "mujoco")
+    harness.publish(f"robot_blind{kind}.json", result, options, "mujoco")
 
 
 def _record(cases: Sequence[RobotCase], folder: Path, until_s: float) -> None:
@@ -102,38 +104,30 @@ def _record(cases: Sequence[RobotCase], folder: Path, until_s: float) -> None:
             record(own[begin : begin + _TOGETHER], folder)
 
 
-def _read(path: Path, robot: Robot, *, torques: bool) -> RobotRecording:
-    recording = read_recording(path, robot)
-    unread = np.full_like(recording.torque, np.nan)
-    return recording if torques else replace(recording, torque=unread)
-
-
 def _diagnosed(
     case: RobotCase, folder: Path, since: str, *, torques: bool
 ) -> tuple[Verdict, float]:
     """The verdict, and the share of the gap removed on the second recording."""
     external = case.kind.servos
     robot = load_robot(servo_file(case.kind, folder) if external else case.kind.path)
+
+    def read(path: Path) -> RobotRecording:
+        recording = read_recording(path, robot)
+        unread = np.full_like(recording.torque, np.nan)
+        return recording if torques else replace(recording, torque=unread)
+
     path = _place(folder, case, "csv.gz")
-    read = partial(_read, robot=robot, torques=torques)
     healthy = read(path.parent / "reference" / path.name) if since else None
     found = diagnose(read(path), robot, reference=healthy, external=external)
     motion = prepared(read(_second(folder, case)), robot, external=external)
     simulator = RobotSystem(robot, motion, {})
     variants = (simulator.predict([each])[0] for each in ({}, found.amended))
-    before, after = (
-        float(np.sqrt(((simulator.readings - each) ** 2).mean())) for each in variants
-    )
+    before, after = (rms(simulator.readings - each) for each in variants)
     return found.verdict, removed_fraction(before, after, simulator.floor)
 
 
-def _long_s(
-    cases: Sequence[RobotCase], folder: Path, until_s: float, *, torques: bool
-) -> float | None:
-    """Seconds from the file to the verdict, for a recording of an arm with `_LONG_ROWS` rows."""
-    case = next((c for c in cases if c.kind.name == "arm_6" and "+" in c.answer.effects), None)
-    if case is None or time.time() > until_s:
-        return None
+def _long_s(case: RobotCase, folder: Path) -> float:
+    """Seconds from the file to the verdict, for its recording with `_LONG_ROWS` rows."""
     table = pd.read_csv(_place(folder, case, "csv.gz"))
     at = np.linspace(0.0, len(table) - 1.0, _LONG_ROWS)
     long = {name: np.interp(at, np.arange(len(table)), table[name]) for name in table}
@@ -142,7 +136,7 @@ def _long_s(
         path = Path(beside) / "long.csv"
         pd.DataFrame(long).to_csv(path, index=False)
         began, robot = time.monotonic(), load_robot(case.kind.path)
-        diagnose(_read(path, robot, torques=torques), robot)
+        diagnose(read_recording(path, robot), robot)
     return round(time.monotonic() - began, 1)
 
 

@@ -44,10 +44,12 @@ _IMPERFECT = (0.05, 0.15)
 class TendonGuides:
     """Of K tendons, P points each, of a robot whose N joints all turn about y.
 
+    Places in the plane of motion are complex numbers, x + iz.
+
     Attributes:
         link: (K, P) which each point is on, 0 the base's.
-        place_m: (K, P, 2) there, x and z.
-        origin_m: (N, 2) of each joint on the link before.
+        place_m: (K, P) there.
+        origin_m: (N,) of each joint on the link before.
     """
 
     link: Array
@@ -55,34 +57,27 @@ class TendonGuides:
     origin_m: Array
 
     def pose(self, angle: Array) -> tuple[Array, Array]:
-        """Points (B, K, P, 2) and joints (B, N, 2) in base axes, at angles (B, N)."""
-        turned = np.cumsum(np.pad(angle, ((0, 0), (1, 0))), axis=1)
-        cos, sin = np.cos(turned), np.sin(turned)
-        frame = np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], -2)
-        steps = np.einsum("bnij,nj->bni", frame[:, :-1], self.origin_m)
-        joints = np.cumsum(steps, axis=1)
-        origin = np.concatenate([np.zeros_like(joints[:, :1]), joints], axis=1)
-        points = origin[:, self.link] + np.einsum(
-            "bkpij,kpj->bkpi", frame[:, self.link], self.place_m
-        )
-        return points, joints
+        """Points (B, K, P) and joints (B, N) in base axes, at angles (B, N)."""
+        turned = np.exp(-1j * np.cumsum(np.pad(angle, ((0, 0), (1, 0))), axis=1))
+        joints = np.cumsum(turned[:, :-1] * self.origin_m, axis=1)
+        origin = np.pad(joints, ((0, 0), (1, 0)))
+        return origin[:, self.link] + turned[:, self.link] * self.place_m, joints
 
     def torques_n_m(self, pose: tuple[Array, Array], tension_n: Array) -> Array:
         """(B, K, N) of each tendon about each joint, of tensions (B, K, P - 1) in its pieces."""
         points, joints = pose
-        piece = np.diff(points, axis=2)
-        pull = tension_n[..., None] * piece / np.linalg.norm(piece, axis=-1, keepdims=True)
-        force = np.pad(pull, ((0, 0), (0, 0), (0, 1), (0, 0)))
-        force[:, :, 1:] -= pull
-        arm = points[:, :, :, None] - joints[:, None, None]
-        about_y = arm[..., 1] * force[..., None, 0] - arm[..., 0] * force[..., None, 1]
+        piece = np.diff(points)
+        pull = tension_n * piece / np.abs(piece)
+        force = np.diff(pull, prepend=0.0, append=0.0)
+        arm = points[..., None] - joints[:, None, None]
+        about_y = -(arm.conj() * force[..., None]).imag
         carried = self.link[..., None] > np.arange(joints.shape[1])
         return np.asarray((about_y * carried).sum(2))
 
     def moments_m(self, angle: Array) -> Array:
         """(B, K, N) torque by tension without friction."""
-        points, _ = pose = self.pose(angle)
-        return self.torques_n_m(pose, np.ones((*points.shape[:2], points.shape[2] - 1)))
+        pose = self.pose(angle)
+        return self.torques_n_m(pose, np.ones_like(np.diff(pose[0].real)))
 
 
 class Rubbing:
@@ -92,18 +87,15 @@ class Rubbing:
         """`friction` (B, K) of each tendon with its guides; at angles (B, N) at first."""
         self._guides, self._friction = guides, friction
         points, _ = guides.pose(angle)
-        length = np.linalg.norm(np.diff(points, axis=2), axis=-1)
-        self._natural_m = length - PRETENSION_N / _STIFF_N_M
+        self._natural_m = np.abs(np.diff(points)) - PRETENSION_N / _STIFF_N_M
 
     def lost_n_m(self, angle: Array, torque_n_m: Array) -> Array:
         """(B, N) loss of the motors' torques, on the way to angles (B, N)."""
-        points, _ = pose = self._guides.pose(angle)
-        piece = np.diff(points, axis=2)
-        length = np.linalg.norm(piece, axis=-1)
-        way = piece / length[..., None]
-        turn = np.arccos(np.clip((way[:, :, 1:] * way[:, :, :-1]).sum(-1), -1.0, 1.0))
+        pose = self._guides.pose(angle)
+        piece = np.diff(pose[0])
+        turn = np.abs(np.angle(piece[..., 1:] / piece[..., :-1]))
         most = np.exp(self._friction[..., None] * turn)
-        tension = _STIFF_N_M * (length - self._natural_m)
+        tension = _STIFF_N_M * (np.abs(piece) - self._natural_m)
         tension[..., 0] = pulls_n(self._guides.moments_m(angle), torque_n_m)
         self._natural_m += tension / _STIFF_N_M
         rubs = self._friction > 0.0
@@ -148,19 +140,18 @@ def pulls_n(moment_m: Array, torque_n_m: Array) -> Array:
     return pulls
 
 
-def read_guides(path: str | Path) -> TendonGuides:
+def read_guides(path: Path) -> TendonGuides:
     """The tendons of one of these MJCFs; short ones have points more on their first piece."""
     model = mujoco.MjModel.from_xml_path(str(path))
     most, links, places = int(model.tendon_num.max()), [], []
+    at_m = model.site_pos @ (1.0, 0.0, 1j)
     for first, count in zip(model.tendon_adr, model.tendon_num, strict=True):
-        sites = model.wrap_objid[first : first + count]
-        link, place = model.site_bodyid[sites].tolist(), list(model.site_pos[sites][:, [0, 2]])
-        missing = most - count
-        between = (np.arange(missing) + 1.0) / (missing + 1.0)
-        links.append([link[0]] * missing + link)
-        place[1:1] = [place[0] + share * (place[1] - place[0]) for share in between]
-        places.append(place)
-    return TendonGuides(np.array(links), np.array(places), model.body_pos[1:][:, [0, 2]])
+        sites, missing = model.wrap_objid[first : first + count], most - count
+        link, place_m = model.site_bodyid[sites], at_m[sites]
+        links.append(np.pad(link, (missing, 0), mode="edge"))
+        between = np.linspace(place_m[0], place_m[1], missing + 1, endpoint=False)
+        places.append([*between, *place_m[1:]])
+    return TendonGuides(np.array(links), np.array(places), model.body_pos[1:] @ (1.0, 0.0, 1j))
 
 
 _MODELS = Path(__file__).parents[1] / "config" / "robots"
@@ -243,34 +234,26 @@ def capstan_friction(draw: RobotDraw) -> RobotChange:
 _IN_TORQUES = ("torque_delay", "torque_offset", "torque_scale", "warming", "torque_ceiling")
 
 
-def pools(*, commands: bool) -> tuple[dict[str, Drawing], ...]:
-    """Listed and unlisted causes; without torques, by commands, those that show in motion.
-
-    Play is among the latter alone, so that seeds with torques stay the same.
-    """
-    if not commands:
-        return LISTED, UNLISTED
-    listed, unlisted = (
-        {name: cause for name, cause in pool.items() if name not in _IN_TORQUES}
-        for pool in ({**LISTED, **_MOVING}, UNLISTED)
-    )
-    return listed, unlisted
-
-
 def drawn(
     count: int, seed: int, *, commands: bool = False, imperfect: bool = False
 ) -> list[RobotCase]:
     """Cases of a seed: robots in turn; shares of `none`, `unknown`, one and several effects.
 
-    By `commands` causes are left out that show in torques alone. With `imperfect` the nominal
-    robots lack friction by position, springs of cable bundles and ripples of gears, which all
-    recordings have.
+    By `commands` causes are left out that show in torques alone, and play is added, which they
+    show. With `imperfect` the nominal robots lack friction by position, springs of cable bundles
+    and ripples of gears, which all recordings have.
     """
     rng = np.random.default_rng([seed])
-    known = pools(commands=commands)
+    known: list[dict[str, Drawing]] = [LISTED, UNLISTED]
+    if commands:
+        known = [
+            {name: cause for name, cause in pool.items() if name not in _IN_TORQUES}
+            for pool in (LISTED | _MOVING, UNLISTED)
+        ]
     hidden, kinds = sets_of_names(rng, count, known), in_turn(rng, list(KINDS))
+    lacking = _imperfect if imperfect else None
     return [
-        draw_case(KINDS[next(kinds)], own, seed, index, known, _imperfect if imperfect else None)
+        draw_case(KINDS[next(kinds)], own, seed, index, known, lacking)
         for index, own in enumerate(hidden, start=1)
     ]
 
@@ -301,19 +284,21 @@ def _imperfect(
 
 def with_play(count: int, seed: int) -> list[RobotCase]:
     """Pendulums of two links, each with backlash in one joint."""
-    known, kind = pools(commands=True), KINDS["two_links"]
-    return [draw_case(kind, ["backlash"], seed, index + 1, known) for index in range(count)]
+    kind = KINDS["two_links"]
+    return [draw_case(kind, ["backlash"], seed, k + 1, [_MOVING]) for k in range(count)]
 
 
 def with_tendons(count: int, seed: int) -> list[RobotCase]:
     """Fingers with guides: of four two have tendons that rub, one other friction, one nothing."""
     alike = ("joint_friction", "load_friction", "viscous_friction")
-    known = _TENDONS, {name: LISTED[name] for name in alike}
-    others = in_turn(np.random.default_rng([seed]), list(known[1]))
-    turns = [["capstan_friction"], [], ["capstan_friction"], ["other"]]
-    hidden = [turns[k % len(turns)] for k in range(count)]
-    names = [[next(others)] if own == ["other"] else own for own in hidden]
-    return [draw_case(GUIDED, own, seed, k + 1, known) for k, own in enumerate(names)]
+    known = [_TENDONS, {name: LISTED[name] for name in alike}]
+    others, cases = in_turn(np.random.default_rng([seed]), alike), []
+    for k in range(count):
+        names = ["capstan_friction"] if k % 2 == 0 else []
+        if k % 4 == 3:
+            names = [next(others)]
+        cases.append(draw_case(GUIDED, names, seed, k + 1, known))
+    return cases
 
 
 def with_servos(count: int, seed: int) -> list[RobotCase]:
@@ -321,9 +306,10 @@ def with_servos(count: int, seed: int) -> list[RobotCase]:
 
     Play is the pendulum's, see `with_play`.
     """
-    shown, kinds = {**LISTED, **_MOVING}, in_turn(np.random.default_rng([seed]), list(SERVOS))
-    known = {n: shown[n] for n in ("joint_zero", "backlash", "joint_coupling", "payload")}
-    turns, cases = [*([name] for name in known), []], []
+    listed = ("joint_zero", "backlash", "joint_coupling", "payload")
+    known = {name: (LISTED | _MOVING)[name] for name in listed}
+    turns, cases = [*([name] for name in listed), []], []
+    kinds = in_turn(np.random.default_rng([seed]), list(SERVOS))
     for k in range(count):
         names = turns[k % len(turns)]
         kind = "two_links" if "backlash" in names else next(kinds)

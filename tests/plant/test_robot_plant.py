@@ -177,9 +177,8 @@ def test_a_tendon_that_is_drawn_over_its_guides_loses_by_their_angles():
             angle = np.array([[0.5 + share * turned, 0.5]])
             lost = rubbing.lost_n_m(angle, torque)
         points, _ = guides.pose(angle)
-        ways = np.diff(points[0, 0], axis=0)
-        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-        wrap = np.arccos(np.clip((ways[1:] * ways[:-1]).sum(1), -1.0, 1.0)).sum()
+        ways = np.diff(points[0, 0])
+        wrap = np.abs(np.angle(ways[1:] / ways[:-1])).sum()
         moment = guides.moments_m(angle)
         whole = pulls_n(moment, torque)[0, 0] * moment[0, 0]
         assert lost[0] == pytest.approx(whole * (1.0 - np.exp(-way * 0.4 * wrap)), rel=3e-3)
