@@ -24,12 +24,15 @@ from typing import Any
 
 import harness
 import numpy as np
+from scipy.interpolate import interp1d
 
 from cablesense_base import Array
 from cablesense_sim.cable_chain import CableChains
 
-ROWS, SUBSTEPS, MOST_SEARCHED = 20, 20, 4
+ROWS, SUBSTEPS = 20, 20
+MOST_GUIDES, MOST_SEARCHED = 8, 4
 BAR = 0.01
+_CLOSE = 1e-9
 
 
 def main() -> None:
@@ -39,19 +42,19 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=7, help="of the cables")
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
-    cases = [random_history(rng, 1 + i % 8, ROWS) for i in range(options.count)]
-    found = [tensions_by_law(*case) for case in cases]
-    fine = [tensions_by_law(*case[:2], _divided(case[2]))[::SUBSTEPS] for case in cases]
-    by_search = [
-        _error(tension, searched(*case))
-        for case, tension in zip(cases, found, strict=True)
-        if len(case[1]) <= MOST_SEARCHED
-    ]
-    by_steps = [_error(*each) for each in zip(fine, _timed(cases), strict=True)]
+    cases = [random_history(rng, 1 + i % MOST_GUIDES, ROWS) for i in range(options.count)]
+    by_search, by_steps = list[float](), list[float]()
+    for guides in range(1, min(MOST_GUIDES, options.count) + 1):
+        own = cases[guides - 1 :: MOST_GUIDES]
+        stiffness, grip, stretch = (np.stack(parts) for parts in zip(*own, strict=True))
+        course = timed(stiffness, grip, np.swapaxes(stretch, 0, 1), 4000 * guides)
+        for k, case in enumerate(own):
+            fine = tensions_by_law(*case[:2], divided(case[2], SUBSTEPS))[::SUBSTEPS]
+            by_steps.append(_error(fine, course[:, k]))
+            if guides <= MOST_SEARCHED:
+                by_search.append(_error(tensions_by_law(*case), searched(*case)))
     result: dict[str, Any] = {
         "cables": len(cases),
-        "rows_each": ROWS,
-        "with_slack": sum(bool((tension == 0.0).any()) for tension in found),
         "of_the_range_from_the_search": _summary(by_search),
         "of_the_range_from_the_simulation_in_time": _summary(by_steps),
         "bars": {
@@ -73,21 +76,10 @@ def tensions_by_law(stiffness_n_m: Array, grip: Array, stretch_m: Array) -> Arra
     return np.array(tensions)
 
 
-def _divided(stretch_m: Array) -> Array:
+def divided(stretch_m: Array, steps: int) -> Array:
     """The rows, each but the first divided into even steps."""
-    rows = np.arange((len(stretch_m) - 1) * SUBSTEPS + 1) / SUBSTEPS
-    return np.array([np.interp(rows, np.arange(len(stretch_m)), each) for each in stretch_m.T]).T
-
-
-def _timed(cases: list[tuple[Array, Array, Array]]) -> list[Array]:
-    """(R, P) tensions of each cable by the simulation in time; equally long ones side by side."""
-    found: dict[int, Array] = {}
-    for guides in {len(grip) for _, grip, _ in cases}:
-        own = [i for i, case in enumerate(cases) if len(case[1]) == guides]
-        stiffness, grip, stretch = (np.stack([cases[i][part] for i in own]) for part in range(3))
-        course = timed(stiffness, grip, np.swapaxes(stretch, 0, 1), 4000 * guides)
-        found |= {i: course[:, k] for k, i in enumerate(own)}
-    return [found[i] for i in range(len(cases))]
+    rows = np.arange((len(stretch_m) - 1) * steps + 1) / steps
+    return np.asarray(interp1d(np.arange(len(stretch_m)), stretch_m, axis=0)(rows))
 
 
 def _error(tension_n: Array, expected_n: Array) -> float:
@@ -98,17 +90,13 @@ def _summary(errors: list[float]) -> dict[str, float]:
     return harness.percentiles(errors, ["median", "95 %", "worst"], 7)
 
 
-_CLOSE = 1e-9
-
-
-def searched(stiffness_n_m: Array, grip: Array, stretch_m: Array, substeps: int = 1) -> Array:
+def searched(stiffness_n_m: Array, grip: Array, stretch_m: Array) -> Array:
     """(R, P) tensions by the one admissible pattern of the 3^G of sticking, sliding out and in.
 
     Args:
         stiffness_n_m: (P,) of the pieces.
         grip: (G,) or (R, G).
         stretch_m: (R, P) if nothing passed; the first row's tensions must hold as they are.
-        substeps: into which each row is divided evenly; a rest is found after every one.
 
     Raises:
         ValueError: no pattern is admissible, or two with different tensions are.
@@ -116,17 +104,15 @@ def searched(stiffness_n_m: Array, grip: Array, stretch_m: Array, substeps: int 
     guides = len(stiffness_n_m) - 1
     passes = np.eye(guides + 1, guides) - np.eye(guides + 1, guides, k=-1)
     patterns = np.array(list(product((0, 1, -1), repeat=guides)))
-    rows = np.concatenate([stretch_m, np.broadcast_to(grip, (len(stretch_m), guides))], axis=1)
-    passed, found, before = np.zeros(guides), [], rows[0]
-    for row in rows:
-        for share in np.arange(1, substeps + 1) / substeps:
-            stretch, bound = np.split(before + share * (row - before), [guides + 1])
-            if stretch.sum() <= 0.0:  # wherever the slack lies, no piece has tension
-                even = stretch.sum() / stiffness_n_m / (1.0 / stiffness_n_m).sum()
-                passed, tension = np.cumsum(even - stretch)[:-1], np.zeros(guides + 1)
-                continue
+    passed, found = np.zeros(guides), []
+    for stretch, bound in zip(
+        stretch_m, np.broadcast_to(grip, (len(stretch_m), guides)), strict=True
+    ):
+        if stretch.sum() > 0.0:
             passed, tension = _admissible(stiffness_n_m, passes, patterns, bound, stretch, passed)
-        before = row
+        else:  # wherever the slack lies, no piece has tension
+            even = stretch.sum() / stiffness_n_m / (1.0 / stiffness_n_m).sum()
+            passed, tension = np.cumsum(even - stretch)[:-1], np.zeros(guides + 1)
         found.append(tension)
     return np.array(found)
 
@@ -195,7 +181,7 @@ def random_history(rng: np.random.Generator, guides: int, rows: int) -> tuple[Ar
     grip = rng.uniform(0.0, 0.5, guides) * rng.choice([1.0, 0.0], guides, p=[0.9, 0.1])
     knots = rng.normal(size=(max(2, rows // 4), guides + 1))
     at = np.linspace(0.0, len(knots) - 1.0, rows)
-    course = np.array([np.interp(at, np.arange(len(knots)), each) for each in knots.T]).T
+    course = interp1d(np.arange(len(knots)), knots, axis=0)(at)
     course -= course[0]
     lowest = -course.sum(axis=1).min()
     least = rng.choice([0.8, 1.6], p=[0.67, 0.33])

@@ -50,12 +50,9 @@ def origin(*libraries: str) -> dict[str, Any]:
 
     Without `--folder`: where files lie meanwhile changes no figure.
     """
-    script, given = Path(sys.argv[0]).name, sys.argv[1:]
-    if "--folder" in given:
-        at = given.index("--folder")
-        given = given[:at] + given[at + 2 :]
+    given = " ".join([f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
     return {
-        "command": " ".join(["python", f"benchmarks/{script}", *given]),
+        "command": "python " + re.sub(r" --folder \S+", "", given),
         "made": datetime.now(UTC).isoformat(timespec="seconds"),
         "machine": f"{platform.machine()}, {os.cpu_count()} CPUs",
         "python": platform.python_version(),
@@ -103,9 +100,9 @@ def percentiles(values: Any, names: Sequence[str], digits: int = 3) -> dict[str,
     """Percentiles by name: "median", "worst", or "95 %"; none of no values."""
     if not np.size(values):
         return {}
-    at = [float({"median": "50", "worst": "100"}.get(n, n.removesuffix(" %"))) for n in names]
-    found = np.percentile(values, at).round(digits).tolist()
-    return dict(zip(names, found, strict=True))
+    named = {"median": "50", "worst": "100"}
+    at = {name: float(named.get(name, name.removesuffix(" %"))) for name in names}
+    return {name: round(float(np.percentile(values, share)), digits) for name, share in at.items()}
 
 
 def rss_mb(pid: int) -> float:
