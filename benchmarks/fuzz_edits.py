@@ -39,15 +39,17 @@ class Target(NamedTuple):
     examples: int
 
 
-def require_one_line(error: CableSenseError) -> None:
-    """Check that a refusal is one line that can be printed.
+def require(true: object, otherwise: str) -> None:
+    """Raise a `FalseAnswerError` with this text where something is not true."""
+    if not true:
+        raise FalseAnswerError(otherwise)
 
-    Raises:
-        FalseAnswerError: it is not.
-    """
+
+def require_one_line(error: CableSenseError) -> None:
+    """Check that a refusal is one line that can be printed."""
     text = str(error)
-    if not text or len(text) > LONGEST_LINE or len(text.splitlines()) != 1:
-        raise FalseAnswerError(f"not a one-line refusal: {text[:300]!r} ({len(text)} characters)")
+    printable = len(text) <= LONGEST_LINE and len(text.splitlines()) == 1
+    require(printable, f"not a one-line refusal: {text[:300]!r} ({len(text)} characters)")
 
 
 _SPANS = (1, 1, 1, 2, 4, 12, 64, 512)
@@ -111,9 +113,9 @@ WORDS = (
 _TOKENS = re.compile(r"\n|[^\S\n]+|-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?|\w+|[^\w\s]")
 
 
-def edited_text(draw: Draw, text: str, words: Sequence[str] = ()) -> bytes:
+def edited_text(draw: Draw, content: bytes, words: Sequence[str] = ()) -> bytes:
     """Text with lines or tokens changed, some for extremes or for `words`, a few of its bytes."""
-    whole_lines = draw(st.booleans())
+    text, whole_lines = content.decode("utf-8"), draw(st.booleans())
     parts = text.splitlines(keepends=True) if whole_lines else _TOKENS.findall(text)
     extremes = st.sampled_from((*NUMBERS, *WORDS, *words)).map(lambda word: [word])
     data = "".join(edited(draw, parts, extremes, most=3)).encode("utf-8", errors="surrogatepass")
