@@ -37,26 +37,23 @@ import pandas as pd
 from geometry_msgs.msg import WrenchStamped
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from live_run import GROWTH_MB, PATIENCE_S, LiveRun, SpunNode, load_message, memory
+from live_run import ARM, LiveRun, Operator, SpunNode, Usage, memory_bars
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import JointState
 
 from cablesense_base import Array
 from cablesense_msgs_py.qos import Qos
 from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.processes import Process, node_command
-from cablesense_sim.arm import Arm, open_arm
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.loads import normal_force_n
 
 STALE_WITHIN_S, RIGHT_WITHIN_S = 0.1, 1.0
-ARM, RATE_HZ = "cdsm", 200.0
+RATE_HZ = 200.0
 STALE_AFTER_S = 0.05
 LEASE_S = 0.08
 """After so long without a sign of life of the estimator, the middleware reports it as gone."""
 
 LOAD_EVERY_S, COMMAND_EVERY_S = 0.05, 0.5
+LEAST_N, MOST_N = 20.0, 100.0
 TOLERANCE_N, TOLERANCE = 2.0, 0.03
 """A wrench is right when its force is no further from the load than the larger of these."""
 
@@ -75,7 +72,6 @@ _SET_UP = {
     "sim": r"\[INFO\] \[([\d.]+)\] \[sim\]: arm ",
     "estimator": r"\[INFO\] \[([\d.]+)\] \[estimator\]: arm .*: configured",
 }
-VICTIMS = tuple(_SET_UP)
 
 LOOP = (
     Transition.TRANSITION_CONFIGURE,
@@ -107,22 +103,18 @@ class Received(NamedTuple):
     force_n: Array
 
 
-class KillTrials(SpunNode):
+class KillTrials(Operator):
     """Pushes the arm and commands it periodically, notes every wrench, and kills."""
 
-    def __init__(self, arm: Arm, chain: Mapping[str, Process], seed: int) -> None:
-        super().__init__("watcher")
-        self._arm, self._mechanism, self._chain = arm, mechanism_of(arm), chain
-        self._rng = np.random.default_rng(seed)
+    def __init__(self, chain: Mapping[str, Process]) -> None:
+        super().__init__("watcher", seed=0)
+        self._chain = chain
         self._wrenches: list[Received] = []
         self._gone_s: list[float] = []
         self._load_since_s = time.monotonic()
-        self._force_n: Array = np.zeros(3)
-        self._segment = 1
-        self._load_out = self.create_publisher(WrenchStamped, "applied_wrench", 10)
-        self._command_out = self.create_publisher(JointState, "joint_commands", 10)
-        self.create_timer(LOAD_EVERY_S, self._publish_load)
-        self.create_timer(COMMAND_EVERY_S, self._publish_command)
+        self.create_timer(LOAD_EVERY_S, self.publish_load)
+        straight_rad = np.zeros(self.arm.joint_count)
+        self.create_timer(COMMAND_EVERY_S, lambda: self.command(straight_rad))
         self.create_subscription(
             WrenchStamped,
             "estimator/wrench",
@@ -141,8 +133,8 @@ class KillTrials(SpunNode):
     def kill(self, victim: str) -> dict[str, float]:
         """Kill one and see it come back; times in s, NaN where one does not apply.
 
-        Gives `others_lived`: 1 where every other process kept its id; `stale_s`: from the kill to
-        the first zero wrench, or for the estimator to the report of the subscriber's own
+        Gives `others_lived`: whether every process is alive at the end; `stale_s`: from the kill
+        to the first zero wrench, or for the estimator to the report of the subscriber's own
         middleware that it is gone; `right_after_set_up_s`: from the log line that the process is
         set up to the first wrench of those that are right and stay so; `wrong`: wrenches with
         another force than the load's, a second after the load last changed.
@@ -153,14 +145,14 @@ class KillTrials(SpunNode):
         process = self._chain[victim]
         self._push()
         self._until_right(f"a right wrench before {victim} is killed")
-        self.spin(float(self._rng.uniform(0.0, AT_ANY_MOMENT_S)))
-        before, set_ups = self._other_pids(victim), len(self._set_up_epoch_s(victim))
+        self.spin(float(self.rng.uniform(0.0, AT_ANY_MOMENT_S)))
+        set_ups = len(self._set_up_epoch_s(victim))
         self._wrenches.clear()
         self._gone_s.clear()
         killed_s = process.kill()
-        if self._rng.random() < 0.5:
+        if self.rng.random() < 0.5:
             self._push()  # the process must not come back to the old load
-        self.spin(float(self._rng.uniform(*DEAD_S)))
+        self.spin(float(self.rng.uniform(*DEAD_S)))
         stale_s = [one.arrived_s for one in self._wrenches if not one.segment]
         if victim == "estimator":
             stale_s = self._gone_s.copy()
@@ -173,29 +165,21 @@ class KillTrials(SpunNode):
         right_s = self._until_right(f"a right wrench after {victim} came back", since_s=started_s)
         set_up_s = self._set_up_epoch_s(victim)[-1] - started_epoch_s
         return {
-            "others_lived": before == self._other_pids(victim),
+            "others_lived": all(one.alive for one in self._chain.values()),
             "stale_s": min((at for at in stale_s if at >= killed_s), default=nan) - killed_s,
             "right_after_set_up_s": right_s - started_s - set_up_s,
             "wrong": self._wrong(victim, started_s),
         }
 
+    def _push(self) -> None:
+        self.push(LEAST_N, MOST_N)
+        self._load_since_s = time.monotonic()
+
     def _right(self, wrench: Received) -> bool:
         """Whether a wrench is the present load. The arm is straight: base axes are its own."""
-        limit_n = max(TOLERANCE_N, TOLERANCE * float(np.linalg.norm(self._force_n)))
-        off_n = np.linalg.norm(wrench.force_n - self._force_n)
-        return wrench.segment == self._segment and bool(off_n <= limit_n)
-
-    def _publish_load(self) -> None:
-        segments = range(1, self._arm.segment_count + 1)
-        for segment in sorted(segments, key=lambda one: one == self._segment):  # zeros first
-            force_n = self._force_n if segment == self._segment else np.zeros(3)
-            self._load_out.publish(load_message(segment, force_n))
-
-    def _publish_command(self) -> None:
-        names = list(self._arm.joint_names)
-        command = JointState(name=names, position=[0.0] * len(names))
-        command.header.stamp = self.get_clock().now().to_msg()
-        self._command_out.publish(command)
+        limit_n = max(TOLERANCE_N, TOLERANCE * float(np.linalg.norm(self.force_n)))
+        off_n = np.linalg.norm(wrench.force_n - self.force_n)
+        return wrench.segment == self.segment and bool(off_n <= limit_n)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         force = message.wrench.force
@@ -207,9 +191,6 @@ class KillTrials(SpunNode):
     def _on_liveliness(self, event: QoSLivelinessChangedInfo) -> None:
         if event.alive_count == 0:
             self._gone_s.append(time.monotonic())
-
-    def _other_pids(self, victim: str) -> dict[str, int]:
-        return {k: one.pid for k, one in self._chain.items() if k != victim and one.alive}
 
     def _set_up_epoch_s(self, victim: str) -> list[float]:
         """The times at which a victim logged that it was set up, s since the epoch."""
@@ -227,19 +208,6 @@ class KillTrials(SpunNode):
             settled_s = max(settled_s, back[0] + SWING_S)
         return sum(one.arrived_s > settled_s and not self._right(one) for one in forces)
 
-    def _push(self) -> None:
-        self._segment = segment = int(self._rng.integers(1, self._arm.segment_count + 1))
-        forces = normal_force_n(
-            self._mechanism,
-            np.zeros(self._arm.joint_count),
-            segment=segment,
-            angle_deg=float(self._rng.uniform(0.0, 360.0)),
-            magnitude_n=float(self._rng.uniform(20.0, 100.0)),
-        )
-        self._force_n = forces[segment - 1]
-        self._publish_load()
-        self._load_since_s = time.monotonic()
-
     def _until_right(self, what: str, since_s: float = 0.0) -> float:
         """When the first of `STEADY` right wrenches in a row came, of those that stay right."""
         wrenches = self._wrenches
@@ -253,105 +221,31 @@ class KillTrials(SpunNode):
         return list(itertools.takewhile(right, reversed(wrenches)))[-1].arrived_s
 
 
-class Restless(SpunNode):
-    """Subscribes to wrenches and unsubscribes all the time, and changes the estimator's state.
-
-    Attributes:
-        subscribed: how often.
-        wrenches: received so far.
-    """
-
-    def __init__(self) -> None:
-        super().__init__("restless")
-        self.subscribed = self.wrenches = 0
-        self._there: deque[Subscription] = deque()
-        self._topics = itertools.cycle(("wrench", "wrench_base", "wrench_lower", "wrench_upper"))
-        self._client = self.create_client(ChangeState, "estimator/change_state")
-        self.create_timer(SUBSCRIBED_EVERY_S, self._subscribe)
-        self.spin_until(self._client.service_is_ready, "the estimator")
-
-    def change(self, transition: int) -> None:
-        """Send the estimator through a transition.
-
-        Raises:
-            TimeoutError: it did not succeed.
-        """
-        done = self._client.call_async(ChangeState.Request(transition=Transition(id=transition)))
-        self.spin(PATIENCE_S, done)
-        if not (done.done() and done.result().success):
-            raise TimeoutError(f"transition {transition} did not succeed")
-
-    def hear(self) -> None:
-        """Wait for a wrench."""
-        before = self.wrenches
-        self.spin_until(lambda: self.wrenches > before, "a wrench")
-
-    def _subscribe(self) -> None:
-        topic = f"estimator/{next(self._topics)}"
-        self._there.append(self.create_subscription(WrenchStamped, topic, self._count, 10))
-        self.subscribed += 1
-        if len(self._there) > SUBSCRIPTIONS:
-            self.destroy_subscription(self._there.popleft())
-
-    def _count(self, _: WrenchStamped) -> None:
-        self.wrenches += 1
-
-
-def measure_lifecycle(loops: int) -> dict[str, Any]:
-    """Bring the estimator up and down; its memory at the end of each loop."""
-    notes: list[tuple[float, dict[str, float]]] = []
-    with LiveRun() as run:
-        run.start("sim", node_command("sim", {"arm": ARM}))
-        estimator = run.start("estimator", node_command("estimator", {"autostart": False}))
-        node, began_s = Restless(), time.monotonic()
-        while len(notes) < loops:
-            for transition in LOOP:
-                node.change(transition)
-                if transition == Transition.TRANSITION_ACTIVATE:
-                    node.hear()
-            run.check()
-            memory_mb = {"estimator": harness.rss_mb(estimator.pid)}
-            notes.append((time.monotonic() - began_s, memory_mb))
-        tracebacks = estimator.log.count("Traceback")
-        codes = run.stop()
-        node.destroy_node()
-    grown = memory(notes)
-    return {
-        "loops": loops,
-        "seconds": round(notes[-1][0], 1),
-        "subscriptions made": node.subscribed,
-        "wrenches received": node.wrenches,
-        "tracebacks": tracebacks,
-        "memory": grown,
-        "exit codes": codes,
-        "bars": {
-            "every process ends well": not any(codes.values()) and not tracebacks,
-            f"memory of the estimator grows by less than {GROWTH_MB:g} MB": (
-                grown["estimator"]["growth at most (MB)"] < GROWTH_MB
-            ),
-        },
-    }
-
-
 def measure(times: int) -> dict[str, Any]:
     """All kills; statistics by victim."""
-    kills: dict[str, list[dict[str, float]]] = {victim: [] for victim in VICTIMS}
     with LiveRun() as run:
         start_chain(run)
-        trials = KillTrials(open_arm(ARM), run.processes, seed=0)
+        trials = KillTrials(run.processes)
         trials.bring_up()
-        for _, victim in itertools.product(range(times), VICTIMS):
-            kills[victim].append(trials.kill(victim))
+        kills = [
+            {"victim": victim, **trials.kill(victim)} for _ in range(times) for victim in _SET_UP
+        ]
         codes = run.stop()
         trials.destroy_node()
-    statistics = {victim: _statistics(pd.DataFrame(ones)) for victim, ones in kills.items()}
+    by_victim = pd.DataFrame(kills).groupby("victim", sort=False)
+    statistics = {str(victim): _statistics(ones) for victim, ones in by_victim}
     return {
+        "arm": ARM,
         "rate_hz": RATE_HZ,
         "stale_after_s": STALE_AFTER_S,
         "lease_s": LEASE_S,
         "kills": statistics,
         "exit codes": codes,
-        "bars": _bars(statistics),
+        "bars": {
+            f"{victim}: {bar}": kept
+            for victim, one in statistics.items()
+            for bar, kept in _bars(one).items()
+        },
     }
 
 
@@ -363,24 +257,69 @@ def _statistics(kills: pd.DataFrame) -> dict[str, Any]:
         **{
             name: {"seen": int(kills[name].count())}
             | harness.percentiles(kills[name].dropna(), ("median", "95 %", "worst"), 4)
-            for name in kills.filter(regex="_s$")
+            for name in ("stale_s", "right_after_set_up_s")
         },
     }
 
 
-def _bars(statistics: dict[str, Any]) -> dict[str, bool]:
-    bars: dict[str, bool] = {}
-    for victim, one in statistics.items():
-        stale, right = one["stale_s"], one["right_after_set_up_s"]
-        bars |= {
-            f"{victim}: the others go on": one["others lived"] == one["kills"],
-            f"{victim}: stale said within {STALE_WITHIN_S:g} s": stale["seen"] == one["kills"]
-            and stale["worst"] <= STALE_WITHIN_S,
-            f"{victim}: right within {RIGHT_WITHIN_S:g} s of its being set up": right["worst"]
-            <= RIGHT_WITHIN_S,
-            f"{victim}: no wrong force": one["wrong forces"] == 0,
-        }
-    return bars
+def _bars(one: dict[str, Any]) -> dict[str, bool]:
+    stale, right = one["stale_s"], one["right_after_set_up_s"]
+    said = stale["seen"] == one["kills"] and stale["worst"] <= STALE_WITHIN_S
+    return {
+        "the others go on": one["others lived"] == one["kills"],
+        f"stale said within {STALE_WITHIN_S:g} s": said,
+        f"right within {RIGHT_WITHIN_S:g} s of its being set up": right["worst"] <= RIGHT_WITHIN_S,
+        "no wrong force": one["wrong forces"] == 0,
+    }
+
+
+def measure_lifecycle(loops: int) -> dict[str, Any]:
+    """Bring the estimator up and down; its memory at the end of each loop."""
+    made: deque[Subscription] = deque()
+    wrenches: list[WrenchStamped] = []
+    topics = itertools.cycle(("wrench", "wrench_base", "wrench_lower", "wrench_upper"))
+    subscribed = itertools.count()
+
+    def subscribe() -> None:
+        topic = f"estimator/{next(topics)}"
+        made.append(node.create_subscription(WrenchStamped, topic, wrenches.append, 10))
+        if next(subscribed) >= SUBSCRIPTIONS:
+            node.destroy_subscription(made.popleft())
+
+    with LiveRun() as run:
+        run.start("sim", node_command("sim", {"arm": ARM}))
+        estimator = run.start("estimator", node_command("estimator", {"autostart": False}))
+        node, usage = SpunNode("restless"), Usage({"estimator": estimator})
+        client = node.create_client(ChangeState, "estimator/change_state")
+        node.spin_until(client.service_is_ready, "the estimator")
+        node.create_timer(SUBSCRIBED_EVERY_S, subscribe)
+        for loop, transition in itertools.product(range(loops), LOOP):
+            request = ChangeState.Request(transition=Transition(id=transition))
+            done = client.call_async(request)
+            node.spin_until(done.done, f"transition {transition} of loop {loop}")
+            if not done.result().success:
+                raise SystemExit(f"transition {transition} of loop {loop} did not succeed")
+            if transition == Transition.TRANSITION_ACTIVATE:
+                wrenches.clear()
+                node.spin_until(lambda: wrenches, "a wrench")
+            run.check()
+            usage.note()
+        tracebacks = estimator.log.count("Traceback")
+        codes = run.stop()
+        node.destroy_node()
+    memory = usage.memory()
+    return {
+        "arm": ARM,
+        "loops": loops,
+        "subscriptions made": next(subscribed),
+        "tracebacks": tracebacks,
+        "memory": memory,
+        "exit codes": codes,
+        "bars": {
+            "every process ends well": not any(codes.values()) and not tracebacks,
+            **memory_bars(memory, ["estimator"]),
+        },
+    }
 
 
 def main() -> int:
@@ -389,9 +328,10 @@ def main() -> int:
     parser.add_argument("--times", type=int, default=50, help="kills of each")
     parser.add_argument("--lifecycle", type=int, metavar="LOOPS", help="loops, and no kills")
     given = parser.parse_args()
-    name = "lifecycle.json" if given.lifecycle else "kill.json"
-    found = measure_lifecycle(given.lifecycle) if given.lifecycle else measure(given.times)
-    return harness.publish(name, {"arm": ARM, **found}, given, "rclpy")
+    if given.lifecycle:
+        found = measure_lifecycle(given.lifecycle)
+        return harness.publish("lifecycle.json", found, given, "rclpy")
+    return harness.publish("kill.json", measure(given.times), given, "rclpy")
 
 
 if __name__ == "__main__":

@@ -3,18 +3,16 @@
     python benchmarks/latency.py [--seconds 30] [--write]
 
 Three processes, each path in turn for a second at a time: publisher → estimator → sink, publisher
-→ relay → sink. There are two relays in the estimator's own executor: one passes the serialized
-message on (the leanest that rclpy allows), one takes it as a message and publishes it again (what
-a node usually does). At last the estimator alone, for as long as each path had, to see whether a
-sample is lost. A sample's latency is the time from just before it is published until the sink's
-callback begins.
+→ relay → sink. The relay, in the estimator's own executor, takes a sample as a message and
+publishes it again, as a node usually does. At last the estimator alone, for as long as each path
+had, to see whether a sample is lost. A sample's latency is the time from just before it is
+published until the sink's callback begins.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import struct
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -23,67 +21,45 @@ from typing import Any
 
 import harness
 import numpy as np
+import rclpy
 from geometry_msgs.msg import WrenchStamped
-from live_run import PATIENCE_S, LiveRun, Log
-from numpy.typing import NDArray
+from live_run import ARM, PATIENCE_S, Arrivals, Integers, LiveRun, Log, SpunNode
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
+from cablesense_base import Array
 from cablesense_msgs_py.qos import PUBLISHER, SENSOR, Qos
+from cablesense_msgs_py.serialized import restamped
 from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.node_process import run_node
 from cablesense_ros.processes import node_command, wait_until
-from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.replay import read_tensions_n
 
-ARM, RATE_HZ = "cdsm", 1000
+RATE_HZ = 1000
 BLOCK_S = 1.0
 WARM_UP_S = 2.0
 PUSH = {"segment": 3, "angle_deg": 70.0, "magnitude_n": 40.0}
 MEDIAN_BAR, P99_BAR_US = 2.0, 1000.0
-PATHS = ("estimator", "raw_relay", "typed_relay")
-SINK_QOS = Qos(depth=1000, reliable=True)
-
-_STAMP = struct.Struct("<iI")
-_STAMP_AT = 4
+PATHS = ("estimator", "relay")
 
 
 class RelayNode(Node):
-    """Publishes every message that it receives, untouched or read and written."""
+    """Publishes every message that it receives."""
 
-    def __init__(self, path: str) -> None:
-        super().__init__(path)
-        publisher = self.create_publisher(JointState, f"{path}_out", qos_profile(PUBLISHER))
-        raw, qos = path == "raw_relay", qos_profile(SENSOR)
-        self.create_subscription(JointState, f"{path}_in", publisher.publish, qos, raw=raw)
-
-
-class SinkNode(Node):
-    """Notes when what arrives by each path was sent, and when it came."""
-
-    def __init__(self, file: Path) -> None:
-        super().__init__("sink")
-        self._file = file
-        self._logs = {path: Log(1) for path in PATHS}
-        for path, log in self._logs.items():
-            kind = WrenchStamped if path == "estimator" else JointState
-            qos = qos_profile(SINK_QOS)
-            self.create_subscription(kind, f"{path}_out", log.note, qos, raw=True)
-
-    def destroy_node(self) -> None:
-        """Write the notes, then end."""
-        tables = {path: log.table() for path, log in self._logs.items()}
-        columns = {name: np.c_[one.stamps_ns, one.arrived_ns] for name, one in tables.items()}
-        np.savez(self._file, allow_pickle=False, **columns)
-        super().destroy_node()
+    def __init__(self) -> None:
+        super().__init__("relay")
+        publisher = self.create_publisher(JointState, "relay_out", qos_profile(PUBLISHER))
+        self.create_subscription(JointState, "relay_in", publisher.publish, qos_profile(SENSOR))
 
 
-def publish_schedule(arm: Arm, schedule: Sequence[tuple[str, float]]) -> dict[str, list[int]]:
-    """Publish by each path in turn for the seconds given; give the stamps sent by each, ns."""
+def publish_all(blocks: int, file: Path) -> None:
+    """Publish by each path in turn, then to the estimator alone; writes the stamps sent, ns."""
+    rclpy.init()
     node = Node("source")
     publishers = {
         path: node.create_publisher(JointState, f"{path}_in", qos_profile(PUBLISHER))
@@ -95,98 +71,96 @@ def publish_schedule(arm: Arm, schedule: Sequence[tuple[str, float]]) -> dict[st
         "the nodes under test are not up",
     )
     time.sleep(1.0)  # the other half of the discovery: their outputs to the sink
-    unloaded, pushed = _samples(arm)
-    sent: dict[str, list[int]] = {path: [] for path in PATHS}
+    unloaded, pushed = _samples()
     for path in PATHS:
         _publish(publishers[path].publish, unloaded, WARM_UP_S)
-    for path, seconds in schedule:
-        sent[path] += _publish(publishers[path].publish, pushed, seconds)
-    time.sleep(1.0)
+    sent: dict[str, list[int]] = {path: [] for path in PATHS}
+    for _ in range(blocks):
+        for path in PATHS:
+            sent[path] += _publish(publishers[path].publish, pushed, BLOCK_S)
+    sent["sustained"] = _publish(publishers["estimator"].publish, pushed, blocks * BLOCK_S)
+    np.savez(file, allow_pickle=False, **sent)
     node.destroy_node()
-    return sent
 
 
-def _samples(arm: Arm) -> tuple[list[bytearray], list[bytearray]]:
+def _samples() -> list[list[bytes]]:
     """Serialized readings, unloaded and pushed, with the sensors' noise."""
-    mechanism = mechanism_of(arm)
-    command = np.zeros(arm.joint_count)
-    forces = normal_force_n(mechanism, command, **PUSH)
-    rng = np.random.default_rng(0)
-    serialized = []
-    for load in (np.zeros_like(forces), forces):
-        tensions = solve_equilibrium(mechanism, command, load).tensions_n
-        readings = read_tensions_n(np.tile(tensions, (100, 1)), arm.sensors, rng)
+    arm, rng = open_arm(ARM), np.random.default_rng(0)
+    mechanism, command = mechanism_of(arm), np.zeros(arm.joint_count)
+    force_n = normal_force_n(mechanism, command, **PUSH)
+
+    def serialized(forces_n: Array | None) -> list[bytes]:
+        tensions_n = solve_equilibrium(mechanism, command, forces_n).tensions_n
+        readings_n = read_tensions_n(np.tile(tensions_n, (100, 1)), arm.sensors, rng)
         names = list(arm.cable_names)
-        messages = [JointState(name=names, effort=reading.tolist()) for reading in readings]
-        serialized.append([bytearray(serialize_message(message)) for message in messages])
-    return serialized[0], serialized[1]
+        messages = [JointState(name=names, effort=reading_n.tolist()) for reading_n in readings_n]
+        return [bytes(serialize_message(message)) for message in messages]
+
+    return [serialized(None), serialized(force_n)]
 
 
 def _publish(
-    publish: Callable[[bytes], None], samples: Sequence[bytearray], seconds: float
+    publish: Callable[[bytes], None], samples: Sequence[bytes], seconds: float
 ) -> list[int]:
-    count, stamps = round(seconds * RATE_HZ), []
-    start = time.perf_counter()
-    for i in range(count):
-        wait = start + i / RATE_HZ - time.perf_counter()
-        if wait > 0.0:
-            time.sleep(wait)
-        sample = samples[i % len(samples)]
-        stamp = time.time_ns()
-        _STAMP.pack_into(sample, _STAMP_AT, *divmod(stamp, 1_000_000_000))
-        publish(bytes(sample))
-        stamps.append(stamp)
-    return stamps
+    stamps_ns = []
+    start_s = time.perf_counter()
+    for i in range(round(seconds * RATE_HZ)):
+        wait_s = start_s + i / RATE_HZ - time.perf_counter()
+        if wait_s > 0.0:
+            time.sleep(wait_s)
+        stamps_ns.append(time.time_ns())
+        publish(restamped(samples[i % len(samples)], stamps_ns[-1]))
+    return stamps_ns
 
 
 def measure(seconds: float) -> dict[str, Any]:
-    """Run everything; the result by path, with its origin and the bars."""
-    blocks = round(seconds / BLOCK_S)
-    schedule = [(path, BLOCK_S) for _ in range(blocks) for path in PATHS]
+    """Run everything; the latencies by path, and the bars."""
     with LiveRun() as run:
-        file, role = run.folder / "sink.npz", [sys.executable, __file__, "--role"]
-        run.start("sink", [*role, "sink", "--file", str(file)])
-        for relay in PATHS[1:]:
-            run.start(relay, [*role, relay])
+        sink, logs = SpunNode("sink"), {path: Log(1) for path in PATHS}
+        qos = qos_profile(Qos(depth=1000, reliable=True))
+        for path, log in logs.items():
+            kind = WrenchStamped if path == "estimator" else JointState
+            sink.create_subscription(kind, f"{path}_out", log.note, qos, raw=True)
+        run.start("relay", [sys.executable, __file__, "--relay"])
         # without samples between its turns, which is not to count as stale
         parameters = {"arm": ARM, "stale_after_s": 60.0, "tare_samples": 100}
         remaps = {"cable_tensions": "estimator_in", "~/wrench": "estimator_out"}
         run.start("estimator", node_command("estimator", parameters, remaps))
-        sent = publish_schedule(open_arm(ARM), [*schedule, ("estimator", seconds)])
+        file, role = run.folder / "sent.npz", [sys.executable, __file__, f"--seconds={seconds}"]
+        source = run.start("source", [*role, "--source", str(file)])
+        while source.alive:
+            sink.spin(0.5)
+        sink.spin(1.0)
         codes = run.stop()
+        sink.destroy_node()
         if any(codes.values()):
-            raise SystemExit(f"a process under test failed: {codes}")
-        arrived = dict(np.load(file))
-    interleaved = blocks * round(BLOCK_S * RATE_HZ)
-    paths = {path: _latencies(sent[path][:interleaved], arrived[path]) for path in PATHS}
-    sustained = _latencies(sent["estimator"][interleaved:], arrived["estimator"])
-    ours = paths["estimator"]
-    ratios = {relay: ours["median_us"] / paths[relay]["median_us"] for relay in PATHS[1:]}
-    bars = {
-        "none lost while sustained": sustained["lost"] == 0,
-        f"median at most {MEDIAN_BAR} times typed_relay": ratios["typed_relay"] <= MEDIAN_BAR,
-        f"p99 at most {P99_BAR_US:g} us": ours["p99_us"] <= P99_BAR_US,
-    }
+            raise SystemExit(f"a process under test failed: {codes}\n{source.log}")
+        sent = dict(np.load(file))
+    arrived = {path: log.table() for path, log in logs.items()}
+    paths = {path: _latencies(sent[path], arrived[path]) for path in PATHS}
+    sustained = _latencies(sent["sustained"], arrived["estimator"])
+    ratio = paths["estimator"]["median_us"] / paths["relay"]["median_us"]
     return {
         "load": round(os.getloadavg()[0], 2),
         "arm": ARM,
         "rate_hz": RATE_HZ,
         "paths": paths,
         "sustained": {"seconds": seconds, **sustained},
-        "ratios of medians": ratios,
-        "bars": bars,
+        "ratio of medians": round(ratio, 3),
+        "bars": {
+            "none lost while sustained": sustained["lost"] == 0,
+            f"median at most {MEDIAN_BAR} times the relay's": ratio <= MEDIAN_BAR,
+            f"p99 at most {P99_BAR_US:g} us": paths["estimator"]["p99_us"] <= P99_BAR_US,
+        },
     }
 
 
-def _latencies(sent: Sequence[int], arrived: NDArray[np.int64]) -> dict[str, Any]:
+def _latencies(sent_ns: Integers, arrived: Arrivals) -> dict[str, Any]:
     """One path's counts and latencies, µs."""
-    wanted = np.isin(arrived[:, 0], np.asarray(sent))
-    latency = (arrived[wanted, 1] - arrived[wanted, 0]) * 1e-3
-    received = len(np.unique(arrived[wanted, 0]))
-    if not received:
-        raise SystemExit("nothing arrived at the sink; see the log above")
-    median, p99, worst = np.percentile(latency, [50.0, 99.0, 100.0]).round(1).tolist()
-    counts = {"sent": len(sent), "received": received, "lost": len(sent) - received}
+    _, _, at = np.intersect1d(sent_ns, arrived.stamps_ns, return_indices=True)
+    latency_us = (arrived.arrived_ns[at] - arrived.stamps_ns[at]) * 1e-3
+    median, p99, worst = np.percentile(latency_us, [50.0, 99.0, 100.0]).round(1).tolist()
+    counts = {"sent": len(sent_ns), "received": len(at), "lost": len(sent_ns) - len(at)}
     return counts | {"median_us": median, "p99_us": p99, "worst_us": worst}
 
 
@@ -194,15 +168,16 @@ def main() -> int:
     """Measure, or play one of the parts."""
     parser = harness.parser(__doc__, "results/estimator_latency.json")
     parser.add_argument("--seconds", type=float, default=30.0, help="time for each path")
-    parser.add_argument("--role", choices=("sink", *PATHS[1:]), help=argparse.SUPPRESS)
-    parser.add_argument("--file", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--source", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--relay", action="store_true", help=argparse.SUPPRESS)
     given = parser.parse_args()
-    if given.role == "sink":
-        return run_node(lambda: SinkNode(given.file), [])
-    if given.role:
-        return run_node(lambda: RelayNode(given.role), [])
+    if given.relay:
+        return run_node(RelayNode, [])
     if given.seconds < BLOCK_S:
         parser.error(f"--seconds must be at least {BLOCK_S:g}")
+    if given.source:
+        publish_all(round(given.seconds / BLOCK_S), given.source)
+        return 0
     harness.publish("estimator_latency.json", measure(given.seconds), given, "rclpy")
     return 0
 

@@ -1,4 +1,4 @@
-"""Processes of a live run as a user starts them, a node of this process, and its log."""
+"""Processes of a live run as a user starts them and what they use; nodes of this process."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -14,18 +14,26 @@ import numpy as np
 import pandas as pd
 import rclpy
 from geometry_msgs.msg import WrenchStamped
-from harness import CABLESENSE
+from harness import cpu_s, rss_mb
 from numpy.typing import NDArray
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 from rclpy.utilities import try_shutdown
+from sensor_msgs.msg import JointState
 
 from cablesense_base import Array
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.qos import COMMAND
+from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.processes import Process, own_graph
+from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.loads import normal_force_n
 
 Integers = NDArray[np.int64]
 
+ARM = "cdsm"
 PATIENCE_S = 30.0
 END_WITHIN_S = 20.0
 """A node under load may take so long to end by itself."""
@@ -56,11 +64,6 @@ class LiveRun:
         """Start a process."""
         self.processes[name] = Process(name, command, self.folder / f"{name}.log")
         return self.processes[name]
-
-    def record(self, name: str) -> Process:
-        """Start a recorder of the running nodes, into `<name>.mcap` of the folder."""
-        file = self.folder / f"{name}.mcap"
-        return self.start(name, [*CABLESENSE, "record", "--out", str(file)])
 
     def check(self) -> None:
         """Raise a `ProcessError` where a process has ended."""
@@ -110,13 +113,107 @@ class SpunNode(Node):
         super().destroy_node()
 
 
-def load_message(segment: int, force_n: Array) -> WrenchStamped:
-    """A force (3,), N, in base axes on a segment."""
-    message = WrenchStamped()
-    message.header.frame_id = f"segment_{segment}"
-    force = message.wrench.force
-    force.x, force.y, force.z = force_n.tolist()
-    return message
+class Operator(SpunNode):
+    """Pushes the arm and commands it.
+
+    Attributes:
+        segment: the pushed one.
+        force_n: (3,) on it, in base axes.
+    """
+
+    def __init__(self, name: str, seed: int) -> None:
+        super().__init__(name)
+        self.arm, self.rng = open_arm(ARM), np.random.default_rng(seed)
+        self._mechanism = mechanism_of(self.arm)
+        self.segment, self.force_n = 1, np.zeros(3)
+        qos = qos_profile(COMMAND)
+        self._loads = self.create_publisher(WrenchStamped, topics.APPLIED_WRENCH, qos)
+        self._commands = self.create_publisher(JointState, topics.JOINT_COMMANDS, qos)
+
+    def push(self, least_n: float, most_n: float) -> None:
+        """Push a random segment from a random side, instead of the one before."""
+        self.segment = int(self.rng.integers(1, self.arm.segment_count + 1))
+        forces_n = normal_force_n(
+            self._mechanism,
+            np.zeros(self.arm.joint_count),
+            segment=self.segment,
+            angle_deg=float(self.rng.uniform(0.0, 360.0)),
+            magnitude_n=float(self.rng.uniform(least_n, most_n)),
+        )
+        self.force_n = forces_n[self.segment - 1]
+        self.publish_load()
+
+    def publish_load(self) -> None:
+        """State the force on every segment: zero on all others, and then the pushed one's."""
+        segments = range(1, self.arm.segment_count + 1)
+        for segment in sorted(segments, key=lambda one: one == self.segment):
+            message = WrenchStamped()
+            message.header.frame_id = f"segment_{segment}"
+            if segment == self.segment:
+                force = message.wrench.force
+                force.x, force.y, force.z = self.force_n.tolist()
+            self._loads.publish(message)
+
+    def command(self, angles_rad: Array) -> None:
+        """Command angles (2N,) of the joints."""
+        message = JointState(name=list(self.arm.joint_names), position=angles_rad.tolist())
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._commands.publish(message)
+
+
+class Usage:
+    """Memory and processor time of processes, from its creation on."""
+
+    def __init__(self, processes: Mapping[str, Process]) -> None:
+        self._pids = {name: process.pid for name, process in processes.items()}
+        self._began_s = time.monotonic()
+        self._cpu_began_s = self._cpu_s()
+        self._memory_mb: dict[float, dict[str, float]] = {}
+
+    def _cpu_s(self) -> pd.Series:
+        return pd.Series({name: cpu_s(pid) for name, pid in self._pids.items()})
+
+    def note(self) -> None:
+        """Read the memory."""
+        elapsed_s = time.monotonic() - self._began_s
+        self._memory_mb[elapsed_s] = {name: rss_mb(pid) for name, pid in self._pids.items()}
+
+    def cores(self) -> dict[str, float]:
+        """Cores that each process took so far, on average."""
+        share = (self._cpu_s() - self._cpu_began_s) / (time.monotonic() - self._began_s)
+        return dict(share.round(3).to_dict())
+
+    def memory(self) -> dict[str, Any]:
+        """MB of each process: at a minute, at the end, and by how much it grew at most.
+
+        Runs of up to two minutes count from their first quarter.
+        """
+        taken = pd.DataFrame.from_dict(self._memory_mb, orient="index")
+        later = taken[taken.index >= min(FIRST_MINUTE_S, taken.index[-1] / 4)]
+        metrics = {
+            "MB when settled": later.iloc[0],
+            "MB at the end": later.iloc[-1],
+            "growth at most (MB)": later.max() - later.iloc[0],
+        }
+        return dict(pd.DataFrame(metrics).round(2).to_dict(orient="index"))
+
+
+def memory_bars(memory: Mapping[str, Any], names: Iterable[str]) -> dict[str, bool]:
+    """Whether processes have grown by less than the limit."""
+    return {
+        f"memory of the {name} grows by less than {GROWTH_MB:g} MB": (
+            memory[name]["growth at most (MB)"] < GROWTH_MB
+        )
+        for name in names
+    }
+
+
+class Arrivals(NamedTuple):
+    """Messages in order: arrival and stamp (C,), ns, and the numbers at their ends (C, n)."""
+
+    arrived_ns: Integers
+    stamps_ns: Integers
+    numbers: Array
 
 
 class Log:
@@ -124,48 +221,17 @@ class Log:
 
     def __init__(self, numbers: int) -> None:
         """A message ends with that number of `numbers`."""
-        self._kind = np.dtype(
-            [("s", "<i4"), ("ns", "<u4"), ("letter", "u1"), ("numbers", "<f8", numbers)]
-        )
+        self._kind = np.dtype([("s", "<i4"), ("ns", "<u4"), ("numbers", "<f8", numbers)])
         self._arrived_ns: list[int] = []
         self._kept: list[bytes] = []
 
     def note(self, raw: bytes) -> None:
-        """Keep the stamp, the last letter of segment_N and the numbers at the end."""
+        """Keep the stamp and the numbers at the end."""
         self._arrived_ns.append(time.time_ns())
-        self._kept.append(raw[4:12] + raw[24:25] + raw[9 - self._kind.itemsize :])
+        self._kept.append(raw[4:12] + raw[8 - self._kind.itemsize :])
 
     def table(self) -> Arrivals:
         """All that came so far."""
         rows = np.frombuffer(b"".join(self._kept), self._kind)
-        digits = rows["letter"].astype(np.int64) - ord("0")
-        return Arrivals(
-            np.array(self._arrived_ns, dtype=np.int64),
-            rows["s"].astype(np.int64) * 1_000_000_000 + rows["ns"],
-            rows["numbers"],
-            np.where((digits >= 0) & (digits <= 9), digits, 0),
-        )
-
-
-class Arrivals(NamedTuple):
-    """Messages in order: arrival and stamp (C,), ns, last numbers (C, n), segment (C,) or 0."""
-
-    arrived_ns: Integers
-    stamps_ns: Integers
-    numbers: Array
-    segments: Integers
-
-
-def memory(notes: Sequence[tuple[float, dict[str, float]]]) -> dict[str, Any]:
-    """MB of each process: at a minute, at the end, and by how much it grew at most.
-
-    Runs of up to two minutes count from their first quarter.
-    """
-    taken = pd.DataFrame([mb for _, mb in notes], index=[elapsed_s for elapsed_s, _ in notes])
-    later = taken[taken.index >= min(FIRST_MINUTE_S, taken.index[-1] / 4)]
-    metrics = {
-        "MB when settled": later.iloc[0],
-        "MB at the end": later.iloc[-1],
-        "growth at most (MB)": later.max() - later.iloc[0],
-    }
-    return dict(pd.DataFrame(metrics).round(2).to_dict(orient="index"))
+        stamps_ns = rows["s"].astype(np.int64) * 1_000_000_000 + rows["ns"]
+        return Arrivals(np.array(self._arrived_ns, dtype=np.int64), stamps_ns, rows["numbers"])

@@ -7,12 +7,11 @@ Four processes: the amplifiers play a sequence of pushes as frames over slcan on
 every wrench. First the packed amplifier at 1,000 samples a second, then for a minute twelve
 CiA 404 amplifiers at 500, the most that a bus of 1 Mbit/s carries of them.
 
-Everything is counted by value: the lowest bit of each of the twelve values spells the cycle's
-number modulo 4096, and the rest is an arm under changing pushes, as its sensors read it. A sample
-must be one that was sent, once and in its order, and be answered by a wrench with its stamp.
-Frames that the pseudo-terminal does not take (it holds some 18 kB, a quarter of a second of these
-frames) are counted separately. Latency is from when the last frame of a cycle was on the terminal
-until the wrench was here, by one clock.
+Everything is counted by value: the two lowest bits of each of the twelve values spell the cycle's
+number, and the rest is an arm under changing pushes. A sample must be one that was sent, once and
+in its order, and be answered by a wrench with its stamp. Frames that the pseudo-terminal does not
+take (it holds some 18 kB, a quarter of a second of these frames) are counted separately. Latency
+is from when the last frame of a cycle was on the terminal until the wrench was here, by one clock.
 """
 
 from __future__ import annotations
@@ -21,26 +20,32 @@ import argparse
 import contextlib
 import gc
 import os
-import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import harness
 import numpy as np
-from cantools.database.can import Database
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import WrenchStamped
-from harness import cpu_s, percentiles, rss_mb
-from live_run import GROWTH_MB, PATIENCE_S, Arrivals, Integers, LiveRun, Log, SpunNode, memory
-from numpy.typing import NDArray
+from harness import percentiles
+from live_run import (
+    ARM,
+    PATIENCE_S,
+    Arrivals,
+    Integers,
+    LiveRun,
+    Log,
+    SpunNode,
+    Usage,
+    memory_bars,
+)
 from sensor_msgs.msg import JointState
 
-from cablesense_base import Array, CableSenseError
+from cablesense_base import Array
 from cablesense_msgs_py.qos import Qos
-from cablesense_online.can.channel_map import ChannelMap, open_channel_map, signal_conversion
+from cablesense_online.can.channel_map import open_channel_map, signal_conversion
 from cablesense_online.can.emulator import Emulator, SlcanPort
 from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.processes import Process, node_command, wait_until
@@ -48,17 +53,14 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_sim.replay import read_tensions_n
 
 PACKED, CIA404 = "twelve_channel_amplifier", "cia404_amplifier"
-ARM = "cdsm"
 RATES_HZ = {PACKED: 1000.0, CIA404: 500.0}
 CIA404_MINUTES = 1.0
 LISTEN_AFTER_S = 2.5
 """Diagnostics come once a second: the last ones must be of after the end."""
 
-PUSHES = 24
-HOLD_S, REST_S, RAMP_S = 1.0, 0.6, 0.2
+PUSHES, PUSH_S = 24, 2.0
 UNTOUCHED_S = 3.0
 """Before the first push, for the tare."""
 
@@ -66,75 +68,44 @@ REAL_TIME_PRIORITY = 10
 BLOCK = 1000
 """Cycles whose tensions are made at once: in a cycle's own time numpy would be expensive."""
 
-FALSE_FORCE_N = 1.0
-"""A wrench beyond this while nothing pushes is a false force."""
 
+class MarkedReadings:
+    """Readings of an arm, untouched and then pushed again and again, marked with their cycle.
 
-class MarkedSequence(NamedTuple):
-    """A sequence of T rows that is played again and again.
-
-    Attributes:
-        even: (T, M) readings in steps of the signals, every one even.
-        step_n: tension of one step, N.
-        force_n: (T,) magnitude of the push.
-        segment: (T,) the pushed one, 0 for none.
-        held: (T,) whether the push, or its absence, is steady.
+    Two bits of each reading are a digit of the cycle's number. All channels have one step.
     """
 
-    even: Integers
-    step_n: float
-    force_n: Array
-    segment: Integers
-    held: NDArray[np.bool_]
+    def __init__(self, map_name: str) -> None:
+        arm, rng = open_arm(ARM), np.random.default_rng(0)
+        self.map, self.database = open_channel_map(map_name)
+        self.map = self.map.arranged(arm.cable_names)
+        (self.step_n,) = {
+            abs(signal_conversion(self.database, channel)[1] * channel.scale_n_per_unit)
+            for channel in self.map.channels.values()
+        }
+        segments = 1 + np.arange(PUSHES) % arm.segment_count
+        angles_deg, forces_n = rng.uniform(0.0, 360.0, PUSHES), rng.uniform(20.0, 100.0, PUSHES)
+        mechanism, command = mechanism_of(arm), np.zeros((PUSHES, arm.joint_count))
+        forces = normal_force_n(mechanism, command, segments, angles_deg, forces_n)
+        untouched_n = solve_equilibrium(mechanism, command[:1]).tensions_n
+        pushed_n = solve_equilibrium(mechanism, command, forces).tensions_n
+        tensions_n = np.vstack([untouched_n, pushed_n])
+        self._plain = 4 * np.rint(tensions_n / (4.0 * self.step_n)).astype(np.int64)
+        self._shifts = 2 * np.arange(arm.cable_count)
+        self._rate_hz = RATES_HZ[map_name]
 
     def steps(self, cycle: Integers) -> Integers:
         """(C, M) readings of cycles (C,), in steps."""
-        bits = (cycle[:, None] >> np.arange(self.even.shape[1])) & 1
-        return self.even[cycle % len(self.even)] + bits
+        pushed_s = cycle / self._rate_hz - UNTOUCHED_S
+        row = np.where(pushed_s < 0.0, 0, 1 + (pushed_s // PUSH_S).astype(np.int64) % PUSHES)
+        return self._plain[row] + ((cycle[:, None] >> self._shifts) & 3)
 
-
-def opened(map_name: str) -> tuple[ChannelMap, Database]:
-    """The map of the arm's cables, and its database."""
-    channel_map, database = open_channel_map(map_name)
-    return channel_map.arranged(open_arm(ARM).cable_names), database
-
-
-def marked_sequence(map_name: str) -> MarkedSequence:
-    """The sequence of the arm in the steps of an amplifier; all channels have one step."""
-    arm, rate_hz = open_arm(ARM), RATES_HZ[map_name]
-    channel_map, database = opened(map_name)
-    (step_n,) = {
-        abs(signal_conversion(database, channel)[1] * channel.scale_n_per_unit)
-        for channel in channel_map.channels.values()
-    }
-    rng = np.random.default_rng(0)
-    rows = [
-        (segment, angle_deg, force_n, from_n == to_n)
-        for segment, angle_deg, from_n, to_n, seconds in _pushes(arm.segment_count, rng)
-        for force_n in np.linspace(from_n, to_n, round(seconds * rate_hz), endpoint=False)
-    ]
-    segments, angles_deg, forces_n, held = (np.array(one) for one in zip(*rows, strict=True))
-    mechanism = mechanism_of(arm)
-    commands = np.zeros((len(rows), arm.joint_count))
-    forces = normal_force_n(mechanism, commands, segments, angles_deg, forces_n)
-    tensions = solve_equilibrium(mechanism, commands, forces).tensions_n
-    readings = read_tensions_n(tensions, arm.sensors, rng)
-    even = 2 * np.rint(readings / (2.0 * step_n)).astype(np.int64)
-    return MarkedSequence(even, step_n, forces_n, segments, held)
-
-
-def _pushes(
-    segments: int, rng: np.random.Generator
-) -> Iterator[tuple[int, float, float, float, float]]:
-    """Segment, angle (degrees), force at the beginning and at the end (N), and seconds."""
-    yield 0, 0.0, 0.0, 0.0, UNTOUCHED_S
-    for number in range(PUSHES):
-        segment = 1 + number % segments
-        angle_deg, force_n = float(rng.uniform(0.0, 360.0)), float(rng.uniform(20.0, 100.0))
-        yield segment, angle_deg, 0.0, force_n, RAMP_S
-        yield segment, angle_deg, force_n, force_n, HOLD_S
-        yield segment, angle_deg, force_n, 0.0, RAMP_S
-        yield 0, 0.0, 0.0, 0.0, REST_S
+    def cycles(self, tensions_n: Array, played: int) -> Integers:
+        """The cycle (C,) of each sample (C, M); -1 of one that was not sent."""
+        steps = np.rint(tensions_n / self.step_n).astype(np.int64)
+        cycle = ((steps & 3) << self._shifts).sum(axis=1)
+        sent = (cycle < played) & (self.steps(cycle) == steps).all(axis=1)
+        return np.where(sent, cycle, -1)
 
 
 def play(map_name: str, link: str, cycles: int, log: Path) -> int:
@@ -143,8 +114,8 @@ def play(map_name: str, link: str, cycles: int, log: Path) -> int:
     The log's `written_ns` is when the last frame of each cycle was on the pseudo-terminal, and
     `dropped` how many of its frames the terminal did not take.
     """
-    sequence, rate_hz = marked_sequence(map_name), RATES_HZ[map_name]
-    emulator = Emulator(*opened(map_name), lambda: SlcanPort(link))
+    readings, rate_hz = MarkedReadings(map_name), RATES_HZ[map_name]
+    emulator = Emulator(readings.map, readings.database, lambda: SlcanPort(link))
     written_ns = np.zeros(cycles, dtype=np.int64)
     dropped = np.zeros(cycles, dtype=np.int64)
     print("ready", flush=True)
@@ -159,7 +130,7 @@ def play(map_name: str, link: str, cycles: int, log: Path) -> int:
     for cycle in range(cycles):
         at = cycle % BLOCK
         if at == 0:
-            rows = (sequence.steps(np.arange(cycle, cycle + BLOCK)) * sequence.step_n).tolist()
+            rows = (readings.steps(np.arange(cycle, cycle + BLOCK)) * readings.step_n).tolist()
         wait_s = began_s + cycle / rate_hz - time.monotonic()
         if wait_s > 0.0:
             time.sleep(wait_s)
@@ -174,89 +145,46 @@ def play(map_name: str, link: str, cycles: int, log: Path) -> int:
     return 0
 
 
-def delivery(
-    sequence: MarkedSequence, dropped: Integers, written_ns: Integers, tensions: Arrivals
-) -> tuple[dict[str, Any], Integers]:
-    """Counts of delivered cycles, by value; also the cycle (C,) of each sample, -1 for none.
-
-    A sample spells its number modulo 2^M; its time of arrival gives the rest.
-    """
-    steps = np.rint(tensions.numbers / sequence.step_n).astype(np.int64)
-    spelt = ((steps & 1) << np.arange(steps.shape[1])).sum(axis=1)
-    guess = np.searchsorted(written_ns, tensions.arrived_ns) - 1
-    half = 1 << (steps.shape[1] - 1)
-    cycle = guess + (spelt - guess + half) % (2 * half) - half
-    right = (cycle >= 0) & (cycle < len(written_ns))
-    right &= (sequence.steps(cycle) == steps).all(axis=1)
-    came = np.bincount(cycle[right], minlength=len(written_ns))
-    lost = (dropped == 0) & (came == 0)
+def delivery(cycle: Integers, dropped: Integers) -> dict[str, int]:
+    """Counts of delivered cycles, from the cycle (C,) of each sample, -1 for none."""
+    known = cycle[cycle >= 0]
+    came = np.bincount(known, minlength=len(dropped))
     return {
-        "cycles played": len(written_ns),
+        "cycles played": len(dropped),
         "cycles whole on the terminal": int((dropped == 0).sum()),
         "frames that the terminal did not take": int(dropped.sum()),
         "samples published, as heard": len(cycle),
-        "samples with a value that was not sent": int((~right).sum()),
+        "samples with a value that was not sent": len(cycle) - len(known),
         "samples heard twice": int((came > 1).sum()),
-        "samples out of order": int((np.diff(cycle[right]) <= 0).sum()),
-        "cycles delivered but not published": int(lost.sum()),
-    }, np.where(right, cycle, -1)
+        "samples out of order": int((np.diff(known) <= 0).sum()),
+        "cycles delivered but not published": int(((dropped == 0) & (came == 0)).sum()),
+    }
 
 
 def answers(
-    sequence: MarkedSequence,
-    cycle: Integers,
-    written_ns: Integers,
-    tensions: Arrivals,
-    wrenches: Arrivals,
+    cycle: Integers, written_ns: Integers, tensions: Arrivals, wrenches: Arrivals
 ) -> dict[str, Any]:
-    """Whether each sample was answered, how soon, and how well."""
-    order = np.argsort(wrenches.stamps_ns, kind="stable")
-    stamps = wrenches.stamps_ns[order]
-    at = np.minimum(np.searchsorted(stamps, tensions.stamps_ns), len(stamps) - 1)
-    answered = stamps[at] == tensions.stamps_ns
-    known = answered & (cycle >= 0)
-    wrench = order[at][known]
-    to_wrench = wrenches.arrived_ns[wrench] - written_ns[cycle[known]]
-    row = cycle[known] % len(sequence.even)
-    tared = np.cumsum(sequence.force_n[row] > 0.0) > 0
-    judged = sequence.held[row] & tared
-    force = np.linalg.norm(wrenches.numbers[wrench][:, :3], axis=1)
-    pushed = judged & (sequence.segment[row] > 0)
-    free = judged & (sequence.segment[row] == 0)
-    hits = (wrenches.segments[wrench] == sequence.segment[row])[pushed]
-    error_n = np.abs(force - sequence.force_n[row])[pushed]
+    """Whether each sample was answered, and how soon."""
+    _, sample, wrench = np.intersect1d(tensions.stamps_ns, wrenches.stamps_ns, return_indices=True)
+    known = cycle[sample] >= 0
+    written_ns = written_ns[cycle[sample[known]]]
+    latency_ms = (wrenches.arrived_ns[wrench[known]] - written_ns) / 1e6
     return {
-        "samples answered": int(answered.sum()),
-        "samples not answered": int((~answered).sum()),
+        "samples answered": len(sample),
+        "samples not answered": len(cycle) - len(sample),
         "latency from the last frame to the wrench (ms)": percentiles(
-            to_wrench / 1e6, ("median", "99 %", "worst")
+            latency_ms, ("median", "99 %", "worst")
         ),
-        "force": {
-            "samples judged, pushed": int(pushed.sum()),
-            "right segment (%)": round(100.0 * float(hits.mean()), 3),
-            "error (N)": percentiles(error_n, ("median", "99 %", "worst")),
-            "samples judged, untouched": int(free.sum()),
-            "false forces": int((force[free] > FALSE_FORCE_N).sum()),
-        },
     }
 
 
 class Sink(SpunNode):
-    """Receives from driver and estimator, and reads the processes' memory once a second.
+    """Receives all samples, all wrenches, and the latest values of each diagnostic status."""
 
-    Attributes:
-        tensions: all samples.
-        wrenches: all wrenches.
-        memory: seconds since the start and MB of each process.
-        diagnostics: the latest values of each status.
-    """
-
-    def __init__(self, processes: Sequence[Process]) -> None:
+    def __init__(self) -> None:
         super().__init__("soak_sink")
-        self.tensions, self.wrenches = Log(open_arm(ARM).cable_count), Log(6)
+        self.tensions, self.wrenches = Log(open_arm(ARM).cable_count), Log(1)
         self.diagnostics: dict[str, dict[str, str]] = {}
-        self._processes = processes
-        self.begin()
         for kind, topic, log in (
             (JointState, "cable_tensions", self.tensions),
             (WrenchStamped, "estimator/wrench", self.wrenches),
@@ -264,21 +192,6 @@ class Sink(SpunNode):
             qos = qos_profile(Qos(depth=5000, reliable=True))
             self.create_subscription(kind, topic, log.note, qos, raw=True)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
-        self.create_timer(1.0, self._note_memory)
-
-    def begin(self) -> None:
-        """Count memory and processor time from here on."""
-        self._began_s = time.monotonic()
-        self._cpu_began_s = [cpu_s(one.pid) for one in self._processes]
-        self.memory: list[tuple[float, dict[str, float]]] = []
-
-    def cpu_share(self) -> dict[str, float]:
-        """Cores that each process took since the beginning, on average."""
-        elapsed_s = time.monotonic() - self._began_s
-        return {
-            one.name: round((cpu_s(one.pid) - began_s) / elapsed_s, 3)
-            for one, began_s in zip(self._processes, self._cpu_began_s, strict=True)
-        }
 
     def connected(self) -> bool:
         """Whether driver and estimator publish."""
@@ -289,9 +202,11 @@ class Sink(SpunNode):
             and self.diagnostics.get("can_driver: interface", {}).get("openings", "0") != "0"
         )
 
-    def _note_memory(self) -> None:
-        elapsed_s = time.monotonic() - self._began_s
-        self.memory.append((elapsed_s, {one.name: rss_mb(one.pid) for one in self._processes}))
+    def counted(self, status: str) -> dict[str, int]:
+        """What a node has counted in all, other than 0."""
+        values = self.diagnostics[status].items()
+        counts = {key: int(value) for key, value in values if key.endswith("in all")}
+        return {key: count for key, count in counts.items() if count}
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -303,77 +218,59 @@ def measure(map_name: str, minutes: float) -> dict[str, Any]:
     cycles = round(60.0 * minutes * RATES_HZ[map_name])
     with LiveRun() as run:
         link, log = run.folder / "adapter", run.folder / "played.npz"
-        played = {"map": map_name, "link": link, "log": log, "cycles": cycles}
-        given = [f"--{option}={value}" for option, value in played.items()]
-        role = [sys.executable, __file__, "--role=amplifiers"]
-        amplifiers = run.start("amplifiers", [*role, *given])
+        given = [map_name, str(link), str(cycles), str(log)]
+        amplifiers = run.start("amplifiers", [sys.executable, __file__, "--play", *given])
         wait_until(lambda: "ready" in amplifiers.log, PATIENCE_S, "not ready", run.check)
         adapter = {"interface": "slcan", "channel": link, "bitrate_bit_s": 1_000_000}
-        driven = {"arm": ARM, "map": map_name, **adapter}
-        run.start("driver", node_command("can_driver", driven))
+        run.start("driver", node_command("can_driver", {"arm": ARM, "map": map_name, **adapter}))
         run.start("estimator", node_command("estimator", {"arm": ARM}))
-        sink = Sink(list(run.processes.values()))
+        sink = Sink()
         sink.spin_until(sink.connected, "samples and wrenches")
         sink.spin(1.0)
-        _send_line(amplifiers, "play")
-        sink.begin()
+        _send_line(amplifiers)
+        usage = Usage(run.processes)
         while "played" not in amplifiers.log:
             run.check()
+            usage.note()
             sink.spin(1.0)
-        cpu = sink.cpu_share()
+        cpu = usage.cores()
         sink.spin(LISTEN_AFTER_S)
-        _send_line(amplifiers, "end")
-        judged = _judged(map_name, dict(np.load(log)), sink)
-        codes = list(run.stop().values())
+        _send_line(amplifiers)
+        played = dict(np.load(log))
+        codes = run.stop()
         sink.destroy_node()
-    return {"minutes": minutes, "cpu (cores)": cpu, **judged, "exit codes": codes}
-
-
-def _send_line(process: Process, line: str) -> None:
-    pipe = process.child.stdin
-    assert pipe is not None
-    pipe.write(f"{line}\n".encode())
-    pipe.flush()
-
-
-def _judged(map_name: str, played: dict[str, Any], sink: Sink) -> dict[str, Any]:
-    sequence, written_ns = marked_sequence(map_name), played["written_ns"]
-    tensions = sink.tensions.table()
-    delivered, cycle = delivery(sequence, played["dropped"], written_ns, tensions)
-    driver, estimator = (
-        {
-            key: int(value)
-            for key, value in sink.diagnostics[name].items()
-            if key.endswith("in all") and int(value)
-        }
-        for name in ("can_driver: samples", "estimator: cable_tensions")
-    )
+    tensions, dropped = sink.tensions.table(), played["dropped"]
+    cycle = MarkedReadings(map_name).cycles(tensions.numbers, len(dropped))
     return {
         "map": map_name,
-        "delivery": delivered,
-        "driver says": driver,
-        "estimator says": estimator,
-        **answers(sequence, cycle, written_ns, tensions, sink.wrenches.table()),
-        "memory": memory(sink.memory),
+        "minutes": minutes,
+        "cpu (cores)": cpu,
+        "delivery": delivery(cycle, dropped),
+        "driver says": sink.counted("can_driver: samples"),
+        "estimator says": sink.counted("estimator: cable_tensions"),
+        **answers(cycle, played["written_ns"], tensions, sink.wrenches.table()),
+        "memory": usage.memory(),
+        "exit codes": codes,
     }
+
+
+def _send_line(process: Process) -> None:
+    pipe = process.child.stdin
+    assert pipe is not None
+    pipe.write(b"\n")
+    pipe.flush()
 
 
 def bars(result: dict[str, Any]) -> dict[str, bool]:
     """The bars of each run."""
-    delivered, grown = result["delivery"], result["memory"]
+    delivered = result["delivery"]
     wrong = ("with a value that was not sent", "heard twice", "out of order")
     refused = result["estimator says"].get("refused in all", 0)
     return {
         "none lost that the bus delivered": delivered["cycles delivered but not published"] == 0,
         "every sample sent, once, in order": not any(delivered[f"samples {one}"] for one in wrong),
         "every sample answered, or refused as too old": result["samples not answered"] <= refused,
-        "no false force": result["force"]["false forces"] == 0,
-        **{
-            f"memory of the {name} grows by less than {GROWTH_MB:g} MB": (
-                grown[name]["growth at most (MB)"] < GROWTH_MB
-            )
-            for name in ("driver", "estimator")
-        },
+        **memory_bars(result["memory"], ("driver", "estimator")),
     }
 
 
@@ -381,23 +278,16 @@ def main() -> int:
     """Measure, or play the amplifiers."""
     parser = harness.parser(__doc__, "results/soak.json")
     parser.add_argument("--minutes", type=float, default=10.0, help="of the packed amplifier")
-    parser.add_argument("--role", choices=("amplifiers",), help=argparse.SUPPRESS)
-    parser.add_argument("--map", help=argparse.SUPPRESS)
-    parser.add_argument("--link", help=argparse.SUPPRESS)
-    parser.add_argument("--log", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--cycles", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--play", nargs=4, help=argparse.SUPPRESS)
     given = parser.parse_args()
-    if given.role:
-        return play(given.map, given.link, given.cycles, given.log)
-    shorter = min(CIA404_MINUTES, given.minutes)
-    runs = [measure(PACKED, given.minutes), measure(CIA404, shorter)]
+    if given.play:
+        map_name, link, cycles, log = given.play
+        return play(map_name, link, int(cycles), Path(log))
+    runs = [measure(PACKED, given.minutes), measure(CIA404, min(CIA404_MINUTES, given.minutes))]
     every = {f"{run['map']}: {bar}": kept for run in runs for bar, kept in bars(run).items()}
     result = {"arm": ARM, "runs": runs, "bars": every}
     return harness.publish("soak.json", result, given, "rclpy")
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except (subprocess.SubprocessError, CableSenseError) as error:
-        sys.exit(str(error))
+    sys.exit(main())
