@@ -286,6 +286,7 @@ class TaredEstimation:
         age_ns = abs(self.now_ns - stamp_ns) if stamp_ns else 0
         require(age_ns <= 0.2e9, f"a contact from a message {age_ns} ns away")
         unloaded_n = self.estimation.tares.unloaded_n
+        assert unloaded_n is not None
         right = self._model.estimate(tensions_n - unloaded_n, np.zeros(ARM.joint_count))
         found = contact.angle_deg, contact.magnitude_n
         same = found == (right.angle_deg, right.magnitude_n)
