@@ -293,15 +293,16 @@ def measure_lifecycle(loops: int) -> dict[str, Any]:
         client = node.create_client(ChangeState, "estimator/change_state")
         node.spin_until(client.service_is_ready, "the estimator")
         node.create_timer(SUBSCRIBED_EVERY_S, subscribe)
-        for loop, transition in itertools.product(range(loops), LOOP):
-            request = ChangeState.Request(transition=Transition(id=transition))
-            done = client.call_async(request)
-            node.spin_until(done.done, f"transition {transition} of loop {loop}")
-            if not done.result().success:
-                raise SystemExit(f"transition {transition} of loop {loop} did not succeed")
-            if transition == Transition.TRANSITION_ACTIVATE:
-                wrenches.clear()
-                node.spin_until(lambda: wrenches, "a wrench")
+        for loop in range(loops):
+            for transition in LOOP:
+                request = ChangeState.Request(transition=Transition(id=transition))
+                done = client.call_async(request)
+                node.spin_until(done.done, f"transition {transition} of loop {loop}")
+                if not done.result().success:
+                    raise SystemExit(f"transition {transition} of loop {loop} did not succeed")
+                if transition == Transition.TRANSITION_ACTIVATE:
+                    wrenches.clear()
+                    node.spin_until(lambda: wrenches, "a wrench")
             run.check()
             usage.note()
         tracebacks = estimator.log.count("Traceback")
