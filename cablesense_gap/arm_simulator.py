@@ -20,6 +20,9 @@ from cablesense_sim.replay import Replay, reading_variance_n2
 
 _SAME_N = 1e-3
 """Tensions that differ by less are of one equilibrium, which is balanced to some 1e-5 N."""
+_FOLLOWED = 4
+"""Rows over which a rest is followed. Where a load turns a segment, two rests exist for a few
+rows; over longer parts of a recording the search from the other side finds them."""
 _SIMILAR_ARMS, _MOST_SCATTER = 16, 5.0
 """Arms with other tolerances, and by how many times their readings may scatter more in a row that
 counts than in the middle one: on arms drawn at random 3 to 4 times where nothing turns."""
@@ -111,15 +114,27 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
     The nominal and the amended arm then count the same rows. Rows without an equilibrium of the
     arm without effects are judged by the prediction (R, M) of the arm with its effects. A row does
     not count if its equilibrium is not the only one: a segment that a load has turned to one side
-    may also rest on the other, so the search begins on each side. Nor does it count if the load
+    may also rest on the other, so the search begins on each side, and at the rests of the rows
+    before and after, which a load that comes and goes may keep. Nor does it count if the load
     is near the one that turns a segment: there manufacturing tolerances change the readings far
     more than elsewhere, and not in proportion.
     """
     replay = Replay(arm, *recording.inputs)
     (here,) = replay.readings_n([[]], predicted_n)
+    rest_rad = replay.rest_rad
+    others: list[Array] = []
+    for axis in range(2):
+        mirrored_rad = rest_rad.copy()
+        mirrored_rad[:, axis::2] = (2.0 * recording.command_rad - rest_rad)[:, axis::2]
+        others.append(replay.begun_at(mirrored_rad).readings_n([[]], predicted_n)[0])
+    for step in (1, -1):
+        follower = replay.begun_at(rest_rad)
+        for _ in range(_FOLLOWED):
+            follower = follower.begun_at(np.roll(follower.rest_rad, step, axis=0))
+            found = follower.readings_n([[]], predicted_n)[0]
+        others.append(found)
+    same = np.abs(np.array(others) - here).max(axis=(0, 2)) < _SAME_N
     similar = replay.readings_n(_similar_arms(arm), predicted_n)
-    there = [replay.turned_over(axis).readings_n([[]], predicted_n)[0] for axis in range(2)]
-    same = np.abs(np.subtract(there, here)).max(axis=(0, 2)) < _SAME_N
     scatter_n = np.sqrt((np.subtract(similar, here) ** 2).mean(0)).max(-1)
     usual_n = np.median(scatter_n[same]) if same.any() else 0.0
     return np.asarray(same & (scatter_n <= _MOST_SCATTER * usual_n))

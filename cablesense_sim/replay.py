@@ -50,6 +50,8 @@ class Replay:
         time_s: (R,) of the samples, ascending.
         command_rad: (R, 2N) commanded joint angles.
         forces_n: (R, N, 3) loads in base axes, as recorded.
+        rest_rad: (R, 2N) joint angles at the rests that were found last, without memory of the
+            past; the commands before any was.
     """
 
     def __init__(
@@ -79,6 +81,7 @@ class Replay:
             flat, axis=0, return_index=True, return_inverse=True
         )
         self._start_rad: Array | None = None
+        self.rest_rad = command_rad
         self._latest: dict[tuple[object, ...], Array] = {}
 
     def readings_n(self, variants: Variants, unborne_n: Array | None = None) -> Array:
@@ -95,17 +98,11 @@ class Replay:
         tensions = self._in_turn_n(variants, some_may_fail=unborne_n is not None)
         return self._through(sensings(variants), tensions)
 
-    def turned_over(self, axis: int) -> Replay:
-        """The same, but the search for a rest begins on the other side of the command.
-
-        It begins at the first rest that was found here, mirrored about the command in the angles
-        of all joints about one of their two axes, 0 or 1.
-        """
+    def begun_at(self, start_rad: Array) -> Replay:
+        """The same, but the search for each row's rest begins at joint angles (R, 2N)."""
         other = copy(self)
-        if self._start_rad is not None:
-            other._start_rad = self._start_rad.copy()
-            other._start_rad[:, axis::2] = (2.0 * self.command_rad - self._start_rad)[:, axis::2]
-        other._latest = {}
+        other._start_rad, other.rest_rad, other._latest = start_rad, start_rad, {}
+        other._first = other._same = np.arange(len(start_rad))
         return other
 
     def _in_turn_n(self, variants: Variants, *, some_may_fail: bool) -> Array:
@@ -222,10 +219,11 @@ class Replay:
         tensions[borne] = rest.tensions_n
         if unborne_n is not None:
             tensions[~borne] = unborne_n[first][~borne]
+        angles_rad = self.command_rad[first]
+        angles_rad[borne] = rest.joint_angles_rad
+        self.rest_rad = angles_rad[same]
         if self._start_rad is None:
-            start = self.command_rad[first]
-            start[borne] = rest.joint_angles_rad
-            self._start_rad = start[same]
+            self._start_rad = self.rest_rad
         return np.asarray(tensions[same])
 
     def _rest(

@@ -19,10 +19,10 @@ _STEP_OF_STD, _STEP_OF_FLOOR = 0.1, 0.2
 """For derivatives by tolerances: of a standard deviation, but no more than changes the readings by
 this share of the floor (RMS). On a stiff arm a larger step takes cables slack, and derivatives
 across such kinks lead fits astray. The rests' rounding is a thousandth of that."""
-_MOST_REPEATED, _BETTER, _FAR_OFF = 6, 0.95, 5.0
-"""Times that tolerances are made linear anew, and the share of the cost that a time must save for
-another one. From so many standard deviations on, a tolerance imitates an effect that is not in the
-explanation, and is no place to be linear about."""
+_MOST_REPEATED, _CONVERGED, _MOST_OFF = 6, 0.05, 3.0
+"""Times that tolerances are made linear anew; the logarithm of the cost by which a time must
+change it for another one; and the standard deviations up to which they are a place to be linear
+about: one that is farther off imitates an effect."""
 
 
 def with_fitted_tolerances(problem: Problem) -> Problem:
@@ -45,26 +45,21 @@ def final_refinement(
     The search takes tolerances linear about a mechanism without effects, which is near enough to
     choose by. Gives the columns (K, R, C) of the tolerances and their rest (R, C) too.
     """
-    best, used = explanation, problem
+    best = latest = explanation, problem
     repeated = 0 if _is_consistent(problem, explanation) else _MOST_REPEATED
     for _ in range(repeated):
-        about = None if _imitates(used, best) else _with_tolerances_of(used, best)
-        start_at = best.without_tolerances, best.columns
-        fitted = None if about is None else refit(about, best.values, 3, start_at)
-        if about is None or fitted is None or problem.cost_of(fitted) > problem.cost_of(best):
+        before, used = latest
+        about = _with_tolerances_of(used, before)
+        start_at = before.without_tolerances, before.columns
+        fitted = None if about is None else refit(about, before.values, 3, start_at)
+        if about is None or fitted is None:
             break
-        much_better = problem.cost_of(fitted) < _BETTER * problem.cost_of(best)
-        best, used = fitted, about
-        if not much_better:
+        latest = fitted, about
+        if problem.cost_of(fitted) < problem.cost_of(best[0]):
+            best = latest
+        if abs(np.log(problem.cost_of(fitted) / problem.cost_of(before))) < _CONVERGED:
             break
-    return best, (used.tolerance_columns, used.tolerance_rest)
-
-
-def _imitates(problem: Problem, explanation: Explanation) -> bool:
-    """Whether tolerances alone have to imitate an effect."""
-    std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
-    off = (abs(value) > _FAR_OFF * std[term] for term, value in explanation.tolerances.items())
-    return not explanation.values and any(off)
+    return best[0], (best[1].tolerance_columns, best[1].tolerance_rest)
 
 
 def _is_consistent(problem: Problem, explanation: Explanation) -> bool:
@@ -82,7 +77,8 @@ def _with_tolerances_of(problem: Problem, explanation: Explanation) -> Problem |
     if not problem.tolerance_terms:
         return None
     std = dict(zip(problem.tolerance_terms, problem.tolerance_std.tolist(), strict=True))
-    at = dict.fromkeys(std, 0.0) | dict(explanation.tolerances)
+    off, most = explanation.tolerances, {t: _MOST_OFF * s for t, s in std.items()}
+    at = {t: float(np.clip(off.get(t, 0.0), -most[t], most[t])) for t in std}
     change = np.sqrt((problem.tolerance_columns[:, problem.used] ** 2).mean(axis=(1, 2)))
     size = 1.0 / np.maximum(1.0 / _STEP_OF_STD, change / (_STEP_OF_FLOOR * problem.floor))
     # towards zero, so that no tolerance leaves its range
