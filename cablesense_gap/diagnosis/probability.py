@@ -104,7 +104,16 @@ def posterior(
         for h, share in zip(explanations, shares, strict=False)
     ]
     found.append(Ranked(UNKNOWN, float(shares[-1]), None))
-    return sorted(found, key=lambda ranked: -ranked.probability)
+    return sorted(found, key=_rank)
+
+
+def _rank(ranked: Ranked) -> tuple[float, float]:
+    """Of two that are equally probable to some 1 %, the one that leaves less comes first.
+
+    Residuals below the floor are not distinguished otherwise.
+    """
+    left = ranked.explanation.held_out_rmse if ranked.explanation else np.inf
+    return -round(float(np.log(max(ranked.probability, 1e-300))), 2), left
 
 
 def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration) -> list[Ranked]:

