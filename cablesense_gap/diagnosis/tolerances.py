@@ -19,10 +19,12 @@ _STEP_OF_STD, _STEP_OF_FLOOR = 0.1, 0.2
 """For derivatives by tolerances: of a standard deviation, but no more than changes the readings by
 this share of the floor (RMS). On a stiff arm a larger step takes cables slack, and derivatives
 across such kinks lead fits astray. The rests' rounding is a thousandth of that."""
-_MOST_REPEATED, _CONVERGED, _MOST_OFF = 6, 0.05, 3.0
-"""Times that tolerances are made linear anew; the logarithm of the cost by which a time must
-change it for another one; and the standard deviations up to which they are a place to be linear
-about: one that is farther off imitates an effect."""
+_MOST_REPEATED, _CONVERGED = 6, 0.05
+"""Times that tolerances are made linear anew, and the logarithm of the cost by which a time must
+change it for another one."""
+_MOST_OFF, _FAR_OFF = 3.0, 10.0
+"""Standard deviations up to which tolerances are a place to be linear about; and from which on one
+imitates an effect so far that the others say nothing about the machine either."""
 
 
 def with_fitted_tolerances(problem: Problem) -> Problem:
@@ -46,13 +48,13 @@ def final_refinement(
     choose by. Gives the columns (K, R, C) of the tolerances and their rest (R, C) too.
     """
     best = latest = explanation, problem
-    repeated = 0 if _is_consistent(problem, explanation) else _MOST_REPEATED
-    for _ in range(repeated):
+    done = _imitates(problem, explanation) or _is_consistent(problem, explanation)
+    for _ in range(0 if done else _MOST_REPEATED):
         before, used = latest
         about = _with_tolerances_of(used, before)
         start_at = before.without_tolerances, before.columns
         fitted = None if about is None else refit(about, before.values, 3, start_at)
-        if about is None or fitted is None:
+        if about is None or fitted is None or _imitates(problem, fitted):
             break
         latest = fitted, about
         if problem.cost_of(fitted) < problem.cost_of(best[0]):
@@ -60,6 +62,13 @@ def final_refinement(
         if abs(np.log(problem.cost_of(fitted) / problem.cost_of(before))) < _CONVERGED:
             break
     return best[0], (best[1].tolerance_columns, best[1].tolerance_rest)
+
+
+def _imitates(problem: Problem, explanation: Explanation) -> bool:
+    """Whether tolerances alone imitate an effect."""
+    std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
+    off = (abs(value) > _FAR_OFF * std[term] for term, value in explanation.tolerances.items())
+    return not explanation.values and any(off)
 
 
 def _is_consistent(problem: Problem, explanation: Explanation) -> bool:
