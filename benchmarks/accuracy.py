@@ -1,4 +1,4 @@
-"""Accuracy of the shipped models and their baselines on fresh samples, beside the noise bound.
+"""Accuracy of the shipped models and their baselines on fresh samples, with the noise bound.
 
     python benchmarks/accuracy.py [--samples 100000] [--write]
 

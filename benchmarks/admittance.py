@@ -193,7 +193,7 @@ def run_loop(
 
 @dataclass
 class Fault:
-    """A fault of one cable, from 0; `none` has none. What is stuck keeps its first reading."""
+    """A fault of one cable, from 0; `none` has none. A stuck sensor keeps its first reading."""
 
     kind: str
     size: float

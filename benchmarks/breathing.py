@@ -5,8 +5,8 @@
 Cables stick rigidly at every guide and at a pulley of a quarter turn. Half of the arms are
 straight and half bent by up to 8 degrees. They are loaded with 5 to 100 N on one segment; the load
 is lowered, then removed. At each of these rests they breathe once. The shipped static model, of
-the arm without friction, answers from one reading after the breath, with noise and step. So does
-that of contacts anywhere, which is not told the place. The same course is also run without
+the arm without friction, answers from one reading after the breath, with noise and step. The model
+of contacts anywhere does the same without the place. The same course is also run without
 breathing (`passive`).
 """
 

@@ -8,7 +8,7 @@ starting the workers does not. Then 2,000 hard cases (±20 degrees, one to four 
 residuals.
 
 The baseline steps the same model in time, from the unloaded rest until no joint moves faster than
-`STILL_RAD_S`, under loads that leave the plates of either arm apart. The ratio compares the time
+`STILL_RAD_S`, under loads at which no plates of either arm touch. The ratio compares the time
 per case: `ArmDynamics.settle` on one core against the solver on all.
 """
 

@@ -3,10 +3,10 @@
     python benchmarks/fuzz.py [--share 1.0] [--only frames models] [--seed 0] [--write]
 
 More than 1,000,000 CAN frames, 100,000 messages to the estimator and 10,000 files. `hypothesis`
-draws them, in child processes that are watched, and makes a failing one small. Findings are: a
-child that ends (a crash of native code, or an example beyond its time), memory beyond a limit, an
-error outside CableSense's family, a refusal of more than one line, and an answer that the target's
-oracle calls false. Each child ends at its first finding; its last file is kept.
+draws them, in child processes that are watched, and makes a failing one small. A finding is
+a child that ends (a crash of native code, or an example beyond its time) or memory beyond a limit.
+So is an error outside CableSense's family, a refusal of more than one line, or an answer that the
+target's oracle calls false. Each child ends at its first finding; its last file is kept.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Processes of a live run as a user starts them and what they use; nodes of this process."""
+"""Processes of a live run, as a user starts them, with their memory and cores; own nodes."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ class Usage:
         self._memory_mb[elapsed_s] = {name: rss_mb(pid) for name, pid in self._pids.items()}
 
     def cores(self) -> dict[str, float]:
-        """Cores that each process took so far, on average."""
+        """Mean number of cores that each process has used."""
         share = (self._cpu_s() - self._cpu_began_s) / (time.monotonic() - self._began_s)
         return dict(share.round(3).to_dict())
 

@@ -75,7 +75,7 @@ def main() -> None:
 
 
 def _jaws(data: Path, index: pd.DataFrame) -> dict[str, Any]:
-    """Of the tool with the most levels, its 1st, 3rd … are diagnosed, the others are judged."""
+    """The tool with the most levels: its 1st, 3rd … are diagnosed, the others are judged."""
     tool = index.groupby("folder", sort=False)["brake_percent"].nunique().idxmax()
     own = index[index["folder"] == tool]
     fitted_levels = sorted(own["brake_percent"].unique())[::2]

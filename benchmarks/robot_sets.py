@@ -1,8 +1,8 @@
-"""The robots of the blind sets, what is hidden in them, and tendons over guides.
+"""The robots of the blind sets, their hidden effects, and tendons over guides.
 
 Tendons are elastic cable in pieces, which sticks and slips from piece to piece. Between two guides
 lies one piece. Each step, cable passes a guide from the looser piece to the tighter one until
-their tensions are apart by Euler's ratio at most, guide after guide, until no more passes; beyond
+the ratio of their tensions is Euler's at most, guide after guide, until no more passes; beyond
 the last guide it is held. The piece before the first has the motor's tension.
 """
 

@@ -21,8 +21,8 @@ from cablesense_sim.replay import Replay, reading_variance_n2
 _SAME_N = 1e-3
 """Tensions that differ by less are of one equilibrium, which is balanced to some 1e-5 N."""
 _FOLLOWED = 4
-"""Rows over which a rest is followed. Where a load turns a segment, two rests exist for a few
-rows; over longer parts of a recording the search from the other side finds them."""
+"""Rows over which a rest is followed. Two rests exist for a few rows while a load turns a segment;
+over longer parts of a recording the search from the other side finds them."""
 _SIMILAR_ARMS, _MOST_SCATTER = 16, 5.0
 """Arms with other tolerances, and by how many times their readings may scatter more in a row that
 counts than in the middle one: on arms drawn at random 3 to 4 times where nothing turns."""
@@ -112,12 +112,13 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
     """(R,) which rows count in the size of a gap, by the arm without effects.
 
     The nominal and the amended arm then count the same rows. Rows without an equilibrium of the
-    arm without effects are judged by the prediction (R, M) of the arm with its effects. A row does
-    not count if its equilibrium is not the only one: a segment that a load has turned to one side
-    may also rest on the other, so the search begins on each side, and at the rests of the rows
-    before and after, which a load that comes and goes may keep. Nor does it count if the load
-    is near the one that turns a segment: there manufacturing tolerances change the readings far
-    more than elsewhere, and not in proportion.
+    arm without effects are judged by the prediction (R, M) of the arm with its effects.
+
+    A row does not count if its equilibrium is not the only one. A segment that a load has turned
+    to one side may also rest on the other, so the search begins on each side. An arm may keep a
+    rest while the load changes, so the search also begins at the rests of the rows before and
+    after. A row does not count either if its load nearly turns a segment: there manufacturing
+    tolerances change the readings far more than elsewhere, and not in proportion.
     """
     replay = Replay(arm, *recording.inputs)
     (here,) = replay.readings_n([[]], predicted_n)

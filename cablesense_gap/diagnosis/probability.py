@@ -108,7 +108,7 @@ def posterior(
 
 
 def _rank(ranked: Ranked) -> tuple[float, float]:
-    """Of two that are equally probable to some 1 %, the one that leaves less comes first.
+    """The one that leaves less comes first of two that are equally probable to some 1 %.
 
     Residuals below the floor are not distinguished otherwise.
     """

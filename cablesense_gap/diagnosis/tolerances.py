@@ -30,8 +30,8 @@ imitates an effect so far that the others say nothing about the machine either."
 def with_fitted_tolerances(problem: Problem) -> Problem:
     """The problem with tolerances linear about those that fit best to it, without an effect.
 
-    The tensions of a stiff arm are far from linear in them. The same problem where that is no
-    more than what residuals can show.
+    The tensions of a stiff arm are far from linear in them. The columns stay as they are where
+    that is no more than residuals can show.
     """
     none = refine(problem, {}, [[]])
     assert none is not None

@@ -255,9 +255,7 @@ def test_rows_in_which_a_little_more_load_would_turn_a_segment_do_not_count():
     assert not counted[steepest : steepest + 2].all()
     assert counted[np.abs(loads_n - loads_n[steepest]) > 0.3].all()
     start_rad, kept = recording.command_rad[:1], np.zeros(len(loads_n), dtype=bool)
-    for row in reversed(
-        range(len(loads_n))
-    ):  # the load falls, and the arm stays turned for a while
+    for row in reversed(range(len(loads_n))):  # the load falls, the arm stays turned for a while
         rest = solve_equilibrium(
             mechanism_of(soft), recording.command_rad[row:][:1], recording.inputs[2][row:][:1],
             start_rad=start_rad,
