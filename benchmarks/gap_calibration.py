@@ -25,9 +25,9 @@ from cablesense_gap.arm_system import ArmSystem
 from cablesense_gap.diagnosis import probability
 from cablesense_gap.diagnosis.probability import ProbabilityCalibration, log_weights
 from cablesense_gap.diagnosis.search import search
-from cablesense_gap.pipeline import problem_of
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.scoring import read_answers
+from cablesense_gap.system import problem_of
 from cablesense_sim.arm import open_arm
 
 TARGET = Path(probability.__file__).with_name("calibration.json")

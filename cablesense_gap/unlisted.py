@@ -21,7 +21,6 @@ from cablesense_gap.diagnosis.discrepancy import (
     flexible_model,
 )
 from cablesense_gap.diagnosis.problem import Problem
-from cablesense_gap.pipeline import Unlisted
 from cablesense_gap.recordings.protocol import DIRECTIONS
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residuals import (
@@ -33,6 +32,7 @@ from cablesense_gap.residuals import (
     decompose,
     segment_modes_n,
 )
+from cablesense_gap.system import Unlisted
 from cablesense_gap.verdict import listed, short
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of

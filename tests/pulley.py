@@ -19,8 +19,8 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.problem import Problem, prepare
-from cablesense_gap.pipeline import System
 from cablesense_gap.simulator import Assignment, Candidate, Term, parameters_of
+from cablesense_gap.system import System
 from cablesense_sim.effects.effect import Parameter
 
 G_M_S2 = 9.81

@@ -34,6 +34,9 @@ _WAVES, _SLIDING_WAVES = 40, 8
 _SLOW = (0.05, 0.3, 1.0)
 """Shares of the usual speed at which functions of the speed saturate: friction's direction, its
 rise at rest, and damping."""
+_POWERS, _SLIDING_POWERS, _FARTHEST = 6, 3, 1.6
+"""Of the position, alone and times the direction of the motion; and the largest position, in
+half ranges from the middle."""
 _MARGIN = 0.1
 """Share of the range beyond it where waves end, and nothing is known any more."""
 _CORRELATED = 4.0
@@ -51,6 +54,10 @@ class Conditions(NamedTuple):
     position: Array
     speed: Array
     load: Array
+
+    def only(self, channels: NDArray[np.int64]) -> Conditions:
+        """Those of some channels."""
+        return Conditions(*(own[:, channels] for own in self))
 
 
 def effect_columns(problem: Problem) -> dict[Key, Array]:
@@ -85,6 +92,13 @@ class SmoothColumns:
         sizes = (np.sqrt((c**2).mean(0)) + _LEAST for c in (conditions.speed, conditions.load))
         return SmoothColumns(conditions.position.min(0), conditions.position.max(0), *sizes)
 
+    def powers(self, conditions: Conditions) -> Array:
+        """(K, R, C) powers of the position, alone and times the direction of the motion."""
+        at = np.clip(2.0 * self._place(conditions) - 1.0, -_FARTHEST, _FARTHEST)
+        way = np.tanh(conditions.speed / (_SLOW[1] * self.speed))
+        alone = [at**k for k in range(_POWERS)]
+        return np.array([*alone, *(way * power for power in alone[:_SLIDING_POWERS])])
+
     def _place(self, conditions: Conditions) -> Array:
         """Positions (R, C) as shares of the range."""
         span = np.maximum(self.high - self.low, _LEAST)
@@ -94,6 +108,12 @@ class SmoothColumns:
         """(R, C) by how much positions are beyond the range; from 1 on nothing is known."""
         place = self._place(conditions)
         return np.asarray(np.abs(place - np.clip(place, 0.0, 1.0)) / _MARGIN)
+
+    def only(self, channels: NDArray[np.int64]) -> SmoothColumns:
+        """Those of some channels."""
+        return SmoothColumns(
+            *(of[channels] for of in (self.low, self.high, self.speed, self.load))
+        )
 
     def of(self, conditions: Conditions) -> dict[Key, Array]:
         """(R, C) by name."""
@@ -132,6 +152,11 @@ class _Channel:
     scatter: float
     factor: float = 1.0
 
+    def part(self, columns: Mapping[Key, Array], c: int) -> Array | float:
+        """(R,) contributions of some columns, of which it takes the channel c, to its mean."""
+        known = zip(self.keys, self.mean.tolist(), strict=True)
+        return sum(size * columns[key][:, c] for key, size in known if key in columns)
+
     def of(self, columns: Mapping[Key, Array], c: int, beyond: Array) -> tuple[Array, Array]:
         """Mean and variance (R,) of its readings; `beyond` (R,) as of `SmoothColumns`."""
         none = np.zeros_like(beyond)
@@ -164,6 +189,45 @@ class Discrepancy:
         each = [channel.of(columns, c, beyond[:, c]) for c, channel in enumerate(self._channels)]
         mean, variance = (np.stack(part, axis=1) for part in zip(*each, strict=True))
         return mean, np.sqrt(variance)
+
+    def part(self, columns: Mapping[Key, Array], channels: NDArray[np.int64]) -> Array:
+        """(R, K) contributions of some columns (R, K) to the mean of K channels."""
+        found = np.zeros_like(next(iter(columns.values())))
+        for k, c in enumerate(channels):
+            found[:, k] = self._channels[c].part(columns, k)
+        return found
+
+
+@dataclass(frozen=True)
+class AlongTheWay:
+    """What a discrepancy expects at given positions and speeds of each channel.
+
+    Attributes:
+        smooth, discrepancy: its columns of the conditions.
+        powers: (K, C) coefficients of `SmoothColumns.powers` that come closest to its other
+            columns: a spring is a function of the position too.
+    """
+
+    smooth: SmoothColumns
+    discrepancy: Discrepancy
+    powers: Array
+
+    @staticmethod
+    def learnt(
+        smooth: SmoothColumns, found: Discrepancy, others: Mapping[Key, Array], powers: Array
+    ) -> AlongTheWay:
+        """From the other columns (R, C) and the powers (K, R, C) of one recording."""
+        rest = found.part(others, np.arange(powers.shape[2]))
+        each = zip(powers.transpose(2, 1, 0), rest.T, strict=True)
+        return AlongTheWay(
+            smooth, found, np.stack([np.linalg.lstsq(x, y)[0] for x, y in each], axis=1)
+        )
+
+    def of(self, conditions: Conditions, channels: NDArray[np.int64]) -> Array:
+        """(R, K) at conditions (R, C), in K of the channels."""
+        smooth, own = self.smooth.only(channels), conditions.only(channels)
+        waves = self.discrepancy.part(smooth.of(own), channels)
+        return waves + np.einsum("pc,prc->rc", self.powers[:, channels], smooth.powers(own))
 
 
 Features = Mapping[str, Mapping[str, Array]]

@@ -107,6 +107,7 @@ class Problem:
         tolerance_columns: (K, R, C) sensitivities, in standard deviations.
         tolerance_rest: (R, C) change by tolerances beyond these, where the columns were taken.
         past: by how much readings depend on it; None if unknown.
+        far_off: standard deviations beyond which one tolerance imitates an effect.
         sketch: the same for some of the rows, if these suffice to choose among history-dependent
             effects.
     """
@@ -122,6 +123,7 @@ class Problem:
     tolerance_columns: Array
     tolerance_rest: Array
     past: Past | None = None
+    far_off: float = 5.0
     sketch: Sketch | None = None
 
     @property

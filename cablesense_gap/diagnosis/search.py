@@ -367,10 +367,11 @@ class _Search:
         """Whether an explanation explains clearly more than a part of it.
 
         The least is half a noise floor and more than chance. It also does if the part needs a
-        tolerance that is more than five standard deviations off: this one imitates an effect.
+        tolerance that is so far off that it imitates an effect.
         """
         more = part.held_out_rmse**2 - explanation.held_out_rmse**2
-        strained = self._worst_tolerance(part) > max(5.0, self._worst_tolerance(explanation))
+        worst = max(self._problem.far_off, self._worst_tolerance(explanation))
+        strained = self._worst_tolerance(part) > worst
         shown = more > (0.5 * self._problem.floor) ** 2 and explanation.beats(part)
         return strained or shown
 

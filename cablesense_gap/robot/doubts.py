@@ -25,8 +25,6 @@ _TOUCHED, _MOST = 0.02, 2.0
 """By how much changed columns alter the share of a channel that they touch; no share is larger."""
 _AT_ZERO = 0.002
 """Share of a joint's span within which its position counts as zero."""
-_FAR_OFF = 3.0
-"""Standard deviations that one tolerance among many may be off."""
 _FURTHER = 0.5
 """Each number in a further place of an effect costs this, natural logarithm."""
 _FAR_BEYOND, _LITTLE = 10.0, 0.5
@@ -135,7 +133,7 @@ def weighed(problem: Problem, explanation: Explanation) -> Explanation:
     std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
     tolerances = explanation.tolerances
     largest = max((abs(value) / std[term] for term, value in tolerances.items()), default=0.0)
-    least = len(tolerances) * (largest / _FAR_OFF) ** 4
+    least = len(tolerances) * (largest / problem.far_off) ** 4
     return replace(
         explanation,
         tolerance_chi2=max(explanation.tolerance_chi2, least),

@@ -31,7 +31,9 @@ from cablesense_gap.robot.motion import (
 from cablesense_gap.robot.transmission import BacklashMotion, GuidedTendons
 
 _OF_BODIES = ("mass_kg", "centre_m", "inertia_kg_m2")
-_OF_MOTION = ("gravity_m_s2", "zero", "encoder_scale", "coupling", "play")
+OF_POSITION = ("zero", "encoder_scale", "coupling", "play")
+"""Numbers of a change that say where joints are, of which positions are read."""
+_OF_MOTION = ("gravity_m_s2", *OF_POSITION)
 _LEAST_KG = 1e-9
 _PLACES = np.array([*np.zeros((1, 3)), *np.eye(3), *-np.eye(3), *(1.0 - np.eye(3))])
 """Of point masses, m; their inertial parameters are independent."""
@@ -50,9 +52,9 @@ class InverseDynamics:
         self._tendons = GuidedTendons(robot, motion)
         self._cached, self._slides, self._columns = Recent(), Recent(), Recent()
 
-    def torques(self, change: Change) -> Array:
-        """(R, J) as the drives' torques would be read."""
-        motion, nominal, true = self._motion, self._nominal, 1.0 + change.encoder_scale
+    def moved(self, change: Change) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """Position, speed and acceleration (R, J) of the drives, and those of the joints."""
+        motion, true = self._motion, 1.0 + change.encoder_scale
         drive = (
             (motion.position - change.zero) / true,
             motion.speed / true,
@@ -61,9 +63,13 @@ class InverseDynamics:
         behind: Array | Sequence[float] = (0.0, 0.0, 0.0)
         if self._gaps is not None and change.play.any():
             behind = self._gaps.moved(change.play)[:, self._gaps.rows]
-        position, speed, acceleration = (
-            each + each @ change.coupling.T + gap for each, gap in zip(drive, behind, strict=True)
-        )
+        both = zip(drive, behind, strict=True)
+        return drive, tuple(each + each @ change.coupling.T + gap for each, gap in both)
+
+    def torques(self, change: Change) -> Array:
+        """(R, J) as the drives' torques would be read."""
+        motion, nominal = self._motion, self._nominal
+        drive, (position, speed, acceleration) = self.moved(change)
         transmitted = (
             self._rigid(change, (position, speed, acceleration))
             + (change.armature - nominal.armature) * acceleration
@@ -189,9 +195,16 @@ class InverseComparison(MotionComparison):
     def conditions(self, change: Change) -> Conditions:
         """At the motion's rows, before the low-pass."""
         motion, load = self._motion, self._dynamics.torques(change)
-        return Conditions(
-            *(each[:, self._joints] for each in (motion.position, motion.speed, load))
-        )
+        return Conditions(motion.position, motion.speed, load).only(self._joints)
+
+    def moved(self, change: Change) -> tuple[Array, Array]:
+        """(R, C) positions and speeds of the channels' joints in a variant of the robot."""
+        _, (position, speed, _) = self._dynamics.moved(change)
+        return position[:, self._joints], speed[:, self._joints]
+
+    def of_channels(self, by_joint: Array) -> Array:
+        """(C,) of values (J,)."""
+        return by_joint[self._joints]
 
     def compared(self, column: Array) -> Array:
         """As torques are."""

@@ -15,20 +15,22 @@ from numpy.typing import NDArray
 from cablesense_base import Array, some_of
 from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.diagnosis.problem import Explanation, Problem
-from cablesense_gap.pipeline import FOLDS, Reference, System, Unlisted, diagnose_system
+from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.recordings.csv_file import write_table
 from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.reference import Reference
 from cablesense_gap.robot import doubts
 from cablesense_gap.robot.amending import changed, known_effects
 from cablesense_gap.robot.effects import RobotEffect
 from cablesense_gap.robot.forward import ForwardComparison
-from cablesense_gap.robot.inverse import InverseComparison, ServoComparison
+from cablesense_gap.robot.inverse import OF_POSITION, InverseComparison, ServoComparison
 from cablesense_gap.robot.model import Robot, RobotError
 from cablesense_gap.robot.motion import Motion, MotionComparison
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.protocol import next_experiment
 from cablesense_gap.robot.recording import RobotRecording
 from cablesense_gap.simulator import Assignment, Candidate, Term, parameters_of
+from cablesense_gap.system import FOLDS, Altered, System, Unlisted
 from cablesense_gap.verdict import ChannelGap, Gap, Verdict, Where
 
 UNIT = "floors"
@@ -55,6 +57,8 @@ class RobotSystem(System):
     """
 
     unit, floor, recording_name = UNIT, 1.0, ""
+    far_off = 3.0
+    """A robot has dozens of tolerances."""
 
     def __init__(self, robot: Robot, motion: Motion, listed: Assignment) -> None:
         """`motion` is the measured one, `listed` are effects that the nominal robot has."""
@@ -151,11 +155,30 @@ class RobotSystem(System):
 
     def conditions(self) -> Conditions:
         """Of the channels' joints, with the nominal robot's load."""
+        return self._conditions
+
+    @cached_property
+    def _conditions(self) -> Conditions:
         return self.comparison.conditions(changed(self.robot, [self.listed]))
 
     def compared_columns(self, column: Array) -> Array:
         """As the comparison does."""
         return self.comparison.compared(column)
+
+    def altered(self, variant: Assignment) -> Altered | None:
+        """What zeros and scales of encoders and torques make of an unmodelled torque."""
+        comparison, usual = self.comparison, self._conditions
+        if not isinstance(comparison, InverseComparison):
+            return None
+        change, own = (changed(self.robot, [self.listed, v]) for v in (variant, {}))
+        gain = comparison.of_channels((1.0 + change.torque_scale) / (1.0 + own.torque_scale))
+        if change.key(*OF_POSITION) != own.key(*OF_POSITION):
+            both = zip(comparison.moved(change), comparison.moved(own), strict=True)
+            position, speed = (there - here for there, here in both)
+            usual = Conditions(usual.position + position, usual.speed + speed, usual.load)
+        elif (gain == 1.0).all():
+            return None
+        return Altered(usual, gain)
 
     def model_error(self, problem: Problem, found: Sequence[Explanation]) -> Array | None:
         """A tenth of the torque, if the best explanation is far from every joint's floor."""

@@ -8,12 +8,12 @@ import pytest
 from two_link import recorded, write_model
 from verdict_cases import gap_of, verdict_of
 
-from cablesense_gap.pipeline import problem_of
 from cablesense_gap.report.page import robot_page
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import read_recording
 from cablesense_gap.robot.system import RobotDiagnosis, RobotSystem
+from cablesense_gap.system import problem_of
 from cablesense_gap.verdict import ChannelGap
 
 PAGE = Path(__file__).parents[2] / "docs" / "robot_method.md"

@@ -7,16 +7,23 @@ from two_link import JOINTS, recorded, write_model
 from typer.testing import CliRunner
 
 from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.reference import Reference, since
 from cablesense_gap.robot.model import load_robot
+from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import read_recording
-from cablesense_gap.robot.system import diagnose
+from cablesense_gap.robot.system import RobotSystem, diagnose
+from cablesense_gap.simulator import Term
+from cablesense_gap.system import problem_of
 from cablesense_gap.verdict import read_verdict
 from cablesense_gap.watch import SeriesError
 from cablesense_ros.cli.app import app
 
 
-def worn(path, seed, **planted):
-    """A recording of a pendulum with a cable harness, and bearings that are rough in places."""
+def worn(path, seed, zero_rad=0.0, gain=1.0, **planted):
+    """A recording of a pendulum with a cable harness, and bearings that are rough in places.
+
+    At the shoulder an encoder's zero and a torque's scale may be off.
+    """
     recorded(path, seed=seed, **planted)
     table = pd.read_csv(path)
     for joint, size in zip(JOINTS, (0.3, 0.1), strict=True):
@@ -24,6 +31,8 @@ def worn(path, seed, **planted):
         harness = 2.0 * (at - 0.1) + 6.0 * (at - 0.1) ** 3 + np.sin(11.0 * at)
         rough = (1.0 + np.sin(5.0 * at)) * np.sign(speed)
         table[f"torque.{joint}"] += size * (harness + 0.5 * rough)
+    table["position.shoulder"] += zero_rad
+    table["torque.shoulder"] *= gain
     table.to_csv(path, index=False)
     return path
 
@@ -62,6 +71,35 @@ def test_the_command_says_since_when_and_refuses_another_machine(tmp_path):
         others = [*map(str, asked), "--reference", str(tmp_path / "other.csv")]
         with pytest.raises(RecordingError, match=f"other.*{missing.split('.')[0]}.*elbow"):
             CliRunner().invoke(app, others, catch_exceptions=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("zero_rad", "gain"), [(0.25, 1.0), (0.0, 1.3), (0.25, 1.3)])
+def test_unmodelled_torques_move_with_a_zero_and_are_read_with_a_torque_s_scale(
+    tmp_path, zero_rad, gain
+):
+    """With the planted numbers, as little is left as of a healthy recording."""
+    robot = load_robot(write_model(tmp_path))
+
+    def system(name, *seed, **planted):
+        recording = read_recording(worn(tmp_path / name, *seed, **planted), robot)
+        return RobotSystem(robot, prepared(recording, robot), {})
+
+    reference = Reference(system("healthy.csv", 1))
+    planted = {
+        Term("joint_zero", "shoulder", "zero_rad"): zero_rad,
+        Term("torque_scale", "shoulder", "share"): gain - 1.0,
+    }
+
+    def left(name, values, **more):
+        again = system(name, 3, **more).with_listed(reference.tolerances)
+        problem = problem_of(again)
+        since_then = since(problem, reference.expected(again, problem))
+        predicted = since_then.simulator.predict([values])[0]
+        return np.sqrt(((since_then.readings - predicted) ** 2).mean())
+
+    healthy = left("again.csv", {})
+    assert left("changed.csv", planted, zero_rad=zero_rad, gain=gain) < 1.4 * gain * healthy
 
 
 @pytest.mark.slow

@@ -1,0 +1,173 @@
+"""A recording of the healthy machine: what its model leaves there is expected of another one.
+
+The expected residual is a `Discrepancy`. An explanation may alter it: unmodelled friction that
+varies along a joint's way moves with the joint's zero, and is read with the torque's scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_gap.diagnosis.discrepancy import (
+    AlongTheWay,
+    Conditions,
+    Discrepancy,
+    Key,
+    SmoothColumns,
+    effect_columns,
+)
+from cablesense_gap.diagnosis.fitting import refine
+from cablesense_gap.diagnosis.problem import Problem
+from cablesense_gap.simulator import Assignment, Simulator
+from cablesense_gap.system import System, problem_of
+from cablesense_gap.verdict import ReferenceGap
+
+
+@dataclass(frozen=True)
+class MovingMean:
+    """The expected residual of a healthy machine, which variants of the machine alter.
+
+    Attributes:
+        mean: (R, C) as nominal.
+        usual, here: the nominal conditions, and what is expected along the way there.
+    """
+
+    system: System
+    along: AlongTheWay
+    mean: Array
+    usual: Conditions
+    here: Array
+
+    def change(self, variant: Assignment) -> Array | float:
+        """(R, C) by which a variant changes the mean."""
+        altered = self.system.altered(variant)
+        if altered is None:
+            return 0.0
+        there, change = altered.conditions, np.zeros_like(self.here)
+        moves = np.flatnonzero((there.position != self.usual.position).any(0))
+        change[:, moves] = self.along.of(there, moves) - self.here[:, moves]
+        at_variant = self.mean + self.system.compared_columns(change) / self.system.scale
+        return np.asarray(altered.gain * at_variant - self.mean)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """The readings that are expected of the healthy machine beyond its model.
+
+    Attributes:
+        mean: (R, C).
+        weight: (R, C) ratio of the floor to the standard deviation of a reading.
+        floor: root mean square of these deviations.
+        moving: what variants make of the mean; None if nothing.
+    """
+
+    mean: Array
+    weight: Array
+    floor: float
+    moving: MovingMean | None = None
+
+    def read(self, predicted: Array) -> Array:
+        """Readings (R, C) as predicted, of weighted ones beyond the mean."""
+        return predicted / self.weight + self.mean
+
+
+class Reference:
+    """A machine as a recording shows it when healthy.
+
+    Attributes:
+        tolerances: of the machine.
+        left: the gap of the nominal machine there, for the verdict.
+    """
+
+    def __init__(self, system: System) -> None:
+        """`system` is the nominal machine with the reference."""
+        problem = problem_of(system)
+        none = refine(problem, {}, [[]])
+        assert none is not None
+        used, nominal = problem.used, problem.readings - problem.nominal
+        self.tolerances = dict(none.tolerances)
+        system = system.with_listed(self.tolerances)
+        problem = replace(problem, simulator=system, nominal=system.predict([{}])[0])
+        conditions = system.conditions()
+        self._smooth = None if conditions is None else SmoothColumns.like(conditions)
+        effects = _scaled_effects(system, problem)
+        columns = {name: own[used] for name, own in self._columns(system, effects).items()}
+        residual, trial = (problem.readings - problem.nominal)[used], problem.trial[used]
+        found = Discrepancy(columns, residual * system.scale, problem.fold[trial])
+        self._discrepancy, self._along = found, None
+        if self._smooth is not None and conditions is not None:
+            powers = [system.compared_columns(p)[used] for p in self._smooth.powers(conditions)]
+            others = {name: own[used] for name, own in effects.items()}
+            self._along = AlongTheWay.learnt(self._smooth, found, others, np.array(powers))
+        before, left = nominal[used], residual - found.held_out / system.scale
+        self.left = ReferenceGap(
+            recording=system.recording_name,
+            before_n=float(np.sqrt((before**2).mean())),
+            left_n=float(np.sqrt((left**2).mean())),
+            channels=system.channels(before, left),
+        )
+
+    def expected(self, system: System, problem: Problem) -> Expected:
+        """In another recording, in its units; `system` has the reference's tolerances."""
+        beyond, conditions = np.zeros_like(system.readings), system.conditions()
+        if self._smooth is not None and conditions is not None:
+            beyond = np.abs(system.compared_columns(self._smooth.beyond(conditions)))
+        columns = self._columns(system, _scaled_effects(system, problem))
+        mean, deviation = self._discrepancy.of(columns, beyond)
+        deviation = np.maximum(deviation / system.scale, system.floor)
+        floor = float(np.sqrt((deviation[system.counted] ** 2).mean()))
+        mean, moving = mean / system.scale, None
+        if self._along is not None and conditions is not None:
+            here = self._along.of(conditions, np.arange(mean.shape[1]))
+            moving = MovingMean(system, self._along, mean, conditions, here)
+        return Expected(mean, floor / deviation, floor, moving)
+
+    def _columns(self, system: System, effects: dict[Key, Array]) -> dict[Key, Array]:
+        conditions = system.conditions()
+        if self._smooth is None or conditions is None:
+            return effects
+        smooth = self._smooth.of(conditions)
+        return effects | {key: system.compared_columns(own) for key, own in smooth.items()}
+
+
+def _scaled_effects(system: System, problem: Problem) -> dict[Key, Array]:
+    return {key: own * system.scale for key, own in effect_columns(problem).items()}
+
+
+class _Weighted:
+    """A simulator whose channels are less certain in some rows than in others."""
+
+    def __init__(self, simulator: Simulator, expected: Expected) -> None:
+        self._simulator, self._expected, self.floor = simulator, expected, expected.floor
+        self.candidates, self.tolerances = simulator.candidates, simulator.tolerances
+
+    def predict(self, variants: Sequence[Assignment]) -> Array:
+        """As of the simulator with the expected residual, times the weight (R, C)."""
+        predicted, moving = self._simulator.predict(variants), self._expected.moving
+        if moving is not None:
+            for variant, own in zip(variants, predicted, strict=True):
+                own += moving.change(variant)
+        return predicted * self._expected.weight
+
+
+def since(problem: Problem, expected: Expected) -> Problem:
+    """The problem of what changed: weighted readings beyond the expected ones."""
+    weight, sketch = expected.weight, problem.sketch
+    if sketch is not None:
+        rows = sketch.rows
+        part = Expected(expected.mean[rows], weight[rows], expected.floor)
+        sketch = replace(sketch, problem=since(sketch.problem, part))
+    return replace(
+        problem,
+        simulator=_Weighted(problem.simulator, expected),
+        readings=(problem.readings - expected.mean) * weight,
+        nominal=problem.nominal * weight,
+        tolerance_columns=problem.tolerance_columns * weight,
+        tolerance_rest=problem.tolerance_rest * weight,
+        past=None,
+        sketch=sketch,
+    )

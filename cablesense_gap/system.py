@@ -1,0 +1,181 @@
+"""A machine with one recording of it, as the diagnosis sees it: a robot, an arm or another."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array, CableSenseError
+from cablesense_gap.diagnosis.discrepancy import Conditions
+from cablesense_gap.diagnosis.problem import Explanation, Past, Problem, prepare, sketched
+from cablesense_gap.diagnosis.tolerances import with_fitted_tolerances
+from cablesense_gap.explained import estimates
+from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term
+from cablesense_gap.verdict import ChannelGap, FittedNumber, Gap, Where
+
+FOLDS = 5
+"""Fits without a fold keep four fifths of the trials."""
+
+
+class Unlisted(NamedTuple):
+    """A residual that no listed effect explains.
+
+    Attributes:
+        reasons: its pattern, as sentences.
+        experiment: what to record to learn more; empty if nothing is proposed.
+        correction: (R, C) by a flexible model, each trial without its fold.
+    """
+
+    reasons: tuple[str, ...]
+    experiment: str
+    correction: Array | float
+
+
+class Altered(NamedTuple):
+    """What a variant of a machine makes of a residual that its model leaves when healthy.
+
+    Attributes:
+        conditions: of its channels.
+        gain: (C,) by which it is multiplied.
+    """
+
+    conditions: Conditions
+    gain: Array
+
+
+class System(ABC):
+    """A machine under the commands and loads of one recording, as the diagnosis sees it.
+
+    It is a `Simulator` with the recording's readings. Whoever brings another machine derives from
+    it; the methods after `predict` have defaults.
+
+    Attributes:
+        name: of the nominal machine.
+        recording_name: of its recording.
+        row_count: of the whole recording, of which R rows are used.
+        readings: (R, C) as measured.
+        trial: (R,) number of each row's trial, or of its part of one.
+        fold: (T,) fold of each of them, in the order of their numbers.
+        counted: (R,) rows that count in fits and sizes.
+        candidates, tolerances, floor: see `Simulator`.
+        unit: of the channels.
+        far_off: standard deviations beyond which one tolerance imitates an effect.
+        scale: the factor (C,) by which readings are multiplied for units that all recordings of
+            the machine share.
+        compared: the compared quantities and the method, as a sentence; empty for readings.
+    """
+
+    name: str
+    recording_name: str
+    row_count: int
+    readings: Array
+    trial: NDArray[np.int64]
+    fold: NDArray[np.int64]
+    counted: NDArray[np.bool_]
+    candidates: tuple[Candidate, ...]
+    tolerances: tuple[Candidate, ...]
+    floor: float
+    unit: str = "N"
+    far_off: float = 5.0
+    scale: Array | float = 1.0
+    compared: str = ""
+
+    @abstractmethod
+    def predict(self, variants: Sequence[Assignment]) -> Array:
+        """Channels (P, R, C) of P variants, see `Simulator`."""
+
+    def past(self) -> Past | None:
+        """By how much readings depend on the past; None if unknown."""
+        return None
+
+    def sketch(self) -> tuple[Simulator, NDArray[np.int64]] | None:
+        """A simulator of some rows alone, and these rows (K,); None if all rows are needed.
+
+        The rows suffice to choose among history-dependent effects.
+        """
+        return None
+
+    def with_listed(self, values: Assignment) -> System:
+        """The same with these numbers as a part of the nominal machine.
+
+        Raises:
+            CableSenseError: this kind of machine has no diagnosis against a reference.
+        """
+        raise CableSenseError(f"{self.name}: this kind of machine has no reference; leave it out")
+
+    def conditions(self) -> Conditions | None:
+        """Position, speed and load of each channel, for functions of them; None has none."""
+        return None
+
+    def compared_columns(self, column: Array) -> Array:
+        """A function of the conditions as channels are compared, (R, C)."""
+        return column
+
+    def altered(self, variant: Assignment) -> Altered | None:
+        """What a variant makes of the residual that its model leaves when healthy.
+
+        None if nothing.
+        """
+        return None
+
+    def model_error(self, problem: Problem, found: Sequence[Explanation]) -> Array | None:
+        """(C,) RMS that a model of a real machine leaves, if no explanation fits any channel.
+
+        None if one does: the nominal machine is then taken to be exact but for its tolerances.
+        """
+        return None
+
+    def completed(self, problem: Problem, found: Sequence[Explanation]) -> list[Explanation]:
+        """The search's explanations, as this kind of machine weighs them."""
+        return list(found)
+
+    def where(self, values: Mapping[Term, float], residual: Array) -> Where:
+        """Places of the values; regimes of the nominal residual (counted rows, C)."""
+        return Where()
+
+    def numbers(
+        self, explanation: Explanation, values: Mapping[Term, float]
+    ) -> dict[str, FittedNumber]:
+        """The values, which are those in the places that matter, by name."""
+        return estimates(values, explanation.deviations, self.candidates)
+
+    def next_experiment(self, rivals: Sequence[Assignment], question: str) -> str:
+        """The recording that distinguishes the first rival from the others.
+
+        A single rival is distinguished from the nominal machine.
+        """
+        return ""
+
+    def repetition(self, residual: Array) -> str:
+        """How to repeat and vary the trial with the largest residual (counted rows, C).
+
+        Empty if this kind of machine has nothing to propose.
+        """
+        return ""
+
+    def unlisted(self, problem: Problem, residual: Array) -> Unlisted:
+        """The pattern of a held-out residual (R, C) that no listed effect explains."""
+        return Unlisted((), "", 0.0)
+
+    def doubts(self, values: Mapping[Term, float], gap: Gap) -> tuple[str, ...]:
+        """Reasons, as sentences, for which an explanation with these values cannot be sure."""
+        return ()
+
+    def channels(self, before: Array, after: Array) -> dict[str, ChannelGap]:
+        """Gaps by channel in their own units, of residuals (counted rows, C); may be empty."""
+        return {}
+
+
+def problem_of(system: System) -> Problem:
+    """The recording as the search works on it."""
+    problem = with_fitted_tolerances(
+        prepare(system, system.readings, system.trial, system.fold, system.counted)
+    )
+    problem = replace(problem, past=system.past(), far_off=system.far_off)
+    sketch = system.sketch()
+    return problem if sketch is None else sketched(problem, *sketch)
