@@ -37,6 +37,9 @@ from cablesense_sim.effects.effect import WHOLE_ARM, Parameter
 
 _SHAPE_STEP = 0.3
 """Scaled change of a varied shape: well above the simulator's rounding, within its range."""
+_MOST_CHANGE = 2.0
+"""Of the residual, RMS: a size that changes readings by more is not the answer, and a column taken
+there may be far from linear."""
 
 
 @dataclass(frozen=True)
@@ -107,10 +110,25 @@ def linear_effects(
     if candidate.history_dependent:
         batches = [list(chain(*batches))]
     changes = (c for b in batches for c in problem.simulator.predict(b) - base)
+    sizes_alone = not candidate.history_dependent and len(absent) == len(parameters)
+    left = _rms(problem, problem.readings - base)
+
+    def nearer(place: str, start: dict[str, float], p: Parameter, change: Array) -> Array:
+        """The change by a number, in proportion to that by a size that suits the residual."""
+        share = left / max(_rms(problem, change), 1e-12)
+        smaller = {name: share * value for name, value in start.items()}
+        if not sizes_alone or share * _MOST_CHANGE >= 1.0:
+            return change
+        again = problem.simulator.predict([variant(place, smaller, p)])[0] - base
+        ratio = to_scaled(p, start[p.name]) / to_scaled(p, smaller[p.name])
+        return ratio * again if np.isfinite(again).all() else change
+
     found = []
     for start, place in product(starts, offered):
         changed = np.array([next(changes) for _ in varied])
         if np.isfinite(changed).all():
+            each = zip(varied, changed, strict=True)
+            changed = np.array([nearer(place, start, p, change) for p, change in each])
             found.append(
                 LinearEffect(
                     place=place,
@@ -125,6 +143,10 @@ def linear_effects(
                 )
             )  # fmt: skip
     return found
+
+
+def _rms(problem: Problem, change: Array) -> float:
+    return float(np.sqrt((change[problem.used] ** 2).mean()))
 
 
 def _probe(

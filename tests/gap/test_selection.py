@@ -90,3 +90,16 @@ def test_a_size_that_cannot_be_is_no_site():
     by_place = dict(zip("ab", SIGNALS, strict=False))
     library = {candidate: lambda place, numbers: numbers["amount"] * by_place[place]}
     assert set(added(library, 2.0 * SIGNALS[1] - 3.0 * SIGNALS[0])) == {amount("load", "b")}
+
+
+def test_a_column_is_taken_where_its_change_suits_the_residual():
+    """Far from the planted size the effect has another pattern, as if cables became slack."""
+
+    def bent(_, numbers):
+        near = np.clip(numbers["amount"], -1.0, 1.0)
+        return near * SIGNALS[0] + (numbers["amount"] - near) * SIGNALS[1]
+
+    library = {Candidate("shift", ("arm",), (size("amount", typical=10.0),)): bent}
+    truth = {amount("shift", "arm"): 0.8}
+    found = added(library | linear("gain", "ab", SIGNALS[1:]), truth)
+    assert found == pytest.approx({amount("shift", "arm"): 0.08}, abs=0.005)
