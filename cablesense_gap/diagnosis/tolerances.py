@@ -7,18 +7,27 @@ history-dependent effects; the prediction that they are added to has them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.fitting import refine, refit
-from cablesense_gap.diagnosis.problem import RESOLUTION, Explanation, Problem
+from cablesense_gap.diagnosis.problem import (
+    RESOLUTION,
+    Explanation,
+    Problem,
+    from_scaled,
+    to_scaled,
+)
+from cablesense_gap.simulator import Term
 
-_STEP_OF_STD, _STEP_OF_FLOOR = 0.1, 0.2
-"""For derivatives by tolerances: of a standard deviation, but no more than changes the readings by
-this share of the floor (RMS). On a stiff arm a larger step takes cables slack, and derivatives
-across such kinks lead fits astray. The rests' rounding is a thousandth of that."""
+_STEP_OF_STD, _STEP_OF_EFFECT, _STEP_OF_FLOOR = 0.1, 0.03, 0.2
+"""For derivatives: of a tolerance's standard deviation, or of an effect's typical size, but no
+more than changes the readings by this share of the floor (RMS). On a stiff arm a larger step takes
+cables slack, and derivatives across such kinks lead fits astray. The rests' rounding is a
+thousandth of that."""
 _MOST_REPEATED, _CONVERGED = 6, 0.05
 """Times that tolerances are made linear anew, and the logarithm of the cost by which a time must
 change it for another one."""
@@ -51,10 +60,12 @@ def final_refinement(
     done = _imitates(problem, explanation) or _is_consistent(problem, explanation)
     for _ in range(0 if done else _MOST_REPEATED):
         before, used = latest
-        about = _with_tolerances_of(used, before)
-        start_at = before.without_tolerances, before.columns
-        fitted = None if about is None else refit(about, before.values, 3, start_at)
-        if about is None or fitted is None or _imitates(problem, fitted):
+        linear = _linear_about(used, before)
+        if linear is None:
+            break
+        about, columns = linear
+        fitted = refit(about, before.values, 3, (before.without_tolerances, columns))
+        if fitted is None or _imitates(problem, fitted):
             break
         latest = fitted, about
         if problem.cost_of(fitted) < problem.cost_of(best[0]):
@@ -81,8 +92,12 @@ def _is_consistent(problem: Problem, explanation: Explanation) -> bool:
     return bool((squares <= limit * used).all())
 
 
-def _with_tolerances_of(problem: Problem, explanation: Explanation) -> Problem | None:
-    """The problem with tolerances linear about the explanation's; None if that is impossible."""
+def _linear_about(problem: Problem, explanation: Explanation) -> tuple[Problem, Array] | None:
+    """The problem with tolerances linear about an explanation with its tolerances.
+
+    Gives the columns (K, R, C) of its effects there too: an effect that changes readings as a
+    tolerance does must have the same column. None if the simulator cannot follow.
+    """
     if not problem.tolerance_terms:
         return None
     std = dict(zip(problem.tolerance_terms, problem.tolerance_std.tolist(), strict=True))
@@ -96,15 +111,38 @@ def _with_tolerances_of(problem: Problem, explanation: Explanation) -> Problem |
     # a hundred simulations with friction or creep would take minutes, to change the columns little
     history = {c.effect for c in candidates if c.history_dependent}
     lasting = {t: value for t, value in explanation.values.items() if t.effect not in history}
-    base = {**lasting, **at}
+    base, varied = {**lasting, **at}, list(lasting)
+    scaled, values = _effect_steps(problem, explanation, varied)
     variants = [base, *({**base, term: at[term] + step} for term, step in steps.items())]
-    there, *moved = predict(variants)
-    scaled = np.array([step / std[term] for term, step in steps.items()])
-    columns = (np.array(moved) - there) / scaled[:, None, None]
+    there, *moved = predict(
+        [*variants, *({**base, t: v} for t, v in zip(varied, values, strict=True))]
+    )
+    every = np.array(moved) - there
+    columns = every[: len(std)] / np.array([steps[t] / std[t] for t in std])[:, None, None]
+    effects = explanation.columns.copy()
+    own = [list(explanation.values).index(term) for term in varied]
+    effects[own] = every[len(std) :] / scaled[:, None, None]
     if lasting != explanation.values:
         there = predict([{**explanation.values, **at}])[0]
     fitted = np.array([value / std[term] for term, value in at.items()])
     rest = there - explanation.without_tolerances - np.tensordot(fitted, columns, axes=1)
-    if not np.isfinite(columns).all() or not np.isfinite(rest).all():
+    if not all(np.isfinite(each).all() for each in (columns, rest, effects)):
         return None
-    return replace(problem, tolerance_columns=columns, tolerance_rest=rest)
+    return replace(problem, tolerance_columns=columns, tolerance_rest=rest), effects
+
+
+def _effect_steps(
+    problem: Problem, explanation: Explanation, varied: Sequence[Term]
+) -> tuple[Array, list[float]]:
+    """Scaled steps (K,) of values, such that readings change as by tolerances; and the values."""
+    own = dict(zip(explanation.values, explanation.columns, strict=True))
+    scaled, values = [], []
+    for term in varied:
+        parameter = problem.parameters[term]
+        change = float(np.sqrt((own[term][problem.used] ** 2).mean()))
+        step = min(_STEP_OF_EFFECT, _STEP_OF_FLOOR * problem.floor / max(change, 1e-12))
+        at = to_scaled(parameter, explanation.values[term])
+        step = step if at + step <= to_scaled(parameter, parameter.high) else -step
+        scaled.append(step)
+        values.append(from_scaled(parameter, at + step))
+    return np.array(scaled), values
