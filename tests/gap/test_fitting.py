@@ -195,6 +195,22 @@ def test_tolerances_are_taken_as_they_act_where_they_are():
     assert kept is straight.tolerance_columns
 
 
+class Same(Sums):
+    """The effect and one of the tolerances are the same number."""
+
+    def _one(self, variant):
+        one = variant.get(GAIN, 0.0) + variant.get(amount("scatter", "a"), 0.0)
+        off = variant.get(OFF, 0.0)
+        return one * (SIGNALS[0] + 40.0 * off * SIGNALS[3] + 3.0 * one * SIGNALS[1])
+
+
+def test_an_effect_that_a_tolerance_imitates_has_the_same_column():
+    problem = problem_of(Same(linear("gain", ["a"]), scatter()), {GAIN: 2.0, OFF: 0.15})
+    refined, (columns, _) = final_refinement(problem, fitted(problem, {GAIN: 2.0}))
+    assert refined.tolerances[OFF] == pytest.approx(0.15, rel=0.1)
+    assert_allclose(refined.columns[0], columns[0] / 0.05, atol=0.1)
+
+
 @pytest.mark.parametrize("imitating", [0.05, 0.4])
 def test_a_tolerance_that_imitates_an_effect_leaves_others_where_they_are(imitating):
     truth = {OFF: 0.08, amount("scatter", "a"): imitating}
