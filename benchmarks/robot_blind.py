@@ -1,7 +1,7 @@
 """Diagnoses of robots whose hidden effects an independent simulator made.
 
     python benchmarks/robot_blind.py [--count 60] [--seed 8105] [--commands] [--write]
-    python benchmarks/robot_blind.py --imperfect [--reference] [--count 60] [--seed 9127] [--write]
+    python benchmarks/robot_blind.py --imperfect [--reference] [--count 60] [--seed 9162] [--write]
     python benchmarks/robot_blind.py --servos [--count 25] [--seed 9152] [--write]
 
 Three nominal models of `config/robots` (an arm of six joints, a double pendulum, a finger with
@@ -13,7 +13,8 @@ hidden is backlash, which few joints of the other two show; with `--tendons` a f
 over guides, which rub in half of the cases, while of the others half have other friction. With
 `--imperfect` the models lack friction by position, springs and ripples, which make 5 to 15 % of
 the torque; with `--reference` another recording, without the hidden effects, is the reference
-(seed 9001 was used while that was made). With `--servos` robots are under position servos, and a
+(seeds 9001, 9131 and 9161 were used
+while that was made). With `--servos` robots are under position servos, and a
 camera reads their joints; a zero, play, a coupling, a payload or nothing is hidden in turn (seeds
 5101 and 9151 were used while that was made).
 """
