@@ -48,11 +48,12 @@ def parser(doc: str | None, writes: str) -> argparse.ArgumentParser:
 def origin(*libraries: str) -> dict[str, Any]:
     """The origin of a result: command line, time (UTC), machine, versions of `libraries`.
 
-    Without `--folder`: where files lie meanwhile changes no figure.
+    Without the places of files, which change no figure.
     """
     given = " ".join([f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
+    given = re.sub(r" --folder \S+", "", given)
     return {
-        "command": "python " + re.sub(r" --folder \S+", "", given),
+        "command": "python " + re.sub(r"(--data|--recordings) \S+", r"\1 DIR", given),
         "made": datetime.now(UTC).isoformat(timespec="seconds"),
         "machine": f"{platform.machine()}, {os.cpu_count()} CPUs",
         "python": platform.python_version(),
