@@ -30,6 +30,8 @@ from cablesense_base.files import write_atomically
 
 _CASE = re.compile(r'\{\s+"case".*?\}', re.DOTALL)
 """A case of a blind set is one line of a result."""
+_NUMBERS = re.compile(r"\[[^][{}]*\]")
+"""So is a list of numbers."""
 RESULTS = Path(__file__).parent / "results"
 CABLESENSE = [
     *(sys.executable, "-c"),
@@ -90,7 +92,8 @@ def kept(path: Path, make: Callable[[], Any], until_s: float = np.inf) -> Any:
 def write_result(name: str, result: dict[str, Any] | str) -> Path:
     """Write a result as JSON, or a text as it is, to `results/`; gives the path."""
     text = result if isinstance(result, str) else json.dumps(result, indent=1) + "\n"
-    text = _CASE.sub(lambda match: " ".join(match[0].split()), text)
+    for pattern in (_CASE, _NUMBERS):
+        text = pattern.sub(lambda match: " ".join(match[0].split()), text)
     path = RESULTS / name
     path.parent.mkdir(exist_ok=True)
     write_atomically(path, text, CableSenseError)
