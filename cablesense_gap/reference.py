@@ -1,4 +1,4 @@
-"""A recording of the healthy machine: what its model leaves there is expected of another one.
+"""A recording of the healthy machine: its residual is expected in other recordings too.
 
 The expected residual is a `Discrepancy`. An explanation may alter it: unmodelled friction that
 varies along a joint's way moves with the joint's zero, and is read with the torque's scale.
@@ -33,7 +33,7 @@ class MovingMean:
 
     Attributes:
         mean: (R, C) as nominal.
-        usual, here: the nominal conditions, and what is expected along the way there.
+        usual, here: the nominal conditions, and the residual that is expected there, (R, C).
     """
 
     system: System
@@ -62,7 +62,7 @@ class Expected:
         mean: (R, C).
         weight: (R, C) ratio of the floor to the standard deviation of a reading.
         floor: root mean square of these deviations.
-        moving: what variants make of the mean; None if nothing.
+        moving: the change of the mean by variants; None if there is none.
     """
 
     mean: Array
@@ -149,8 +149,8 @@ class _Weighted:
         """As of the simulator with the expected residual, times the weight (R, C)."""
         predicted, moving = self._simulator.predict(variants), self._expected.moving
         if moving is not None:
-            for variant, own in zip(variants, predicted, strict=True):
-                own += moving.change(variant)
+            each = zip(predicted, variants, strict=True)
+            predicted = np.array([own + moving.change(variant) for own, variant in each])
         return predicted * self._expected.weight
 
 

@@ -37,10 +37,10 @@ class Unlisted(NamedTuple):
 
 
 class Altered(NamedTuple):
-    """What a variant of a machine makes of a residual that its model leaves when healthy.
+    """The change of a healthy machine's residual by a variant of the machine.
 
     Attributes:
-        conditions: of its channels.
+        conditions: (R, C) at which the residual is then expected.
         gain: (C,) by which it is multiplied.
     """
 
@@ -117,10 +117,7 @@ class System(ABC):
         return column
 
     def altered(self, variant: Assignment) -> Altered | None:
-        """What a variant makes of the residual that its model leaves when healthy.
-
-        None if nothing.
-        """
+        """The change of the healthy machine's residual by a variant; None if there is none."""
         return None
 
     def model_error(self, problem: Problem, found: Sequence[Explanation]) -> Array | None:

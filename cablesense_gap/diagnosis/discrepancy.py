@@ -35,8 +35,8 @@ _SLOW = (0.05, 0.3, 1.0)
 """Shares of the usual speed at which functions of the speed saturate: friction's direction, its
 rise at rest, and damping."""
 _POWERS, _SLIDING_POWERS, _FARTHEST = 6, 3, 1.6
-"""Of the position, alone and times the direction of the motion; and the largest position, in
-half ranges from the middle."""
+"""Number of powers of the position, alone and times the direction of the motion; and the largest
+position, in half ranges from the middle."""
 _MARGIN = 0.1
 """Share of the range beyond it where waves end, and nothing is known any more."""
 _CORRELATED = 4.0
@@ -200,7 +200,7 @@ class Discrepancy:
 
 @dataclass(frozen=True)
 class AlongTheWay:
-    """What a discrepancy expects at given positions and speeds of each channel.
+    """The residual that a discrepancy expects at given positions and speeds of each channel.
 
     Attributes:
         smooth, discrepancy: its columns of the conditions.
@@ -216,7 +216,7 @@ class AlongTheWay:
     def learnt(
         smooth: SmoothColumns, found: Discrepancy, others: Mapping[Key, Array], powers: Array
     ) -> AlongTheWay:
-        """From the other columns (R, C) and the powers (K, R, C) of one recording."""
+        """Fit the powers (K, R, C) of one recording to the other columns (R, C) of it."""
         rest = found.part(others, np.arange(powers.shape[2]))
         each = zip(powers.transpose(2, 1, 0), rest.T, strict=True)
         return AlongTheWay(

@@ -367,7 +367,7 @@ class _Search:
         """Whether an explanation explains clearly more than a part of it.
 
         The least is half a noise floor and more than chance. It also does if the part needs a
-        tolerance that is so far off that it imitates an effect.
+        tolerance beyond the problem's `far_off`, which imitates an effect.
         """
         more = part.held_out_rmse**2 - explanation.held_out_rmse**2
         worst = max(self._problem.far_off, self._worst_tolerance(explanation))

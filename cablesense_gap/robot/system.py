@@ -166,7 +166,7 @@ class RobotSystem(System):
         return self.comparison.compared(column)
 
     def altered(self, variant: Assignment) -> Altered | None:
-        """What zeros and scales of encoders and torques make of an unmodelled torque."""
+        """Zeros and encoder scales move an unmodelled torque, torque scales multiply it."""
         comparison, usual = self.comparison, self._conditions
         if not isinstance(comparison, InverseComparison):
             return None
