@@ -225,7 +225,7 @@ class PlausibilityCheck:
         )
         if self._judged is not None and self._judged.is_near(fit):
             fit.response = self._judged.response
-        if stated_misfit > largest and self._reach_m is not None:
+        if stated_misfit > largest:
             stated_misfit = self._by_statics(fit, difference_n, largest, due=due)
         self.misfit = stated_misfit * self._largest / largest
         if not stated_misfit <= largest:
