@@ -20,9 +20,8 @@ from cablesense_sim.replay import Replay, reading_variance_n2
 
 _SAME_N = 1e-3
 """Tensions that differ by less are of one equilibrium, which is balanced to some 1e-5 N."""
-_FOLLOWED = 4
-"""Rows over which a rest is followed. Two rests exist for a few rows while a load turns a segment;
-over longer parts of a recording the search from the other side finds them."""
+_FOLLOWED = 16
+"""Rows over which a rest is followed at most: one that a load has turned to may last as long."""
 _SIMILAR_ARMS, _MOST_SCATTER = 16, 5.0
 """Arms with other tolerances, and by how many times their readings may scatter more in a row that
 counts than in the middle one: on arms drawn at random 3 to 4 times where nothing turns."""
@@ -129,10 +128,13 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
         mirrored_rad[:, axis::2] = (2.0 * recording.command_rad - rest_rad)[:, axis::2]
         others.append(replay.begun_at(mirrored_rad).readings_n([[]], predicted_n)[0])
     for step in (1, -1):
-        follower = replay.begun_at(rest_rad)
+        follower, found = replay.begun_at(rest_rad), here
         for _ in range(_FOLLOWED):
-            follower = follower.begun_at(np.roll(follower.rest_rad, step, axis=0))
+            before, begin_rad = found, np.roll(follower.rest_rad, step, axis=0)
+            follower = follower.begun_at(begin_rad)
             found = follower.readings_n([[]], predicted_n)[0]
+            if np.abs(found - before).max() < _SAME_N:
+                break
         others.append(found)
     same = np.abs(np.array(others) - here).max(axis=(0, 2)) < _SAME_N
     similar = replay.readings_n(_similar_arms(arm), predicted_n)

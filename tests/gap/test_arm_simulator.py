@@ -266,6 +266,35 @@ def test_rows_in_which_a_little_more_load_would_turn_a_segment_do_not_count():
     assert not (kept & counted).any()
 
 
+def test_no_row_of_a_buckled_arm_counts():
+    """Its cables pull more than they hold upright: it leans to one side or another in every row."""
+    buckled = variant(
+        {
+            "segments.count": 3,
+            "segments.length_m": [0.176, 0.185, 0.106],
+            "segments.mass_kg": 0.31,
+            "segments.plate_offset_m": 0.019,
+            "segments.contact_m": [0.088, 0.092, 0.053],
+            "cables.per_segment": 3,
+            "cables.routing_radius_m": 0.023,
+            "cables.stiffness_n_m": 17200.0,
+            "cables.pretension_n": 87.4,
+            "cables.angle_deg": {"first": 0.0, "per_segment": 40.0, "per_cable": -120.0},
+        },
+        "cdsm_lab",
+    )
+    each = np.zeros(40, dtype=int)
+    recording = replace(
+        RECORDING.rows(each),
+        time_s=0.1 * np.arange(len(each)),
+        load_segment=each,
+        load_n=np.zeros((len(each), 3)),
+        command_rad=np.outer(np.deg2rad(np.linspace(-15.0, 15.0, len(each))), np.eye(6)[5]),
+        tensions_n=np.full((len(each), 9), 87.4),
+    )
+    assert not counted_rows(buckled, recording, replayed(buckled, recording)).any()
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_tolerances_of_a_very_stiff_arm_are_found(seed):
     """A tenth of their standard deviation takes cables slack in bent poses."""
