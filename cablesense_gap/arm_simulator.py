@@ -116,8 +116,9 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
     A row does not count if its equilibrium is not the only one. A segment that a load has turned
     to one side may also rest on the other, so the search begins on each side. An arm may keep a
     rest while the load changes, so the search also begins at the rests of the rows before and
-    after. A row does not count either if its load nearly turns a segment: there manufacturing
-    tolerances change the readings far more than elsewhere, and not in proportion.
+    after. The rows beside such a row do not count either: an unknown effect may make the arm turn
+    there. Nor does a row count if its load nearly turns a segment: there manufacturing tolerances
+    change the readings far more than elsewhere, and not in proportion.
     """
     replay = Replay(arm, *recording.inputs)
     (here,) = replay.readings_n([[]], predicted_n)
@@ -136,7 +137,9 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
             if np.abs(found - before).max() < _SAME_N:
                 break
         others.append(found)
-    same = np.abs(np.array(others) - here).max(axis=(0, 2)) < _SAME_N
+    off = np.abs(np.array(others) - here).max(axis=(0, 2)) >= _SAME_N
+    off = np.isin(replay.alike, replay.alike[off])
+    same = ~np.convolve(off, np.ones(3), "same").astype(bool)
     similar = replay.readings_n(_similar_arms(arm), predicted_n)
     scatter_n = np.sqrt((np.subtract(similar, here) ** 2).mean(0)).max(-1)
     usual_n = np.median(scatter_n[same]) if same.any() else 0.0

@@ -120,7 +120,7 @@ def shares(
     for k, effect in enumerate(largest):
         included = {t: v for t, v in best.values.items() if t.effect in largest[: k + 1]}
         last = k + 1 == len(largest)
-        predicted = best.held_out_effects if last else problem.simulator.predict([included])[0]
+        predicted = best.held_out_effects if last else problem.predict([included])[0]
         places = dict.fromkeys(t.place for t in values if t.effect == effect)
         found[effect] = Share(
             share_n=parts[effect].size,
@@ -200,7 +200,7 @@ class _Part(NamedTuple):
 
 def _part(problem: Problem, best: Explanation, effects: set[str]) -> _Part:
     others = {t: v for t, v in best.values.items() if t.effect not in effects}
-    change = (best.without_tolerances - problem.simulator.predict([others])[0])[problem.used]
+    change = (best.without_tolerances - problem.predict([others])[0])[problem.used]
     size, slope = _rms(change), np.zeros(len(best.values))
     if size > 0.0:
         by_number = (best.columns[:, problem.used] * change).mean(axis=(1, 2)) / size

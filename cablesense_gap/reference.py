@@ -91,7 +91,13 @@ class Reference:
         used, nominal = problem.used, problem.readings - problem.nominal
         self.tolerances = dict(none.tolerances)
         system = system.with_listed(self.tolerances)
-        problem = replace(problem, simulator=system, nominal=system.predict([{}])[0])
+        problem = replace(
+            problem,
+            simulator=system,
+            nominal=system.predict([{}])[0],
+            tolerances_at={},
+            tolerances_change=0.0 * nominal,
+        )
         conditions = system.conditions()
         self._smooth = None if conditions is None else SmoothColumns.like(conditions)
         effects = _scaled_effects(system, problem)
@@ -168,6 +174,7 @@ def since(problem: Problem, expected: Expected) -> Problem:
         nominal=problem.nominal * weight,
         tolerance_columns=problem.tolerance_columns * weight,
         tolerance_rest=problem.tolerance_rest * weight,
+        tolerances_change=problem.tolerances_change * weight,
         past=None,
         sketch=sketch,
     )

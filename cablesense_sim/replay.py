@@ -50,6 +50,7 @@ class Replay:
         time_s: (R,) of the samples, ascending.
         command_rad: (R, 2N) commanded joint angles.
         forces_n: (R, N, 3) loads in base axes, as recorded.
+        alike: (R,) a number that rows with the same command and loads share.
         rest_rad: (R, 2N) joint angles at the rests that were found last, without memory of the
             past; the commands before any was.
     """
@@ -77,7 +78,7 @@ class Replay:
             self._beyond_m = np.nan_to_num(places_m - self._nominal.contact_m, nan=0.0)
             each_row.append(self._beyond_m)
         flat = np.concatenate(each_row, axis=1)
-        _, self._first, self._same = np.unique(
+        _, self._first, self.alike = np.unique(
             flat, axis=0, return_index=True, return_inverse=True
         )
         self._start_rad: Array | None = None
@@ -102,7 +103,7 @@ class Replay:
         """The same, but the search for each row's rest begins at joint angles (R, 2N)."""
         other = copy(self)
         other._start_rad, other.rest_rad, other._latest = start_rad, start_rad, {}
-        other._first = other._same = np.arange(len(start_rad))
+        other._first = other.alike = np.arange(len(start_rad))
         return other
 
     def _in_turn_n(self, variants: Variants, *, some_may_fail: bool) -> Array:
@@ -204,7 +205,7 @@ class Replay:
         self, mechanism: Mechanism, held_m: Array, forces_n: Array, unborne_n: Array | None
     ) -> Array:
         """Tensions (R, M); rows with equal command and loads are solved once."""
-        first, same = self._first, self._same
+        first, same = self._first, self.alike
         if not np.array_equal(held_m, held_m[first][same]):
             first = same = np.arange(len(held_m))
         borne = np.ones(len(first), dtype=bool)

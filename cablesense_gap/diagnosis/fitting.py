@@ -71,7 +71,7 @@ def refit_part(
 ) -> Explanation | None:
     """As `refit`, from some values of an explanation and its sensitivities to them."""
     own = [k for k, term in enumerate(explanation.values) if term in values]
-    predicted = problem.simulator.predict([values])[0]
+    predicted = problem.predict([values])[0]
     return refit(problem, values, most_steps, (predicted, explanation.columns[own]))
 
 
@@ -137,13 +137,13 @@ class _Fit:
         if len(starts) == 1:
             return starts[0], 0.0
         self._expected = starts[0]
-        predicted = self._problem.simulator.predict([self._assignment(s) for s in starts])
+        predicted = self._problem.predict([self._assignment(s) for s in starts])
         left = [self._cost(starts[0], prediction, None)[1] for prediction in predicted]
         best = int(np.argmin(left))
         return starts[best], left[best]
 
     def _predicted(self, point: Array) -> Array:
-        return self._problem.simulator.predict([self._assignment(point)])[0]
+        return self._problem.predict([self._assignment(point)])[0]
 
     def _linear(self, point: Array, known: Array | None = None) -> tuple[Array, Array]:
         """The prediction (R, C) at one point, with its derivatives (K, R, C).
@@ -164,7 +164,7 @@ class _Fit:
             if static:
                 kept = {self._terms[k] for k in np.flatnonzero(self._static)}
                 variants = [{t: v for t, v in each.items() if t in kept} for each in variants]
-            about, *moved = self._problem.simulator.predict(variants)
+            about, *moved = self._problem.predict(variants)
             change = np.array(moved).reshape(len(own), *about.shape) - about
             change[~np.isfinite(change).all(axis=(1, 2))] = 0.0
             columns[own] = change / steps[own].reshape(-1, 1, 1)

@@ -6,7 +6,7 @@ Fits use scaled values, in units of a typical one, so that one step suits all pa
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import comb
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.linear_fit import products
-from cablesense_gap.simulator import Simulator, Term, parameters_of
+from cablesense_gap.simulator import Assignment, Simulator, Term, parameters_of
 from cablesense_sim.effects.effect import Parameter
 
 RESOLUTION = 0.2
@@ -106,6 +106,8 @@ class Problem:
         tolerance_std: standard deviation of each of the terms.
         tolerance_columns: (K, R, C) sensitivities, in standard deviations.
         tolerance_rest: (R, C) change by tolerances beyond these, where the columns were taken.
+        tolerances_at: the tolerances where they were; without any, the nominal ones.
+        tolerances_change: (R, C) change of the nominal prediction by them.
         past: by how much readings depend on it; None if unknown.
         far_off: standard deviations beyond which one tolerance imitates an effect.
         sketch: the same for some of the rows, if these suffice to choose among history-dependent
@@ -122,6 +124,8 @@ class Problem:
     tolerance_std: Array
     tolerance_columns: Array
     tolerance_rest: Array
+    tolerances_at: Assignment
+    tolerances_change: Array
     past: Past | None = None
     far_off: float = 5.0
     sketch: Sketch | None = None
@@ -130,6 +134,16 @@ class Problem:
     def floor(self) -> float:
         """RMS of what the sensors add to a perfect reading."""
         return self.simulator.floor
+
+    def predict(self, variants: Sequence[Assignment]) -> Array:
+        """Readings (P, R, C) of P variants of the nominal mechanism.
+
+        An effect changes them as it does beside the tolerances where the columns were taken.
+        """
+        if not self.tolerances_at:
+            return self.simulator.predict(variants)
+        beside = [{**self.tolerances_at, **variant} for variant in variants]
+        return self.simulator.predict(beside) - self.tolerances_change
 
     @cached_property
     def tolerance_gram(self) -> Array:
@@ -230,6 +244,7 @@ def sketched(problem: Problem, simulator: Simulator, rows: NDArray[np.int64]) ->
         nominal=simulator.predict([{}])[0],
         tolerance_columns=problem.tolerance_columns[:, rows],
         tolerance_rest=problem.tolerance_rest[rows],
+        tolerances_change=problem.tolerances_change[rows],
     )
     return replace(problem, sketch=Sketch(rows, part))
 
@@ -256,6 +271,8 @@ def prepare(
         tolerance_std=np.array(list(std.values())),
         tolerance_columns=np.array(columns).reshape(len(columns), *nominal.shape),
         tolerance_rest=np.zeros_like(nominal),
+        tolerances_at={},
+        tolerances_change=np.zeros_like(nominal),
     )
 
 

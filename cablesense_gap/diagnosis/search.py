@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 
-from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.diagnosis.fitting import fit, refine, refit, refitted, without
 from cablesense_gap.diagnosis.problem import Explanation, Problem, excess
@@ -28,14 +27,13 @@ from cablesense_gap.diagnosis.selection import (
     linear_effects,
     own_columns,
 )
-from cablesense_gap.diagnosis.tolerances import final_refinement
+from cablesense_gap.diagnosis.tolerances import final_refinement, with_tolerances
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import WHOLE_ARM
 
 Progress = Callable[[str, float], None]
 """Called with the present step and the share of the whole that is done."""
 
-_Tolerances = tuple[Array, Array]
 """Their columns (K, R, C) and rest (R, C), see `Problem`."""
 
 _MOST_EXPANDED, _MOST_FRUITLESS = 8, 2
@@ -85,7 +83,7 @@ class _Search:
         self._history = {c.effect for c in self._expensive}
         self._found: dict[tuple[str, ...], Explanation] = {}
         self._expanded: set[frozenset[tuple[str, str]]] = set()
-        self._refined: dict[Explanation, _Tolerances] = {}
+        self._refined: dict[Explanation, Problem] = {}
 
     def _map(
         self,
@@ -108,7 +106,7 @@ class _Search:
 
     def run(self) -> list[Explanation]:
         """The best explanation for every set of effects that is worth it."""
-        self._nominal = self._columns(self._cheap, None)
+        self._nominal = self._columns(self._cheap, self._none)
         self._expand(self._none, self._nominal)
         if not self._is_resolved():
             self._climb([])
@@ -293,7 +291,7 @@ class _Search:
         self._doing = "judging on all rows"
         most = 3.0 * _RIVAL * self._problem.cost_of(self._best())
         new = [
-            (h, self._refined.get(h, _tolerances(sketch.problem)))
+            (h, self._refined.get(h, sketch.problem))
             for effects, h in self._found.items()
             if h is not reduced.get(effects)
             and self._problem.cost_of(h) <= most
@@ -303,7 +301,7 @@ class _Search:
         self._problem, self._none = self._whole, none
         judged = [h for h in self._map(_on_all_rows, new) if h is not None]
         self._keep_all(judged)
-        self._refined |= dict.fromkeys(judged, _tolerances(self._problem))
+        self._refined |= dict.fromkeys(judged, self._problem)
 
     def _climb_with_expensive(self) -> None:
         self._expanded.clear()
@@ -431,17 +429,15 @@ def _called(function: Callable[..., Any], on_sketch: bool, problem: Problem, val
     return function(problem, value)
 
 
-def _tolerances(problem: Problem) -> _Tolerances:
-    return problem.tolerance_columns, problem.tolerance_rest
-
-
-def _on_all_rows(problem: Problem, found: tuple[Explanation, _Tolerances]) -> Explanation | None:
+def _on_all_rows(problem: Problem, found: tuple[Explanation, Problem]) -> Explanation | None:
     """An explanation of the sketch, with the tolerances in its fit."""
-    explanation, tolerances = found
+    explanation, of_sketch = found
     sketch = problem.sketch
     assert sketch is not None
-    (*columns, rest) = sketch.over_all_rows(np.stack([*tolerances[0], tolerances[1]]))
-    about = replace(problem, tolerance_columns=np.array(columns), tolerance_rest=rest)
-    predicted = problem.simulator.predict([explanation.values])[0]
+    about = problem
+    if of_sketch is not sketch.problem:
+        columns = sketch.over_all_rows(of_sketch.tolerance_columns)
+        about = with_tolerances(problem, of_sketch.tolerances_at, columns)
+    predicted = about.predict([explanation.values])[0]
     start = predicted, sketch.over_all_rows(explanation.columns)
     return refit(about, explanation.values, 0, start)

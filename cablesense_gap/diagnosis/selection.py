@@ -82,7 +82,7 @@ def linear_effects(
     known = {term: value for term, value in everything.items() if term.effect not in slow}
     base = problem.nominal if about is None else about.without_tolerances
     if len(known) < len(everything):
-        base = problem.simulator.predict([known])[0]
+        base = problem.predict([known])[0]
     taken = {term.place for term in everything if term.effect == candidate.effect}
     offered = [place for place in candidate.places if place not in taken]
     parameters = candidate.parameters
@@ -109,9 +109,9 @@ def linear_effects(
     batches = [[variant(place, start, p) for p in varied] for start in starts for place in offered]
     if candidate.history_dependent:
         batches = [list(chain(*batches))]
-    changes = (c for b in batches for c in problem.simulator.predict(b) - base)
+    changes = (c for b in batches for c in problem.predict(b) - base)
     sizes_alone = not candidate.history_dependent and len(absent) == len(parameters)
-    left = _rms(problem, problem.readings - base)
+    left = _rms(problem, problem.readings - (base if about is None else about.prediction))
 
     def nearer(place: str, start: dict[str, float], p: Parameter, change: Array) -> Array:
         """The change by a number, in proportion to that by a size that suits the residual."""
@@ -119,7 +119,7 @@ def linear_effects(
         smaller = {name: share * value for name, value in start.items()}
         if not sizes_alone or share * _MOST_CHANGE >= 1.0:
             return change
-        again = problem.simulator.predict([variant(place, smaller, p)])[0] - base
+        again = problem.predict([variant(place, smaller, p)])[0] - base
         ratio = to_scaled(p, start[p.name]) / to_scaled(p, smaller[p.name])
         return ratio * again if np.isfinite(again).all() else change
 

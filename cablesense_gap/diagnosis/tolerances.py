@@ -21,7 +21,7 @@ from cablesense_gap.diagnosis.problem import (
     from_scaled,
     to_scaled,
 )
-from cablesense_gap.simulator import Term
+from cablesense_gap.simulator import Assignment, Term
 
 _STEP_OF_STD, _STEP_OF_EFFECT, _STEP_OF_FLOOR = 0.1, 0.03, 0.2
 """For derivatives: of a tolerance's standard deviation, or of an effect's typical size, but no
@@ -44,17 +44,14 @@ def with_fitted_tolerances(problem: Problem) -> Problem:
     """
     none = refine(problem, {}, [[]])
     assert none is not None
-    columns, rest = final_refinement(problem, none)[1]
-    return replace(problem, tolerance_columns=columns, tolerance_rest=rest)
+    return final_refinement(problem, none)[1]
 
 
-def final_refinement(
-    problem: Problem, explanation: Explanation
-) -> tuple[Explanation, tuple[Array, Array]]:
+def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explanation, Problem]:
     """Fit the same effects with tolerances that are linear about the explanation.
 
     The search takes tolerances linear about a mechanism without effects, which is near enough to
-    choose by. Gives the columns (K, R, C) of the tolerances and their rest (R, C) too.
+    choose by. Gives the problem with these tolerances too.
     """
     best = latest = explanation, problem
     done = _imitates(problem, explanation) or _is_consistent(problem, explanation)
@@ -63,8 +60,8 @@ def final_refinement(
         linear = _linear_about(used, before)
         if linear is None:
             break
-        about, columns = linear
-        fitted = refit(about, before.values, 3, (before.without_tolerances, columns))
+        about, start_at = linear
+        fitted = refit(about, before.values, 3, start_at)
         if fitted is None or _imitates(problem, fitted):
             break
         latest = fitted, about
@@ -72,7 +69,10 @@ def final_refinement(
             best = latest
         if abs(np.log(problem.cost_of(fitted) / problem.cost_of(before))) < _CONVERGED:
             break
-    return best[0], (best[1].tolerance_columns, best[1].tolerance_rest)
+    if best[1] is problem:
+        return best
+    alone = problem.predict([best[0].values])[0]
+    return replace(best[0], without_tolerances=alone), best[1]
 
 
 def _imitates(problem: Problem, explanation: Explanation) -> bool:
@@ -92,11 +92,14 @@ def _is_consistent(problem: Problem, explanation: Explanation) -> bool:
     return bool((squares <= limit * used).all())
 
 
-def _linear_about(problem: Problem, explanation: Explanation) -> tuple[Problem, Array] | None:
+def _linear_about(
+    problem: Problem, explanation: Explanation
+) -> tuple[Problem, tuple[Array, Array]] | None:
     """The problem with tolerances linear about an explanation with its tolerances.
 
-    Gives the columns (K, R, C) of its effects there too: an effect that changes readings as a
-    tolerance does must have the same column. None if the simulator cannot follow.
+    Gives its prediction (R, C) and the columns (K, R, C) of its effects there too: an effect that
+    changes readings as a tolerance does must have the same column. None if the simulator cannot
+    follow.
     """
     if not problem.tolerance_terms:
         return None
@@ -124,11 +127,23 @@ def _linear_about(problem: Problem, explanation: Explanation) -> tuple[Problem, 
     effects[own] = every[len(std) :] / scaled[:, None, None]
     if lasting != explanation.values:
         there = predict([{**explanation.values, **at}])[0]
-    fitted = np.array([value / std[term] for term, value in at.items()])
-    rest = there - explanation.without_tolerances - np.tensordot(fitted, columns, axes=1)
-    if not all(np.isfinite(each).all() for each in (columns, rest, effects)):
+    if not all(np.isfinite(each).all() for each in (there, columns, effects)):
         return None
-    return replace(problem, tolerance_columns=columns, tolerance_rest=rest), effects
+    about = with_tolerances(problem, at, columns)
+    return about, (there - about.tolerances_change, effects)
+
+
+def with_tolerances(problem: Problem, at: Assignment, columns: Array) -> Problem:
+    """The problem with tolerances linear about some, where their columns are (K, R, C)."""
+    change = problem.simulator.predict([at])[0] - problem.nominal
+    fitted = np.array(list(at.values())) / problem.tolerance_std
+    return replace(
+        problem,
+        tolerance_columns=columns,
+        tolerance_rest=change - np.tensordot(fitted, columns, axes=1),
+        tolerances_at=at,
+        tolerances_change=change,
+    )
 
 
 def _effect_steps(

@@ -202,7 +202,7 @@ def test_cables_that_hardly_slip_do_not_return_either(peak_n):
 
 def test_rows_in_which_a_segment_may_have_turned_to_either_side_do_not_count():
     """A search that begins with the arm on one side finds another rest than from the other."""
-    loads_n = np.array([0.0, 60.0, 121.0, 160.0, 180.0])
+    loads_n = np.array([0.0, 60.0, 61.0, 121.0, 180.0])
     recording = replace(
         RECORDING.rows(slice(0, 5)),
         load_segment=np.array([0, 1, 1, 1, 1]),
@@ -218,7 +218,8 @@ def test_rows_in_which_a_segment_may_have_turned_to_either_side_do_not_count():
         found.append(rest.tensions_n)
     same = np.isclose(*found, atol=1e-3).all(axis=1)
     assert_array_equal(same, loads_n < 100.0)
-    assert_array_equal(counted_rows(LAB, recording, found[0]), same)
+    away = same & np.append(same[1:], True)  # the load may turn it earlier than the nominal arm
+    assert_array_equal(counted_rows(LAB, recording, found[0]), away)
 
 
 def test_rows_in_which_a_little_more_load_would_turn_a_segment_do_not_count():
@@ -267,7 +268,7 @@ def test_rows_in_which_a_little_more_load_would_turn_a_segment_do_not_count():
 
 
 def test_no_row_of_a_buckled_arm_counts():
-    """Its cables pull more than they hold upright: it leans to one side or another in every row."""
+    """Its cables pull more than they hold upright: it may lean to either side in every row."""
     buckled = variant(
         {
             "segments.count": 3,

@@ -16,10 +16,11 @@ from gap_problem import (
     scatter,
     size,
 )
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from cablesense_gap.diagnosis.fitting import refine
 from cablesense_gap.diagnosis.problem import from_scaled, to_scaled
+from cablesense_gap.diagnosis.selection import linear_effects
 from cablesense_gap.diagnosis.tolerances import final_refinement, with_fitted_tolerances
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import Parameter
@@ -158,8 +159,8 @@ def test_tolerances_are_taken_as_they_act_next_to_the_effect():
     simulator = Coupled(linear("gain", ["a"]), scatter())
     problem = problem_of(simulator, {GAIN: 2.0, OFF: 0.05})
     rough = fitted(problem, {GAIN: 2.0})
-    refined, (columns, _) = final_refinement(problem, rough)
-    assert not np.allclose(columns, problem.tolerance_columns)
+    refined, about = final_refinement(problem, rough)
+    assert not np.allclose(about.tolerance_columns, problem.tolerance_columns)
     assert rough.held_out_rmse > 10.0 * FLOOR
     assert refined.held_out_rmse < 1.1 * FLOOR
     assert refined.values[GAIN] == pytest.approx(2.0, abs=0.02)
@@ -206,9 +207,22 @@ class Same(Sums):
 
 def test_an_effect_that_a_tolerance_imitates_has_the_same_column():
     problem = problem_of(Same(linear("gain", ["a"]), scatter()), {GAIN: 2.0, OFF: 0.15})
-    refined, (columns, _) = final_refinement(problem, fitted(problem, {GAIN: 2.0}))
+    refined, about = final_refinement(problem, fitted(problem, {GAIN: 2.0}))
     assert refined.tolerances[OFF] == pytest.approx(0.15, rel=0.1)
-    assert_allclose(refined.columns[0], columns[0] / 0.05, atol=0.1)
+    assert_allclose(refined.columns[0], about.tolerance_columns[0] / 0.05, atol=0.1)
+
+
+def test_effects_act_beside_the_tolerances_that_fit_best():
+    """As the tolerance that is the same number acts there, and not as on the nominal mechanism."""
+    simulator = Same(linear("gain", ["a"]), scatter())
+    nominal = problem_of(simulator, {GAIN: 0.12})
+    problem = with_fitted_tolerances(nominal)
+    none = refine(problem, {}, [[]])
+    assert none.held_out_rmse < 1.1 * FLOOR
+    (effect,) = linear_effects(problem, simulator.candidates[0], none)
+    as_tolerance = problem.tolerance_columns[0] / 0.05
+    assert_allclose(effect.columns[0], as_tolerance, atol=0.12 * np.abs(as_tolerance).max())
+    assert_array_equal(problem.predict([{}])[0], nominal.nominal)
 
 
 @pytest.mark.parametrize("imitating", [0.05, 0.4])
