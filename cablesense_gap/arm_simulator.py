@@ -139,7 +139,7 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
         others.append(found)
     off = np.abs(np.array(others) - here).max(axis=(0, 2)) >= _SAME_N
     off = np.isin(replay.alike, replay.alike[off])
-    same = ~np.convolve(off, np.ones(3), "same").astype(bool)
+    same = ~(off | np.append(off[1:], False) | np.append(False, off[:-1]))
     similar = replay.readings_n(_similar_arms(arm), predicted_n)
     scatter_n = np.sqrt((np.subtract(similar, here) ** 2).mean(0)).max(-1)
     usual_n = np.median(scatter_n[same]) if same.any() else 0.0

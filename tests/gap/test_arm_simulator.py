@@ -220,6 +220,7 @@ def test_rows_in_which_a_segment_may_have_turned_to_either_side_do_not_count():
     assert_array_equal(same, loads_n < 100.0)
     away = same & np.append(same[1:], True)  # the load may turn it earlier than the nominal arm
     assert_array_equal(counted_rows(LAB, recording, found[0]), away)
+    assert counted_rows(LAB, recording.rows(slice(0, 2)), found[0][:2]).all()
 
 
 def test_rows_in_which_a_little_more_load_would_turn_a_segment_do_not_count():

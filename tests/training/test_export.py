@@ -4,6 +4,7 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from arm_variants import variant
 from model_fixtures import metadata_for
 
 from cablesense_base.installation import config_path
@@ -66,6 +67,28 @@ def test_the_file_answers_as_pytorch_does_and_names_no_path_of_this_machine(name
     for here, there in zip(expected, found, strict=True):
         np.testing.assert_allclose(there[1:], here[1:], rtol=AGREEMENT, atol=AGREEMENT)
         assert np.isfinite(there).all()
+
+
+@pytest.mark.slow
+def test_a_graph_in_which_another_size_is_large_is_exported(tmp_path):
+    """Six segments with three stiff cables each expand 732 numbers about every joint."""
+    arm = variant(
+        {
+            "segments.count": 6,
+            "segments.length_m": [0.113, 0.143, 0.103, 0.077, 0.184, 0.097],
+            "segments.contact_m": [0.056, 0.072, 0.052, 0.038, 0.092, 0.048],
+            "segments.mass_kg": 0.114,
+            "segments.plate_offset_m": 0.012,
+            "cables.routing_radius_m": 0.063,
+            "cables.angle_deg": {"first": 0.0, "per_segment": 20.0, "per_cable": -120.0},
+            "cables.stiffness_n_m": 6.49e6,
+        },
+        "cdsm_lab",
+    )
+    path, name = tmp_path / "model.onnx", "anywhere"
+    metadata = metadata_for(arm, network=name, kind="contact-anywhere")
+    export_model(build_network(name, arm), path, metadata)
+    assert onnx.load(path).graph.node
 
 
 @pytest.mark.slow
