@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +45,7 @@ def scatter(std: float = 0.05) -> dict[Candidate, Change]:
     """A tolerance with two places, whose signals no test's effect has."""
     candidate = Candidate("scatter", ("a", "b"), (size("amount", std),))
     by_place = {"a": np.full((len(TRIAL), CHANNELS), 1.0), "b": np.outer(TIME, [1.0, 0.0, -1.0])}
-    return {candidate: lambda place, numbers: numbers["amount"] * by_place[place]}
+    return {candidate: partial(_added, by_place)}
 
 
 class Sums:
@@ -83,18 +85,22 @@ def linear(
     by_place = dict(zip([p for p in places if p != "arm"], signals, strict=False))
     by_place["arm"] = sum(by_place.values())
     candidate = Candidate(effect, tuple(places), (size("amount", most=most),))
-    return {candidate: lambda place, numbers: numbers["amount"] * by_place[place]}
+    return {candidate: partial(_added, by_place)}
 
 
 def fading(effect: str, places: Sequence[str], **options: bool) -> dict[Candidate, Change]:
     """An effect that fades away at a rate: linear in its size, not in its shape."""
     by_place = dict(zip(places, SIGNALS[6:], strict=False))
     candidate = Candidate(effect, tuple(places), (size("amount"), rate()), **options)
-    return {
-        candidate: lambda place, numbers: (
-            numbers["amount"] * np.exp(-numbers["rate"] * TIME)[:, None] * by_place[place]
-        )
-    }
+    return {candidate: partial(_fading, by_place)}
+
+
+def _added(by_place: Mapping[str, Any], place: str, numbers: Mapping[str, float]) -> Array:
+    return numbers["amount"] * by_place[place]
+
+
+def _fading(by_place: Mapping[str, Any], place: str, numbers: Mapping[str, float]) -> Array:
+    return np.exp(-numbers["rate"] * TIME)[:, None] * _added(by_place, place, numbers)
 
 
 def problem_of(

@@ -435,7 +435,7 @@ def _on_all_rows(problem: Problem, found: tuple[Explanation, Problem]) -> Explan
     sketch = problem.sketch
     assert sketch is not None
     about = problem
-    if of_sketch is not sketch.problem:
+    if of_sketch.tolerances_at != problem.tolerances_at:
         columns = sketch.over_all_rows(of_sketch.tolerance_columns)
         about = with_tolerances(problem, of_sketch.tolerances_at, columns)
     predicted = about.predict([explanation.values])[0]

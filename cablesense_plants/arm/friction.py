@@ -25,7 +25,7 @@ from cablesense_plants.arm.statics import SpanGeometry, spans, turns
 from cablesense_plants.cases import NO_FAULT, PlantError
 
 _ENOUGH_N, _ENOUGH_NM, _GUIDE_ENOUGH_N = 1e-6, 1e-7, 1e-7
-_MOST_STEPS, _MOST_HALVINGS = 40, 7
+_MOST_STEPS, _MOST_HALVINGS = 400, 4
 _BLOCK_SWEEPS, _MOST_SWEEPS = 15, 80
 _LONGEST_RAD = 0.03
 _STRIBECK_RAD_S = 0.02

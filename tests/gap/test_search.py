@@ -90,6 +90,16 @@ def test_what_a_sketch_chooses_is_judged_on_all_rows():
     assert len(whole) < 0.1 * len(on_some.asked)
 
 
+def test_processes_that_share_a_sketch_find_the_same():
+    problem = problem_of(Sums(LIBRARY), {GAIN_A: 1.0, **FADING_X})
+    one, two = (
+        best(search(sketched(problem, OnSomeRows(LIBRARY), ROWS_OF_THE_SKETCH), workers=workers))
+        for workers in (1, 2)
+    )
+    assert one.values == two.values
+    np.testing.assert_array_equal(one.held_out, two.held_out)
+
+
 def test_a_second_effect_that_has_nothing_to_do_is_not_named():
     teeth = np.outer(np.sin(40.0 * TIME), [1.0, 1.0, 1.0])
     assert all(len(h.effects) < 2 for h in searched(SIGNALS[1] + teeth))
