@@ -116,8 +116,8 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
     A row does not count if its equilibrium is not the only one. A segment that a load has turned
     to one side may also rest on the other, so the search begins on each side. An arm may keep a
     rest while the load changes, so the search also begins at the rests of the rows before and
-    after. The rows beside such a row do not count either: an unknown effect may make the arm turn
-    there. Nor does a row count if its load nearly turns a segment: there manufacturing tolerances
+    after. The rows next to such a row do not count either: an unknown effect may make the arm turn
+    there. A row whose load nearly turns a segment does not count: there manufacturing tolerances
     change the readings far more than elsewhere, and not in proportion.
     """
     replay = Replay(arm, *recording.inputs)

@@ -138,7 +138,7 @@ class Problem:
     def predict(self, variants: Sequence[Assignment]) -> Array:
         """Readings (P, R, C) of P variants of the nominal mechanism.
 
-        An effect changes them as it does beside the tolerances where the columns were taken.
+        An effect changes them as it does together with the tolerances about which they are linear.
         """
         if not self.tolerances_at:
             return self.simulator.predict(variants)

@@ -127,9 +127,10 @@ def _linear_about(
     effects[own] = every[len(std) :] / scaled[:, None, None]
     if lasting != explanation.values:
         there = predict([{**explanation.values, **at}])[0]
-    if not all(np.isfinite(each).all() for each in (there, columns, effects)):
-        return None
     about = with_tolerances(problem, at, columns)
+    made = there, columns, effects, about.tolerances_change
+    if not all(np.isfinite(each).all() for each in made):
+        return None
     return about, (there - about.tolerances_change, effects)
 
 
