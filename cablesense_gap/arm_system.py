@@ -182,7 +182,7 @@ class Diagnosis:
         recording: the R rows that were used (`rows_to_use`).
         amended: the arm with the effects and tolerances that were found.
         predicted_n: (R, M) by the nominal arm.
-        held_out_n: (R, M) by the amended arm, each trial fitted without its fold.
+        held_out_n: (R, M) by the amended arm, each trial with effects fitted without its fold.
         counted: (R,) rows that count in sizes of the gap (`counted_rows`).
         findings: of the checks of the recording, as sentences.
     """

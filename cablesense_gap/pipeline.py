@@ -49,8 +49,8 @@ class Outcome:
         values: of the named effects in the places that matter.
         tolerances: as fitted.
         nominal: (R, C) predicted by the nominal machine.
-        held_out: (R, C) by the amended machine, or with the flexible correction, each trial
-            without its fold.
+        held_out: (R, C) by the amended machine, or with the flexible correction; each trial with
+            effects, or a correction, without its fold.
     """
 
     verdict: Verdict

@@ -1,9 +1,9 @@
 """Effects fitted to the recording with the simulator itself: damped Gauss-Newton.
 
 Tolerances enter linearly and are fitted along. The unexplained part is correlated from row to row,
-so its weight is not that of white noise (`linear_fit.weight`). Held-out trials are predicted by
-fits to the other folds, linear about the fit to all (the one-step estimate of Giordano et al.,
-A Swiss Army infinitesimal jackknife, AISTATS 2019).
+so its weight is not that of white noise (`linear_fit.weight`). Held-out trials are predicted with
+effects fitted to the other folds, linear about the fit to all (the one-step estimate of Giordano
+et al., A Swiss Army infinitesimal jackknife, AISTATS 2019).
 """
 
 from __future__ import annotations
@@ -245,7 +245,7 @@ class _Fit:
         found = solve(part.gram.sum(0), part.moment.sum(0), precision, offset, weight_)
         every = every[at]
         held_out_effects, tolerated = predicted.copy(), np.zeros_like(predicted)
-        without = fold_solutions(part, precision, offset, weight_, problem.fold)
+        without = fold_solutions(part, none, precision, offset, weight_, problem.fold)
         for k, coefficients in enumerate(without):
             rows = problem.fold[problem.trial] == k
             tolerated[rows] = np.tensordot(coefficients[:none], every[:none, rows], axes=1)

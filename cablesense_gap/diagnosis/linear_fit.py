@@ -6,7 +6,8 @@ chosen among many, b is eliminated once (Schur complement) over the trials outsi
 
     b = b₀ - B c,    b₀ = w S X_b'y,    B = w S X_b'X_c,    S = (w X_b'X_b + P_b)⁻¹
 
-The residual sum of squares in the fold is then a quadratic form of c.
+The residual sum of squares in the fold is then a quadratic form of c, also after tolerances t have
+moved from b by w (w X_t'X_t + P_t)⁻¹ X_t'r of all trials, with the residual r in the fold.
 """
 
 from __future__ import annotations
@@ -90,29 +91,30 @@ def solve(gram: Array, moment: Array, precision: Array, offset: Array, weight_: 
 
 
 def fold_solutions(
-    data: Products, precision: Array, offset: Array, weight_: float, fold: Indices
+    data: Products, tolerances: int, precision: Array, offset: Array, weight_: float, fold: Indices
 ) -> Array:
-    """(F, K) the coefficients without each of the folds 0 … F - 1."""
+    """(F, K) the coefficients without each of the folds 0 … F - 1.
+
+    The first ones, of `tolerances`, are then fitted to all trials beside the others: often one
+    trial alone shows a tolerance, and then no fit to the rest predicts it.
+    """
     gram, moment = data.gram.sum(0), data.moment.sum(0)
-    return np.array(
-        [
-            solve(
-                gram - data.gram[fold == k].sum(0),
-                moment - data.moment[fold == k].sum(0),
-                precision,
-                offset,
-                weight_,
-            )
-            for k in range(int(fold.max()) + 1)
-        ]
-    )
+    t, e = slice(None, tolerances), slice(tolerances, None)
+    found = []
+    for k in range(int(fold.max()) + 1):
+        own, own_moment = data.gram[fold == k].sum(0), data.moment[fold == k].sum(0)
+        each = solve(gram - own, moment - own_moment, precision, offset, weight_)
+        beside = moment[t] - gram[t, e] @ each[e]
+        each[t] = solve(gram[t, t], beside, precision[t], offset[t], weight_)
+        found.append(each)
+    return np.array(found)
 
 
 def held_out_squares(
-    data: Products, precision: Array, offset: Array, weight_: float, fold: Indices
+    data: Products, tolerances: int, precision: Array, offset: Array, weight_: float, fold: Indices
 ) -> Array:
-    """(T,) sum of squares left in each trial by a fit to the trials of the other folds."""
-    found = fold_solutions(data, precision, offset, weight_, fold)[fold]
+    """(T,) sum of squares left in each trial by the solution without its fold."""
+    found = fold_solutions(data, tolerances, precision, offset, weight_, fold)[fold]
     explained = ((data.gram @ found[..., None])[..., 0] - 2.0 * data.moment) * found
     return np.maximum(data.square + explained.sum(-1), 0.0)
 
@@ -121,13 +123,21 @@ class Reduced:
     """Held-out mean squares of sets of columns, the tolerances eliminated, at one weight."""
 
     def __init__(
-        self, data: Products, base: int, precision: Array, weight_: float, fold: Indices
+        self,
+        data: Products,
+        tolerances: int,
+        base: int,
+        precision: Array,
+        weight_: float,
+        fold: Indices,
     ) -> None:
-        """The first `base` columns of `data` are always fitted along."""
+        """The first `base` columns of `data`, of which `tolerances`, are always fitted along."""
+        self._tolerances = tolerances
         self._count = data.count.sum()
         system, moment, form, slope, constant = [], [], [], [], 0.0
         gram, product = data.gram.sum(0), data.moment.sum(0)
-        b, c = slice(None, base), slice(base, None)
+        t, b, c = slice(None, tolerances), slice(None, base), slice(base, None)
+        of_tolerances = weight_ * gram[t, t] + np.diag(precision[t])
 
         def eliminated(g: Array, m: Array) -> tuple[Array, Array]:
             both = np.linalg.solve(
@@ -143,18 +153,22 @@ class Reduced:
             own, own_product = data.gram[fold == k].sum(0), data.moment[fold == k].sum(0)
             first, by = eliminated(gram - own, product - own_product)
             across = own[b, b] @ by - own[b, c]
-            form.append(own[c, c] - own[c, b] @ by + by.T @ across)
-            slope.append(own_product[c] - by.T @ own_product[b] + across.T @ first)
-            constant += data.square[fold == k].sum()
+            pull = np.column_stack([own_product[t] - own[t, b] @ first, -across[t]])
+            moved = weight_ * np.linalg.solve(of_tolerances, pull)
+            gain = pull.T @ moved
+            gain += gain.T - moved.T @ own[t, t] @ moved
+            form.append(own[c, c] - own[c, b] @ by + by.T @ across - gain[1:, 1:])
+            slope.append(own_product[c] - by.T @ own_product[b] + across.T @ first - gain[1:, 0])
+            constant += data.square[fold == k].sum() - gain[0, 0]
             constant += first @ (own[b, b] @ first - 2.0 * own_product[b])
         self._first, self._by = eliminated(gram, product)
         self._system, self._moment = np.array(system), np.array(moment)
         self._form, self._slope, self._constant = np.array(form), np.array(slope), constant
 
-    def left(self, sets: NDArray[np.int64], count: int) -> tuple[Array, Array]:
+    def left(self, sets: NDArray[np.int64]) -> tuple[Array, Array]:
         """(N,) mean squares that N sets (N, K) of columns leave, counted from behind the base.
 
-        Also (N,) the sums of squares of the first `count` base columns, fitted to all trials.
+        Also (N,) the sums of squares of the tolerances, fitted to all trials.
         """
         system = self._system[:, sets[:, :, None], sets[:, None, :]]
         solved = np.linalg.solve(system, self._moment[:, sets][..., None])[..., 0]
@@ -162,6 +176,7 @@ class Reduced:
         form = self._form[:, sets[:, :, None], sets[:, None, :]]
         pulled = (form @ found[..., None])[..., 0] - 2.0 * self._slope[:, sets]
         square = (found * pulled).sum((0, -1)) + self._constant
+        count = self._tolerances
         by = np.moveaxis(self._by[:count][:, sets], 0, 1)
         base = self._first[:count] - (by * of_all[:, None]).sum(-1)
         return np.maximum(square, 0.0) / self._count, np.asarray((base**2).sum(-1))

@@ -38,7 +38,7 @@ class Explanation:
         without_tolerances: (R, C) with the effects alone.
         columns: (K, R, C) sensitivities to the scaled values, in the order of `values`.
         covariance: (K, K) of the scaled values; zero for those at the end of their range.
-        held_out: (R, C) each trial predicted by a fit without its fold.
+        held_out: (R, C) each trial predicted with effects fitted without its fold.
         held_out_effects: (R, C) the same with the effects alone, without tolerances.
         squares: (T,) sum of squared held-out residuals of each trial.
         count: (T,) numbers in each trial.
@@ -76,7 +76,7 @@ class Explanation:
 
     @property
     def held_out_rmse(self) -> float:
-        """Root mean square over all trials, each predicted by a fit without its fold."""
+        """Root mean square over all trials, each with effects fitted without its fold."""
         return float(np.sqrt(self.squares.sum() / self.count.sum()))
 
 

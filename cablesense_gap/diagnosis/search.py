@@ -34,8 +34,6 @@ from cablesense_sim.effects.effect import WHOLE_ARM
 Progress = Callable[[str, float], None]
 """Called with the present step and the share of the whole that is done."""
 
-"""Their columns (K, R, C) and rest (R, C), see `Problem`."""
-
 _MOST_EXPANDED, _MOST_FRUITLESS = 8, 2
 """Explanations that are expanded, at most and in turn without a better one."""
 

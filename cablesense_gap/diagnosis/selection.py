@@ -331,7 +331,12 @@ class Selection:
         order = np.concatenate([first, *(self._owned[k] for k in new)])
         weight_ = weight(self._fitted(chosen)[1], self._problem.floor)
         reduced = Reduced(
-            self._data.columns(order), len(first), self._precision[order], weight_, self._folds
+            self._data.columns(order),
+            len(self._problem.tolerance_terms),
+            len(first),
+            self._precision[order],
+            weight_,
+            self._folds,
         )
         ends = np.cumsum([len(self._owned[k]) for k in new])
         at = {k: np.arange(n - len(self._owned[k]), n) for k, n in zip(new, ends, strict=True)}
@@ -348,13 +353,12 @@ class Selection:
                     for a, b in combinations(own, 2)
                     if self._offered[a].place != self._offered[b].place
                 ]
-        count = len(self._problem.tolerance_terms)
         by_count: dict[int, list[list[int]]] = {}
         for option in options:
             by_count.setdefault(sum(len(at[k]) for k in option), []).append(option)
         for group in by_count.values():
             sets = np.array([np.concatenate([at[k] for k in option]) for option in group])
-            left, chi2 = reduced.left(sets, count)
+            left, chi2 = reduced.left(sets)
             for option, square, off in zip(group, left, chi2, strict=True):
                 both = [*chosen, *option]
                 yield self._problem.cost(float(square), float(off)) * self._penalty(both), both
@@ -421,10 +425,11 @@ class Selection:
         at: Indices = np.concatenate([np.arange(self._base), *(self._owned[k] for k in chosen)])
         part, precision, none = self._data.columns(at), self._precision[at], np.zeros(len(at))
         count, mean_square, problem = part.count.sum(), self._data.mean_square, self._problem
+        tolerances = len(problem.tolerance_terms)
         for _ in range(2):  # first at the weight of the whole residual, then of what is left
             weight_ = weight(mean_square, problem.floor)
-            squares = held_out_squares(part, precision, none, weight_, self._folds).sum()
-            mean_square = float(squares / count)
+            left = held_out_squares(part, tolerances, precision, none, weight_, self._folds)
+            mean_square = float(left.sum() / count)
         found = solve(part.gram.sum(0), part.moment.sum(0), precision, none, weight_)
-        chi2 = float((found[: len(problem.tolerance_terms)] ** 2).sum())
+        chi2 = float((found[:tolerances] ** 2).sum())
         return found, mean_square, chi2

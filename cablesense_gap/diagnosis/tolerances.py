@@ -28,9 +28,8 @@ _STEP_OF_STD, _STEP_OF_EFFECT, _STEP_OF_FLOOR = 0.1, 0.03, 0.2
 more than changes the readings by this share of the floor (RMS). On a stiff arm a larger step takes
 cables slack, and derivatives across such kinks lead fits astray. The rests' rounding is a
 thousandth of that."""
-_MOST_REPEATED, _CONVERGED = 6, 0.05
-"""Times that tolerances are made linear anew, and the logarithm of the cost by which a time must
-change it for another one."""
+_MOST_REPEATED = 6
+"""Times that tolerances are made linear anew."""
 _MOST_OFF, _FAR_OFF = 3.0, 10.0
 """Standard deviations up to which tolerances are a place to be linear about; and from which on one
 imitates an effect so far that the others say nothing about the machine either."""
@@ -67,7 +66,7 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
         latest = fitted, about
         if problem.cost_of(fitted) < problem.cost_of(best[0]):
             best = latest
-        if abs(np.log(problem.cost_of(fitted) / problem.cost_of(before))) < _CONVERGED:
+        if _is_consistent(about, fitted):
             break
     if best[1] is problem:
         return best

@@ -101,7 +101,7 @@ def test_a_fit_turns_back_from_what_cannot_be_simulated():
 
 
 def test_held_out_trials_are_predicted_by_fits_that_have_not_seen_them():
-    """In a linear mechanism the one step is the whole way."""
+    """In a linear mechanism the one step is the whole way. Tolerances have seen all trials."""
     problem = problem_of(Sums(linear("gain", ["a"]), scatter(0.5)), {GAIN: 1.0})
     found = fitted(problem, {GAIN: 1.0})
     strong = 1.0 / FLOOR**2
@@ -110,6 +110,9 @@ def test_held_out_trials_are_predicted_by_fits_that_have_not_seen_them():
         columns = np.concatenate([problem.tolerance_columns, SIGNALS[:1]])
         x, y = columns[:, others].reshape(3, -1), problem.readings[others].ravel()
         best = np.linalg.solve(strong * x @ x.T + np.diag([1, 1, 1 / 9]), strong * x @ y)
+        t = problem.tolerance_columns.reshape(2, -1)
+        beside = (problem.readings - best[2] * columns[2]).ravel()
+        best[:2] = np.linalg.solve(strong * t @ t.T + np.eye(2), strong * t @ beside)
         expected = np.tensordot(best, columns[:, rows], axes=1)
         assert_allclose(found.held_out[rows], expected, atol=2e-3)
     left = ((problem.readings - found.held_out) ** 2).sum(-1)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.diagnosis.linear_fit import held_out_squares, products
+from cablesense_gap.diagnosis.linear_fit import Reduced, held_out_squares, products
 
 ROWS, CHANNELS, TRIALS = 60, 2, 6
 
@@ -30,17 +30,27 @@ def directly(x, y, precision, offset, weight_):
     return np.linalg.lstsq(a, b, rcond=None)[0]
 
 
-@given(st.integers(0, 10_000), st.floats(0.01, 100.0), st.integers(2, 4))
+@given(st.integers(0, 10_000), st.floats(0.01, 100.0), st.integers(2, 4), st.integers(1, 2))
 @settings(max_examples=15, deadline=None)
-def test_held_out_squares_are_those_of_fits_without_the_fold(seed, weight_, folds):
+def test_held_out_squares_are_those_of_fits_without_the_fold(seed, weight_, folds, tolerances):
     x, y, trial, used = drawn(seed)
     rng = np.random.default_rng(seed + 1)
     precision, offset = rng.uniform(0.1, 3.0, 4), rng.normal(size=4)
-    fold = np.arange(TRIALS) % folds
-    found = held_out_squares(products(x, y, trial, used), precision, offset, weight_, fold)
-    for t in range(TRIALS):
-        others = used & (fold[trial] != fold[t])
-        here = used & (trial == t)
+    fold, t = np.arange(TRIALS) % folds, slice(tolerances)
+    data = products(x, y, trial, used)
+    found = held_out_squares(data, tolerances, precision, offset, weight_, fold)
+    for k in range(TRIALS):
+        others = used & (fold[trial] != fold[k])
+        here = used & (trial == k)
         fitted = directly(x[:, others], y[others], precision, offset, weight_)
+        beside = y - np.tensordot(fitted[tolerances:], x[tolerances:], axes=1)
+        fitted[t] = directly(x[t, used], beside[used], precision[t], offset[t], weight_)
         left = y[here] - np.tensordot(fitted, x[:, here], axes=1)
-        assert found[t] == pytest.approx((left**2).sum(), rel=1e-6, abs=1e-9)
+        assert found[k] == pytest.approx((left**2).sum(), rel=1e-6, abs=1e-9)
+    at, none = [*range(tolerances), 3], np.zeros(4)
+    reduced = Reduced(data, tolerances, tolerances, precision, weight_, fold)
+    squares = held_out_squares(
+        data.columns(at), tolerances, precision[at], none[at], weight_, fold
+    )
+    mean_square = reduced.left(np.array([[3 - tolerances]]))[0][0]
+    assert mean_square == pytest.approx(squares.sum() / data.count.sum(), rel=1e-6, abs=1e-9)
