@@ -3,6 +3,7 @@
     python benchmarks/robot_blind.py [--count 60] [--seed 8105] [--commands] [--write]
     python benchmarks/robot_blind.py --imperfect [--reference] [--count 60] [--seed 9162] [--write]
     python benchmarks/robot_blind.py --servos [--count 25] [--seed 9152] [--write]
+    python benchmarks/robot_blind.py --exchanged [--count 20] [--seed 9702] [--write]
 
 Three nominal models of `config/robots` (an arm of six joints, a double pendulum, a finger with
 tendons). The hidden side is the rigid-body code, friction, drives and sensors of
@@ -15,7 +16,9 @@ over guides, which rub in half of the cases, while of the others half have other
 the torque; with `--reference` another recording, without the hidden effects, is the reference
 (seeds 9001, 9131 and 9161 were used while that was made). With `--servos` robots are under
 position servos, and a camera reads their joints; a zero, play, a coupling, a payload or nothing is
-hidden in turn (seeds 5101 and 9151 were used while that was made).
+hidden in turn (seeds 5101 and 9151 were used while that was made). With `--exchanged` two torque
+columns are exchanged, or a torque or a position is reversed, in turn: how often that stops the
+diagnosis and is named, after how long, and how often it is seen in the recordings as they were.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -36,7 +40,9 @@ import numpy as np
 import pandas as pd
 from robot_sets import drawn, servo_file, with_play, with_servos, with_tendons
 
-from cablesense_gap.robot.model import load_robot
+from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.robot.doubts import exchanged
+from cablesense_gap.robot.model import Robot, load_robot
 from cablesense_gap.robot.motion import rms
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_recording
@@ -60,8 +66,13 @@ def main() -> None:
     parser.add_argument("--servos", action="store_true", help="hide what a camera sees")
     parser.add_argument("--imperfect", action="store_true", help="models that lack something")
     parser.add_argument("--reference", action="store_true", help="diagnose what changed")
+    parser.add_argument("--exchanged", action="store_true", help="columns that are wrong")
     options = parser.parse_args()
     folder = blind_sets.folder_of(options)
+    if options.exchanged:
+        found = _exchanged(options.count, options.seed, folder)
+        harness.publish("robot_exchanged.json", found, options, "mujoco")
+        return
     usual = partial(drawn, commands=options.commands, imperfect=options.imperfect)
     ways = {"play": with_play, "tendons": with_tendons, "servos": with_servos}
     drawing = next((way for name, way in ways.items() if getattr(options, name)), usual)
@@ -93,6 +104,57 @@ def main() -> None:
     names |= {"_servos": "servos", "_imperfect": "imperfect", "_reference": "reference"}
     kind = "".join(part for part, option in names.items() if getattr(options, option))
     harness.publish(f"robot_blind{kind}.json", result, options, "mujoco")
+
+
+def _exchanged(count: int, seed: int, folder: Path) -> dict[str, Any]:
+    """How often a wrong column stops a diagnosis and is named, and false alarms."""
+    rng, named, false, seconds, each_case = np.random.default_rng(seed), 0, 0, [], []
+    cases = drawn(count, seed)
+    _record(cases, folder, np.inf)
+    for k, case in enumerate(cases):
+        robot = load_robot(case.kind.path)
+        recording = read_recording(_place(folder, case, "csv.gz"), robot)
+        wrong, text = _wrong_column(recording, robot, k, rng)
+        began, said = time.monotonic(), ""
+        try:
+            diagnose(wrong, robot)
+        except RecordingError as error:
+            said = str(error)
+        seconds.append(time.monotonic() - began)
+        named += text in said
+        each_case.append({"wrong": text, "said": said.partition(": ")[2].partition(": ")[0]})
+
+        def seen(recorded: RobotRecording, robot: Robot = robot) -> RobotSystem:
+            return RobotSystem(robot, prepared(recorded, robot), {})
+
+        wrongly = exchanged(recording, robot, lambda recorded: seen(recorded).left_shares())
+        false += bool(wrongly or seen(recording).reversed_channels())
+    return {
+        "seed": seed,
+        "recordings": count,
+        "named": named,
+        "false_alarms": false,
+        "seconds_until_named": harness.percentiles(seconds, ("median", "worst"), 1),
+        "each_case": each_case,
+    }
+
+
+def _wrong_column(
+    recording: RobotRecording, robot: Robot, k: int, rng: np.random.Generator
+) -> tuple[RobotRecording, str]:
+    """A recording with two torques exchanged, or a torque or a position reversed; what it is."""
+    joints = len(robot.joints)
+    a, b = sorted(rng.choice(joints, 2, replace=False).tolist())
+    if k % 3 == 0:
+        order = np.arange(joints)
+        order[[a, b]] = b, a
+        text = f"torque.{robot.joints[a]} and torque.{robot.joints[b]} look exchanged"
+        return replace(recording, torque=recording.torque[:, order]), text
+    sign = np.where(np.arange(joints) == a, -1.0, 1.0)
+    kind = "torque" if k % 3 == 1 else "position"
+    columns: dict[str, Any] = {kind: getattr(recording, kind) * sign}
+    text = f"{kind}.{robot.joints[a]} looks as if it had the other sign"
+    return replace(recording, **columns), text
 
 
 def _record(cases: Sequence[RobotCase], folder: Path, until_s: float) -> None:

@@ -243,6 +243,16 @@ class RobotSystem(System):
         shares = np.divide(size, whole, out=np.zeros_like(size), where=whole > 0.0)
         return dict(zip(self.comparison.names, shares.tolist(), strict=True))
 
+    def reversed_channels(self) -> list[str]:
+        """Channels that move against the model's, whatever their size and their mean."""
+        moved = [each - each.mean(0) for each in (self.readings, self.predict([{}])[0])]
+        own, theirs = (np.linalg.norm(each, axis=0) for each in moved)
+        against = (moved[0] * moved[1]).sum(0) < -_FOLLOWS * own * theirs
+        return [
+            f"{self.comparison.columns[c]} looks as if it had the other sign"
+            for c in np.flatnonzero(against)
+        ]
+
     def doubtful(self) -> list[str]:
         """Channels that follow the model's, but with another sign or in another unit."""
         predicted = self.predict([{}])[0]
@@ -313,15 +323,20 @@ def diagnose(
     own = {"zeroed": zeroed, "external": external}
     motion = prepared(recording, robot, bandwidth_hz, forward, **own)
 
+    def by_torque(recorded: RobotRecording) -> RobotSystem:
+        compared = prepared(recorded, robot, bandwidth_hz, forward=False, zeroed=zeroed)
+        return RobotSystem(robot, compared, beside)
+
     def left(recorded: RobotRecording) -> dict[str, float]:
-        by_torque = prepared(recorded, robot, bandwidth_hz, forward=False, zeroed=zeroed)
-        return RobotSystem(robot, by_torque, beside).left_shares()
+        return by_torque(recorded).left_shares()
 
     suspect = [] if external else doubts.exchanged(recording, robot, left)
+    if not suspect and not external:
+        suspect = by_torque(recording).reversed_channels()
     if suspect and not force:
         raise RecordingError(
-            f"{recording.name}: {', '.join(suspect)}: the model then fits far better; correct the "
-            "recording, or continue with --force"
+            f"{recording.name}: {', '.join(suspect)}: otherwise the model fits far better; correct "
+            "the recording, or continue with --force"
         )
     system, healthy = RobotSystem(robot, motion, beside), None
     system.recording_name, system.row_count = recording.name, len(recording)
