@@ -27,8 +27,8 @@ def series(tensions_n, time_s=None, at_rest=None):
     rows = len(tensions_n)
     time_s = np.arange(rows) / RATE_HZ if time_s is None else time_s
     loaded = np.zeros(rows, dtype=np.int64) if at_rest is None else 1 - at_rest
-    still = np.zeros((rows, 3))
-    return Recording("", time_s, np.zeros(rows), still, loaded, still, tensions_n)
+    trial, still = np.zeros(rows, dtype=np.int64), np.zeros((rows, ARM.joint_count))
+    return Recording("run", time_s, trial, still, loaded, np.zeros((rows, 3)), tensions_n)
 
 
 def checked(recording, pulls=()):

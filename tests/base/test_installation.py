@@ -23,13 +23,6 @@ def installed(tmp_path, monkeypatch):
     return lay_out
 
 
-def test_the_checkout_has_its_own_files():
-    found = config_path(ARM)
-    assert found.is_absolute()
-    assert found.read_text(encoding="utf-8").lstrip().startswith("#")
-    assert config_path("arms").is_dir()
-
-
 @pytest.mark.parametrize(
     "site_packages", ["lib/python3.11/site-packages", "local/lib/python3.12/dist-packages"]
 )

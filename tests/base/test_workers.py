@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from waiting import until
 
 from cablesense_base import CableSenseError
 from cablesense_base.workers import WorkerPool
@@ -69,7 +70,8 @@ def test_workers_and_their_files_end_with_a_task_that_fails_or_an_owner_that_is_
     tmp_path, does
 ):
     (tmp_path / "owner.py").write_text(OWNER)
-    path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    folders = map(str, Path(__file__).parents[:2])
+    path = os.pathsep.join([*folders, os.environ.get("PYTHONPATH", "")])
     command = [sys.executable, tmp_path / "owner.py", tmp_path, does]
     environment = os.environ | {"PYTHONPATH": path}
     with subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL) as owner:
@@ -80,13 +82,6 @@ def test_workers_and_their_files_end_with_a_task_that_fails_or_an_owner_that_is_
     processes = [Path(f"/proc/{path.stem}") for path in tmp_path.glob("*.pid")]
     until(lambda: not any(process.exists() for process in processes), "the end of the workers")
     assert not [each for each in tmp_path.iterdir() if each.is_dir()]
-
-
-def until(condition, what):
-    deadline_s = time.monotonic() + 60.0
-    while not condition():
-        assert time.monotonic() < deadline_s, what
-        time.sleep(0.05)
 
 
 def large(_: str, task: int) -> bytes:

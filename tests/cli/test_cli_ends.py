@@ -6,10 +6,10 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from waiting import until
 
 pytestmark = pytest.mark.slow  # processes start
 
@@ -24,17 +24,9 @@ def descendants(pid: int) -> list[int]:
     return [*found, *(each for child in found for each in descendants(child))]
 
 
-def until(condition, what):
-    deadline_s = time.monotonic() + 60.0
-    while not (found := condition()):
-        assert time.monotonic() < deadline_s, what
-        time.sleep(0.05)
-    return found
-
-
 def at_work(process: subprocess.Popen[str]) -> list[int]:
     """The resource tracker of multiprocessing and two workers that have begun to compute."""
-    pids = until(lambda: descendants(process.pid)[2:] and descendants(process.pid), "workers")
+    pids = until(lambda: descendants(process.pid)[2:] and descendants(process.pid), "two workers")
     until(lambda: all(cpu_s(pid) > 1.5 for pid in pids[1:]), "workers at work")
     return pids
 
@@ -59,5 +51,5 @@ def test_ctrl_c_ends_a_dataset_with_its_workers_and_leaves_nothing(tmp_path):
         _, errors = process.communicate(timeout=60)
         assert process.returncode == 130, errors
         assert "Traceback" not in errors
-        until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "ends of all")
+        until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the ends of all")
     assert not list((tmp_path / "out").iterdir())

@@ -22,13 +22,9 @@ def _run(*arguments):
     return result.stdout
 
 
-@pytest.fixture
-def table2_model():
-    return find_model(TABLE2_MODELS[SHIPPED])
-
-
-def test_table2_as_json_has_six_rows_of_true_and_estimated(table2_model):
-    content = json.loads(_run("--table2", "--model", table2_model, "--json"))
+def test_table2_as_json_has_six_rows_of_true_and_estimated():
+    model = find_model(TABLE2_MODELS[SHIPPED])
+    content = json.loads(_run("--table2", "--model", model, "--json"))
     assert content["model"]
     assert len(content["rows"]) == 6
     for row in content["rows"]:

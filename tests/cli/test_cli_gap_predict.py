@@ -15,8 +15,6 @@ from cablesense_gap.amended_arm import amended_arm, write_arm
 from cablesense_gap.recordings.csv_file import read_csv, write_csv
 from cablesense_gap.simulator import Term
 from cablesense_ros.cli.app import app
-from cablesense_sim.build import mechanism_of
-from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.replay import replay_arm
 
 RECORDING = small_recording(peak_n=20.0).rows(slice(0, 80))
@@ -37,14 +35,6 @@ def recording(tmp_path):
     noise_n = np.random.default_rng(0).normal(0.0, 5.0, RECORDING.tensions_n.shape)
     write_csv(path, replace(RECORDING, tensions_n=RECORDING.tensions_n + noise_n))
     return path
-
-
-def test_the_nominal_arm_gives_the_nominal_prediction(recording, tmp_path):
-    out = tmp_path / "predicted.csv"
-    result = run(recording, "--arm", "cdsm_lab", "--out", out)
-    assert result.exit_code == 0, result.output
-    nominal = solve_equilibrium(mechanism_of(LAB), RECORDING.command_rad, RECORDING.forces_n)
-    assert_allclose(read_csv(out, LAB).tensions_n, nominal.tensions_n, atol=1e-3)
 
 
 def test_an_amended_file_predicts_what_was_never_diagnosed(recording, tmp_path):

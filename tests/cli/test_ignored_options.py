@@ -28,6 +28,7 @@ from cablesense_ros.cli.options import OptionError, refuse_given
         ("dataset --out d.parquet --pose straight --pose-range-deg 5", "--pose-range-deg"),
         ("dataset --out d.parquet --dask-scheduler tcp://a:1 --workers 3", "--workers"),
         ("sensors check run.csv --seconds 20", "--seconds"),
+        ("sensors check run.csv --pull all", "--pull"),
         ("sensors calibrate loads.csv --out c.yaml --arm cdsm_lab", "--arm"),
     ],
 )

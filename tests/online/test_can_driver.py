@@ -8,6 +8,7 @@ import can
 import numpy as np
 import pytest
 from can_frames import PACKED, PACKED_DATABASE, SINGLE, SINGLE_DATABASE, packed_cycle
+from waiting import until
 
 from cablesense_msgs_py.messages import Level
 from cablesense_online.can import driver as driver_module
@@ -17,13 +18,6 @@ from cablesense_online.can.emulator import Emulator, SlcanPort
 
 TENSIONS_N = np.linspace(40.0, 62.0, 12)
 _numbers = itertools.count()
-
-
-def until(condition):
-    end = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.002)
 
 
 class Bench:

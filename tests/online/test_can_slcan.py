@@ -7,6 +7,7 @@ import can
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from waiting import until
 
 from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.emulator import SlcanPort, SlcanPortError, frame_line, line_frame
@@ -60,13 +61,6 @@ def host_of(port):
     host = CanInterface("slcan", port.path, 1_000_000).open()
     until(lambda: port.recv(0.0) or port.channel_open)
     return host
-
-
-def until(condition):
-    end = time.monotonic() + 5.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.002)
 
 
 def send(port, frames):

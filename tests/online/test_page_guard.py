@@ -2,13 +2,13 @@
 
 import http.client
 import socket
-import time
 from dataclasses import replace
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 from page_visitor import SUBPROTOCOL, Visitor
+from waiting import until
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
 
@@ -39,13 +39,6 @@ FIRST_PUSH = ("push", FIRST_CONTACT, False)
 NEAREST_M, FARTHEST_M = reach_m(mechanism_of(ARM))[3]
 
 
-def eventually(condition, what):
-    until = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < until, f"waited in vain for {what}"
-        time.sleep(0.01)
-
-
 @pytest.fixture(scope="module")
 def served():
     """A page, and what it asked the nodes for, in order."""
@@ -66,8 +59,8 @@ def served():
 @pytest.fixture
 def page(served):
     yield served[0]
-    eventually(lambda: not served[0]._server.get_clients(), "everyone to leave")
-    eventually(lambda: served[0]._controls is None, "the arm to be let go")
+    until(lambda: not served[0]._server.get_clients(), "everyone to leave")
+    until(lambda: served[0]._controls is None, "the arm to be let go")
 
 
 @pytest.fixture
@@ -92,7 +85,7 @@ def visit(page):
 @pytest.fixture
 def commander(visit):
     visitor = visit()
-    eventually(lambda: "Tare" in visitor.read().controls, "the controls")
+    until(lambda: "Tare" in visitor.read().controls, "the controls")
     return visitor
 
 
@@ -146,7 +139,7 @@ def test_a_websocket_needs_an_origin_and_the_token_and_so_does_the_page(page):
     assert other.port > page.port
     assert urlsplit(other.url).path != urlsplit(page.url).path
     visitor = Visitor(other.url)
-    eventually(lambda: other._server.get_clients(), "the visitor")
+    until(lambda: other._server.get_clients(), "the visitor")
     assert set(visitor.read(0.3).controls) == {"Reset the errors"}, "nobody commands"
     visitor.close()
     other.close()
@@ -198,11 +191,11 @@ def test_values_are_brought_into_range_whatever_a_browser_sends(
     asked, commander, value, contact, joint_deg
 ):
     commander.put("Push", True)
-    eventually(lambda: asked, "the first push")
+    until(lambda: asked, "the first push")
     for label in SLIDERS:
         commander.put(label, value)
-    eventually(lambda: ("push", contact, False) in asked, "the push")
-    eventually(lambda: [one for one in asked if one[0] == "command"], "the command")
+    until(lambda: ("push", contact, False) in asked, "the push")
+    until(lambda: [one for one in asked if one[0] == "command"], "the command")
     (command,) = (one for one in asked if one[0] == "command")
     np.testing.assert_allclose(command[1:], [0.0] * 5 + [joint_deg] + [0.0] * 2)
     pushes = np.array([one[1][:5] for one in asked if one[0] == "push"])
@@ -217,7 +210,7 @@ def test_a_browser_sends_values_of_controls_and_nothing_else(
     shared = []
     monkeypatch.setattr(page._server, "request_share_url", lambda: shared.append(True))
     commander.put("Push", True)
-    eventually(lambda: asked, "the first push")
+    until(lambda: asked, "the first push")
     for value in (np.nan, np.inf, "much", "nan", "", None, [1.0], {"a": 1}, b"1", "4" * 101):
         for label in (*SLIDERS, "segment"):
             commander.put(label, value)
@@ -232,7 +225,7 @@ def test_a_browser_sends_values_of_controls_and_nothing_else(
     commander.socket.send(b"\xc1")
     commander.socket.send("text")
     commander.put("Tare", True)
-    eventually(lambda: ("tare",) in asked, "the tare")
+    until(lambda: ("tare",) in asked, "the tare")
     assert asked == [FIRST_PUSH, ("tare",)]
     (line,) = caplog.messages  # viser would log a traceback of each
     assert line == "the page drops a browser's value: nan is not finite"
@@ -243,27 +236,27 @@ def test_a_browser_sends_values_of_controls_and_nothing_else(
 def test_one_commands_and_the_next_takes_over_when_they_leave(asked, visit, commander):
     assert commander.reads("You command the arm</b>, nobody else watches")
     watcher = visit()
-    eventually(lambda: watcher.reads("Another visitor commands the arm"), "who commands")
-    eventually(lambda: commander.reads("one other watches"), "that somebody watches")
+    until(lambda: watcher.reads("Another visitor commands the arm"), "who commands")
+    until(lambda: commander.reads("one other watches"), "that somebody watches")
     assert "Push" not in watcher.controls
     commander.put("Home", True)
-    eventually(lambda: asked, "the straight pose")
+    until(lambda: asked, "the straight pose")
     asked.clear()
     watcher.controls.update(commander.controls)
     watcher.put("Tare", True)
     watcher.put("joint 2 yaw, °", 12.0)
     commander.put("joint 1 pitch, °", 5.0)
     commander.put("Push", True)
-    eventually(lambda: len(asked) == 2, "what the first asked for")
+    until(lambda: len(asked) == 2, "what the first asked for")
     assert sorted(asked) == [("command", 5.0, *[0.0] * 7), FIRST_PUSH]
     watcher.controls.clear()
     asked.clear()
     commander.close()
-    eventually(lambda: "Tare" in watcher.read().controls, "the controls")
+    until(lambda: "Tare" in watcher.read().controls, "the controls")
     assert asked == [("push", NO_CONTACT, False)]
     assert watcher.reads("You command the arm</b>, nobody else watches")
     watcher.put("joint 2 yaw, °", 12.0)
-    eventually(lambda: len(asked) == 2, "what the second asked for")
+    until(lambda: len(asked) == 2, "what the second asked for")
     np.testing.assert_allclose(asked[1][1:], [5.0, 0.0, 0.0, 12.0, 0.0, 0.0, 0.0, 0.0])
 
 
@@ -288,9 +281,9 @@ def test_a_click_on_the_arm_chooses_segment_and_place_for_the_one_who_commands(
     asked, visit, commander
 ):
     watcher = visit()
-    eventually(lambda: watcher.reads("Another visitor commands the arm"), "who commands")
+    until(lambda: watcher.reads("Another visitor commands the arm"), "who commands")
     commander.put("Push", True)
-    eventually(lambda: asked == [FIRST_PUSH], "the first push")
+    until(lambda: asked == [FIRST_PUSH], "the first push")
     watcher.send(click(1, 0.05))
     for wrong in (
         {"ray_origin": (np.nan, 0.0, 0.0)},
@@ -303,9 +296,9 @@ def test_a_click_on_the_arm_chooses_segment_and_place_for_the_one_who_commands(
     ):
         commander.send(click(2, 0.05, **wrong))
     commander.send(click(2, 0.1))
-    eventually(lambda: len(asked) > 1, "the push there")
+    until(lambda: len(asked) > 1, "the push there")
     commander.send(click(3, 5.0))
-    eventually(lambda: len(asked) > 2, "the push beyond")
+    until(lambda: len(asked) > 2, "the push beyond")
     there = FIRST_CONTACT._replace(segment=2, contact_m=0.1)
     end = FIRST_CONTACT._replace(segment=3, contact_m=FARTHEST_M)
     assert asked == [FIRST_PUSH, ("push", there, False), ("push", end, False)]

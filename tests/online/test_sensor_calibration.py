@@ -5,9 +5,9 @@ import pytest
 from can_frames import PACKED, PACKED_DATABASE
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from sensor_series import series
 
 from cablesense_base import CableSenseError
-from cablesense_gap.recordings.recording import Recording
 from cablesense_online.sensor_calibration import (
     KnownLoad,
     calibrate_sensor,
@@ -101,22 +101,6 @@ def test_characteristics_follow_from_the_order_of_the_loads(
     assert found == pytest.approx((nonlinearity_n, hysteresis_n, repeatability_n))
 
 
-TIME_S = np.arange(0.0, 20.0, 0.1)
-
-
-def recording(tensions_n):
-    rows = len(TIME_S)
-    return Recording(
-        "run",
-        TIME_S,
-        np.zeros(rows, dtype=np.int64),
-        np.zeros((rows, 8)),
-        np.zeros(rows, dtype=np.int64),
-        np.zeros((rows, 3)),
-        tensions_n,
-    )
-
-
 def load(**reading):
     return KnownLoad(line=2, cable="cable_3", mass_kg=2.0, **reading)
 
@@ -125,7 +109,7 @@ def load(**reading):
 def test_a_window_without_samples_is_refused(window):
     windowed = load(start_s=window[0], end_s=window[1])
     with pytest.raises(CommissioningError, match=r"line 2: only .* samples of run"):
-        raw_reading(windowed, PACKED, recording(np.zeros((200, 12))))
+        raw_reading(windowed, PACKED, series(np.zeros((200, 12)), 0.1 * np.arange(200)))
     with pytest.raises(CommissioningError, match="give the recording as well"):
         raw_reading(windowed, PACKED, None)
 

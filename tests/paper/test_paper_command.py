@@ -7,7 +7,7 @@ from paper_studies import failing, study
 from typer.testing import CliRunner
 
 from cablesense_ros.cli.app import app
-from examples.paper.study import FailedStudyError, PaperError, StudyResult
+from examples.paper.study import FailedStudyError, StudyResult
 
 
 def invoke(*arguments):
@@ -20,12 +20,6 @@ def test_a_study_alone_makes_a_report(tmp_path):
     results = json.loads((tmp_path / "report" / "results.json").read_text(encoding="utf-8"))
     assert [found["name"] for found in results["studies"]] == ["displacement"]
     assert (tmp_path / "report" / "report.html").is_file()
-
-
-def test_an_unknown_study_makes_no_folder(tmp_path):
-    result = invoke("--out", str(tmp_path / "report"), "--only", "fig99")
-    assert isinstance(result.exception, PaperError)
-    assert not (tmp_path / "report").exists()
 
 
 def test_after_a_failure_the_others_run_and_the_command_fails(tmp_path, monkeypatch):

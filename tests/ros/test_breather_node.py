@@ -5,19 +5,12 @@ from functools import partial
 
 import numpy as np
 import pytest
-from ros_graph import Graph, force
+from ros_graph import force
 from sensor_msgs.msg import JointState
 
 from cablesense_sim.arm import open_arm
 
 TOLD = {"estimator: tare", "estimator: breathing"}
-
-
-@pytest.fixture
-def graph():
-    graph = Graph()
-    yield graph
-    graph.close()
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ import threading
 from pathlib import Path
 
 import pytest
-from ros_graph import Graph
 from sensor_msgs.msg import JointState
 
 from cablesense_online.sensor_check import CommissioningError
@@ -78,8 +77,7 @@ def test_silence_is_refused_in_one_line(monkeypatch):
         recorder.capture_tensions(CABLES, 2.0, (), print)
 
 
-def test_two_publishers_are_one_line_and_exit_code_2():
-    graph = Graph()
+def test_two_publishers_are_one_line_and_exit_code_2(graph):
     publishers = [graph.node.create_publisher(JointState, "/cable_tensions", 10) for _ in range(2)]
     ended = threading.Event()
 
@@ -95,7 +93,6 @@ def test_two_publishers_are_one_line_and_exit_code_2():
     finally:
         ended.set()
         talking.join()
-        graph.close()
     assert result.returncode == 2
     assert "two publishers" in result.stderr
     assert "Traceback" not in result.stderr

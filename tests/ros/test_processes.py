@@ -5,10 +5,10 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 from pathlib import Path
 
 import pytest
+from waiting import until
 
 from cablesense_ros.processes import Process, ProcessError, Processes, node_command, wait_until
 
@@ -32,13 +32,6 @@ def alive(pid):
         return False
 
 
-def gone(pid):
-    until = time.monotonic() + PATIENCE_S
-    while alive(pid) and time.monotonic() < until:
-        time.sleep(0.02)
-    return not alive(pid)
-
-
 def test_children_end_with_the_block_and_leave_no_zombies(tmp_path):
     with Processes({"a": python(SLEEPER), "b": python(SLEEPER)}, tmp_path) as processes:
         pids = {name: child.pid for name, child in processes.items()}
@@ -56,7 +49,7 @@ def test_a_child_that_dies_is_named_with_its_code_and_last_words(tmp_path):
     ):
         processes.wait_until(lambda: None, PATIENCE_S, "none ended")
     assert caught.value.exit_code == 1
-    assert gone(processes["page"].pid)
+    until(lambda: not alive(processes["page"].pid), "the end of the other")
 
 
 def test_what_ignores_the_request_to_end_is_killed(tmp_path, monkeypatch):
@@ -102,7 +95,7 @@ def test_children_die_with_their_parent(tmp_path, number, code):
         assert alive(pid)
         process.send_signal(number)
         assert process.wait(PATIENCE_S) == code
-    assert gone(pid)
+    until(lambda: not alive(pid), "the end of the child")
 
 
 def test_one_process_is_killed_started_again_and_stopped(tmp_path):

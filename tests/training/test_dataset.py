@@ -1,13 +1,12 @@
 """A dataset says the truth: its tensions follow from its labels by the arm's statics."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from joint_torques import gravity_torques_n_m
 
-from cablesense_sim.arm import load_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.contact_location import torque_balance
 from cablesense_sim.kinematics import cable_jacobian_m, contact_jacobians_m, segment_rotations
@@ -16,12 +15,10 @@ from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import AnywhereContact, MultiContact, SingleContact
 from cablesense_training.errors import DatasetError
 
-ARMS = Path(__file__).parents[2] / "config" / "arms"
-
 
 @pytest.fixture(scope="module")
 def arm():
-    return load_arm(ARMS / "cdsm.yaml")
+    return open_arm("cdsm")
 
 
 def ideal(arm, protocol=SingleContact, **options):
@@ -106,7 +103,7 @@ def test_noise_is_that_of_the_sensor(arm):
 
 
 def test_a_case_beyond_the_arm_is_drawn_again_and_marked():
-    lab = load_arm(ARMS / "cdsm_lab.yaml")
+    lab = open_arm("cdsm_lab")
     protocol = SingleContact(
         samples=256, pose="random", noise=False, force_low_n=200.0, force_high_n=240.0
     )
@@ -121,7 +118,7 @@ def test_a_case_beyond_the_arm_is_drawn_again_and_marked():
 
 
 def test_a_protocol_beyond_the_arm_is_refused_with_a_case():
-    lab = load_arm(ARMS / "cdsm_lab.yaml")
+    lab = open_arm("cdsm_lab")
     protocol = SingleContact(samples=64, force_low_n=500.0, force_high_n=600.0)
     with pytest.raises(DatasetError, match=r"samples 0 and following: more than 2%.*command"):
         draw_dataset(lab, protocol)

@@ -1,7 +1,6 @@
 """A dataset comes back from its file as it was written, and only a whole, fitting file is read."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -10,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cablesense_sim.arm import load_arm, parse_arm
+from cablesense_sim.arm import open_arm, parse_arm
 from cablesense_training.data import parquet
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
@@ -18,12 +17,10 @@ from cablesense_training.data.parquet import produce_dataset, read_dataset, writ
 from cablesense_training.data.protocols import AnywhereContact, MultiContact, SingleContact
 from cablesense_training.errors import DatasetError
 
-ARMS = Path(__file__).parents[2] / "config" / "arms"
-
 
 @pytest.fixture(scope="module")
 def arm():
-    return load_arm(ARMS / "cdsm.yaml")
+    return open_arm("cdsm")
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +59,7 @@ def with_value(table, name, row, value):
 @pytest.mark.parametrize("protocol", [SingleContact, MultiContact, AnywhereContact])
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_lab", "cdsm_table2"])
 def test_comes_back_as_written(tmp_path, protocol, name):
-    arm = load_arm(ARMS / f"{name}.yaml")
+    arm = open_arm(name)
     options = {"samples": 50, "pose": "random", "force_high_n": 40.0}
     written = draw_dataset(arm, protocol(**options), seed=9)
     write_dataset(tmp_path / "data.parquet", written)
@@ -93,7 +90,7 @@ def test_columns_have_units_and_the_file_its_provenance(path, arm):
 
 
 def test_refuses_another_arm(path):
-    lab = load_arm(ARMS / "cdsm_lab.yaml")
+    lab = open_arm("cdsm_lab")
     with pytest.raises(DatasetError, match=rf"comes from arm cdsm-.*{lab.identity} was asked for"):
         read_dataset(path, lab)
 

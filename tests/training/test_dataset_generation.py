@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 from arm_variants import variant
 
-from cablesense_sim.arm import load_arm, open_arm
+from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
@@ -21,13 +20,12 @@ from cablesense_training.data.parquet import produce_dataset
 from cablesense_training.data.protocols import CHUNK_SAMPLES, AnywhereContact, SingleContact
 from cablesense_training.errors import DatasetError
 
-ARMS = Path(__file__).parents[2] / "config" / "arms"
 PROTOCOL = SingleContact(samples=CHUNK_SAMPLES + 100, pose="random", tare_samples=5)
 
 
 @pytest.fixture(scope="module")
 def arm():
-    return load_arm(ARMS / "cdsm.yaml")
+    return open_arm("cdsm")
 
 
 def digest(path):

@@ -7,7 +7,6 @@ import torch
 from arm_variants import variant
 from model_fixtures import metadata_for
 
-from cablesense_base.installation import config_path
 from cablesense_sim.arm import open_arm
 from cablesense_training import export
 from cablesense_training.errors import ModelFileError, TrainingError
@@ -100,13 +99,6 @@ def test_a_failed_check_leaves_nothing_behind(tmp_path, monkeypatch):
         export_model(_small_network(), kept, _metadata())
     assert [path.name for path in tmp_path.iterdir()] == ["model.onnx"]
     assert kept.read_text() == "what was there"
-
-
-def test_every_bundled_model_is_found_by_its_name():
-    names = bundled_models()
-    assert "cdsm" in names
-    for name in names:
-        assert find_model(name) == config_path(f"models/{name}.onnx")
 
 
 @pytest.mark.parametrize("name", bundled_models())

@@ -252,12 +252,6 @@ def _refused_description(properties):
     return message
 
 
-@pytest.mark.parametrize("arm", ["cdsm", "cdsm_lab", "cdsm_table2"])
-def test_metadata_come_back_as_they_went(arm):
-    metadata = metadata_for(open_arm(arm))
-    assert ModelMetadata.from_properties(metadata.to_properties(), "x") == metadata
-
-
 def test_a_model_that_was_trained_on_an_older_law_is_refused_with_the_remedy():
     metadata = metadata_for(open_arm("cdsm_friction"))
     current = metadata.model_copy(update={"effect_versions": effect_versions(metadata.arm)})

@@ -94,11 +94,6 @@ def test_refuses_a_folder_that_is_not_there_before_training(single, tmp_path):
         train_model(tmp_path, "two-stage", single, QUICK, command="")
 
 
-def test_an_unknown_network_lists_the_known_ones():
-    with pytest.raises(TrainingError, match="two-stage"):
-        recipe_for("three-stage")
-
-
 @pytest.mark.parametrize(
     ("option", "value"),
     [
