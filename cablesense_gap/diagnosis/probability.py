@@ -37,6 +37,9 @@ UNKNOWN = ("unknown",)
 NEAR_BEST = 0.2
 """A rival has at least this share of the probability of the best."""
 
+_EQUAL = 0.99
+"""Of explanations that have this share of the best one's probability, the best leaves least."""
+
 PARALLEL = 0.75
 """The shapes of two changes do not differ if one is imitated to this share."""
 
@@ -104,16 +107,14 @@ def posterior(
         for h, share in zip(explanations, shares, strict=False)
     ]
     found.append(Ranked(UNKNOWN, float(shares[-1]), None))
-    return sorted(found, key=_rank)
+    least = _EQUAL * max(each.probability for each in found)
 
+    def rank(each: Ranked) -> tuple[bool, float]:
+        left = each.explanation.held_out_rmse if each.explanation else np.inf
+        # residuals below the floor are not distinguished otherwise
+        return (False, left) if each.probability > least else (True, -each.probability)
 
-def _rank(ranked: Ranked) -> tuple[float, float]:
-    """The one that leaves less comes first of two that are equally probable to some 1 %.
-
-    Residuals below the floor are not distinguished otherwise.
-    """
-    left = ranked.explanation.held_out_rmse if ranked.explanation else np.inf
-    return -round(float(np.log(max(ranked.probability, 1e-300))), 2), left
+    return sorted(found, key=rank)
 
 
 def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration) -> list[Ranked]:

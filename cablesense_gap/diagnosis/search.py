@@ -378,8 +378,9 @@ class _Search:
         return max(off, default=0.0)
 
     def _is_explained(self, explanation: Explanation) -> bool:
-        """Whether its residual is near the least that can be resolved."""
-        return self._problem.cost_of(explanation) <= 1.5 * excess(0.0, self._problem.floor)
+        """Whether its residual is near the least that can be resolved, with usual tolerances."""
+        near = self._problem.cost_of(explanation) <= 1.5 * excess(0.0, self._problem.floor)
+        return near and self._worst_tolerance(explanation) <= self._problem.far_off
 
     def _may_be_the_past(self) -> bool:
         """Whether history-dependent effects may cause the residual of the best explanation.

@@ -335,8 +335,8 @@ def diagnose(
         suspect = by_torque(recording).reversed_channels()
     if suspect and not force:
         raise RecordingError(
-            f"{recording.name}: {', '.join(suspect)}: otherwise the model fits far better; correct "
-            "the recording, or continue with --force"
+            f"{recording.name}: {', '.join(suspect)}: without that the model fits far better; "
+            "correct the recording, or continue with --force"
         )
     system, healthy = RobotSystem(robot, motion, beside), None
     system.recording_name, system.row_count = recording.name, len(recording)
