@@ -32,7 +32,11 @@ MOST_STEPS = 8
 
 _STEP, _NEAR, _CONVERGED = 0.03, 0.25, 5e-3
 """Scaled steps: for derivatives, far above the rounding of the simulator and small enough to be
-linear; to where derivatives still serve; and, also as a relative gain, too small to continue."""
+linear; to where derivatives still serve; and too small to continue."""
+_GAIN = 1.0
+"""Of twice the log posterior, too small to continue: effects take over from tolerances by gains
+that are small beside the whole. With history-dependent effects, which are slow, the least gain is
+relative, `_CONVERGED`."""
 
 
 def refine(
@@ -128,7 +132,7 @@ class _Fit:
             if far:
                 columns = self._linear(tried, columns)[1] if there is None else there[1]
                 linear_at = tried
-            if (before[0] - after[0]) / before[0] < _CONVERGED:
+            if before[0] - after[0] < (_CONVERGED * before[0] if self._slow else _GAIN):
                 break
         return self._explanation(point, predicted, columns, mean_square)
 
@@ -184,7 +188,12 @@ class _Fit:
         data, none = self._products(predicted, every), self._tolerances
         weight_, offset = weight(mean_square, self._problem.floor), self._offset(point)
         gram, moment = data.gram.sum(0), data.moment.sum(0)
-        own = np.where(np.arange(len(gram)) < none, 0.0, gram.diagonal())
+        # in units of what tolerances do not imitate, or an effect like a tolerance would not move
+        of_tolerances = weight_ * gram[:none, :none] + np.diag(self._precision[:none])
+        imitated = np.linalg.solve(of_tolerances, gram[:none, none:])
+        own = np.zeros(len(gram))
+        own[none:] = (gram[none:, none:] - weight_ * gram[none:, :none] @ imitated).diagonal()
+        own[none:] += self._prior / weight_
         damped = gram + damping * np.diag(own)
         free = np.ones(len(gram), dtype=bool)
         for _ in range(3):  # values that leave their range stay at its end, the others continue
@@ -242,7 +251,10 @@ class _Fit:
         inside = (point > self._low) & (point < self._high)
         at = np.flatnonzero(np.concatenate([np.ones(none, dtype=bool), inside]))
         part, precision, offset = data.columns(at), self._precision[at], off[at]
-        found = solve(part.gram.sum(0), part.moment.sum(0), precision, offset, weight_)
+        gram, moment = part.gram.sum(0), part.moment.sum(0)
+        found = solve(gram, moment, precision, offset, weight_)
+        t = slice(None, none)  # beside the values as they are, not beside a step that is not made
+        tolerances = solve(gram[t, t], moment[t], precision[t], offset[t], weight_)
         every = every[at]
         held_out_effects, tolerated = predicted.copy(), np.zeros_like(predicted)
         without = fold_solutions(part, none, precision, offset, weight_, problem.fold)
@@ -259,17 +271,15 @@ class _Fit:
         spread[at] = np.sqrt(covariance.diagonal()[at])
         values = self._assignment(point)
         units = [unit_of(p, v) for p, v in zip(self._parameters, values.values(), strict=True)]
-        tolerances = dict(
-            zip(problem.tolerance_terms, found[:none] * problem.tolerance_std, strict=True)
-        )
+        of_term = zip(problem.tolerance_terms, tolerances * problem.tolerance_std, strict=True)
         acts = dict(zip(problem.tolerance_terms, problem.acting_tolerances, strict=True))
         return Explanation(
             effects=tuple(sorted({term.effect for term in self._terms})),
             values=values,
             deviations=dict(zip(self._terms, 1.96 * spread[none:] * units, strict=True)),
-            tolerances={term: value for term, value in tolerances.items() if acts[term]},
+            tolerances={term: value for term, value in of_term if acts[term]},
             prediction=predicted
-            + np.tensordot(found[:none], problem.tolerance_columns, axes=1)
+            + np.tensordot(tolerances, problem.tolerance_columns, axes=1)
             + problem.tolerance_rest,
             without_tolerances=predicted,
             columns=columns,
@@ -279,7 +289,7 @@ class _Fit:
             squares=problem.squares_by_trial(held_out)[0],
             count=data.count,
             sizes=int((~self._shape & columns.any(axis=(1, 2))).sum()),
-            tolerance_chi2=float((found[:none] ** 2).sum()),
+            tolerance_chi2=float((tolerances**2).sum()),
         )
 
 

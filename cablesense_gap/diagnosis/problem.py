@@ -188,10 +188,11 @@ class Problem:
     def cost(self, mean_square: float, tolerance_chi2: float) -> float:
         """RMS residual beyond the floor, larger if tolerances would have to be far off.
 
-        The search ranks explanations by it; the posterior weighs both by calibrated powers.
+        The search ranks explanations by it. It grows with small surpluses of tolerances as the
+        posterior does, but less with large ones: linear columns exaggerate these.
         """
         usual = max(int(self.acting_tolerances.sum()), 1)
-        return excess(mean_square, self.floor) * float(np.cbrt(max(tolerance_chi2 / usual, 1.0)))
+        return excess(mean_square, self.floor) * max(tolerance_chi2 / usual, 1.0)
 
     def cost_of(self, explanation: Explanation) -> float:
         """The cost of an explanation on held-out trials."""

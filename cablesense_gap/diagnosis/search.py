@@ -400,7 +400,7 @@ class _Search:
         Tolerances alone leave little more than the floor, or an explanation leaves 3 % of the gap.
         """
         floor, none = self._problem.floor, self._none.held_out_rmse
-        if none <= 1.1 * floor:
+        if none <= 1.1 * floor and self._worst_tolerance(self._none) <= self._problem.far_off:
             return True
         little = 0.03 * excess(none**2, floor)
         return any(

@@ -272,23 +272,23 @@ class Selection:
         ]
 
     def singles(self) -> list[Proposal]:
-        """Each effect in its best places, the most promising first."""
+        """Each effect everywhere and in its best places, the most promising first."""
         return self._proposals(self._single_effects())
 
     def _single_effects(self) -> list[_Scored]:
         sides: dict[tuple[str, bool], list[int]] = {}
         for k, linear in enumerate(self._offered):
             sides.setdefault((linear.effect, linear.place == WHOLE_ARM), []).append(k)
-        best: dict[str, _Scored] = {}
-        for (effect, _), own in sides.items():
-            grown = self._grown(own, strict=True) or self._grown(own, strict=False)
-            if grown and grown < best.get(effect, (np.inf, [])):
-                best[effect] = grown
-        return sorted(best.values(), key=lambda each: each[0])
+        grown = (
+            self._grown(own, strict=True) or self._grown(own, strict=False)
+            for own in sides.values()
+        )
+        return sorted(filter(None, grown), key=lambda each: each[0])
 
     def additions(self) -> list[Proposal]:
         """For every set of effects that is promising their best places, most promising first."""
-        best = {self._effects(chosen): (s, chosen) for s, chosen in self._single_effects()}
+        singles = self._single_effects()
+        best = {self._effects(chosen): (s, chosen) for s, chosen in reversed(singles)}
         level = sorted(best.values())[:_WIDTH]
         least = np.inf
         for _ in range(2 * MOST_EFFECTS):
@@ -309,7 +309,9 @@ class Selection:
             # a small gain suffices: many sites alike are worth their penalty only together
             if not level or 1.02 * least > before:
                 break
-        return self._proposals(best.values())
+        # the linear score often errs about an effect everywhere and in places: both are tried
+        others = (each for each in singles if each not in best.values())
+        return self._proposals([*best.values(), *others])
 
     def _grown(self, among: Sequence[int], *, strict: bool) -> _Scored | None:
         """One effect's sites added while each, or two at once, is worth its penalty."""

@@ -30,9 +30,8 @@ cables slack, and derivatives across such kinks lead fits astray. The rests' rou
 thousandth of that."""
 _MOST_REPEATED = 6
 """Times that tolerances are made linear anew."""
-_MOST_OFF, _FAR_OFF = 3.0, 10.0
-"""Standard deviations up to which tolerances are a place to be linear about; and from which on one
-imitates an effect so far that the others say nothing about the machine either."""
+_MOST_OFF = 3.0
+"""Standard deviations up to which tolerances are a place to be linear about."""
 
 
 def with_fitted_tolerances(problem: Problem) -> Problem:
@@ -50,10 +49,12 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
     """Fit the same effects with tolerances that are linear about the explanation.
 
     The search takes tolerances linear about a mechanism without effects, which is near enough to
-    choose by. Gives the problem with these tolerances too.
+    choose by. Where tolerances carry a part of an effect, only columns about both let it move on.
+    Gives the problem with these tolerances too.
     """
     best = latest = explanation, problem
-    done = _imitates(problem, explanation) or _is_consistent(problem, explanation)
+    usual = explanation.tolerance_chi2 <= len(explanation.tolerances)
+    done = (usual or not explanation.values) and _is_consistent(problem, explanation)
     for _ in range(0 if done else _MOST_REPEATED):
         before, used = latest
         linear = _linear_about(used, before)
@@ -61,7 +62,7 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
             break
         about, start_at = linear
         fitted = refit(about, before.values, 3, start_at)
-        if fitted is None or _imitates(problem, fitted):
+        if fitted is None:
             break
         latest = fitted, about
         if problem.cost_of(fitted) < problem.cost_of(best[0]):
@@ -72,13 +73,6 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
         return best
     alone = problem.predict([best[0].values])[0]
     return replace(best[0], without_tolerances=alone), best[1]
-
-
-def _imitates(problem: Problem, explanation: Explanation) -> bool:
-    """Whether tolerances alone imitate an effect."""
-    std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
-    off = (abs(value) > _FAR_OFF * std[term] for term, value in explanation.tolerances.items())
-    return not explanation.values and any(off)
 
 
 def _is_consistent(problem: Problem, explanation: Explanation) -> bool:

@@ -20,7 +20,7 @@ from cablesense_sim.effects.effect import Parameter
 
 _LEAVES, _GAIN = 0.6, 0.5
 """Columns are tried where the model's residual is more than the first share of a measured channel.
-Changed columns are believed if it is then less, and at most the second share of the former."""
+Changed columns are believed if it is then at most the second share of the former."""
 _TOUCHED, _MOST = 0.02, 2.0
 """By how much changed columns alter the share of a channel that they touch; no share is larger."""
 _AT_ZERO = 0.002
@@ -56,8 +56,7 @@ def _gain(before: Mapping[str, float], after: Mapping[str, float]) -> float:
     pairs = np.array([(before[c], after.get(c, np.inf)) for c in before])
     one, other = np.minimum(pairs[np.abs(np.diff(pairs)[:, 0]) > _TOUCHED], _MOST).T
     was, left = float(one @ one), float(other @ other)
-    much = len(one) * _LEAVES**2
-    return was - left if was >= much > left and left <= _GAIN**2 * was else 0.0
+    return was - left if was >= len(one) * _LEAVES**2 and left <= _GAIN**2 * was else 0.0
 
 
 def _changes(recording: RobotRecording, robot: Robot) -> Iterator[tuple[str, RobotRecording]]:

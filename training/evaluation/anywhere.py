@@ -192,7 +192,8 @@ def bound_covariance(dataset: Dataset, count: int) -> Array:
     prior[..., 3] = (12.0 / (far - near) ** 2)[segments - 1]
     own = np.arange(4 * count)
     information[:, own, own] += prior.reshape(len(dataset), -1)
-    return np.asarray(np.linalg.inv(information))
+    # zero for the few samples of which nothing is known (`tension_gain`)
+    return np.asarray(np.linalg.pinv(information, hermitian=True))
 
 
 def touched(dataset: Dataset, count: int) -> tuple[NDArray[np.int64], Array, Array]:
