@@ -326,8 +326,14 @@ def tension_gain(
     count, cables = held_m.shape
 
     def gain_of(rows: NDArray[np.int64]) -> Array:
-        known = dataset.command_rad, segments, places_m, forces_n, held_m
-        elastic_n, gain = contact_response(mechanism, *(each[rows] for each in known))
+        elastic_n, gain = contact_response(
+            mechanism,
+            dataset.command_rad[rows],
+            segments[rows],
+            places_m[rows],
+            forces_n[rows],
+            held_m[rows],
+        )
         return np.asarray(gain * (elastic_n > 0.0)[..., None]).reshape(len(rows), -1)
 
     columns = 4 * cables * segments.shape[1]
