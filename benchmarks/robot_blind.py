@@ -17,9 +17,9 @@ the torque; with `--reference` another recording, without the hidden effects, is
 (seeds 9001, 9131 and 9161 were used while that was made). With `--servos` robots are under
 position servos, and a camera reads their joints; a zero, play, a coupling, a payload or nothing is
 hidden in turn (seeds 5101 and 9151 were used while that was made). With `--exchanged` two torque
-columns are exchanged, or a torque or a position is reversed, in turn: how often that stops the
-diagnosis and is named, after how long, and how often it is seen in the recordings as they were
-(seeds 9702 and 9703 were used while that was made).
+columns are exchanged, or a torque or a position is reversed, in turn. It counts how often that
+stops the diagnosis and is named, after how long, and how often the recordings as they were are
+suspected (seeds 9702 and 9703 were used while that was made).
 """
 
 from __future__ import annotations
@@ -42,12 +42,11 @@ import pandas as pd
 from robot_sets import drawn, servo_file, with_play, with_servos, with_tendons
 
 from cablesense_gap.recordings.recording import RecordingError
-from cablesense_gap.robot.doubts import exchanged
 from cablesense_gap.robot.model import Robot, load_robot
 from cablesense_gap.robot.motion import rms
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording, read_recording
-from cablesense_gap.robot.system import RobotSystem, diagnose
+from cablesense_gap.robot.system import RobotSystem, diagnose, wrong_columns
 from cablesense_gap.scoring import read_answers, score
 from cablesense_gap.verdict import Verdict, removed_fraction
 from cablesense_plants.cases import write_answers
@@ -124,12 +123,7 @@ def _exchanged(count: int, seed: int, folder: Path) -> dict[str, Any]:
         seconds.append(time.monotonic() - began)
         named += text in said
         each_case.append({"wrong": text, "said": said.partition(": ")[2].partition(": ")[0]})
-
-        def seen(recorded: RobotRecording, robot: Robot = robot) -> RobotSystem:
-            return RobotSystem(robot, prepared(recorded, robot), {})
-
-        wrongly = exchanged(recording, robot, lambda recorded: seen(recorded).left_shares())
-        false += bool(wrongly or seen(recording).reversed_channels())
+        false += bool(wrong_columns(recording, robot))
     return {
         "seed": seed,
         "recordings": count,

@@ -34,9 +34,9 @@ _STEP, _NEAR, _CONVERGED = 0.03, 0.25, 5e-3
 """Scaled steps: for derivatives, far above the rounding of the simulator and small enough to be
 linear; to where derivatives still serve; and too small to continue."""
 _GAIN = 1.0
-"""Of twice the log posterior, too small to continue: effects take over from tolerances by gains
-that are small beside the whole. With history-dependent effects, which are slow, the least gain is
-relative, `_CONVERGED`."""
+"""A gain of twice the log posterior that is too small to continue. It is absolute, because an
+effect takes over from tolerances by gains that are small compared with the whole. It is relative,
+`_CONVERGED`, for history-dependent effects: these are slow."""
 
 
 def refine(
@@ -188,7 +188,7 @@ class _Fit:
         data, none = self._products(predicted, every), self._tolerances
         weight_, offset = weight(mean_square, self._problem.floor), self._offset(point)
         gram, moment = data.gram.sum(0), data.moment.sum(0)
-        # in units of what tolerances do not imitate, or an effect like a tolerance would not move
+        # damped by the part that tolerances do not imitate: else an effect like one hardly moves
         of_tolerances = weight_ * gram[:none, :none] + np.diag(self._precision[:none])
         imitated = np.linalg.solve(of_tolerances, gram[:none, none:])
         own = np.zeros(len(gram))
@@ -253,7 +253,8 @@ class _Fit:
         part, precision, offset = data.columns(at), self._precision[at], off[at]
         gram, moment = part.gram.sum(0), part.moment.sum(0)
         found = solve(gram, moment, precision, offset, weight_)
-        t = slice(None, none)  # beside the values as they are, not beside a step that is not made
+        # of the values as they are: the effects' part of `found` is a step that is not made
+        t = slice(None, none)
         tolerances = solve(gram[t, t], moment[t], precision[t], offset[t], weight_)
         every = every[at]
         held_out_effects, tolerated = predicted.copy(), np.zeros_like(predicted)

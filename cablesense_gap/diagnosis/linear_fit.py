@@ -6,8 +6,9 @@ chosen among many, b is eliminated once (Schur complement) over the trials outsi
 
     b = b₀ - B c,    b₀ = w S X_b'y,    B = w S X_b'X_c,    S = (w X_b'X_b + P_b)⁻¹
 
-The residual sum of squares in the fold is then a quadratic form of c, also after tolerances t have
-moved from b by w (w X_t'X_t + P_t)⁻¹ X_t'r of all trials, with the residual r in the fold.
+The residual sum of squares in the fold is then a quadratic form of c. It stays one when the
+tolerances t, a part of b, are fitted to all trials. They move by w (w X_t'X_t + P_t)⁻¹ X_t'r. The
+first product is over all trials, and r is the residual in the fold.
 """
 
 from __future__ import annotations
@@ -95,8 +96,8 @@ def fold_solutions(
 ) -> Array:
     """(F, K) the coefficients without each of the folds 0 … F - 1.
 
-    The first ones, of `tolerances`, are then fitted to all trials beside the others: often one
-    trial alone shows a tolerance, and then no fit to the rest predicts it.
+    The first `tolerances` coefficients are then fitted to all trials, with the others as they are:
+    often one trial alone shows a tolerance, and then no fit to the rest predicts it.
     """
     gram, moment = data.gram.sum(0), data.moment.sum(0)
     t, e = slice(None, tolerances), slice(tolerances, None)
@@ -131,7 +132,10 @@ class Reduced:
         weight_: float,
         fold: Indices,
     ) -> None:
-        """The first `base` columns of `data`, of which `tolerances`, are always fitted along."""
+        """The first `base` columns of `data` are always fitted along.
+
+        The first `tolerances` of them are tolerances.
+        """
         self._tolerances = tolerances
         self._count = data.count.sum()
         system, moment, form, slope, constant = [], [], [], [], 0.0

@@ -38,7 +38,8 @@ NEAR_BEST = 0.2
 """A rival has at least this share of the probability of the best."""
 
 _EQUAL = 0.99
-"""Of explanations that have this share of the best one's probability, the best leaves least."""
+"""Explanations that have this share of the best one's probability are ordered by what they leave.
+"""
 
 PARALLEL = 0.75
 """The shapes of two changes do not differ if one is imitated to this share."""

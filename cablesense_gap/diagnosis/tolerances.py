@@ -49,7 +49,8 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
     """Fit the same effects with tolerances that are linear about the explanation.
 
     The search takes tolerances linear about a mechanism without effects, which is near enough to
-    choose by. Where tolerances carry a part of an effect, only columns about both let it move on.
+    choose by. Tolerances that are farther off than usual may carry a part of an effect. The effect
+    takes it over where the columns of both are taken about the explanation.
     Gives the problem with these tolerances too.
     """
     best = latest = explanation, problem

@@ -291,6 +291,29 @@ class RobotDiagnosis:
     beside: Assignment
 
 
+def wrong_columns(
+    recording: RobotRecording,
+    robot: Robot,
+    beside: Assignment = MappingProxyType({}),
+    bandwidth_hz: float | None = None,
+    zeroed: bool = False,
+) -> list[str]:
+    """Columns that look exchanged or reversed to the nominal model, as sentences.
+
+    The arguments are as of `diagnose`.
+
+    Raises:
+        RecordingError: the recording cannot be compared.
+    """
+
+    def by_torque(recorded: RobotRecording) -> RobotSystem:
+        compared = prepared(recorded, robot, bandwidth_hz, forward=False, zeroed=zeroed)
+        return RobotSystem(robot, compared, beside)
+
+    found = doubts.exchanged(recording, robot, lambda each: by_torque(each).left_shares())
+    return found or by_torque(recording).reversed_channels()
+
+
 def diagnose(
     recording: RobotRecording,
     robot: Robot,
@@ -323,20 +346,11 @@ def diagnose(
     own = {"zeroed": zeroed, "external": external}
     motion = prepared(recording, robot, bandwidth_hz, forward, **own)
 
-    def by_torque(recorded: RobotRecording) -> RobotSystem:
-        compared = prepared(recorded, robot, bandwidth_hz, forward=False, zeroed=zeroed)
-        return RobotSystem(robot, compared, beside)
-
-    def left(recorded: RobotRecording) -> dict[str, float]:
-        return by_torque(recorded).left_shares()
-
-    suspect = [] if external else doubts.exchanged(recording, robot, left)
-    if not suspect and not external:
-        suspect = by_torque(recording).reversed_channels()
+    suspect = [] if external else wrong_columns(recording, robot, beside, bandwidth_hz, zeroed)
     if suspect and not force:
         raise RecordingError(
-            f"{recording.name}: {', '.join(suspect)}: without that the model fits far better; "
-            "correct the recording, or continue with --force"
+            f"{recording.name}: {', '.join(suspect)}: correct the recording, or continue with "
+            "--force"
         )
     system, healthy = RobotSystem(robot, motion, beside), None
     system.recording_name, system.row_count = recording.name, len(recording)

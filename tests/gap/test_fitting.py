@@ -123,6 +123,15 @@ def test_held_out_trials_are_predicted_by_fits_that_have_not_seen_them():
 ALIKE = linear("gain", ["a"], np.ones((1, *SIGNALS[0].shape)))
 
 
+def test_an_effect_takes_over_from_the_tolerance_that_is_the_same_number():
+    """Two priors share one number by their variances, here 9 and 0.05²: it is all the effect's."""
+    problem = problem_of(Sums(ALIKE, scatter(0.05), floor=1e-3), {GAIN: 0.2})
+    found = fitted(problem, {GAIN: 0.0})
+    (tolerance,) = (v for t, v in found.tolerances.items() if t.place == "a")
+    assert found.values[GAIN] == pytest.approx(0.2, abs=0.02)
+    assert abs(tolerance) < 0.02
+
+
 @pytest.mark.parametrize(
     ("effects", "truth", "std"),
     [

@@ -192,7 +192,7 @@ def bound_covariance(dataset: Dataset, count: int) -> Array:
     prior[..., 3] = (12.0 / (far - near) ** 2)[segments - 1]
     own = np.arange(4 * count)
     information[:, own, own] += prior.reshape(len(dataset), -1)
-    # zero for the few samples of which nothing is known (`tension_gain`)
+    # the inverse, but for the few samples without a rest: `tension_gain` knows nothing of these
     return np.asarray(np.linalg.pinv(information, hermitian=True))
 
 

@@ -39,8 +39,8 @@ _DRAWS = 64
 """Of each force, for the noise bound."""
 
 _MOST_WITHOUT_REST = 0.001
-"""Share of samples that may find no rest when they are solved again, from forces turned to and
-fro between axes."""
+"""Share of samples that may find no rest when they are solved again: the rounding of a force that
+was turned between frames decides it where an arm is about to turn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,11 +314,10 @@ def tension_gain(
 ) -> Array:
     """(B, M, 4K) `contact_response` of K contacts each; zero of slack cables.
 
-    It is zero, too, of the few samples under which a weak arm is about to turn, and may find a
-    rest or none by rounding.
+    It is also zero for the few samples that find no rest here.
 
     Raises:
-        EquilibriumError: the arm has no rest under the contacts of more samples than that.
+        EquilibriumError: the arm has no rest under the contacts of more samples than a thousandth.
     """
     nominal = mechanism_of(dataset.arm)
     mechanism = amended(nominal, entries_of(dataset.arm))
