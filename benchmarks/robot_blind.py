@@ -3,7 +3,7 @@
     python benchmarks/robot_blind.py [--count 60] [--seed 8105] [--commands] [--write]
     python benchmarks/robot_blind.py --imperfect [--reference] [--count 60] [--seed 9162] [--write]
     python benchmarks/robot_blind.py --servos [--count 25] [--seed 9152] [--write]
-    python benchmarks/robot_blind.py --exchanged --count 20 --seed 9704 [--write]
+    python benchmarks/robot_blind.py --exchanged --count 20 --seed 9705 [--write]
 
 Three nominal models of `config/robots` (an arm of six joints, a double pendulum, a finger with
 tendons). The hidden side is the rigid-body code, friction, drives and sensors of
@@ -19,7 +19,7 @@ position servos, and a camera reads their joints; a zero, play, a coupling, a pa
 hidden in turn (seeds 5101 and 9151 were used while that was made). With `--exchanged` two torque
 columns are exchanged, or a torque or a position is reversed, in turn. It counts how often that
 stops the diagnosis and is named, after how long, and how often the recordings as they were are
-suspected (seeds 9702 and 9703 were used while that was made).
+suspected (seeds 9702 to 9704 were used while that was made).
 """
 
 from __future__ import annotations

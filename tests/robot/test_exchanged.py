@@ -76,3 +76,10 @@ def test_effects_of_any_size_are_no_exchange(robot, planted):
     left = RobotSystem(robot, prepared(recording, robot), {}).left_shares()
     assert max(left.values()) > 0.6
     assert wrong_columns(recording, robot) == []
+
+
+def test_a_reversed_torque_is_found_behind_friction_that_dominates_it(robot):
+    recording = bent(friction=(0.1, 1.0))
+    assert wrong_columns(recording, robot) == []
+    reversed_one = replace(recording, torque=recording.torque * LAST)
+    assert wrong_columns(reversed_one, robot) == ["torque.elbow looks as if it had the other sign"]
