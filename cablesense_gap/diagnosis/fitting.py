@@ -9,6 +9,7 @@ et al., A Swiss Army infinitesimal jackknife, AISTATS 2019).
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -79,6 +80,17 @@ def refit_part(
     return refit(problem, values, most_steps, (predicted, explanation.columns[own]))
 
 
+def joint_step(problem: Problem, explanation: Explanation) -> Explanation | None:
+    """Values and tolerances where their joint linear model is best; the rest stays as it is.
+
+    None if that promises too little. `refine` varies effects alone, with the simulator, and
+    tolerances linearly. Where both imitate each other, such a step goes no farther than both are
+    linear alike.
+    """
+    parameters = {term: problem.parameters[term] for term in explanation.values}
+    return _Fit(problem, parameters).joint_step(explanation)
+
+
 class _Fit:
     def __init__(self, problem: Problem, parameters: Mapping[Term, Parameter]) -> None:
         self._problem = problem
@@ -135,6 +147,26 @@ class _Fit:
             if before[0] - after[0] < (_CONVERGED * before[0] if self._slow else _GAIN):
                 break
         return self._explanation(point, predicted, columns, mean_square)
+
+    def joint_step(self, explanation: Explanation) -> Explanation | None:
+        """As the function of this name."""
+        problem, none = self._problem, self._tolerances
+        values = zip(self._parameters, explanation.values.values(), strict=True)
+        point = np.array([to_scaled(parameter, value) for parameter, value in values])
+        self._expected = np.where(self._shape, point, 0.0)
+        predicted = explanation.without_tolerances
+        every = np.concatenate([problem.tolerance_columns, explanation.columns])
+        data, offset = self._products(predicted, every), self._offset(point)
+        weight_ = weight(self._cost(point, predicted, None)[1], problem.floor)
+        gram, moment, precision = data.gram.sum(0), data.moment.sum(0), self._precision
+        found, t = solve(gram, moment, precision, offset, weight_), slice(None, none)
+        step = found.copy()
+        step[t] -= solve(gram[t, t], moment[t], precision[t], offset[t], weight_)
+        if step @ (weight_ * gram + np.diag(precision)) @ step < _GAIN:
+            return None
+        ahead = np.clip(point + found[none:], self._low, self._high)
+        tolerances = zip(problem.tolerance_terms, found[t] * problem.tolerance_std, strict=True)
+        return replace(explanation, values=self._assignment(ahead), tolerances=dict(tolerances))
 
     def _best(self, starts: Array) -> tuple[Array, float]:
         """The start with the least residual, tolerances fitted, and its mean square."""

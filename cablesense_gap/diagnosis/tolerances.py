@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.diagnosis.fitting import refine, refit
+from cablesense_gap.diagnosis.fitting import joint_step, refine, refit
 from cablesense_gap.diagnosis.problem import (
     RESOLUTION,
     Explanation,
@@ -62,14 +62,14 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
         if linear is None:
             break
         about, start_at = linear
-        fitted = refit(about, before.values, 3, start_at)
-        if fitted is None:
-            break
-        latest = fitted, about
+        as_it_is, fitted = (refit(about, before.values, n, start_at) for n in (0, 3))
+        assert as_it_is is not None
+        assert fitted is not None
         if problem.cost_of(fitted) < problem.cost_of(best[0]):
-            best = latest
-        if _is_consistent(about, fitted):
+            best = fitted, about
+        if joint_step(about, as_it_is) is None and _is_consistent(about, fitted):
             break
+        latest = joint_step(about, fitted) or fitted, about
     if best[1] is problem:
         return best
     alone = problem.predict([best[0].values])[0]

@@ -18,7 +18,7 @@ from gap_problem import (
 )
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cablesense_gap.diagnosis.fitting import refine
+from cablesense_gap.diagnosis.fitting import joint_step, refine
 from cablesense_gap.diagnosis.problem import from_scaled, to_scaled
 from cablesense_gap.diagnosis.selection import linear_effects
 from cablesense_gap.diagnosis.tolerances import final_refinement, with_fitted_tolerances
@@ -222,6 +222,15 @@ def test_an_effect_that_a_tolerance_imitates_has_the_same_column():
     refined, about = final_refinement(problem, fitted(problem, {GAIN: 2.0}))
     assert refined.tolerances[OFF] == pytest.approx(0.15, rel=0.1)
     assert_allclose(refined.columns[0], about.tolerance_columns[0] / 0.05, atol=0.1)
+
+
+def test_a_joint_step_of_effect_and_tolerance_leads_to_the_best_of_both():
+    problem = problem_of(Sums(ALIKE, scatter(0.05), floor=1e-3), {GAIN: 0.2})
+    stepped = joint_step(problem, fitted(problem, {GAIN: 0.5}, most_steps=0))
+    best = fitted(problem, {GAIN: 0.5}, most_steps=20)
+    assert stepped.values == pytest.approx(best.values, abs=1e-3)
+    assert stepped.tolerances == pytest.approx(best.tolerances, abs=1e-3)
+    assert joint_step(problem, best) is None
 
 
 def test_effects_act_beside_the_tolerances_that_fit_best():
