@@ -54,8 +54,9 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
     Gives the problem with these tolerances too.
     """
     best = latest = explanation, problem
-    usual = explanation.tolerance_chi2 <= len(explanation.tolerances)
-    done = (usual or not explanation.values) and _is_consistent(problem, explanation)
+    done = (_is_usual(explanation) or not explanation.values) and _is_consistent(
+        problem, explanation
+    )
     for _ in range(0 if done else _MOST_REPEATED):
         before, used = latest
         linear = _linear_about(used, before)
@@ -67,13 +68,18 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
         assert fitted is not None
         if problem.cost_of(fitted) < problem.cost_of(best[0]):
             best = fitted, about
-        if joint_step(about, as_it_is) is None and _is_consistent(about, fitted):
+        settled = _is_usual(fitted) or joint_step(about, as_it_is) is None
+        if settled and _is_consistent(about, fitted):
             break
         latest = joint_step(about, fitted) or fitted, about
     if best[1] is problem:
         return best
     alone = problem.predict([best[0].values])[0]
     return replace(best[0], without_tolerances=alone), best[1]
+
+
+def _is_usual(explanation: Explanation) -> bool:
+    return explanation.tolerance_chi2 <= len(explanation.tolerances)
 
 
 def _is_consistent(problem: Problem, explanation: Explanation) -> bool:
