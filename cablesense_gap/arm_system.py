@@ -42,8 +42,9 @@ from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import reading_variance_n2, replay_arm
 
-_LEAST_SUPPORTED = 0.98
-"""Share of the rows in which the nominal arm must have an equilibrium; the others are left out."""
+_LEAST_SUPPORTED = 0.9
+"""Share of the rows in which the nominal arm must have an equilibrium; the others are left out.
+Real arms bear loads near the nominal arm's limit. Loads in a wrong unit fail in most rows."""
 _PLAY = 0.03
 """Share of a cable's way after which it slides the other way, as seen by the reference."""
 _SKETCH_SHARE = 0.7

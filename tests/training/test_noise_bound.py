@@ -8,6 +8,7 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import SingleContact
+from cablesense_training.evaluation.anywhere import BoundedErrors
 from cablesense_training.evaluation.metrics import force_covariance_n2, noise_bound
 
 CDSM = open_arm("cdsm")
@@ -63,3 +64,10 @@ def test_statics_attain_the_bound_while_all_cables_are_taut(name):
     rmse = np.sqrt((error[taut] ** 2).mean())
     assert rmse == pytest.approx(bound.magnitude_rmse_n, rel=0.06)
     assert np.abs(error[taut]).mean() == pytest.approx(bound.magnitude_mae_n, rel=0.06)
+
+
+def test_errors_without_a_bound_are_not_compared_with_it():
+    error, bound = np.array([1.0, -5.0, 3.0]), np.array([0.5, 0.0, 1.0])
+    known = bound > 0.0
+    assert BoundedErrors.of(error, bound) == BoundedErrors.of(error[known], bound[known])
+    assert np.isnan(BoundedErrors.of(error[~known], bound[~known]).rms)

@@ -92,7 +92,8 @@ class BoundedErrors:
 
     @classmethod
     def of(cls, error: Array, bound_std: Array) -> Self:
-        """Of errors (C,) with their bounds (C,)."""
+        """Of errors (C,) with their bounds (C,); a bound of zero is unknown and does not count."""
+        error, bound_std = error[bound_std > 0.0], bound_std[bound_std > 0.0]
         if not len(error):
             return cls(*[float("nan")] * 5)
         size, ratio = np.abs(error), np.abs(error) / bound_std

@@ -365,10 +365,12 @@ def force_covariance_n2(dataset: Dataset) -> Array:
 
 
 def noise_bound(dataset: Dataset) -> NoiseBound:
-    """The bound over a single-contact dataset's contacts."""
+    """The bound over a single-contact dataset's contacts, without those where none is known."""
     dataset = dataset.select(dataset.segment > 0)
-    magnitude, angle_deg = dataset.magnitude_n, dataset.angle_deg
     covariance = force_covariance_n2(dataset)[dataset.contacts]
+    known = covariance.any(axis=(1, 2))
+    dataset, covariance = dataset.select(known), covariance[known]
+    magnitude, angle_deg = dataset.magnitude_n, dataset.angle_deg
     theta = np.deg2rad(angle_deg)
     force = magnitude[:, None] * np.stack([np.sin(theta), np.cos(theta)], axis=-1)
     root = np.linalg.cholesky(covariance)
