@@ -8,7 +8,7 @@ accepts them. On each it runs `gap protocol`, `gap withhold` with one effect (al
 warns of nothing; a verdict is right if it names the effect alone. `--folder` keeps the files and
 continues there; `--minutes` starts no further arm after that time. Arms 9 and 10 of seed 9601,
 1 of 9602 and of 9604, 5 of 9603, and those of 9605 to 9614, 9700 and 9701 were looked at while
-the diagnosis was made, 9610 to 9612 after they had been measured.
+the diagnosis was made. Those of 9610 to 9612 and 9615 were looked at after the measurement.
 """
 
 from __future__ import annotations

@@ -83,9 +83,9 @@ def refit_part(
 def joint_step(problem: Problem, explanation: Explanation) -> Explanation | None:
     """Values and tolerances where their joint linear model is best; the rest stays as it is.
 
-    None if that promises too little. `refine` varies effects alone, with the simulator, and
-    tolerances linearly. Where both imitate each other, such a step goes no farther than both are
-    linear alike.
+    None if that promises too little. `refine` simulates a change of effects and takes tolerances
+    linearly. If an effect and a tolerance are the same number, the two then differ by the effect's
+    curvature, and `refine` stops after a short step.
     """
     parameters = {term: problem.parameters[term] for term in explanation.values}
     return _Fit(problem, parameters).joint_step(explanation)

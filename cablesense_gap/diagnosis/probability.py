@@ -38,8 +38,7 @@ NEAR_BEST = 0.2
 """A rival has at least this share of the probability of the best."""
 
 _EQUAL = 0.99
-"""Explanations that have this share of the best one's probability are ordered by what they leave.
-"""
+"""Explanations with this share of the best one's probability are ordered by their residual."""
 
 PARALLEL = 0.75
 """The shapes of two changes do not differ if one is imitated to this share."""

@@ -49,8 +49,9 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
     """Fit the same effects with tolerances that are linear about the explanation.
 
     The search takes tolerances linear about a mechanism without effects, which is near enough to
-    choose by. Tolerances that are farther off than usual may carry a part of an effect. The effect
-    takes it over where the columns of both are taken about the explanation.
+    choose by. Tolerances that are farther off than usual may carry a part of an effect. Effects
+    and tolerances then step together, and the columns of both are taken anew, until tolerances are
+    usual or nothing is gained. The best of these fits counts: a step may lead too far.
     Gives the problem with these tolerances too.
     """
     best = latest = explanation, problem
@@ -63,12 +64,12 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
         if linear is None:
             break
         about, start_at = linear
-        as_it_is, fitted = (refit(about, before.values, n, start_at) for n in (0, 3))
-        assert as_it_is is not None
+        unmoved, fitted = (refit(about, before.values, n, start_at) for n in (0, 3))
+        assert unmoved is not None
         assert fitted is not None
         if problem.cost_of(fitted) < problem.cost_of(best[0]):
             best = fitted, about
-        settled = _is_usual(fitted) or joint_step(about, as_it_is) is None
+        settled = _is_usual(fitted) or joint_step(about, unmoved) is None
         if settled and _is_consistent(about, fitted):
             break
         latest = joint_step(about, fitted) or fitted, about

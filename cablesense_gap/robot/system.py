@@ -36,9 +36,9 @@ from cablesense_gap.verdict import ChannelGap, Gap, Verdict, Where
 UNIT = "floors"
 """Each channel is given in units of its floor."""
 _AGAINST, _JUDGED = 0.7, 0.1
-"""Least correlation with the negative of the model's that is believed; healthy joints of imperfect
-models reach 0.53. Share of the model's torque, beyond an offset and friction, that suffices to
-judge it."""
+"""Correlation with the negative of the model's torque above which a channel counts as reversed: an
+imperfect model's may be somewhat negative. And the share of the model's torque, apart from an
+offset and friction, that is enough to judge it."""
 _FOLLOWS, _OTHER_UNIT = 0.8, 5.0
 """Least correlation of a channel with the model's, and the ratio of both that is doubtful."""
 _PROBED, _USUAL = 0.01, 0.1
@@ -248,23 +248,23 @@ class RobotSystem(System):
         return dict(zip(self.comparison.names, shares.tolist(), strict=True))
 
     def reversed_channels(self) -> list[str]:
-        """Channels that move against the model's, whatever their size, offset and friction."""
+        """Channels that have the opposite sign of the model's, apart from offset and friction.
+
+        These are fitted to both first: they may dominate a torque, and the model need not have
+        them.
+        """
         motion, predicted = self.motion, self.predict([{}])[0]
-        unseen = [
-            motion.compared(each)
-            for each in (1.0 + 0.0 * motion.speed, motion.speed, motion.direction)
-        ]
+        nuisances = np.ones_like(motion.speed), motion.speed, motion.direction
+        of_joints = np.stack([motion.compared(each) for each in nuisances], axis=-1)
         found = []
-        for c, (name, column) in enumerate(
-            zip(self.comparison.names, self.comparison.columns, strict=True)
-        ):
-            own = np.column_stack([each[:, self.robot.joints.index(name)] for each in unseen])
+        for c, name in enumerate(self.comparison.names):
+            own = of_joints[:, self.robot.joints.index(name)]
             both = np.column_stack([self.readings[:, c], predicted[:, c]])
             both -= own @ np.linalg.lstsq(own, both, rcond=None)[0]
-            read, moved = np.linalg.norm(both, axis=0)
-            judged = moved > _JUDGED * np.linalg.norm(predicted[:, c])
-            if judged and both[:, 0] @ both[:, 1] < -_AGAINST * read * moved:
-                found.append(f"{column} looks as if it had the other sign")
+            measured, modelled = np.linalg.norm(both, axis=0)
+            judged = modelled > _JUDGED * np.linalg.norm(predicted[:, c])
+            if judged and both[:, 0] @ both[:, 1] < -_AGAINST * measured * modelled:
+                found.append(f"{self.comparison.columns[c]} looks as if it had the other sign")
         return found
 
     def doubtful(self) -> list[str]:

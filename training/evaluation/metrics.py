@@ -394,6 +394,7 @@ def multi_contact_bound_n(dataset: Dataset, weakest_n: float = 0.0) -> Array:
     theta = np.deg2rad(dataset.angles_deg)
     along = np.stack([np.sin(theta), np.cos(theta)], axis=-1)[..., None]
     variance = (along * (force_covariance_n2(dataset) @ along)).sum((-2, -1))
-    counted = dataset.contacts & (dataset.magnitudes_n >= weakest_n)
+    known = variance > 0.0  # see `tension_gain`
+    counted = dataset.contacts & known & (dataset.magnitudes_n >= weakest_n)
     std_n = np.sqrt(np.where(counted, variance, np.nan))
     return np.asarray(np.sqrt(2.0 / np.pi) * np.nanmean(std_n, axis=0))
