@@ -179,8 +179,7 @@ class Estimation:
             self.drift.interrupt()
         elif gate.angles_rad is not self._angles_rad:
             self._angles_rad = gate.angles_rad
-            if gate.angles_rad is not gate.command_rad or tares.state.linear_at_rad.size:
-                tares.follow(gate.angles_rad)
+            tares.follow(gate.angles_rad)
             followed = gate.pose_rad is not pose_rad and gate.pose_rad is not gate.command_rad
             if followed or tares.state.linear_at_rad is not linear_at_rad:
                 self._events.note(EventKind.FOLLOWED)
@@ -232,8 +231,7 @@ class Estimation:
         assert unloaded_n is not None  # or there would be no estimate
         difference_n = tensions_n - unloaded_n
         self.drift.add(difference_n, stamp_ns, touched=bool(found.contacts))
-        # in slow motion the pose is not known well enough to doubt an axial force
-        stated_doubt = "" if self.gate.turning else found.doubt
+        stated_doubt = found.doubt
         if self.gate.settling and found.misfit is not None and len(found.contacts) > 1:
             stated_doubt = "a second contact may be the motion of the arm"
         if check.unchecked or self.breathing.known:

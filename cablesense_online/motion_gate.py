@@ -21,6 +21,9 @@ _POSE_STEP_RAD = 2e-3
 milliseconds."""
 _BLIND_S, _SOME_COMMANDS = 3.0, 3
 """A warning is due after this time without an estimate, if this number of commands came."""
+_KEPT, _NOISE = 0.8, 0.5
+"""Of the averages of earlier changes of the command a new one keeps the first share; in noise
+changes cancel, so that the net one is a smaller share of their sizes than the second."""
 _ROUNDING_S = 1e-6
 """Waits that differ by less are the same: stamps are whole nanoseconds."""
 _SETTLED, _SWINGS = 3.0, 2.0
@@ -80,6 +83,12 @@ class MotionGate:
         return self._course.state[1], self.state.swing_rad_s2 * self._left_of_swing()
 
     @property
+    def noisy(self) -> bool:
+        """Whether the latest commands go back and forth, as an encoder's readings at rest do."""
+        net_rad = float(np.linalg.norm(self.state.net_turn_rad))
+        return net_rad < _NOISE * self.state.turns_rad
+
+    @property
     def shut(self) -> bool:
         """Whether the arm may have moved at the last sample, or was commanded since."""
         return self._starting or self._last_ns < self.state.rest_from_ns
@@ -101,7 +110,12 @@ class MotionGate:
             return False
         if not self.follows(command_rad):
             self._starting, self.shortened_s = True, 0.0
-        self.state.command_rad = command_rad.copy()
+        state, turn_rad = self.state, command_rad - self.command_rad
+        earlier_rad = state.net_turn_rad if state.net_turn_rad.size else np.zeros(len(turn_rad))
+        state.net_turn_rad = _KEPT * earlier_rad + (1.0 - _KEPT) * turn_rad
+        size_rad = float(np.linalg.norm(turn_rad))
+        state.turns_rad = _KEPT * state.turns_rad + (1.0 - _KEPT) * size_rad
+        state.command_rad = command_rad.copy()
         self._heading, self._resting = True, False
         self._commands_since += 1
         return True

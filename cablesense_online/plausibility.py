@@ -106,7 +106,7 @@ class PlausibilityCheck:
         self._fit: StatedContacts | None = None
         self._judged: StatedContacts | None = None
         self._nearly_slack: StatedContacts | None = None
-        self.doubt = self._last_doubt = ""
+        self.doubt = self._last_doubt = self._apart = ""
         self._steady: SteadyContact | None = None
         self._command_rad: Array | None = None
 
@@ -146,7 +146,8 @@ class PlausibilityCheck:
         if settling and contacts and self._largest < self.misfit <= most:
             misfit, stated_doubt = "", f"{misfit} while the arm moves or settles"
         if not misfit and stamp_ns >= until_ns:
-            self.doubt = self._doubted(difference_n, stamp_ns, settling) or stated_doubt
+            doubted = self._doubted(difference_n, stamp_ns, settling)
+            self.doubt = self._apart or doubted or stated_doubt
             self._last_doubt = self.doubt or self._last_doubt
             return
         self._steady = None
@@ -201,7 +202,7 @@ class PlausibilityCheck:
         due: bool,
     ) -> str:
         """Why the readings do not fit, as text; empty where they do."""
-        self._fit = None
+        self._fit, self._apart = None, ""
         if not contacts:
             self.misfit = self.arm.misfit(difference_n)
             return "" if self.misfit <= self._largest else self._described("no contact")
@@ -242,25 +243,30 @@ class PlausibilityCheck:
         A model takes a cable that pulls by less than a reading shows for slack: without its length
         few taut cables determine the pose badly. It is the stated misfit where no cable reads
         slack, where statics does not fit, and while a fault that lasts is not `due`, because an
-        equilibrium takes milliseconds. The last one that did fit is tried at any time.
+        equilibrium takes milliseconds. The last one that did fit is tried at any time. An estimate
+        far from the contacts that fit is doubted.
         """
         reading_n = self.arm.unloaded_n + difference_n
         if reading_n.min() > TAUT_SPREADS * self.arm.spread_n:
             return fit.misfit
         for near in self._near(fit, due=due):
-            misfit, off_n = near.misfit_of(difference_n), math.dist(near.force_n, fit.force_n)
-            if misfit <= largest and off_n <= FORCE_OFF_N:
+            misfit = near.misfit_of(difference_n)
+            if misfit <= largest:
                 self._nearly_slack = near
+                same = near.segments == fit.segments
+                if not same or math.dist(near.force_n, fit.force_n) > FORCE_OFF_N:
+                    self._apart = f"{on_segments(near.segments)} fits better than the estimate"
                 return misfit
         return fit.misfit
 
     def _near(self, fit: StatedContacts, *, due: bool) -> Iterator[StatedContacts]:
-        if self._nearly_slack is not None and self._nearly_slack.segments == fit.segments:
+        if self._nearly_slack is not None:
             yield self._nearly_slack
         if due:
             yield fit
             if (refitted := fit.refitted()) is not None:
                 yield refitted
+            yield from fit.beside()
 
     def _described(self, contact: str) -> str:
         text = f"readings lie {self.misfit:.1f} times as far from {contact} as by their noise"

@@ -152,6 +152,8 @@ class GateState(BaseModel):
         turned_ns: stamp at which the last turn beyond `still_rad` arrives.
         swing_rad_s2, swung_ns: (2N,) accelerations with which the arm swung at a stamp; empty
             where it has not moved.
+        net_turn_rad, turns_rad: averages of the latest changes of the command (2N,), and of their
+            sizes.
     """
 
     command_rad: Vector
@@ -162,6 +164,8 @@ class GateState(BaseModel):
     turned_ns: WholeNumber = LONG_AGO_NS
     swing_rad_s2: Vector = _EMPTY
     swung_ns: WholeNumber = LONG_AGO_NS
+    net_turn_rad: Vector = _EMPTY
+    turns_rad: _NotNegative = 0.0
 
 
 def utc_text(time_ns: int) -> str:

@@ -9,7 +9,7 @@ were wrong.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -43,6 +43,9 @@ ANYWHERE_NUMBERS: Final = 4
 
 _PLACE_STD_M = 1e-6
 """The place of a contact at the contact point of the arm file is known."""
+
+_ACROSS_N = 1.0
+"""A force across a contact that turns a joint over which hardly pulls at its cables."""
 
 _NEAR = (2.0, 2.0, 0.2, 0.2, 0.2)
 """The response of the tensions counts as the same over these changes of a normal force, N, and of
@@ -225,16 +228,34 @@ class StatedContacts:
     def refitted(self) -> StatedContacts | None:
         """The contacts nearby that explain the readings better, by one Gauss-Newton step.
 
-        Models of contacts anywhere only. None where the arm cannot rest under these contacts.
+        None where the arm cannot rest under these contacts.
         """
-        if self._linear is None or self._reach_m is None:
+        if self._linear is None:
             return None
-        change = (self._linear[2] @ self._residual(self._difference_n)).reshape(-1, 4)
+        return self._changed(self._linear[2] @ self._residual(self._difference_n))
+
+    def beside(self) -> Iterator[StatedContacts]:
+        """The contacts with a small force more across each, to either side.
+
+        A joint may be free between two cables that hardly pull; either may be the taut one.
+        """
+        across = np.zeros((len(self._contacts), 4))
+        for row, contact in zip(across, self._contacts, strict=True):
+            y, z = contact.direction
+            row[1:3] = -_ACROSS_N * z, _ACROSS_N * y
+        yield self._changed(across)
+        yield self._changed(-across)
+
+    def _changed(self, change: Array) -> StatedContacts:
+        """The contacts after changes (4 K,) of their numbers, within the reach."""
         contacts = []
-        for contact, force, part in zip(self._contacts, self._forces, change, strict=True):
-            force_n, reach_m = (force + part[:3]).tolist(), self._reach_m[contact.segment - 1]
-            at_m = float(np.clip(contact.contact_m + part[3], *reach_m))
+        changes = change.reshape(-1, 4)
+        for contact, force, part in zip(self._contacts, self._forces, changes, strict=True):
+            at_m = contact.contact_m
+            if self._reach_m is not None:
+                at_m = float(np.clip(at_m + part[3], *self._reach_m[contact.segment - 1]))
             known = contact.magnitude_n > 0.0  # else its moment is
+            force_n = (force + part[:3]).tolist()
             contacts.append(Contact.of_force(contact.segment, force_n, at_m, known=known))
         return StatedContacts(self._arm, self._difference_n, contacts, self.misfit, self._reach_m)
 

@@ -94,6 +94,7 @@ class Tares:
         self.state.predicted_n = predicted_n
         self._linearise(None)
         self._readings.clear()
+        self._readings_at_rad = command_rad
         tare, dropped = self.present, False
         if first and np.abs(predicted_n - before_n).max() > self._deviation_n:
             kept = [earlier for earlier in self._earlier if not earlier.by_itself]
@@ -111,6 +112,8 @@ class Tares:
         Raises:
             EquilibriumError: the unloaded arm has no rest there.
         """
+        if self._near is None and np.array_equal(angles_rad, self._readings_at_rad):
+            return  # solved there
         if self._near is None or np.abs(angles_rad - self._near[0]).max() > _LINEAR_RAD:
             self._linearise(angles_rad)
         assert self._near is not None
@@ -234,6 +237,7 @@ class Tares:
                 state.tare = state.tare.model_copy(update=predicted)
         self._earlier.clear()
         self._readings.clear()
+        self._readings_at_rad = angles_rad
         self._contact, self.automatic = None, False
         self.state = state
         self._linearise(state.linear_at_rad if state.linear_at_rad.size else None)

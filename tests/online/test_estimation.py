@@ -228,6 +228,35 @@ def test_a_push_is_stated_while_all_joints_turn_slowly():
     assert np.mean(covered) > 0.93
 
 
+def test_the_tare_arrives_where_a_fast_trajectory_ends_slowly():
+    """Its last commands are followed, as slow ones are, while the arm still counts as moving."""
+    beside = Beside(still_rad=np.deg2rad(0.02), follow_rad_s=np.deg2rad(4.0), tare_samples=10)
+    share = np.minimum(np.arange(1, 301) / 200.0, 1.0)
+    for turn_rad in 0.2 * share**3 * (10.0 - 15.0 * share + 6.0 * share**2):
+        beside.go_to(np.full(8, turn_rad))
+        beside.sample()
+    tares, unloaded = beside.estimation.tares, beside.estimation.plausibility.arm
+    expected_n = tares.present.unloaded_n(unloaded.predict_n(np.full(8, 0.2)))
+    np.testing.assert_allclose(tares.unloaded_n, expected_n, atol=1e-3)
+
+
+def test_commands_with_the_noise_of_an_encoder_leave_an_arm_at_rest_its_estimate():
+    beside, answers = Beside(still_rad=3e-4, follow_rad_s=0.07, tare_samples=10), []
+    rng = np.random.default_rng(5)
+    for tick in range(300):
+        if tick == 50:
+            beside.push(3, [0.0, 30.0, 0.0])
+        if tick > 100:
+            beside.estimation.command(joint_command(ARM, rng.normal(0.0, 1e-3, 8)))
+            answers.append(beside.sample())
+        else:
+            beside.sample()
+    off_n = [answer.contact.magnitude_n - 30.0 for answer in answers]
+    width_n = [answer.estimate.high_n - answer.estimate.low_n for answer in answers]
+    assert np.percentile(np.abs(off_n), 95.0) < 0.3
+    assert np.percentile(width_n, 90.0) < 0.5
+
+
 @pytest.mark.slow
 def test_a_push_is_estimated_in_motion():
     """By a model with memory, while the arm goes to and fro."""

@@ -79,8 +79,10 @@ def test_further_torques_widen_what_is_stated_by_their_covariance(pushed, model)
     model.torque_covariance_n2_m2 = 3.0 * np.linalg.inv(balance.precision[0])
     try:
         widened = model.estimate(*sample)
+        assert model.estimate(*sample).magnitude_std_n == widened.magnitude_std_n
     finally:
         model.torque_covariance_n2_m2 = None
+    assert model.estimate(*sample).magnitude_std_n == alone.magnitude_std_n
     assert widened.magnitude_n == pytest.approx(alone.magnitude_n, abs=0.05)
     for name in ("magnitude_std_n", "angle_std_deg"):
         assert getattr(widened, name) == pytest.approx(2.0 * getattr(alone, name), rel=0.05)

@@ -59,8 +59,11 @@ class AnywhereEstimator(Estimator):
         self._joint_m = [0.0, *np.cumsum(length_m).tolist()]
         from cablesense_sim.contact_posterior import locate_each, unfilled
 
-        # views of the buffers that every single sample is answered in
-        self._balance = TorqueBalance(*(part[None] for part in self._single.outputs[:-1]))
+        # views of the buffers that every single sample is answered in; the precision is that of
+        # the pose, and is written with a new one only
+        stated = TorqueBalance(*(part[None] for part in self._single.outputs[:-1]))
+        self._precision = stated.precision[0]
+        self._balance = stated._replace(precision=stated.precision.copy())
         self._found = unfilled(1, len(self.reach_m))
         posterior_input = compiled_input(self._balance, self.reach_m, self.surface)
         self._locate = partial(locate_each, *posterior_input, self._found)
@@ -110,9 +113,10 @@ class AnywhereEstimator(Estimator):
         return pair, _misfit(pair.chi2.item(), self._single.outputs[-1], 2)
 
     def _of_one(self, outputs: list[Array]) -> Estimate:
+        precision = self._precision
         if (further := self.torque_covariance_n2_m2) is not None:
-            precision = self._balance.precision[0]
-            precision[:] = np.linalg.solve(np.eye(len(further)) + precision @ further, precision)
+            precision = np.linalg.solve(np.eye(len(further)) + precision @ further, precision)
+        self._balance.precision[0] = precision
         self._locate()
         return self._estimate(self._found, 0, outputs[-1])
 
