@@ -188,22 +188,6 @@ class Beside:
 
 
 @pytest.mark.slow
-def test_a_push_is_estimated_while_commands_stream_that_slowly_move():
-    beside = Beside(still_rad=np.deg2rad(0.02), follow_rad_s=np.deg2rad(4.0))
-    for tick in range(1, 251):
-        angles = np.zeros(8)
-        angles[2] = np.deg2rad(1.0) * np.sin(2.0 * max(0.0, beside.now_s - 0.5))
-        beside.go_to(angles)
-        if tick == 100:
-            beside.push(3, [0.0, 30.0, 0.0])
-        answer = beside.sample()
-        if tick >= 130:
-            assert answer.force is ForceState.CONTACT
-            assert answer.contact.segment == 3
-            assert abs(answer.contact.magnitude_n - 30.0) < 0.5
-
-
-@pytest.mark.slow
 def test_a_push_is_stated_while_all_joints_turn_slowly():
     """The misfit that the motion makes withholds no force, and intervals allow for damping."""
     limits = {"still_rad": np.deg2rad(0.02), "follow_rad_s": np.deg2rad(4.0)}
