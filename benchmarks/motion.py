@@ -205,7 +205,7 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=7301, help="of poses, pushes and noise")
     options.add_argument("--workers", type=int, default=2, help="processes")
     given = options.parse_args()
-    result: dict[str, Any] = {}
+    result: dict[str, Any] = {"of_each_figure": PERCENTILES}
     latest_s = estimation_settings().settle_s + LATE_S
     in_time, answered = [], []
     with WorkerPool(given.workers, given.seed) as pool:
@@ -214,12 +214,13 @@ def main() -> None:
             runs = pool.map(moved, [name] * given.moves, [title] * given.moves, numbers)
             found = np.array(list(track(runs, f"{name}, {title}", given.moves)))
             figures = dict(zip(FIGURES, found.T[:-1], strict=True))
-            of = {what: harness.percentiles(each, PERCENTILES) for what, each in figures.items()}
             if title == ENCODER:
-                of["share_beyond_three_noises"] = harness.percentiles(found[:, -1], PERCENTILES)
+                figures["share_beyond_three_noises"] = found[:, -1]
                 answered += (1.0 - found[:, [1, -1]].mean(axis=0)).tolist()
             in_time.append(float(np.mean(found[:, 0] <= latest_s)))
-            result.setdefault(name, {})[title] = {"in_time": in_time[-1], **of}
+            of = {what: harness.percentiles(each, PERCENTILES) for what, each in figures.items()}
+            short = {what: list(each.values()) for what, each in of.items()}
+            result.setdefault(name, {})[title] = {"in_time": in_time[-1], **short}
     result["bars"] = {
         f"back within {latest_s:g} s in {IN_TIME:.0%} of the moves": min(in_time) >= IN_TIME,
         f"{ANSWERED:.0%} answered and near under an encoder's noise": min(answered) >= ANSWERED,
