@@ -72,7 +72,8 @@ BLOCK = 1000
 class MarkedReadings:
     """Readings of an arm, untouched and then pushed again and again, marked with their cycle.
 
-    Two bits of each reading are a digit of the cycle's number. All channels have one step.
+    Two bits of each reading are a digit of the cycle's number, the higher ones with the lowest
+    added: no channel may look stuck. All channels have one step.
     """
 
     def __init__(self, map_name: str) -> None:
@@ -98,12 +99,16 @@ class MarkedReadings:
         """(C, M) readings of cycles (C,), in steps."""
         pushed_s = cycle / self._rate_hz - UNTOUCHED_S
         row = np.where(pushed_s < 0.0, 0, 1 + (pushed_s // PUSH_S).astype(np.int64) % PUSHES)
-        return self._plain[row] + ((cycle[:, None] >> self._shifts) & 3)
+        digits = (cycle[:, None] >> self._shifts) & 3
+        digits[:, 1:] += digits[:, :1]
+        return self._plain[row] + (digits & 3)
 
     def cycles(self, tensions_n: Array, played: int) -> Integers:
         """The cycle (C,) of each sample (C, M); -1 of one that was not sent."""
         steps = np.rint(tensions_n / self.step_n).astype(np.int64)
-        cycle = ((steps & 3) << self._shifts).sum(axis=1)
+        digits = steps & 3
+        digits[:, 1:] -= digits[:, :1]
+        cycle = ((digits & 3) << self._shifts).sum(axis=1)
         sent = (cycle < played) & (self.steps(cycle) == steps).all(axis=1)
         return np.where(sent, cycle, -1)
 
