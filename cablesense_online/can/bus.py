@@ -96,10 +96,44 @@ class CanInterface:
             )
             if self.interface == "slcan":
                 bus.flush()  # type: ignore[attr-defined]  # discards frames from before opening
+                bus.serialPortOrig = _InBlocks(bus.serialPortOrig)  # type: ignore[attr-defined]
             return bus
         except Exception as error:  # each adapter's driver raises its own errors
             reason = " ".join(str(error).split())[:300] or type(error).__name__
             raise CanInterfaceError(f"{self.name} cannot be opened ({reason})") from error
+
+
+class _InBlocks:
+    """A serial port that is read in blocks: python-can takes single bytes, each a system call."""
+
+    def __init__(self, port: Any) -> None:
+        self._port, self._block, self._at = port, b"", 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._port, name)
+
+    @property
+    def write_timeout(self) -> float | None:
+        """How long a write may take, s."""
+        timeout_s: float | None = self._port.write_timeout
+        return timeout_s
+
+    @write_timeout.setter
+    def write_timeout(self, timeout_s: float | None) -> None:
+        self._port.write_timeout = timeout_s
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that can be read at once."""
+        return len(self._block) - self._at or int(self._port.in_waiting)
+
+    def read(self, size: int = 1) -> bytes:
+        """Up to `size` bytes; waits for the first as the port does."""
+        if self._at == len(self._block):
+            self._block, self._at = self._port.read(max(size, self._port.in_waiting)), 0
+        read = self._block[self._at : self._at + size]
+        self._at += len(read)
+        return read
 
 
 class FaultKind(Enum):
