@@ -48,7 +48,8 @@ FIGURES = (
 )
 ENCODER, NOISE_RAD, NOISE_HZ, NOISY_PUSH_N = "encoder noise at rest", 1e-3, 100, 30.0
 ANSWERED, NOISES = 0.95, 3.0
-"""The bar under noise: the share of samples with a force, and that within so many deviations."""
+"""The bar under noise: this share of samples has a force, and this share of forces is within three
+standard deviations of those at single noisy poses."""
 SINGLE_POSES = 40
 PERCENTILES = ("median", "99 %", "worst")
 Course = list[tuple[float, float | Array]]

@@ -322,9 +322,9 @@ class AnywhereModel(ContactModel):
         self._inertia_kg_m2 = _inertia_kg_m2(mechanism)
 
     def _found(self, difference_n: Array, threshold: float) -> FoundContacts:
-        """Torques of damping and inertia count as noise of their own size.
+        """Damping and inertia count as noise that is as large as their torques.
 
-        Under noisy commands they do so only if the readings are not those of an arm at rest.
+        Under noisy commands they count only if the readings are not those of an arm at rest.
         """
         self._estimator.torque_covariance_n2_m2 = None
         if (unrest := self._gate.unrest) is None:

@@ -22,8 +22,8 @@ milliseconds."""
 _BLIND_S, _SOME_COMMANDS = 3.0, 3
 """A warning is due after this time without an estimate, if this number of commands came."""
 _KEPT, _NOISE = 0.8, 0.5
-"""Of the averages of earlier changes of the command a new one keeps the first share; in noise
-changes cancel, so that the net one is a smaller share of their sizes than the second."""
+"""Changes of the command are averaged, and each new average keeps the first share of the last one.
+Changes by noise cancel: their mean is less than the second share of their mean size."""
 _ROUNDING_S = 1e-6
 """Waits that differ by less are the same: stamps are whole nanoseconds."""
 _SETTLED, _SWINGS = 3.0, 2.0

@@ -45,7 +45,7 @@ _PLACE_STD_M = 1e-6
 """The place of a contact at the contact point of the arm file is known."""
 
 _ACROSS_N = 1.0
-"""A force across a contact that turns a joint over which hardly pulls at its cables."""
+"""Added across a contact, it turns a joint whose cables hardly pull over to the other side."""
 
 _NEAR = (2.0, 2.0, 0.2, 0.2, 0.2)
 """The response of the tensions counts as the same over these changes of a normal force, N, and of

@@ -37,8 +37,8 @@ UNIT = "floors"
 """Each channel is given in units of its floor."""
 _AGAINST, _JUDGED = 0.7, 0.1
 """Correlation with the negative of the model's torque above which a channel counts as reversed: an
-imperfect model's may be somewhat negative. And the share of the model's torque, apart from an
-offset and friction, that is enough to judge it."""
+imperfect model's may be somewhat negative. A channel is judged if at least the second share of the
+model's torque is left beyond an offset and friction."""
 _FOLLOWS, _OTHER_UNIT = 0.8, 5.0
 """Least correlation of a channel with the model's, and the ratio of both that is doubtful."""
 _PROBED, _USUAL = 0.01, 0.1
@@ -248,10 +248,10 @@ class RobotSystem(System):
         return dict(zip(self.comparison.names, shares.tolist(), strict=True))
 
     def reversed_channels(self) -> list[str]:
-        """Channels that have the opposite sign of the model's, apart from offset and friction.
+        """Channels that have the opposite sign of the model's.
 
-        These are fitted to both first: they may dominate a torque, and the model need not have
-        them.
+        Offset and friction are fitted to both first: they may dominate a torque, and the model
+        need not have them.
         """
         motion, predicted = self.motion, self.predict([{}])[0]
         nuisances = np.ones_like(motion.speed), motion.speed, motion.direction
