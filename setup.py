@@ -52,7 +52,7 @@ EXTRAS = {
         "zstandard",  # as lz4, for what rosbag2 packs by default
     ],
     "train": [
-        "distributed",  # datasets made on a Dask cluster of more than one machine
+        "distributed",  # datasets, and series of recordings, on a Dask cluster
         "onnxscript",  # torch exports through it
         "pillow",  # the animation of an example in few colours
         "pyarrow>=14.0.1",  # datasets are Parquet; older releases run code that a file brings

@@ -7,8 +7,8 @@ Four processes: the amplifiers play a sequence of pushes as frames over slcan on
 every wrench. First the packed amplifier at 1,000 samples a second, then for a minute twelve
 CiA 404 amplifiers at 500, the most that a bus of 1 Mbit/s carries of them.
 
-Everything is counted by value: the two lowest bits of each of the twelve values spell the cycle's
-number, and the rest is an arm under changing pushes. A sample must be one that was sent, once and
+Everything is counted by value: the lowest bits of the twelve values spell the cycle's number, and
+the rest is an arm under changing pushes. A sample must be one that was sent, once and
 in its order, and be answered by a wrench with its stamp. Frames that the pseudo-terminal does not
 take (it holds some 18 kB, a quarter of a second of these frames) are counted separately. Latency
 is from when the last frame of a cycle was on the terminal until the wrench was here, by one clock.
@@ -72,8 +72,9 @@ BLOCK = 1000
 class MarkedReadings:
     """Readings of an arm, untouched and then pushed again and again, marked with their cycle.
 
-    Two bits of each reading are a digit of the cycle's number, the higher ones with the lowest
-    added: no channel may look stuck. All channels have one step.
+    The lowest bit of each reading is one of the cycle's number, exclusive or with the lowest: so
+    no channel looks stuck, and the readings are as noisy as the arm's sensors. All channels have
+    one step. The bits count to 4,096; which round of them it is follows from the order.
     """
 
     def __init__(self, map_name: str) -> None:
@@ -91,24 +92,24 @@ class MarkedReadings:
         untouched_n = solve_equilibrium(mechanism, command[:1]).tensions_n
         pushed_n = solve_equilibrium(mechanism, command, forces).tensions_n
         tensions_n = np.vstack([untouched_n, pushed_n])
-        self._plain = 4 * np.rint(tensions_n / (4.0 * self.step_n)).astype(np.int64)
-        self._shifts = 2 * np.arange(arm.cable_count)
+        self._plain = 2 * np.rint(tensions_n / (2.0 * self.step_n)).astype(np.int64)
+        self._shifts = np.arange(arm.cable_count)
         self._rate_hz = RATES_HZ[map_name]
 
     def steps(self, cycle: Integers) -> Integers:
         """(C, M) readings of cycles (C,), in steps."""
         pushed_s = cycle / self._rate_hz - UNTOUCHED_S
         row = np.where(pushed_s < 0.0, 0, 1 + (pushed_s // PUSH_S).astype(np.int64) % PUSHES)
-        digits = (cycle[:, None] >> self._shifts) & 3
-        digits[:, 1:] += digits[:, :1]
-        return self._plain[row] + (digits & 3)
+        bits = (cycle[:, None] >> self._shifts) & 1
+        bits[:, 1:] ^= bits[:, :1]
+        return self._plain[row] + bits
 
     def cycles(self, tensions_n: Array, played: int) -> Integers:
         """The cycle (C,) of each sample (C, M); -1 of one that was not sent."""
         steps = np.rint(tensions_n / self.step_n).astype(np.int64)
-        digits = steps & 3
-        digits[:, 1:] -= digits[:, :1]
-        cycle = ((digits & 3) << self._shifts).sum(axis=1)
+        bits = steps & 1
+        bits[:, 1:] ^= bits[:, :1]
+        cycle = np.unwrap((bits << self._shifts).sum(axis=1), period=1 << len(self._shifts))
         sent = (cycle < played) & (self.steps(cycle) == steps).all(axis=1)
         return np.where(sent, cycle, -1)
 

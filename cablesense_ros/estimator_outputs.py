@@ -98,6 +98,8 @@ class EstimatorOutputs:
             MultiArrayDimension(label=numbers, size=4, stride=4 * size) for size in (4, 1)
         ]
         self._direction_out = outputs.make(Vector3Stamped, topics.FORCE_DIRECTION)
+        where_out = self._point_out, self._region_out, self._pose_out
+        self._contact_outs = *where_out, self._covariance_out, self._direction_out
         self._probabilities_out = outputs.make(Float64MultiArray, topics.CONTACT_PROBABILITIES)
         labels = ["none", *(f"segment_{n + 1}" for n in range(frames.segment_count))]
         self._probabilities = Float64MultiArray()
@@ -131,7 +133,7 @@ class EstimatorOutputs:
             message.header.frame_id = self._frames.base
             put_state(message, answer.state, DiagnosticStatus, KeyValue)
             self._journal_out.publish(message)
-        if contact.segment:
+        if contact.segment and any(out.subscribed for out in self._contact_outs):
             self._publish_contact(answer, stamp_ns)
         if now_s >= self._next_display_s:
             self._next_display_s = now_s + DISPLAY_PERIOD_S

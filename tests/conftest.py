@@ -94,3 +94,14 @@ def pytest_runtest_setup(item):
     """Whoever has other tests than those of real nodes lets these go first."""
     if hasattr(item.config, "workerinput") and not _in_real_time(item.nodeid):
         os.nice(max(0, BEHIND - os.nice(0)))
+
+
+@pytest.fixture
+def dask_address():
+    import distributed
+
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", host="127.0.0.1",
+        dashboard_address=None,
+    ) as cluster:  # fmt: skip
+        yield cluster.scheduler_address

@@ -6,6 +6,7 @@ frame's id and data.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -96,18 +97,21 @@ class CanInterface:
             )
             if self.interface == "slcan":
                 bus.flush()  # type: ignore[attr-defined]  # discards frames from before opening
-                bus.serialPortOrig = _InBlocks(bus.serialPortOrig)  # type: ignore[attr-defined]
+                bus.serialPortOrig = _InLines(bus.serialPortOrig)  # type: ignore[attr-defined]
             return bus
         except Exception as error:  # each adapter's driver raises its own errors
             reason = " ".join(str(error).split())[:300] or type(error).__name__
             raise CanInterfaceError(f"{self.name} cannot be opened ({reason})") from error
 
 
-class _InBlocks:
-    """A serial port that is read in blocks: python-can takes single bytes, each a system call."""
+_LINE = re.compile(rb"[^\r\a]+|[\r\a]")
+
+
+class _InLines:
+    """A serial port read in blocks and lines: python-can makes a system call for each byte."""
 
     def __init__(self, port: Any) -> None:
-        self._port, self._block, self._at = port, b"", 0
+        self._port, self._lines, self._at = port, b"", 0
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._port, name)
@@ -125,15 +129,20 @@ class _InBlocks:
     @property
     def in_waiting(self) -> int:
         """Bytes that can be read at once."""
-        return len(self._block) - self._at or int(self._port.in_waiting)
+        return len(self._lines) - self._at or int(self._port.in_waiting)
 
-    def read(self, size: int = 1) -> bytes:
-        """Up to `size` bytes; waits for the first as the port does."""
-        if self._at == len(self._block):
-            self._block, self._at = self._port.read(max(size, self._port.in_waiting)), 0
-        read = self._block[self._at : self._at + size]
-        self._at += len(read)
-        return read
+    def read(self, _: int = 1) -> bytes:
+        """A line without its end, or its end; waits as the port does.
+
+        python-can asks for one byte, appends what it gets, and compares it with the two ends.
+        """
+        if self._at == len(self._lines):
+            self._lines, self._at = self._port.read(1) + self._port.read(self._port.in_waiting), 0
+        line = _LINE.match(self._lines, self._at)
+        if line is None:
+            return b""
+        self._at = line.end()
+        return line.group()
 
 
 class FaultKind(Enum):

@@ -5,15 +5,18 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
+from functools import partial
 from glob import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
 from rich.console import Console
 
+from cablesense_base.cluster import map_on_cluster
 from cablesense_base.files import output_file, output_folder
 from cablesense_ros.cli.options import (
+    DaskOption,
     DurationOption,
     ForceOption,
     JsonOption,
@@ -30,6 +33,8 @@ from cablesense_ros.cli.options import (
 if TYPE_CHECKING:
     from cablesense_gap.verdict import Verdict
 
+_Machine: TypeAlias = "tuple[Callable[[Path], Any], Callable[..., Verdict], Any]"
+"""How to read a recording, how to diagnose one with a healthy one, and the model."""
 _KEEP_ONE = (
     "Record one after commissioning, and keep it: cablesense gap diagnose NEW --reference IT then "
     "says what changed."
@@ -166,12 +171,14 @@ def watch(
     arm: NominalArmOption = "cdsm_lab",
     model: ModelOption = None,
     workers: WorkersOption = 2,
+    dask_scheduler: DaskOption = None,
     force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:
     """Show what drifts: each recording of a folder is diagnosed with the first as the reference.
 
-    The first recording is that of the healthy machine, as after commissioning.
+    The first recording is that of the healthy machine, as after commissioning. A Dask cluster
+    diagnoses as many recordings at a time as it has workers.
 
     Example: [bold]cablesense gap watch recordings --model robot.xml --out drift[/bold]
     """
@@ -179,14 +186,20 @@ def watch(
 
     if model is not None:
         refuse_given(context, ["arm"], "with --model")
+    if dask_scheduler is not None:
+        refuse_given(context, ["workers"], "with --dask-scheduler")
     first, *later = series(folder)
     output_folder(out, WATCH_FILES, force=force, inputs=(first, *later))
-    diagnosed = _of_arm(arm, workers) if model is None else _of_robot(model, workers)
+    read, diagnosed, machine = _of_arm(arm) if model is None else _of_robot(model)
+    recordings, shared = map(read, later), (machine, read(first))
+    found: Iterator[Verdict] = (diagnosed(*shared, each, workers) for each in recordings)
+    if dask_scheduler is not None:
+        found = map_on_cluster(dask_scheduler, diagnosed, recordings, *shared)
     console = Console(stderr=json_output)
     verdicts: list[Verdict] = []
     for path in later:
         with console.status(f"{path.name}, {len(verdicts) + 1} of {len(later)}"):
-            verdicts.append(diagnosed(path, first))
+            verdicts.append(next(found))
     write_drift(out, verdicts)
     if json_output:
         print_json([each.model_dump(mode="json", exclude_none=True) for each in verdicts])
@@ -201,32 +214,33 @@ def watch(
     console.print(f"Numbers and picture: {out}", soft_wrap=True)
 
 
-def _of_arm(arm: str, workers: int) -> Callable[[Path, Path], Verdict]:
-    from cablesense_gap.arm_system import diagnose
+def _of_arm(arm: str) -> _Machine:
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_sim.arm import open_arm
 
     nominal = open_arm(arm)
-
-    def diagnosed(path: Path, first: Path) -> Verdict:
-        recorded, healthy = (read_recording(each, nominal) for each in (path, first))
-        return diagnose(recorded, nominal, workers=workers, reference=healthy).verdict
-
-    return diagnosed
+    return partial(read_recording, arm=nominal), _arm_verdict, nominal
 
 
-def _of_robot(model: Path, workers: int) -> Callable[[Path, Path], Verdict]:
+def _of_robot(model: Path) -> _Machine:
     from cablesense_gap.robot.amending import load_amended
     from cablesense_gap.robot.recording import read_recording
-    from cablesense_gap.robot.system import diagnose
 
     robot, beside = load_amended(model)
+    return partial(read_recording, robot=robot), _robot_verdict, (robot, beside)
 
-    def diagnosed(path: Path, first: Path) -> Verdict:
-        recorded, healthy = (read_recording(each, robot) for each in (path, first))
-        return diagnose(recorded, robot, beside, workers=workers, reference=healthy).verdict
 
-    return diagnosed
+def _arm_verdict(nominal: Any, healthy: Any, recorded: Any, workers: int = 1) -> Verdict:
+    from cablesense_gap.arm_system import diagnose
+
+    return diagnose(recorded, nominal, workers=workers, reference=healthy).verdict
+
+
+def _robot_verdict(machine: Any, healthy: Any, recorded: Any, workers: int = 1) -> Verdict:
+    from cablesense_gap.robot.system import diagnose
+
+    robot, beside = machine
+    return diagnose(recorded, robot, beside, workers=workers, reference=healthy).verdict
 
 
 def score(

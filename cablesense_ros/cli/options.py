@@ -41,6 +41,9 @@ ForceOption = Annotated[
     bool, typer.Option("--force", help="Replace files of the same names that exist already.")
 ]
 WorkersOption = Annotated[int, typer.Option(min=1, max=256, help="Processes to use.")]
+DaskOption = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Run on this Dask cluster instead.")
+]
 
 
 class OptionError(CableSenseError):

@@ -13,7 +13,13 @@ import typer
 
 from cablesense_base.files import output_file
 from cablesense_base.progress import progress_bar
-from cablesense_ros.cli.options import ForceOption, JsonOption, print_result, refuse_given
+from cablesense_ros.cli.options import (
+    DaskOption,
+    ForceOption,
+    JsonOption,
+    print_result,
+    refuse_given,
+)
 
 ArmOption = Annotated[str, typer.Option(help="Arm file: the name of a bundled one, or a path.")]
 PoseOption = Annotated[
@@ -91,9 +97,7 @@ def dataset(
     workers: Annotated[
         int, typer.Option(help="Processes to use; has no influence on the file.")
     ] = 1,
-    dask_scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Run on this Dask cluster instead.")
-    ] = None,
+    dask_scheduler: DaskOption = None,
     force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:

@@ -103,7 +103,7 @@ def test_unmodelled_torques_move_with_a_zero_and_are_read_with_a_torque_s_scale(
 
 
 @pytest.mark.slow
-def test_a_series_of_recordings_shows_what_drifts(tmp_path):
+def test_a_series_of_recordings_shows_what_drifts(dask_address, tmp_path):
     dated, out = tmp_path / "dated", tmp_path / "drift"
     dated.mkdir()
     for month, size in enumerate((0.0, 0.0, 0.3), start=1):
@@ -116,6 +116,10 @@ def test_a_series_of_recordings_shows_what_drifts(tmp_path):
     found = table["joint_friction.shoulder.torque_n_m, N·m"]
     assert found[1] == pytest.approx(0.3, rel=0.2)
     assert (out / "drift.png").read_bytes().startswith(b"\x89PNG")
+    on_cluster = ["--dask-scheduler", dask_address, "--force"]
+    ran = CliRunner().invoke(app, [*map(str, asked), *on_cluster])
+    assert ran.exit_code == 0, ran.output
+    pd.testing.assert_frame_equal(pd.read_csv(out / "drift.csv"), table)
     with pytest.raises(SeriesError, match="holds 0 recordings"):
         CliRunner().invoke(
             app, ["gap", "watch", str(out / "none"), "--out", str(out)], catch_exceptions=False

@@ -5,15 +5,16 @@ from __future__ import annotations
 import hashlib
 import re
 
+import distributed
 import numpy as np
 import pytest
 from arm_variants import variant
 
+from cablesense_base import cluster
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
-from cablesense_training.data import generation
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset, generate
 from cablesense_training.data.parquet import produce_dataset
@@ -48,28 +49,22 @@ def test_worker_processes_write_the_same_bytes(arm, one_worker, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_dask_cluster_writes_the_same_bytes(arm, one_worker, tmp_path, monkeypatch):
-    import distributed
-
+def test_a_dask_cluster_writes_the_same_bytes(
+    arm, one_worker, dask_address, tmp_path, monkeypatch
+):
     path = tmp_path / "dask.parquet"
-    threads = {"processes": False, "n_workers": 2, "threads_per_worker": 1}
-    with distributed.LocalCluster(
-        **threads, protocol="tcp", host="127.0.0.1", dashboard_address=None
-    ) as cluster:
-        address = cluster.scheduler_address
-        produce_dataset(path, arm, PROTOCOL, 7, command="", dask_scheduler=address)
-        assert digest(path) == one_worker
-
-        monkeypatch.setattr(distributed.Client, "run", lambda *_: {"tcp://other": "0.0.0"})
-        with pytest.raises(DatasetError, match=r"tcp://other runs version 0.0.0 .*install"):
-            list(generate(arm, PROTOCOL, 7, dask_scheduler=address))
+    produce_dataset(path, arm, PROTOCOL, 7, command="", dask_scheduler=dask_address)
     assert digest(path) == one_worker
+
+    monkeypatch.setattr(distributed.Client, "run", lambda *_: {"tcp://other": "0.0.0"})
+    with pytest.raises(DatasetError, match=r"tcp://other runs version 0.0.0 .*install"):
+        list(generate(arm, PROTOCOL, 7, dask_scheduler=dask_address))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])
 def test_a_scheduler_out_of_reach_is_named(arm, monkeypatch, address):
-    monkeypatch.setattr(generation, "DASK_PATIENCE_S", 0.5)
+    monkeypatch.setattr(cluster, "PATIENCE_S", 0.5)
     with pytest.raises(DatasetError, match=re.escape(f"no Dask cluster works at {address!r}")):
         list(generate(arm, PROTOCOL, 0, dask_scheduler=address))
 

@@ -9,9 +9,7 @@ in blocks of samples on one arm each.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_base.installation import package_version
+from cablesense_base.cluster import map_on_cluster
 from cablesense_base.workers import WorkerPool
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
@@ -49,9 +47,6 @@ from cablesense_training.data.protocols import (
 )
 from cablesense_training.errors import DatasetError
 
-DASK_PATIENCE_S = 10.0
-"""How long a Dask scheduler may take to answer, and its first worker to appear."""
-
 _IN_FLIGHT_PER_WORKER = 3
 
 
@@ -72,7 +67,8 @@ def generate(
             raise DatasetError(f"{name} = {value!r}: must be a whole number, {least} to {most}")
     chunks = len(chunk_sizes(protocol.samples))
     if dask_scheduler is not None:
-        return _on_dask(dask_scheduler, chunks, arm, protocol, seed)
+        tasks = generate_chunk, range(chunks), arm, protocol, seed
+        return map_on_cluster(dask_scheduler, *tasks, refusal=DatasetError)
     return _on_processes(min(workers, chunks), chunks, arm, protocol, seed)
 
 
@@ -89,39 +85,6 @@ def _on_processes(workers: int, chunks: int, *run: Any) -> Iterator[Dataset]:
     with WorkerPool(workers, *run, refusal=DatasetError) as pool:
         most_pending = workers * _IN_FLIGHT_PER_WORKER
         yield from pool.map(generate_chunk, range(chunks), most_pending=most_pending)
-
-
-def _on_dask(address: str, chunks: int, *run: Any) -> Iterator[Dataset]:
-    """Keep every worker of a cluster busy, and hand the parts on in order."""
-    try:
-        import distributed
-
-        with distributed.Client(address, timeout=DASK_PATIENCE_S, set_as_default=False) as client:
-            client.wait_for_workers(1, timeout=DASK_PATIENCE_S)
-            versions, here = client.run(package_version), package_version()
-            for worker, there in sorted(versions.items()):
-                if there != here:
-                    raise DatasetError(
-                        f"Dask worker {worker} runs version {there} of this package and this "
-                        f"machine {here}; install the same version on both"
-                    )
-            pending: deque[Any] = deque()
-            for chunk in range(chunks):
-                pending.append(client.submit(generate_chunk, *run, chunk, pure=False))
-                if len(pending) == len(versions) * _IN_FLIGHT_PER_WORKER:
-                    yield pending.popleft().result()
-            while pending:
-                yield pending.popleft().result()
-    except ImportError as error:
-        raise DatasetError(
-            f"{error}: a Dask cluster needs `pip install distributed` here and this package there"
-        ) from error
-    except (distributed.KilledWorker, CancelledError, OSError, ValueError, TypeError) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise DatasetError(
-            f"no Dask cluster works at {address!r} (a scheduler is named like "
-            f"tcp://127.0.0.1:8786, its workers start with: dask worker ADDRESS): {reason}"
-        ) from error
 
 
 _BLOCK_SAMPLES = 64
