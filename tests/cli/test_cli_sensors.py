@@ -86,9 +86,8 @@ def test_the_file_is_one_that_the_driver_takes(loads, tmp_path):
 def test_unknown_gravity_makes_the_scale_less_sure(loads, tmp_path):
     result = run_calibrate(loads, "--out", tmp_path / "c.yaml", "--json")
     sensor = json.loads(result.stdout)["cables"]["cable_1"]
-    assert sensor["scale_u95_n_per_unit"] / sensor["scale_n_per_unit"] == pytest.approx(
-        0.003, rel=0.05
-    )
+    share = sensor["scale_u95_n_per_unit"] / sensor["scale_n_per_unit"]
+    assert share == pytest.approx(0.003, rel=0.05)
 
 
 def test_windows_of_a_recording_give_the_same_whatever_was_in_force(loads, tmp_path):

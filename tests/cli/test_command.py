@@ -49,12 +49,6 @@ def test_help_loads_neither_ros_nor_torch_nor_the_page():
     assert result.returncode == 0
 
 
-def test_version_is_shown():
-    result = CliRunner().invoke(app, ["--version"])
-    assert result.exit_code == 0
-    assert re.match(r"cablesense \d+\.\d+\.\d+", result.output)
-
-
 @pytest.mark.parametrize(
     ("arguments", "remedy"),
     [

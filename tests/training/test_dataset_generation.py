@@ -49,9 +49,7 @@ def test_worker_processes_write_the_same_bytes(arm, one_worker, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_dask_cluster_writes_the_same_bytes(
-    arm, one_worker, dask_address, tmp_path, monkeypatch
-):
+def test_a_dask_cluster_does_the_same(arm, one_worker, dask_address, tmp_path, monkeypatch):
     path = tmp_path / "dask.parquet"
     produce_dataset(path, arm, PROTOCOL, 7, command="", dask_scheduler=dask_address)
     assert digest(path) == one_worker
