@@ -1,8 +1,7 @@
-"""What is expected of a healthy machine beyond its model: not known, or known from a recording.
+"""A recording of the healthy machine: its residual is expected in other recordings too.
 
-In a recording of the healthy machine, the residual shows a `Discrepancy` that is expected in
-others too. An explanation may alter it: unmodelled friction that varies along a joint's way moves
-with the joint's zero, and is read with the torque's scale.
+The expected residual is a `Discrepancy`. An explanation may alter it: unmodelled friction that
+varies along a joint's way moves with the joint's zero, and is read with the torque's scale.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.diagnosis.correlated import Correlated
 from cablesense_gap.diagnosis.discrepancy import (
     AlongTheWay,
     Conditions,
@@ -21,15 +19,12 @@ from cablesense_gap.diagnosis.discrepancy import (
     Key,
     SmoothColumns,
     effect_columns,
-    half_waves,
 )
 from cablesense_gap.diagnosis.fitting import refine
 from cablesense_gap.diagnosis.problem import Problem
 from cablesense_gap.simulator import Assignment, Simulator
 from cablesense_gap.system import System, problem_of
 from cablesense_gap.verdict import ReferenceGap
-
-_LEAST = 1e-9
 
 
 @dataclass(frozen=True)
@@ -68,50 +63,16 @@ class Expected:
         weight: (R, C) ratio of the floor to the standard deviation of a reading.
         floor: root mean square of these deviations.
         moving: the change of the mean by variants; None if there is none.
-        correlated: deviations beside those that the weight is of; None if there are none.
     """
 
     mean: Array
     weight: Array
     floor: float
     moving: MovingMean | None = None
-    correlated: Correlated | None = None
-
-    def weighted(self, values: Array) -> Array:
-        """Values (…, R, C) whose deviations are independent, and as large as the floor."""
-        values = values * self.weight
-        return values if self.correlated is None else self.correlated.whitened(values)
 
     def read(self, predicted: Array) -> Array:
         """Readings (R, C) as predicted, of weighted ones beyond the mean."""
-        if self.correlated is not None:
-            predicted = self.correlated.coloured(predicted)
         return predicted / self.weight + self.mean
-
-
-_INDEPENDENT = 0.04
-"""Share of a model's error that is no function of a channel's position."""
-
-
-def imperfect(system: System, problem: Problem, error: Array) -> Expected:
-    """What is expected of a machine whose model leaves an unknown error, (C,) RMS.
-
-    The error is a function of each channel's own position, as of springs, and of the direction of
-    its motion, as of friction: waves, with the same variance in each octave.
-    """
-    conditions, nothing = system.conditions(), np.zeros_like(problem.readings)
-    share, correlated = 1.0 if conditions is None else _INDEPENDENT, None
-    deviation = nothing + np.hypot(problem.floor, share * error)
-    if conditions is not None:
-        waves = SmoothColumns.like(conditions).waves(conditions)
-        variance = np.array([1.0 / (1.0 + half_waves(key)) for key in waves])
-        columns = np.array([system.compared_columns(wave) for wave in waves.values()])
-        columns /= np.sqrt((columns**2).mean(1, keepdims=True)) + _LEAST
-        columns *= np.sqrt(variance / variance.sum())[:, None, None] * error
-        fold = np.where(problem.used, problem.fold[problem.trial], -1)
-        correlated = Correlated.of(columns.transpose(2, 1, 0), deviation, fold)
-    floor = float(np.sqrt((deviation**2).mean()))
-    return Expected(nothing, floor / deviation, floor, correlated=correlated)
 
 
 class Reference:
@@ -196,24 +157,24 @@ class _Weighted:
         if moving is not None:
             each = zip(predicted, variants, strict=True)
             predicted = np.array([own + moving.change(variant) for own, variant in each])
-        return self._expected.weighted(predicted)
+        return predicted * self._expected.weight
 
 
 def since(problem: Problem, expected: Expected) -> Problem:
     """The problem of what changed: weighted readings beyond the expected ones."""
-    weighted, sketch = expected.weighted, problem.sketch
+    weight, sketch = expected.weight, problem.sketch
     if sketch is not None:
         rows = sketch.rows
-        part = Expected(expected.mean[rows], expected.weight[rows], expected.floor)
+        part = Expected(expected.mean[rows], weight[rows], expected.floor)
         sketch = replace(sketch, problem=since(sketch.problem, part))
     return replace(
         problem,
         simulator=_Weighted(problem.simulator, expected),
-        readings=weighted(problem.readings - expected.mean),
-        nominal=weighted(problem.nominal),
-        tolerance_columns=weighted(problem.tolerance_columns),
-        tolerance_rest=weighted(problem.tolerance_rest),
-        tolerances_change=weighted(problem.tolerances_change),
+        readings=(problem.readings - expected.mean) * weight,
+        nominal=problem.nominal * weight,
+        tolerance_columns=problem.tolerance_columns * weight,
+        tolerance_rest=problem.tolerance_rest * weight,
+        tolerances_change=problem.tolerances_change * weight,
         past=None,
         sketch=sketch,
     )

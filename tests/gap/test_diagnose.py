@@ -197,3 +197,10 @@ def test_effects_that_the_arm_file_lists_stand_have_changed_or_are_not_needed():
     values = listed_values(arm)
     assert set(values) == {MASS, OFFSET}
     assert values[MASS] == pytest.approx(0.55, rel=0.05)
+
+
+def test_the_package_offers_the_diagnosis_by_a_short_name():
+    """No module takes the place of the function, whatever was imported before."""
+    import cablesense_gap
+
+    assert cablesense_gap.diagnose is diagnose
