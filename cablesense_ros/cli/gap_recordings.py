@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 import typer
 from rich.console import Console
 
-from cablesense_base.cluster import map_on_cluster
 from cablesense_base.files import output_file, output_folder
 from cablesense_ros.cli.options import (
     DaskOption,
@@ -194,6 +193,8 @@ def watch(
     recordings, shared = map(read, later), (machine, read(first))
     found: Iterator[Verdict] = (diagnosed(*shared, each, workers) for each in recordings)
     if dask_scheduler is not None:
+        from cablesense_training.cluster import map_on_cluster
+
         found = map_on_cluster(dask_scheduler, diagnosed, recordings, *shared)
     console = Console(stderr=json_output)
     verdicts: list[Verdict] = []

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from arm_variants import variant
 
-from cablesense_base import cluster
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
+from cablesense_training import cluster
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset, generate
 from cablesense_training.data.parquet import produce_dataset

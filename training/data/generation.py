@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_base.cluster import map_on_cluster
 from cablesense_base.workers import WorkerPool
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
@@ -31,6 +30,7 @@ from cablesense_sim.effects.registry import (
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import read_tensions_n
+from cablesense_training.cluster import map_on_cluster
 from cablesense_training.data.dataset import Dataset, contact_forces_n
 from cablesense_training.data.protocols import (
     ARM,
