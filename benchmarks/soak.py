@@ -8,10 +8,10 @@ every wrench. First the packed amplifier at 1,000 samples a second, then for a m
 CiA 404 amplifiers at 500, the most that a bus of 1 Mbit/s carries of them.
 
 Everything is counted by value: the lowest bits of the twelve values spell the cycle's number, and
-the rest is an arm under changing pushes. A sample must be one that was sent, once and
-in its order, and be answered by a wrench with its stamp. Frames that the pseudo-terminal does not
-take (it holds some 18 kB, a quarter of a second of these frames) are counted separately. Latency
-is from when the last frame of a cycle was on the terminal until the wrench was here, by one clock.
+the rest is an arm under changing pushes. A sample must be one that was sent, once and in its
+order, and be answered by a wrench with its stamp. Frames that the pseudo-terminal does not take
+(it holds some 18 kB, a quarter of a second of these frames) are counted separately. Latency is
+from when the last frame of a cycle was on the terminal until the wrench was here, by one clock.
 """
 
 from __future__ import annotations

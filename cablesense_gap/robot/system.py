@@ -158,7 +158,7 @@ class RobotSystem(System):
         return system
 
     def conditions(self) -> Conditions:
-        """Of the channels' joints, with the nominal robot's load."""
+        """Those of the channels' joints, with the nominal robot's load."""
         return self._conditions
 
     @cached_property

@@ -134,7 +134,7 @@ class _InLines:
     def read(self, _: int = 1) -> bytes:
         """A line without its end, or its end; waits as the port does.
 
-        python-can asks for one byte, appends what it gets, and compares it with the two ends.
+        python-can asks for one byte, appends the answer, and compares it with the two ends.
         """
         if self._at == len(self._lines):
             self._lines, self._at = self._port.read(1) + self._port.read(self._port.in_waiting), 0

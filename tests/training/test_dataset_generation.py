@@ -53,7 +53,8 @@ def test_a_dask_cluster_does_the_same(arm, one_worker, dask_address, tmp_path, m
     path = tmp_path / "dask.parquet"
     produce_dataset(path, arm, PROTOCOL, 7, command="", dask_scheduler=dask_address)
     assert digest(path) == one_worker
-
+    with pytest.raises(ValueError, match="invalid literal"):  # errors of the function stay theirs
+        list(cluster.map_on_cluster(dask_address, int, ["x"]))
     monkeypatch.setattr(distributed.Client, "run", lambda *_: {"tcp://other": "0.0.0"})
     with pytest.raises(DatasetError, match=r"tcp://other runs version 0.0.0 .*install"):
         list(generate(arm, PROTOCOL, 7, dask_scheduler=dask_address))

@@ -30,7 +30,7 @@ from cablesense_sim.effects.registry import (
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import read_tensions_n
-from cablesense_training.cluster import map_on_cluster
+from cablesense_training.cluster import IN_FLIGHT_PER_WORKER, map_on_cluster
 from cablesense_training.data.dataset import Dataset, contact_forces_n
 from cablesense_training.data.protocols import (
     ARM,
@@ -46,8 +46,6 @@ from cablesense_training.data.protocols import (
     unit_points,
 )
 from cablesense_training.errors import DatasetError
-
-_IN_FLIGHT_PER_WORKER = 3
 
 
 def generate(
@@ -83,7 +81,7 @@ def draw_dataset(arm: Arm, protocol: Protocol, seed: int = 0, *, workers: int = 
 
 def _on_processes(workers: int, chunks: int, *run: Any) -> Iterator[Dataset]:
     with WorkerPool(workers, *run, refusal=DatasetError) as pool:
-        most_pending = workers * _IN_FLIGHT_PER_WORKER
+        most_pending = workers * IN_FLIGHT_PER_WORKER
         yield from pool.map(generate_chunk, range(chunks), most_pending=most_pending)
 
 
