@@ -30,7 +30,7 @@ from cablesense_gap.explained import (
     significant_values,
     trades,
 )
-from cablesense_gap.reference import Expected, Reference, since
+from cablesense_gap.reference import Expected, Reference, imperfect, since
 from cablesense_gap.simulator import Term
 from cablesense_gap.system import System, problem_of
 from cablesense_gap.verdict import Verdict
@@ -83,9 +83,7 @@ def diagnose_system(
     found = system.completed(problem, search(problem, progress, workers))
     error = None if reference is not None else system.model_error(problem, found)
     if error is not None:
-        deviation = np.hypot(problem.floor, error)
-        floor = float(np.sqrt((deviation**2).mean()))
-        usual = Expected(nothing, nothing + floor / deviation, floor)
+        usual = imperfect(system, problem, error, found)
         problem = since(problem, usual)
         found = system.completed(problem, search(problem, progress, workers))
     ranked = named(problem, posterior(found, problem.floor, calibration), calibration)
@@ -130,9 +128,10 @@ def diagnose_system(
     doubts = system.doubts(values, gap) if values else ()
     if error is not None:
         inexact = (
-            "No explanation fits any channel. The model is taken to leave "
-            f"{problem.floor:.3g} {system.unit}, as models of real machines do, and the verdict "
-            "is what stands out of that. A reference, recorded when the machine was healthy, "
+            "No explanation fits any channel. As models of real machines do, this one is taken to "
+            f"leave {np.sqrt((error**2).mean()):.3g} {system.unit}, most of them a function of a "
+            "channel's position and direction. The verdict is what stands out of that, and so are "
+            "the sizes of the gap. A reference, recorded when the machine was healthy, "
             "would show more.",
         )
         doubts, reasons = (inexact + doubts, reasons) if values else (doubts, inexact + reasons)

@@ -1,7 +1,8 @@
-"""A recording of the healthy machine: its residual is expected in other recordings too.
+"""What is expected of a healthy machine beyond its model: not known, or known from a recording.
 
-The expected residual is a `Discrepancy`. An explanation may alter it: unmodelled friction that
-varies along a joint's way moves with the joint's zero, and is read with the torque's scale.
+In a recording of the healthy machine, the residual shows a `Discrepancy` that is expected in
+others too. An explanation may alter it: unmodelled friction that varies along a joint's way moves
+with the joint's zero, and is read with the torque's scale.
 """
 
 from __future__ import annotations
@@ -19,12 +20,16 @@ from cablesense_gap.diagnosis.discrepancy import (
     Key,
     SmoothColumns,
     effect_columns,
+    half_waves,
 )
 from cablesense_gap.diagnosis.fitting import refine
-from cablesense_gap.diagnosis.problem import Problem
+from cablesense_gap.diagnosis.model_error import TwoParts
+from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.simulator import Assignment, Simulator
 from cablesense_gap.system import System, problem_of
 from cablesense_gap.verdict import ReferenceGap
+
+_LEAST = 1e-9
 
 
 @dataclass(frozen=True)
@@ -63,16 +68,53 @@ class Expected:
         weight: (R, C) ratio of the floor to the standard deviation of a reading.
         floor: root mean square of these deviations.
         moving: the change of the mean by variants; None if there is none.
+        parts: scaled apart, after the weight; None if they are not.
     """
 
     mean: Array
     weight: Array
     floor: float
     moving: MovingMean | None = None
+    parts: TwoParts | None = None
+
+    def weighted(self, values: Array) -> Array:
+        """Values (…, R, C) whose deviations are as large as the floor."""
+        values = values * self.weight
+        return values if self.parts is None else self.parts.scaled(values)
 
     def read(self, predicted: Array) -> Array:
         """Readings (R, C) as predicted, of weighted ones beyond the mean."""
+        if self.parts is not None:
+            predicted = self.parts.restored(predicted)
         return predicted / self.weight + self.mean
+
+
+def imperfect(
+    system: System, problem: Problem, error: Array, found: Sequence[Explanation]
+) -> Expected:
+    """What is expected of a machine whose model has an unknown error, (C,) RMS.
+
+    Most of the error is a smooth function of each channel's own position, as of springs, and of
+    the direction of its motion, as of friction: waves, with the same variance in each octave. The
+    rest is as large as the best of the explanations leaves it.
+    """
+    conditions, nothing = system.conditions(), np.zeros_like(problem.readings)
+    assert conditions is not None
+    waves = SmoothColumns.like(conditions).waves(conditions)
+    variance = np.array([1.0 / (1.0 + half_waves(key)) for key in waves])
+    columns = np.array([system.compared_columns(wave) for wave in waves.values()])
+    columns /= np.sqrt((columns**2).mean(1, keepdims=True)) + _LEAST
+    columns *= np.sqrt(variance / variance.sum())[:, None, None] * error
+    best = min(found, key=lambda each: each.held_out_rmse)
+    parts, deviation = TwoParts.of(
+        columns.transpose(2, 1, 0),
+        problem.readings - best.held_out,
+        error,
+        problem.floor,
+        np.where(problem.used, problem.fold[problem.trial], -1),
+    )
+    floor = float(np.sqrt((deviation**2).mean()))
+    return Expected(nothing, nothing + floor / deviation, floor, parts=parts)
 
 
 class Reference:
@@ -157,24 +199,24 @@ class _Weighted:
         if moving is not None:
             each = zip(predicted, variants, strict=True)
             predicted = np.array([own + moving.change(variant) for own, variant in each])
-        return predicted * self._expected.weight
+        return self._expected.weighted(predicted)
 
 
 def since(problem: Problem, expected: Expected) -> Problem:
     """The problem of what changed: weighted readings beyond the expected ones."""
-    weight, sketch = expected.weight, problem.sketch
+    weighted, sketch = expected.weighted, problem.sketch
     if sketch is not None:
         rows = sketch.rows
-        part = Expected(expected.mean[rows], weight[rows], expected.floor)
+        part = Expected(expected.mean[rows], expected.weight[rows], expected.floor)
         sketch = replace(sketch, problem=since(sketch.problem, part))
     return replace(
         problem,
         simulator=_Weighted(problem.simulator, expected),
-        readings=(problem.readings - expected.mean) * weight,
-        nominal=problem.nominal * weight,
-        tolerance_columns=problem.tolerance_columns * weight,
-        tolerance_rest=problem.tolerance_rest * weight,
-        tolerances_change=problem.tolerances_change * weight,
+        readings=weighted(problem.readings - expected.mean),
+        nominal=weighted(problem.nominal),
+        tolerance_columns=weighted(problem.tolerance_columns),
+        tolerance_rest=weighted(problem.tolerance_rest),
+        tolerances_change=weighted(problem.tolerances_change),
         past=None,
         sketch=sketch,
     )

@@ -123,7 +123,8 @@ class System(ABC):
     def model_error(self, problem: Problem, found: Sequence[Explanation]) -> Array | None:
         """(C,) RMS that a model of a real machine leaves, if no explanation fits any channel.
 
-        None if one does: the nominal machine is then taken to be exact but for its tolerances.
+        None if one does: the nominal machine is then taken to be exact but for its tolerances. A
+        machine that has one has `conditions`.
         """
         return None
 

@@ -115,11 +115,10 @@ class SmoothColumns:
             *(of[channels] for of in (self.low, self.high, self.speed, self.load))
         )
 
-    def of(self, conditions: Conditions) -> dict[Key, Array]:
-        """(R, C) by name."""
+    def waves(self, conditions: Conditions) -> dict[Key, Array]:
+        """(R, C) by name, alone and times functions of the speed; `half_waves` tells how many."""
         at = np.clip(self._place(conditions), -_MARGIN, 1.0 + _MARGIN) + _MARGIN
         at *= np.pi / (1.0 + 2.0 * _MARGIN)
-        load = conditions.load / self.load
         waves = [(f"wave {k}", wave) for k in range(_WAVES) for wave in _wave(k, at)]
         found: dict[Key, Array] = {}
         for n, (name, wave) in enumerate(waves):
@@ -128,10 +127,22 @@ class SmoothColumns:
             way = np.tanh(conditions.speed / (share * self.speed))
             for n, (name, wave) in enumerate(waves[: 2 * _SLIDING_WAVES + 1]):
                 found[f"{name} times speed", f"{share}", str(n)] = wave * way
-            found["load times speed", f"{share}"] = np.abs(load) * way
+        return found
+
+    def of(self, conditions: Conditions) -> dict[Key, Array]:
+        """(R, C) by name: waves, and functions of the load."""
+        found, load = self.waves(conditions), conditions.load / self.load
         size = np.abs(load)
+        for share in _SLOW:
+            way = np.tanh(conditions.speed / (share * self.speed))
+            found["load times speed", f"{share}"] = size * way
         found |= {("load", "size"): size, ("load", "square"): load * size, ("load", ""): load}
         return found
+
+
+def half_waves(wave: Key) -> int:
+    """Over the range of positions, of one of the waves."""
+    return int(wave[0].split()[1])
 
 
 def _wave(k: int, at: Array) -> Sequence[Array]:

@@ -37,7 +37,7 @@ UNKNOWN = ("unknown",)
 NEAR_BEST = 0.2
 """A rival has at least this share of the probability of the best."""
 
-_EQUAL = 0.99
+_EQUAL = 0.9
 """Explanations with this share of the best one's probability are ordered by their residual."""
 
 PARALLEL = 0.75

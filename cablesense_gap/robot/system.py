@@ -44,7 +44,7 @@ _FOLLOWS, _OTHER_UNIT = 0.8, 5.0
 _PROBED, _USUAL = 0.01, 0.1
 """Error of a zero in rad or m: to find its influence, and as usual in a trial."""
 
-_FITS, _MODEL_ERROR = 3.0, 0.1
+_FITS, _MODEL_ERROR = 2.0, 0.1
 """Floors that an explanation leaves at a joint where the model is exact; and share of the torque
 that models of real machines leave, the middle of the usual 5 to 15 %."""
 

@@ -156,33 +156,6 @@ def test_intervals_hold_the_truth(effects, truth, std):
 OFF = amount("scatter", "b")
 
 
-class Coupled(Sums):
-    """The change by a tolerance grows with the effect; with both, it may fail."""
-
-    fails = False
-
-    def _one(self, variant):
-        gain, off = variant.get(GAIN, 0.0), variant.get(OFF, 0.0)
-        both = np.nan if self.fails and GAIN in variant and OFF in variant else gain * off
-        return super()._one(variant) + 40.0 * np.asarray(both) * SIGNALS[3]
-
-
-def test_tolerances_are_taken_as_they_act_next_to_the_effect():
-    simulator = Coupled(linear("gain", ["a"]), scatter())
-    problem = problem_of(simulator, {GAIN: 2.0, OFF: 0.05})
-    rough = fitted(problem, {GAIN: 2.0})
-    refined, about = final_refinement(problem, rough)
-    assert not np.allclose(about.tolerance_columns, problem.tolerance_columns)
-    assert rough.held_out_rmse > 10.0 * FLOOR
-    assert refined.held_out_rmse < 1.1 * FLOOR
-    assert refined.values[GAIN] == pytest.approx(2.0, abs=0.02)
-    assert refined.tolerances[OFF] == pytest.approx(0.05, rel=0.5)
-    none = refine(problem, {}, [[]])
-    assert final_refinement(problem, none)[0] is none
-    simulator.fails = True
-    assert problem.cost_of(final_refinement(problem, rough)[0]) <= problem.cost_of(rough)
-
-
 class Curved(Sums):
     """The change by a tolerance grows with its square too, and with the effect."""
 

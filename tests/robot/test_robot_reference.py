@@ -44,7 +44,7 @@ def test_without_a_reference_it_names_what_stands_out_of_the_model_s_error(tmp_p
     loaded = diagnose(later, robot).verdict
     assert loaded.effects == ("payload",)
     assert loaded.parameters["payload.mass_kg"].value == pytest.approx(0.5, rel=0.2)
-    assert "as models of real machines do" in loaded.doubts[0]
+    assert "models of real machines do" in loaded.doubts[0]
     assert loaded.probability == 0.5
 
 

@@ -1,0 +1,78 @@
+"""The unknown error of a model that is not exact, in two parts that are judged apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array
+
+_SMOOTH = 0.5
+"""Share of the smooth part in the mean square of an error as it is expected."""
+
+
+@dataclass(frozen=True)
+class TwoParts:
+    """Channels of which a smooth part and the rest are scaled, in each fold by itself.
+
+    Attributes:
+        rows: of each fold.
+        basis: (C, rows, K) of each fold: orthonormal functions, or zero.
+        smooth: (C,) factors of the part in the span of these.
+        rest: (C,) of each fold, factors of the rest.
+    """
+
+    rows: Sequence[NDArray[np.int64]]
+    basis: Sequence[Array]
+    smooth: Array
+    rest: Sequence[Array]
+
+    @staticmethod
+    def of(
+        columns: Array, residual: Array, error: Array, least: float, fold: NDArray[np.int64]
+    ) -> tuple[TwoParts, Array]:
+        """From the largest error that is expected, (C,) RMS; gives the deviation of the rest too.
+
+        The smooth part is made of columns (C, R, K), whose coefficients in the error are normal
+        with a variance of one, as far as they are larger than the deviation of the rest. That is
+        what a residual (R, C) leaves beside columns larger than the error, from `least` to the
+        error. `fold` (R,) is below zero for rows that do not count.
+        """
+        rows = [np.flatnonzero(fold == k) for k in np.unique(fold[fold >= 0])]
+        found = [np.linalg.svd(columns[:, own], full_matrices=False)[:2] for own in rows]
+        error, left, free = np.maximum(error, least), np.zeros(len(error)), np.zeros(len(error))
+        for own, (functions, size) in zip(rows, found, strict=True):
+            large = size > error[:, None]
+            on = (functions.swapaxes(-1, -2) @ residual[own].T[..., None])[..., 0] * large
+            left += (residual[own] ** 2).sum(0) - (on**2).sum(1)
+            free += len(own) - large.sum(1)
+        deviation = np.clip(np.sqrt(left / free), least, error)
+        smooth = np.sqrt(_SMOOTH) * deviation / error
+        basis, rest = [], []
+        for functions, size in found:
+            large = size > deviation[:, None]
+            basis.append(functions * large[:, None])
+            count, dimensions = functions.shape[1], large.sum(1)
+            share = np.where(dimensions > 0, 1.0 - _SMOOTH, 1.0)
+            rest.append(np.sqrt(share * count / np.maximum(count - dimensions, 1)))
+        return TwoParts(rows, basis, smooth, rest), deviation
+
+    def scaled(self, values: Array) -> Array:
+        """Values (…, R, C)."""
+        return self._scaled(values, self.smooth, self.rest)
+
+    def restored(self, values: Array) -> Array:
+        """The inverse of `scaled`."""
+        return self._scaled(values, 1.0 / self.smooth, [1.0 / each for each in self.rest])
+
+    def _scaled(self, values: Array, inside: Array, rest: Sequence[Array]) -> Array:
+        found = values.copy()
+        for rows, basis, outside in zip(self.rows, self.basis, rest, strict=True):
+            own = np.moveaxis(values[..., rows, :], -1, -2)[..., None]
+            part = (basis @ (basis.swapaxes(-1, -2) @ own))[..., 0]
+            scaled = own[..., 0] * outside[:, None] + part * (inside - outside)[:, None]
+            found[..., rows, :] = np.moveaxis(scaled, -1, -2)
+        return found
