@@ -14,12 +14,12 @@ hidden is backlash, which few joints of the other two show; with `--tendons` a f
 over guides, which rub in half of the cases, while of the others half have other friction. With
 `--imperfect` the models lack friction by position, springs and ripples, which make 5 to 15 % of
 the torque; with `--reference` another recording, without the hidden effects, is the reference
-(seeds 9001, 9131 and 9161 were used while that was made). With `--servos` robots are under
-position servos, and a camera reads their joints; a zero, play, a coupling, a payload or nothing is
-hidden in turn (seeds 5101 and 9151 were used while that was made). With `--exchanged` two torque
-columns are exchanged, or a torque or a position is reversed, in turn. It counts how often that
-stops the diagnosis and is named, after how long, and how often the recordings as they were are
-suspected (seeds 9702 to 9704 were used while that was made).
+(seeds 9001, 9131, 9137, 9138 and 9161 were used while that was made). With `--servos` robots are
+under position servos, and a camera reads their joints; a zero, play, a coupling, a payload or
+nothing is hidden in turn (seeds 5101 and 9151 were used while that was made). With `--exchanged`
+two torque columns are exchanged, or a torque or a position is reversed, in turn. It counts how
+often that stops the diagnosis and is named, after how long, and how often the recordings as they
+were are suspected (seeds 9702 to 9704 were used while that was made).
 """
 
 from __future__ import annotations
