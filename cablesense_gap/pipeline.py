@@ -130,9 +130,8 @@ def diagnose_system(
         inexact = (
             "No explanation fits any channel. As models of real machines do, this one is taken to "
             f"leave {np.sqrt((error**2).mean()):.3g} {system.unit}, most of them a function of a "
-            "channel's position and direction. The verdict is what stands out of that, and so are "
-            "the sizes of the gap. A reference, recorded when the machine was healthy, "
-            "would show more.",
+            "channel's position and direction. The verdict names an effect that exceeds this "
+            "error. A reference, recorded when the machine was healthy, would show more.",
         )
         doubts, reasons = (inexact + doubts, reasons) if values else (doubts, inexact + reasons)
     if doubts:

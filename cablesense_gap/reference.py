@@ -1,4 +1,4 @@
-"""What is expected of a healthy machine beyond its model: not known, or known from a recording.
+"""The residual that is expected of a healthy machine, with and without a recording of it.
 
 In a recording of the healthy machine, the residual shows a `Discrepancy` that is expected in
 others too. An explanation may alter it: unmodelled friction that varies along a joint's way moves
@@ -92,7 +92,7 @@ class Expected:
 def imperfect(
     system: System, problem: Problem, error: Array, found: Sequence[Explanation]
 ) -> Expected:
-    """What is expected of a machine whose model has an unknown error, (C,) RMS.
+    """The residual that is expected where the model has an unknown error, (C,) RMS.
 
     Most of the error is a smooth function of each channel's own position, as of springs, and of
     the direction of its motion, as of friction: waves, with the same variance in each octave. The

@@ -1,4 +1,4 @@
-"""The unknown error of a model that is not exact, in two parts that are judged apart."""
+"""The unknown error of an inexact model: a smooth part and the rest, each with its own scale."""
 
 from __future__ import annotations
 
@@ -34,12 +34,16 @@ class TwoParts:
     def of(
         columns: Array, residual: Array, error: Array, least: float, fold: NDArray[np.int64]
     ) -> tuple[TwoParts, Array]:
-        """From the largest error that is expected, (C,) RMS; gives the deviation of the rest too.
+        """The two parts, and the deviation (C,) of the rest, in the units of the residual.
 
-        The smooth part is made of columns (C, R, K), whose coefficients in the error are normal
-        with a variance of one, as far as they are larger than the deviation of the rest. That is
-        what a residual (R, C) leaves beside columns larger than the error, from `least` to the
-        error. `fold` (R,) is below zero for rows that do not count.
+        Args:
+            columns: (C, R, K) of the smooth part. Their coefficients are normal with variance one.
+            residual: (R, C) of the best explanation. Its RMS outside the columns is the deviation.
+            error: (C,) RMS that is expected of the model, the largest deviation.
+            least: the smallest deviation.
+            fold: (R,) of each row, below zero for rows that do not count.
+
+        Directions of the columns that are smaller than the deviation belong to the rest.
         """
         rows = [np.flatnonzero(fold == k) for k in np.unique(fold[fold >= 0])]
         found = [np.linalg.svd(columns[:, own], full_matrices=False)[:2] for own in rows]
@@ -61,7 +65,7 @@ class TwoParts:
         return TwoParts(rows, basis, smooth, rest), deviation
 
     def scaled(self, values: Array) -> Array:
-        """Values (…, R, C)."""
+        """Values (…, R, C), each part multiplied by its factor."""
         return self._scaled(values, self.smooth, self.rest)
 
     def restored(self, values: Array) -> Array:
