@@ -20,7 +20,6 @@ from cablesense_gap.diagnosis.discrepancy import (
     Key,
     SmoothColumns,
     effect_columns,
-    half_waves,
 )
 from cablesense_gap.diagnosis.fitting import refine
 from cablesense_gap.diagnosis.model_error import TwoParts
@@ -101,8 +100,8 @@ def imperfect(
     conditions, nothing = system.conditions(), np.zeros_like(problem.readings)
     assert conditions is not None
     waves = SmoothColumns.like(conditions).waves(conditions)
-    variance = np.array([1.0 / (1.0 + half_waves(key)) for key in waves])
-    columns = np.array([system.compared_columns(wave) for wave in waves.values()])
+    variance = np.array([1.0 / (1.0 + half_waves) for half_waves, _, _ in waves])
+    columns = np.array([system.compared_columns(wave) for _, _, wave in waves])
     columns /= np.sqrt((columns**2).mean(1, keepdims=True)) + _LEAST
     columns *= np.sqrt(variance / variance.sum())[:, None, None] * error
     best = min(found, key=lambda each: each.held_out_rmse)

@@ -115,34 +115,30 @@ class SmoothColumns:
             *(of[channels] for of in (self.low, self.high, self.speed, self.load))
         )
 
-    def waves(self, conditions: Conditions) -> dict[Key, Array]:
-        """(R, C) by name, alone and times functions of the speed; `half_waves` tells how many."""
+    def waves(self, conditions: Conditions) -> list[tuple[int, Key, Array]]:
+        """Half waves over the range, name and column (R, C); alone and times speed functions."""
         at = np.clip(self._place(conditions), -_MARGIN, 1.0 + _MARGIN) + _MARGIN
         at *= np.pi / (1.0 + 2.0 * _MARGIN)
-        waves = [(f"wave {k}", wave) for k in range(_WAVES) for wave in _wave(k, at)]
-        found: dict[Key, Array] = {}
-        for n, (name, wave) in enumerate(waves):
-            found[name, str(n)] = wave
+        waves = [(k, wave) for k in range(_WAVES) for wave in _wave(k, at)]
+        found: list[tuple[int, Key, Array]] = [
+            (k, (f"wave {k}", str(n)), wave) for n, (k, wave) in enumerate(waves)
+        ]
         for share in _SLOW:
             way = np.tanh(conditions.speed / (share * self.speed))
-            for n, (name, wave) in enumerate(waves[: 2 * _SLIDING_WAVES + 1]):
-                found[f"{name} times speed", f"{share}", str(n)] = wave * way
+            for n, (k, wave) in enumerate(waves[: 2 * _SLIDING_WAVES + 1]):
+                found.append((k, (f"wave {k} times speed", f"{share}", str(n)), wave * way))
         return found
 
     def of(self, conditions: Conditions) -> dict[Key, Array]:
         """(R, C) by name: waves, and functions of the load."""
-        found, load = self.waves(conditions), conditions.load / self.load
+        found = {key: column for _, key, column in self.waves(conditions)}
+        load = conditions.load / self.load
         size = np.abs(load)
         for share in _SLOW:
             way = np.tanh(conditions.speed / (share * self.speed))
             found["load times speed", f"{share}"] = size * way
         found |= {("load", "size"): size, ("load", "square"): load * size, ("load", ""): load}
         return found
-
-
-def half_waves(wave: Key) -> int:
-    """Over the range of positions, of one of the waves."""
-    return int(wave[0].split()[1])
 
 
 def _wave(k: int, at: Array) -> Sequence[Array]:
