@@ -68,7 +68,7 @@ def test_after_a_breath_forces_are_those_without_friction_and_a_killed_breather_
         return np.abs(np.subtract(force(graph.wrenches[-1]), pushed_n)).max() < 0.6
 
     breathe_until(graph, right, f"{pushed_n} N")
-    assert "breathed" in status(graph, "estimator: breathing")
+    graph.until(lambda: "breathed" in status(graph, "estimator: breathing"), "the arm at rest")
 
     breather.signal(signal.SIGINT)
     assert breather.wait() == 0
