@@ -32,6 +32,7 @@ _LEAST_GIVE_M = 1e-8
 _MOST_STEPS, _CIRCLES_AFTER = 40, 10
 _SWEEPS, _HALVINGS = 30, 40
 _ROUNDING = 1e-12
+_LOCKED = 3.0  # no cable reaches a ratio of tensions of exp(3) at one guide before it breaks
 
 
 class _Cables(NamedTuple):
@@ -92,30 +93,30 @@ class CableChains:
         parts = np.where(whole > 0.0, parts, compliance)
         natural = lengths_m - parts / parts.sum(-1, keepdims=True) * whole
         self._cables = _Cables(
-            stiffness_n_m=self._flat(np.where(exists, 1.0 / np.where(exists, compliance, 1.0), 0)),
-            give_m=self._flat(np.where(give > _LEAST_GIVE_M, give, 0.0)),
-            rounding=self._flat(np.broadcast_to(rounding, nodes)),
-            natural_m=self._flat(natural),
-            share=self._flat(share),
+            stiffness_n_m=_flat(np.where(exists, 1.0 / np.where(exists, compliance, 1.0), 0.0)),
+            give_m=_flat(np.where(give > _LEAST_GIVE_M, give, 0.0)),
+            rounding=_flat(np.broadcast_to(rounding, nodes)),
+            natural_m=_flat(natural),
+            share=_flat(share.copy()),
             slips=np.zeros((whole.size, nodes[-1])),
             passed_m=np.zeros((whole.size, nodes[-1])),
         )
 
     def pull(self, lengths_m: Array, limit: Array) -> CablePull:
         """At lengths (..., K), m, and limits (..., K - 1) of now, from the state as it is."""
-        tensions, slope = _pull(self._cables, self._flat(lengths_m), self._flat(limit))
+        tensions, slope = _pull(self._cables, _flat(lengths_m), _flat(limit))
         return CablePull(
             tensions.reshape(self._shape), slope.reshape(*self._shape, self._shape[-1])
         )
 
     def settle(self, lengths_m: Array, limit: Array) -> None:
         """Stay there. In a slack cable the material comes to lie evenly."""
-        _settle(self._cables, self._flat(lengths_m), self._flat(limit))
+        _settle(self._cables, _flat(lengths_m), _flat(limit))
 
-    def _flat(self, values: Array) -> Array:
-        """Values (..., K) of cables as (C, K) in one contiguous copy."""
-        wide = np.broadcast_to(values, (*self._shape[:-1], values.shape[-1]))
-        return np.array(wide, dtype=float, order="C").reshape(-1, values.shape[-1])
+
+def _flat(values: Array) -> Array:
+    """Values (..., K) of cables as (C, K), contiguous."""
+    return np.ascontiguousarray(values, dtype=float).reshape(-1, values.shape[-1])
 
 
 def kept(share: Array, limit: Array) -> Array:
@@ -124,6 +125,46 @@ def kept(share: Array, limit: Array) -> Array:
     Nodes carry a share, from -1 to 1, of their limit φ.
     """
     return np.exp(-np.cumsum(share * limit, axis=-1))
+
+
+@compiled
+def along_guides(
+    spans_m: Array,
+    bends_rad: Array,
+    rest_m: Array,
+    evenly: Array,
+    longer_m: Array,
+    coefficient: Array,
+    pulley_wrap_rad: Array,
+    guide_wrap_rad: Array,
+) -> tuple[Array, Array]:
+    """Lengths (P, M, 1 + N) of the pieces of cables, m, and limits (P, M, N) of their nodes.
+
+    Lengths count from where a whole cable is just slack.
+
+    Args:
+        spans_m: (P, M, N) of cable between the plates of a joint.
+        bends_rad: (P, M, N, 2) turn of a cable at the guides before and behind a joint.
+        rest_m: (P, M) sum of the spans at which a cable is just slack.
+        evenly: (P, M, 1 + N) shares of the pieces in a cable's gain of length.
+        longer_m: (P, M) that gain.
+        coefficient: (P, M) of friction.
+        pulley_wrap_rad: (P,) wrap angle at the actuator's pulley.
+        guide_wrap_rad: (P,) wrap angle at the guides between two joints with the arm straight.
+    """
+    lengths, limit = np.empty(evenly.shape), np.empty(spans_m.shape)
+    for p in range(spans_m.shape[0]):
+        for m in range(spans_m.shape[1]):
+            lengths[p, m, 0] = -rest_m[p, m] - evenly[p, m, 0] * longer_m[p, m]
+            for n in range(spans_m.shape[2]):
+                lengths[p, m, n + 1] = spans_m[p, m, n] - evenly[p, m, n + 1] * longer_m[p, m]
+                wrap = bends_rad[p, m, n, 0]
+                if n == 0:
+                    wrap += pulley_wrap_rad[p]
+                else:
+                    wrap += bends_rad[p, m, n - 1, 1] + guide_wrap_rad[p]
+                limit[p, m, n] = min(coefficient[p, m] * wrap, _LOCKED)
+    return lengths, limit
 
 
 @compiled

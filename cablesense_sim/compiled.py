@@ -56,3 +56,25 @@ def solve(root: Array, rows: Array) -> None:
             for i in range(k + 1, len(root)):
                 row[k] -= root[i, k] * row[i]
             row[k] /= root[k, k]
+
+
+@compiled
+def eliminate(matrix: Array, right: Array) -> Array:
+    """The solution (K,) for any matrix (K, K): Gauss's elimination with partial pivoting."""
+    rows, found = matrix.copy(), right.copy()
+    count = len(found)
+    for k in range(count):
+        pivot = k + int(np.argmax(np.abs(rows[k:, k])))
+        for j in range(count):
+            rows[k, j], rows[pivot, j] = rows[pivot, j], rows[k, j]
+        found[k], found[pivot] = found[pivot], found[k]
+        for i in range(k + 1, count):
+            part = rows[i, k] / rows[k, k]
+            for j in range(k + 1, count):
+                rows[i, j] -= part * rows[k, j]
+            found[i] -= part * found[k]
+    for k in range(count - 1, -1, -1):
+        for j in range(k + 1, count):
+            found[k] -= rows[k, j] * found[j]
+        found[k] /= rows[k, k]
+    return found

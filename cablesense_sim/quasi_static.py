@@ -20,6 +20,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_sim import kinematics
+from cablesense_sim.compiled import compiled, eliminate
 from cablesense_sim.effects.effect import ArmRest, CablePull
 from cablesense_sim.effects.registry import Variants, transmissions
 from cablesense_sim.equilibrium import RESIDUAL_LIMIT_N_M, EquilibriumError, solve_equilibrium
@@ -43,6 +44,17 @@ class _TrialPose(NamedTuple):
     balance: Balance
 
 
+class _Steps(NamedTuple):
+    """Where the last steps of P arms began, and how far along them the arms are."""
+
+    start: Array  # (P, 2N)
+    step: Array  # (P, 2N)
+    driven: Array  # (P,) how hard torques drove the arm along the step, where it began
+    fraction: Array  # (P,) of the step
+    near: Array  # (P,) fraction that fell short of a kink
+    far: Array  # (P,) fraction that went beyond it, or infinite
+
+
 class QuasiStaticArm:
     """P arms from rest to rest; holds their state."""
 
@@ -57,6 +69,7 @@ class QuasiStaticArm:
         self._each = list(mechanisms)
         self._mechanism = stack(mechanisms)
         self._plates = plates_of(self._mechanism, len(self._each))
+        self._bend_limit_rad = self._mechanism.bend_limit_rad
         spring = self._mechanism.joint_stiffness_n_m_rad
         self._spring_n_m_rad = np.repeat(spring, 2, axis=-1)
         self._transmissions = transmissions(variants)
@@ -201,30 +214,13 @@ class QuasiStaticArm:
 
     def _search(self, start: Array, rest_m: Array, arms: Array) -> _TrialPose:
         pose = self._pose(start, rest_m, arms)
-        count = len(start)
-        step, driven = np.zeros_like(start), np.zeros(count)
+        count, none = len(start), np.zeros_like(start)
         fraction, near, far = np.ones(count), np.zeros(count), np.full(count, np.inf)
+        steps = _Steps(start.copy(), none, np.zeros(count), fraction, near, far)
         for _ in range(_MOST_STEPS):
-            torque = pose.balance.torque_n_m
-            if np.abs(torque).max() <= RESIDUAL_LIMIT_N_M:
+            if np.abs(pose.balance.torque_n_m).max() <= RESIDUAL_LIMIT_N_M:
                 return pose
-            # Over a kink, where cables go slack or slip, whole steps can go to and fro for ever: a
-            # step is cut while the torques at its end drive the arm back as hard as it was driven,
-            # and where a cut step falls short of the kink, the kink is sought between
-            back = (torque * step).sum(-1)
-            over = back > 0.3 * driven
-            short = (back < -0.7 * driven) & np.isfinite(far)
-            far, near = np.where(over, fraction, far), np.where(short, fraction, near)
-            again = (over | short) & (far - near > _SHORTEST * far) & (far > _LEAST_FRACTION)
-            newton = _step_rad(torque, pose.balance.slope_n_m)
-            shorter = np.clip(driven / np.maximum(driven + back, 1e-300), 0.05, 0.8)
-            between = np.where(near > 0.0, 0.5 * (near + far), shorter * fraction)
-            start = np.where(again[:, None], start, pose.angles_rad)
-            step = np.where(again[:, None], step, newton)
-            driven = np.where(again, driven, -(torque * newton).sum(-1))
-            fraction = np.where(again, between, 1.0)
-            near, far = np.where(again, near, 0.0), np.where(again, far, np.inf)
-            pose = self._pose(start + fraction[:, None] * step, rest_m, arms)
+            pose = self._pose(_step_on(steps, pose.angles_rad, *pose.balance), rest_m, arms)
         unbalanced = np.abs(pose.balance.torque_n_m).max(-1)
         if unbalanced.max() <= _TOLERATED_N_M:
             return pose
@@ -237,7 +233,7 @@ class QuasiStaticArm:
 
     def _require_room(self, angles_rad: Array) -> None:
         """Require that no joint is bent beyond the angle at which guide plates touch."""
-        bend, limit = kinematics.bend_rad(angles_rad), self._mechanism.bend_limit_rad
+        bend, limit = kinematics.bend_rad(angles_rad), self._bend_limit_rad
         bend = np.where(self._lost[:, None], 0.0, bend)
         if (bend < limit).all():
             return
@@ -261,8 +257,9 @@ class QuasiStaticArm:
         along = pull.tensions_n[..., 1:].copy()
         by_span = pull.by_length_n_m[..., 1:, 1:].copy()
         balance = balanced(shape, along, by_span, arms, resisted, stiffer)
-        balance.torque_n_m[self._lost] = 0.0
-        balance.slope_n_m[self._lost] = np.eye(angles.shape[-1])
+        if self._lost.any():
+            balance.torque_n_m[self._lost] = 0.0
+            balance.slope_n_m[self._lost] = np.eye(angles.shape[-1])
         return _TrialPose(angles, shape, pull.tensions_n[..., 0], balance)
 
     def _pull(self, spans_m: Array, bends_rad: Array, rest_m: Array) -> CablePull:
@@ -279,11 +276,40 @@ class QuasiStaticArm:
         )
 
 
-def _step_rad(torque_n_m: Array, slope_n_m: Array) -> Array:
+@compiled
+def _step_on(steps: _Steps, angles: Array, torque: Array, slope: Array) -> Array:
+    """Angles (P, 2N) to try next, after those that leave a torque (P, 2N) with a slope.
+
+    Over a kink, where cables go slack or slip, whole steps can go to and fro for ever: a step is
+    cut while the torques at its end drive the arm back as hard as it was driven. Where a cut step
+    falls short of the kink, the kink is sought between.
+    """
+    for p in range(len(angles)):
+        driven, fraction = steps.driven[p], steps.fraction[p]
+        back = (torque[p] * steps.step[p]).sum()
+        over = back > 0.3 * driven
+        short = back < -0.7 * driven and steps.far[p] < np.inf
+        if over:
+            steps.far[p] = fraction
+        if short:
+            steps.near[p] = fraction
+        near, far = steps.near[p], steps.far[p]
+        if (over or short) and far - near > _SHORTEST * far and far > _LEAST_FRACTION:
+            shorter = min(max(driven / max(driven + back, 1e-300), 0.05), 0.8)
+            steps.fraction[p] = 0.5 * (near + far) if near > 0.0 else shorter * fraction
+            continue
+        steps.start[p], steps.step[p] = angles[p], 0.0
+        if np.abs(torque[p]).max() > RESIDUAL_LIMIT_N_M:
+            steps.step[p] = _newton_rad(torque[p], slope[p])
+        steps.driven[p] = -(torque[p] * steps.step[p]).sum()
+        steps.fraction[p], steps.near[p], steps.far[p] = 1.0, 0.0, np.inf
+    return steps.start + steps.fraction.reshape(-1, 1) * steps.step
+
+
+@compiled
+def _newton_rad(torque: Array, slope: Array) -> Array:
     """Newton's step; where that leads uphill, with too many cables slack, a step that descends."""
-    step = -np.linalg.solve(slope_n_m, torque_n_m[..., None])[..., 0]
-    for arm in np.flatnonzero((torque_n_m * step).sum(-1) > 0.0):
-        symmetric = 0.5 * (slope_n_m[arm] + slope_n_m[arm].T)
-        step[arm] = escape_step(symmetric, torque_n_m[arm])
-    longest = np.abs(step).max(-1, keepdims=True)
-    return np.asarray(step * np.minimum(1.0, _LONGEST_TURN_RAD / np.maximum(longest, 1e-300)))
+    step = eliminate(slope, -torque)
+    if (torque * step).sum() > 0.0:
+        step = escape_step(0.5 * (slope + slope.T), torque)
+    return step * min(1.0, _LONGEST_TURN_RAD / max(np.abs(step).max(), 1e-300))

@@ -25,8 +25,6 @@ from cablesense_sim.mechanism import Mechanism
 _start_share = partial(shape, unit="1", low=-1.0, high=1.0, typical=0.5, fades=True, past=True)
 """A share of its limit that friction carries before the first sample."""
 
-_LOCKED = 3.0  # no cable reaches a ratio of tensions of exp(3) at one guide before it breaks
-
 
 class ActuatorBacklash(Effect):
     """Play between screw and nut: the held length follows the command half the play behind."""
@@ -113,19 +111,17 @@ class _Guides(Transmission):
 
     def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
         none = np.zeros_like(self._values["coefficient"])
-        self._coefficient = (self._values["coefficient"][:, None] * mechanism.relative_friction)[
-            ..., None
-        ]
+        self._coefficient = self._values["coefficient"][:, None] * mechanism.relative_friction
         names = (f"start_{cable}" for cable in cables(mechanism.cable_count))
         start = np.stack([self._values.get(name, none) for name in names], axis=-1)
-        limit = self._limit(rest.bends_rad)
         compliance_m_n = self._pieces_m_n(mechanism)
         self._longer = compliance_m_n / compliance_m_n.sum(-1, keepdims=True)
+        lengths_m, limit = self._at(rest.spans_m, rest.bends_rad)
         from cablesense_sim.cable_chain import CableChains  # compiled: none without friction waits
 
         self._chains = CableChains(
             compliance_m_n,
-            self._lengths_m(rest.spans_m),
+            lengths_m,
             limit,
             np.broadcast_to(start[..., None], limit.shape),
             self._values["give_m"][:, None, None],
@@ -136,10 +132,10 @@ class _Guides(Transmission):
         self._rest_m, self._longer_m = rest_m, longer_m
 
     def pull(self, spans_m: Array, bends_rad: Array) -> CablePull:
-        return self._chains.pull(self._lengths_m(spans_m), self._limit(bends_rad))
+        return self._chains.pull(*self._at(spans_m, bends_rad))
 
     def settle(self, rest: ArmRest) -> None:
-        self._chains.settle(self._lengths_m(rest.spans_m), self._limit(rest.bends_rad))
+        self._chains.settle(*self._at(rest.spans_m, rest.bends_rad))
 
     def _pieces_m_n(self, mechanism: Mechanism) -> Array:
         """(P, M, 1 + N) compliances, which add up to that of the cable and its actuator."""
@@ -150,18 +146,16 @@ class _Guides(Transmission):
         pieces[..., 0] = (pieces[..., 0] + actuator) * self._values["run_compliance"][:, None]
         return np.asarray(pieces * (whole / pieces.sum(-1))[..., None])
 
-    def _lengths_m(self, spans_m: Array) -> Array:
-        """(P, M, 1 + N), from where the whole cable is just slack; what creeps does so evenly."""
-        lengths = np.concatenate([-self._rest_m[..., None], spans_m], axis=-1)
-        return np.asarray(lengths - self._longer * self._longer_m[..., None])
+    def _at(self, spans_m: Array, bends_rad: Array) -> tuple[Array, Array]:
+        """(P, M, 1 + N) lengths of the pieces, m, and (P, M, N) μ θ of the nodes.
 
-    def _limit(self, bends_rad: Array) -> Array:
-        """(P, M, N) μ θ of the nodes."""
-        wraps = bends_rad[..., 0].copy()
-        wraps[..., 1:] += bends_rad[..., :-1, 1] + self._values["guide_wrap_rad"][:, None, None]
-        wraps[..., 0] += self._values["pulley_wrap_rad"][:, None]
-        limit = self._coefficient * wraps
-        return np.minimum(limit, _LOCKED)
+        Lengths count from where the whole cable is just slack; what creeps does so evenly.
+        """
+        from cablesense_sim.cable_chain import along_guides  # compiled: late
+
+        evenly = self._longer, self._longer_m
+        wraps = self._values["pulley_wrap_rad"], self._values["guide_wrap_rad"]
+        return along_guides(spans_m, bends_rad, self._rest_m, *evenly, self._coefficient, *wraps)
 
 
 class JointFriction(Effect):
