@@ -8,7 +8,7 @@ et al., A Swiss Army infinitesimal jackknife, AISTATS 2019).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -369,7 +369,7 @@ def fit(problem: Problem, proposal: Proposal) -> list[Explanation]:
         MOST_STEPS // 2 if slow else MOST_STEPS,  # the best of many starts is near already
         proposal.most_left if slow else np.inf,
     )
-    return [] if fitted is None else _with_fewer_sites(problem, fitted)
+    return [] if fitted is None else _with_fewer_sites(problem, fitted, known)
 
 
 def refitted(problem: Problem, explanation: Explanation) -> list[Explanation]:
@@ -378,13 +378,18 @@ def refitted(problem: Problem, explanation: Explanation) -> list[Explanation]:
     return [] if fitted is None else _with_fewer_sites(problem, fitted)
 
 
-def _with_fewer_sites(problem: Problem, fitted: Explanation) -> list[Explanation]:
-    """The explanation, and one with the sites alone that are worth their penalty."""
+def _with_fewer_sites(
+    problem: Problem, fitted: Explanation, known: Collection[Term] = ()
+) -> list[Explanation]:
+    """The explanation, and one with the sites alone that are worth their penalty.
+
+    Not the latter if it has the terms `known`, of an explanation that was fitted.
+    """
     nothing, sites = own_columns(problem, fitted)
     kept = {sites[k].terms[0][:2] for k in Selection(problem, nothing, sites).kept()}
     values = {term: v for term, v in fitted.values.items() if not kept or term[:2] in kept}
     smaller = None
-    if len(values) < len(fitted.values):
+    if len(values) < len(fitted.values) and values.keys() != set(known):
         smaller = refit_part(problem, fitted, values, _STEPS_OF_PART)
     return [fitted, smaller] if smaller else [fitted]
 

@@ -81,7 +81,8 @@ class _Search:
         self._history = {c.effect for c in self._expensive}
         self._found: dict[tuple[str, ...], Explanation] = {}
         self._expanded: set[frozenset[tuple[str, str]]] = set()
-        self._refined: dict[Explanation, Problem] = {}
+        self._refined: set[Explanation] = set()
+        self._fitted_in: dict[Explanation, Problem] = {}
 
     def _map(
         self,
@@ -93,8 +94,10 @@ class _Search:
 
         Progress shows the value's `name`, if that is given.
         """
-        on_sketch, tasks = self._problem is not self._whole, tuple(values)
-        results = self._pool.map(partial(_called, function, on_sketch), tasks)
+        sketch, tasks = self._whole.sketch, tuple(values)
+        on_sketch = sketch is not None and self._problem is sketch.problem
+        other = None if on_sketch or self._problem is self._whole else self._problem
+        results = self._pool.map(partial(_called, function, on_sketch, other), tasks)
         begun, share = self._done, _OF_THE_REST * (self._until - self._done)
         for k, task in enumerate(tasks, 1):
             self._doing = name(task) if name else self._doing
@@ -123,6 +126,7 @@ class _Search:
         for _ in range(_MOST_EXPANDED):
             if self._best().effects:
                 self._refine([self._best()])
+            self._refine_history()
             best, start = self._best(), self._next()
             resolved = self._is_resolved()
             if start is None or fruitless == _MOST_FRUITLESS or self._is_explained(best):
@@ -182,6 +186,7 @@ class _Search:
             [p for p in proposals if count == min(len(p.effects), 3)] for count in (1, 2, 3)
         )
         self._fit([*self._promising(one, 2 * _TRIED), *usual])
+        self._refine_history()
         if not self._is_resolved():
             self._fit([*self._promising(two, _TRIED + 1), *self._promising(more)])
 
@@ -213,6 +218,7 @@ class _Search:
                 not known.effects or self._problem.judged(each) < self._problem.judged(known)
             ):
                 self._found[each.effects] = each
+                self._fitted_in[each] = self._problem
 
     def _without(
         self, explanation: Explanation, gone: Iterable[tuple[str, ...]]
@@ -279,6 +285,7 @@ class _Search:
         self._until = 0.95
         if sketch is None:
             self._climb_with_expensive()
+            self._problem = self._whole
             return
         none, known, nominal = self._none, self._found, self._nominal
         reduced = {effects: sketch.explanation(h) for effects, h in known.items()}
@@ -289,7 +296,7 @@ class _Search:
         self._doing = "judging on all rows"
         most = 3.0 * _RIVAL * self._problem.cost_of(self._best())
         new = [
-            (h, self._refined.get(h, sketch.problem))
+            (h, self._fitted_in[h])
             for effects, h in self._found.items()
             if h is not reduced.get(effects)
             and self._problem.cost_of(h) <= most
@@ -299,7 +306,7 @@ class _Search:
         self._problem, self._none = self._whole, none
         judged = [h for h in self._map(_on_all_rows, new) if h is not None]
         self._keep_all(judged)
-        self._refined |= dict.fromkeys(judged, self._problem)
+        self._refined.update(judged)
 
     def _climb_with_expensive(self) -> None:
         self._expanded.clear()
@@ -342,10 +349,20 @@ class _Search:
         """Those without a history-dependent effect."""
         return [h for h in explanations if not self._history & set(h.effects)]
 
+    def _refine_history(self) -> None:
+        """Refines the best if it depends on history; further fits are beside its tolerances.
+
+        These are far from what they are without friction.
+        """
+        if self._history & set(self._best().effects):
+            self._refine([self._best()])
+            self._problem = self._fitted_in[self._best()]
+
     def _refine(self, rough: Iterable[Explanation]) -> None:
         waiting = dict.fromkeys(one for one in rough if one not in self._refined)
         for fitted, tolerances in self._map(final_refinement, waiting):
-            self._found[fitted.effects], self._refined[fitted] = fitted, tolerances
+            self._found[fitted.effects], self._fitted_in[fitted] = fitted, tolerances
+            self._refined.add(fitted)
 
     def _best(self) -> Explanation:
         return min([self._none, *self._found.values()], key=self._problem.judged)
@@ -421,7 +438,16 @@ def _that_fit(start: Explanation, columns: Sequence[LinearEffect]) -> list[Linea
     ]
 
 
-def _called(function: Callable[..., Any], on_sketch: bool, problem: Problem, value: Any) -> Any:
+def _called(
+    function: Callable[..., Any],
+    on_sketch: bool,
+    other: Problem | None,
+    problem: Problem,
+    value: Any,
+) -> Any:
+    """The function of the problem that processes have, of its sketch, or of another one."""
+    if other is not None:
+        return function(other, value)
     if on_sketch:
         assert problem.sketch is not None
         problem = problem.sketch.problem

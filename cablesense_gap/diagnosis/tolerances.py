@@ -111,14 +111,12 @@ def _linear_about(
     size = 1.0 / np.maximum(1.0 / _STEP_OF_STD, change / (_STEP_OF_FLOOR * problem.floor))
     # towards zero, so that no tolerance leaves its range
     steps = {t: -s * np.copysign(std[t], at[t]) for t, s in zip(std, size, strict=True)}
-    predict, candidates = problem.simulator.predict, problem.simulator.candidates
-    # a hundred simulations with friction or creep would take minutes, to change the columns little
-    history = {c.effect for c in candidates if c.history_dependent}
-    lasting = {t: value for t, value in explanation.values.items() if t.effect not in history}
-    base, varied = {**lasting, **at}, list(lasting)
+    # numbers that fade matter in few rows, and their columns stay
+    varied = [t for t in explanation.values if not problem.parameters[t].fades]
+    base = {**explanation.values, **at}
     scaled, values = _effect_steps(problem, explanation, varied)
     variants = [base, *({**base, term: at[term] + step} for term, step in steps.items())]
-    there, *moved = predict(
+    there, *moved = problem.simulator.predict(
         [*variants, *({**base, t: v} for t, v in zip(varied, values, strict=True))]
     )
     every = np.array(moved) - there
@@ -126,8 +124,6 @@ def _linear_about(
     effects = explanation.columns.copy()
     own = [list(explanation.values).index(term) for term in varied]
     effects[own] = every[len(std) :] / scaled[:, None, None]
-    if lasting != explanation.values:
-        there = predict([{**explanation.values, **at}])[0]
     about = with_tolerances(problem, at, columns)
     made = there, columns, effects, about.tolerances_change
     if not all(np.isfinite(each).all() for each in made):
