@@ -45,7 +45,7 @@ class _TrialPose(NamedTuple):
 
 
 class _Steps(NamedTuple):
-    """Where the last steps of P arms began, and how far along them the arms are."""
+    """The last steps of P arms: their start, and the fraction of them that was taken."""
 
     start: Array  # (P, 2N)
     step: Array  # (P, 2N)
@@ -281,8 +281,8 @@ def _step_on(steps: _Steps, angles: Array, torque: Array, slope: Array) -> Array
     """Angles (P, 2N) to try next, after those that leave a torque (P, 2N) with a slope.
 
     Over a kink, where cables go slack or slip, whole steps can go to and fro for ever: a step is
-    cut while the torques at its end drive the arm back as hard as it was driven. Where a cut step
-    falls short of the kink, the kink is sought between.
+    cut while the torques at its end drive the arm back as hard as it was driven. If a cut step
+    falls short of the kink, the next one ends between the two.
     """
     for p in range(len(angles)):
         driven, fraction = steps.driven[p], steps.fraction[p]

@@ -350,9 +350,9 @@ class _Search:
         return [h for h in explanations if not self._history & set(h.effects)]
 
     def _refine_history(self) -> None:
-        """Refines the best if it depends on history; further fits are beside its tolerances.
+        """Refines the best if it depends on history; later fits use its tolerances.
 
-        These are far from what they are without friction.
+        Friction changes the columns of tolerances.
         """
         if self._history & set(self._best().effects):
             self._refine([self._best()])

@@ -1,8 +1,8 @@
 """Tolerances, linear about where they are: the tensions of a stiff arm call for that.
 
 Every fit takes them linearly (`fitting`). Here their columns are taken about the tolerances of a
-fit, and again until the simulator agrees with the linear prediction. Columns leave out the
-history-dependent effects; the prediction that they are added to has them.
+fit, and again until the simulator agrees with the linear prediction. With friction of cables a
+tolerance changes other tensions than without, so columns are taken with the fitted effects.
 """
 
 from __future__ import annotations
