@@ -160,13 +160,17 @@ def adapt_to(
 def withheld_trials(recording: Recording, arm: Arm) -> tuple[int, ...]:
     """Numbers of the trials that the estimators are judged on: the fold with the most loads.
 
-    If that has all loads, one of its trials, so that the others are left to learn from.
+    If that has all loads, one of its trials, so that the others are left to learn from. Loads at
+    the arm file's contact points count, as some models know no others, or all if few are there.
 
     Raises:
         AdaptationError: fewer than two trials have a load that can be estimated.
     """
     can_be_estimated = (recording.load_segment > 0) & np.isfinite(tares_n(recording)).all(axis=1)
     numbers, folds = np.unique(recording.trial), folds_of(recording)
+    of_every_model = can_be_estimated & at_contact_points(recording, arm)
+    if len(np.unique(recording.trial[of_every_model])) > 1:
+        can_be_estimated = of_every_model
     loaded = np.isin(numbers, recording.trial[can_be_estimated])
     if loaded.sum() < 2:
         raise AdaptationError(
