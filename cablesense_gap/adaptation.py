@@ -7,7 +7,7 @@ over the poses and forces of the one in use, with a memory if the arm depends on
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -139,13 +139,12 @@ def adapt_to(
     """
     recording = with_acting_loads(recording, found.amended)
     estimator = open_estimator(first)
-    if network_for(estimator, found.amended) != _ANYWHERE:  # both are judged on the same loads
-        recording = recording.rows(at_contact_points(recording, found.amended))
-    before, after, better = recorded_errors(recording, estimator, unseen), None, False
+    anywhere = network_for(estimator, found.amended) == _ANYWHERE  # both judged on the same loads
+    before, after, better = recorded_errors(recording, estimator, unseen, anywhere), None, False
     if found.verdict.shares:
-        seen = recording.rows(~np.isin(recording.trial, unseen))
-        train_for(found.amended, estimator, seen, second, command, on_epoch)
-        after = recorded_errors(recording, open_estimator(second, found.amended), unseen)
+        train_for(found.amended, estimator, recording, unseen, second, command, on_epoch)
+        trained = open_estimator(second, found.amended)
+        after = recorded_errors(recording, trained, unseen, anywhere)
         better = _is_better(before, after)
     errors = EstimatorErrors(
         before=_figures(before),
@@ -199,6 +198,7 @@ def train_for(
     arm: Arm,
     first: Estimator | SequenceEstimator,
     recording: Recording,
+    unseen: Collection[int],
     path: Path,
     command: str,
     on_epoch: OnEpoch = lambda _: None,
@@ -207,7 +207,7 @@ def train_for(
 
     History-dependent effects are known to it by a simulation that runs with the network. Poses go
     as far as those of the recording if these are larger, and forces as far as the arm bears. Its
-    intervals are widened until they hold the forces of the recording.
+    intervals are widened until they hold the forces of the recording, but of the trials `unseen`.
     """
     metadata, has_history = first.metadata, depends_on_history(arm)
     network = network_for(first, arm)
@@ -247,7 +247,8 @@ def train_for(
             return contact_answer(trained, difference_n[rows], taken.command_rad[rows])
 
         anywhere = isinstance(trained, AnywhereStatics)
-        errors = contact_errors(recording, arm, answering, anywhere=anywhere)
+        seen = set(np.unique(recording.trial)) - set(unseen)
+        errors = contact_errors(recording, arm, answering, seen, anywhere)
         off = np.abs(errors.truth.magnitude_n - errors.answer.magnitude_n)
         turned = np.abs(angle_difference_deg(errors.answer.angle_deg, errors.truth.angle_deg))
         found = (errors.truth.segment > 0) & (errors.truth.segment == errors.answer.segment)

@@ -169,11 +169,12 @@ def recorded_errors(
     recording: Recording,
     estimator: Estimator | SequenceEstimator,
     trials: Collection[int] | None = None,
+    anywhere: bool | None = None,
 ) -> RecordedErrors:
     """The errors of a model on the contacts of a recording of its arm, or of some trials.
 
-    For a model of the arm file's contact points, loads that act elsewhere do not count. For one of
-    contacts anywhere see `answer_at`.
+    Loads elsewhere than at the arm file's contact points count if they may be `anywhere`, by
+    default as the model knows them. For a model of contacts anywhere see `answer_at`.
 
     Raises:
         RecordingError: no load at a contact point follows unloaded rows at its command, so there
@@ -192,7 +193,9 @@ def recorded_errors(
             )
         return ContactAnswer.of(estimator.estimate_batch(difference_n, command_rad))
 
-    arm, anywhere = estimator.metadata.arm, isinstance(estimator, AnywhereEstimator)
+    arm = estimator.metadata.arm
+    if anywhere is None:
+        anywhere = isinstance(estimator, AnywhereEstimator)
     return contact_errors(recording, arm, answering, trials, anywhere)
 
 

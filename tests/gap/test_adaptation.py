@@ -126,7 +126,7 @@ def test_a_second_estimator_that_is_no_better_is_not_used(
 ):
     diagnosed_as(GAIN)
     monkeypatch.setattr(
-        adaptation, "train_for", lambda arm, first, recording, path, *_: shutil.copy(SHIPPED, path)
+        adaptation, "train_for", lambda arm, first, seen, unseen, at, *_: shutil.copy(SHIPPED, at)
     )
     found = adapt(healthy(), LAB, SHIPPED, tmp_path / "second.onnx", "by a test")
     assert not found.better
