@@ -36,7 +36,7 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         every = np.ones(len(recording), dtype=bool)
         return Diagnosis(recording, arm, verdict, LAB, read, read, every)
 
-    def train(arm, first, recording, path, *_) -> None:
+    def train(arm, first, recording, unseen, path, *_) -> None:
         shutil.copy(find_model("cdsm_lab"), path)
 
     draw_no_pictures(monkeypatch)
