@@ -207,7 +207,7 @@ def train_for(
 
     History-dependent effects are known to it by a simulation that runs with the network. Poses go
     as far as those of the recording if these are larger, and forces as far as the arm bears. Its
-    intervals are widened until they hold the forces of the recording, but of the trials `unseen`.
+    intervals are widened until they hold the forces of the trials other than `unseen`.
     """
     metadata, has_history = first.metadata, depends_on_history(arm)
     network = network_for(first, arm)
