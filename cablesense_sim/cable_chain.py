@@ -32,7 +32,6 @@ _LEAST_GIVE_M = 1e-8
 _MOST_STEPS, _CIRCLES_AFTER = 40, 10
 _SWEEPS, _HALVINGS = 30, 40
 _ROUNDING = 1e-12
-_LOCKED = 3.0  # no cable reaches a ratio of tensions of exp(3) at one guide before it breaks
 
 
 class _Cables(NamedTuple):
@@ -125,71 +124,6 @@ def kept(share: Array, limit: Array) -> Array:
     Nodes carry a share, from -1 to 1, of their limit φ.
     """
     return np.exp(-np.cumsum(share * limit, axis=-1))
-
-
-@compiled
-def along_guides(
-    spans_m: Array,
-    bends_rad: Array,
-    rest_m: Array,
-    evenly: Array,
-    longer_m: Array,
-    coefficient: Array,
-    pulley_wrap_rad: Array,
-    guide_wrap_rad: Array,
-) -> tuple[Array, Array]:
-    """Lengths (P, M, 1 + N) of the pieces of cables, m, and limits (P, M, N) of their nodes.
-
-    Lengths count from where a whole cable is just slack.
-
-    Args:
-        spans_m: (P, M, N) of cable between the plates of a joint.
-        bends_rad: (P, M, N, 2) turn of a cable at the guides before and behind a joint.
-        rest_m: (P, M) sum of the spans at which a cable is just slack.
-        evenly: (P, M, 1 + N) shares of the pieces in a cable's gain of length.
-        longer_m: (P, M) that gain.
-        coefficient: (P, M) of friction.
-        pulley_wrap_rad: (P,) wrap angle at the actuator's pulley.
-        guide_wrap_rad: (P,) wrap angle at the guides between two joints with the arm straight.
-    """
-    lengths, limit = np.empty(evenly.shape), np.empty(spans_m.shape)
-    for p in range(spans_m.shape[0]):
-        for m in range(spans_m.shape[1]):
-            lengths[p, m, 0] = -rest_m[p, m] - evenly[p, m, 0] * longer_m[p, m]
-            for n in range(spans_m.shape[2]):
-                lengths[p, m, n + 1] = spans_m[p, m, n] - evenly[p, m, n + 1] * longer_m[p, m]
-                wrap = bends_rad[p, m, n, 0]
-                if n == 0:
-                    wrap += pulley_wrap_rad[p]
-                else:
-                    wrap += bends_rad[p, m, n - 1, 1] + guide_wrap_rad[p]
-                limit[p, m, n] = min(coefficient[p, m] * wrap, _LOCKED)
-    return lengths, limit
-
-
-@compiled
-def pulled_over_guides_n(near_n: Array, pulled_n: Array, ratio: Array, begins: Array) -> Array:
-    """Tensions (R, G), N, beyond G guides in a row, while a motor holds that before the first.
-
-    In each row the run beyond a guide is pulled by its own stretch. It slips as soon as the ratio
-    of the tensions at the guide exceeds the bound. Each run is taken to be as stiff as all that
-    lies beyond its guide.
-
-    Args:
-        near_n: (R,) at the motor, above zero.
-        pulled_n: (R, G) by how much the tension beyond each would grow if nothing slipped.
-        ratio: (R, G) exp(φ) of each guide.
-        begins: (R,) 1 where a course begins, without friction, else 0.
-    """
-    found = np.empty(pulled_n.shape)
-    for row in range(len(near_n)):
-        near = near_n[row]
-        for k in range(pulled_n.shape[1]):
-            if begins[row] == 0.0:
-                free = found[row - 1, k] + pulled_n[row, k]
-                near = min(max(free, near / ratio[row, k]), near * ratio[row, k])
-            found[row, k] = near
-    return found
 
 
 @compiled

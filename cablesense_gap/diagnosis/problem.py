@@ -198,6 +198,33 @@ class Problem:
         """The cost of an explanation on held-out trials."""
         return self.cost(explanation.held_out_rmse**2, explanation.tolerance_chi2)
 
+    def worst_tolerance(self, explanation: Explanation) -> float:
+        """In standard deviations."""
+        std = dict(zip(self.tolerance_terms, self.tolerance_std, strict=True))
+        off = (abs(value) / std[term] for term, value in explanation.tolerances.items())
+        return max(off, default=0.0)
+
+    def has_usual_tolerances(self, explanation: Explanation) -> bool:
+        """Whether none of its tolerances is so far off that it imitates an effect."""
+        return self.worst_tolerance(explanation) <= self.far_off
+
+    def is_explained(self, explanation: Explanation) -> bool:
+        """Whether its residual is near the least that can be resolved, with usual tolerances."""
+        near = self.cost_of(explanation) <= 1.5 * excess(0.0, self.floor)
+        return near and self.has_usual_tolerances(explanation)
+
+    def shows(self, explanation: Explanation, part: Explanation) -> bool:
+        """Whether an explanation explains clearly more than a part of it.
+
+        The least is half a noise floor and more than chance. It also does if the part needs a
+        tolerance that imitates an effect.
+        """
+        worst = max(self.far_off, self.worst_tolerance(explanation))
+        if self.worst_tolerance(part) > worst:
+            return True
+        more = part.held_out_rmse**2 - explanation.held_out_rmse**2
+        return more > (0.5 * self.floor) ** 2 and explanation.beats(part)
+
 
 @dataclass(frozen=True)
 class Sketch:

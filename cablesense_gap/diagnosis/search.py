@@ -129,7 +129,7 @@ class _Search:
             self._refine_history()
             best, start = self._best(), self._next()
             resolved = self._is_resolved()
-            if start is None or fruitless == _MOST_FRUITLESS or self._is_explained(best):
+            if start is None or fruitless == _MOST_FRUITLESS or self._problem.is_explained(best):
                 break
             if resolved and start is not best:
                 break
@@ -331,7 +331,7 @@ class _Search:
             self._refine(self._quick(self._found[rest.effects] for rest in rests))
             least = min((self._found[rest.effects] for rest in rests), key=cost_of, default=best)
             if least is best or (
-                cost_of(least) > _RIVAL * cost_of(best) and self._shows(best, least)
+                cost_of(least) > _RIVAL * cost_of(best) and self._problem.shows(best, least)
             ):
                 break
             best = least
@@ -372,32 +372,9 @@ class _Search:
         fewer = [h for h in self._found.values() if set(h.effects) < set(explanation.effects)]
         cost = self._problem.cost_of(explanation)
         return any(
-            self._problem.cost_of(h) < 1.12 * cost or not self._shows(explanation, h)
+            self._problem.cost_of(h) < 1.12 * cost or not self._problem.shows(explanation, h)
             for h in fewer
         )
-
-    def _shows(self, explanation: Explanation, part: Explanation) -> bool:
-        """Whether an explanation explains clearly more than a part of it.
-
-        The least is half a noise floor and more than chance. It also does if the part needs a
-        tolerance beyond the problem's `far_off`, which imitates an effect.
-        """
-        more = part.held_out_rmse**2 - explanation.held_out_rmse**2
-        worst = max(self._problem.far_off, self._worst_tolerance(explanation))
-        strained = self._worst_tolerance(part) > worst
-        shown = more > (0.5 * self._problem.floor) ** 2 and explanation.beats(part)
-        return strained or shown
-
-    def _worst_tolerance(self, explanation: Explanation) -> float:
-        """In standard deviations."""
-        std = dict(zip(self._problem.tolerance_terms, self._problem.tolerance_std, strict=True))
-        off = (abs(value) / std[term] for term, value in explanation.tolerances.items())
-        return max(off, default=0.0)
-
-    def _is_explained(self, explanation: Explanation) -> bool:
-        """Whether its residual is near the least that can be resolved, with usual tolerances."""
-        near = self._problem.cost_of(explanation) <= 1.5 * excess(0.0, self._problem.floor)
-        return near and self._worst_tolerance(explanation) <= self._problem.far_off
 
     def _may_be_the_past(self) -> bool:
         """Whether history-dependent effects may cause the residual of the best explanation.
@@ -417,11 +394,11 @@ class _Search:
         Tolerances alone leave little more than the floor, or an explanation leaves 3 % of the gap.
         """
         floor, none = self._problem.floor, self._none.held_out_rmse
-        if none <= 1.1 * floor and self._worst_tolerance(self._none) <= self._problem.far_off:
+        if none <= 1.1 * floor and self._problem.has_usual_tolerances(self._none):
             return True
         little = 0.03 * excess(none**2, floor)
         return any(
-            self._problem.cost_of(h) <= little or self._is_explained(h)
+            self._problem.cost_of(h) <= little or self._problem.is_explained(h)
             for h in self._found.values()
         )
 

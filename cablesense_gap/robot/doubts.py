@@ -129,10 +129,8 @@ def weighed(problem: Problem, explanation: Explanation) -> Explanation:
     One tolerance far off counts as much as all of them off. A robot has dozens of tolerances. A
     single one, for example a delay of many samples, would not show in the sum of their squares.
     """
-    std = dict(zip(problem.tolerance_terms, problem.tolerance_std, strict=True))
-    tolerances = explanation.tolerances
-    largest = max((abs(value) / std[term] for term, value in tolerances.items()), default=0.0)
-    least = len(tolerances) * (largest / problem.far_off) ** 4
+    largest = problem.worst_tolerance(explanation)
+    least = len(explanation.tolerances) * (largest / problem.far_off) ** 4
     return replace(
         explanation,
         tolerance_chi2=max(explanation.tolerance_chi2, least),

@@ -166,7 +166,7 @@ class GuidedTendons:
 
         It is so stiff that at its usual tension it goes from rest to slip within `give_m`.
         """
-        from cablesense_sim.cable_chain import pulled_over_guides_n  # slow to compile
+        from cablesense_sim.guides import pulled_over_guides_n  # slow to compile
 
         position, trial = self._motion.position, self._motion.trial
         near_n = np.abs(known_n)

@@ -151,7 +151,7 @@ class _Guides(Transmission):
 
         Lengths count from where the whole cable is just slack; what creeps does so evenly.
         """
-        from cablesense_sim.cable_chain import along_guides  # compiled: late
+        from cablesense_sim.guides import along_guides  # compiled: late
 
         evenly = self._longer, self._longer_m
         wraps = self._values["pulley_wrap_rad"], self._values["guide_wrap_rad"]
