@@ -34,6 +34,15 @@ _SWEEPS, _HALVINGS = 30, 40
 _ROUNDING = 1e-12
 
 
+class _Pulled(NamedTuple):
+    """The last pull of each cable: an arm at rest is asked for it again and again."""
+
+    lengths_m: Array  # (C, K) where it was; NaN if the state has changed since
+    limit: Array  # (C, K - 1)
+    tensions_n: Array  # (C, K)
+    slope_n_m: Array  # (C, K, K) by these lengths
+
+
 class _Cables(NamedTuple):
     """C cables of K pieces and K - 1 nodes."""
 
@@ -44,6 +53,7 @@ class _Cables(NamedTuple):
     share: Array  # (C, K - 1) of the limit that bristles carried there
     slips: Array  # (C, K - 1) which way a node slipped when last looked at, where a search begins
     passed_m: Array  # (C, K - 1) cable that had passed it then, towards the actuator
+    pulled: _Pulled
 
 
 class _Rows(NamedTuple):
@@ -99,13 +109,21 @@ class CableChains:
             share=_flat(share.copy()),
             slips=np.zeros((whole.size, nodes[-1])),
             passed_m=np.zeros((whole.size, nodes[-1])),
+            pulled=_Pulled(
+                lengths_m=np.full((whole.size, self._shape[-1]), np.nan),
+                limit=np.zeros((whole.size, nodes[-1])),
+                tensions_n=np.zeros((whole.size, self._shape[-1])),
+                slope_n_m=np.zeros((whole.size, self._shape[-1], self._shape[-1])),
+            ),
         )
 
     def pull(self, lengths_m: Array, limit: Array) -> CablePull:
         """At lengths (..., K), m, and limits (..., K - 1) of now, from the state as it is."""
-        tensions, slope = _pull(self._cables, _flat(lengths_m), _flat(limit))
+        _pull(self._cables, _flat(lengths_m), _flat(limit))
+        pulled = self._cables.pulled
         return CablePull(
-            tensions.reshape(self._shape), slope.reshape(*self._shape, self._shape[-1])
+            pulled.tensions_n.reshape(self._shape).copy(),
+            pulled.slope_n_m.reshape(*self._shape, self._shape[-1]).copy(),
         )
 
     def settle(self, lengths_m: Array, limit: Array) -> None:
@@ -127,25 +145,34 @@ def kept(share: Array, limit: Array) -> Array:
 
 
 @compiled
-def _pull(cables: _Cables, lengths_m: Array, limit: Array) -> tuple[Array, Array]:
-    """Tensions (C, K), N, at lengths (C, K), and their derivative (C, K, K) by these, N/m."""
+def _pull(cables: _Cables, lengths_m: Array, limit: Array) -> None:
+    """Pull at lengths (C, K) and limits (C, K - 1), as far as that is not the last pull."""
     count, pieces = lengths_m.shape
-    tensions, slope = np.zeros((count, pieces)), np.zeros((count, pieces, pieces))
     rows, held = _empty_rows(pieces - 1), np.empty(pieces)
     right = np.empty((pieces - 1, pieces))
     for c in range(count):
+        pulled = cables.pulled
+        same = True
+        for k in range(pieces):
+            same = same and pulled.lengths_m[c, k] == lengths_m[c, k]
+        for k in range(pieces - 1):
+            same = same and pulled.limit[c, k] == limit[c, k]
+        if same:
+            continue
+        pulled.lengths_m[c], pulled.limit[c] = lengths_m[c], limit[c]
+        tensions, slope = pulled.tensions_n[c], pulled.slope_n_m[c]
         if not _hold(cables, c, lengths_m[c], held):
+            tensions[:] = slope[:] = 0.0
             continue
         _pass(cables, c, held, limit[c], rows)
         stiffness = cables.stiffness_n_m[c]
         _by_stretch(stiffness, rows, right)
         _eliminate(stiffness, rows, right)
-        _stretched(stiffness, held, cables.passed_m[c], tensions[c])
+        _stretched(stiffness, held, cables.passed_m[c], tensions)
         for k in range(pieces):
             for column in range(pieces):
-                slope[c, k, column] = stiffness[k] * _gained(right[:, column], k)
-            slope[c, k, k] += stiffness[k]
-    return tensions, slope
+                slope[k, column] = stiffness[k] * _gained(right[:, column], k)
+            slope[k, k] += stiffness[k]
 
 
 @compiled
@@ -153,6 +180,7 @@ def _settle(cables: _Cables, lengths_m: Array, limit: Array) -> None:
     """Stay at lengths (C, K). In a slack cable the material comes to lie evenly."""
     count, pieces = lengths_m.shape
     rows, held = _empty_rows(pieces - 1), np.empty(pieces)
+    cables.pulled.lengths_m[:] = np.nan
     for c in range(count):
         natural, passed = cables.natural_m[c], cables.passed_m[c]
         if _hold(cables, c, lengths_m[c], held):

@@ -17,6 +17,7 @@ from cablesense_sim.compiled import compiled
 from cablesense_sim.contact_force import (
     TWISTS,
     Fit,
+    Force,
     axial_bound,
     best_force,
     best_places,
@@ -147,6 +148,9 @@ def _fill_range(
     end = min(prior.reach_m[n, 1], fit.place_m + _FINE_REACH * fit.deviation_m)
     f = best_force(products, axial, begin)
     lateral = math.hypot(f.y, f.z)
+    to_x = turn[0, 0], turn[1, 0], turn[2, 0]
+    to_y = turn[0, 1], turn[1, 1], turn[2, 1]
+    to_z = turn[0, 2], turn[1, 2], turn[2, 2]
     for step in range(_FINE):
         k, s, log_prior = first + step, begin + (end - begin) * step / (_FINE - 1), fit.log_twist
         if surface:  # bounded by the lateral force, which hardly differs from place to place
@@ -161,18 +165,26 @@ def _fill_range(
         grid.moment_n_m[n, k, 1] = fit.side_y_m * f.x + s * f.y
         grid.moment_variance[n, k, 0] = shared(f, around_y, around_y)
         grid.moment_variance[n, k, 1] = shared(f, around_z, around_z)
+        # along the axes at the commanded angles
+        x, y, z = _along(f, to_x), _along(f, to_y), _along(f, to_z)
+        yy, yz, zz = shared(f, to_y, to_y), shared(f, to_y, to_z), shared(f, to_z, to_z)
         force, covariance = grid.force_n[n, k], grid.covariance_n2[n, k]
-        for i in range(3):  # along the axes at the commanded angles
-            force[i] = f.x * turn[0, i] + f.y * turn[1, i] + f.z * turn[2, i]
-            for j in range(3):
-                covariance[i, j] = shared(f, turn[:, i], turn[:, j])
-        lateral, spread = lateral_of(
-            force[1], force[2], covariance[1, 1], covariance[1, 2], covariance[2, 2]
-        )
+        force[0], force[1], force[2] = x, y, z
+        covariance[0, 0] = shared(f, to_x, to_x)
+        covariance[0, 1] = covariance[1, 0] = shared(f, to_x, to_y)
+        covariance[0, 2] = covariance[2, 0] = shared(f, to_x, to_z)
+        covariance[1, 1], covariance[2, 2] = yy, zz
+        covariance[1, 2] = covariance[2, 1] = yz
+        lateral, spread = lateral_of(y, z, yy, yz, zz)
         grid.log_density[n, k] = log_prior + log_density(f, root, lateral, spread, LARGEST_N)
         grid.place_m[n, k], most = s, max(most, f.gain)
         grid.lateral_n[n, k], grid.lateral_std_n[n, k] = lateral, spread
     return products[-1, -1] - most
+
+
+@compiled
+def _along(f: Force, axis: tuple[float, float, float]) -> float:
+    return f.x * axis[0] + f.y * axis[1] + f.z * axis[2]
 
 
 @compiled
@@ -236,6 +248,10 @@ def _bound_region(
     grid: _Grid, filled: NDArray[np.bool_], probability: Array, found: Location, b: int
 ) -> None:
     """The interval of the place over all segments, given that there is a contact."""
+    if filled.sum() == 1:
+        found.region_segment[b, :] = 1 + filled.argmax()
+        found.region_m[b] = found.place_ci95_m[b]
+        return
     touched = 0.0
     for n in range(len(filled)):
         touched += probability[n + 1] if filled[n] else 0.0
