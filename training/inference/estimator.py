@@ -199,7 +199,7 @@ class Estimator(ContactEstimator):
     def __init__(self, path: str | Path, arm: Arm | None = None) -> None:
         super().__init__(path, arm)
         self._single = SingleRun(self.model, self.metadata.arm, self.outputs, self._source)
-        self._command = np.zeros(0)
+        self._command = b""
 
     def estimate(
         self, tension_difference_n: ArrayLike, joint_command_rad: ArrayLike | None = None
@@ -254,11 +254,16 @@ class Estimator(ContactEstimator):
 
     def _set_command(self, joint_command_rad: ArrayLike | None) -> None:
         """Compute what depends on the command alone, if it is not the one before."""
-        if joint_command_rad is None or not np.array_equal(self._command, joint_command_rad):
-            command = self._commands(joint_command_rad, 1)
-            self._command = np.zeros(0)  # none, should this fail
-            self._single.set_command(command)
-            self._command = command[0].copy()
+        if (
+            isinstance(joint_command_rad, np.ndarray)
+            and joint_command_rad.dtype == np.float64
+            and joint_command_rad.tobytes() == self._command
+        ):
+            return
+        command = self._commands(joint_command_rad, 1)
+        self._command = b""  # none, should this fail
+        self._single.set_command(command)
+        self._command = command.tobytes()
 
 
 class SequenceEstimator(ContactEstimator, ABC):
