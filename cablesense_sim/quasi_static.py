@@ -93,14 +93,20 @@ class QuasiStaticArm:
         return self._angles_rad.copy()
 
     def step(
-        self, time_s: float, held_m: Array, forces_n: Array, contact_m: Array | None = None
+        self,
+        time_s: float,
+        held_m: Array,
+        forces_n: Array,
+        contact_m: Array | None = None,
+        expected_turn_rad: Array | None = None,
     ) -> Array:
         """Tensions (P, M) at the actuators at the next rest.
 
         `held_m` (P, M) are the cable lengths that the actuators hold, relative to the straight
         arm; `forces_n` (N, 3), or (P, N, 3) for each arm its own, act in base axes. They act at
         `contact_m` (N,) or (P, N) on the axes, from the joint centres, or at the mechanisms'
-        contact points.
+        contact points. The search begins at the last rest plus the `expected_turn_rad` (2N,), for
+        example that of an arm with similar numbers.
 
         Raises:
             EquilibriumError: an arm finds no rest; its `failed` names them all.
@@ -124,7 +130,7 @@ class QuasiStaticArm:
         with np.errstate(all="ignore"):  # an arm without a rest may go anywhere
             while True:
                 try:
-                    pose = self._next(rest_m, arms)
+                    pose = self._next(rest_m, arms, expected_turn_rad)
                     self._require_room(pose.angles_rad)
                     break
                 except EquilibriumError as error:
@@ -145,14 +151,15 @@ class QuasiStaticArm:
         for transmission in self._transmissions:
             transmission.hold(rest_m - self._longer_m, self._longer_m)
 
-    def _next(self, rest_m: Array, arms: Array) -> _TrialPose:
+    def _next(self, rest_m: Array, arms: Array, turn_rad: Array | None) -> _TrialPose:
         """The next equilibrium, which is the last one if nothing has changed."""
         if self._last is not None:
             last_rest_m, last_arms, pose = self._last
             if np.array_equal(rest_m, last_rest_m) and np.array_equal(arms, last_arms):
                 return pose
+        start = self._followed(rest_m) if turn_rad is None else self._angles_rad + turn_rad
         try:
-            pose = self._search(self._followed(rest_m), rest_m, arms)
+            pose = self._search(start, rest_m, arms)
         except EquilibriumError:
             pose = self._in_small_steps(rest_m, arms)
         self._last = rest_m, arms, pose

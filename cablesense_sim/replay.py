@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections import ChainMap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,8 +40,15 @@ from cablesense_sim.mechanism import Mechanism
 
 _HARMONICS = 100
 """Terms of the series of rounding. What the others would add is below 1 % of step² / 12."""
-_KEPT = 4  # arms whose tensions are kept for those that differ from them in their sensors alone
+_KEPT = 4  # arms whose tensions are kept: the next ones often differ in their sensors alone
 _FADED_N = 2e-4  # change of a tension that counts as none: rests are balanced to some 1e-5 N
+
+
+class _Course(NamedTuple):
+    """One history-dependent arm from rest to rest."""
+
+    tensions_n: Array  # (R, M)
+    turn_rad: Array  # (R, 2N) from the rest before
 
 
 class Replay:
@@ -84,6 +92,7 @@ class Replay:
         self._start_rad: Array | None = None
         self.rest_rad = command_rad
         self._latest: dict[tuple[object, ...], Array] = {}
+        self._courses: dict[tuple[object, ...], _Course] = {}
 
     def readings_n(self, variants: Variants, unborne_n: Array | None = None) -> Array:
         """Readings (P, R, M) of P arms, which have the same effects with other numbers.
@@ -109,27 +118,32 @@ class Replay:
     def _in_turn_n(self, variants: Variants, *, some_may_fail: bool) -> Array:
         """Tensions (P, R, M) of history-dependent arms.
 
-        Arms that differ from the first in fading numbers alone, as in the friction state of one
-        cable, are simulated only until all these numbers together no longer change a tension.
+        The first is simulated alone; the others, mostly with similar numbers, are expected to turn
+        as it does. Those that differ from it in fading numbers alone, as in the friction state of
+        one cable, are simulated only until all these numbers together no longer change a tension.
         """
-        fading = [self._fading_changes(variants[0], each) for each in variants]
-        brief = np.array([bool(changes) for changes in fading])
+        first, *others = variants
+        course = self._course(first, some_may_fail=some_may_fail)
+        tensions = np.repeat(course.tensions_n[None], len(variants), axis=0)
+        fading = [self._fading_changes(first, each) for each in others]
+        brief = np.array([bool(changes) for changes in fading], dtype=bool)
         if brief.sum() < 2:
-            return self._rests_n(variants, len(self.time_s), some_may_fail=some_may_fail)
+            brief[:] = False
+        lasting = [each for each, is_brief in zip(others, brief, strict=True) if not is_brief]
+        if not brief.any():
+            tensions[1:] = self._rests_n(lasting, course, some_may_fail=some_may_fail)
+            return tensions
         together = [
             replace(entry, values=dict(ChainMap(*(c[k] for c in fading if c), entry.values)))
-            for k, entry in enumerate(variants[0])
+            for k, entry in enumerate(first)
         ]
-        lasting = [each for each, is_brief in zip(variants, brief, strict=True) if not is_brief]
-        *others, changed = self._rests_n(
-            [*lasting, together], len(self.time_s), some_may_fail=some_may_fail
-        )
-        tensions = np.repeat(others[0][None], len(variants), axis=0)
-        tensions[~brief] = others
-        differs = ~(np.abs(changed - others[0]).max(axis=1) < _FADED_N)
+        found = self._rests_n([*lasting, together], course, some_may_fail=some_may_fail)
+        tensions[1:][~brief] = found[:-1]
+        differs = ~(np.abs(found[-1] - course.tensions_n).max(axis=1) < _FADED_N)
         rows = int(np.flatnonzero(differs).max(initial=-1)) + 1
-        own = [each for each, is_brief in zip(variants, brief, strict=True) if is_brief]
-        tensions[brief, :rows] = self._rests_n(own, rows, some_may_fail=some_may_fail)
+        own = [each for each, is_brief in zip(others, brief, strict=True) if is_brief]
+        begin = _Course(*(each[:rows] for each in course))
+        tensions[1:][brief, :rows] = self._rests_n(own, begin, some_may_fail=some_may_fail)
         return tensions
 
     def _fading_changes(
@@ -146,8 +160,33 @@ class Replay:
             found.append(changes)
         return found if any(found) else []
 
-    def _rests_n(self, variants: Variants, rows: int, *, some_may_fail: bool) -> Array:
-        """Tensions (P, rows, M), one rest after another."""
+    def _course(self, entries: Sequence[EffectEntry], *, some_may_fail: bool) -> _Course:
+        """The course of one arm, found again if it is one of the last few."""
+        key = some_may_fail, *_key(entries)
+        course = self._courses.get(key)
+        if course is None:
+            rests = self._rests([entries], None, some_may_fail=some_may_fail)
+            tensions, angles = (np.stack(each, axis=1)[0] for each in zip(*rests, strict=True))
+            course = _Course(tensions, np.diff(angles, axis=0, prepend=angles[:1]))
+        self._courses = dict(list({**self._courses, key: course}.items())[-_KEPT:])
+        return course
+
+    def _rests_n(self, variants: Variants, along: _Course, *, some_may_fail: bool) -> Array:
+        """Tensions (P, rows, M), with turns like those of another arm."""
+        found = np.empty((len(variants), *along.tensions_n.shape))
+        if variants:
+            rests = self._rests(variants, along.turn_rad, some_may_fail=some_may_fail)
+            for row, (tensions, _) in enumerate(rests):
+                found[:, row] = tensions
+        return found
+
+    def _rests(
+        self, variants: Variants, turn_rad: Array | None, *, some_may_fail: bool
+    ) -> Iterator[tuple[Array, Array]]:
+        """Tensions (P, M) and joint angles (P, 2N) at one rest after another.
+
+        With expected turns (rows, 2N) there are as many rests.
+        """
         from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
 
         mechanisms, held, forces = self._moved(variants)
@@ -156,20 +195,15 @@ class Replay:
         beyond = np.zeros((len(self.time_s), 1, 1))
         if self._beyond_m is not None:
             beyond = self._beyond_m[:, None]
-        tensions = np.empty((len(variants), rows, held.shape[-1]))
-        for row in range(rows):
-            tensions[:, row] = arm.step(
-                self.time_s[row], held[:, row], forces[:, row], places + beyond[row]
-            )
-        return tensions
+        turns = [None] * len(self.time_s) if turn_rad is None else turn_rad
+        for row, turn in enumerate(turns):
+            loads = forces[:, row], places + beyond[row]
+            yield arm.step(self.time_s[row], held[:, row], *loads, turn), arm.joint_angles_rad
 
     def _memoryless_n(self, variants: Variants, unborne_n: Array | None) -> Array:
         """Tensions (P, R, M); arms that differ in their sensors alone are solved once."""
         of_arm = [[e for e in v if e.effect.acts_on != "sensor"] for v in variants]
-        keys = [
-            (unborne_n is None, *((e.effect.name, e.place, *e.values.items()) for e in entries))
-            for entries in of_arm
-        ]
+        keys = [(unborne_n is None, *_key(entries)) for entries in of_arm]
         new = {
             key: entries
             for key, entries in zip(keys, of_arm, strict=True)
@@ -241,6 +275,11 @@ class Replay:
             held_m=held_m[rows],
             start_rad=start[rows],
         )
+
+
+def _key(entries: Sequence[EffectEntry]) -> Iterator[tuple[object, ...]]:
+    """What tells arms with such entries apart."""
+    return ((e.effect.name, e.place, *e.values.items()) for e in entries)
 
 
 def replay_arm(
