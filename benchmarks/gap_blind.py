@@ -5,7 +5,7 @@
     python benchmarks/gap_blind.py --effects 3-5 --count 40 --seed 9304 [--write]
     python benchmarks/gap_blind.py --imperfect [--reference] --count 8 --seed 9417 [--write]
     python benchmarks/gap_blind.py --recordings FOLDER [--write]
-    python benchmarks/gap_blind.py --speed cable_creep --seed 7 [--write]
+    python benchmarks/gap_blind.py --speed cable_creep,capstan_friction --seed 7 [--write]
     python benchmarks/gap_blind.py --exchanged 20 --seed 9702 [--write]
 
 The cases are of all kinds in turn, followed by `--friction` cases with friction of cables, or they
@@ -15,7 +15,7 @@ reference. Seeds below 9100 and 9302, 9303, 9311 were used during
 development; the share of the past that excludes friction and creep was chosen on seed 9106, the
 residual at which the search ends on 9107.
 `--recordings` diagnoses recordings of another plant, whose answers are unknown.
-`--speed` measures time and memory of one diagnosis with two workers, as a user runs it.
+`--speed` measures time and memory of a diagnosis of each effect with two workers, as a user runs it.
 `--exchanged` exchanges two columns, drawn at random, and counts how often they are named, and how
 often an exchange is seen in the recordings as they were; so it does for a tare of their first
 rows, where the arm is straight and untouched.
@@ -67,7 +67,7 @@ def main() -> None:
     parser.add_argument("--recordings", type=Path, help="of another plant, without answers")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--effects", help="how many in each case, from-to, instead of all kinds")
-    parser.add_argument("--speed", metavar="EFFECT", help="time of a diagnosis of this effect")
+    parser.add_argument("--speed", metavar="EFFECTS", help="time of a diagnosis of each")
     parser.add_argument("--exchanged", type=int, help="recordings with two columns exchanged")
     parser.add_argument("--imperfect", action="store_true", help="a nominal arm that lacks things")
     parser.add_argument("--reference", action="store_true", help="diagnose what changed")
@@ -75,7 +75,8 @@ def main() -> None:
     if options.exchanged:
         name, found = "gap_exchanged.json", _exchanged(options.exchanged, options.seed)
     elif options.speed:
-        name, found = "gap_speed.json", _speed(options.speed, options.seed)
+        each = [_speed(effect, options.seed) for effect in options.speed.split(",")]
+        name, found = "gap_speed.json", {"diagnoses": each}
     elif options.recordings:
         name, found = "withheld.json", {"each_case": _without_answers(options)}
     else:
