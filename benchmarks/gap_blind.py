@@ -15,7 +15,7 @@ reference. Seeds below 9100 and 9302, 9303, 9311 were used during
 development; the share of the past that excludes friction and creep was chosen on seed 9106, the
 residual at which the search ends on 9107.
 `--recordings` diagnoses recordings of another plant, whose answers are unknown.
-`--speed` measures time and memory of a diagnosis of each effect with two workers, as a user runs it.
+`--speed` measures time and memory of a diagnosis of each effect with two workers, as users run it.
 `--exchanged` exchanges two columns, drawn at random, and counts how often they are named, and how
 often an exchange is seen in the recordings as they were; so it does for a tare of their first
 rows, where the arm is straight and untouched.
