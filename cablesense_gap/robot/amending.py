@@ -116,6 +116,9 @@ def amended_xml(robot: Robot, values: Assignment) -> str:
             own = np.array(getattr(joint, name), dtype=float)
             own[0] = getattr(change, name)[j]
             setattr(joint, name, own)
+    for a in robot.servos[change.servo_gain != 0.0].tolist():
+        spec.actuators[a].gainprm = model.actuator_gainprm[a]
+        spec.actuators[a].biasprm = model.actuator_biasprm[a]
     return str(spec.to_xml())
 
 

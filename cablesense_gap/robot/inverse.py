@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cablesense_base import Array, some_of
@@ -225,7 +226,7 @@ class Servos(NamedTuple):
         stiffness, damping: of the position, in torque.
     """
 
-    actuator: Array
+    actuator: NDArray[np.int64]
     per_command: Array
     offset: Array
     stiffness: Array
@@ -238,11 +239,7 @@ class Servos(NamedTuple):
         Raises:
             RecordingError: a joint has no position servo.
         """
-        model, servo = robot.model, np.full(len(robot.joints), -1)
-        for a in range(model.nu):
-            at_joint = model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
-            if at_joint and model.actuator_biasprm[a, 1] < 0.0:
-                servo[model.actuator_trnid[a, 0]] = a
+        model, servo = robot.model, robot.servos
         if (servo < 0).any():
             lacking = [robot.joints[j] for j in np.flatnonzero(servo < 0)]
             raise RecordingError(
@@ -301,7 +298,7 @@ class ServoComparison(MotionComparison):
             late = [self._at(rows, motion.time_s[rows] + change.delay_s) for rows in trials]
             target = np.concatenate(late)
         yields = self._torque(change) + servos.damping * motion.speed
-        drive = target - yields / servos.stiffness
+        drive = target - yields / (servos.stiffness * (1.0 + change.servo_gain))
         joint = drive + drive @ change.coupling.T
         if change.play.any():
             joint = joint + self._gaps.moved(change.play)[0, self._gaps.rows]

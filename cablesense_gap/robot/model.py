@@ -28,7 +28,7 @@ _URDF = re.compile(r"<robot[\s>]")
 _SHAPES = re.compile(r"<(visual|collision)\b(?:[^>]*/>|.*?</\1>)", re.DOTALL)
 _ZERO_BY_JOINT = (
     "play", "load_friction", "presliding", "load_presliding", "load_side", "zero",
-    "encoder_scale", "torque_scale", "torque_offset",
+    "encoder_scale", "torque_scale", "torque_offset", "servo_gain",
 )  # fmt: skip
 """Arrays of `Change` that are zero for the robot as the model has it."""
 _FOR_PLACES = re.compile(r"[^A-Za-z0-9_\-/]")
@@ -75,6 +75,16 @@ class Robot:
     def position_units(self) -> tuple[str, ...]:
         """Unit of each joint's position, rad or m."""
         return tuple("rad" if unit == "N·m" else "m" for unit in self.torque_units)
+
+    @property
+    def servos(self) -> NDArray[np.int64]:
+        """(J,) number of the actuator that is a joint's position servo, -1 where none is."""
+        model, found = self.model, np.full(len(self.joints), -1)
+        for a in range(model.nu):
+            at_joint = model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
+            if at_joint and model.actuator_biasprm[a, 1] < 0.0:
+                found[model.actuator_trnid[a, 0]] = a
+        return found
 
     @property
     def reach_m(self) -> float:
@@ -124,6 +134,10 @@ class Robot:
         model.dof_damping[:] = change.damping
         model.jnt_stiffness[:] = change.stiffness
         model.dof_frictionloss[:] = change.friction
+        for joint in np.flatnonzero(change.servo_gain):
+            servo, times = self.servos[joint], 1.0 + change.servo_gain[joint]
+            model.actuator_gainprm[servo, 0] *= times
+            model.actuator_biasprm[servo, :2] *= times
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model
 
@@ -147,6 +161,7 @@ class Change:
         encoder_scale: (J,) by how much, as a share, an encoder reads too much.
         coupling: (J, J) by how much joint i moves with encoder j.
         torque_scale, torque_offset: (J,) what a torque reads too much, as a share and in all.
+        servo_gain: (J,) by how much, as a share, a position servo is stiffer than modelled.
         reach_m: how far from a body's centre a mass may be added.
         delay_s: how much later than the motion torques are read.
     """
@@ -171,6 +186,7 @@ class Change:
     coupling: Array
     torque_scale: Array
     torque_offset: Array
+    servo_gain: Array
     reach_m: float
     delay_s: float = 0.0
 

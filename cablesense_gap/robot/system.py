@@ -75,11 +75,13 @@ class RobotSystem(System):
             else InverseComparison
         )
         self.comparison: MotionComparison = compare(robot, motion)
+        by_servos = motion.external or (motion.forward and motion.by_command)
         offered = [
             effect
             for effect in known_effects().values()
             if not (motion.zeroed and effect.of_zeros)
             and not (motion.external and effect.of_torques)
+            and (by_servos or not effect.of_servos)
         ]
         named = [self._candidate(e, motion) for e in offered if not e.tolerance]
         self.candidates = tuple(candidate for candidate in named if candidate.places)

@@ -8,10 +8,12 @@ from two_link import JOINTS, XML, motion, torques
 from typer.testing import CliRunner
 
 from cablesense_gap.recordings.recording import RecordingError
+from cablesense_gap.robot.amending import amended_xml
 from cablesense_gap.robot.inverse import Servos
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.recording import read_recording
 from cablesense_gap.robot.system import diagnose
+from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import read_verdict
 from cablesense_ros.cli.app import app
 
@@ -26,7 +28,7 @@ def model(tmp_path):
     return path
 
 
-def seen(path, zero=(0.0, 0.0), into_elbow=0.0, play=(0.0, 0.0), payload=0.0, seed=1):
+def seen(path, zero=(0.0, 0.0), into_elbow=0.0, play=(0.0, 0.0), payload=0.0, gain=1.0, seed=1):
     """A recording by a camera that is good to half a milliradian; torques by the textbook."""
     rng, tables = np.random.default_rng(seed), []
     for trial in range(6):
@@ -37,7 +39,7 @@ def seen(path, zero=(0.0, 0.0), into_elbow=0.0, play=(0.0, 0.0), payload=0.0, se
         drive[:, 1] -= into_elbow * drive[:, 0]
         at_drive = torque.copy()
         at_drive[:, 0] += into_elbow * torque[:, 1]
-        command = drive + at_drive / STIFFNESS
+        command = drive + at_drive / (STIFFNESS * np.array([1.0, gain]))
         read = joint + zero + rng.normal(0.0, 5e-4, joint.shape)
         columns = {"time_s": time_s + 10.0 * trial, "trial": trial}
         for j, name in enumerate(JOINTS):
@@ -64,6 +66,15 @@ def test_a_servo_yields_as_mujoco_lets_it(tmp_path):
     assert np.abs(yields).max() > 0.01
 
 
+def test_the_amended_model_has_the_gain_and_holds_the_same_commands(model, tmp_path):
+    robot = load_robot(model)
+    amended = tmp_path / "amended.xml"
+    amended.write_text(amended_xml(robot, {Term("servo_gain", "elbow", "share"): 0.5}))
+    servos = Servos.of(load_robot(amended))
+    assert servos.stiffness == pytest.approx([STIFFNESS, 1.5 * STIFFNESS])
+    assert servos.per_command == pytest.approx(Servos.of(robot).per_command)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("planted", "effect", "place", "number", "value"),
@@ -71,8 +82,9 @@ def test_a_servo_yields_as_mujoco_lets_it(tmp_path):
         ({"zero": (0.0, 0.18)}, "joint_zero", "elbow", "zero_rad", 0.18),
         ({"into_elbow": 0.1}, "joint_coupling", "shoulder", "share", 0.1),
         ({"payload": 0.3}, "payload", "lower", "mass_kg", 0.3),
+        ({"gain": 0.5}, "servo_gain", "elbow", "share", -0.5),
     ],
-    ids=["zero", "coupling", "payload"],
+    ids=["zero", "coupling", "payload", "gain"],
 )
 def test_what_is_between_command_and_joint_is_named_and_sized(
     planted, effect, place, number, value, model, tmp_path

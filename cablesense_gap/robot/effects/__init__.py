@@ -29,6 +29,7 @@ class RobotEffect(EffectDescription):
         presliding_forward: whether the forward comparison uses its presliding displacement too.
         of_torques: whether it is in readings of torques alone.
         of_zeros: whether it cannot be identified if each trial has its own encoder zeros.
+        of_servos: whether it shows only where motion is compared with the commands of servos.
     """
 
     source: ClassVar[str] = "Siciliano et al., Robotics: Modelling, Planning and Control, 2009"
@@ -39,6 +40,7 @@ class RobotEffect(EffectDescription):
     presliding_forward: ClassVar[bool] = False
     of_torques: ClassVar[bool] = False
     of_zeros: ClassVar[bool] = False
+    of_servos: ClassVar[bool] = False
 
     def places(self, robot: Robot) -> tuple[str, ...]:
         """Where it can be."""

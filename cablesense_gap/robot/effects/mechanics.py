@@ -178,6 +178,24 @@ class JointSpring(RobotEffect):
         return 0.05 * scale.per(scale.position)
 
 
+class ServoGain(RobotEffect):
+    """A position servo that holds its command more or less stiffly; its damping stays."""
+
+    name = "servo_gain"
+    about = "a position servo with another gain"
+    adds = "servo_gain"
+    source = "MuJoCo, XML reference: actuator/position, kp"
+    advice = (
+        "Read the servo's gain, or hang a known weight on the joint and see how far it yields."
+    )
+    of_servos = True
+    numbers = (size("share", "1", 9.0, 0.2, "stiffer than modelled", -0.9, spread=5.0),)
+
+    def places(self, robot: Robot) -> tuple[str, ...]:
+        """Every joint, if all have a servo."""
+        return robot.joints if (robot.servos >= 0).all() else ()
+
+
 class LinkMass(RobotEffect):
     """Mass and inertia of a link that are off by the same share."""
 
