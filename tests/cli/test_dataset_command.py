@@ -1,4 +1,4 @@
-"""`cablesense dataset` writes as its options state, prints what it wrote, refuses in one line."""
+"""`cablesense dataset` writes as its options state; `train` refuses before it writes."""
 
 import json
 
@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from cablesense_base import CableSenseError
-from cablesense_ros.cli.train import dataset
+from cablesense_ros.cli.train import command_line, dataset
 from cablesense_training.data.parquet import read_dataset
 
 app = typer.Typer()
@@ -78,3 +78,16 @@ def test_refuses_in_one_line(tmp_path, options, message):
     assert message in str(result.exception)
     assert "\n" not in str(result.exception)
     assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_written_when_a_network_is_unknown(command, tmp_path):
+    ended = command("train", "--network", "magic", "--out", "model.onnx")
+    assert (ended.returncode, "two-stage" in ended.stderr) == (2, True)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_names_what_was_chosen_and_quotes_it():
+    options = {"arm": "my arm.yaml", "samples": 5, "data": None, "pose_range_deg": 10.0}
+    assert command_line("train", options) == (
+        "cablesense train --arm 'my arm.yaml' --samples 5 --pose-range-deg 10.0"
+    )
