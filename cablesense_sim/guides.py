@@ -21,32 +21,38 @@ def along_guides(
     pulley_wrap_rad: Array,
     guide_wrap_rad: Array,
 ) -> tuple[Array, Array]:
-    """Lengths (P, M, 1 + N) of the pieces of cables, m, and limits (P, M, N) of their nodes.
+    """Lengths (P, M, 2 + N) of the pieces of cables, m, and limits (P, M, 1 + N) of their nodes.
 
+    The nodes are the pulley at the actuator and, before each joint, the guides that precede it.
     Lengths count from where a whole cable is just slack.
 
     Args:
         spans_m: (P, M, N) of cable between the plates of a joint.
         bends_rad: (P, M, N, 2) turn of a cable at the guides before and behind a joint.
         rest_m: (P, M) sum of the spans at which a cable is just slack.
-        evenly: (P, M, 1 + N) shares of the pieces in a cable's gain of length.
+        evenly: (P, M, 2 + N) shares of the pieces in a cable's gain of length.
         longer_m: (P, M) that gain.
         coefficient: (P, M) of friction.
         pulley_wrap_rad: (P,) wrap angle at the actuator's pulley.
         guide_wrap_rad: (P,) wrap angle at the guides between two joints with the arm straight.
     """
-    lengths, limit = np.empty(evenly.shape), np.empty(spans_m.shape)
-    for p in range(spans_m.shape[0]):
-        for m in range(spans_m.shape[1]):
-            lengths[p, m, 0] = -rest_m[p, m] - evenly[p, m, 0] * longer_m[p, m]
-            for n in range(spans_m.shape[2]):
-                lengths[p, m, n + 1] = spans_m[p, m, n] - evenly[p, m, n + 1] * longer_m[p, m]
-                wrap = bends_rad[p, m, n, 0]
-                if n == 0:
-                    wrap += pulley_wrap_rad[p]
-                else:
-                    wrap += bends_rad[p, m, n - 1, 1] + guide_wrap_rad[p]
-                limit[p, m, n] = min(coefficient[p, m] * wrap, _LOCKED)
+    arms, cables, joints = spans_m.shape
+    lengths, limit = np.zeros(evenly.shape), np.empty((arms, cables, 2 * joints))
+    for p in range(arms):
+        half = 0.5 * guide_wrap_rad[p]
+        for m in range(cables):
+            friction = coefficient[p, m]
+            lengths[p, m, 0] = -rest_m[p, m]
+            limit[p, m, 0] = min(friction * pulley_wrap_rad[p], _LOCKED)
+            for n in range(joints):
+                before, behind = bends_rad[p, m, n]
+                lengths[p, m, 2 * n + 2] = spans_m[p, m, n]
+                wrap = before + half if n > 0 else before
+                limit[p, m, 2 * n + 1] = min(friction * wrap, _LOCKED)
+                if n + 1 < joints:
+                    limit[p, m, 2 * n + 2] = min(friction * (behind + half), _LOCKED)
+            for k in range(2 * joints + 1):
+                lengths[p, m, k] -= evenly[p, m, k] * longer_m[p, m]
     return lengths, limit
 
 

@@ -107,18 +107,18 @@ class Mechanism:
 
     @property
     def piece_length_m(self) -> Array:
-        """(M, 1 + N) straight lengths of each cable's pieces between the guides that hold it.
+        """(M, 2N) straight lengths of each cable's pieces between the guides that hold it.
 
-        They are the run to the base plate and a span for each joint that the cable passes; what
-        lies inside a segment counts half to the span before it and half to that behind.
+        They are the run to the base plate, and in turn a span across a joint and what lies inside
+        the segment behind it; zero beyond the end of the cable.
         """
         inside = self.segment_length_m - 2.0 * self.plate_offset_m
-        joints = np.arange(1, self.segment_count + 1)
-        beyond = self.cable_segment[:, None] > joints
-        half = 0.5 * np.where(beyond, inside, 0.0)
-        spans = 2.0 * self.plate_offset_m * self.passes_joint + half
-        spans[:, 1:] += half[:, :-1]
-        return np.concatenate([np.full((self.cable_count, 1), self.run_m), spans], axis=-1)
+        joints = np.arange(1, self.segment_count)
+        pieces = np.zeros((self.cable_count, 2 * self.segment_count))
+        pieces[:, 0] = self.run_m
+        pieces[:, 1::2] = 2.0 * self.plate_offset_m * self.passes_joint
+        pieces[:, 2::2] = np.where(self.cable_segment[:, None] > joints, inside[:-1], 0.0)
+        return pieces
 
 
 _STACKED = (

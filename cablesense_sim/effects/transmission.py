@@ -73,7 +73,7 @@ class CapstanFriction(Effect):
         "Look for worn, dry or misaligned guides. Readings do not show loads within the loop that "
         "friction opens: let the arm breathe (docs/breathing.md) before a force is trusted."
     )
-    version = 2  # before, the whole cable stretched as one
+    version = 3  # before, the two guides of a segment were one
     parameters = (
         Parameter("coefficient", "1", 0.0, 1.5, 0.1, "of friction between cable and guide"),
         shape("pulley_wrap_rad", "rad", 0.0, 20.0, 1.0, "wrap angle at the actuator's pulley",
@@ -82,8 +82,8 @@ class CapstanFriction(Effect):
               "wrap angle at the guides between two joints with the arm straight",
               trials=(0.0, 1.0)),
         shape("run_compliance", "1", 0.01, 100.0, 1.0,
-              "compliance of the run before the pulley, over that by its length", 1.0,
-              starts=(1.0,)),
+              "compliance of a cable before the pulley, over that behind it", 0.5,
+              starts=(0.5,)),
         shape("give_m", "m", 0.0, 2e-3, 2e-5,
               "of cable that passes a guide from rest to slip; zero sticks rigidly",
               trials=(0.0, 3e-5)),
@@ -132,22 +132,24 @@ class _Guides(Transmission):
         self._rest_m, self._longer_m = rest_m, longer_m
 
     def pull(self, spans_m: Array, bends_rad: Array) -> CablePull:
-        return self._chains.pull(*self._at(spans_m, bends_rad))
+        tensions, slope = self._chains.pull(*self._at(spans_m, bends_rad))
+        pieces = [0, *range(2, tensions.shape[-1], 2)]  # at the actuator, and across the joints
+        return CablePull(tensions[..., pieces], slope[..., pieces, :][..., pieces])
 
     def settle(self, rest: ArmRest) -> None:
         self._chains.settle(*self._at(rest.spans_m, rest.bends_rad))
 
     def _pieces_m_n(self, mechanism: Mechanism) -> Array:
-        """(P, M, 1 + N) compliances, which add up to that of the cable and its actuator."""
+        """(P, M, 2 + N) compliances, which add up to that of the cable and its actuator."""
         whole = 1.0 / mechanism.stiffness_n_m
         actuator = np.minimum(1.0 / mechanism.actuator_stiffness_n_m, whole)
+        behind = (whole - actuator) / (1.0 + self._values["run_compliance"][:, None])
         length = mechanism.piece_length_m
-        pieces = (whole - actuator)[..., None] * length / length.sum(-1, keepdims=True)
-        pieces[..., 0] = (pieces[..., 0] + actuator) * self._values["run_compliance"][:, None]
-        return np.asarray(pieces * (whole / pieces.sum(-1))[..., None])
+        by_length = behind[..., None] * length / length.sum(-1, keepdims=True)
+        return np.concatenate([(whole - behind)[..., None], by_length], axis=-1)
 
     def _at(self, spans_m: Array, bends_rad: Array) -> tuple[Array, Array]:
-        """(P, M, 1 + N) lengths of the pieces, m, and (P, M, N) μ θ of the nodes.
+        """(P, M, 2 + N) lengths of the pieces, m, and (P, M, 1 + N) μ θ of the nodes.
 
         Lengths count from where the whole cable is just slack; what creeps does so evenly.
         """
