@@ -54,4 +54,4 @@ def test_friction_changes_both_alike(plant: dict[str, float], simulator: dict[st
     same = {"coefficient": 0.2, "pulley_wrap_rad": 0.0, "guide_wrap_rad": 0.0, "give_m": 0.0}
     found = simulated_n(**same | {"run_compliance": 0.3 / 0.7} | simulator)
     np.testing.assert_allclose(found, rough, atol=1e-4)
-    assert np.abs(rough - plant_n(PlantFriction())).max() > 5.0
+    assert np.abs(rough - plant_n(PlantFriction())).max() > 1.0
