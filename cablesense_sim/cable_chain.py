@@ -1,6 +1,6 @@
 """A cable with friction: elastic pieces in a row that stick and slip at the guides between them.
 
-Piece 0 is the run at the actuator, and node k lies between pieces k and k + 1. The tensions on the
+Piece 0 is the one at the actuator, and node k lies between pieces k and k + 1. The tensions on the
 two sides of a node are always within the bounds
 
     exp(-φ) <= T_k / T_(k+1) <= exp(φ),    φ = μ θ,

@@ -21,16 +21,16 @@ def along_guides(
     pulley_wrap_rad: Array,
     guide_wrap_rad: Array,
 ) -> tuple[Array, Array]:
-    """Lengths (P, M, 2 + N) of the pieces of cables, m, and limits (P, M, 1 + N) of their nodes.
+    """Lengths (P, M, 1 + 2N) of the pieces of cables, m, and limits (P, M, 2N) of their nodes.
 
-    The nodes are the pulley at the actuator and, before each joint, the guides that precede it.
-    Lengths count from where a whole cable is just slack.
+    The nodes are the pulley at the actuator and the guide plates before and behind each joint, but
+    behind the last. Lengths count from where a whole cable is just slack.
 
     Args:
         spans_m: (P, M, N) of cable between the plates of a joint.
         bends_rad: (P, M, N, 2) turn of a cable at the guides before and behind a joint.
         rest_m: (P, M) sum of the spans at which a cable is just slack.
-        evenly: (P, M, 2 + N) shares of the pieces in a cable's gain of length.
+        evenly: (P, M, 1 + 2N) shares of the pieces in a cable's gain of length.
         longer_m: (P, M) that gain.
         coefficient: (P, M) of friction.
         pulley_wrap_rad: (P,) wrap angle at the actuator's pulley.

@@ -110,12 +110,13 @@ class Mechanism:
         """(M, 2N) straight lengths of each cable's pieces between the guides that hold it.
 
         They are the run to the base plate, and in turn a span across a joint and what lies inside
-        the segment behind it; zero beyond the end of the cable.
+        the segment behind it; zero beyond the end of the cable. A run without length gives a
+        little too.
         """
         inside = self.segment_length_m - 2.0 * self.plate_offset_m
         joints = np.arange(1, self.segment_count)
         pieces = np.zeros((self.cable_count, 2 * self.segment_count))
-        pieces[:, 0] = self.run_m
+        pieces[:, 0] = np.maximum(self.run_m, 0.1 * self.plate_offset_m)
         pieces[:, 1::2] = 2.0 * self.plate_offset_m * self.passes_joint
         pieces[:, 2::2] = np.where(self.cable_segment[:, None] > joints, inside[:-1], 0.0)
         return pieces

@@ -232,7 +232,7 @@ class ArmRest(NamedTuple):
 
 
 class CablePull(NamedTuple):
-    """Tensions of cables of K pieces.
+    """Tensions of cables in K = 1 + N pieces: at the actuator, and across each joint.
 
     Attributes:
         tensions_n: (..., K) of each piece, the actuator's first; zero in a slack cable.

@@ -104,7 +104,7 @@ class CapstanFriction(Effect):
 
 
 class _Guides(Transmission):
-    """A node before each joint, with the guide behind the joint before it; the first's pulley."""
+    """A node at the pulley and at each guide plate: before every joint, and behind it."""
 
     def __init__(self, values: Values) -> None:
         self._values = values
@@ -140,7 +140,7 @@ class _Guides(Transmission):
         self._chains.settle(*self._at(rest.spans_m, rest.bends_rad))
 
     def _pieces_m_n(self, mechanism: Mechanism) -> Array:
-        """(P, M, 2 + N) compliances, which add up to that of the cable and its actuator."""
+        """(P, M, 1 + 2N) compliances, which add up to that of the cable and its actuator."""
         whole = 1.0 / mechanism.stiffness_n_m
         actuator = np.minimum(1.0 / mechanism.actuator_stiffness_n_m, whole)
         behind = (whole - actuator) / (1.0 + self._values["run_compliance"][:, None])
@@ -149,7 +149,7 @@ class _Guides(Transmission):
         return np.concatenate([(whole - behind)[..., None], by_length], axis=-1)
 
     def _at(self, spans_m: Array, bends_rad: Array) -> tuple[Array, Array]:
-        """(P, M, 2 + N) lengths of the pieces, m, and (P, M, 1 + N) μ θ of the nodes.
+        """(P, M, 1 + 2N) lengths of the pieces, m, and (P, M, 2N) μ θ of the nodes.
 
         Lengths count from where the whole cable is just slack; what creeps does so evenly.
         """
