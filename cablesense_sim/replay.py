@@ -278,7 +278,7 @@ class Replay:
 
 
 def _key(entries: Sequence[EffectEntry]) -> Iterator[tuple[object, ...]]:
-    """What tells arms with such entries apart."""
+    """The key of an arm with such entries, the same for equal arms."""
     return ((e.effect.name, e.place, *e.values.items()) for e in entries)
 
 
