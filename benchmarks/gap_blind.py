@@ -14,7 +14,8 @@ that no verdict has a name for, and with `--reference` a recording with these al
 reference. Seeds below 9100 and 9302, 9303, 9311 were used during
 development; the share of the past that excludes friction and creep was chosen on seed 9106, the
 residual at which the search ends on 9107.
-`--recordings` diagnoses recordings of another plant, whose answers are unknown.
+`--recordings` diagnoses recordings of another plant, whose answers are unknown; the results have
+the name of their folder.
 `--speed` measures time and memory of a diagnosis of each effect with two workers, as users run it.
 `--exchanged` exchanges two columns, drawn at random, and counts how often they are named, and how
 often an exchange is seen in the recordings as they were; so it does for a tare of their first
@@ -61,7 +62,7 @@ _FRICTION = ["capstan_friction"] * 3 + ["cable_creep+capstan_friction"]
 
 def main() -> None:
     """Draws, diagnoses, scores and prints; keeps the scores with `--write`."""
-    names = "gap_blind.json, …_friction, …_several, withheld.json, gap_speed.json, gap_exchanged"
+    names = "gap_blind.json, …_friction, …_several, gap_speed.json, gap_exchanged, FOLDER.json"
     parser = blind_sets.parser(__doc__, names, seed=9108)
     parser.add_argument("--friction", type=int, default=0, help="cases more with friction")
     parser.add_argument("--recordings", type=Path, help="of another plant, without answers")
@@ -78,7 +79,8 @@ def main() -> None:
         each = [_speed(effect, options.seed) for effect in options.speed.split(",")]
         name, found = "gap_speed.json", {"diagnoses": each}
     elif options.recordings:
-        name, found = "withheld.json", {"each_case": _without_answers(options)}
+        name = f"{options.recordings.resolve().name}.json"
+        found = {"each_case": _without_answers(options)}
     else:
         kind = "_several" if options.effects else "_friction" if options.friction else ""
         kind += "_imperfect" * options.imperfect + "_reference" * options.reference

@@ -256,7 +256,7 @@ def _pass(cables: _Cables, c: int, held: Array, limit: Array, rows: _Rows) -> No
     Newton's method on the rows: at a node that slips the ratio of tensions is the bound; at
     bristles that hold it is the share that they carry; elsewhere nothing passes. A node sticks
     before it slips the other way. One cable in some thousands alternates; it is relaxed
-    before it goes on.
+    before it continues.
     """
     stiffness, give, passed = cables.stiffness_n_m[c], cables.give_m[c], cables.passed_m[c]
     tensions, last = np.empty(len(held)), np.empty(len(passed))

@@ -50,6 +50,7 @@ def simulated_n(**parameters: float) -> np.ndarray:
     ids=["rigid", "bristles", "pulley"],
 )
 def test_friction_changes_both_alike(plant: dict[str, float], simulator: dict[str, float]) -> None:
+    """Both have the same nodes and pieces; they share no code and no method of solution."""
     rough = plant_n(PlantFriction(np.full(12, 0.2), actuator_share=0.3, **plant))
     same = {"coefficient": 0.2, "pulley_wrap_rad": 0.0, "guide_wrap_rad": 0.0, "give_m": 0.0}
     found = simulated_n(**same | {"run_compliance": 0.3 / 0.7} | simulator)
