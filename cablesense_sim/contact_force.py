@@ -28,7 +28,8 @@ _COARSE, _STEPS = 9, 5
 """Places of the first grid, and most Gauss-Newton steps from there. The grid is coarse: the gain
 is smooth over a segment, however small the noise is."""
 _CONVERGED = 0.02  # a step that is this fraction of the place's deviation is the last
-_RUBBED = 2  # times that friction is linearised at the force found before
+RUBBED = 2
+"""Times that friction is linearised at the force found before."""
 TWISTS = 5
 """Ranges of the friction across an arm. Its moment is a factor of that of the axial force, so the
 posterior is linear in one range only."""
@@ -63,9 +64,17 @@ class Fit(NamedTuple):
     place_m: float
     deviation_m: float
     log_evidence: float  # by Laplace's approximation, up to the prior's volume
-    side_y_m: float  # from the axis to the touched surface, along the lateral force
+    across: float  # middle of a range of the friction across the arm, as a share of its bound
+    force: Force
+
+
+class Rub(NamedTuple):
+    """Friction at a touched surface, linear near a force."""
+
+    side_y_m: float  # from the axis to the surface, along the lateral force
     side_z_m: float
-    log_twist: float  # share of a moment about the axis in the log evidence
+    bound_n: float  # of the axial force
+    log_share: float  # of the friction across the arm in the log evidence
 
 
 @compiled
@@ -155,6 +164,32 @@ def axial_bound(prior: Prior, lateral: float) -> float:
 
 
 @compiled
+def let_rub(free: Array, across: float, force: Force, prior: Prior, products: Array) -> Rub:
+    """Write the products with friction near a force, from those without, in a range of it.
+
+    `across` is the middle of the range of the friction across the arm, as a share of the bound.
+    """
+    radius, friction = prior.radius_m, prior.friction
+    # the normal force is beside the lateral one, by the friction across
+    sine = min(max(across * friction, -_LARGEST_SINE), _LARGEST_SINE)
+    cosine = math.sqrt(1.0 - sine * sine)
+    lateral = max(math.hypot(force.y, force.z), 1e-12)
+    bound = axial_bound(prior, lateral)
+    y, z = force.y / lateral, force.z / lateral
+    side_y, side_z = radius * (cosine * y + sine * z), radius * (cosine * z - sine * y)
+    ratio = min(max(force.x / lateral, -friction), friction)
+    turns_y, turns_z = ratio * (y * sine / cosine - z), ratio * (z * sine / cosine + y)
+    known_n_m = -sine * radius * lateral  # about the axis, in the middle of the range
+    products[:] = free
+    products[-1] -= known_n_m * products[6]
+    products[:, -1] -= known_n_m * products[:, 6]
+    log_share = free_twist(products, 0, turns_y, turns_z, _TWIST_STD * radius * bound)
+    add_friction(products, 0, side_y, side_z)
+    log_share += 0.5 * (free[-1, -1] - products[-1, -1]) - math.log(TWISTS)
+    return Rub(side_y, side_z, bound, log_share)
+
+
+@compiled
 def add_friction(products: Array, x: int, side_y: float, side_z: float) -> None:
     """Let the axial force act at the surface, which is (side_y, side_z) along the lateral force.
 
@@ -228,12 +263,12 @@ def bounded(f: Force, bound: float) -> tuple[Force, float]:
 
 @compiled
 def best_places(products: Array, n: int, prior: Prior, rubbed: Array, fits: list[Fit]) -> float:
-    """The best place on segment n, for each of R ranges of friction; gives the log evidence.
+    """The best place on segment n, for each range of friction; gives the log evidence.
 
-    Writes the products (R, 8, 8) with friction at the touched surface.
+    `rubbed` (8, 8) is overwritten.
     """
     low, high = prior.reach_m[n, 0], prior.reach_m[n, 1]
-    surface, ranges = prior.radius_m >= 0.0, len(rubbed)
+    surface = prior.radius_m >= 0.0
     axial, beyond = AXIAL_STD_N**-2, 0.0
     if surface:
         axial = axial_bound(prior, LARGEST_N) ** -2
@@ -247,15 +282,13 @@ def best_places(products: Array, n: int, prior: Prior, rubbed: Array, fits: list
     s, deviation = _refined(products, axial, s, low - beyond, high + beyond, high - low)
     force = best_force(products, axial, s)
     if not surface:
-        rubbed[0] = products
         evidence = _evidence(force, axial, deviation)
-        fits[n] = Fit(s, deviation, evidence, 0.0, 0.0, 0.0)
+        fits[n] = Fit(s, deviation, evidence, 0.0, force)
         return evidence
     total, top = 0.0, -np.inf
-    for k in range(ranges):
-        across = 2.0 * k / (ranges - 1) - 1.0
-        rubbed[k] = products
-        one = fits[n * ranges + k] = _rubbed(rubbed[k], across, force, s, n, prior)
+    for k in range(TWISTS):
+        across = 2.0 * k / (TWISTS - 1) - 1.0
+        one = fits[n * TWISTS + k] = _rubbed(products, across, force, s, n, prior, rubbed)
         if one.log_evidence > top:
             total, top = total * math.exp(top - one.log_evidence), one.log_evidence
         total += math.exp(one.log_evidence - top)
@@ -263,35 +296,18 @@ def best_places(products: Array, n: int, prior: Prior, rubbed: Array, fits: list
 
 
 @compiled
-def _rubbed(products: Array, across: float, force: Force, s: float, n: int, prior: Prior) -> Fit:
-    """The best place near another with its force, in a range of the friction across the arm.
-
-    `across` is the middle of the range, as a share of the bound. Friction enters the products.
-    """
-    low, high, radius = prior.reach_m[n, 0], prior.reach_m[n, 1], prior.radius_m
-    free, side_y, side_z, deviation, axial, log_twist = products.copy(), 0.0, 0.0, 0.0, 0.0, 0.0
-    # the normal force is beside the lateral one, by the friction across
-    sine = min(max(across * prior.friction, -_LARGEST_SINE), _LARGEST_SINE)
-    cosine = math.sqrt(1.0 - sine * sine)
-    for _ in range(_RUBBED):
-        lateral = max(math.hypot(force.y, force.z), 1e-12)
-        bound = axial_bound(prior, lateral)
-        y, z = force.y / lateral, force.z / lateral
-        side_y, side_z = radius * (cosine * y + sine * z), radius * (cosine * z - sine * y)
-        ratio = min(max(force.x / lateral, -prior.friction), prior.friction)
-        turns_y, turns_z = ratio * (y * sine / cosine - z), ratio * (z * sine / cosine + y)
-        known_n_m = -sine * radius * lateral  # about the axis, in the middle of the range
-        products[:] = free
-        products[-1] -= known_n_m * products[6]
-        products[:, -1] -= known_n_m * products[:, 6]
-        log_twist = free_twist(products, 0, turns_y, turns_z, _TWIST_STD * radius * bound)
-        add_friction(products, 0, side_y, side_z)
-        axial, s = (BOUND_STD * bound) ** -2, min(max(s, low), high)
-        s, deviation = _refined(products, axial, s, low, high, high - low)
-        force = best_force(products, axial, s)
-    log_twist += 0.5 * (free[-1, -1] - products[-1, -1]) - math.log(TWISTS)
-    evidence = _evidence(force, axial, deviation) + log_twist
-    return Fit(s, deviation, evidence, side_y, side_z, log_twist)
+def _rubbed(
+    products: Array, across: float, force: Force, s: float, n: int, prior: Prior, rubbed: Array
+) -> Fit:
+    """The best place near another with its force, in a range of the friction across the arm."""
+    low, high = prior.reach_m[n, 0], prior.reach_m[n, 1]
+    deviation, axial, log_share = 0.0, 0.0, 0.0
+    for _ in range(RUBBED):
+        rub = let_rub(products, across, force, prior, rubbed)
+        axial, s = (BOUND_STD * rub.bound_n) ** -2, min(max(s, low), high)
+        s, deviation = _refined(rubbed, axial, s, low, high, high - low)
+        force, log_share = best_force(rubbed, axial, s), rub.log_share
+    return Fit(s, deviation, _evidence(force, axial, deviation) + log_share, across, force)
 
 
 @compiled

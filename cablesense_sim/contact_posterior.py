@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_sim.compiled import compiled
 from cablesense_sim.contact_force import (
+    RUBBED,
     TWISTS,
     Fit,
     Force,
-    axial_bound,
+    Rub,
     best_force,
     best_places,
     bounded,
     lateral_of,
+    let_rub,
     log_density,
     shared,
     true_torques,
@@ -35,6 +37,11 @@ _FINE, _FINE_REACH = 41, 4.5
 _OUT_OF_QUESTION = 14.0
 """Log odds below the best at which a segment, or a range of friction on it, gets no grid: a
 probability below 1e-6."""
+_OPEN_END, _MOST_WIDER = 7.0, 4
+"""Log density below the highest from which a grid goes on, and how often it is filled: friction
+leaves a place a longer tail than a normal distribution has."""
+_ALIKE = 4
+"""Places of a grid for which friction is linear near the same force."""
 _OPEN = 8.0
 """Deviation, in bounds, of the normal prior that keeps the force of a straight arm finite."""
 _NEGLIGIBLE = 1e-5  # weight of a place that adds nothing to an interval
@@ -82,11 +89,12 @@ def unfilled(count: int, segments: int) -> Location:
 def locate_each(balance: TorqueBalance, prior: Prior, found: Location) -> None:
     """Fill the posteriors of B samples, whose arrays are contiguous."""
     count, segments, _, joints = balance.by_place.shape
-    torques, products = np.empty((8, joints)), np.empty((8, 8))
+    torques, products = np.empty((8, joints)), np.zeros((segments, 8, 8))
+    rubbed = np.zeros((8, 8))
     ranges = TWISTS if prior.radius_m >= 0.0 else 1
-    rubbed = np.empty((segments, ranges, 8, 8))
     evidence, turn = np.empty(segments), np.empty((segments, 3, 3))
-    fits = [Fit(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(segments * ranges)]
+    none = best_force(rubbed, 1.0, 0.0)
+    fits = [Fit(0.0, 0.0, 0.0, 0.0, none) for _ in range(segments * ranges)]
     filled = np.empty(segments, dtype=np.bool_)
     places = ranges * _FINE
     grid = _Grid(
@@ -105,14 +113,14 @@ def locate_each(balance: TorqueBalance, prior: Prior, found: Location) -> None:
         torques[7] = balance.torque_n_m[b]
         for n in range(segments):
             true_torques(balance, b, n, turn[n], torques[:7])
-            weigh_products(torques, balance.precision[b], products)
-            evidence[n] = best_places(products, n, prior, rubbed[n], fits) - log_volume
+            weigh_products(torques, balance.precision[b], products[n])
+            evidence[n] = best_places(products[n], n, prior, rubbed, fits) - log_volume
         least, best = evidence.max() - _OUT_OF_QUESTION, segments
         for n in range(segments):
             filled[n] = evidence[n] >= least
             if not filled[n]:
                 continue
-            chi2 = _fill(rubbed[n], fits, turn[n], n, prior, grid)
+            chi2 = _fill(products[n], rubbed, fits, turn[n], n, prior, grid)
             evidence[n] = _weigh(grid, n) - log_volume
             if best == segments or evidence[n] > evidence[best]:
                 best, found.chi2[b] = n, chi2
@@ -122,47 +130,62 @@ def locate_each(balance: TorqueBalance, prior: Prior, found: Location) -> None:
 
 
 @compiled
-def _fill(rubbed: Array, fits: list[Fit], turn: Array, n: int, prior: Prior, grid: _Grid) -> float:
-    """Fill the grid of segment n by the products of R ranges; gives the least chi²."""
-    ranges, chi2, least = len(rubbed), np.inf, -np.inf
+def _fill(
+    products: Array, rubbed: Array, fits: list[Fit], turn: Array, n: int, prior: Prior, grid: _Grid
+) -> float:
+    """Fill the grid of segment n; gives the least chi². `rubbed` is overwritten."""
+    low, high, chi2, least = prior.reach_m[n, 0], prior.reach_m[n, 1], np.inf, -np.inf
+    ranges = grid.place_m.shape[1] // _FINE
     for r in range(ranges):
         least = max(least, fits[n * ranges + r].log_evidence - _OUT_OF_QUESTION)
     for r in range(ranges):
-        fit, begin = fits[n * ranges + r], r * _FINE
+        fit, first = fits[n * ranges + r], r * _FINE
+        density = grid.log_density[n, first : first + _FINE]
         if fit.log_evidence < least:
-            grid.log_density[n, begin : begin + _FINE] = -np.inf
-            grid.place_m[n, begin : begin + _FINE] = fit.place_m
-        else:
-            chi2 = min(chi2, _fill_range(rubbed[r], fit, turn, n, begin, prior, grid))
+            density[:] = -np.inf
+            grid.place_m[n, first : first + _FINE] = fit.place_m
+            continue
+        begin = max(low, fit.place_m - _FINE_REACH * fit.deviation_m)
+        end = min(high, fit.place_m + _FINE_REACH * fit.deviation_m)
+        for _ in range(_MOST_WIDER):
+            found = _fill_range(products, rubbed, fit, turn, n, first, begin, end, prior, grid)
+            least_end, more = density.max() - _OPEN_END, 0.5 * (end - begin)
+            closed = begin == low or density[0] < least_end, end == high or density[-1] < least_end
+            if closed[0] and closed[1]:
+                break
+            begin = begin if closed[0] else max(low, begin - more)
+            end = end if closed[1] else min(high, end + more)
+        chi2 = min(chi2, found)
     return chi2
 
 
 @compiled
 def _fill_range(
-    products: Array, fit: Fit, turn: Array, n: int, first: int, prior: Prior, grid: _Grid
-) -> float:
-    """Fill the grid of segment n from place `first` on; gives the least chi²."""
-    surface, most = prior.radius_m >= 0.0, -np.inf
-    axial, root = AXIAL_STD_N**-2, 1.0 / AXIAL_STD_N
-    begin = max(prior.reach_m[n, 0], fit.place_m - _FINE_REACH * fit.deviation_m)
-    end = min(prior.reach_m[n, 1], fit.place_m + _FINE_REACH * fit.deviation_m)
-    f = best_force(products, axial, begin)
-    lateral = math.hypot(f.y, f.z)
+    products: Array, rubbed: Array, fit: Fit, turn: Array, n: int, first: int, begin_m: float,
+    end_m: float, prior: Prior, grid: _Grid,
+) -> float:  # fmt: skip
+    """Fill the grid of segment n from place `first` on, between two ends; gives the least chi²."""
+    surface, chi2, f = prior.radius_m >= 0.0, np.inf, fit.force
+    axial, root, log_prior = AXIAL_STD_N**-2, 1.0 / AXIAL_STD_N, 0.0
+    rub = Rub(0.0, 0.0, 0.0, 0.0)
     to_x = turn[0, 0], turn[1, 0], turn[2, 0]
     to_y = turn[0, 1], turn[1, 1], turn[2, 1]
     to_z = turn[0, 2], turn[1, 2], turn[2, 2]
     for step in range(_FINE):
-        k, s, log_prior = first + step, begin + (end - begin) * step / (_FINE - 1), fit.log_twist
-        if surface:  # bounded by the lateral force, which hardly differs from place to place
-            bound = axial_bound(prior, lateral)
-            root = math.sqrt(2.0 * math.pi) / (2.0 * bound)
-            f, log_share = bounded(best_force(products, (_OPEN * bound) ** -2, s), bound)
-            log_prior += log_share
+        k, s = first + step, begin_m + (end_m - begin_m) * step / (_FINE - 1)
+        if surface:  # friction is linear near the force at the place before
+            for _ in range(RUBBED if step == 0 else 1):
+                if step % _ALIKE == 0:
+                    rub = let_rub(products, fit.across, f, prior, rubbed)
+                unbounded = best_force(rubbed, (_OPEN * rub.bound_n) ** -2, s)
+                f, log_share = bounded(unbounded, rub.bound_n)
+            root = math.sqrt(2.0 * math.pi) / (2.0 * rub.bound_n)
+            log_prior = rub.log_share + log_share
         else:
             f = best_force(products, axial, s)
-        around_y, around_z = (fit.side_z_m, 0.0, s), (fit.side_y_m, s, 0.0)
-        grid.moment_n_m[n, k, 0] = -(fit.side_z_m * f.x + s * f.z)
-        grid.moment_n_m[n, k, 1] = fit.side_y_m * f.x + s * f.y
+        around_y, around_z = (rub.side_z_m, 0.0, s), (rub.side_y_m, s, 0.0)
+        grid.moment_n_m[n, k, 0] = -(rub.side_z_m * f.x + s * f.z)
+        grid.moment_n_m[n, k, 1] = rub.side_y_m * f.x + s * f.y
         grid.moment_variance[n, k, 0] = shared(f, around_y, around_y)
         grid.moment_variance[n, k, 1] = shared(f, around_z, around_z)
         # along the axes at the commanded angles
@@ -177,9 +200,10 @@ def _fill_range(
         covariance[1, 2] = covariance[2, 1] = yz
         lateral, spread = lateral_of(y, z, yy, yz, zz)
         grid.log_density[n, k] = log_prior + log_density(f, root, lateral, spread, LARGEST_N)
-        grid.place_m[n, k], most = s, max(most, f.gain)
+        grid.place_m[n, k] = s
         grid.lateral_n[n, k], grid.lateral_std_n[n, k] = lateral, spread
-    return products[-1, -1] - most
+        chi2 = min(chi2, (rubbed if surface else products)[-1, -1] - f.gain)
+    return chi2
 
 
 @compiled

@@ -43,6 +43,8 @@ class PlantFriction:
         reach_m: sliding over which bristles take up the cables' friction; 0 sticks rigidly.
         rounded: whether bristles yield gradually, see `_friction_state`.
         actuator_share: part of a cable's compliance before the pulley, as its actuator's; above 0.
+        same_before: whether as much lies before every pulley as there does on the average.
+        weightless: whether nothing has slid since the straight arm was tensioned without weight.
         joint_nm: (J, 2) torque of the joints' friction while they turn.
         joint_reach_rad: angle over which the joints' friction builds up.
         joint_rounded: whether it does so little by little.
@@ -55,6 +57,8 @@ class PlantFriction:
     reach_m: float = 0.0
     rounded: bool = False
     actuator_share: float = 0.3
+    same_before: bool = False
+    weightless: bool = False
     joint_nm: Array = NO_FAULT
     joint_reach_rad: float = 2e-4
     joint_rounded: bool = False
@@ -166,7 +170,9 @@ class QuasiStaticPath:
         joints = body.joint_count
         pieces = 2 * joints + 2
         self.body, self.friction, self.creep = body, friction, creep
-        self._compliance_m_n = piece_compliance_m_n(body, run_m, friction.actuator_share)
+        self._compliance_m_n = piece_compliance_m_n(
+            body, run_m, friction.actuator_share, friction.same_before
+        )
         self._straight_m = statics.cable_lengths_m(body, np.zeros((1, 2 * joints)))[0]
         share = self._compliance_m_n * body.stiffness_n_m[:, None]
         self._creep_m_n = creep.compliance_m_n[..., None] * share
@@ -178,19 +184,25 @@ class QuasiStaticPath:
         self._beyond = np.triu(np.ones((pieces, pieces)))[1:]
 
     def start(self, command_rad: Array, paid_out_m: Array, loads_n: Array) -> PathState:
-        """First row (2N,), (M,), (L, 3) before any sliding."""
+        """First row (2N,), (M,), (L, 3), before any sliding or after that under its weight."""
         body = self.body
-        guess = statics.commanded_angles_rad(body, command_rad[None])
-        angles, tensions = statics.find_rest(body, guess, paid_out_m[None], loads_n[None])
+        if self.friction.weightless:
+            angles, tensions = np.zeros((1, 2 * body.joint_count)), body.pretension_n[None]
+            actuated = np.zeros_like(paid_out_m), np.zeros_like(loads_n)
+        else:
+            guess = statics.commanded_angles_rad(body, command_rad[None])
+            angles, tensions = statics.find_rest(body, guess, paid_out_m[None], loads_n[None])
+            actuated = paid_out_m, loads_n
         tension = np.repeat(tensions[0][:, None], self._compliance_m_n.shape[-1], axis=-1)
         crept = self.creep.settled * self._creep_m_n * np.maximum(tension, 0.0)
         length = spans(body, angles, turns(body, angles)).length_m[0]
         fed = self._fed_m(length, tension, crept.sum(axis=0))
         zero, still = np.zeros_like(fed), np.zeros_like(angles[0])
-        return PathState(
+        begun = PathState(
             angles[0], tension, fed, zero, zero, still, still, crept, crept.sum(axis=(0, 2)),
-            paid_out_m, loads_n,
+            *actuated,
         )  # fmt: skip
+        return self._settle(begun, paid_out_m, loads_n, 0) if self.friction.weightless else begun
 
     def advance(
         self, state: PathState, paid_out_m: Array, loads_n: Array, period_s: float
@@ -383,15 +395,19 @@ def _friction_state(
     return new, np.where(moved == 0.0, 1.0, np.abs(remaining)) / reach
 
 
-def piece_compliance_m_n(body: Body, run_m: float, actuator_share: float) -> Array:
+def piece_compliance_m_n(
+    body: Body, run_m: float, actuator_share: float, same_before: bool = False
+) -> Array:
     """(M, P) compliance of the pieces, by their lengths; it adds up to the cable's 1 / stiffness.
 
-    `actuator_share` of it is the actuator's, in the piece at the sensor.
+    `actuator_share` of it is the actuator's, in the piece at the sensor: of each cable, or of one
+    of average length, whose piece at the sensor all have.
     """
     length = np.zeros((2 * body.joint_count + 2, body.cable_count))
     length[1] = run_m
     length[2::2] = np.linalg.norm(body.after_m - body.before_m, axis=-1) * body.passes
     length[3:-1:2] = np.linalg.norm(body.inside_m, axis=-1) * body.passes[1:]
-    share = (1.0 - actuator_share) * length / length.sum(axis=0)
-    share[0] = actuator_share
-    return np.asarray((share / body.stiffness_n_m).T)
+    behind = length.sum(axis=0)
+    before = behind.mean() if same_before else behind
+    length[0] = actuator_share / (1.0 - actuator_share) * before
+    return np.asarray((length / length.sum(axis=0) / body.stiffness_n_m).T)

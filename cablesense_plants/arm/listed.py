@@ -158,10 +158,12 @@ def capstan_friction(draw: ArmDraw) -> ArmChange:
     """Cables that stick and slide at every guide, with or without a pulley at the actuator.
 
     They stick rigidly, break away above the friction of sliding, or have bristles that give way
-    at once or little by little; all alike, or each cable by up to a fifth more or less.
+    at once or little by little; all alike, or each cable by up to a fifth more or less. The arm
+    has moved before, or was just tensioned without its weight.
     """
     onset = draw.one_of(["rigid", "breakaway", "bristles", "rounded bristles"])
     uneven, pulley = draw.chance(0.4), draw.chance(0.5)
+    weightless, same_before = draw.chance(0.5), draw.chance(0.5)
     count = draw.nominal.cable_count
     share = draw.rng.uniform(0.8, 1.2, count) if uneven else np.ones(count)
     numbers = {
@@ -171,8 +173,10 @@ def capstan_friction(draw: ArmDraw) -> ArmChange:
         "actuator_share": draw.uniform(0.1, 0.4),
     }
     rounded = onset == "rounded bristles"
-    rough = sets("friction", coefficient=scaled(share), rounded=rounded, **numbers)
+    begun = {"weightless": weightless, "same_before": same_before}
+    rough = sets("friction", coefficient=scaled(share), rounded=rounded, **numbers, **begun)
     form = f"{onset}, {'uneven' if uneven else 'even'}, {'with' if pulley else 'no'} pulley"
+    form += ", weightless at first" * weightless + ", the same before every pulley" * same_before
     return ArmChange(rough, form, details=numbers)
 
 

@@ -24,6 +24,11 @@ from cablesense_sim.mechanism import Mechanism
 
 _start_share = partial(shape, unit="1", low=-1.0, high=1.0, typical=0.5, fades=True, past=True)
 """A share of its limit that friction carries before the first sample."""
+_WEIGHT_BORNE = shape(
+    "weight_borne", "1", 0.0, 1.0, 0.5,
+    "share of its weight that the arm bore when the tensions along a cable were equal", 1.0,
+    trials=(0.0, 1.0), fades=True, past=True,
+)  # fmt: skip
 
 
 class ActuatorBacklash(Effect):
@@ -84,6 +89,9 @@ class CapstanFriction(Effect):
         shape("run_compliance", "1", 0.01, 100.0, 1.0,
               "compliance of a cable before the pulley, over that behind it", 0.5,
               starts=(0.5,)),
+        shape("run_by_length", "1", 0.0, 1.0, 0.5,
+              "0: it is the same for every cable; 1: the longer the cable in the arm, the less",
+              starts=(0.5,)),
         shape("give_m", "m", 0.0, 2e-3, 2e-5,
               "of cable that passes a guide from rest to slip; zero sticks rigidly",
               trials=(0.0, 3e-5)),
@@ -94,10 +102,8 @@ class CapstanFriction(Effect):
 
     def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
         share = "share of what its guides hold that the past left on"
-        return tuple(
-            _start_share(f"start_{cable}", about=f"{share} {cable}")
-            for cable in cables(cable_count)
-        )
+        each = (f"start_{cable}" for cable in cables(cable_count))
+        return _WEIGHT_BORNE, *(_start_share(name, about=f"{share} {name[6:]}") for name in each)
 
     def transmission(self, place: str, values: Values) -> Transmission:
         return _Guides(values)
@@ -117,6 +123,9 @@ class _Guides(Transmission):
         compliance_m_n = self._pieces_m_n(mechanism)
         self._longer = compliance_m_n / compliance_m_n.sum(-1, keepdims=True)
         lengths_m, limit = self._at(rest.spans_m, rest.bends_rad)
+        borne = self._values.get("weight_borne", none + 1.0)[:, None, None]
+        if (borne < 1.0).any():
+            lengths_m = (1.0 - borne) * self._weightless_m(mechanism) + borne * lengths_m
         from cablesense_sim.cable_chain import CableChains  # compiled: none without friction waits
 
         self._chains = CableChains(
@@ -127,6 +136,16 @@ class _Guides(Transmission):
             self._values["give_m"][:, None, None],
             self._values["rounding"][:, None, None],
         )
+
+    def _weightless_m(self, mechanism: Mechanism) -> Array:
+        """(P, M, 1 + 2N) lengths of the pieces in the straight arm without weight."""
+        (y, z), (v, w) = mechanism.plate_holes_m
+        apart_m = np.sqrt((2.0 * mechanism.plate_offset_m) ** 2 + (v - y) ** 2 + (w - z) ** 2)
+        spans_m = apart_m * mechanism.passes_joint
+        lengths_m = np.zeros_like(self._longer)
+        lengths_m[..., 0] = mechanism.pretension_n / mechanism.stiffness_n_m - spans_m.sum(-1)
+        lengths_m[..., 2::2] = spans_m
+        return lengths_m
 
     def hold(self, rest_m: Array, longer_m: Array) -> None:
         self._rest_m, self._longer_m = rest_m, longer_m
@@ -143,10 +162,12 @@ class _Guides(Transmission):
         """(P, M, 1 + 2N) compliances, which add up to that of the cable and its actuator."""
         whole = 1.0 / mechanism.stiffness_n_m
         actuator = np.minimum(1.0 / mechanism.actuator_stiffness_n_m, whole)
-        behind = (whole - actuator) / (1.0 + self._values["run_compliance"][:, None])
+        in_arm_m = np.cumsum(mechanism.segment_length_m)[mechanism.cable_segment - 1]
+        run = (in_arm_m.mean() / in_arm_m) ** self._values["run_by_length"][:, None]
+        behind = (whole - actuator) / (1.0 + self._values["run_compliance"][:, None] * run)
         length = mechanism.piece_length_m
-        by_length = behind[..., None] * length / length.sum(-1, keepdims=True)
-        return np.concatenate([(whole - behind)[..., None], by_length], axis=-1)
+        pieces = behind[..., None] * length / length.sum(-1, keepdims=True)
+        return np.concatenate([(whole - behind)[..., None], pieces], axis=-1)
 
     def _at(self, spans_m: Array, bends_rad: Array) -> tuple[Array, Array]:
         """(P, M, 1 + 2N) lengths of the pieces, m, and (P, M, 2N) μ θ of the nodes.

@@ -87,3 +87,16 @@ def test_a_load_cycle_leaves_a_loop_and_the_loop_lasts_at_rest() -> None:
     assert np.abs(at_the_same_load[0] - at_the_same_load[1]).max() > 0.3
     assert np.abs(readings(replay)[5] - readings(replay)[15]).max() < 1e-6
     np.testing.assert_array_equal(found[16:], np.repeat(found[15:16], 40, axis=0))
+
+
+def test_what_an_actuator_reads_while_the_pulley_holds() -> None:
+    """The pretension, whatever the arm weighs, and the stretch of the piece before the pulley."""
+    held = {"coefficient": 0.5, "pulley_wrap_rad": 4.0, "weight_borne": 0.0}
+    drawn = np.stack([np.zeros(12), np.full(12, -1e-4)])
+    for by_length, ratio in ((0.0, np.full(4, 0.5)), (1.0, 0.5 * 2.5 / np.arange(1, 5))):
+        friction = entry("capstan_friction", run_compliance=0.5, run_by_length=by_length, **held)
+        arm = QuasiStaticArm([MECHANISM], [[friction]])
+        before, after = (arm.step(0.0, each[None], np.zeros((4, 3)))[0] for each in drawn)
+        np.testing.assert_allclose(before, MECHANISM.pretension_n)
+        stiffness = MECHANISM.stiffness_n_m * np.repeat(1.0 + 1.0 / ratio, 3)
+        np.testing.assert_allclose(after - before, 1e-4 * stiffness, rtol=1e-6)
