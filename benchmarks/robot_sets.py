@@ -215,9 +215,12 @@ GUIDED = replace(
     rubbing=lambda friction, angle: Rubbing(GUIDES, friction, angle).lost_n_m,
 )
 """The finger with tendons over guides, for causes that the others cannot show."""
-_MOVING, _TENDONS = Draws(), Draws()
+_MOVING, _IN_SERVOS, _TENDONS = Draws(), Draws(), Draws()
 _MOVING.of_size("rad", most=0.04)(
     at_joints("play_rad", form="teeth with play", one=True), "backlash"
+)
+_IN_SERVOS.of_size("1", most=0.6)(
+    at_joints("servo_scale", form="another gain", signed=True, one=True), "servo_gain"
 )
 
 
@@ -306,8 +309,8 @@ def with_servos(count: int, seed: int) -> list[RobotCase]:
 
     Play is the pendulum's, see `with_play`.
     """
-    listed = ("joint_zero", "backlash", "joint_coupling", "payload")
-    known = {name: (LISTED | _MOVING)[name] for name in listed}
+    listed = ("joint_zero", "backlash", "joint_coupling", "payload", "servo_gain")
+    known = {name: (LISTED | _MOVING | _IN_SERVOS)[name] for name in listed}
     turns, cases = [*([name] for name in listed), []], []
     kinds = in_turn(np.random.default_rng([seed]), list(SERVOS))
     for k in range(count):

@@ -170,6 +170,7 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
     forward = forward + nominal.spring_n_m(asked.angle)
     forward = forward + nominal.motor_n_m(asked.angle, asked.speed)
     stiff, damp = kind.gains()
+    stiff = (1.0 + robots.servo_scale) * stiff
     back = np.asarray(np.linalg.inv(robots.moved), dtype=float)
     gain, zero = 1.0 + robots.encoder_scale, robots.zero
     if kind.servos:  # zero and scale are the camera's

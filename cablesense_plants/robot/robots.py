@@ -291,6 +291,7 @@ class RealRobot:
         scale, offset, warming, ceiling: torques read (1 + scale + warming over the recording)
             times the true torque, and offset, and at most a ceiling.
         delay_s: () by how much later than angles torques are read.
+        servo_scale: stiffness of the controller is (1 + scale) times the nominal one.
         base_axis, base_stiffness: (3,) and () of what the robot stands on.
     """
 
@@ -329,6 +330,7 @@ class RealRobot:
     warming: Array = NO_FAULT
     ceiling: Array = NO_FAULT + np.inf
     delay_s: Array = NO_FAULT
+    servo_scale: Array = NO_FAULT
     base_axis: Any = (0.0, 1.0, 0.0)
     base_stiffness: Array = NO_FAULT + _RIGID
 
