@@ -13,12 +13,8 @@ def axis_torques_n_m(pose: kinematics.SegmentChain, load_arms_n_m: np.ndarray) -
     return (pose.joint_axis * np.repeat(distal, 2, axis=-2)).sum(axis=-1)
 
 
-def load_torques_n_m(mechanism: Mechanism, q: np.ndarray, forces_n: np.ndarray) -> np.ndarray:
-    """Of gravity and of contact forces (..., N, 3), at joint angles (..., 2N)."""
+def load_torques_n_m(mechanism: Mechanism, q: np.ndarray, forces_n=0.0) -> np.ndarray:
+    """Of gravity and of contact forces (..., N, 3), if any, at joint angles (..., 2N)."""
+    forces_n = np.zeros((*q.shape[:-1], mechanism.segment_count, 3)) + forces_n
     pose, arms = kinematics.chain(mechanism, q), kinematics.load_arms(mechanism, forces_n)
     return axis_torques_n_m(pose, arms)
-
-
-def gravity_torques_n_m(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """Of the segments' weight, at joint angles (..., 2N)."""
-    return load_torques_n_m(mechanism, q, np.zeros((*q.shape[:-1], mechanism.segment_count, 3)))

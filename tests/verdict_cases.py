@@ -1,7 +1,5 @@
 """Verdicts for tests: one line says what is of interest, the rest is plausible."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from cablesense_gap.verdict import CandidateResult, Gap, Verdict, Where, removed_fraction

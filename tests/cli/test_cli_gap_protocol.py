@@ -1,7 +1,5 @@
 """`cablesense gap protocol`: a table for people, and rows for programs."""
 
-from __future__ import annotations
-
 import csv
 import math
 

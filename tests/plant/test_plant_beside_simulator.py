@@ -48,7 +48,6 @@ def simulated_n(**parameters: float) -> np.ndarray:
         ({"pulley_rad": 1.0}, {"pulley_wrap_rad": 1.0}),
         ({"pulley_rad": 1.0, "weightless": True}, {"pulley_wrap_rad": 1.0, "weight_borne": 0.0}),
     ],
-    ids=["rigid", "bristles", "pulley", "weightless"],
 )
 def test_friction_changes_both_alike(plant: dict[str, float], simulator: dict[str, float]) -> None:
     """Both have the same nodes and pieces; they share no code and no method of solution."""

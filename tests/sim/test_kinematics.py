@@ -9,7 +9,7 @@ import pytest
 from arm_variants import variant
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from joint_torques import axis_torques_n_m, gravity_torques_n_m
+from joint_torques import axis_torques_n_m, load_torques_n_m
 
 from cablesense_sim import kinematics, rest
 from cablesense_sim.arm import Arm
@@ -64,7 +64,7 @@ def test_mujoco_agrees(arm: Arm) -> None:
     centres = kinematics.joint_positions_m(mechanism, q)
     points = kinematics.contact_points_m(mechanism, q)
     contact = kinematics.contact_jacobians_m(mechanism, q)
-    gravity = gravity_torques_n_m(mechanism, q)
+    gravity = load_torques_n_m(mechanism, q)
     moved = np.zeros((3, model.nv))
     for i, angles in enumerate(q):
         data.qpos[at] = angles

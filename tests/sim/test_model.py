@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from arm_variants import variant
-from joint_torques import gravity_torques_n_m
+from joint_torques import load_torques_n_m
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm, open_arm
@@ -76,7 +76,7 @@ def test_mujoco_reads_the_urdf_and_finds_the_same_names_places_and_weight(arm: A
     for name, angle in zip(arm.joint_names, q, strict=True):
         data.joint(name).qpos = angle
     mujoco.mj_forward(model, data)
-    gravity = gravity_torques_n_m(mechanism, q)
+    gravity = load_torques_n_m(mechanism, q)
     np.testing.assert_allclose(-data.qfrc_bias, gravity, atol=1e-4)
     last, pose = data.body(f"segment_{arm.segment_count}"), kinematics.chain(mechanism, q)
     np.testing.assert_allclose(last.xpos, pose.joint_m[-1], atol=1e-6)

@@ -1,7 +1,5 @@
 """From rest to rest: without history the static solver, with friction a loop."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from effect_arms import MECHANISM, bent, course, entry, push, readings, up_and_down
@@ -89,14 +87,13 @@ def test_a_load_cycle_leaves_a_loop_and_the_loop_lasts_at_rest() -> None:
     np.testing.assert_array_equal(found[16:], np.repeat(found[15:16], 40, axis=0))
 
 
-def test_what_an_actuator_reads_while_the_pulley_holds() -> None:
+@pytest.mark.parametrize(("by_length", "ratios"), [(0.0, 0.5), (1.0, 1.25 / np.arange(1, 5))])
+def test_what_an_actuator_reads_while_the_pulley_holds(by_length, ratios) -> None:
     """The pretension, whatever the arm weighs, and the stretch of the piece before the pulley."""
     held = {"coefficient": 0.5, "pulley_wrap_rad": 4.0, "weight_borne": 0.0}
-    drawn = np.stack([np.zeros(12), np.full(12, -1e-4)])
-    for by_length, ratio in ((0.0, np.full(4, 0.5)), (1.0, 0.5 * 2.5 / np.arange(1, 5))):
-        friction = entry("capstan_friction", run_compliance=0.5, run_by_length=by_length, **held)
-        arm = QuasiStaticArm([MECHANISM], [[friction]])
-        before, after = (arm.step(0.0, each[None], np.zeros((4, 3)))[0] for each in drawn)
-        np.testing.assert_allclose(before, MECHANISM.pretension_n)
-        stiffness = MECHANISM.stiffness_n_m * np.repeat(1.0 + 1.0 / ratio, 3)
-        np.testing.assert_allclose(after - before, 1e-4 * stiffness, rtol=1e-6)
+    friction = entry("capstan_friction", run_compliance=0.5, run_by_length=by_length, **held)
+    arm, none = QuasiStaticArm([MECHANISM], [[friction]]), np.zeros((4, 3))
+    tensions_n = [arm.step(0.0, np.full((1, 12), drawn), none)[0] for drawn in (0.0, -1e-4)]
+    np.testing.assert_allclose(tensions_n[0], MECHANISM.pretension_n)
+    stiffness = MECHANISM.stiffness_n_m * np.repeat(1.0 + 1.0 / (ratios + np.zeros(4)), 3)
+    np.testing.assert_allclose(np.diff(tensions_n, axis=0)[0], 1e-4 * stiffness, rtol=1e-6)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_torques import gravity_torques_n_m
+from joint_torques import load_torques_n_m
 
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -68,7 +68,7 @@ def test_unloaded_cables_carry_the_weight(arm):
     mechanism = mechanism_of(arm)
     cables = cable_jacobian_m(mechanism, dataset.command_rad)
     torque = np.einsum("bmj,bm->bj", cables, dataset.unloaded_n)
-    expected = gravity_torques_n_m(mechanism, dataset.command_rad)
+    expected = load_torques_n_m(mechanism, dataset.command_rad)
     assert torque == pytest.approx(expected, abs=0.01)
 
 

@@ -1,7 +1,5 @@
 """Readings of arms that stick, creep or have play, freed of it by a simulation beside them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

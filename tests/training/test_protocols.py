@@ -1,7 +1,5 @@
 """Protocols cover what they promise; effects are drawn in their ranges and places."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
