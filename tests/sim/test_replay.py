@@ -58,7 +58,7 @@ def test_every_effect_is_seen_none_of_size_zero_and_side_by_side_as_alone(name: 
 def test_friction_states_at_the_start_are_read_side_by_side_as_alone(name: str) -> None:
     """They are simulated together and only for a while, as their influence fades."""
     effect, sized = known_effects()[name], any_entry(known_effects()[name])
-    none = {p.name: 0.0 for p in (*effect.parameters, *effect.history(4, 12)) if p.fades}
+    none = {p.name: p.default for p in (*effect.parameters, *effect.history(4, 12)) if p.fades}
     changes = [none, *(none | {each: 0.8} for each in none)]
     every = [replace(sized, values=sized.values | each) for each in changes]
     replay = course(COMMANDS, LOADS)
