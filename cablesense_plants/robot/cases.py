@@ -195,8 +195,10 @@ def draw_case(
 
     def gap_of(robot: RealRobot) -> float:
         """To the robot with tolerances alone, as asked to move, in noise of one sample."""
-        off = prescribed_n_m(kind, robot, asked[0]) - without
+        torque = prescribed_n_m(kind, robot, asked[0])
+        off = torque - without
         if kind.servos:
+            off = torque / (1.0 + robot.servo_scale) - without
             turned = (asked[0].angle - kind.home_rad) @ (robot.moved - plain.moved).T
             still = robot.zero - plain.zero + 0.5 * robot.play_rad
             off = np.hypot(rms(turned + still), rms(off) / kind.gains()[0])
