@@ -2,7 +2,7 @@
 
     python benchmarks/robot_blind.py [--count 60] [--seed 8105] [--commands] [--write]
     python benchmarks/robot_blind.py --imperfect [--reference] [--count 60] [--seed 9162] [--write]
-    python benchmarks/robot_blind.py --servos [--count 30] [--seed 9153] [--write]
+    python benchmarks/robot_blind.py --servos [--count 30] [--seed 9154] [--write]
     python benchmarks/robot_blind.py --exchanged --count 20 --seed 9705 [--write]
 
 Three nominal models of `config/robots` (an arm of six joints, a double pendulum, a finger with
@@ -16,7 +16,7 @@ over guides, which rub in half of the cases, while of the others half have other
 the torque; with `--reference` another recording, without the hidden effects, is the reference
 (seeds 9001, 9131, 9137, 9138 and 9161 were used while that was made). With `--servos` robots are
 under position servos, and a camera reads their joints; a zero, play, a coupling, a payload, a
-servo's gain or nothing is hidden in turn (seeds 5101 and 9151 were used while that was made).
+servo's gain or nothing is hidden in turn (seeds 5101, 9151 and 9153 were used while it was made).
 With `--exchanged` two torque columns are exchanged, or a torque or a position is reversed, in
 turn. It counts how often that stops the diagnosis and is named, after how long, and how often the
 recordings as they were are suspected (seeds 9702 to 9704 were used while that was made).
