@@ -3,6 +3,7 @@
     python benchmarks/robot_blind.py [--count 60] [--seed 8105] [--commands] [--write]
     python benchmarks/robot_blind.py --imperfect [--reference] [--count 60] [--seed 9162] [--write]
     python benchmarks/robot_blind.py --servos [--count 30] [--seed 9154] [--write]
+    python benchmarks/robot_blind.py --payloads --count 30 --seed 9165 [--write]
     python benchmarks/robot_blind.py --exchanged --count 20 --seed 9705 [--write]
 
 Three nominal models of `config/robots` (an arm of six joints, a double pendulum, a finger with
@@ -24,6 +25,7 @@ recordings as they were are suspected (seeds 9702 to 9704 were used while that w
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 import time
@@ -39,7 +41,15 @@ import blind_sets
 import harness
 import numpy as np
 import pandas as pd
-from robot_sets import drawn, servo_file, with_play, with_servos, with_tendons
+from robot_sets import (
+    drawn,
+    lifted,
+    servo_file,
+    with_payload,
+    with_play,
+    with_servos,
+    with_tendons,
+)
 
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot.model import Robot, load_robot
@@ -49,7 +59,7 @@ from cablesense_gap.robot.recording import RobotRecording, read_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose, wrong_columns
 from cablesense_gap.scoring import read_answers, score
 from cablesense_gap.verdict import Verdict, removed_fraction
-from cablesense_plants.cases import write_answers
+from cablesense_plants.cases import PlantError, write_answers
 from cablesense_plants.robot.cases import RobotCase, record
 
 _LONG_ROWS = 20_000
@@ -66,12 +76,17 @@ def main() -> None:
     parser.add_argument("--servos", action="store_true", help="hide what a camera sees")
     parser.add_argument("--imperfect", action="store_true", help="models that lack something")
     parser.add_argument("--reference", action="store_true", help="diagnose what changed")
+    parser.add_argument("--payloads", action="store_true", help="hide payloads of all sizes")
     parser.add_argument("--exchanged", action="store_true", help="columns that are wrong")
     options = parser.parse_args()
     folder = blind_sets.folder_of(options)
     if options.exchanged:
         found = _exchanged(options.count, options.seed, folder)
         harness.publish("robot_exchanged.json", found, options, "mujoco")
+        return
+    if options.payloads:
+        found = _payloads(options.count, options.seed, folder)
+        harness.publish("robot_payloads.json", found, options, "mujoco")
         return
     usual = partial(drawn, commands=options.commands, imperfect=options.imperfect)
     ways = {"play": with_play, "tendons": with_tendons, "servos": with_servos}
@@ -132,6 +147,51 @@ def _exchanged(count: int, seed: int, folder: Path) -> dict[str, Any]:
         "seconds_until_named": harness.percentiles(seconds, ("median", "worst"), 1),
         "each_case": each_case,
     }
+
+
+def _payloads(count: int, seed: int, folder: Path) -> dict[str, Any]:
+    """How many payloads of 0.02 to 10 times a body's mass are found, on hinges and on slides.
+
+    Those that do not stand out of a robot's tolerances are not hidden.
+    """
+    rng, each_case = np.random.default_rng([seed]), []
+    for k, size in enumerate(np.geomspace(0.02, 10.0, count).tolist()):
+        if k % 2:
+            path, recording = lifted(size, rng, folder)
+            robot, body, mass_kg = load_robot(path), "carriage", 0.5 * size
+        else:
+            try:
+                case = with_payload(size, seed, k // 2)
+            except PlantError:
+                continue
+            record([case], folder)
+            robot, body = load_robot(case.kind.path), case.answer.where
+            recording = read_recording(_place(folder, case, "csv.gz"), robot)
+            mass_kg = json.loads(case.answer.sizes)[0]["size"]
+        verdict = diagnose(recording, robot).verdict
+        effect = "+".join(verdict.effects)
+        named = effect == "payload" or "payload" in (verdict.ambiguity_group or ())
+        number, truth = "payload.mass_kg", mass_kg
+        if effect == "link_mass":  # of its group
+            number, truth = "link_mass.share", size
+        found = verdict.parameters.get(number)
+        near = found is not None and (
+            abs(found.value - truth) <= 0.1 * truth or found.ci95[0] <= truth <= found.ci95[1]
+        )
+        each_case.append(
+            {
+                "case": f"{robot.path.stem}, {body}",
+                "times_its_mass": round(size, 4),
+                "named": effect,
+                "probability": round(verdict.probability, 3),
+                "truth": round(truth, 4),
+                "found": None if found is None else round(found.value, 4),
+                "right": named and verdict.where.bodies == (body,) and near,
+            }
+        )
+        print(each_case[-1], flush=True)
+    right = sum(bool(each["right"]) for each in each_case)
+    return {"seed": seed, "payloads": len(each_case), "right": right, "each_case": each_case}
 
 
 def _wrong_column(

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_gap.robot.recording import RobotRecording
 from cablesense_plants.cases import Draws, added, in_turn, sets
 from cablesense_plants.robot.cases import RobotCase, draw_case, rms, sets_of_names
 from cablesense_plants.robot.causes import (
@@ -38,6 +39,14 @@ _FINGER_M = np.array([[0.011, 0.0], [-0.010, 0.0], [0.009, 0.008], [-0.008, -0.0
 """(K, N) by how much a tendon of the finger pulls at a joint."""
 _IMPERFECT = (0.05, 0.15)
 """Share of each joint's torque, RMS, that an imperfect nominal robot leaves."""
+
+
+_LIFT = """<mujoco><worldbody>
+<body name="column"><joint name="lift" type="slide" axis="0 0 1"/>
+<inertial pos="0 0 0" mass="2" diaginertia="0.1 0.1 0.1"/>
+<body name="carriage" pos="0.3 0 0"><joint name="reach" type="slide" axis="1 0 0"/>
+<inertial pos="0 0 0" mass="0.5" diaginertia="0.01 0.01 0.01"/></body></body>
+</worldbody></mujoco>"""
 
 
 @dataclass(frozen=True)
@@ -318,6 +327,34 @@ def with_servos(count: int, seed: int) -> list[RobotCase]:
         kind = "two_links" if "backlash" in names else next(kinds)
         cases.append(draw_case(SERVOS[kind], names, seed, k + 1, [known]))
     return cases
+
+
+def with_payload(size: float, seed: int, index: int) -> RobotCase:
+    """A pendulum or an arm with `size` times the mass of one of its links on that link."""
+
+    def payload(draw: RobotDraw) -> RobotChange:
+        drawn = LISTED["payload"](draw)
+        mass_kg = size * float(draw.robot.chain.mass_kg[draw.links.index(drawn.where[0])])
+        return replace(drawn, least=mass_kg, most=mass_kg)
+
+    kind = KINDS[("two_links", "arm_6")[index % 2]]
+    return draw_case(kind, ["payload"], seed, index, [{"payload": payload}])
+
+
+def lifted(size: float, rng: np.random.Generator, folder: Path) -> tuple[Path, RobotRecording]:
+    """A carriage of 0.5 kg on a lift of 2 kg, which bears `size` times its mass: Newton's law."""
+    path, parts = folder / "lift.xml", []
+    path.write_text(_LIFT, encoding="utf-8")
+    time_s, mass_kg = np.arange(0.0, 4.0, 0.01), 0.5 * (1.0 + size)
+    for trial in range(5):
+        w = 2.0 * np.pi * rng.uniform(0.3, 0.9, 2)
+        place_m = 0.1 * np.sin(w * time_s[:, None] + rng.uniform(0.0, 6.0, 2))
+        moved_kg = np.array([2.0 + mass_kg, mass_kg])
+        force_n = moved_kg * ([9.81, 0.0] - w**2 * place_m)
+        read_n = force_n + 0.02 * rng.standard_normal(force_n.shape)
+        parts.append((time_s, np.full(len(time_s), trial), place_m, read_n))
+    at_s, trials, position, force = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return path, RobotRecording("lift", at_s, trials, position, force, np.empty((len(at_s), 0)))
 
 
 def servo_file(kind: RobotKind, folder: Path) -> Path:
