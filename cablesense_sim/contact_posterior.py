@@ -38,8 +38,8 @@ _OUT_OF_QUESTION = 14.0
 """Log odds below the best at which a segment, or a range of friction on it, gets no grid: a
 probability below 1e-6."""
 _OPEN_END, _MOST_WIDER = 7.0, 4
-"""A grid whose ends have a log density nearer than this to its highest is widened, and it is filled
-at most so often. Friction gives a place longer tails than those of a normal distribution."""
+"""A grid whose ends have a log density nearer than this to its highest is widened; it is filled at
+most so often. Friction gives a place longer tails than those of a normal distribution."""
 _ALIKE = 4
 """Places of a grid for which friction is linear near the same force."""
 _OPEN = 8.0
