@@ -18,9 +18,11 @@ the torque; with `--reference` another recording, without the hidden effects, is
 (seeds 9001, 9131, 9137, 9138 and 9161 were used while that was made). With `--servos` robots are
 under position servos, and a camera reads their joints; a zero, play, a coupling, a payload, a
 servo's gain or nothing is hidden in turn (seeds 5101, 9151 and 9153 were used while it was made).
-With `--exchanged` two torque columns are exchanged, or a torque or a position is reversed, in
-turn. It counts how often that stops the diagnosis and is named, after how long, and how often the
-recordings as they were are suspected (seeds 9702 to 9704 were used while that was made).
+With `--payloads` loads of 0.02 to 10 times the mass of a link are hidden, in turn on a hinge by
+the plant and on a slide by Newton's law. With `--exchanged` two torque columns are exchanged, or a
+torque or a position is reversed, in turn. It counts how often the diagnosis stops and names that,
+after how long, and how often it suspects the recordings as they were. Seeds 9702 to 9704 were used
+while that was made.
 """
 
 from __future__ import annotations

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from cablesense_base import Array, some_of
@@ -221,12 +220,10 @@ class Servos(NamedTuple):
     """The model's position servos, by joint (J,).
 
     Attributes:
-        actuator: its number.
         per_command: position by unit of the command; `offset` is that of a command of zero.
         stiffness, damping: of the position, in torque.
     """
 
-    actuator: NDArray[np.int64]
     per_command: Array
     offset: Array
     stiffness: Array
@@ -250,7 +247,6 @@ class Servos(NamedTuple):
         gear, bias = model.actuator_gear[servo, 0], model.actuator_biasprm[servo]
         by_position = -bias[:, 1] * gear
         return Servos(
-            actuator=servo,
             per_command=model.actuator_gainprm[servo, 0] / by_position,
             offset=bias[:, 0] / by_position,
             stiffness=by_position * gear,
@@ -274,7 +270,7 @@ class ServoComparison(MotionComparison):
         """
         self._motion, self._servos = motion, Servos.of(robot)
         self._dynamics = InverseDynamics(robot, motion)
-        own = motion.command[:, self._servos.actuator]
+        own = motion.command[:, robot.servos]
         self._target = own * self._servos.per_command + self._servos.offset
         self._gaps = BacklashMotion(robot, self._of_drives(robot))
         self.names = self.columns = tuple(f"position.{joint}" for joint in robot.joints)
@@ -316,7 +312,7 @@ class ServoComparison(MotionComparison):
         motion, servos, trials = self._motion, self._servos, []
         for trial in motion.trials:
             command = smoothed(trial.command, motion.rate_hz, motion.smoothed_hz)
-            target = command[:, servos.actuator] * servos.per_command + servos.offset
+            target = command[:, robot.servos] * servos.per_command + servos.offset
             speed, acceleration = derivatives(trial.position, motion.rate_hz)
             torque = inverse_dynamics(robot.model, trial.position, speed, acceleration)
             yields = (torque + servos.damping * speed) / servos.stiffness

@@ -102,8 +102,11 @@ class CapstanFriction(Effect):
 
     def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
         share = "share of what its guides hold that the past left on"
-        each = (f"start_{cable}" for cable in cables(cable_count))
-        return _WEIGHT_BORNE, *(_start_share(name, about=f"{share} {name[6:]}") for name in each)
+        starts = (
+            _start_share(f"start_{cable}", about=f"{share} {cable}")
+            for cable in cables(cable_count)
+        )
+        return _WEIGHT_BORNE, *starts
 
     def transmission(self, place: str, values: Values) -> Transmission:
         return _Guides(values)

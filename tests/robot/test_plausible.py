@@ -2,21 +2,15 @@
 
 import numpy as np
 import pytest
+from robot_sets import lifted
 from two_link import recorded, write_model
 
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import RobotRecording, read_recording
+from cablesense_gap.robot.recording import read_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Gap
-
-LIFT = """<mujoco><worldbody>
-<body name="column"><joint name="lift" type="slide" axis="0 0 1"/>
-<inertial pos="0 0 0" mass="2" diaginertia="0.1 0.1 0.1"/>
-<body name="carriage" pos="0.3 0 0"><joint name="reach" type="slide" axis="1 0 0"/>
-<inertial pos="0 0 0" mass="0.5" diaginertia="0.01 0.01 0.01"/></body></body>
-</worldbody></mujoco>"""
 
 
 @pytest.fixture(scope="module")
@@ -30,29 +24,12 @@ def system(tmp_path_factory, robot):
     return RobotSystem(robot, prepared(read_recording(path, robot), robot), {})
 
 
-def lifted(tmp_path, payload_kg):
-    """A lift and a slide on it, with a payload on the latter."""
-    path = tmp_path / "lift.xml"
-    path.write_text(LIFT)
-    rng, parts = np.random.default_rng(3), []
-    time_s = np.arange(0.0, 4.0, 0.01)
-    for trial in range(5):
-        at, w = rng.uniform(0.0, 6.0, 2), 2.0 * np.pi * rng.uniform(0.3, 0.9, 2)
-        wave = 0.1 * np.sin(w * time_s[:, None] + at)
-        force = -(w**2) * wave * [2.5 + payload_kg, 0.5 + payload_kg]
-        force += [9.81 * (2.5 + payload_kg), 0.0]
-        parts.append((time_s, np.full(400, trial), wave, force))
-    time_s, trial, position, force = map(np.concatenate, zip(*parts, strict=True))
-    force += 0.02 * rng.standard_normal(force.shape)
-    recording = RobotRecording("lift", time_s, trial, position, force, np.empty((2000, 0)))
-    return recording, load_robot(path)
-
-
 @pytest.mark.slow  # whole searches
 @pytest.mark.parametrize("payload_kg", [0.1, 5.0])
 def test_payloads_are_found_and_sized_over_decades_on_slides(tmp_path, payload_kg):
     """On a slide the mass of its link, 0.5 kg, is the same."""
-    verdict = diagnose(*lifted(tmp_path, payload_kg)).verdict
+    path, recording = lifted(payload_kg / 0.5, np.random.default_rng(3), tmp_path)
+    verdict = diagnose(recording, load_robot(path)).verdict
     assert "payload" in (verdict.ambiguity_group or verdict.effects)
     assert verdict.where.bodies == ("carriage",)
     as_payload = verdict.effects == ("payload",)
