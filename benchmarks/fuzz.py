@@ -30,7 +30,7 @@ from typing import Any
 import harness
 import hypothesis
 import pandas as pd
-from fuzz_edits import Check, Outcome
+from fuzz_edits import Check, Tally
 from fuzz_files import FILE_TARGETS
 from fuzz_live import LIVE_TARGETS
 from hypothesis import strategies as st
@@ -41,7 +41,7 @@ GROWTH_LIMIT_MB = 1_500.0
 """The most address space that a child may add to that at its start."""
 EXAMPLES_OF_A_CHILD = 2_000
 CRASH = "crash.txt"
-COUNTS = ("examples", *Outcome._fields)
+COUNTS = ("examples", *Tally._fields)
 TARGETS = LIVE_TARGETS | FILE_TARGETS
 """All readers of what comes from outside, by name."""
 

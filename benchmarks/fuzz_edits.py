@@ -19,7 +19,7 @@ class FalseAnswerError(AssertionError):
     """Invalid input was accepted as valid: the finding that fuzzing is for."""
 
 
-class Outcome(NamedTuple):
+class Tally(NamedTuple):
     """The frames, messages or files of an example, and how many were refused and taken."""
 
     inputs: int = 1
@@ -27,7 +27,7 @@ class Outcome(NamedTuple):
     taken: int = 0
 
 
-Check = Callable[[Draw], Outcome]
+Check = Callable[[Draw], Tally]
 """Draws an example, gives it to a reader, and judges the answer."""
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import can
 import numpy as np
 import onnx
-from fuzz_edits import Draw, Outcome, Target, edited_bytes, edited_text, require, require_one_line
+from fuzz_edits import Draw, Tally, Target, edited_bytes, edited_text, require, require_one_line
 from fuzz_live import ARM, MAPS, SETTINGS, TaredEstimation
 from hypothesis import strategies as st
 
@@ -62,7 +62,7 @@ class _Kind(NamedTuple):
     examples: int
 
 
-def _check(name: str, draw: Draw) -> Outcome:
+def _check(name: str, draw: Draw) -> Tally:
     """An example is a file in the working folder: one of a kind edited, and taken or refused."""
     kind = _KINDS[name]
     file_name, content = draw(st.sampled_from(_valid(name)))
@@ -72,8 +72,8 @@ def _check(name: str, draw: Draw) -> Outcome:
         kind.use(path)
     except CableSenseError as error:
         require_one_line(error)
-        return Outcome(refused=1)
-    return Outcome(taken=1)
+        return Tally(refused=1)
+    return Tally(taken=1)
 
 
 @cache

@@ -23,7 +23,7 @@ import can
 import numpy as np
 from can.util import dlc2len, len2dlc
 from estimation_settings import estimation_settings
-from fuzz_edits import Draw, Outcome, Target, edited, edited_bytes, require, require_one_line
+from fuzz_edits import Draw, Tally, Target, edited, edited_bytes, require, require_one_line
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
@@ -107,7 +107,7 @@ class _Amplifier:
         self._carried.append(set())
 
 
-def check_frames(draw: Draw) -> Outcome:
+def check_frames(draw: Draw) -> Tally:
     """An example is a sequence of some hundred frames into a new reader.
 
     Frames make samples: `refused` counts those withheld, `taken` those given.
@@ -135,7 +135,7 @@ def check_frames(draw: Draw) -> Outcome:
             taken += 1
         if number == reopened:
             reader.reopened()
-    return Outcome(inputs=len(sent), taken=taken, refused=reader.withheld)
+    return Tally(inputs=len(sent), taken=taken, refused=reader.withheld)
 
 
 def _changed(draw: Draw, frames: list[can.Message]) -> list[can.Message]:
@@ -298,7 +298,7 @@ class TaredEstimation:
         return self.take(bytes(serialize_message(joint_state(self.next_ns, tensions_n))))
 
 
-def check_messages(draw: Draw) -> Outcome:
+def check_messages(draw: Draw) -> Tally:
     """An example is some edited messages, with good ones between, to a tared estimation."""
     tared = TaredEstimation()
     refused = 0
@@ -311,7 +311,7 @@ def check_messages(draw: Draw) -> Outcome:
     tared.now_ns += 10**9
     found = tared.take_tensions(tared.pushed_n[0]).contact
     require(found.segment == 1, f"a good message after bad ones gives {found}")
-    return Outcome(inputs=MESSAGES, refused=refused, taken=MESSAGES - refused)
+    return Tally(inputs=MESSAGES, refused=refused, taken=MESSAGES - refused)
 
 
 LIVE_TARGETS = {

@@ -82,7 +82,7 @@ class Press(NamedTuple):
     depth_m: float
 
 
-class Touch(NamedTuple):
+class EngineContact(NamedTuple):
     """A contact at rest, as MuJoCo has it.
 
     Attributes:
@@ -146,7 +146,7 @@ class TouchedArm:
 
     def touch(
         self, command_rad: Array, presses: Sequence[Press], slide_m: float
-    ) -> tuple[list[Touch], Array] | None:
+    ) -> tuple[list[EngineContact], Array] | None:
         """Press the obstacles against the arm; its contacts, and by how much tensions change (M,).
 
         None if they do not make one contact each, or the arm does not come to rest.
@@ -189,7 +189,7 @@ class TouchedArm:
             return None
         return found, self._tensions_n() - before_n
 
-    def _contact(self, k: int, commanded: Array) -> Touch:
+    def _contact(self, k: int, commanded: Array) -> EngineContact:
         data, model = self.data, self.model
         contact, wrench = data.contact[k], np.zeros(6)
         mujoco.mj_contactForce(model, data, k, wrench)
@@ -203,7 +203,9 @@ class TouchedArm:
         body = data.body(f"segment_{segment}")
         arm_m, axes = contact.pos - body.xpos, commanded[segment - 1]
         place_m = float(arm_m @ body.xmat.reshape(3, 3)[:, 0])
-        return Touch(segment, place_m, axes.T @ force, (axes.T @ np.cross(arm_m, force))[1:])
+        return EngineContact(
+            segment, place_m, axes.T @ force, (axes.T @ np.cross(arm_m, force))[1:]
+        )
 
     def _tensions_n(self) -> Array:
         mujoco.mj_kinematics(self.model, self.data)  # a step leaves lengths as at its start
@@ -222,7 +224,7 @@ class Drawn(NamedTuple):
     """B samples: commands (B, 2N), K contacts each, and changes of the tensions (B, M)."""
 
     command_rad: Array
-    contacts: list[list[Touch]]
+    contacts: list[list[EngineContact]]
     change_n: Array
 
 

@@ -24,7 +24,7 @@ from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
 
 if TYPE_CHECKING:
-    from cablesense_sim.rest import Balance
+    from cablesense_sim.rest import Imbalance
 
 RESIDUAL_LIMIT_N_M = 1e-7
 """Largest joint torque left unbalanced in a pose that counts as an equilibrium.
@@ -149,8 +149,8 @@ def checked_command(mechanism: Mechanism, joint_angles_rad: ArrayLike) -> Array:
 
 def balance_at(
     mechanism: Mechanism, joint_angles_rad: Array, tensions_n: Array, forces_n: Array
-) -> Balance:
-    """The joint torques that poses (..., 2N) leave unbalanced, and their slope; see `Balance`.
+) -> Imbalance:
+    """The joint torques that poses (..., 2N) leave unbalanced, and their slope; see `Imbalance`.
 
     They are the first and second derivative of the potential with these tensions (..., M) and
     forces (..., N, 3), slack cables at zero tension.

@@ -25,7 +25,7 @@ from cablesense_sim.effects.effect import ArmRest, CablePull
 from cablesense_sim.effects.registry import Variants, transmissions
 from cablesense_sim.equilibrium import RESIDUAL_LIMIT_N_M, EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism, stack
-from cablesense_sim.rest import Balance, Pose, balanced, escape_step, plates_of, posed
+from cablesense_sim.rest import Imbalance, Pose, balanced, escape_step, plates_of, posed
 
 _TOLERATED_N_M = 1e-4
 _MOST_STEPS = 80
@@ -41,7 +41,7 @@ class _TrialPose(NamedTuple):
     angles_rad: Array
     shape: Pose
     tensions_n: Array
-    balance: Balance
+    balance: Imbalance
 
 
 class _Steps(NamedTuple):

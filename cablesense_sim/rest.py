@@ -59,7 +59,7 @@ class Pose(NamedTuple):
     joint_axis: Array  # (P, 2N, 3) of each joint angle, unit vector
 
 
-class Balance(NamedTuple):
+class Imbalance(NamedTuple):
     """Joint torques of P arms in a pose."""
 
     torque_n_m: Array  # (P, 2N) left unbalanced
@@ -198,7 +198,7 @@ def balanced(
     arms_n_m: Array,
     resisted_n_m: Array,
     resisted_slope_n_m: Array,
-) -> Balance:
+) -> Imbalance:
     """Torques of tensions (P, M, N) in the spans, with their derivative (P, M, N, N) by these.
 
     Loads are generalised forces (P, N, 3) on the segments' axes; what joints resist by themselves
@@ -226,7 +226,7 @@ def balanced(
                     stiffness = by_span_n_m[p, m, i // 2, j // 2]
                     own[i, j] += lever * stiffness * pose.by_turn_m[p, m, j // 2, j % 2]
         take_load_slope(pose.axis[p], pose.joint_axis[p], arms_n_m[p], own)
-    return Balance(torque, slope)
+    return Imbalance(torque, slope)
 
 
 @compiled

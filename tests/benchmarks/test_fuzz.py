@@ -5,7 +5,7 @@ import ctypes
 import fuzz
 import hypothesis
 import pytest
-from fuzz_edits import FalseAnswerError, Outcome, require_one_line
+from fuzz_edits import FalseAnswerError, Tally, require_one_line
 from hypothesis import strategies as st
 
 from cablesense_base import CableSenseError
@@ -14,18 +14,18 @@ from cablesense_base import CableSenseError
 def crash(draw):
     if draw(st.integers(0, 3)) == 3:
         ctypes.string_at(0)
-    return Outcome(refused=1)
+    return Tally(refused=1)
 
 
 def false_answer(draw):
     if draw(st.integers(0, 3)) == 3:
         raise FalseAnswerError("a force from nothing")
-    return Outcome(refused=1)
+    return Tally(refused=1)
 
 
 def no_fault(draw):
     draw(st.integers(0, 3))
-    return Outcome(refused=1)
+    return Tally(refused=1)
 
 
 @pytest.mark.slow
