@@ -229,8 +229,8 @@ class _Search:
 
     def _exchange(
         self, explanation: Explanation, columns: Sequence[LinearEffect], most: int, out: int = 1
-    ) -> list[Explanation]:
-        """Puts one other effect in place of up to `out`; gives the explanation without these."""
+    ) -> None:
+        """Puts one other effect in place of one, or of up to `out`, that an explanation has."""
         gone = chain(*(combinations(explanation.effects, n + 1) for n in range(out)))
         others = [e for e in columns if e.effect not in explanation.effects]
         rests = self._without(explanation, gone)
@@ -239,7 +239,6 @@ class _Search:
             *(Selection(self._problem, r, others).singles() for r in rests if others)
         )
         self._fit(sorted(proposals, key=lambda p: p.forecast)[:most])
-        return rests
 
     def _exchange_best(self) -> None:
         """Exchanges effects of the best explanation until that no longer helps.
@@ -291,7 +290,6 @@ class _Search:
         none, known, nominal = self._none, self._found, self._nominal
         reduced = {effects: sketch.explanation(h) for effects, h in known.items()}
         self._found = dict(reduced)
-        self._nominal = [replace(e, columns=e.columns[:, sketch.rows]) for e in nominal]
         self._problem, self._none = sketch.problem, sketch.explanation(none)
         self._climb_with_expensive()
         self._compare()
@@ -320,18 +318,15 @@ class _Search:
         self._climb(columns)
 
     def _compare(self) -> None:
-        """Refines the best explanations, and the best without each of its effects.
-
-        Others are tried in their place: a drift that was added early may explain an offset.
-        """
+        """Refines the best explanations, and the best without each of its effects."""
         self._until = 0.97
         self._refine_best()
         best, cost_of = self._best(), self._problem.cost_of
-        others = self._nominal if self._expensive else []  # without, this has been done
         while len(best.effects) > 1:
             if self._problem.sketch and self._history & set(best.effects):
                 break  # this was done on the sketch
-            rests = self._exchange(best, others, _TRIED)
+            rests = self._without(best, [(e,) for e in best.effects])
+            self._keep_all(rests)
             # with tolerances as apt as those of the best
             self._refine(self._quick(self._found[rest.effects] for rest in rests))
             least = min((self._found[rest.effects] for rest in rests), key=cost_of, default=best)

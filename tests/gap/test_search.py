@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from gap_problem import (
     fading,
     linear,
     problem_of,
-    rate,
     several,
     size,
 )
@@ -143,27 +141,6 @@ def test_what_depends_on_history_is_found_beside_several_others(sketch, others):
     found = best(search(problem))
     assert found.effects == ("d", "e", "f", "fading")
     assert found.values == pytest.approx(truth, rel=0.1)
-
-
-def test_an_effect_that_stood_in_for_others_makes_way_for_a_simpler_one():
-    """A drift from a wrong zero imitates part of four effects until these are found."""
-    own = unlike(4, 3)
-    others = [Candidate(name, ("x",), (size("amount"), rate())) for name in "pqrs"]
-    drift = Candidate("drift", ("x",), (size("start"), size("rise")))
-    wander = 0.5 * own.sum(axis=0) + SIGNALS[5]
-    library = {
-        **{c: partial(faded, signal) for c, signal in zip(others, own, strict=True)},
-        drift: lambda _, n: n["start"] * SIGNALS[3] + n["rise"] * wander,
-        **linear("zero", "x", SIGNALS[3:4]),
-        FADING: FADES,
-    }
-    truth = {Term(c.effect, "x", "rate"): 20.0 for c in others} | {amount("zero", "x"): 3.0}
-    truth |= {amount(c.effect, "x"): n for c, n in zip(others, (3.0, 1.0, 1.5, 2.0), strict=True)}
-    assert best(searched(truth, library)).effects == (*"pqrs", "zero")
-
-
-def faded(signal, _, numbers):
-    return numbers["amount"] * np.exp(-numbers["rate"] * TIME)[:, None] * signal
 
 
 def unlike(count, seed):
