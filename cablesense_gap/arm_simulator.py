@@ -163,8 +163,7 @@ def _similar_arms(arm: Arm) -> list[list[EffectEntry]]:
 def settled(arm: Arm, recording: Recording, rows: int) -> Arm:
     """The arm with the history-dependent states that the first `rows` of a recording show.
 
-    The position in a play, friction states, creep and drifting zeros belong to a recording, and
-    not to the arm.
+    The position in a play, friction states and creep belong to a recording, and not to the arm.
 
     Raises:
         EquilibriumError: the arm has no equilibrium in these rows.

@@ -1,6 +1,6 @@
 """Measured motion in, torques out: what the model says the drives must have given.
 
-Nothing is integrated, so nothing drifts. From these torques follow the positions of servos, too.
+Nothing is integrated, so nothing drifts. The positions of servos follow from these torques, too.
 """
 
 from __future__ import annotations
