@@ -131,13 +131,15 @@ class SensorDrift(Effect):
 
 
 class SensorLag(Effect):
-    """Two lags in a row, the second as slow as the first or faster; between samples tension holds.
+    """Two lags in a row, the second as slow as the first or faster.
 
     With a second share of zero it is one first-order lag. With a share of one it is critically
-    damped of second order, roughly as filters of amplifiers are. It starts settled.
+    damped of second order, roughly as filters of amplifiers are. It starts settled. Tensions
+    change linearly from sample to sample, so rows may be left out where they do.
     """
 
     name = "sensor_lag"
+    version = 2
     acts_on = "sensor"
     about = "tension sensors that follow late"
     source = "Doebelin, Measurement Systems, 5th ed. 2003, section 3.3: first and second order"
@@ -153,47 +155,50 @@ class SensorLag(Effect):
     )  # fmt: skip
 
     def sensing(self, place: str, values: Values) -> Sensing:
-        return _Lagging(place, values["time_constant_s"], values["second_share"])
-
-
-def lag_shares(
-    passed_s: Array | float, time_constant_s: Array, second_share: Array
-) -> tuple[Array, Array, Array]:
-    """Shares `first`, `second` and `across` of two lags' errors that remain after a time.
-
-    The first lag's output keeps `first` of its error. The reading keeps `second` of its error, and
-    `across` of that of the first lag.
-    """
-    first_s = np.maximum(time_constant_s, 1e-6)
-    # equal lags are the limit of lags that differ by little
-    share = np.clip(second_share, 1e-6, 1.0 - 1e-4)
-    first, second = np.exp(-passed_s / first_s), np.exp(-passed_s / (share * first_s))
-    return first, second, (first - second) / (1.0 - share)
+        first_s = np.maximum(values["time_constant_s"], 1e-6)
+        # equal lags are the limit of lags that differ by little
+        return _Lagging(place, first_s, np.clip(values["second_share"], 1e-6, 1.0 - 1e-4))
 
 
 class _Lagging(Sensing):
-    def __init__(self, place: str, time_constant_s: Array, second_share: Array) -> None:
+    def __init__(self, place: str, first_s: Array, second_share: Array) -> None:
         self._place = place
-        self._lags = time_constant_s, second_share
-        self._filtered_n: Array | None = None
+        self._lags = first_s[:, None], second_share[:, None]
+        self._tension_n: Array | None = None
         self._time_s = 0.0
 
     def step(self, time_s: float, values: Array) -> Array:
         return self.along(np.array([time_s]), values[:, None])[:, 0]
 
     def along(self, time_s: Array, values: Array) -> Array:
-        if self._filtered_n is None:
-            self._filtered_n = self._reading_n = values[:, 0]
-        passed = np.maximum(np.diff(time_s, prepend=self._time_s), 0.0)
-        lags = (lag[:, None] for lag in self._lags)
-        first, second, across = (share[..., None] for share in lag_shares(passed, *lags))
-        filtered = _low_passed(first, (1.0 - first) * values, self._filtered_n)
+        if self._tension_n is None:
+            self._tension_n = self._filtered_n = self._reading_n = values[:, 0]
+        passed_s = np.maximum(np.diff(time_s, prepend=self._time_s), 1e-9)
+        first, late, second, across, both_late = _lag_shares(passed_s, *self._lags)
+        begin = np.concatenate([self._tension_n[:, None], values[:, :-1]], axis=1)
+        added = (late - first) * begin + (1.0 - late) * values
+        filtered = _low_passed(first, added, self._filtered_n)
         before = np.concatenate([self._filtered_n[:, None], filtered[:, :-1]], axis=1)
-        added = (1.0 - second) * values + across * (before - values)
-        reading = _low_passed(second, added, self._reading_n)
-        self._filtered_n, self._reading_n = filtered[:, -1], reading[:, -1]
-        self._time_s = float(time_s[-1])
+        added = (both_late - second) * begin + (1.0 - both_late) * values
+        reading = _low_passed(second, added + across * (before - begin), self._reading_n)
+        self._tension_n, self._filtered_n = values[:, -1], filtered[:, -1]
+        self._reading_n, self._time_s = reading[:, -1], float(time_s[-1])
         return np.where(chosen(self._place, values.shape[-1]), reading, values)
+
+
+def _lag_shares(passed_s: Array, first_s: Array, second_share: Array) -> list[Array]:
+    """Shares (P, R, 1) of two lags in a row over steps (R,) in which the input changes linearly.
+
+    They are: what the first lag keeps of its error at the start of the step; the share of the
+    input's change by which it is late at the end; what the reading keeps of its own error; its
+    share of the first lag's error at the start; and the share of the change by which it is late.
+    """
+    second_s = second_share * first_s
+    first, second = np.exp(-passed_s / first_s), np.exp(-passed_s / second_s)
+    across = (first - second) / (1.0 - second_share)
+    late = first_s * (1.0 - first) / passed_s
+    both_late = ((first_s + second_s) * (1.0 - second) - first_s * across) / passed_s
+    return [share[..., None] for share in (first, late, second, across, both_late)]
 
 
 def _low_passed(kept: Array, added: Array, start: Array) -> Array:

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from effect_arms import ARM, MECHANISM, STRAIGHT, bent, course, entry, push, readings
+from hypothesis import given
+from hypothesis import strategies as st
 from joint_torques import load_torques_n_m
 
 from cablesense_sim import kinematics
@@ -130,7 +132,7 @@ def test_a_drift_rises_evenly_within_each_interval_and_then_stands() -> None:
     np.testing.assert_allclose(read, expected[:, None] * THIRD, atol=1e-12)
 
 
-SPAN_S = 0.2 * np.arange(50)
+SPAN_S = np.append(0.0, 1e-6 + 0.2 * np.arange(50))
 STEP_N = np.where(SPAN_S > 0.0, 10.0, 0.0)[:, None] * np.ones(12)
 
 
@@ -152,6 +154,25 @@ def test_a_lag_follows_a_step_as_one_lag_or_two_in_a_row(share: float) -> None:
     for p, tau in enumerate(taus):
         np.testing.assert_allclose(read[p, :, 2], 10.0 * share_through(tau, share), atol=1e-3)
         np.testing.assert_array_equal(read[p][:, ~THIRD], STEP_N[:, ~THIRD])
+
+
+@given(
+    st.lists(st.tuples(st.floats(0.05, 5.0), st.floats(-50.0, 50.0)), min_size=2, max_size=8),
+    st.floats(0.0, 20.0),
+    st.floats(0.0, 1.0),
+)
+def test_rows_on_a_straight_line_add_nothing_to_a_lag(
+    turns: list[tuple[float, float]], tau: float, share: float
+) -> None:
+    at_s = np.cumsum([passed for passed, _ in turns])
+    tension_n = np.array([tension for _, tension in turns])
+    every_s = np.union1d(at_s, np.linspace(at_s[0], at_s[-1], 40))
+    late = [entry("sensor_lag", "arm", time_constant_s=tau, second_share=share)]
+    few, every = (
+        sensed(late, np.interp(time_s, at_s, tension_n)[:, None] * np.ones(12), time_s)[0, :, 0]
+        for time_s in (at_s, every_s)
+    )
+    np.testing.assert_allclose(every[np.isin(every_s, at_s)], few, atol=1e-4)
 
 
 def held_by(entries: list[EffectEntry], commanded_m: np.ndarray) -> np.ndarray:
