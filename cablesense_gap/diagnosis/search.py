@@ -127,7 +127,7 @@ class _Search:
             if self._best().effects:
                 self._refine([self._best()])
             self._refine_history()
-            best, start = self._best(), self._next()
+            best, start = self._best(), self._next(worth_it=not known)
             resolved = self._is_resolved()
             if start is None or fruitless == _MOST_FRUITLESS or self._problem.is_explained(best):
                 break
@@ -139,10 +139,15 @@ class _Search:
                 self._exchange(best, columns, _TRIED)
             fruitless = 0 if judged(self._best()) < _BETTER * judged(best) else fruitless + 1
 
-    def _next(self) -> Explanation | None:
-        """The best that was not expanded, unless the best of all has all its effects and more."""
+    def _next(self, worth_it: bool) -> Explanation | None:
+        """The best that was not expanded, unless the best of all has all its effects and more.
+
+        `worth_it`: only if it is better than none. Each of four equal effects explains 13 % of the
+        residual, less than its penalty: where the past shows that something acts, no single effect
+        need be worth it.
+        """
         best, judged = self._best(), self._problem.judged
-        most = min(_RIVAL * judged(best), judged(self._none))
+        most = min(_RIVAL * judged(best), judged(self._none) if worth_it else np.inf)
         waiting = [
             h
             for h in self._found.values()
@@ -312,7 +317,7 @@ class _Search:
         self._expanded.clear()
         columns = self._columns(self._expensive, None)
         self._expand(self._none, columns)
-        best = self._best()
+        best = min(self._found.values(), key=self._problem.judged, default=self._none)
         if best.effects and not self._is_resolved():
             self._expand(best, [*columns, *self._columns(self._cheap, best)])
         self._climb(columns)
