@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -49,7 +50,8 @@ def test_probabilities_add_up_to_one_and_stand_in_their_order(none, others):
     explanations = [leaving(none), *(leaving(r, n) for r, n in zip(others, "abcd", strict=False))]
     probabilities = [each.probability for each in posterior(explanations, FLOOR, BUNDLED)]
     assert sum(probabilities) == pytest.approx(1.0)
-    assert probabilities == pytest.approx(sorted(probabilities, reverse=True), rel=0.02)
+    # nearly equal ones stand in the order of their residuals
+    assert all(first >= 0.9 * later for first, later in pairwise(probabilities))
     assert min(probabilities) >= 0.0
     assert len(probabilities) == len(explanations) + 1
 

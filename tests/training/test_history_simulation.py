@@ -40,7 +40,11 @@ def having(*effects: ListedEffect) -> Arm:
 
 
 def read_by(arm: Arm, seed: int = 0) -> np.ndarray:
-    true_n = replay_arm(arm, *PROTOCOL.inputs)
+    """Readings (R, M) of the protocol; commands and loads change right after the last sample."""
+    twice = np.repeat(np.arange(len(PROTOCOL)), 2)
+    time_s = PROTOCOL.time_s[twice[:-1]] + np.resize([0.0, 1e-3], len(twice) - 1)
+    changed = replace(PROTOCOL.rows(twice[1:]), time_s=time_s)
+    true_n = replay_arm(arm, *changed.inputs)[::2]
     return read_tensions_n(true_n, LAB.sensors, np.random.default_rng(seed))
 
 

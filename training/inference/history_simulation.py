@@ -108,16 +108,22 @@ class _Copies:
         mechanisms = [amended(self._nominal, entries)] * count
         self._rest = QuasiStaticArm(mechanisms, variants, some_may_fail=True)
         self._actuations, self._sensings = actuations(variants), sensings(variants)
-        self._count = count
+        self._count, self._last_s = count, 0.0
 
     def readings_n(self, time_s: float, command_rad: Array, forces_n: Array) -> Array:
-        """(P, M) at a command (2N,) under forces (P, N, 3); NaN where an arm cannot bear them."""
+        """(P, M) at a command (2N,) under forces (P, N, 3); NaN where an arm cannot bear them.
+
+        Tensions count as changed right after the last sample. Loads behind lags of second order
+        would diverge from sample to sample if tensions changed evenly up to this one.
+        """
         held = np.repeat(held_lengths_m(self._nominal, command_rad[None]), self._count, axis=0)
         for actuation in self._actuations:
             held = actuation.step(time_s, held)
         tensions = self._rest.step(time_s, held, forces_n)
         for sensing in self._sensings:
+            sensing.step(self._last_s, tensions)
             tensions = sensing.step(time_s, tensions)
+        self._last_s = time_s
         return tensions
 
     def branched(self) -> _Copies:
