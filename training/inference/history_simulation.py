@@ -22,7 +22,7 @@ from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import EffectEntry, actuations, amended, sensings
-from cablesense_sim.effects.sensor import SensorDrift
+from cablesense_sim.effects.sensor import SensorDrift, SensorLag
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import difference_variance_n2
@@ -57,6 +57,10 @@ _ABSORBED = 0.1
 _SOFTENED = 0.01
 """Least give of sticking parts, as a share of a cable's stretch under pretension. No step towards
 a load can be computed from readings that do not change at all before a part slips."""
+
+_EVEN_FROM = 1.75
+"""Times both time constants of a lag. Where samples are farther apart, tensions count as changing
+evenly: their errors then fade from sample to sample, whatever the lag's second share."""
 
 
 def remembered(arm: Arm) -> Arm:
@@ -108,20 +112,26 @@ class _Copies:
         mechanisms = [amended(self._nominal, entries)] * count
         self._rest = QuasiStaticArm(mechanisms, variants, some_may_fail=True)
         self._actuations, self._sensings = actuations(variants), sensings(variants)
+        lags = [e.values for e in entries if isinstance(e.effect, SensorLag)]
+        each_s = (v["time_constant_s"] * (1.0 + v["second_share"]) for v in lags)
+        self._even_from_s = _EVEN_FROM * max(each_s, default=0.0)
         self._count, self._last_s = count, 0.0
 
     def readings_n(self, time_s: float, command_rad: Array, forces_n: Array) -> Array:
         """(P, M) at a command (2N,) under forces (P, N, 3); NaN where an arm cannot bear them.
 
-        Tensions count as changed right after the last sample. Loads behind lags of second order
-        would diverge from sample to sample if tensions changed evenly up to this one.
+        Tensions change evenly from sample to sample if that takes longer than every lag. Otherwise
+        they count as changed right after the last sample: readings then show more of earlier
+        tensions, and errors of the loads that are found would grow from sample to sample.
         """
         held = np.repeat(held_lengths_m(self._nominal, command_rad[None]), self._count, axis=0)
         for actuation in self._actuations:
             held = actuation.step(time_s, held)
         tensions = self._rest.step(time_s, held, forces_n)
+        at_once = time_s - self._last_s < self._even_from_s
         for sensing in self._sensings:
-            sensing.step(self._last_s, tensions)
+            if at_once:
+                sensing.step(self._last_s, tensions)
             tensions = sensing.step(time_s, tensions)
         self._last_s = time_s
         return tensions
