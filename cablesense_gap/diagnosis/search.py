@@ -143,8 +143,7 @@ class _Search:
         """The best that was not expanded, unless the best of all has all its effects and more.
 
         `worth_it`: only if it is better than none. Each of four equal effects explains 13 % of the
-        residual, less than its penalty: where the past shows that something acts, no single effect
-        need be worth it.
+        residual, less than its penalty: where the past may act, no single effect need be worth it.
         """
         best, judged = self._best(), self._problem.judged
         most = min(_RIVAL * judged(best), judged(self._none) if worth_it else np.inf)

@@ -1,4 +1,4 @@
-"""Effects between the cable tension or a load and what is recorded of it."""
+"""Effects of sensors: a recording differs from the tensions and loads that acted."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class SensorOffset(Effect):
     source = "JCGM 200:2012 (VIM) 4.28, zero error of a measuring instrument"
     sites = ("cable",)
     advice = "Set the zero of these sensors with slack cables. A tare hides it from the estimator."
-    parameters = (Parameter("offset_n", "N", -50.0, 50.0, 2.0, "what is read without a tension"),)
+    parameters = (Parameter("offset_n", "N", -50.0, 50.0, 2.0, "reading without a tension"),)
 
     def sensing(self, place: str, values: Values) -> Sensing:
         return shifted(place, values["offset_n"])
@@ -189,9 +189,9 @@ class _Lagging(Sensing):
 def _lag_shares(passed_s: Array, first_s: Array, second_share: Array) -> list[Array]:
     """Shares (P, R, 1) of two lags in a row over steps (R,) in which the input changes linearly.
 
-    They are: what the first lag keeps of its error at the start of the step; the share of the
-    input's change by which it is late at the end; what the reading keeps of its own error; its
-    share of the first lag's error at the start; and the share of the change by which it is late.
+    They are: the share that the first lag keeps of its error at the start of a step; the share of
+    the input's change by which it is late at the end; the share that the reading keeps of its
+    error; its share of the first lag's error; and the share of the change by which it is late.
     """
     second_s = second_share * first_s
     first, second = np.exp(-passed_s / first_s), np.exp(-passed_s / second_s)

@@ -59,8 +59,8 @@ _SOFTENED = 0.01
 a load can be computed from readings that do not change at all before a part slips."""
 
 _EVEN_FROM = 1.75
-"""Times both time constants of a lag. Where samples are farther apart, tensions count as changing
-evenly: their errors then fade from sample to sample, whatever the lag's second share."""
+"""Times both time constants of a lag. Tensions count as changing evenly between samples that are
+farther apart: their errors then fade from sample to sample, whatever the lag's second share."""
 
 
 def remembered(arm: Arm) -> Arm:
@@ -120,9 +120,9 @@ class _Copies:
     def readings_n(self, time_s: float, command_rad: Array, forces_n: Array) -> Array:
         """(P, M) at a command (2N,) under forces (P, N, 3); NaN where an arm cannot bear them.
 
-        Tensions change evenly from sample to sample if that takes longer than every lag. Otherwise
-        they count as changed right after the last sample: readings then show more of earlier
-        tensions, and errors of the loads that are found would grow from sample to sample.
+        Tensions change evenly between samples that are far apart for every lag. Otherwise they
+        count as changed right after the last sample. Readings then show more of earlier tensions,
+        and errors of the loads would grow from sample to sample.
         """
         held = np.repeat(held_lengths_m(self._nominal, command_rad[None]), self._count, axis=0)
         for actuation in self._actuations:
