@@ -21,6 +21,7 @@ from cablesense_base.files import read_bounded_text
 from cablesense_base.installation import BundledFiles
 from cablesense_base.plain_yaml import Count, FilePart, Number, read_plain
 from cablesense_sim.effects.registry import checked_entry
+from cablesense_sim.tolerances import Tolerances
 
 MAX_FILE_BYTES = 200_000
 """An arm file is a page of text; anything larger is not one."""
@@ -147,6 +148,7 @@ class Arm(FilePart):
     actuators: Actuators
     sensors: Sensors
     touch: Touch = Field(default_factory=Touch)
+    tolerances: Tolerances = Field(default_factory=Tolerances)
     effects: list[ListedEffect] = Field(default_factory=list)
 
     @model_validator(mode="after")
@@ -269,7 +271,7 @@ class Arm(FilePart):
     @property
     def identity(self) -> str:
         """Name and the first 12 hex digits of the SHA-256 of what its tensions follow from."""
-        text = json.dumps(self.model_dump(mode="json", exclude={"touch"}), sort_keys=True)
+        text = json.dumps(self.model_dump(mode="json", exclude={"touch", "tolerances"}), sort_keys=True)
         return f"{self.name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 

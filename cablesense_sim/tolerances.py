@@ -1,0 +1,271 @@
+"""What is uncertain about a built arm: one list of parameters, for estimates and diagnosis alike.
+
+No built arm equals its file. `Tolerances`, a part of the arm file, states by how much the arm may
+differ from it: one standard deviation each. `ArmParameters` lays these out as one vector θ of
+deviations, with the prior mean and covariance that follow from the tolerances; `built` gives the
+mechanism, and `read` the readings, of an arm with given deviations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from cablesense_base import Array
+from cablesense_base.plain_yaml import FilePart, Number
+from cablesense_sim.mechanism import Mechanism
+
+_Share = Annotated[Number, Field(ge=0.0, le=0.5)]
+_Metres = Annotated[Number, Field(ge=0.0, le=0.02)]
+_Degrees = Annotated[Number, Field(ge=0.0, le=10.0)]
+_Newtons = Annotated[Number, Field(ge=0.0, le=1e4)]
+_Coefficient = Annotated[Number, Field(ge=0.0, le=1.0)]
+
+
+UNKNOWN_SLIDE_STD = 3.0**-0.5
+"""Of a slide that may be anywhere from -1 to 1."""
+
+
+class Tolerances(FilePart):
+    """By how much a built arm may differ from its file: one standard deviation each.
+
+    The defaults are those of a careful workshop. A general tolerance of ± t is taken as t = 2
+    standard deviations.
+
+    Attributes:
+        cable_stiffness_share: of each cable with its actuator. Catalogues state the modulus of
+            wire ropes to about ± 10 % (Feyrer, Wire Ropes, 2nd ed. 2015, section 2.2).
+        pretension_n: of each cable, as set by hand against its sensor.
+        segment_mass_share: of each segment, as weighed with its share of cables and screws.
+        centre_of_mass_m: of each segment, along its axis; ISO 2768-1, class c.
+        base_tilt_deg: of the base about each horizontal axis, as set by a machinist's level on a
+            bench.
+        hole_radial_m, hole_around_m: of each guide hole, outward and around the axis; ISO 2768-1,
+            class m, of dimensions from 6 to 30 mm (± 0.2 mm).
+        segment_length_m: from joint centre to joint centre; ISO 2768-1, class f, of dimensions
+            from 120 to 400 mm (± 0.2 mm).
+        sensor_gain_share: of each channel; load cells with their amplifiers, uncalibrated.
+        sensor_zero_n: of each channel, before a tare.
+        joint_zero_deg: of each joint angle: the actuators hold the lengths of angles that are off
+            by this.
+        friction_coefficient: mean and deviation of the coefficient between cables and guides of
+            an arm whose file lists no friction: every arm has some. Where it lists friction, the
+            coefficient is known to `friction_share` of it.
+        friction_share: see `friction_coefficient`.
+        drift_n_per_hour: drift of each sensor's zero since its last unloaded reading.
+    """
+
+    cable_stiffness_share: _Share = 0.05
+    pretension_n: _Newtons = 1.0
+    segment_mass_share: _Share = 0.02
+    centre_of_mass_m: _Metres = 0.001
+    base_tilt_deg: _Degrees = 0.5
+    hole_radial_m: _Metres = 1e-4
+    hole_around_m: _Metres = 1e-4
+    segment_length_m: _Metres = 1e-4
+    sensor_gain_share: _Share = 0.005
+    sensor_zero_n: _Newtons = 0.5
+    joint_zero_deg: _Degrees = 0.2
+    friction_coefficient: _Coefficient = 0.02
+    friction_share: _Share = 0.33
+    drift_n_per_hour: _Newtons = 1.0
+
+    def scaled(self, factor: float) -> Tolerances:
+        """All of them times a factor; zero states that the arm equals its file."""
+        return Tolerances(**{name: factor * value for name, value in self.model_dump().items()})
+
+
+@dataclass(frozen=True)
+class ParameterGroup:
+    """Parameters of one kind, one at each of its places.
+
+    Attributes:
+        name: of the kind, for example `cable_stiffness`.
+        unit: of a deviation; `1` for shares.
+        places: for example `cable_3`, or `cable_3 at plate 2`.
+        std: one standard deviation by the tolerances.
+        mean: the deviation to be expected; zero but for friction.
+    """
+
+    name: str
+    unit: str
+    places: tuple[str, ...]
+    std: float
+    mean: float = 0.0
+
+
+class ArmParameters:
+    """The uncertain parameters θ of an arm with N segments and M cables, as one vector of P.
+
+    Parameters of a cable come first, M of each kind in the order of the cables: stiffness (share),
+    pretension (N), hole of each plate 0 (base) to N outward and then around (m), slide at the
+    actuator's pulley and at the guides of each joint 1 to N (1), gain (share) and zero (N) of the
+    sensor. Then of the segments, N each: mass (share), centre (m),
+    length (m). Last the tilt of the base about y and x (rad), the joint zeros (2N, rad) and the
+    coefficient of friction.
+
+    A cable's *slide* at a guide is the share of the friction there that its tensions carry now,
+    from -1 (the tension is the larger one at the actuator) to 1 (at the arm). It is a state, not a
+    property: each unloaded reading and each motion says something about it.
+    """
+
+    def __init__(
+        self, mechanism: Mechanism, tolerances: Tolerances, friction: float = 0.0
+    ) -> None:
+        """`friction` is the coefficient that the arm file lists; zero where it lists none."""
+        count = mechanism.segment_count
+        cables = tuple(f"cable_{i + 1}" for i in range(mechanism.cable_count))
+        segments = tuple(f"segment_{n + 1}" for n in range(count))
+        joints = tuple(f"joint_{n + 1}_{axis}" for n in range(count) for axis in ("pitch", "yaw"))
+        plates = [tuple(f"{cable} at plate {n}" for cable in cables) for n in range(count + 1)]
+        given = tolerances
+        outward = [
+            ParameterGroup(f"hole_outward_{n}", "m", places, given.hole_radial_m)
+            for n, places in enumerate(plates)
+        ]
+        around = [
+            ParameterGroup(f"hole_around_{n}", "m", places, given.hole_around_m)
+            for n, places in enumerate(plates)
+        ]
+        guides = [tuple(f"{cable} at guide {n}" for cable in cables) for n in range(count + 1)]
+        slides = [
+            ParameterGroup(f"slide_{n}", "1", places, UNKNOWN_SLIDE_STD)
+            for n, places in enumerate(guides)
+        ]
+        tilt_rad = float(np.deg2rad(given.base_tilt_deg))
+        zero_rad = float(np.deg2rad(given.joint_zero_deg))
+        if friction:
+            coefficient = ParameterGroup(
+                "friction", "1", ("arm",), given.friction_share * friction, friction
+            )
+        else:
+            expected = given.friction_coefficient
+            coefficient = ParameterGroup("friction", "1", ("arm",), 0.5 * expected, expected)
+        self.groups: tuple[ParameterGroup, ...] = (
+            ParameterGroup("cable_stiffness", "1", cables, given.cable_stiffness_share),
+            ParameterGroup("pretension", "N", cables, given.pretension_n),
+            *outward,
+            *around,
+            *slides,
+            ParameterGroup("sensor_gain", "1", cables, given.sensor_gain_share),
+            ParameterGroup("sensor_zero", "N", cables, given.sensor_zero_n),
+            ParameterGroup("segment_mass", "1", segments, given.segment_mass_share),
+            ParameterGroup("centre_of_mass", "m", segments, given.centre_of_mass_m),
+            ParameterGroup("segment_length", "m", segments, given.segment_length_m),
+            ParameterGroup("base_tilt", "rad", ("about y", "about x"), tilt_rad),
+            ParameterGroup("joint_zero", "rad", joints, zero_rad),
+            coefficient,
+        )
+        self._mechanism = mechanism
+
+    def __len__(self) -> int:
+        return sum(len(group.places) for group in self.groups)
+
+    @property
+    def names(self) -> list[str]:
+        """(P,) the kind and place of each, for example `cable_stiffness of cable_3`."""
+        return [f"{group.name} of {place}" for group in self.groups for place in group.places]
+
+    @property
+    def units(self) -> list[str]:
+        """(P,) of each."""
+        return [group.unit for group in self.groups for _ in group.places]
+
+    @property
+    def prior_mean(self) -> Array:
+        """(P,) deviations to be expected from the file alone."""
+        return np.concatenate([np.full(len(g.places), g.mean) for g in self.groups])
+
+    @property
+    def prior_std(self) -> Array:
+        """(P,) standard deviations by the tolerances; zero where a cable has no such hole."""
+        std = np.concatenate([np.full(len(g.places), g.std) for g in self.groups])
+        for n in range(1, self._mechanism.segment_count + 1):
+            absent = ~self._mechanism.passes_joint[:, n - 1]
+            for name in (f"hole_outward_{n}", f"hole_around_{n}", f"slide_{n}"):
+                std[self.slices[name]][absent] = 0.0
+        return std
+
+    @property
+    def slices(self) -> Mapping[str, slice]:
+        """Where the parameters of each kind stand."""
+        return dict(self._slices())
+
+    def _slices(self) -> Iterator[tuple[str, slice]]:
+        begin = 0
+        for group in self.groups:
+            end = begin + len(group.places)
+            yield group.name, slice(begin, end)
+            begin = end
+
+    def built(self, theta: Array) -> Mechanism:
+        """The mechanism of an arm that differs from its file by θ (P,), without its joint zeros."""
+        at, nominal = self.slices, self._mechanism
+        count = nominal.segment_count
+        outward = np.stack([theta[at[f"hole_outward_{n}"]] for n in range(count + 1)], axis=1)
+        around = np.stack([theta[at[f"hole_around_{n}"]] for n in range(count + 1)], axis=1)
+        base_y, base_z = _displaced_m(
+            nominal.hole_y_m, nominal.hole_z_m, outward[:, 0], around[:, 0]
+        )
+        plate_y, plate_z = _displaced_m(
+            nominal.segment_hole_y_m, nominal.segment_hole_z_m, outward[:, 1:], around[:, 1:]
+        )
+        about_y, about_x = theta[at["base_tilt"]]
+        turn = np.array([about_x, about_y, 0.0])
+        stiffness_share = np.exp(theta[at["cable_stiffness"]])
+        return replace(
+            nominal,
+            gravity_m_s2=nominal.gravity_m_s2 + np.cross(turn, nominal.gravity_m_s2),
+            segment_length_m=nominal.segment_length_m + theta[at["segment_length"]],
+            mass_kg=nominal.mass_kg * (1.0 + theta[at["segment_mass"]]),
+            centre_of_mass_m=nominal.centre_of_mass_m + theta[at["centre_of_mass"]],
+            hole_y_m=base_y,
+            hole_z_m=base_z,
+            segment_hole_y_m=plate_y,
+            segment_hole_z_m=plate_z,
+            stiffness_n_m=nominal.stiffness_n_m * stiffness_share,
+            pretension_n=nominal.pretension_n + theta[at["pretension"]],
+        )
+
+    def joint_zeros_rad(self, theta: Array) -> Array:
+        """(2N,) by which the held lengths are those of other angles than the commanded ones."""
+        return theta[self.slices["joint_zero"]]
+
+    def read(self, theta: Array, tensions_n: Array) -> Array:
+        """Readings (..., M) of tensions (..., M), without noise."""
+        gain = 1.0 + theta[self.slices["sensor_gain"]]
+        return gain * tensions_n + theta[self.slices["sensor_zero"]]
+
+    def drawn(self, rng: np.random.Generator) -> Array:
+        """Deviations (P,) of an arm of these tolerances, its cables' slides between -1 and 1."""
+        theta = self.prior_mean + self.prior_std * rng.standard_normal(len(self))
+        for name, part in self.slices.items():
+            if name.startswith("slide"):
+                theta[part] = rng.uniform(-1.0, 1.0, part.stop - part.start)
+        friction = self.slices["friction"]
+        theta[friction] = np.abs(theta[friction])
+        return theta
+
+
+def _displaced_m(y: Array, z: Array, outward_m: Array, around_m: Array) -> tuple[Array, Array]:
+    """Holes (y, z) moved along their own radial and tangential directions, from +z towards +y."""
+    angle = np.arctan2(y, z)
+    sine = np.sin(angle)
+    cosine = np.cos(angle)
+    return y + outward_m * sine + around_m * cosine, z + outward_m * cosine - around_m * sine
+
+
+def plate_holes_of(mechanism: Mechanism) -> tuple[Array, NDArray[np.bool_]]:
+    """Holes (N + 1, 2, M) as (y, z) in the base plate and the plates of each segment, m.
+
+    The second (N + 1, M) says whether a cable has that hole.
+    """
+    y = np.concatenate([mechanism.hole_y_m[:, None], mechanism.segment_hole_y_m], axis=1)
+    z = np.concatenate([mechanism.hole_z_m[:, None], mechanism.segment_hole_z_m], axis=1)
+    has = np.concatenate([np.ones_like(mechanism.passes_joint[:, :1]), mechanism.passes_joint], 1)
+    return np.stack([y.T, z.T], axis=1), has.T
