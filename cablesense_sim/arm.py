@@ -120,13 +120,14 @@ class Sensors(FilePart):
 class Touch(FilePart):
     """How the arm is touched: tensions do not follow from it, only what estimates state.
 
-    `radius_m` is that of the surface, from the axis. `friction` is the Coulomb coefficient there:
-    without it, contacts act on the axis. `reach_m` is the range on each segment that can be
-    touched, from its joint centre; by default from its guide plate to the next joint centre.
+    `radius_m` is that of the surface, from the axis, by default where the outermost cables run;
+    `friction` is the Coulomb coefficient there. With one of them zero, contacts act on the axis.
+    `reach_m` is the range on each segment that can be touched, from its joint centre; by default
+    all of its length.
     """
 
-    radius_m: Annotated[Number, Field(ge=0.0, le=1.0)] = 0.0
-    friction: Annotated[Number, Field(ge=0.0, le=2.0)] = 0.0
+    radius_m: Annotated[Number, Field(ge=0.0, le=1.0)] | None = None
+    friction: Annotated[Number, Field(ge=0.0, le=2.0)] = 0.3
     reach_m: tuple[Number, Number] | None = None
 
 

@@ -77,7 +77,8 @@ def touched_at(arm: Arm) -> tuple[Array, Surface | None]:
     reach = reach_m(mechanism)
     if touch.reach_m is not None:
         reach[:] = touch.reach_m
-    return reach, Surface(touch.radius_m, touch.friction) if touch.friction else None
+    stated = touch.friction and touch.radius_m is not None
+    return reach, Surface(touch.radius_m or 0.0, touch.friction) if stated else None
 
 
 def reach_m(mechanism: Mechanism) -> Array:

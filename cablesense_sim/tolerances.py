@@ -42,7 +42,7 @@ class Tolerances(FilePart):
             wire ropes to about ± 10 % (Feyrer, Wire Ropes, 2nd ed. 2015, section 2.2).
         pretension_n: of each cable, as set by hand against its sensor.
         segment_mass_share: of each segment, as weighed with its share of cables and screws.
-        centre_of_mass_m: of each segment, along its axis; ISO 2768-1, class c.
+        centre_of_mass_m: of each segment, along its axis and across it; ISO 2768-1, class c.
         base_tilt_deg: of the base about each horizontal axis, as set by a machinist's level on a
             bench.
         hole_radial_m, hole_around_m: of each guide hole, outward and around the axis; ISO 2768-1,
@@ -58,6 +58,9 @@ class Tolerances(FilePart):
             coefficient is known to `friction_share` of it.
         friction_share: see `friction_coefficient`.
         drift_n_per_hour: drift of each sensor's zero since its last unloaded reading.
+        contact_m: of the point on each segment at which a recording says that a load acted, along
+            the axis; ISO 2768-1, class m, of dimensions from 30 to 120 mm (± 0.3 mm) and of where
+            a hook or a tip is set by hand.
     """
 
     cable_stiffness_share: _Share = 0.05
@@ -74,10 +77,13 @@ class Tolerances(FilePart):
     friction_coefficient: _Coefficient = 0.02
     friction_share: _Share = 0.33
     drift_n_per_hour: _Newtons = 1.0
+    contact_m: _Metres = 3e-4
 
     def scaled(self, factor: float) -> Tolerances:
         """All of them times a factor; zero states that the arm equals its file."""
-        return Tolerances(**{name: factor * value for name, value in self.model_dump().items()})
+        return self.model_copy(
+            update={name: factor * value for name, value in self.model_dump().items()}
+        )
 
 
 @dataclass(frozen=True)
@@ -106,7 +112,7 @@ class ArmParameters:
     pretension (N), hole of each plate 0 (base) to N outward and then around (m), slide at the
     actuator's pulley and at the guides of each joint 1 to N (1), gain (share) and zero (N) of the
     sensor. Then of the segments, N each: mass (share), centre (m),
-    length (m). Last the tilt of the base about y and x (rad), the joint zeros (2N, rad) and the
+    length (m); and 2N of their centres across the axis, all along y and then along z (m). Last the tilt of the base about y and x (rad), the joint zeros (2N, rad) and the
     coefficient of friction.
 
     A cable's *slide* at a guide is the share of the friction there that its tensions carry now,
@@ -121,6 +127,7 @@ class ArmParameters:
         count = mechanism.segment_count
         cables = tuple(f"cable_{i + 1}" for i in range(mechanism.cable_count))
         segments = tuple(f"segment_{n + 1}" for n in range(count))
+        across = tuple(f"segment_{n + 1} along {axis}" for axis in "yz" for n in range(count))
         joints = tuple(f"joint_{n + 1}_{axis}" for n in range(count) for axis in ("pitch", "yaw"))
         plates = [tuple(f"{cable} at plate {n}" for cable in cables) for n in range(count + 1)]
         given = tolerances
@@ -157,6 +164,7 @@ class ArmParameters:
             ParameterGroup("segment_mass", "1", segments, given.segment_mass_share),
             ParameterGroup("centre_of_mass", "m", segments, given.centre_of_mass_m),
             ParameterGroup("segment_length", "m", segments, given.segment_length_m),
+            ParameterGroup("centre_across", "m", across, given.centre_of_mass_m),
             ParameterGroup("base_tilt", "rad", ("about y", "about x"), tilt_rad),
             ParameterGroup("joint_zero", "rad", joints, zero_rad),
             coefficient,
@@ -204,15 +212,19 @@ class ArmParameters:
             begin = end
 
     def built(self, theta: Array) -> Mechanism:
-        """The mechanism of an arm that differs from its file by θ (P,), without its joint zeros."""
+        """The mechanism of an arm that differs from its file by θ (P,).
+
+        A mechanism has its centres of mass on the axes and holds the lengths of its commands:
+        centres across the axis and joint zeros are not in it.
+        """
         at, nominal = self.slices, self._mechanism
         count = nominal.segment_count
         outward = np.stack([theta[at[f"hole_outward_{n}"]] for n in range(count + 1)], axis=1)
         around = np.stack([theta[at[f"hole_around_{n}"]] for n in range(count + 1)], axis=1)
-        base_y, base_z = _displaced_m(
+        base_y, base_z = displaced_m(
             nominal.hole_y_m, nominal.hole_z_m, outward[:, 0], around[:, 0]
         )
-        plate_y, plate_z = _displaced_m(
+        plate_y, plate_z = displaced_m(
             nominal.segment_hole_y_m, nominal.segment_hole_z_m, outward[:, 1:], around[:, 1:]
         )
         about_y, about_x = theta[at["base_tilt"]]
@@ -252,7 +264,7 @@ class ArmParameters:
         return theta
 
 
-def _displaced_m(y: Array, z: Array, outward_m: Array, around_m: Array) -> tuple[Array, Array]:
+def displaced_m(y: Array, z: Array, outward_m: Array, around_m: Array) -> tuple[Array, Array]:
     """Holes (y, z) moved along their own radial and tangential directions, from +z towards +y."""
     angle = np.arctan2(y, z)
     sine = np.sin(angle)

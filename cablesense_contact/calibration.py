@@ -1,0 +1,435 @@
+"""A calibration: how well an arm is known, as mean and covariance of its uncertain parameters.
+
+At first these are the tolerances of the arm file. Every unloaded reading is a Kalman update of
+them: a tare is that update in one pose, a commissioning in many. Tensions are not linear in the
+parameters, so all unloaded readings are kept and fitted together, by Gauss-Newton steps from the
+prior (Bell and Cathey, The iterated Kalman filter update as a Gauss-Newton method, IEEE Trans.
+Automatic Control 38, 1993). With prior mean m and covariance Σ, and readings y_k of variance R_k,
+
+    θ = argmin (θ - m)' Σ⁻¹ (θ - m) + Σ_k (y_k - h_k(θ))' R_k⁻¹ (y_k - h_k(θ)),
+
+and the least value follows a chi-square distribution, one degree of freedom for each channel of
+each reading, if the arm is one that the file describes: a test of the tolerances themselves.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from cablesense_base import Array, CableSenseError
+from cablesense_base.files import read_bounded_bytes, write_atomically
+from cablesense_contact.law import Law
+from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.replay import mean_variance_n2, reading_variance_n2
+from cablesense_sim.tolerances import ArmParameters
+
+FORMAT = "cablesense-calibration/1"
+MAX_FILE_BYTES = 64 * 1024 * 1024
+REFUSED_BELOW = 1e-6
+"""Probability, by the innovation's χ², below which an unloaded reading is refused: it is not one
+of this arm without a load."""
+DOUBTED_BELOW = 1e-4
+"""The same of all innovations together, below which the tolerances are doubted."""
+_ITERATIONS = 15
+_CONVERGED_N = 1e-4
+"""The fit ends where a step changes no reading by more."""
+_DETERMINED = 0.5
+"""A parameter is determined if its deviation is below this share of its tolerance."""
+_MODEL_STD_N = 0.01
+"""What a reading differs from the law by for other reasons than its noise: rounding of the last
+digits, temperature, small vibrations."""
+
+
+_SLACK_BELOW_STD = 4.0
+"""An unloaded reading below this many deviations of a sensor's zero may be of a slack cable."""
+_SLACK_STD_N = 1e3
+"""Deviation of such a reading: it counts nothing."""
+
+
+class CalibrationError(CableSenseError):
+    """A reading or a file that no calibration can be made from: says what and what would do."""
+
+
+@dataclass(frozen=True)
+class Unloaded:
+    """The mean of some readings of the untouched arm at one command.
+
+    Attributes:
+        reading_n: (M,) their mean.
+        command_rad: (2N,).
+        count: how many readings.
+        taken_ns: time of the last one since the epoch.
+    """
+
+    reading_n: Array
+    command_rad: Array
+    count: int
+    taken_ns: int = 0
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What is known of an arm's P parameters.
+
+    Attributes:
+        arm_identity: of the arm whose parameters these are.
+        mean: (P,) deviations from the arm file, in the order of `ArmParameters`, and
+        covariance: (P, P) of them, as prior and unloaded readings say.
+        prior_mean, prior_covariance: what was known before the unloaded readings.
+        unloaded: the readings, in the order in which they were taken.
+        chi2: the least sum of squares of the fit.
+        made_from: where the prior comes from, as a sentence.
+    """
+
+    arm_identity: str
+    mean: Array
+    covariance: Array
+    prior_mean: Array
+    prior_covariance: Array
+    unloaded: tuple[Unloaded, ...] = ()
+    chi2: float = 0.0
+    made_from: str = "the tolerances of the arm file"
+
+    @property
+    def misfit_probability(self) -> float:
+        """Probability of residuals this large if the arm is as its tolerances say."""
+        channels = sum(len(one.reading_n) for one in self.unloaded)
+        return float(chi2.sf(self.chi2, channels)) if channels else 1.0
+
+    @property
+    def as_described(self) -> bool:
+        """Whether the unloaded readings are those of an arm within the tolerances of its file."""
+        return self.misfit_probability >= DOUBTED_BELOW
+
+    @property
+    def changed_ns(self) -> int:
+        """Time of the last unloaded reading since the epoch; 0 without any."""
+        return max((one.taken_ns for one in self.unloaded), default=0)
+
+    @property
+    def std(self) -> Array:
+        """(P,) deviations."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+
+class _Fit(NamedTuple):
+    """One update of a calibration, linear about a mean.
+
+    Attributes:
+        about: (P,) where it is linear.
+        mean, covariance: (P,) and (P, P) after the update.
+        cost: the sum of squares at `about`.
+        chi2: that of the normalised innovations.
+        slopes: (K, M, P) of the readings.
+    """
+
+    about: Array
+    mean: Array
+    covariance: Array
+    cost: float
+    chi2: float
+    slopes: Array
+
+
+class Calibrator:
+    """Makes calibrations of one arm from unloaded readings.
+
+    Attributes:
+        parameters: the arm's uncertain parameters.
+    """
+
+    def __init__(self, arm: Arm, law: Law) -> None:
+        self.parameters = parameters_of(arm)
+        self._arm = arm
+        self._law = law
+        at = self.parameters.slices
+        slides = [part for name, part in at.items() if name.startswith("slide")]
+        self._slides = slice(slides[0].start, slides[-1].stop)
+        self._is_slide = np.zeros(len(self.parameters), dtype=bool)
+        self._is_slide[self._slides] = True
+        self._zeros = at["sensor_zero"]
+        sensor_n = np.hypot(arm.tolerances.sensor_zero_n, reading_variance_n2(arm.sensors) ** 0.5)
+        self._slack_below_n = _SLACK_BELOW_STD * float(sensor_n)
+        self._unrest = np.zeros((arm.joint_count, arm.joint_count))
+
+    def by_tolerances(self) -> Calibration:
+        """What the arm file alone says."""
+        mean = self.parameters.prior_mean
+        covariance = np.diag(self.parameters.prior_std**2)
+        return Calibration(self._arm.identity, mean, covariance, mean, covariance)
+
+    def moved(self, calibration: Calibration) -> Calibration:
+        """The calibration after the arm has moved: the slides of its cables are unknown again."""
+        slides = self._slides
+        mean = calibration.mean.copy()
+        covariance = calibration.covariance.copy()
+        mean[slides] = self.parameters.prior_mean[slides]
+        covariance[slides, :] = 0.0
+        covariance[:, slides] = 0.0
+        covariance[slides, slides] = np.diag(self.parameters.prior_std[slides] ** 2)
+        return replace(calibration, mean=mean, covariance=covariance)
+
+    def aged(self, calibration: Calibration, now_ns: int) -> Calibration:
+        """The calibration at a time: the sensors' zeros drift from the last unloaded reading on."""
+        if not calibration.changed_ns or now_ns <= calibration.changed_ns:
+            return calibration
+        drift_n = self._drift_n(calibration.changed_ns, now_ns)
+        covariance = calibration.covariance.copy()
+        zeros = np.arange(self._zeros.start, self._zeros.stop)
+        covariance[zeros, zeros] += drift_n**2
+        return replace(calibration, covariance=covariance)
+
+    def updated(
+        self, calibration: Calibration, unloaded: Unloaded, *, force: bool = False
+    ) -> Calibration:
+        """The calibration with one more unloaded reading.
+
+        Raises:
+            CalibrationError: the reading is not one of this arm without a load, and not forced.
+        """
+        present = self.moved(self.aged(calibration, unloaded.taken_ns))
+        slope, innovation = self._linear(present.mean, present.covariance, [unloaded])
+        noise = self._noise_n2(unloaded, unloaded.taken_ns)
+        spread = slope[0] @ present.covariance @ slope[0].T + noise
+        misfit = float(innovation[0] @ np.linalg.solve(spread, innovation[0]))
+        self._require_unloaded(misfit, len(noise), force=force)
+        return self._fitted(replace(calibration, unloaded=(*calibration.unloaded, unloaded)))
+
+    def without_last(self, calibration: Calibration) -> Calibration:
+        """The calibration before its last unloaded reading."""
+        return self._fitted(replace(calibration, unloaded=calibration.unloaded[:-1]))
+
+    def from_poses(self, unloaded: Sequence[Unloaded]) -> Calibration:
+        """The calibration by the tolerances and unloaded readings in several poses."""
+        return self._fitted(replace(self.by_tolerances(), unloaded=tuple(unloaded)))
+
+    def determined(self, calibration: Calibration) -> list[str]:
+        """Names of the parameters that readings have determined."""
+        prior = self.parameters.prior_std
+        known = calibration.std < _DETERMINED * prior
+        return [name for name, yes in zip(self.parameters.names, known, strict=True) if yes]
+
+    def _fitted(self, calibration: Calibration) -> Calibration:
+        """The mean and covariance by the prior and all unloaded readings.
+
+        The slides are other ones in each pose: they count as noise of its readings. Those of the
+        last pose are still there.
+        """
+        prior = calibration.prior_mean
+        covariance = calibration.prior_covariance
+        unloaded = calibration.unloaded
+        if not unloaded:
+            return replace(calibration, mean=prior, covariance=covariance, chi2=0.0)
+        now_ns = calibration.changed_ns
+        start = prior
+        step = np.zeros(len(prior))
+        best: _Fit | None = None
+        for _ in range(_ITERATIONS):
+            fit = self._fit_about(start + step, calibration, now_ns)
+            if best is not None and fit.cost > best.cost:
+                # across the kink of a slack cable a step may lead too far
+                step = 0.5 * step
+                continue
+            best = fit
+            start = fit.about
+            step = np.where(self._is_slide, 0.0, fit.mean - fit.about)
+            if np.abs(fit.slopes @ step).max() < _CONVERGED_N:
+                break
+        assert best is not None
+        mean = np.where(self._is_slide, best.mean, best.about)
+        return replace(calibration, mean=mean, covariance=best.covariance, chi2=best.chi2)
+
+    def _fit_about(self, about: Array, calibration: Calibration, now_ns: int) -> _Fit:
+        """The update by all unloaded readings in turn, linear about one and the same mean."""
+        prior = calibration.prior_mean
+        covariance = calibration.prior_covariance
+        unloaded = calibration.unloaded
+        slopes, innovations = self._linear(about, covariance, unloaded)
+        off = np.where(self._is_slide, 0.0, about - prior)
+        known = np.diagonal(covariance) > 0.0
+        cost = float(off[known] @ np.linalg.solve(covariance[np.ix_(known, known)], off[known]))
+        mean = prior
+        misfit = 0.0
+        for one, slope, seen in zip(unloaded, slopes, innovations, strict=True):
+            mean, covariance = self._slides_unknown(mean, covariance, calibration)
+            noise = self._noise_n2(one, now_ns)
+            by_slide = slope[:, self._slides]
+            slid = by_slide @ covariance[self._slides, self._slides] @ by_slide.T + noise
+            cost += float(seen @ np.linalg.solve(slid, seen))
+            innovation = seen + slope @ (about - mean)
+            spread = slope @ covariance @ slope.T + noise
+            gain = np.linalg.solve(spread, slope @ covariance).T
+            misfit += float(innovation @ np.linalg.solve(spread, innovation))
+            mean = mean + gain @ innovation
+            left = np.eye(len(prior)) - gain @ slope
+            covariance = left @ covariance @ left.T + (gain @ noise) @ gain.T
+        return _Fit(about, mean, 0.5 * (covariance + covariance.T), cost, misfit, slopes)
+
+    def _slides_unknown(
+        self, mean: Array, covariance: Array, calibration: Calibration
+    ) -> tuple[Array, Array]:
+        there = self.moved(replace(calibration, mean=mean, covariance=covariance))
+        return there.mean, there.covariance
+
+    def _linear(
+        self, mean: Array, covariance: Array, unloaded: Sequence[Unloaded]
+    ) -> tuple[Array, Array]:
+        """Slopes (K, M, P) of unloaded readings by the parameters, and innovations (K, M)."""
+        seen = self._law(
+            np.array([one.reading_n for one in unloaded]),
+            np.array([one.command_rad for one in unloaded]),
+            mean,
+            covariance,
+            self._unrest,
+        )
+        return seen.by_parameter, seen.innovation_n
+
+    def _noise_n2(self, unloaded: Unloaded, now_ns: int) -> Array:
+        """Covariance (M, M) of the channels' means against the law and the zeros of now.
+
+        A cable that is nearly slack says nothing: on which side of the kink it is depends on its
+        own unknown zero.
+        """
+        drift_n = self._drift_n(unloaded.taken_ns, now_ns)
+        noise = mean_variance_n2(self._arm.sensors, unloaded.count)
+        slack = unloaded.reading_n < self._slack_below_n
+        return np.diag(noise + _MODEL_STD_N**2 + drift_n**2 + slack * _SLACK_STD_N**2)
+
+    def _drift_n(self, from_ns: int, to_ns: int) -> float:
+        if not from_ns:
+            return 0.0
+        return self._arm.tolerances.drift_n_per_hour * abs(to_ns - from_ns) / 3.6e12
+
+    def _require_unloaded(self, misfit: float, count: int, *, force: bool) -> None:
+        if float(chi2.sf(misfit, count)) < REFUSED_BELOW and not force:
+            raise CalibrationError(
+                f"these readings are not those of the untouched arm: χ² {misfit:.0f} of "
+                f"{count} channels, where {chi2.isf(REFUSED_BELOW, count):.0f} would do; is it "
+                "touched, somewhere else than commanded, or not the arm of the file? Larger "
+                "tolerances in the arm file, or force, accept them"
+            )
+
+
+def parameters_of(arm: Arm) -> ArmParameters:
+    """The uncertain parameters of an arm, by its file."""
+    listed = [e for e in arm.effects if e.effect == "capstan_friction"]
+    friction = float(listed[0].parameters.get("coefficient", 0.0)) if listed else 0.0
+    return ArmParameters(mechanism_of(arm), arm.tolerances, friction)
+
+
+def write_calibration(path: str | Path, calibration: Calibration) -> None:
+    """Write a calibration file: a NumPy archive with a JSON header.
+
+    Raises:
+        CalibrationError: it cannot be written.
+    """
+    header = {
+        "format": FORMAT,
+        "arm": calibration.arm_identity,
+        "made_from": calibration.made_from,
+        "chi2": calibration.chi2,
+    }
+    unloaded = calibration.unloaded
+    content = io.BytesIO()
+    np.savez_compressed(
+        content,
+        header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
+        mean=calibration.mean,
+        covariance=_upper(calibration.covariance),
+        prior_mean=calibration.prior_mean,
+        prior_covariance=_upper(calibration.prior_covariance),
+        readings_n=np.array([one.reading_n for one in unloaded]),
+        commands_rad=np.array([one.command_rad for one in unloaded]),
+        counts=np.array([one.count for one in unloaded], dtype=np.int64),
+        taken_ns=np.array([one.taken_ns for one in unloaded], dtype=np.int64),
+    )
+    write_atomically(path, content.getvalue(), CalibrationError)
+
+
+def read_calibration(path: str | Path, arm: Arm) -> Calibration:
+    """Read the calibration of an arm.
+
+    Raises:
+        CalibrationError: no calibration file, or one of another arm.
+    """
+    content = read_bounded_bytes(path, MAX_FILE_BYTES, "a calibration file", CalibrationError)
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+            parts = {name: archive[name] for name in archive.files}
+        header = json.loads(bytes(parts.pop("header")))
+        form = str(header["format"])
+        if form != FORMAT:
+            raise CalibrationError(f"{path}: format {form!r}; this version reads {FORMAT!r}")
+        calibration = Calibration(
+            arm_identity=str(header["arm"]),
+            mean=np.asarray(parts["mean"], dtype=float),
+            covariance=_whole(parts["covariance"]),
+            prior_mean=np.asarray(parts["prior_mean"], dtype=float),
+            prior_covariance=_whole(parts["prior_covariance"]),
+            unloaded=tuple(
+                Unloaded(reading, command, int(count), int(taken))
+                for reading, command, count, taken in zip(
+                    parts["readings_n"],
+                    parts["commands_rad"],
+                    parts["counts"],
+                    parts["taken_ns"],
+                    strict=True,
+                )
+            ),
+            chi2=float(header["chi2"]),
+            made_from=str(header["made_from"]),
+        )
+    except CalibrationError:
+        raise
+    except Exception as error:  # NumPy and zip raise whatever the broken place led to
+        raise CalibrationError(
+            f"{path}: no calibration file; `cablesense calibrate` and a commissioning make one"
+        ) from error
+    _require_fitting(calibration, arm, str(path))
+    return calibration
+
+
+def _require_fitting(calibration: Calibration, arm: Arm, path: str) -> None:
+    if calibration.arm_identity != arm.identity:
+        raise CalibrationError(
+            f"{path}: is of arm {calibration.arm_identity[:80]}, not of {arm.identity}; calibrate "
+            "this arm, or give the file that it was made with"
+        )
+    count = len(parameters_of(arm))
+    sizes = {len(calibration.mean), len(calibration.prior_mean)}
+    sizes |= {len(calibration.covariance), len(calibration.prior_covariance)}
+    if sizes != {count}:
+        raise CalibrationError(
+            f"{path}: has {len(calibration.mean)} parameters; {arm.identity} has {count}: it was "
+            "made by another version, so calibrate again"
+        )
+    numbers = [calibration.mean, calibration.covariance, calibration.prior_mean]
+    numbers += [calibration.prior_covariance, np.array([calibration.chi2])]
+    for one in calibration.unloaded:
+        if len(one.reading_n) != arm.cable_count or len(one.command_rad) != arm.joint_count:
+            raise CalibrationError(f"{path}: holds a reading of another arm; calibrate again")
+        numbers += [one.reading_n, one.command_rad]
+    if not all(np.isfinite(each).all() for each in numbers):
+        raise CalibrationError(f"{path}: contains a number that is not finite; calibrate again")
+
+
+def _upper(symmetric: Array) -> Array:
+    """The upper triangle of a (P, P) matrix, row by row."""
+    return symmetric[np.triu_indices(len(symmetric))]
+
+
+def _whole(upper: Array) -> Array:
+    """The symmetric matrix (P, P) of an upper triangle."""
+    count = int(np.sqrt(2 * len(upper)))
+    matrix = np.zeros((count, count))
+    matrix[np.triu_indices(count)] = upper
+    return matrix + np.triu(matrix, 1).T

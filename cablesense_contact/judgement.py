@@ -1,0 +1,180 @@
+"""What to state of a reading: the hypotheses weighed against one another, and against noise.
+
+Each hypothesis has an evidence under the same covariance (`law.LawOutput`) and a prior probability
+that is stated here. A contact is vouched for if nothing else is nearly as likely, and if what it
+leaves unexplained is what sensors and tolerances leave.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from scipy.stats import chi2
+
+from cablesense_base import Array
+from cablesense_contact.law import LawOutput
+from cablesense_sim.arm import Arm
+
+LOG_PRIOR_WRENCH = math.log(0.01)
+"""Of several contacts or a couple on one segment, against a single contact."""
+LOG_PRIOR_SEVERAL = math.log(0.01)
+"""Of contacts on several segments, against a single contact."""
+LOG_PRIOR_FAULT = math.log(1e-3)
+"""That some channel is wrong now, against none: a fault a day lasts minutes until it is seen."""
+LOG_PRIOR_EXCHANGED = math.log(1e-4)
+"""That two channels are exchanged: it happens when an arm is put together."""
+DOUBTED_ABOVE = 0.01
+"""A contact is not vouched for if the rivals together are more probable than this."""
+IMPROBABLE = 1e-6
+"""Probability of a misfit as large, below which a hypothesis does not explain a reading."""
+_CONTACT_NUMBERS = 4
+"""Numbers that a contact fits: three of the force, and the place."""
+_KNOWN_N = 1.0
+_KNOWN_SHARE = 0.5
+"""A force is known if half of its interval is below one of these: in N, or a share of it."""
+
+
+class ContactState(Enum):
+    """What is stated of a reading."""
+
+    FREE = "free"
+    CONTACT = "contact"
+    MOMENT = "moment"
+    UNCONFIRMED = "unconfirmed"
+    IMPLAUSIBLE = "implausible"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The decision on one reading.
+
+    Attributes:
+        state: what is stated.
+        segment: of the likeliest contact, from 1 on; also where it is not stated.
+        probabilities: (N + 1,) of no contact, and of a contact on each segment, among these.
+        doubt: what else would explain the reading, with its size; empty without doubt.
+    """
+
+    state: ContactState
+    segment: int
+    probabilities: Array
+    doubt: str = ""
+
+
+@dataclass(frozen=True)
+class _Rival:
+    """Another explanation.
+
+    Attributes:
+        log_weight: against "nothing touches".
+        sentence: what it says, with its size.
+        fault: whether it is one of a sensor.
+        same_moment: whether the moment about the joint is nevertheless that of the contact.
+    """
+
+    log_weight: float
+    sentence: str
+    fault: bool = False
+    same_moment: bool = False
+
+
+class Judge:
+    """Judges readings of one arm."""
+
+    def __init__(self, arm: Arm, contact_threshold: float = 0.5) -> None:
+        self._names = arm.cable_names
+        self._log_odds = math.log(contact_threshold / max(1.0 - contact_threshold, 1e-12))
+        channels = arm.cable_count
+        self._free_limit = float(chi2.isf(IMPROBABLE, channels))
+        self._contact_limit = float(chi2.isf(IMPROBABLE, channels - _CONTACT_NUMBERS))
+
+    def __call__(self, seen: LawOutput, reading_n: Array) -> Judgement:
+        """The judgement of one reading (M,); `seen` is a batch of one."""
+        evidence = seen.contact_evidence[0]
+        segment = int(evidence.argmax())
+        top = float(evidence[segment])
+        contact = top + math.log(float(np.exp(evidence - top).sum()))
+        weights = np.exp(np.concatenate([[0.0], evidence]) - max(contact, 0.0))
+        probabilities = weights / weights.sum()
+        touched = contact >= self._log_odds
+
+        known = _force_is_known(seen)
+        rivals = sorted(
+            (rival for rival in self._rivals(seen, reading_n) if known or not rival.same_moment),
+            key=lambda rival: -rival.log_weight,
+        )
+        best = rivals[0]
+        stated = max(contact, 0.0)
+        others = sum(math.exp(min(rival.log_weight - stated, 50.0)) for rival in rivals)
+        doubted = others / (1.0 + others) > DOUBTED_ABOVE
+        if touched:
+            fits = float(seen.contact_chi2[0]) <= self._contact_limit
+        else:
+            fits = float(seen.free_chi2[0]) <= self._free_limit
+        state, doubt = self._state(best, known, touched=touched, doubted=doubted, fits=fits)
+        if doubt and best.log_weight < stated - 5.0:
+            doubt = "no single contact and no single fault explains the reading"
+        return Judgement(state, segment + 1, probabilities, doubt)
+
+    def _state(
+        self, best: _Rival, known: bool, *, touched: bool, doubted: bool, fits: bool
+    ) -> tuple[ContactState, str]:
+        if not touched:
+            if fits and not (doubted and best.fault and best.log_weight > 0.0):
+                return ContactState.FREE, ""
+            return ContactState.IMPLAUSIBLE, best.sentence
+        if not fits:
+            state = ContactState.IMPLAUSIBLE if best.fault else ContactState.UNCONFIRMED
+            return state, best.sentence
+        if doubted:
+            return ContactState.UNCONFIRMED, best.sentence
+        return (ContactState.CONTACT if known else ContactState.MOMENT), ""
+
+    def _rivals(self, seen: LawOutput, reading_n: Array) -> Iterator[_Rival]:
+        """What else may be behind the reading."""
+        each = LOG_PRIOR_FAULT - math.log(len(self._names))
+        for channel, name in enumerate(self._names):
+            off_n = float(seen.fault_n[0, channel])
+            much = "much" if off_n > 0.0 else "little"
+            yield _Rival(
+                float(seen.faulty_evidence[0, channel]) + each,
+                f"{name} reads {abs(off_n):.1f} N too {much}, and nothing touches the arm",
+                fault=True,
+            )
+        beside = seen.faulty_segment_evidence[0]
+        channel, segment = np.unravel_index(int(beside.argmax()), beside.shape)
+        yield _Rival(
+            float(beside.max()) + each,
+            f"{self._names[channel]} is wrong, beside a contact on segment {segment + 1}",
+            fault=True,
+        )
+        pairs = len(self._names) * (len(self._names) - 1) / 2
+        exchanged = seen.exchanged_evidence[0]
+        first, second = np.unravel_index(int(exchanged.argmax()), exchanged.shape)
+        yield _Rival(
+            float(exchanged.max()) + LOG_PRIOR_EXCHANGED - math.log(pairs),
+            f"{self._names[first]} and {self._names[second]} are exchanged",
+            fault=True,
+        )
+        wrench = seen.segment_evidence[0]
+        segment = int(wrench.argmax())
+        yield _Rival(
+            float(wrench[segment]) + LOG_PRIOR_WRENCH,
+            f"several contacts or a couple on segment {segment + 1}",
+            same_moment=segment == int(seen.contact_evidence[0].argmax()),
+        )
+        yield _Rival(
+            float(seen.several_evidence[0]) + LOG_PRIOR_SEVERAL,
+            "contacts on several segments",
+        )
+
+
+def _force_is_known(seen: LawOutput) -> bool:
+    """Whether readings determine the lateral force; else the moment about the joint is known."""
+    low_n, high_n = seen.magnitude_ci95_n[0].tolist()
+    size_n = float(np.hypot(*seen.force_n[0, 1:]))
+    return 0.5 * (high_n - low_n) <= max(_KNOWN_N, _KNOWN_SHARE * size_n)

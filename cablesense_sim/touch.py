@@ -1,0 +1,41 @@
+"""Where an arm can be touched: places along its segments, and the surface there."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_sim.arm import Arm, per_segment
+
+
+class TouchedPlaces(NamedTuple):
+    """Where the N segments of an arm can be touched.
+
+    Attributes:
+        reach_m: (N, 2) from each segment's joint centre, along its axis.
+        radius_m: (N,) of the surface, from the axis; zero where contacts act on the axis.
+        friction: coefficient of the surface; zero where contacts act on the axis.
+    """
+
+    reach_m: Array
+    radius_m: Array
+    friction: float
+
+
+def touched_places(arm: Arm) -> TouchedPlaces:
+    """The places of an arm file: by default its whole length, at its cables' distance."""
+    count = arm.segment_count
+    touch = arm.touch
+    length_m = np.array(per_segment(arm.segments.length_m, count))
+    reach_m = np.stack([np.zeros(count), length_m], axis=1)
+    if touch.reach_m is not None:
+        reach_m[:] = touch.reach_m
+    radius_m = np.array(per_segment(arm.cables.routing_radius_m, count))
+    if touch.radius_m is not None:
+        radius_m[:] = touch.radius_m
+    on_axis = touch.friction == 0.0 or not radius_m.any()
+    if on_axis:
+        radius_m[:] = 0.0
+    return TouchedPlaces(reach_m, radius_m, 0.0 if on_axis else touch.friction)
