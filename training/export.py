@@ -32,7 +32,7 @@ AGREEMENT = 1e-5
 """Largest difference allowed between PyTorch and ONNX Runtime, as it is or as a share."""
 
 _TRIAL_ROWS = 64
-_TRACED_ROWS = 10007
+TRACED_ROWS = 10007
 """A prime larger than any other size in a network: no product of these is a multiple of it."""
 
 
@@ -110,7 +110,7 @@ def _trial_inputs(metadata: ModelMetadata) -> list[Tensor]:
 
 
 def _to_onnx(answers: _Answers, inputs: dict[str, Tensor]) -> onnx.ModelProto:
-    """The graph, traced for `_TRACED_ROWS` samples and made to take any number.
+    """The graph, traced for `TRACED_ROWS` samples and made to take any number.
 
     With that number as a symbol tracing takes more than twice as long.
     """
@@ -119,7 +119,7 @@ def _to_onnx(answers: _Answers, inputs: dict[str, Tensor]) -> onnx.ModelProto:
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
         program = torch.onnx.export(
             answers,
-            tuple(v[torch.arange(_TRACED_ROWS) % _TRIAL_ROWS] for v in inputs.values()),
+            tuple(v[torch.arange(TRACED_ROWS) % _TRIAL_ROWS] for v in inputs.values()),
             dynamo=True,
             opset_version=OPSET,
             input_names=list(inputs),
@@ -132,27 +132,27 @@ def _to_onnx(answers: _Answers, inputs: dict[str, Tensor]) -> onnx.ModelProto:
         del node.metadata_props[:]
         node.doc_string = ""
     del model.metadata_props[:]
-    _take_any_number_of_rows(model.graph)
+    take_any_number_of_rows(model.graph)
     return model
 
 
-def _take_any_number_of_rows(graph: onnx.GraphProto) -> None:
-    """Take `_TRACED_ROWS` out of shapes, and out of constants, which are one row for all samples.
+def take_any_number_of_rows(graph: onnx.GraphProto) -> None:
+    """Take `TRACED_ROWS` out of shapes, and out of constants, which are one row for all samples.
 
     A graph that contains it elsewhere fails on the trial's rows.
     """
     del graph.value_info[:]
     for entry in (*graph.input, *graph.output):
         for dimension in entry.type.tensor_type.shape.dim:
-            if dimension.dim_value == _TRACED_ROWS:
+            if dimension.dim_value == TRACED_ROWS:
                 dimension.dim_param = "batch"
     shapes = {node.input[1] for node in graph.node if node.op_type == "Reshape"}
     for constant in graph.initializer:
         values = onnx.numpy_helper.to_array(constant)
         if constant.name in shapes:
-            several = (values > 0) & (values % _TRACED_ROWS == 0)
+            several = (values > 0) & (values % TRACED_ROWS == 0)
             values = np.where(several, -1, values)
-        elif values.shape[:1] == (_TRACED_ROWS,) and (values == values[:1]).all():
+        elif values.shape[:1] == (TRACED_ROWS,) and (values == values[:1]).all():
             values = values[:1]
         else:
             continue

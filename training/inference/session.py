@@ -72,7 +72,7 @@ class OpenedModel:
         self.model, self.metadata = read_model(path)
         widen_constants(self.model.graph)
         made_for = self.metadata
-        if arm is not None and not _fits(made_for.arm, arm):
+        if arm is not None and not fits(made_for.arm, arm):
             raise ModelFileError(
                 f"{path}: made for arm {made_for.arm_identity}, not for {arm.identity}; "
                 "train one for this arm with `cablesense train --arm`"
@@ -157,7 +157,7 @@ class OpenedModel:
                 )
 
 
-def _fits(made_for: Arm, arm: Arm) -> bool:
+def fits(made_for: Arm, arm: Arm) -> bool:
     """Whether a model's arm is an arm, but for its name and for effects that it lacks."""
     known = made_for.nominal.model_copy(update={"name": arm.name})
     lacks_some = all(effect in arm.effects for effect in made_for.effects)

@@ -1,0 +1,113 @@
+"""A model file that holds the law of an arm: the whole estimator as one graph, opened and run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_contact.calibration import parameters_of
+from cablesense_contact.law import INPUTS, LawOutput
+from cablesense_sim.arm import Arm
+from cablesense_training.errors import ModelFileError
+from cablesense_training.inference.metadata import ANYWHERE
+from cablesense_training.inference.model_file import one_line, read_model
+from cablesense_training.inference.session import fits, open_session
+
+_ROWS_AT_ONCE = 256
+"""A row holds some hundred kilobytes while it runs."""
+
+
+class LawModel:
+    """The law in a model file; a `cablesense_contact.law.Law`.
+
+    Attributes:
+        metadata: what the file states about itself.
+    """
+
+    def __init__(self, path: str | Path, arm: Arm | None = None) -> None:
+        """Open a model file, for a certain arm where one is given.
+
+        Raises:
+            ModelFileError: the file is no such model, or not one of this arm.
+        """
+        self._source = str(path)
+        model, self.metadata = read_model(path)
+        made_for = self.metadata
+        if made_for.kind != ANYWHERE:
+            raise ModelFileError(f"{path}: a {made_for.kind} model; needed is one of {ANYWHERE}")
+        if arm is not None and not fits(made_for.arm, arm):
+            raise ModelFileError(
+                f"{path}: made for arm {made_for.arm_identity}, not for {arm.identity}; make one "
+                "for this arm with `cablesense train --network anywhere --arm`"
+            )
+        given = tuple(entry.name for entry in model.graph.input)
+        answers = tuple(entry.name for entry in model.graph.output)
+        if given != INPUTS or answers != LawOutput._fields:
+            raise ModelFileError(
+                f"{path}: a model of contacts anywhere of an earlier version, without tolerances; "
+                "make it again with `cablesense train --network anywhere` (seconds)"
+            )
+        try:
+            self._session = open_session(model)
+        except Exception as error:  # ONNX Runtime and onnx raise a family of their own each
+            raise self._cannot_run(error) from error
+        self._require_answers()
+
+    @property
+    def arm(self) -> Arm:
+        """The arm that the model was made for."""
+        return self.metadata.arm
+
+    def __call__(
+        self,
+        reading_n: Array,
+        command_rad: Array,
+        mean: Array,
+        covariance: Array,
+        unrest_n2_m2: Array,
+    ) -> LawOutput:
+        """See `cablesense_contact.law.Law`.
+
+        Raises:
+            ModelFileError: ONNX Runtime cannot run it.
+        """
+        parts = []
+        for first in range(0, len(reading_n), _ROWS_AT_ONCE):
+            rows = slice(first, first + _ROWS_AT_ONCE)
+            given = (reading_n[rows], command_rad[rows], mean, covariance, unrest_n2_m2)
+            try:
+                parts.append(self._session.run(None, dict(zip(INPUTS, given, strict=True))))
+            except Exception as error:  # ONNX Runtime's classes have no common base
+                raise self._cannot_run(error) from error
+        if len(parts) == 1:
+            return LawOutput._make(parts[0])
+        return LawOutput._make(np.concatenate(each) for each in zip(*parts, strict=True))
+
+    def _require_answers(self) -> None:
+        """A file that opens may still not run or take other inputs; an idle arm shows it."""
+        arm = self.metadata.arm
+        parameters = parameters_of(arm)
+        size = len(parameters)
+        joints = arm.joint_count
+        seen = self(
+            np.full((1, arm.cable_count), arm.cables.pretension_n),
+            np.zeros((1, joints)),
+            parameters.prior_mean,
+            np.diag(parameters.prior_std**2),
+            np.zeros((joints, joints)),
+        )
+        shape = (1, arm.cable_count, size)
+        finite = all(np.isfinite(part).all() for part in seen)
+        if seen.by_parameter.shape != shape or not finite:
+            raise ModelFileError(
+                f"{self._source}: its answer for an idle arm is not finite, or not of "
+                f"{size} parameters; make it again with `cablesense train --network anywhere`"
+            )
+
+    def _cannot_run(self, error: Exception) -> ModelFileError:
+        return ModelFileError(
+            f"{self._source}: ONNX Runtime cannot run it ({one_line(error)}); make it again with "
+            "`cablesense train --network anywhere`"
+        )
