@@ -23,7 +23,7 @@ HASHES := $(UV) compile --quiet --no-deps --generate-hashes --no-annotate --cust
 REQUIREMENTS := setup.py setup.cfg pyproject.toml constraints.txt $(wildcard cablesense_*/__init__.py training/__init__.py)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast lint setup site models limits messages lock verify clean
+.PHONY: help demo test test-fast lint setup site models messages lock verify clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1	/p' $(MAKEFILE_LIST)
@@ -48,24 +48,19 @@ lint: setup build/mypy  ## style, types and dependencies between packages
 	$(BIN)/lint-imports --no-logo || failed=1; \
 	exit $$failed
 
-# What a node compiles for contacts anywhere, but their fits, or for contact points.
-PREPARE = from cablesense_online.stated_contacts import *; from cablesense_sim.arm import open_arm; \
-	RestingArm(open_arm("cdsm"), 1).prepare(np.zeros(8), anywhere=$(1))
-# A minute, that many processes at once would take several times; two compile nothing that both need.
+# Statics are compiled once a machine; many processes at once would each take several times as long.
 # Numba does not see that a module of which code is in another module's has changed.
 build/compiled: $(shell grep -l '^@compiled' cablesense_sim/*.py)
 	@mkdir -p build
 	@rm -f cablesense_sim/__pycache__/*.nbi cablesense_sim/__pycache__/*.nbc
-	@echo 'Compiling statics and the fits of contacts (a minute, once) …'
-	@$(BIN)/python -c '$(call PREPARE,True)' & \
-	$(BIN)/python -c 'from cablesense_online.models import load_model; load_model("cdsm", "").estimator.prepare()' && wait $$!
+	@echo 'Compiling statics (half a minute, once) …'
+	@$(BIN)/python -c 'import numpy as np; from cablesense_sim.arm import open_arm; from cablesense_sim.build import mechanism_of; from cablesense_sim.equilibrium import solve_equilibrium; solve_equilibrium(mechanism_of(open_arm("cdsm")), np.zeros(8))'
 	@touch $@
 
-# What the default arm and model do without.
+# What the default arm does without.
 build/compiled-all: build/compiled
-	@echo 'Compiling the law of friction and the fit of forces at contact points …'
-	@$(BIN)/python -c 'from cablesense_sim.arm import open_arm; from cablesense_sim.dynamics import RestToRestArm; RestToRestArm(open_arm("cdsm_friction"))' & \
-	$(BIN)/python -c '$(call PREPARE,False)' && wait $$!
+	@echo 'Compiling the law of friction …'
+	@$(BIN)/python -c 'from cablesense_sim.arm import open_arm; from cablesense_sim.dynamics import RestToRestArm; RestToRestArm(open_arm("cdsm_friction"))'
 	@touch $@
 
 setup: $(VENV)/.all  ## everything that developing needs, in .venv
@@ -73,12 +68,8 @@ setup: $(VENV)/.all  ## everything that developing needs, in .venv
 site: setup build/mypy  ## the documentation as a site, in build/site
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
 
-models: setup  ## trains every bundled model again
+models: setup  ## makes every bundled model again
 	@CABLESENSE=$(BIN)/cablesense config/models/train.sh
-
-limits: setup  ## puts the largest misfit of simulated healthy arms into every bundled model of single contacts again
-	@$(BIN)/python -c 'import pathlib, sys; from cablesense_online.misfit_limit import put_simulated_limit as put; [print(path, put(pathlib.Path(path))) for path in sys.argv[1:]]' \
-		$$(ls config/models/*.onnx config/models/peers/*.onnx | grep -v multi)
 
 messages: $(VENV)/.demo  ## compiles the message of the topic ~/estimate into .venv; needs gcc
 	@$(BIN)/python cablesense_msgs/compile_for_wheels.py

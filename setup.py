@@ -15,7 +15,7 @@ REQUIRES = [
     "mujoco>=4.0",  # the arm's physics; 4.0 brought the integrator that carries stiff cables
     "numba",  # arms with friction go from rest to rest, row by row, in compiled code
     "numpy>=1.26",  # arrays everywhere; ROS 2 Jazzy on Ubuntu has 1.26
-    "onnx",  # checks a model file before it is run, and splits its graph
+    "onnx",  # checks a model file before it is run
     "onnxruntime",  # runs the trained model
     "pydantic>=2",  # arm files are validated, and refused with reasons
     "PyYAML",  # reads arm files
@@ -149,6 +149,7 @@ setup(
             "can_driver = cablesense_ros.can_driver_node:main",
             "can_emulator = cablesense_ros.can_emulator_node:main",
             "breather = cablesense_ros.breather_node:main",
+            "commissioner = cablesense_ros.commissioner_node:main",
         ]
     },
 )

@@ -226,12 +226,7 @@ class Run(EstimatedArm):
 
     def __init__(self, arm_name: str, seed: int, **limits: Any) -> None:
         super().__init__(
-            arm_name,
-            np.random.default_rng(seed),
-            arm_name,
-            joint_speed_rad_s=float(np.deg2rad(20.0)),
-            tare_deviation_n=2.0,
-            tare_drift_n=0.1,
+            arm_name, np.random.default_rng(seed), joint_speed_rad_s=float(np.deg2rad(20.0))
         )
         self.controller = AdmittanceController(self.mechanism, AdmittanceSettings(**limits), 0.0)
         self.forces_n: Array | None = None
@@ -302,7 +297,7 @@ def _turned_deg(arm_name: str, touched: bool, fault: Fault, seed: int) -> float:
         if failing:
             away_rad = run.controller.command_rad - before_rad
             turned_rad = max(turned_rad, float(np.abs(away_rad).max()))
-    assert run.estimation.tares.present is not None
+    assert run.estimation.unloaded.known
     return float(np.rad2deg(turned_rad))
 
 

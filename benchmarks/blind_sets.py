@@ -15,9 +15,52 @@ from typing import Any, NamedTuple
 
 import harness
 import numpy as np
+from rich.progress import track
 
+from cablesense_base.workers import WorkerPool
+from cablesense_gap.arm_simulator import counted_rows, settled
+from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.scoring import Truth, score
-from cablesense_gap.verdict import NONE, UNKNOWN, Verdict, read_verdict, write_verdict
+from cablesense_gap.verdict import (
+    NONE,
+    UNKNOWN,
+    Verdict,
+    read_verdict,
+    removed_fraction,
+    write_verdict,
+)
+from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.replay import replay_arm
+from cablesense_sim.tolerances import Tolerances
+
+NARROW = (
+    Tolerances()
+    .scaled(0.0)
+    .model_copy(
+        update={
+            "pretension_n": 0.15,
+            "segment_mass_share": 0.005,
+            "hole_around_m": 1e-4,
+            "sensor_zero_n": 0.05,
+            "contact_m": 3e-4,
+            "friction_share": 0.1,
+        }
+    )
+)
+"""What plants with `with_tolerances` scatter by, as the arm that is diagnosed states it.
+
+Their holes of one cable are turned by 0.05 degrees together, 44 um of five holes at 50 mm.
+Independent holes of 0.1 mm have a mean as wide as that.
+"""
+
+
+SETTLED_ROWS = 60
+"""The rows of a second recording from which history-dependent states are estimated."""
+
+
+def narrow_arm(name: str) -> Arm:
+    """A bundled arm that states `NARROW` tolerances."""
+    return open_arm(name).model_copy(update={"tolerances": NARROW})
 
 
 class Finished(NamedTuple):
@@ -41,6 +84,30 @@ def folder_of(options: argparse.Namespace) -> Path:
     """The folder of the set, a new one unless one is given."""
     given: Path | None = options.folder
     return given or Path(tempfile.mkdtemp(prefix="blind_"))
+
+
+def in_pool(work: Callable[[Path], Any], paths: Sequence[Path], workers: int) -> list[Any]:
+    """What `work` makes of each path, in as many processes as workers."""
+    with WorkerPool(workers) as pool:
+        return list(track(pool.map(work, paths), "Working", total=len(paths)))
+
+
+def removed_on(recording: Recording, nominal: Arm, amended: Arm, floor_n: float) -> float:
+    """The share of the removable gap that an amended arm removes on a new recording of it.
+
+    Its state is estimated from the first rows, which do not count.
+    """
+    nominal_n, amended_n = (
+        replay_arm(arm, *recording.inputs)
+        for arm in (nominal, settled(amended, recording, SETTLED_ROWS))
+    )
+    judged = counted_rows(nominal, recording, nominal_n)
+    judged[:SETTLED_ROWS] = False
+    before_n, after_n = (
+        float(np.sqrt(((recording.tensions_n - each)[judged] ** 2).mean()))
+        for each in (nominal_n, amended_n)
+    )
+    return removed_fraction(before_n, after_n, floor_n)
 
 
 def finished(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from cablesense_sim.replay import read_tensions_n
 
 START_NS = 10**18
 
+_loaded = cache(load_model)
+
 
 class EstimatedArm:
     """One arm, its shipped model, and the estimation that answers its readings."""
@@ -26,12 +29,13 @@ class EstimatedArm:
         self, name: str, rng: np.random.Generator, model: str = "", **settings: Any
     ) -> None:
         """`settings` differ from those that benchmarks share; a tare takes 50 readings."""
-        loaded = load_model(name, model)
-        self.arm, self.rng = loaded.arm, rng
+        loaded = _loaded(name, model)
+        self.arm = loaded.arm
+        self.rng = rng
         self.mechanism = mechanism_of(self.arm)
-        limit = {"tare_samples": 50, "largest_misfit": loaded.largest_misfit(-1.0)}
-        self.settings = estimation_settings(**limit | settings)
-        self.estimation = Estimation(self.arm, loaded.estimator, self.settings, 0.0)
+        self.settings = estimation_settings(**{"tare_samples": 50} | settings)
+        contacts = loaded.contacts(self.settings)
+        self.estimation = Estimation(self.arm, contacts, self.settings, 0.0)
         self._message = JointState(name=list(self.arm.cable_names))
 
     def command(self, angles_rad: Array) -> None:

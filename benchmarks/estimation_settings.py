@@ -2,11 +2,11 @@
 
 from typing import Any
 
-from cablesense_online.state import EstimationSettings
+from cablesense_online.settings import EstimationSettings
 
 
 def estimation_settings(**changes: Any) -> EstimationSettings:
-    """The node's, with a tare of few readings, and without checks of deviation and misfit."""
+    """The node's, with a tare of few readings that no network judges."""
     plain = {
         "contact_threshold": 0.5,
         "stale_after_s": 0.2,

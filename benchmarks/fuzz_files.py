@@ -1,10 +1,13 @@
-"""Edited files: arms, channel maps, their DBC files, calibrations, models, recordings, states.
+"""Edited files: arms, channel maps, their DBC files, calibrations, models, recordings.
+
+Calibrations are of sensors, beside a channel map, and of whole arms.
 
 An example is one file: written, read, and either refused in one line or found to be usable.
 """
 
 from __future__ import annotations
 
+import io
 import itertools
 import shutil
 from collections.abc import Callable, Sequence
@@ -16,33 +19,38 @@ import can
 import numpy as np
 import onnx
 from fuzz_edits import Draw, Tally, Target, edited_bytes, edited_text, require, require_one_line
-from fuzz_live import ARM, MAPS, SETTINGS, TaredEstimation
+from fuzz_live import ARM, MAPS, SETTINGS, STRAIGHT, rig
 from hypothesis import strategies as st
 
-from cablesense_base import CableSenseError
+from cablesense_base import Array, CableSenseError
 from cablesense_base.installation import config_path
+from cablesense_contact.calibration import Calibrator, Unloaded, calibration_of, write_calibration
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_online.can.bus import FaultLedger
 from cablesense_online.can.channel_map import calibrated, load_calibration, open_channel_map
 from cablesense_online.can.reader import FrameDecoder
-from cablesense_online.estimation import Estimation
-from cablesense_online.state_file import StateFile
+from cablesense_online.contacts import LawContacts, NetworkContacts, Situation
+from cablesense_online.models import LoadedModel
 from cablesense_sim.arm import bundled_arms, find_arm, load_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.parquet import read_dataset, write_dataset
 from cablesense_training.data.protocols import SingleContact
-from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.law_model import LawModel
 from cablesense_training.inference.metadata import find_model
-from cablesense_training.inference.temporal_estimator import open_estimator
 
 _MAPS = [config_path(f"can/{name}.yaml") for name in MAPS]
 _DATABASES = [path.with_suffix(".dbc") for path in _MAPS]
 _MODELS = {
-    "cdsm_tensions_only": 4, "peers/cdsm_straight_two_stage": 4, "peers/cdsm_closed_form": 2,
-    "cdsm": 1, "cdsm_anywhere": 1,
-}  # fmt: skip
+    "peers/cdsm_straight_two_stage": 4,
+    "peers/cdsm_two_stage": 4,
+    "peers/cdsm_multi_two_stage": 2,
+    "cdsm_anywhere": 1,
+    "cdsm_lab_anywhere": 1,
+}
 """With how often each is taken: the quicker the more often."""
+
+_NUMBERS = (np.nan, np.inf, -np.inf, 0.0, -1.0, 1.0, 1e-300, 1e9, -1e9, 1e300)
 
 MOST_ROWS = 2_400
 _EXAMPLES = Path(__file__).parent / "fuzz_examples"
@@ -100,14 +108,9 @@ def _valid_files(name: str) -> Sequence[Path]:
             path = Path("dataset.parquet").absolute()
             write_dataset(path, draw_dataset(ARM, SingleContact(samples=40), seed=0))
             return [path]
-        case "states":
-            tared = TaredEstimation()
-            state = tared.take_tensions(tared.pushed_n[0]).state
-            assert state is not None
-            path = Path("state.json").absolute()
-            file = StateFile(path, 60.0)
-            file.keep(state)
-            file.flush()
+        case "arm_calibrations":
+            path = Path("arm.calibration").absolute()
+            _calibrate(path)
             return [path]
         case "calibrations":
             return [_EXAMPLES / "calibration.yaml"]
@@ -168,14 +171,14 @@ def _edited_model(draw: Draw, content: bytes) -> bytes:
 
 
 def _use_model(path: Path) -> None:
-    estimator = open_estimator(path)
-    assert isinstance(estimator, Estimator)
-    command = np.zeros(estimator.metadata.arm.joint_count)
-    for scale in (0.0, 1.0, 50.0):
-        row = np.linspace(-scale, scale, len(estimator.metadata.cable_names))
-        estimate = estimator.estimate(row, command)
-        finite = np.isfinite([*estimate.probabilities, *estimate[2:8]]).all()
-        require(finite, f"a model estimates {estimate}")
+    loaded = LoadedModel.open(path)
+    contacts = loaded.contacts(SETTINGS)
+    contacts.arm.at(np.zeros(loaded.arm.joint_count))
+    untouched_n = np.full(loaded.arm.cable_count, loaded.arm.cables.pretension_n)
+    for _ in range(SETTINGS.tare_samples):
+        contacts.arm.add(untouched_n.tolist())
+    contacts.arm.take(0, forced=True)
+    _require_finite(contacts, untouched_n)
 
 
 def _use_recording(path: Path) -> None:
@@ -204,14 +207,69 @@ def _use_dataset(path: Path) -> None:
     require(finite and len(read) <= 2_000_000, f"a dataset of {len(read)} rows, finite: {finite}")
 
 
-def _use_state(path: Path) -> None:
-    found = StateFile(path, 60.0).read(ARM.identity)
-    assert found is not None
-    estimation = Estimation(ARM, Estimator.load(find_model("cdsm"), ARM), SETTINGS, 0.0)
-    estimation.restore(found)
-    restored_n = estimation.tares.unloaded_n
-    finite = restored_n is not None and np.isfinite(restored_n).all()
-    require(finite, f"unloaded tensions {restored_n}")
+def _require_finite(contacts: LawContacts | NetworkContacts, untouched_n: Array) -> None:
+    """Check that readings are refused, or answered by finite numbers."""
+    for scale in (0.0, 1.0, 40.0):
+        reading_n = untouched_n + np.linspace(-scale, scale, len(untouched_n))
+        found = contacts.find(reading_n, Situation(np.zeros(STRAIGHT.shape), 1))
+        assert found is not None
+        numbers = list(found.probabilities)
+        for contact in found.contacts:
+            numbers += contact.wrench
+        if found.estimate is not None:
+            numbers += found.estimate[2:8]
+        require(np.isfinite(numbers).all(), f"{found} is stated")
+
+
+def _calibrate(path: Path) -> None:
+    """Write the calibration of an arm by two unloaded readings."""
+    loaded, unloaded_n, _ = rig()
+    assert isinstance(loaded.model, LawModel)
+    calibrator = Calibrator(ARM, loaded.model)
+    unloaded = Unloaded(unloaded_n, STRAIGHT, SETTINGS.tare_samples, 10**18)
+    write_calibration(path, calibrator.from_poses([unloaded] * 2), ARM)
+
+
+def _edited_calibration(draw: Draw, content: bytes) -> bytes:
+    """As bytes, or in its header, or in some numbers of its arrays."""
+    if draw(st.booleans()):
+        return edited_bytes(draw, content)
+    with np.load(io.BytesIO(content)) as archive:
+        parts = {name: archive[name] for name in archive.files}
+    name = draw(st.sampled_from(sorted(parts)))
+    part = parts[name]
+    if name == "header":
+        edited = edited_text(draw, part.tobytes())
+        parts[name] = np.frombuffer(edited, dtype=np.uint8)
+    else:
+        parts[name] = _edited_array(draw, part)
+    changed = io.BytesIO()
+    np.savez(changed, allow_pickle=False, **parts)
+    return changed.getvalue()
+
+
+def _edited_array(draw: Draw, array: Array) -> Array:
+    """An array of another shape or type, or with other numbers."""
+    match draw(st.sampled_from(("shape", "type", "numbers", "numbers", "numbers"))):
+        case "shape":
+            return array[: draw(st.integers(0, len(array)))]
+        case "type":
+            return array.astype(draw(st.sampled_from(("U8", "i1", "f4", "c16", "?"))))
+    flat = array.flatten()
+    for _ in range(draw(st.integers(1, 3))):
+        at = draw(st.integers(0, len(flat) - 1))
+        flat[at] = draw(st.sampled_from(_NUMBERS)) if flat.dtype.kind == "f" else -1
+    return flat.reshape(array.shape)
+
+
+def _use_arm_calibration(path: Path) -> None:
+    calibration = calibration_of(path.read_bytes(), ARM, str(path))
+    numbers = [calibration.mean, calibration.std]
+    require(np.isfinite(numbers).all(), f"a calibration of {numbers}")
+    loaded, unloaded_n, _ = rig()
+    contacts = loaded.contacts(SETTINGS, calibration)
+    contacts.arm.at(STRAIGHT)
+    _require_finite(contacts, unloaded_n)
 
 
 _KINDS = {
@@ -223,7 +281,7 @@ _KINDS = {
     "dbc": _Kind(_edited_database, _use_map, 2_000),
     "maps": _Kind(edited_text, _use_map, 1_000),
     "calibrations": _Kind(edited_text, _use_calibration, 1_000),
-    "states": _Kind(edited_text, _use_state, 1_000),
+    "arm_calibrations": _Kind(_edited_calibration, _use_arm_calibration, 1_000),
 }
 FILE_TARGETS = {
     name: Target("files", partial(_check, name), kind.examples) for name, kind in _KINDS.items()

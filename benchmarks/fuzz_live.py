@@ -5,9 +5,9 @@ right if each of its tensions was carried, in the range, by a well-formed frame 
 its cycle or the next, in which a reader gives it. Bytes that spell another plausible value cannot
 be recognised as wrong.
 
-Another reads each message by rclpy, which the estimator does not use. A contact is right if the
-bytes are a message with every cable's plausible tension and a present stamp, and if the model
-estimates that contact from those tensions; from anything else there must be none.
+Another reads each message by rclpy, which the estimator does not use. A contact, or that nothing
+touches, is right if the bytes are a message with every cable's plausible tension and a present
+stamp, and if the law finds the same in those tensions; from anything else there must be none.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from cablesense_online.can.bus import CanInterface, FaultLedger
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.emulator import Emulator, frame_line, line_frame
 from cablesense_online.can.reader import SCATTER_OF_READING_S, TensionReader
+from cablesense_online.contacts import Situation
 from cablesense_online.estimation import Estimation
+from cablesense_online.models import LoadedModel, load_model
 from cablesense_online.samples import PLAUSIBLE_N
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.metadata import find_model
 
 MAPS = ("twelve_channel_amplifier", "cia404_amplifier")
 CYCLES = 20
@@ -191,6 +191,7 @@ MESSAGES = 10
 TARED_NS = 10**18
 SETTINGS = estimation_settings()
 ARM = open_arm("cdsm")
+STRAIGHT = np.zeros(ARM.joint_count)
 
 _NUMBERS = [math.nan, math.inf, -math.inf, 1e308, 1e6, -21.0, 57.0, 1.0, -0.6, 5e-324]
 _NAMES = ["", "cable_1", "cable_13", "joint_1_pitch", "cable_1\0", "\0", "é" * 40]
@@ -244,25 +245,30 @@ def edited_joint_state(draw: Draw, stamp_ns: int, tensions_n: Array) -> bytes:
 
 
 @cache
-def rig() -> tuple[Estimator, Array, Array]:
+def rig() -> tuple[LoadedModel, Array, Array]:
     """The model; tensions (M,) of the straight arm, and (N, M) of a push on each segment."""
-    mechanism, straight = mechanism_of(ARM), np.zeros((ARM.segment_count, ARM.joint_count))
+    mechanism = mechanism_of(ARM)
+    straight = np.zeros((ARM.segment_count, ARM.joint_count))
     segments = np.arange(1, ARM.segment_count + 1)
     forces = normal_force_n(mechanism, straight, segments, 70.0 * segments, 40.0)
     unloaded_n = solve_equilibrium(mechanism, straight[0]).tensions_n
     pushed_n = solve_equilibrium(mechanism, straight, forces).tensions_n
-    return Estimator.load(find_model("cdsm"), ARM), unloaded_n, pushed_n
+    return load_model("cdsm", ""), unloaded_n, pushed_n
 
 
 class TaredEstimation:
     """A tared estimation with its clock, and the judge of its answers."""
 
     def __init__(self) -> None:
-        self._model, unloaded_n, self.pushed_n = rig()
-        self.estimation = Estimation(ARM, self._model, SETTINGS, 0.0)
+        loaded, unloaded_n, self.pushed_n = rig()
+        self.estimation = Estimation(ARM, loaded.contacts(SETTINGS), SETTINGS, 0.0)
+        self._judge = loaded.contacts(SETTINGS)
+        self._judge.arm.at(STRAIGHT)
         self.now_ns = TARED_NS
         for _ in range(SETTINGS.tare_samples):
+            self._judge.arm.add(unloaded_n.tolist())
             self.take_tensions(unloaded_n)
+        self._judge.arm.take(self.now_ns)
 
     @property
     def next_ns(self) -> int:
@@ -273,24 +279,22 @@ class TaredEstimation:
         """The answer to a message.
 
         Raises:
-            FalseAnswerError: a contact that does not follow from the message.
+            FalseAnswerError: a contact, or its absence, that does not follow from the message.
         """
         self.now_ns = self.next_ns
         answer = self.estimation.sample(raw, self.now_ns, (self.now_ns - TARED_NS) * 1e-9)
         if answer.problem is not None:
             require_one_line(answer.problem)
-        contact = answer.contact
-        if contact.segment == 0:
+        if answer.estimate is None:
+            require(not answer.contacts, f"{answer.contacts} without an estimate")
             return answer
         stamp_ns, tensions_n = content_of(raw)
         age_ns = abs(self.now_ns - stamp_ns) if stamp_ns else 0
         require(age_ns <= 0.2e9, f"a contact from a message {age_ns} ns away")
-        unloaded_n = self.estimation.tares.unloaded_n
-        assert unloaded_n is not None
-        right = self._model.estimate(tensions_n - unloaded_n, np.zeros(ARM.joint_count))
-        found = contact.angle_deg, contact.magnitude_n
-        same = found == (right.angle_deg, right.magnitude_n)
-        require(same, f"{contact} where the model estimates {right}")
+        right = self._judge.find(tensions_n, Situation(STRAIGHT, stamp_ns or self.now_ns))
+        assert right is not None
+        same = tuple(answer.contacts) == right.contacts
+        require(same, f"{answer.contacts} where the law finds {right}")
         return answer
 
     def take_tensions(self, tensions_n: Array) -> Answer:

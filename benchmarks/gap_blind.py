@@ -27,7 +27,7 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -36,27 +36,28 @@ from typing import Any
 import blind_sets
 import harness
 import numpy as np
+from estimation_settings import estimation_settings
 from rich.progress import track
 
-from cablesense_base.workers import WorkerPool
-from cablesense_gap.arm_simulator import counted_rows, settled
+from cablesense_base import Array
+from cablesense_contact.law import Law
 from cablesense_gap.arm_system import diagnose
 from cablesense_gap.recordings.checks import check_recording, read_recording
-from cablesense_gap.recordings.recording import EXCHANGED, Recording, RecordingError, rows_to_use
+from cablesense_gap.recordings.recording import EXCHANGED, RecordingError, rows_to_use
 from cablesense_gap.scoring import Truth, read_answers
-from cablesense_gap.verdict import Verdict, read_verdict, removed_fraction
-from cablesense_online.stated_contacts import RestingArm
-from cablesense_online.tare import exchanged_plugs
+from cablesense_gap.verdict import Verdict, read_verdict
+from cablesense_online.tare import CalibratedArm, TareError
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.withhold import ArmAnswer, draw_kinds, draw_several, withhold
-from cablesense_sim.arm import Arm, find_arm, open_arm
+from cablesense_sim.arm import Arm, find_arm
 from cablesense_sim.replay import replay_arm
+from cablesense_training.law.build import TorchLaw
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 ARM = "cdsm_lab"
-SETTLED_ROWS = 60
-"""The rows of a second recording from which history-dependent states are estimated."""
+EXCHANGED_PLUGS = "are exchanged"
+"""The words of a refused tare."""
 _FRICTION = ["capstan_friction"] * 3 + ["cable_creep+capstan_friction"]
 
 
@@ -105,7 +106,7 @@ def _blind(options: Any) -> dict[str, Any]:
     recordings = [folder / f"{a.recording}.csv" for a in reversed(everything)]
     since = "reference" if options.reference else ""
     work = partial(_finished, until_s=began + 60.0 * options.minutes, since=since)
-    found = in_pool(work, recordings, options.workers)
+    found = blind_sets.in_pool(work, recordings, options.workers)
     done = {path.stem: one for path, one in zip(recordings, found, strict=True) if one}
     result = {"seed": options.seed, **blind_sets.scored(everything[: options.count], done)}
     if options.friction:
@@ -120,12 +121,6 @@ def drawn(folder: Path, kinds: Sequence[str], seed: int, **more: Any) -> list[Ar
     return list(track(made, "Recording", total=len(kinds)))
 
 
-def in_pool(work: Callable[[Path], Any], paths: Sequence[Path], workers: int) -> list[Any]:
-    """What `work` makes of each path, in as many processes as workers."""
-    with WorkerPool(workers) as pool:
-        return list(track(pool.map(work, paths), "Working", total=len(paths)))
-
-
 def _finished(path: Path, until_s: float, since: str) -> blind_sets.Finished | None:
     beside = path.with_name(f"{path.stem}.{since}")
     return blind_sets.finished(beside, until_s, partial(_diagnosed, path, since))
@@ -133,30 +128,12 @@ def _finished(path: Path, until_s: float, since: str) -> blind_sets.Finished | N
 
 def _diagnosed(path: Path, since: str) -> tuple[Verdict, float]:
     """`since` is the folder of the references, if any."""
-    arm = open_arm(ARM)
+    arm = blind_sets.narrow_arm(ARM)
     healthy = read_recording(path.parent / since / path.name, arm) if since else None
     diagnosis = diagnose(read_recording(path, arm), arm, reference=healthy)
     again = read_recording(path.parent / "second" / path.name, arm)
     floor_n = diagnosis.verdict.gap.floor_n
-    return diagnosis.verdict, _removed_on(again, arm, diagnosis.amended, floor_n)
-
-
-def _removed_on(recording: Recording, nominal: Arm, amended: Arm, floor_n: float) -> float:
-    """The share of the removable gap that an amended arm removes on a new recording of it.
-
-    Its state is estimated from the first rows, which do not count.
-    """
-    nominal_n, amended_n = (
-        replay_arm(arm, *recording.inputs)
-        for arm in (nominal, settled(amended, recording, SETTLED_ROWS))
-    )
-    judged = counted_rows(nominal, recording, nominal_n)
-    judged[:SETTLED_ROWS] = False
-    before_n, after_n = (
-        float(np.sqrt(((recording.tensions_n - each)[judged] ** 2).mean()))
-        for each in (nominal_n, amended_n)
-    )
-    return removed_fraction(before_n, after_n, floor_n)
+    return diagnosis.verdict, blind_sets.removed_on(again, arm, diagnosis.amended, floor_n)
 
 
 def _speed(effect: str, seed: int) -> dict[str, Any]:
@@ -181,9 +158,11 @@ def _speed(effect: str, seed: int) -> dict[str, Any]:
 
 def _exchanged(count: int, seed: int) -> dict[str, Any]:
     """How often exchanged columns are named by a diagnosis and at a tare; false alarms."""
-    arm, rng = open_arm(ARM), np.random.default_rng([seed])
-    straight_n = RestingArm(arm, 1).predict_n(np.zeros(arm.joint_count))
-    named, false, tared, false_tares, seconds = 0, 0, 0, 0, []
+    arm = blind_sets.narrow_arm(ARM)
+    law = TorchLaw(arm)
+    rng = np.random.default_rng([seed])
+    named = false = tared = false_tares = 0
+    seconds = []
     with tempfile.TemporaryDirectory() as name:
         drawn(Path(name), draw_kinds(rng, count), seed)
         for path in sorted(Path(name).glob("*.csv")):
@@ -201,10 +180,10 @@ def _exchanged(count: int, seed: int) -> dict[str, Any]:
             nominal_n = replay_arm(arm, *read.rows(rows).inputs)
             found = check_recording(read, arm, nominal_n, rows)
             false += any(finding.kind == EXCHANGED for finding in found)
-            rest_n = read.tensions_n[read.trial == read.trial[0]].mean(axis=0)
-            pair = f"cable_{one + 1} and cable_{other + 1} look"
-            tared += pair in exchanged_plugs(rest_n[order], straight_n)
-            false_tares += bool(exchanged_plugs(rest_n, straight_n))
+            resting_n = read.tensions_n[read.trial == read.trial[0]]
+            pair = f"{arm.cable_names[one]} and {arm.cable_names[other]} are exchanged"
+            tared += pair in _refused_tare(arm, law, resting_n[:, order])
+            false_tares += EXCHANGED_PLUGS in _refused_tare(arm, law, resting_n)
     return {
         "recordings": count,
         "diagnosis": {"named": named, "false_alarms": false},
@@ -213,16 +192,30 @@ def _exchanged(count: int, seed: int) -> dict[str, Any]:
     }
 
 
+def _refused_tare(arm: Arm, law: Law, readings_n: Array) -> str:
+    """Why readings (R, M) are no tare of the straight arm, as text; empty where they are one."""
+    settings = estimation_settings(tare_samples=len(readings_n))
+    known = CalibratedArm(arm, law, settings)
+    known.at(np.zeros(arm.joint_count))
+    for reading_n in readings_n.tolist():
+        known.add(reading_n)
+    try:
+        known.take(0)
+    except TareError as error:
+        return str(error)
+    return ""
+
+
 def _without_answers(options: Any) -> list[dict[str, Any]]:
     paths = sorted(options.recordings.rglob("*.csv"))
     paths = [path for path in paths if path.name != "answers.csv"]
-    found = in_pool(_verdict, paths, options.workers)
+    found = blind_sets.in_pool(_verdict, paths, options.workers)
     hidden = [Truth(path.stem, ()) for path in paths]
     return [blind_sets.case(*one, None) for one in zip(hidden, found, strict=True)]
 
 
 def _verdict(path: Path) -> Verdict:
-    arm = open_arm(ARM)
+    arm = blind_sets.narrow_arm(ARM)
     return diagnose(read_recording(path, arm), arm).verdict
 
 

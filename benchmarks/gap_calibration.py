@@ -18,7 +18,7 @@ from typing import Any
 
 import harness
 import numpy as np
-from gap_blind import ARM, in_pool
+from blind_sets import in_pool, narrow_arm
 from scipy.optimize import minimize
 
 from cablesense_gap.arm_system import ArmSystem
@@ -28,8 +28,8 @@ from cablesense_gap.diagnosis.search import search
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.scoring import read_answers
 from cablesense_gap.system import problem_of
-from cablesense_sim.arm import open_arm
 
+ARM = "cdsm_lab"
 TARGET = Path(probability.__file__).with_name("calibration.json")
 START = ProbabilityCalibration(4.0, 6.0, 2.5, 5.0, 0.05, 4.0, 2.5, 0.6, 0.5, 0.2)
 WIDTHS = (2.0, 3.0, 1.5, 2.0, 0.05, 4.0, 1.5, 0.4, 0.5, 0.5)
@@ -66,7 +66,7 @@ def _searched(path: Path) -> Any:
 
 
 def _search(path: Path) -> dict[str, object]:
-    arm = open_arm(ARM)
+    arm = narrow_arm(ARM)
     problem = problem_of(ArmSystem(arm, read_recording(path, arm)))
     explanations = search(problem)
     return {
@@ -75,7 +75,7 @@ def _search(path: Path) -> dict[str, object]:
         "left": [h.held_out_rmse for h in explanations],
         "sizes": [h.sizes for h in explanations],
         "strains": [h.tolerance_chi2 for h in explanations],
-        "tolerances": int(problem.acting_tolerances.sum()),
+        "tolerances": int(problem.acting_directions.sum()),
     }
 
 

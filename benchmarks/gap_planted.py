@@ -21,6 +21,7 @@ from typing import Any
 
 import harness
 import numpy as np
+from blind_sets import narrow_arm
 
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.arm_simulator import ArmSimulator
@@ -29,7 +30,6 @@ from cablesense_gap.recordings.protocol import rows_of, standard_protocol
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_gap.verdict import Verdict
-from cablesense_sim.arm import open_arm
 from cablesense_sim.effects.effect import WHOLE_ARM
 from cablesense_sim.replay import read_tensions_n
 
@@ -48,7 +48,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2, help="processes")
     parser.add_argument("--folder", type=Path, help="of finished cases, continued there")
     options = parser.parse_args()
-    arm = open_arm(ARM)
+    arm = narrow_arm(ARM)
     asked = rows_of(standard_protocol(arm), RATE_HZ)
     planted = [
         (candidate, place, multiple)
@@ -99,7 +99,7 @@ def _planted(
     candidate: Candidate, place: str, multiple: float, asked: Recording, seeds: list[int]
 ) -> dict[str, Any]:
     """A case; an arm that collapses gives none."""
-    arm, rng = open_arm(ARM), np.random.default_rng(seeds)
+    arm, rng = narrow_arm(ARM), np.random.default_rng(seeds)
     simulator = ArmSimulator(arm, asked)
     off = {
         term: float(rng.normal(0.0, parameter.typical))

@@ -120,9 +120,10 @@ def _publish(
 
 def _in_process(count: int) -> dict[str, Any]:
     """How long the estimation takes for each of `count` samples of a contact, µs."""
-    loaded, unloaded_and_pushed = load_model(ARM, ""), _samples()
-    settings = estimation_settings(tare_samples=100, largest_misfit=loaded.largest_misfit(-1.0))
-    estimation = Estimation(loaded.arm, loaded.estimator, settings, 0.0)
+    loaded = load_model(ARM, "")
+    unloaded_and_pushed = _samples()
+    settings = estimation_settings(tare_samples=100)
+    estimation = Estimation(loaded.arm, loaded.contacts(settings), settings, 0.0)
     taken_us: list[float] = []
     stamp_ns = time.time_ns()
     for samples, repeats in zip(unloaded_and_pushed, (300, count), strict=True):

@@ -20,7 +20,7 @@ from typing import Any
 
 import harness
 import numpy as np
-from estimated_arm import EstimatedArm
+from estimated_arm import START_NS, EstimatedArm
 from estimation_settings import estimation_settings
 from rich.progress import track
 
@@ -28,11 +28,14 @@ from cablesense_base import Array
 from cablesense_base.workers import WorkerPool
 from cablesense_msgs_py.messages import ForceState, Load
 from cablesense_online.answer import Answer
+from cablesense_online.contacts import Situation
 from cablesense_online.simulated_arm import SimulatedArm
 from cablesense_sim.dynamics import ArmDynamics
+from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.kinematics import segment_rotations
 from cablesense_sim.loads import normal_force_n
+from cablesense_sim.mechanism import Mechanism
 
 RATE_HZ, COMMANDS_HZ = 500, 50
 PUSH_N, BEND_DEG = 20.0, (5.0, 8.0)
@@ -144,15 +147,20 @@ class Bench(EstimatedArm):
 
 def noisy_n(bench: Bench, here_rad: Array, pushed_n: float) -> float:
     """Standard deviation of forces that are estimated at the poses of single noisy commands."""
-    unloaded_n = bench.estimation.plausibility.arm.predict_n
-    here_n, off_n = unloaded_n(here_rad), []
+    off_n = []
+    here_n = unloaded_n(bench.mechanism, here_rad)
     for _ in range(SINGLE_POSES):
         stated_rad = here_rad + bench.rng.normal(0.0, NOISE_RAD, len(here_rad))
-        reading_n = bench.reading_n() + here_n - unloaded_n(stated_rad)
-        found = bench.estimation.model.find(reading_n, 0, bench.settings.contact_threshold)
+        reading_n = bench.reading_n() + here_n - unloaded_n(bench.mechanism, stated_rad)
+        found = bench.estimation.contacts.find(reading_n, Situation(here_rad, START_NS))
         sizes_n = [contact.magnitude_n for contact in found.contacts] if found else []
         off_n.append(max(sizes_n, default=0.0) - pushed_n)
     return float(np.sqrt(np.mean(np.square(off_n))))
+
+
+def unloaded_n(mechanism: Mechanism, command_rad: Array) -> Array:
+    """Tensions (M,) of the untouched arm at a command."""
+    return solve_equilibrium(mechanism, command_rad).tensions_n
 
 
 def moved(seed: int, name: str, title: str, number: int) -> list[float]:

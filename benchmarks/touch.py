@@ -1,4 +1,4 @@
-"""Contacts anywhere on the arm, made by MuJoCo's contact engine, against the posterior by statics.
+"""Contacts anywhere on the arm, made by MuJoCo's contact engine, against the law's statements.
 
     python benchmarks/touch.py [--samples 400] [--seed 7001] [--write]
 
@@ -13,38 +13,39 @@ axis, and the lateral force, are compared.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import harness
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import track
 
 from cablesense_base import Array
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.contact_location import (
-    ContactPair,
-    Location,
-    Surface,
-    TorqueBalance,
-    locate,
-    locate_two,
-    reach_m,
-    torque_balance,
-)
 from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec
-from cablesense_sim.replay import difference_variance_n2, read_tensions_n
+from cablesense_sim.replay import read_tensions_n
+from cablesense_training.evaluation.law import (
+    KnownArm,
+    Statements,
+    TrueContacts,
+    by_segment,
+    exact_calibration,
+    is_stated,
+    stated_contacts,
+)
+from cablesense_training.evaluation.metrics import plain_values
+from cablesense_training.law.build import TorchLaw
 
 SURFACE_M = 0.055
 """Radius of the touched surface: just outside the cables, which run 0.05 m from the axis."""
 OBSTACLE_M = 0.01
 SERVO_N_M, SERVO_KG = 2e3, 0.2
 HALF_EDGE_M, GAP_M = 0.04, 0.002
-TARE_SAMPLES = 50
 STEPS, AT_REST_RAD_S = 6000, 1e-6
 NOSLIP_ITERATIONS = 20
 EDGE_M = 0.012
@@ -231,7 +232,8 @@ class Drawn(NamedTuple):
 def drawn(arm: Arm, kind: Kind, count: int, rng: np.random.Generator, title: str) -> Drawn:
     """Samples of one kind; those without the right contacts are left out."""
     touched = TouchedArm(arm, kind)
-    largest_n, reach = ARMS[arm.name], reach_m(touched.mechanism)
+    largest_n = ARMS[arm.name]
+    reach = reach_m(touched.mechanism)
     commands, contacts, changes = [], [], []
     edge_m = EDGE_M + kind.slide_m
     for _ in track(range(count), title):
@@ -255,69 +257,49 @@ def drawn(arm: Arm, kind: Kind, count: int, rng: np.random.Generator, title: str
     return Drawn(np.array(commands), contacts, np.array(changes))
 
 
-def balanced(arm: Arm, samples: Drawn, rng: np.random.Generator) -> TorqueBalance:
-    """The balance of the tensions as the arm's sensors read them, less an averaged tare."""
-    mechanism, sensors = mechanism_of(arm), arm.sensors
-    before_n = solve_equilibrium(mechanism, samples.command_rad).tensions_n
-    tare_n = np.mean([read_tensions_n(before_n, sensors, rng) for _ in range(TARE_SAMPLES)], 0)
-    difference_n = read_tensions_n(before_n + samples.change_n, sensors, rng) - tare_n
-    variance_n2 = difference_variance_n2(sensors, TARE_SAMPLES)
-    return torque_balance(mechanism, samples.command_rad, difference_n, variance_n2)
+def reach_m(mechanism: Mechanism) -> Array:
+    """(N, 2) places that are pressed: from the guide plate after a joint to the next joint."""
+    length_m = mechanism.segment_length_m
+    return np.stack([np.full(len(length_m), mechanism.plate_offset_m), length_m], axis=1)
 
 
-def figures_of_one(samples: Drawn, found: Location) -> dict[str, Any]:
-    """Errors and coverage: beyond the first segment of place and force, on it of the moment."""
-    contacts = [touches[0] for touches in samples.contacts]
-    truth, place_m, force_n, turned = (np.array(part) for part in zip(*contacts, strict=True))
-    lateral_n = np.linalg.norm(force_n[:, 1:], axis=1)
-    right = found.segment == truth
-    far, first = right & (truth > 1), right & (truth == 1)
-    lateral_off = np.linalg.norm((found.force_n - force_n)[:, 1:], axis=1) / lateral_n
-    off_moment = np.linalg.norm(found.moment_n_m - turned, axis=1) / np.linalg.norm(turned, axis=1)
-    place_held = _holds(found.place_ci95_m, place_m)
-    force_held = _holds(found.magnitude_ci95_n, lateral_n)
-    return {
-        "contacts": len(contacts),
-        "segment_right": round(float(right.mean()), 4),
-        "place_mm": _of(1e3 * np.abs(found.place_m - place_m)[far]),
-        "lateral_force_share": _of(lateral_off[far]),
-        "place_coverage95": _share(place_held[far]),
-        "magnitude_coverage95": _share(force_held[far]),
-        "segment_1_moment_share": _of(off_moment[first]),
-        "segment_1_place_coverage95": _share(place_held[first]),
-        "segment_1_magnitude_coverage95": _share(force_held[first]),
-    }
+def with_surface(arm: Arm) -> Arm:
+    """The arm, whose file states its surface."""
+    touch = arm.touch.model_copy(update={"radius_m": SURFACE_M, "friction": FRICTION})
+    return arm.model_copy(update={"touch": touch})
 
 
-def figures_of_two(samples: Drawn, found: ContactPair, single: Location) -> dict[str, Any]:
-    """Errors where the segments are right, and whether the evidence is for two contacts."""
-    truth, place_m, force_n = (
-        np.array([[touch[k] for touch in both] for both in samples.contacts]) for k in range(3)
+def answered(arm: Arm, samples: Drawn, rng: np.random.Generator) -> Statements:
+    """What is stated of the tensions as the arm's sensors read them."""
+    before_n = solve_equilibrium(mechanism_of(arm), samples.command_rad).tensions_n
+    readings = np.stack(
+        [
+            read_tensions_n(tensions_n, arm.sensors, rng)
+            for tensions_n in (before_n, before_n + samples.change_n)
+        ]
     )
-    both = (found.segments == truth).all(axis=1)
-    interval_m = found.place_m[..., None] + 1.96 * found.place_std_m[..., None] * [-1.0, 1.0]
-    off_n = np.linalg.norm((found.force_n - force_n)[..., 1:], axis=-1)
+    known = KnownArm(TorchLaw(arm), arm, exact_calibration(arm))
+    return known.stated(readings, samples.command_rad)
+
+
+def figures_of_one(arm: Arm, samples: Drawn, answers: Statements) -> dict[str, Any]:
+    """Answers, errors and coverage, of all and by segment."""
+    contacts = [touches[0] for touches in samples.contacts]
+    segment, place_m, force_n, turned = (np.array(part) for part in zip(*contacts, strict=True))
+    lateral_n = np.linalg.norm(force_n[:, 1:], axis=1)
+    truth = TrueContacts(segment, place_m, np.linalg.norm(turned, axis=1) / lateral_n, force_n)
+    rows = {"all": stated_contacts(arm, truth, answers)}
+    for n, row in enumerate(by_segment(arm, truth, answers), start=1):
+        rows[f"segment_{n}"] = row
+    return dict(plain_values({name: asdict(row) for name, row in rows.items()}))
+
+
+def figures_of_two(answers: Statements) -> dict[str, Any]:
+    """How many are stated as one contact."""
     return {
-        "samples": len(truth),
-        "two_by_evidence": _share(found.log_evidence > single.log_evidence),
-        "segments_right": _share(both),
-        "place_coverage95": _share(_holds(interval_m, place_m)[both]),
-        "place_std_mm": _of(1e3 * found.place_std_m[both]),
-        "place_mm": _of(1e3 * np.abs(found.place_m - place_m)[both]),
-        "lateral_force_n": _of(off_n[both]),
+        "samples": len(answers.state),
+        "stated_as_one": round(float(is_stated(answers).mean()), 3),
     }
-
-
-def _holds(interval: Array, value: Array) -> NDArray[np.bool_]:
-    return np.asarray((value >= interval[..., 0]) & (value <= interval[..., 1]))
-
-
-def _share(rows: NDArray[np.bool_]) -> float:
-    return round(float(rows.mean()), 3)
-
-
-def _of(values: Array) -> dict[str, float]:
-    return harness.percentiles(values, ["median", "95 %", "worst"], 4)
 
 
 def main() -> None:
@@ -327,22 +309,18 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=7001, help="of places, forces and noise")
     given = options.parse_args()
     result: dict[str, Any] = {}
-    surface = Surface(SURFACE_M, FRICTION)
     for row, name in enumerate(ARMS):
-        arm = open_arm(name)
-        reach = reach_m(mechanism_of(arm))
+        arm = with_surface(open_arm(name))
         for column, (title, kind) in enumerate(KINDS.items()):
             rng = np.random.default_rng([given.seed, row, column])
             samples = drawn(arm, kind, given.samples, rng, f"{name}, {title}")
-            balance = balanced(arm, samples, rng)
-            single = locate(balance, reach, surface)
+            answers = answered(arm, samples, rng)
             if kind.obstacles == 1:
-                figures = figures_of_one(samples, single)
+                figures = figures_of_one(arm, samples, answers)
             else:
-                pairs = locate_two(balance, reach, surface=surface)
-                figures = figures_of_two(samples, pairs, single)
+                figures = figures_of_two(answers)
             result.setdefault(name, {})[title] = figures
-    harness.publish("touch.json", result, given, "mujoco", "numpy")
+    harness.publish("touch.json", result, given, "mujoco", "numpy", "torch")
 
 
 if __name__ == "__main__":

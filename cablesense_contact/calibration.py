@@ -19,7 +19,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -179,7 +179,7 @@ class Calibrator:
         return replace(calibration, mean=mean, covariance=covariance)
 
     def aged(self, calibration: Calibration, now_ns: int) -> Calibration:
-        """The calibration at a time: the sensors' zeros drift from the last unloaded reading on."""
+        """The calibration at a time: zeros drift from the last unloaded reading on."""
         if not calibration.changed_ns or now_ns <= calibration.changed_ns:
             return calibration
         drift_n = self._drift_n(calibration.changed_ns, now_ns)
@@ -196,13 +196,11 @@ class Calibrator:
         Raises:
             CalibrationError: the reading is not one of this arm without a load, and not forced.
         """
-        present = self.moved(self.aged(calibration, unloaded.taken_ns))
-        slope, innovation = self._linear(present.mean, present.covariance, [unloaded])
-        noise = self._noise_n2(unloaded, unloaded.taken_ns)
-        spread = slope[0] @ present.covariance @ slope[0].T + noise
-        misfit = float(innovation[0] @ np.linalg.solve(spread, innovation[0]))
-        self._require_unloaded(misfit, len(noise), force=force)
-        return self._fitted(replace(calibration, unloaded=(*calibration.unloaded, unloaded)))
+        fitted = self._fitted(replace(calibration, unloaded=(*calibration.unloaded, unloaded)))
+        # the innovation's χ² is by how much the least sum of squares grows
+        misfit = fitted.chi2 - calibration.chi2
+        self._require_unloaded(misfit, len(unloaded.reading_n), force=force)
+        return fitted
 
     def without_last(self, calibration: Calibration) -> Calibration:
         """The calibration before its last unloaded reading."""
@@ -326,18 +324,30 @@ def parameters_of(arm: Arm) -> ArmParameters:
     return ArmParameters(mechanism_of(arm), arm.tolerances, friction)
 
 
-def write_calibration(path: str | Path, calibration: Calibration) -> None:
-    """Write a calibration file: a NumPy archive with a JSON header.
+def write_calibration(
+    path: str | Path, calibration: Calibration, described: Arm | None = None
+) -> None:
+    """Write a calibration file, with the arm's description where it is given.
 
     Raises:
         CalibrationError: it cannot be written.
     """
-    header = {
+    write_atomically(path, calibration_bytes(calibration, described), CalibrationError)
+
+
+def calibration_bytes(calibration: Calibration, described: Arm | None = None) -> bytes:
+    """The content of a calibration file: a NumPy archive with a JSON header.
+
+    With the arm's description it can be shown without the arm file (`described_arm`).
+    """
+    header: dict[str, object] = {
         "format": FORMAT,
         "arm": calibration.arm_identity,
         "made_from": calibration.made_from,
         "chi2": calibration.chi2,
     }
+    if described is not None:
+        header["described"] = described.model_dump(mode="json")
     unloaded = calibration.unloaded
     content = io.BytesIO()
     np.savez_compressed(
@@ -352,7 +362,7 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
         counts=np.array([one.count for one in unloaded], dtype=np.int64),
         taken_ns=np.array([one.taken_ns for one in unloaded], dtype=np.int64),
     )
-    write_atomically(path, content.getvalue(), CalibrationError)
+    return content.getvalue()
 
 
 def read_calibration(path: str | Path, arm: Arm) -> Calibration:
@@ -362,24 +372,28 @@ def read_calibration(path: str | Path, arm: Arm) -> Calibration:
         CalibrationError: no calibration file, or one of another arm.
     """
     content = read_bounded_bytes(path, MAX_FILE_BYTES, "a calibration file", CalibrationError)
+    return calibration_of(content, arm, str(path))
+
+
+def calibration_of(content: bytes, arm: Arm, source: str) -> Calibration:
+    """The calibration of an arm in the content of a file, which `source` names in errors.
+
+    Raises:
+        CalibrationError: no calibration, or one of another arm.
+    """
+    header, parts = _opened(content, source)
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            parts = {name: archive[name] for name in archive.files}
-        header = json.loads(bytes(parts.pop("header")))
-        form = str(header["format"])
-        if form != FORMAT:
-            raise CalibrationError(f"{path}: format {form!r}; this version reads {FORMAT!r}")
         calibration = Calibration(
             arm_identity=str(header["arm"]),
-            mean=np.asarray(parts["mean"], dtype=float),
-            covariance=_whole(parts["covariance"]),
-            prior_mean=np.asarray(parts["prior_mean"], dtype=float),
-            prior_covariance=_whole(parts["prior_covariance"]),
+            mean=_real(parts["mean"]),
+            covariance=_whole(_real(parts["covariance"])),
+            prior_mean=_real(parts["prior_mean"]),
+            prior_covariance=_whole(_real(parts["prior_covariance"])),
             unloaded=tuple(
                 Unloaded(reading, command, int(count), int(taken))
                 for reading, command, count, taken in zip(
-                    parts["readings_n"],
-                    parts["commands_rad"],
+                    _real(parts["readings_n"]),
+                    _real(parts["commands_rad"]),
                     parts["counts"],
                     parts["taken_ns"],
                     strict=True,
@@ -388,14 +402,60 @@ def read_calibration(path: str | Path, arm: Arm) -> Calibration:
             chi2=float(header["chi2"]),
             made_from=str(header["made_from"]),
         )
-    except CalibrationError:
-        raise
-    except Exception as error:  # NumPy and zip raise whatever the broken place led to
-        raise CalibrationError(
-            f"{path}: no calibration file; `cablesense calibrate` and a commissioning make one"
-        ) from error
-    _require_fitting(calibration, arm, str(path))
+    except Exception as error:  # NumPy raises whatever the broken place led to
+        raise _no_calibration(source) from error
+    _require_fitting(calibration, arm, source)
     return calibration
+
+
+def described_arm(content: bytes, source: str) -> Arm:
+    """The arm whose calibration this content of a file is, by the description in it.
+
+    Raises:
+        CalibrationError: no calibration, or one without a description.
+    """
+    header, _ = _opened(content, source)
+    if "described" not in header:
+        raise CalibrationError(
+            f"{source}: holds no description of its arm, {str(header.get('arm'))[:80]}; one that "
+            "`cablesense calibrate` or a commissioning has written does"
+        )
+    try:
+        return Arm.model_validate(header["described"])
+    except ValueError as error:
+        raise CalibrationError(
+            f"{source}: the description of its arm cannot be true, so it was changed, or made by "
+            "another version; calibrate again"
+        ) from error
+
+
+def is_calibration(content: bytes) -> bool:
+    """Whether this content of a file is meant to be a calibration."""
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+            return "prior_covariance" in archive.files
+    except Exception:  # of NumPy and zip, whatever the content led to
+        return False
+
+
+def _opened(content: bytes, source: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The header, and the arrays by name."""
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+            parts = {name: archive[name] for name in archive.files}
+        header = json.loads(bytes(parts.pop("header")))
+        form = str(header["format"])
+    except Exception as error:  # NumPy and zip raise whatever the broken place led to
+        raise _no_calibration(source) from error
+    if form != FORMAT:
+        raise CalibrationError(f"{source}: format {form!r}; this version reads {FORMAT!r}")
+    return header, parts
+
+
+def _no_calibration(source: str) -> CalibrationError:
+    return CalibrationError(
+        f"{source}: no calibration file; `cablesense calibrate` and a commissioning make one"
+    )
 
 
 def _require_fitting(calibration: Calibration, arm: Arm, path: str) -> None:
@@ -415,11 +475,20 @@ def _require_fitting(calibration: Calibration, arm: Arm, path: str) -> None:
     numbers = [calibration.mean, calibration.covariance, calibration.prior_mean]
     numbers += [calibration.prior_covariance, np.array([calibration.chi2])]
     for one in calibration.unloaded:
-        if len(one.reading_n) != arm.cable_count or len(one.command_rad) != arm.joint_count:
+        shapes = one.reading_n.shape, one.command_rad.shape
+        if shapes != ((arm.cable_count,), (arm.joint_count,)):
             raise CalibrationError(f"{path}: holds a reading of another arm; calibrate again")
         numbers += [one.reading_n, one.command_rad]
     if not all(np.isfinite(each).all() for each in numbers):
         raise CalibrationError(f"{path}: contains a number that is not finite; calibrate again")
+    variances = np.diagonal(calibration.covariance), np.diagonal(calibration.prior_covariance)
+    if min(each.min() for each in variances) < 0.0:
+        raise CalibrationError(f"{path}: contains a negative variance; calibrate again")
+
+
+def _real(numbers: Any) -> Array:
+    """An array of real numbers; of others NumPy raises an error."""
+    return np.asarray(numbers).astype(float, casting="same_kind")
 
 
 def _upper(symmetric: Array) -> Array:

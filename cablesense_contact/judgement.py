@@ -34,7 +34,7 @@ IMPROBABLE = 1e-6
 _CONTACT_NUMBERS = 4
 """Numbers that a contact fits: three of the force, and the place."""
 _KNOWN_N = 1.0
-_KNOWN_SHARE = 0.5
+_KNOWN_SHARE = 0.3
 """A force is known if half of its interval is below one of these: in N, or a share of it."""
 
 
@@ -137,19 +137,19 @@ class Judge:
     def _rivals(self, seen: LawOutput, reading_n: Array) -> Iterator[_Rival]:
         """What else may be behind the reading."""
         each = LOG_PRIOR_FAULT - math.log(len(self._names))
-        for channel, name in enumerate(self._names):
-            off_n = float(seen.fault_n[0, channel])
+        for index, name in enumerate(self._names):
+            off_n = float(seen.fault_n[0, index])
             much = "much" if off_n > 0.0 else "little"
             yield _Rival(
-                float(seen.faulty_evidence[0, channel]) + each,
+                float(seen.faulty_evidence[0, index]) + each,
                 f"{name} reads {abs(off_n):.1f} N too {much}, and nothing touches the arm",
                 fault=True,
             )
         beside = seen.faulty_segment_evidence[0]
-        channel, segment = np.unravel_index(int(beside.argmax()), beside.shape)
+        channel, of_segment = np.unravel_index(int(beside.argmax()), beside.shape)
         yield _Rival(
             float(beside.max()) + each,
-            f"{self._names[channel]} is wrong, beside a contact on segment {segment + 1}",
+            f"{self._names[channel]} is wrong, beside a contact on segment {of_segment + 1}",
             fault=True,
         )
         pairs = len(self._names) * (len(self._names) - 1) / 2
@@ -168,8 +168,7 @@ class Judge:
             same_moment=segment == int(seen.contact_evidence[0].argmax()),
         )
         yield _Rival(
-            float(seen.several_evidence[0]) + LOG_PRIOR_SEVERAL,
-            "contacts on several segments",
+            float(seen.several_evidence[0]) + LOG_PRIOR_SEVERAL, "contacts on several segments"
         )
 
 

@@ -1,64 +1,44 @@
-"""A force estimator that is trained on the amended arm of a diagnosis.
+"""From a diagnosis to an estimator that knows the arm: no training, some seconds.
 
-Some trials are withheld: neither the diagnosis nor the training has their readings, and the
-estimators before and after are judged on their loads. The new one is trained on the amended arm,
-over the poses and forces of the one in use, with a memory if the arm depends on history.
+Some trials are withheld: the diagnosis does not have their readings, and the estimators before and
+after are judged on their loads. The new one is the law of the amended arm, with a calibration that
+starts from what the diagnosis found of the arm's uncertain parameters. What neither explains, as
+creep or play, counts as noise of its readings.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError
+from cablesense_contact.calibration import Calibration, Calibrator, parameters_of
+from cablesense_gap.arm_nuisance import terms_of
 from cablesense_gap.arm_system import Diagnosis, diagnose, folds_of
 from cablesense_gap.recorded_contacts import (
+    ArmLaw,
+    RecordedArm,
     RecordedErrors,
-    answer_at,
+    arm_of,
     at_contact_points,
-    contact_errors,
-    loads_at_m,
     recorded_errors,
-    tares_n,
+    tares_of,
     with_acting_loads,
-    without_history_n,
 )
 from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import EstimatorErrors
 from cablesense_sim.arm import Arm
-from cablesense_sim.contact_location import locate, touched_at
-from cablesense_sim.load_capacity import contact_range_n
-from cablesense_training.errors import DatasetError
-from cablesense_training.evaluation.metrics import ContactAnswer, angle_difference_deg
-from cablesense_training.fit import EpochRecord, OnEpoch
-from cablesense_training.inference.anywhere import AnywhereEstimator
-from cablesense_training.inference.estimator import NORMAL_95, Estimator, SequenceEstimator
-from cablesense_training.inference.history_simulation import (
-    HistorySimulation,
-    depends_on_history,
-    without_history,
-)
-from cablesense_training.inference.metadata import HISTORY_SIMULATED
-from cablesense_training.inference.temporal_estimator import open_estimator
-from cablesense_training.model_training import (
-    balance_answer,
-    contact_answer,
-    draw_training_data,
-    recipe_for,
-    train_model,
-)
-from cablesense_training.networks.layers import ContactNetwork
-from cablesense_training.networks.statics import AnywhereStatics, CorrectedClosedForm
-from cablesense_training.networks.temporal import TemporalNetwork
+from cablesense_sim.effects.registry import known_effects
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.law.build import TorchLaw
+from cablesense_training.law_export import export_law
 
-_SAMPLES, _EPOCHS, _TEST_SAMPLES = 4096, 8, 512
-"""A small training: the network only corrects a closed form."""
-_ANYWHERE = "anywhere"
+_MOST_TRIALS = 12
+"""Trials, evenly chosen, that show what the law does not explain."""
 _ERROR_LEFT, _CONTACTS_LOST = 0.95, 0.01
 """A better estimator leaves at most this share of the force error, and names at most this share of
 the contacts less: one that names fewer contacts has small errors for the wrong reason."""
@@ -69,14 +49,38 @@ class AdaptationError(CableSenseError):
 
 
 @dataclass(frozen=True)
+class AdaptedEstimator:
+    """The law of an amended arm, and how well that arm is known.
+
+    Attributes:
+        law: in PyTorch.
+        calibration: from the diagnosis.
+        unexplained_n2: variance of a reading by what the law does not know of the arm, N².
+    """
+
+    law: TorchLaw
+    calibration: Calibration
+    unexplained_n2: float
+
+    def export(self, path: Path, command: str) -> None:
+        """Write the law as a model file, with the `command` that makes it again.
+
+        Raises:
+            TrainingError: as `export_law`.
+        """
+        export_law(self.law.arm, path, command, self.unexplained_n2)
+
+
+@dataclass(frozen=True)
 class Adaptation:
     """A diagnosis, and errors of the estimators on the loads of the withheld trials.
 
     Attributes:
         trials: numbers of these trials.
         before: of the estimator in use.
-        after: of the new one; None if the diagnosis names no effect to train on.
+        after: of the new one; None if the diagnosis tells nothing new about the arm.
         better: whether the new one is to be used.
+        adapted: the new one; None without it.
     """
 
     diagnosis: Diagnosis
@@ -84,67 +88,60 @@ class Adaptation:
     before: RecordedErrors
     after: RecordedErrors | None
     better: bool
+    adapted: AdaptedEstimator | None
 
 
 def adapt(
     recording: Recording,
     arm: Arm,
-    first: Path,
-    second: Path,
-    command: str,
+    first: ArmLaw | Estimator | None = None,
     progress: Callable[[str, float], None] = lambda *_: None,
     workers: int = 1,
     on_finding: Callable[[str], None] = lambda _: None,
     *,
     force: bool = False,
 ) -> Adaptation:
-    """Diagnose, train on the amended arm, and judge the models in the files `first` and `second`.
+    """Diagnose a recording, and judge the estimator in use and that of the amended arm.
 
-    The second is written if the diagnosis names effects, with `command` in its metadata. See
-    `diagnose` for the other arguments and for errors.
+    `first` is the estimator in use, by default the law of the arm. See `diagnose` for the other
+    arguments and for errors.
 
     Raises:
         AdaptationError: too few loads to withhold some.
-        ModelFileError: `first` is no model of single contacts of this arm.
     """
-    open_estimator(first, arm)
     unseen = withheld_trials(recording, arm)
-    diagnosed = 0.7  # of the whole time; the training takes 0.1
+    diagnosed = 0.9  # of the whole time
 
     def show(doing: str, done: float) -> None:
         progress(doing, diagnosed * done)
 
-    def show_training(record: EpochRecord) -> None:
-        progress("training for the amended arm", diagnosed + 0.1 * record.epoch / _EPOCHS)
-
     found = diagnose(recording, arm, show, workers, on_finding, unseen, force=force)
-    progress("drawing samples of the amended arm", diagnosed)
-    adapted = adapt_to(found, recording, unseen, first, second, command, show_training)
+    progress("judging the estimators", diagnosed)
+    adapted = adapt_to(found, recording, unseen, first or TorchLaw(arm))
     progress("done", 1.0)
     return adapted
 
 
 def adapt_to(
-    found: Diagnosis,
-    recording: Recording,
-    unseen: tuple[int, ...],
-    first: Path,
-    second: Path,
-    command: str,
-    on_epoch: OnEpoch = lambda _: None,
+    found: Diagnosis, recording: Recording, unseen: tuple[int, ...], first: ArmLaw | Estimator
 ) -> Adaptation:
     """The part of `adapt` that follows the diagnosis, which has not seen some trials.
 
-    Estimators are judged on the loads that acted, as the load cell may have errors.
+    Estimators are judged on the loads that acted, as the load cell may have errors. A law in use
+    knows its arm by the tolerances; both laws take a tare before each load.
     """
     recording = with_acting_loads(recording, found.amended)
-    estimator = open_estimator(first)
-    anywhere = network_for(estimator, found.amended) == _ANYWHERE  # both judged on the same loads
-    before, after, better = recorded_errors(recording, estimator, unseen, anywhere), None, False
-    if found.verdict.shares:
-        train_for(found.amended, estimator, recording, unseen, second, command, on_epoch)
-        trained = open_estimator(second, found.amended)
-        after = recorded_errors(recording, trained, unseen, anywhere)
+    anywhere = not isinstance(first, Estimator)  # both are judged on the same loads
+    known = None
+    if not isinstance(first, Estimator):
+        known = Calibrator(arm_of(first), first).by_tolerances()
+    before = recorded_errors(recording, first, unseen, anywhere, known)
+    adapted = None
+    after = None
+    better = False
+    if found.verdict.shares or _tells_more(found):
+        adapted = adapted_estimator(found, recording, unseen)
+        after = recorded_errors(recording, adapted.law, unseen, anywhere, adapted.calibration)
         better = _is_better(before, after)
     errors = EstimatorErrors(
         before=_figures(before),
@@ -153,7 +150,65 @@ def adapt_to(
         trials=unseen,
     )
     verdict = found.verdict.model_copy(update={"estimator": errors})
-    return Adaptation(replace(found, verdict=verdict), unseen, before, after, better)
+    return Adaptation(replace(found, verdict=verdict), unseen, before, after, better, adapted)
+
+
+def adapted_estimator(
+    found: Diagnosis, recording: Recording, unseen: tuple[int, ...] = ()
+) -> AdaptedEstimator:
+    """The estimator of the amended arm; its noise is by the trials that the diagnosis has seen."""
+    calibration = diagnosed_calibration(found)
+    tares = tares_of(recording)
+    rows = np.asarray(tares.of_row >= 0) & ~np.isin(recording.trial, unseen)
+    trials = np.unique(recording.trial[rows])
+    chosen = np.linspace(0, len(trials) - 1, min(len(trials), _MOST_TRIALS)).astype(int)
+    rows &= np.isin(recording.trial, trials[chosen])
+    known = RecordedArm(recording, tares, TorchLaw(found.amended), calibration)
+    unexplained_n2 = known.unexplained_n2(rows)
+    law = TorchLaw(found.amended, unexplained_n2)
+    return AdaptedEstimator(law, calibration, unexplained_n2)
+
+
+def diagnosed_calibration(found: Diagnosis) -> Calibration:
+    """What a diagnosis tells of the amended arm's parameters, as deviations from its file.
+
+    The file lists tolerances as they were fitted, from which these deviate by little. Zeros of
+    sensors are known for the time of the recording; later each may have moved by its tolerance.
+    """
+    arm = found.amended
+    parameters = parameters_of(arm)
+    mean = found.parameters.mean - _listed_deviations(arm)
+    covariance = found.parameters.covariance.copy()
+    zeros = np.arange(len(parameters))[parameters.slices["sensor_zero"]]
+    covariance[zeros, zeros] += arm.tolerances.sensor_zero_n**2
+    return Calibration(
+        arm_identity=arm.identity,
+        mean=mean,
+        covariance=covariance,
+        prior_mean=mean,
+        prior_covariance=covariance,
+        made_from=f"the diagnosis of {found.recording.name}",
+    )
+
+
+def _listed_deviations(arm: Arm) -> Array:
+    """(P,) the tolerances that an arm file lists."""
+    listed: dict[Term, float] = {}
+    for entry in arm.effects:
+        if known_effects()[entry.effect].tolerance:
+            for name, value in entry.parameters.items():
+                term = Term(entry.effect, entry.at, name)
+                listed[term] = listed.get(term, 0.0) + value
+    terms = terms_of(parameters_of(arm))
+    return np.array([0.0 if term is None else listed.get(term, 0.0) for term in terms])
+
+
+def _tells_more(found: Diagnosis) -> bool:
+    """Whether the diagnosis tells more about the arm's parameters than its tolerances do."""
+    expected = parameters_of(found.amended)
+    same_mean = np.allclose(found.parameters.mean, expected.prior_mean)
+    by_tolerances = np.diag(expected.prior_std**2)
+    return not (same_mean and np.allclose(found.parameters.covariance, by_tolerances, atol=0.0))
 
 
 def withheld_trials(recording: Recording, arm: Arm) -> tuple[int, ...]:
@@ -165,7 +220,7 @@ def withheld_trials(recording: Recording, arm: Arm) -> tuple[int, ...]:
     Raises:
         AdaptationError: fewer than two trials have a load that can be estimated.
     """
-    can_be_estimated = (recording.load_segment > 0) & np.isfinite(tares_n(recording)).all(axis=1)
+    can_be_estimated = (recording.load_segment > 0) & (tares_of(recording).of_row >= 0)
     numbers, folds = np.unique(recording.trial), folds_of(recording)
     of_every_model = can_be_estimated & at_contact_points(recording, arm)
     if len(np.unique(recording.trial[of_every_model])) > 1:
@@ -183,101 +238,6 @@ def withheld_trials(recording: Recording, arm: Arm) -> tuple[int, ...]:
     return tuple(int(number) for number in numbers[withheld])
 
 
-def network_for(first: Estimator | SequenceEstimator, arm: Arm) -> str:
-    """The network to train for an arm: of contacts anywhere if those of the first model are.
-
-    That of an arm that depends on its history knows contacts at the arm file's points alone.
-    """
-    if depends_on_history(arm):
-        return HISTORY_SIMULATED
-    anywhere = isinstance(first, AnywhereEstimator)
-    return _ANYWHERE if anywhere else "closed-form-corrected"
-
-
-def train_for(
-    arm: Arm,
-    first: Estimator | SequenceEstimator,
-    recording: Recording,
-    unseen: Collection[int],
-    path: Path,
-    command: str,
-    on_epoch: OnEpoch = lambda _: None,
-) -> None:
-    """Train a network for an arm over the poses and forces of a first model, into a file.
-
-    History-dependent effects are known to it by a simulation that runs with the network. Poses go
-    as far as those of the recording if these are larger, and forces as far as the arm bears. Its
-    intervals are widened until they hold the forces of the trials other than `unseen`.
-    """
-    metadata, has_history = first.metadata, depends_on_history(arm)
-    network = network_for(first, arm)
-    arm = arm if has_history else without_history(arm)
-    pose_deg = float(np.rad2deg(np.abs(recording.command_rad).max()))
-    options: dict[str, Any] = {
-        "samples": _SAMPLES,
-        "pose": "random",
-        "pose_range_deg": max(metadata.pose_range_deg, np.ceil(pose_deg)),
-        "force_high_n": contact_range_n(arm, metadata.force_range_n),
-    }
-    for attempt in range(5):  # with smaller forces if the arm does not bear these in every pose
-        try:
-            data = draw_training_data(arm, network, options, seed=0)
-            break
-        except DatasetError:
-            if attempt == 4:
-                raise
-            options["force_high_n"] *= 0.7
-
-    def widen(trained: ContactNetwork | TemporalNetwork) -> None:
-        assert isinstance(trained, CorrectedClosedForm | AnywhereStatics)
-        unseen_n = np.zeros((0, 2))  # the uncertainty that the simulation states of each answer
-
-        def answering(taken: Recording, tare_n: Array, rows: NDArray[np.bool_]) -> ContactAnswer:
-            nonlocal unseen_n
-            difference_n, hidden_n = taken.tensions_n - tare_n, np.zeros((len(taken), 2))
-            if has_history:
-                simulation = HistorySimulation(arm, metadata.tare_samples)
-                difference_n, hidden_n = without_history_n(taken, tare_n, simulation)
-            unseen_n = hidden_n[rows]
-            if isinstance(trained, AnywhereStatics):
-                balance = balance_answer(trained, difference_n[rows], taken.command_rad[rows])
-                located = locate(balance, *touched_at(arm))
-                at_m = loads_at_m(taken, arm)[rows]
-                return answer_at(located, taken.load_segment[rows], at_m)
-            return contact_answer(trained, difference_n[rows], taken.command_rad[rows])
-
-        anywhere = isinstance(trained, AnywhereStatics)
-        seen = set(np.unique(recording.trial)) - set(unseen)
-        errors = contact_errors(recording, arm, answering, seen, anywhere)
-        off = np.abs(errors.truth.magnitude_n - errors.answer.magnitude_n)
-        turned = np.abs(angle_difference_deg(errors.answer.angle_deg, errors.truth.angle_deg))
-        found = (errors.truth.segment > 0) & (errors.truth.segment == errors.answer.segment)
-        if not found.any():  # there is no error to widen by, and the model will not be used
-            return
-        stated = errors.answer.magnitude_std_n, errors.answer.angle_std_deg
-        unseen_n[:, 1] = np.rad2deg(unseen_n[:, 1] / np.maximum(errors.answer.magnitude_n, 1e-9))
-        wider = []
-        for k, (error, std) in enumerate(zip((off, turned), stated, strict=True)):
-            beyond = np.maximum(error**2 - unseen_n[:, k] ** 2, 0.0) ** 0.5
-            ratio = beyond[found] / (NORMAL_95 * std[found])
-            wider.append(max(1.0, float(np.quantile(ratio, 0.95))))
-        if anywhere:  # one deviation of torques, of which both follow
-            wider = [max(wider)]
-        factor = trained.spread.factor
-        factor.mul_(factor.new_tensor(wider))
-
-    train_model(
-        path,
-        network,
-        data,
-        replace(recipe_for(network).settings, seed=0, threads=1, epochs=_EPOCHS, batch_size=256),
-        command=command,
-        test_samples=_TEST_SAMPLES,
-        on_epoch=on_epoch,
-        on_trained=widen,
-    )
-
-
 def _is_better(before: RecordedErrors, after: RecordedErrors) -> bool:
     first, second = before.whole.errors, after.whole.errors
     return (
@@ -291,6 +251,7 @@ def _figures(errors: RecordedErrors) -> dict[str, float]:
     of_loads = errors.whole.errors
     figures = {
         "contact_accuracy": of_loads.contact_accuracy,
+        "contacts_confirmed": errors.confirmed,
         "force_mae_n": of_loads.magnitude_mae_n,
         "direction_mean_deg": of_loads.direction_mae_deg,
         "interval_coverage": of_loads.magnitude_coverage95,

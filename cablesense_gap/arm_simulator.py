@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_gap.arm_nuisance import tolerance_candidates
 from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.simulator import Assignment, Candidate, parameters_of
+from cablesense_gap.simulator import Assignment, Candidate, parameters_of, predicted_changes
 from cablesense_sim.arm import Arm, ListedEffect
 from cablesense_sim.build import entries_of
 from cablesense_sim.effects.effect import Effect, Parameter, Transmission
@@ -45,7 +47,7 @@ class ArmSimulator:
         sizes = arm.segment_count, arm.cable_count
         effects = known_effects().values()
         self.candidates = tuple(_candidate(e, *sizes) for e in effects if not e.tolerance)
-        self.tolerances = tuple(_candidate(e, *sizes) for e in effects if e.tolerance)
+        self.tolerances = tolerance_candidates(arm)
         self._listed = entries_of(arm)
         self._replay = Replay(arm, *recording.inputs)
         self._nominal_n: Array | None = None
@@ -68,6 +70,16 @@ class ArmSimulator:
             if len(variants) == 1:
                 return np.full((1, *self._shape), np.nan)
             return np.concatenate([self.predict([variant]) for variant in variants])
+
+    def small_changes(self, base: Assignment, variants: Sequence[Assignment]) -> Array:
+        """Changes (P, R, M) of the readings by small differences from a base."""
+        every = dict.fromkeys((*base, *(term for variant in variants for term in variant)), 0.0)
+        whole = [{**every, **variant} for variant in (base, *variants)]
+        entries = [[*self._listed, *entries_from(variant)] for variant in whole]
+        if not transmissions(entries[:1]):
+            with suppress(EquilibriumError):
+                return self._replay.small_changes_n(entries[0], entries[1:])
+        return predicted_changes(self, whole[0], whole[1:])
 
 
 def entries_from(variant: Assignment) -> list[EffectEntry]:
@@ -148,13 +160,7 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
 
 def _similar_arms(arm: Arm) -> list[list[EffectEntry]]:
     """Arms with other tolerances, each one standard deviation from its nominal value."""
-    tolerances = parameters_of(
-        [
-            _candidate(e, arm.segment_count, arm.cable_count)
-            for e in known_effects().values()
-            if e.tolerance
-        ]
-    )
+    tolerances = parameters_of(tolerance_candidates(arm))
     signs = np.random.default_rng(0).choice([-1.0, 1.0], (_SIMILAR_ARMS, len(tolerances)))
     std = np.array([p.typical for p in tolerances.values()])
     return [entries_from(dict(zip(tolerances, each * std, strict=True))) for each in signs]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.amended_arm import amended_arm, judged_earlier, listed_values, without_effects
+from cablesense_gap.arm_nuisance import FittedParameters, fitted_parameters
 from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, supported_rows
 from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.diagnosis.problem import Explanation, Past, Problem, unit_of
@@ -185,6 +186,8 @@ class Diagnosis:
         predicted_n: (R, M) by the nominal arm.
         held_out_n: (R, M) by the amended arm, each trial with effects fitted without its fold.
         counted: (R,) rows that count in sizes of the gap (`counted_rows`).
+        parameters: what the recording says about the arm's uncertain parameters, beside the
+            effects that were found.
         findings: of the checks of the recording, as sentences.
     """
 
@@ -195,6 +198,7 @@ class Diagnosis:
     predicted_n: Array
     held_out_n: Array
     counted: NDArray[np.bool_]
+    parameters: FittedParameters
     findings: tuple[str, ...] = ()
 
     @property
@@ -278,14 +282,16 @@ def diagnose(
     for finding in findings:
         on_finding(finding.text)
     outcome = diagnose_system(system, progress, workers, began_s, healthy)
+    amended = amended_arm(arm, outcome.values, outcome.tolerances)
     return Diagnosis(
         recording=system.recording,
         nominal=arm,
         verdict=outcome.verdict.model_copy(update={"earlier": earlier}),
-        amended=amended_arm(arm, outcome.values, outcome.tolerances),
+        amended=amended,
         predicted_n=outcome.nominal,
         held_out_n=outcome.held_out,
         counted=system.counted,
+        parameters=fitted_parameters(arm, amended, outcome.known),
         findings=tuple(finding.text for finding in findings),
     )
 

@@ -22,6 +22,7 @@ from cablesense_gap.diagnosis.probability import (
     rivals_of,
 )
 from cablesense_gap.diagnosis.search import search
+from cablesense_gap.diagnosis.tolerance_posterior import TolerancePosterior, tolerance_posterior
 from cablesense_gap.explained import (
     candidate_results,
     gap_size,
@@ -48,6 +49,7 @@ class Outcome:
     Attributes:
         values: of the named effects in the places that matter.
         tolerances: as fitted.
+        known: the tolerances with their covariance.
         nominal: (R, C) predicted by the nominal machine.
         held_out: (R, C) by the amended machine, or with the flexible correction; each trial with
             effects, or a correction, without its fold.
@@ -56,6 +58,7 @@ class Outcome:
     verdict: Verdict
     values: dict[Term, float]
     tolerances: Mapping[Term, float]
+    known: TolerancePosterior
     nominal: Array
     held_out: Array
 
@@ -165,4 +168,5 @@ def diagnose_system(
         compared=system.compared,
     )
     progress("done", 1.0)
-    return Outcome(verdict, values, explained.tolerances, nominal, held_out)
+    known = tolerance_posterior(problem, explained)
+    return Outcome(verdict, values, explained.tolerances, known, nominal, held_out)

@@ -1,70 +1,168 @@
-"""Known loads of a recording as contacts with a tare, and a model's errors on them."""
+"""Known loads of a recording as contacts, and an estimator's errors on them.
+
+The law of an arm knows it by a calibration from unloaded rows. It answers a reading as the
+estimator node does, but at commands that are known to have settled. A network of the paper gets
+differences to a tare.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
-from dataclasses import asdict, fields, replace
-from typing import Any, NamedTuple
+from collections.abc import Collection, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_contact.calibration import Calibration, Calibrator, Unloaded
+from cablesense_contact.estimate import NORMAL_95
+from cablesense_contact.judgement import ContactState, Judge
+from cablesense_contact.law import Law, LawOutput
+from cablesense_contact.slides import MOVED_STD, Belief, CableSlides, directions_along
 from cablesense_gap.recordings.recording import SAME_PLACE_M, Recording, RecordingError
+from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.contact_location import Location
 from cablesense_sim.effects.registry import amended, loadings
 from cablesense_sim.loads import normal_components_n
+from cablesense_sim.replay import reading_variance_n2
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
     ContactTruth,
     SingleContactMetrics,
+    mean_or_nan,
     single_contact_metrics,
 )
-from cablesense_training.inference.anywhere import AnywhereEstimator
-from cablesense_training.inference.estimator import Estimator, SequenceEstimator
-from cablesense_training.inference.history_simulation import HistorySimulation
+from cablesense_training.inference.estimator import Estimator
+from cablesense_training.inference.law_model import LawModel
+from cablesense_training.inference.metadata import ANYWHERE
+from cablesense_training.inference.model_file import read_model
 
 _STEADY_N = 1.0
 """Standard deviation of a cable's readings above which the estimator node takes no tare."""
+_FEWEST_UNLOADED = 2
+"""Rows that show an unloaded arm at rest."""
+_LEAST_N = 1e-9
+
+Rows = NDArray[np.bool_]
 
 
-def tares_n(recording: Recording) -> Array:
-    """(R, M) tare of every row that is loaded or released from a load; NaN where there is none.
+class ArmLaw(Law, Protocol):
+    """A law that states whose it is."""
 
-    A tare is the mean of the unloaded rows just before the load, at its command. If these are not
-    steady, as with sensors that lag, the earlier tare at this command is used.
+    @property
+    def arm(self) -> Arm:
+        """The arm that it was made for."""
+        ...
+
+
+def open_estimator(path: str | Path, arm: Arm | None = None) -> LawModel | Estimator:
+    """Open a model of single contacts, for a certain arm where one is given.
+
+    Raises:
+        ModelFileError: the file is no such model, or not one of this arm.
+    """
+    if read_model(path)[1].kind == ANYWHERE:
+        return LawModel(path, arm)
+    return Estimator.load(path, arm)
+
+
+def arm_of(estimator: ArmLaw | Estimator) -> Arm:
+    """The arm that an estimator was made for."""
+    return estimator.metadata.arm if isinstance(estimator, Estimator) else estimator.arm
+
+
+@dataclass(frozen=True)
+class Tares:
+    """The unloaded states of a recording that loads follow.
+
+    Attributes:
+        unloaded: each a mean of rows, in their order, without a time.
+        of_row: (R,) the number of that which a row is loaded or released from; -1 for none.
+    """
+
+    unloaded: list[Unloaded]
+    of_row: NDArray[np.int64]
+
+
+def tares_of(recording: Recording) -> Tares:
+    """A tare is the mean of the unloaded rows of one trial just before a load, at its command.
+
+    If these are not steady, as with sensors that lag, the earlier tare at this command is used.
     """
     loaded = recording.load_segment > 0
-    moved = (np.diff(recording.command_rad, axis=0, prepend=np.nan) != 0.0).any(axis=1)
-    tare = np.full_like(recording.tensions_n, np.nan)
-    latest: dict[bytes, Array] = {}
+    trial = recording.trial
+    moved = _moved(recording)
+    unloaded: list[Unloaded] = []
+    of_row = np.full(len(recording), -1)
+    latest: dict[bytes, int] = {}
     first: int | None = None  # of the latest unloaded rows at the present command
     last = 0
     for row in range(len(recording)):
         if moved[row]:
             first = None
         if not loaded[row]:
-            if first is None or loaded[row - 1]:
+            if first is None or loaded[row - 1] or trial[row] != trial[row - 1]:
                 first = row
             last = row
             if not moved[row]:  # a released row keeps the tare of its load
-                tare[row] = tare[row - 1]
+                of_row[row] = of_row[row - 1]
         elif loaded[row - 1] and not moved[row]:
-            tare[row] = tare[row - 1]
+            of_row[row] = of_row[row - 1]
         else:
-            command = recording.command_rad[row].tobytes()
+            command_rad = recording.command_rad[row]
             if first is not None:
-                before = recording.tensions_n[first : last + 1]
-                if before.std(axis=0).max() <= _STEADY_N:
-                    latest[command] = before.mean(axis=0)
-            tare[row] = latest.get(command, np.nan)
-    return tare
+                before_n = recording.tensions_n[first : last + 1]
+                if before_n.std(axis=0).max() <= _STEADY_N:
+                    latest[command_rad.tobytes()] = len(unloaded)
+                    unloaded.append(Unloaded(before_n.mean(axis=0), command_rad, len(before_n)))
+            of_row[row] = latest.get(command_rad.tobytes(), -1)
+    return Tares(unloaded, of_row)
 
 
-def at_contact_points(recording: Recording, arm: Arm) -> NDArray[np.bool_]:
-    """(R,) rows without a load, or with it at the arm's contact point, where models assume it."""
+def tares_n(recording: Recording) -> Array:
+    """(R, M) tare of every row that is loaded or released from a load; NaN where there is none."""
+    tares = tares_of(recording)
+    nothing = np.full(recording.tensions_n.shape[1], np.nan)
+    return np.array([*(each.reading_n for each in tares.unloaded), nothing])[tares.of_row]
+
+
+def unloaded_poses(recording: Recording, trials: Collection[int] | None = None) -> list[Unloaded]:
+    """The unloaded arm at rest at a command, of some trials or all: each the mean of its rows.
+
+    Rows after a load of the same trial do not count, which friction or a lag may still show, nor
+    do readings that are not steady. Times are those of the recording.
+    """
+    loaded = recording.load_segment > 0
+    begins = _moved(recording)
+    begins[1:] |= np.diff(recording.trial) != 0
+    begins[1:] |= np.diff(loaded.astype(int)) != 0
+    starts = np.flatnonzero(begins)
+    found = []
+    for first, end in zip(starts, np.append(starts[1:], len(recording)), strict=True):
+        if loaded[first] or (trials is not None and recording.trial[first] not in trials):
+            continue
+        released = first > 0 and loaded[first - 1]
+        if released and recording.trial[first] == recording.trial[first - 1]:
+            continue
+        read_n = recording.tensions_n[first:end]
+        if len(read_n) >= _FEWEST_UNLOADED and read_n.std(axis=0).max() <= _STEADY_N:
+            # zero would be an unknown time
+            taken_ns = 1 + int(1e9 * recording.time_s[end - 1])
+            command_rad = recording.command_rad[first]
+            found.append(Unloaded(read_n.mean(axis=0), command_rad, len(read_n), taken_ns))
+    return found
+
+
+def _moved(recording: Recording) -> Rows:
+    """(R,) whether a row's command differs from that before it; the first one's does."""
+    return (np.diff(recording.command_rad, axis=0, prepend=np.nan) != 0.0).any(axis=1)
+
+
+def at_contact_points(recording: Recording, arm: Arm) -> Rows:
+    """(R,) rows without a load, or with it at the arm's contact point, as networks assume."""
     if recording.load_at_m is None:
         return np.ones(len(recording), dtype=bool)
     contact_m = mechanism_of(arm).contact_m[np.maximum(recording.load_segment, 1) - 1]
@@ -75,56 +173,17 @@ def at_contact_points(recording: Recording, arm: Arm) -> NDArray[np.bool_]:
 def loads_at_m(recording: Recording, arm: Arm) -> Array:
     """(R,) where each load acts on its segment, from the joint centre; the arm file's by default.
 
-    Rows without a load have that of segment 1.
+    Effects that move contact points move the loads by as much. Rows without a load have the
+    contact point of segment 1.
     """
-    mechanism = amended(mechanism_of(arm), entries_of(arm))
-    usual_m = mechanism.contact_m[np.maximum(recording.load_segment, 1) - 1]
-    return usual_m if recording.load_at_m is None else recording.load_at_m
-
-
-def answer_at(found: Location, segment: NDArray[np.int64], at_m: Array) -> ContactAnswer:
-    """Contacts anywhere as answers on loads on known segments (B,), at known places (B,).
-
-    Where the tensions determine the moment alone, the force is the one at that place.
-    """
-    known = found.force_known | (found.segment != segment)
-    there, to_force = at_m[:, None], [1.0, -1.0]  # a moment around z is due to y, around -y to z
-    force_n = np.where(
-        known[:, None], found.force_n[:, 1:], found.moment_n_m[:, ::-1] * to_force / there
-    )
-    std_n = np.where(
-        known[:, None], found.force_std_n[:, 1:], found.moment_std_n_m[:, ::-1] / there
-    )
-    (y, z), (y_std, z_std) = force_n.T, std_n.T
-    size_n = np.maximum(np.hypot(y, z), 1e-9)
-    return ContactAnswer(
-        segment=found.segment,
-        angle_deg=np.rad2deg(np.arctan2(y, z)) % 360.0,
-        magnitude_n=size_n,
-        magnitude_std_n=np.hypot(y * y_std, z * z_std) / size_n,
-        angle_std_deg=np.rad2deg(np.arctan(np.hypot(z * y_std, y * z_std) / size_n**2)),
-    )
-
-
-def _rows_with_tares(
-    recording: Recording, tare_n: Array
-) -> Iterator[tuple[Array | None, Array, float, bool]]:
-    """Tension difference (M,), command, time, and whether the tare is no longer the same.
-
-    The difference is None without a tare. A tare begins one row sooner than in `tare_n` (R, M) if
-    the arm is unloaded there at the same command: history-dependent models then see the unloaded
-    arm before the load.
-    """
-    still = (np.diff(recording.command_rad, axis=0) == 0.0).all(axis=1)
-    begins = (tare_n[1:] != tare_n[:-1]).any(axis=1) & np.isfinite(tare_n[1:]).all(axis=1)
-    before = np.flatnonzero(begins & still & (recording.load_segment[:-1] == 0))
-    tares = tare_n.copy()
-    tares[before] = tare_n[before + 1]
-    tared = np.asarray(np.isfinite(tares).all(axis=1))
-    for row, command_rad in enumerate(recording.command_rad):
-        kept = tared[row] and row > 0 and (tares[row] == tares[row - 1]).all()
-        difference_n = recording.tensions_n[row] - tares[row] if tared[row] else None
-        yield difference_n, command_rad, float(recording.time_s[row]), not kept
+    segment = np.maximum(recording.load_segment, 1) - 1
+    nominal_m = mechanism_of(arm).contact_m
+    moved_m = amended(mechanism_of(arm), entries_of(arm)).contact_m - nominal_m
+    at_m = nominal_m[segment]
+    if recording.load_at_m is not None:
+        stated = np.isfinite(recording.load_at_m)
+        at_m = np.where(stated, recording.load_at_m, at_m)
+    return np.asarray(at_m + moved_m[segment])
 
 
 def with_acting_loads(recording: Recording, arm: Arm) -> Recording:
@@ -136,14 +195,16 @@ def with_acting_loads(recording: Recording, arm: Arm) -> Recording:
 
 
 class RecordedErrors(NamedTuple):
-    """A model's answers on the contacts of a recording, and their errors.
+    """An estimator's answers on the contacts of a recording, and their errors.
 
     Attributes:
         truth: the parts of the loads that cables can feel; released rows are no contact.
-        answer: the model's answers.
+        answer: the estimator's answers.
         whole: errors over all rows.
         by_segment: errors over the rows with a load on each segment, by its number.
         false_n: mean force estimated in rows without a load; NaN without such rows.
+        confirmed: share of the loaded rows answered with a contact that is vouched for; NaN of a
+            network, which vouches for none.
     """
 
     truth: ContactTruth
@@ -151,6 +212,7 @@ class RecordedErrors(NamedTuple):
     whole: SingleContactMetrics
     by_segment: dict[int, SingleContactMetrics]
     false_n: float
+    confirmed: float = float("nan")
 
     def as_json(self) -> dict[str, Any]:
         """Errors as plain values."""
@@ -158,60 +220,49 @@ class RecordedErrors(NamedTuple):
             "all": asdict(self.whole),
             "by_segment": {str(n): asdict(each) for n, each in self.by_segment.items()},
             "false_force_n": self.false_n,
+            "confirmed": self.confirmed,
         }
-
-
-Answering = Callable[[Recording, Array, NDArray[np.bool_]], ContactAnswer]
-"""From a recording, its tares (R, M) and rows (R,) to the answers on these rows."""
 
 
 def recorded_errors(
     recording: Recording,
-    estimator: Estimator | SequenceEstimator,
+    estimator: ArmLaw | Estimator,
     trials: Collection[int] | None = None,
     anywhere: bool | None = None,
+    calibration: Calibration | None = None,
 ) -> RecordedErrors:
-    """The errors of a model on the contacts of a recording of its arm, or of some trials.
+    """The errors of an estimator on the contacts of a recording of its arm, or of some trials.
 
     Loads elsewhere than at the arm file's contact points count if they may be `anywhere`, by
-    default as the model knows them. For a model of contacts anywhere see `answer_at`.
+    default for a law. A law is calibrated by the tolerances of its arm and the unloaded rows of
+    these trials; with a `calibration` it starts from that, and takes a tare before each load.
 
     Raises:
         RecordingError: no load at a contact point follows unloaded rows at its command, so there
             is no tare.
     """
-
-    def answering(recording: Recording, tare_n: Array, rows: NDArray[np.bool_]) -> ContactAnswer:
-        if isinstance(estimator, SequenceEstimator):
-            return _along(recording, tare_n, estimator).select(rows)
-        difference_n = (recording.tensions_n - tare_n)[rows]
-        command_rad = recording.command_rad[rows]
-        if isinstance(estimator, AnywhereEstimator):
-            located, _ = estimator.locate_batch(difference_n, command_rad)
-            return answer_at(
-                located, recording.load_segment[rows], loads_at_m(recording, arm)[rows]
-            )
-        return ContactAnswer.of(estimator.estimate_batch(difference_n, command_rad))
-
-    arm = estimator.metadata.arm
+    arm = arm_of(estimator)
     if anywhere is None:
-        anywhere = isinstance(estimator, AnywhereEstimator)
-    return contact_errors(recording, arm, answering, trials, anywhere)
+        anywhere = not isinstance(estimator, Estimator)
+    tares = tares_of(recording)
+    rows = _judged_rows(recording, arm, tares, trials, anywhere=anywhere)
+    confirmed = None
+    if isinstance(estimator, Estimator):
+        difference_n = (recording.tensions_n - tares_n(recording))[rows]
+        answer = ContactAnswer.of(
+            estimator.estimate_batch(difference_n, recording.command_rad[rows])
+        )
+    else:
+        known = RecordedArm(recording, tares, estimator, calibration, trials)
+        answer, confirmed = known.answers(rows)
+    return _errors(recording.rows(rows), arm, answer, confirmed)
 
 
-def contact_errors(
-    recording: Recording,
-    arm: Arm,
-    answering: Answering,
-    trials: Collection[int] | None = None,
-    anywhere: bool = False,
-) -> RecordedErrors:
-    """Errors of answers on the contacts of a recording; otherwise as `recorded_errors`.
-
-    Loads elsewhere than at the arm file's contact points count only if they may be `anywhere`.
-    """
-    tare = tares_n(recording)
-    rows: NDArray[np.bool_] = np.asarray(np.isfinite(tare).all(axis=1))
+def _judged_rows(
+    recording: Recording, arm: Arm, tares: Tares, trials: Collection[int] | None, *, anywhere: bool
+) -> Rows:
+    """(R,) loaded and released rows with a tare."""
+    rows = np.asarray(tares.of_row >= 0)
     if not anywhere:
         rows &= at_contact_points(recording, arm)
     if trials is not None:
@@ -222,59 +273,180 @@ def contact_errors(
             "at its command, so there is no tare to estimate from; record load cycles "
             "(cablesense gap protocol)"
         )
-    answer, taken = answering(recording, tare, rows), recording.rows(rows)
+    return rows
+
+
+def _errors(
+    taken: Recording, arm: Arm, answer: ContactAnswer, confirmed: Rows | None
+) -> RecordedErrors:
+    """Errors of answers on all rows of a recording."""
     y, z = normal_components_n(
         mechanism_of(arm), taken.command_rad, np.maximum(taken.load_segment, 1), taken.load_n
     )
     truth = ContactTruth(taken.load_segment, np.rad2deg(np.arctan2(y, z)) % 360.0, np.hypot(y, z))
 
-    def errors(chosen: NDArray[np.bool_]) -> SingleContactMetrics:
+    def errors(chosen: Rows) -> SingleContactMetrics:
         return single_contact_metrics(
             truth.select(chosen), answer.select(chosen), arm.segment_count
         )
 
     free = truth.segment == 0
-    false_n = answer.force_n[free]
     return RecordedErrors(
         truth,
         answer,
         errors(np.ones(len(taken), dtype=bool)),
         {int(n): errors(truth.segment == n) for n in np.unique(truth.segment) if n},
-        float(false_n.mean()) if false_n.size else float("nan"),
+        mean_or_nan(answer.force_n[free]),
+        float("nan") if confirmed is None else mean_or_nan(confirmed[~free]),
     )
 
 
-def without_history_n(
-    recording: Recording, tare_n: Array, simulation: HistorySimulation
-) -> tuple[Array, Array]:
-    """Tension differences (R, M) from tares (R, M), without the part of the arm's history.
+class RecordedArm:
+    """The arm of a recording as its law knows it, tare by tare."""
 
-    NaN where there is no tare. Also the part (R, 2) of the load that may be hidden, N, along it
-    and across it.
+    def __init__(
+        self,
+        recording: Recording,
+        tares: Tares,
+        law: ArmLaw,
+        calibration: Calibration | None = None,
+        trials: Collection[int] | None = None,
+    ) -> None:
+        """See `recorded_errors` for the calibration; `trials` are those whose rows it may use."""
+        self._recording = recording
+        self._tares = tares
+        self._law = law
+        self._calibrator = Calibrator(law.arm, law)
+        self._slides = CableSlides(self._calibrator.parameters)
+        self._calibration = calibration
+        self._by_poses: Calibration | None = None
+        if calibration is None:
+            poses = unloaded_poses(recording, trials)
+            self._by_poses = self._calibrator.moved(self._calibrator.from_poses(poses))
+        self._moved_n = MOVED_STD * reading_variance_n2(law.arm.sensors) ** 0.5
+        self._still = np.zeros((law.arm.joint_count, law.arm.joint_count))
+
+    def answers(self, rows: Rows) -> tuple[ContactAnswer, Rows]:
+        """Answers on rows (R,) with a tare, and which of them are contacts that are vouched for.
+
+        As the node publishes them: a contact also where it is not confirmed, and none where
+        readings fit no contact. Where the readings determine the moment alone, the force is the
+        one at the place of the load.
+        """
+        recording = self._recording
+        judge = Judge(self._law.arm)
+        at_m = loads_at_m(recording, self._law.arm)
+        position = np.cumsum(rows) - 1
+        count = int(rows.sum())
+        segment = np.zeros(count, dtype=np.int64)
+        confirmed = np.zeros(count, dtype=bool)
+        forces = np.zeros((count, 4))
+        for chosen, seen in self._seen(rows):
+            for k, row in enumerate(chosen):
+                one = seen.row(k)
+                judgement = judge(one, recording.tensions_n[row])
+                here = position[row]
+                if judgement.state not in (ContactState.FREE, ContactState.IMPLAUSIBLE):
+                    segment[here] = judgement.segment
+                confirmed[here] = judgement.state in (ContactState.CONTACT, ContactState.MOMENT)
+                by_moment = judgement.state is ContactState.MOMENT
+                by_moment &= judgement.segment == recording.load_segment[row]
+                forces[here] = _force_at(one, at_m[row]) if by_moment else _force(one)
+        return ContactAnswer(segment, *forces.T), confirmed
+
+    def unexplained_n2(self, rows: Rows) -> float:
+        """By how much the square of a residual exceeds what the law expects, N², mean over rows.
+
+        The residual is that of readings under their known loads.
+        """
+        recording = self._recording
+        mechanism = mechanism_of(self._law.arm)
+        loaded = recording.load_segment > 0
+        segment = np.maximum(recording.load_segment, 1) - 1
+        at_m = loads_at_m(recording, self._law.arm)
+        excess = 0.0
+        channels = 0
+        for chosen, seen in self._seen(rows):
+            own = segment[chosen]
+            each = np.arange(len(chosen))
+            axes = kinematics.segment_rotations(mechanism, recording.command_rad[chosen])
+            load_n = recording.load_n[chosen] * loaded[chosen, None]
+            force_n = np.einsum("bij,bi->bj", axes[each, own], load_n)
+            lever = seen.at_joint_m[each, own]
+            lever = lever + at_m[chosen, None, None] * seen.by_place[each, own]
+            torque_n_m = np.einsum("bi,bij->bj", force_n, lever)
+            expected_n = np.einsum("bmj,bj->bm", seen.by_torque, torque_n_m)
+            residual_n = seen.innovation_n - expected_n
+            spread_n2 = np.linalg.inv(seen.information_n2)
+            excess += float((residual_n**2).sum())
+            excess -= float(np.trace(spread_n2, axis1=1, axis2=2).sum())
+            channels += residual_n.size
+        return max(excess / max(channels, 1), 0.0)
+
+    def _seen(self, rows: Rows) -> Iterator[tuple[NDArray[np.int64], LawOutput]]:
+        """Some of the rows (R,) at a time, and what their readings say."""
+        recording = self._recording
+        of_row = self._tares.of_row
+        for number in np.unique(of_row[rows]):
+            tare = self._tares.unloaded[number]
+            calibration = self._known_after(tare)
+            known = Belief(calibration.mean, calibration.covariance)
+            since = np.flatnonzero(of_row == number)
+            readings_n = recording.tensions_n[since]
+            along = directions_along(readings_n, tare.reading_n, self._moved_n)
+            judged = rows[since]
+            directions, alike = np.unique(along[judged], axis=0, return_inverse=True)
+            for k, direction in enumerate(directions):
+                chosen = since[judged][alike.ravel() == k]
+                belief = self._slides.sliding(known, direction)
+                yield (
+                    chosen,
+                    self._law(
+                        recording.tensions_n[chosen],
+                        recording.command_rad[chosen],
+                        belief.mean,
+                        belief.covariance,
+                        self._still,
+                    ),
+                )
+
+    def _known_after(self, tare: Unloaded) -> Calibration:
+        if self._by_poses is not None:
+            return self._by_poses
+        assert self._calibration is not None
+        tared = self._calibrator.updated(self._calibration, tare, force=True)
+        # a tare is linear about slides of zero, and the law about those that it would find
+        return self._calibrator.moved(tared)
+
+
+def _force(seen: LawOutput) -> tuple[float, float, float, float]:
+    """Angle, deg, and magnitude, N, with both deviations; `seen` is a batch of one.
+
+    The magnitude's deviation is that of a normal distribution with its 95 % interval.
     """
-    simulation.forget()
-    found, hidden_n = np.full_like(tare_n, np.nan), np.zeros((len(recording), 2))
-    for row, (difference_n, command_rad, time_s, new) in enumerate(
-        _rows_with_tares(recording, tare_n)
-    ):
-        if new:
-            simulation.unloaded(time_s, command_rad)
-        if difference_n is not None:
-            found[row] = simulation.without_n(difference_n, time_s, command_rad)
-            hidden_n[row] = simulation.hidden_n
-    return found, hidden_n
+    _, y, z = seen.force_n[0].tolist()
+    low_n, high_n = seen.magnitude_ci95_n[0].tolist()
+    (yy, yz), (_, zz) = seen.contact_covariance[0, 2:, 2:].tolist()
+    size_n = max(float(np.hypot(y, z)), _LEAST_N)
+    across_n2 = max(z**2 * yy + y**2 * zz - 2.0 * y * z * yz, 0.0) / size_n**2
+    angle, angle_std = _turns(y, z, across_n2**0.5)
+    return angle, size_n, (high_n - low_n) / (2.0 * NORMAL_95), angle_std
 
 
-def _along(recording: Recording, tare_n: Array, estimator: SequenceEstimator) -> ContactAnswer:
-    """Answers on all rows (R,) in their order, with the tares (R, M)."""
-    zero, still = np.zeros(tare_n.shape[1]), np.zeros(recording.command_rad.shape[1])
-    estimator.forget()
-    found = []
-    for difference_n, command_rad, time_s, new in _rows_with_tares(recording, tare_n):
-        if new:
-            estimator.tare()
-        read_n = zero if difference_n is None else difference_n
-        found.append(estimator.estimate(read_n, command_rad, still, still, time_s))
-    return ContactAnswer(
-        *(np.array([getattr(each, part.name) for each in found]) for part in fields(ContactAnswer))
-    )
+def _force_at(seen: LawOutput, at_m: float) -> tuple[float, float, float, float]:
+    """The same of the force at a known place that has the moment which readings determine."""
+    # a moment around z is due to y, around -y to z
+    around_y, around_z = (seen.moment_n_m[0] / at_m).tolist()
+    y_std, z_std = (seen.moment_std_n_m[0, ::-1] / at_m).tolist()
+    y, z = around_z, -around_y
+    size_n = max(float(np.hypot(y, z)), _LEAST_N)
+    along_std_n = float(np.hypot(y * y_std, z * z_std)) / size_n
+    angle, angle_std = _turns(y, z, float(np.hypot(z * y_std, y * z_std)) / size_n)
+    return angle, size_n, along_std_n, angle_std
+
+
+def _turns(y: float, z: float, across_std_n: float) -> tuple[float, float]:
+    """The angle of a force, and its deviation by that of the force across it, deg."""
+    size_n = max(float(np.hypot(y, z)), _LEAST_N)
+    angle = float(np.rad2deg(np.arctan2(y, z))) % 360.0
+    return angle, float(np.rad2deg(np.arctan2(across_std_n, size_n)))

@@ -24,7 +24,7 @@ from cablesense_gap.diagnosis.discrepancy import (
 from cablesense_gap.diagnosis.fitting import refine
 from cablesense_gap.diagnosis.model_error import TwoParts
 from cablesense_gap.diagnosis.problem import Explanation, Problem
-from cablesense_gap.simulator import Assignment, Simulator
+from cablesense_gap.simulator import Assignment, Simulator, predicted_changes, small_changes
 from cablesense_gap.system import System, problem_of
 from cablesense_gap.verdict import ReferenceGap
 
@@ -199,6 +199,12 @@ class _Weighted:
             each = zip(predicted, variants, strict=True)
             predicted = np.array([own + moving.change(variant) for own, variant in each])
         return self._expected.weighted(predicted)
+
+    def small_changes(self, base: Assignment, variants: Sequence[Assignment]) -> Array:
+        """As of the simulator with the expected residual, times the weight."""
+        if self._expected.moving is not None:
+            return predicted_changes(self, base, variants)
+        return self._expected.weighted(small_changes(self._simulator, base, variants))
 
 
 def since(problem: Problem, expected: Expected) -> Problem:

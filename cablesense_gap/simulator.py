@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
 
 from cablesense_base import Array
 from cablesense_sim.effects.effect import Parameter
@@ -89,3 +91,27 @@ class Simulator(Protocol):
         NaN where the mechanism cannot be simulated with these numbers.
         """
         ...
+
+
+@runtime_checkable
+class LinearSimulator(Simulator, Protocol):
+    """A `Simulator` that knows its derivatives: faster where there are many tolerances."""
+
+    def small_changes(self, base: Assignment, variants: Sequence[Assignment]) -> Array:
+        """Changes (P, R, C) of the channels by small differences from a base, to first order."""
+        ...
+
+
+def small_changes(simulator: Simulator, base: Assignment, variants: Sequence[Assignment]) -> Array:
+    """Changes (P, R, C) of the channels by small differences of variants from a base."""
+    if isinstance(simulator, LinearSimulator):
+        return simulator.small_changes(base, variants)
+    return predicted_changes(simulator, base, variants)
+
+
+def predicted_changes(
+    simulator: Simulator, base: Assignment, variants: Sequence[Assignment]
+) -> Array:
+    """Changes (P, R, C) of the channels from a base, as predicted."""
+    about, *moved = simulator.predict([base, *variants])
+    return np.array(moved).reshape(len(moved), *about.shape) - about

@@ -174,11 +174,11 @@ class CandidateResult(FilePart):
 
 
 class EstimatorErrors(FilePart):
-    """Errors of the force estimator trained on the nominal and on the amended arm, by name.
+    """Errors of the force estimators of the nominal and of the amended arm, by name.
 
     Attributes:
         before: of the first.
-        after: of the second; none where there was nothing to train it on.
+        after: of the second; none where there is none.
         use: which of the two is better on these loads.
         trials: of the recording, that neither the diagnosis nor the training had.
     """

@@ -35,13 +35,12 @@ COMMAND: Final = Qos(depth=10, reliable=True)
 """Commands and loads: rare, and none may be lost."""
 LATCHED: Final = Qos(depth=1, reliable=True, transient_local=True)
 """For late subscribers, too: the robot description."""
-JOURNAL: Final = Qos(depth=100, reliable=True, transient_local=True)
-"""The estimator's journal: a recorder that comes late gets the latest entries too."""
 _RECORDED: Final = Qos(depth=2000, reliable=True)
 _ON_SEGMENT: Final = re.compile(r"/estimator/wrenches/segment_([1-9][0-9]{0,3})$")
 JOINT_STATE_TYPE: Final = "sensor_msgs/msg/JointState"
 WRENCH_TYPE: Final = "geometry_msgs/msg/WrenchStamped"
 NUMBER_TYPE: Final = "std_msgs/msg/Int32"
+BYTES_TYPE: Final = "std_msgs/msg/UInt8MultiArray"
 _DIAGNOSTICS_TYPE: Final = "diagnostic_msgs/msg/DiagnosticArray"
 
 
@@ -83,7 +82,8 @@ CONTRACT: Final = {
     topics.FORCE_DIRECTION: TopicType("geometry_msgs/msg/Vector3Stamped", PUBLISHER),
     topics.CONTACT_PROBABILITIES: TopicType("std_msgs/msg/Float64MultiArray", PUBLISHER),
     topics.MARKERS: TopicType("visualization_msgs/msg/MarkerArray", PUBLISHER),
-    topics.JOURNAL: TopicType(_DIAGNOSTICS_TYPE, JOURNAL, JOURNAL),
+    topics.CALIBRATION: TopicType(BYTES_TYPE, LATCHED, LATCHED),
+    topics.CALIBRATION_USED: TopicType(BYTES_TYPE, LATCHED, LATCHED),
     "/tf": TopicType("tf2_msgs/msg/TFMessage", PUBLISHER),
     "/tf_static": TopicType("tf2_msgs/msg/TFMessage", LATCHED, Qos(100, True, True)),
 }

@@ -18,6 +18,8 @@ from cablesense_msgs_py.topics import ContractError, Frames
 
 MAX_MESSAGE_BYTES = 1 << 18
 """The most of a message that is read; a sample of an arm with twelve cables has 400."""
+MAX_CALIBRATION_BYTES = 1 << 25
+"""The same of a calibration, with the covariance of all parameters; twelve cables have 170 kB."""
 MAX_NAMES = 4096
 """Far more joints than any arm has; a larger count is a malformed message."""
 _STAMP_AT, _HEAD_AT = 4, 12
@@ -84,12 +86,10 @@ class EffortReader:
         return fields.at
 
 
-def require_bounded(raw: bytes) -> None:
-    """Raise a `ContractError` for what is longer than any message of the contract, unparsed."""
-    if len(raw) > MAX_MESSAGE_BYTES:
-        raise ContractError(
-            f"{len(raw)} bytes; a message of this topic has at most {MAX_MESSAGE_BYTES}"
-        )
+def require_bounded(raw: bytes, most: int = MAX_MESSAGE_BYTES) -> None:
+    """Raise a `ContractError` for what is longer than any message of its topic, unparsed."""
+    if len(raw) > most:
+        raise ContractError(f"{len(raw)} bytes; a message of this topic has at most {most}")
 
 
 class _Fields:

@@ -76,15 +76,20 @@ CONTACT_PROBABILITIES: Final = "~/contact_probabilities"
 model estimates several contacts at once."""
 MARKERS: Final = "~/markers"
 """`visualization_msgs/MarkerArray`: an arrow and a sphere while something touches."""
-JOURNAL: Final = "~/journal"
-"""`diagnostic_msgs/DiagnosticArray`, transient local: the state behind the estimator's
-answers, from the sample in `header.stamp` on (`cablesense_online.state`)."""
+CALIBRATION: Final = "calibration"
+"""`std_msgs/UInt8MultiArray`, transient local: the content of a calibration file, as a
+commissioning makes it; the estimator takes it over."""
+CALIBRATION_USED: Final = "~/calibration"
+"""`std_msgs/UInt8MultiArray`, transient local: the content of a calibration file, as the estimator
+uses it from now on; its layout's label has model, settings and time as JSON."""
 TARE: Final = "~/tare"
 """`std_srvs/Trigger`: take the present tensions as the unloaded state."""
 TARE_UNDO: Final = "~/tare_undo"
 """`std_srvs/Trigger`: go back to the tare before the last one."""
 BREATHE: Final = "~/breathe"
 """`std_srvs/Trigger` of the breather: one breath from now on; answered when it begins."""
+COMMISSION: Final = "~/commission"
+"""`std_srvs/Trigger` of the commissioner: begin a commissioning; answered when it begins."""
 
 
 class ContractError(CableSenseError):

@@ -6,7 +6,8 @@ Programs that estimate contacts import these short names:
 
     loaded = load_model("cdsm", "")
     settings = EstimationSettings(contact_threshold=0.5, ...)
-    estimation = Estimation(loaded.arm, loaded.estimator, settings, time.monotonic())
+    contacts = loaded.contacts(settings)
+    estimation = Estimation(loaded.arm, contacts, settings, time.monotonic())
     answer = estimation.sample(serialized_joint_state, time.time_ns(), time.monotonic())
 
 A name is imported when it is first used, so that `import cablesense_online` itself costs nothing.

@@ -7,5 +7,4 @@ from .models import load_model as load_model
 from .replay import Comparison as Comparison
 from .replay import RecordedRun as RecordedRun
 from .replay import replay_in_process as replay_in_process
-from .state import EstimationSettings as EstimationSettings
-from .state import EstimatorState as EstimatorState
+from .settings import EstimationSettings as EstimationSettings

@@ -14,12 +14,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cablesense_base import Array
+from cablesense_contact.estimate import NORMAL_95, Estimate
 from cablesense_msgs_py.messages import NO_CONTACT, UNKNOWN_WRENCH, Contact, ForceState
 from cablesense_online.samples import ProblemKind, SampleError
-from cablesense_online.state import EstimatorState, Tare
+from cablesense_online.tare import Tare
 from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
-from cablesense_training.inference.estimator import NORMAL_95, Estimate
 
 _HALF_TURN_DEG = 179.9
 """Half the widest interval of a direction: the ends of a whole turn could not be distinguished."""
@@ -37,7 +37,7 @@ class Answer:
         stamp_ns: time of the sample; 0 when it has none, or it cannot be trusted.
         problem: why the sample could not be used.
         new_tare: the tare that was taken by `auto_tare`; it counts from the next sample on.
-        state: the state that answers rest on from this sample on, if it has changed.
+        doubt: what else would explain the reading; empty without doubt.
     """
 
     force: ForceState = ForceState.SILENT
@@ -48,7 +48,7 @@ class Answer:
     stamp_ns: int = 0
     problem: SampleError | None = None
     new_tare: Tare | None = None
-    state: EstimatorState | None = None
+    doubt: str = ""
 
     @property
     def contact(self) -> Contact:

@@ -13,7 +13,8 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Level, Status
-from cablesense_online.state import LONG_AGO_NS, EstimationSettings, GateState
+from cablesense_online.settings import EstimationSettings
+from cablesense_online.state import LONG_AGO_NS, GateState
 from cablesense_sim.joint_motion import SHORTEST_MOVE_S, JointMotion
 
 _POSE_STEP_RAD = 2e-3
@@ -48,7 +49,6 @@ class MotionGate:
         angles_rad: (2N,) the set-point at the last sample, within a few mrad of the pose; another
             array whenever it has changed, as the pose is.
         step: 1 where the stamps had stepped forward at the last sample, -1 where back, else 0.
-        shortened_s: by how much the wait of a restored state was cut down to one of a move.
     """
 
     def __init__(self, command_rad: Array, settings: EstimationSettings) -> None:
@@ -58,6 +58,10 @@ class MotionGate:
         self._commands_since = 0
         self._rest_from_s = 0.0
         self._last_ns = LONG_AGO_NS
+        self.rest_at(command_rad)
+
+    def rest_at(self, command_rad: Array) -> None:
+        """The arm has been at rest at a command (2N,) for long."""
         here = command_rad.copy()
         state = GateState(command_rad=here, pose_rad=here, rest_from_ns=LONG_AGO_NS)
         self.restore(state)
@@ -109,7 +113,7 @@ class MotionGate:
         if np.array_equal(command_rad, self.command_rad):
             return False
         if not self.follows(command_rad):
-            self._starting, self.shortened_s = True, 0.0
+            self._starting = True
         state, turn_rad = self.state, command_rad - self.command_rad
         earlier_rad = state.net_turn_rad if state.net_turn_rad.size else np.zeros(len(turn_rad))
         state.net_turn_rad = _KEPT * earlier_rad + (1.0 - _KEPT) * turn_rad
@@ -182,8 +186,6 @@ class MotionGate:
         wait_s = self._course.remaining_s + self._settings.settle_s
         latest_ns = stamp_ns + round(wait_s * 1e9)
         too_long_s = (state.rest_from_ns - latest_ns) * 1e-9
-        if restored and too_long_s > _ROUNDING_S:
-            self.shortened_s = too_long_s
         changed = self._starting or too_long_s > _ROUNDING_S
         if changed:
             state.rest_from_ns = latest_ns
@@ -257,50 +259,39 @@ class MotionGate:
             self._course.resume(state.course.tolist())
         self._last_ns = LONG_AGO_NS
         self._heading = self._starting = self._resting = False
-        self.step, self.shortened_s = 0, 0.0
+        self.step = 0
 
-    def status(
-        self, pose_range_deg: float, refused: int, *, received: bool, in_motion: bool
-    ) -> Status:
+    def status(self, pose_range_deg: float, refused: int, *, received: bool) -> Status:
         """Command, motion and pose, for diagnostics.
 
         Args:
             pose_range_deg: the model was trained within ± this.
             refused: number of commands refused since the last report.
             received: whether any command has come.
-            in_motion: whether the model estimates while the arm moves.
         """
         command_deg = np.rad2deg(self.command_rad).tolist()
         values = {
             "commands refused": str(refused),
             "command (deg)": ", ".join(f"{angle:.2f}" for angle in command_deg),
         }
-        if self.shortened_s:
-            values["wait of the state file cut by (s)"] = f"{self.shortened_s:.3f}"
         blind_s = 0.0
         if self._blind_since_ns is not None and self._commands_since >= _SOME_COMMANDS:
             blind_s = (self._last_ns - self._blind_since_ns) * 1e-9
         level, message = Level.WARN, ""
         if refused:
             level, message = Level.ERROR, "a command was refused; see the log"
-        elif self.shortened_s:
-            message = (
-                f"the state file's rest lay {self.shortened_s:.0f} s further ahead than a move "
-                "takes (was a clock set?); no longer than for a move was waited"
-            )
-        elif blind_s > _BLIND_S and (self.shut or self.turning) and not in_motion:
+        elif blind_s > _BLIND_S and (self.shut or self.turning):
             message = (
                 f"moving: no estimate for {blind_s:.0f} s, as commands continue that exceed "
                 f"{np.rad2deg(self._settings.follow_rad_s):g} deg/s (follow_deg_s), or the arm "
-                "lags behind them; a model with memory estimates in motion (cablesense train "
-                "--network temporal)"
+                "lags behind them"
             )
         elif self.shut or self.turning:
             level, message = Level.OK, "moving slowly: its set-points are followed"
             if self.shut:
-                message = "moving" if in_motion else "moving: no estimate until the arm rests"
+                message = "moving: no estimate until the arm rests"
         elif max(map(abs, command_deg)) > pose_range_deg + 1e-6:
-            message = f"beyond the poses of the model's training (±{pose_range_deg:g} degrees)"
+            message = f"beyond the poses that the model is for (±{pose_range_deg:g} degrees)"
         elif not received:
             message = "none received: arm assumed to be straight"
         else:

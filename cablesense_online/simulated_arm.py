@@ -146,6 +146,7 @@ class SimulatedArm:
         tensions = self._dynamics.tensions_n
         for sensing in self._sensings:
             tensions = sensing.step(self._now_s - self._began_s, tensions[None])[0]
+        tensions = self._dynamics.built.read(tensions)
         return tensions if rng is None else read_tensions_n(tensions, sensors, rng)
 
     @property

@@ -1,142 +1,109 @@
-"""The unloaded state: measured with nothing touching, carried to other commands, and its drift.
+"""The unloaded state of an arm: readings of which a tare is made, and what the tare changes.
 
-A tare is taken at one command. Elsewhere the unloaded tensions are
-
-    unloaded(c) = measured(c_tare) + [ predicted(c) - predicted(c_tare) ]
-
-with the prediction of the arm file's static equilibrium: the sensors' offsets from the model stay,
-and the changes due to gravity and geometry are added.
-
-A tare of a loaded arm, or of one elsewhere than commanded, would falsify all later estimates.
-Therefore none is taken from readings far from the model at the command, nor soon after a reported
-contact, unless it is forced. A tare that was taken by itself before any command rests on an
-assumed pose; a first command to another pose drops it.
+A tare is the mean of the latest readings at one pose with nothing touching. On an arm with a law
+it updates the calibration (`CalibratedArm`): the arm is then known better in every pose. A network
+gets tension differences, so there it is carried to other poses by the arm file (`TaredArm`).
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
-from cablesense_msgs_py.messages import Contact, Level, Status
-from cablesense_online.state import EstimationSettings, Tare, TareState, utc_text
-from cablesense_online.stated_contacts import RestingArm
+from cablesense_contact.calibration import Calibration, CalibrationError, Calibrator, Unloaded
+from cablesense_contact.judgement import Judge
+from cablesense_contact.law import Law
+from cablesense_contact.slides import MOVED_STD, Belief, CableSlides, Directions, directions_since
+from cablesense_msgs_py.messages import Level, Status
+from cablesense_online.settings import EstimationSettings
+from cablesense_online.typical_contact import FORCE_N, TypicalContact
+from cablesense_sim.arm import Arm
+from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.effects.registry import amended
+from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.replay import reading_variance_n2
 
 _MOST_KEPT = 16
 """How many times a tare can be undone."""
-_LINEAR_RAD = 0.02
-"""Unloaded tensions are taken as linear while a joint turns by this."""
-_DIFFERENCE_RAD = 1e-3
-"""Step of their numeric derivative."""
 _ONE_POSE_RAD = 1e-3
 """Readings of a tare are of poses within this of the first."""
+_AGED_EVERY_NS = 30_000_000_000
+"""How often the drift of the sensors' zeros is added to what is known."""
+_FEWEST_UNTOUCHED = 5
+"""Readings of the untouched arm at this pose before a cable can be said to have moved since."""
 
 
 class TareError(CableSenseError):
     """No tare can be taken or undone now; the message states why, and what to do."""
 
 
-class Tares:
-    """Takes tares from the latest readings, and carries the present one over to commands.
+def utc_text(time_ns: int) -> str:
+    """A time since the epoch to the second, as diagnostics show it."""
+    return f"{datetime.fromtimestamp(time_ns // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S UTC}"
+
+
+@dataclass(frozen=True)
+class Tare:
+    """The mean of some readings of the untouched arm, as the estimator took it.
 
     Attributes:
-        state: the tare in use, at the present angles.
-        automatic: whether one is to be taken as soon as nothing is against it.
-        unloaded_n: (M,) unloaded tensions at the present angles; None before the first tare.
+        unloaded: the readings.
+        by_itself: whether it was taken by `auto_tare`.
+        misfit_n: (M,) by how much the readings differed from what was expected of the arm.
     """
 
-    def __init__(
-        self, unloaded: RestingArm, settings: EstimationSettings, command_rad: Array
-    ) -> None:
-        """Without a tare, at a command (2N,).
+    unloaded: Unloaded
+    by_itself: bool
+    misfit_n: Array
 
-        Raises:
-            EquilibriumError: the arm has no rest at this command.
-        """
-        self._unloaded, self._settings = unloaded, settings
-        self._deviation_n = settings.tare_deviation_n or math.inf
-        self.automatic = settings.auto_tare
-        self._contact: Contact | None = None
-        self._since_contact = 0
+    def described(self, cable_names: Sequence[str]) -> str:
+        """Time and values, as text for a log; `cable_names` (M,)."""
+        rows = zip(cable_names, self.unloaded.reading_n, self.misfit_n, strict=True)
+        cables = ", ".join(f"{name} {tension:.2f} ({off:+.2f})" for name, tension, off in rows)
+        return (
+            f"at {utc_text(self.unloaded.taken_ns)}: average of {self.unloaded.count} readings; "
+            f"in N, with the deviation from what was expected: {cables}"
+        )
+
+
+Known = TypeVar("Known")
+
+
+class UnloadedArm(ABC, Generic[Known]):
+    """The readings of the next tare, and the tares so far.
+
+    Attributes:
+        automatic: whether a tare is to be taken as soon as nothing is against it.
+        tares: those in force, the latest last.
+    """
+
+    def __init__(self, settings: EstimationSettings, start: Known, *, known: bool) -> None:
+        self._settings = settings
         self._readings: deque[Sequence[float]] = deque(maxlen=settings.tare_samples)
-        self._readings_at_rad = command_rad
-        self._near: tuple[Array, Array, Array] | None = None
-        self._earlier: deque[Tare] = deque(maxlen=_MOST_KEPT - 1)
-        self.state = TareState(predicted_n=unloaded.predict_n(command_rad))
-        self.unloaded_n: Array | None = None
+        self._pose_rad: Array | None = None
+        self._state = start
+        self._earlier: deque[Known] = deque(maxlen=_MOST_KEPT)
+        self._known = known
+        self.automatic = settings.auto_tare and not known
+        self.tares: list[Tare] = []
 
     @property
-    def present(self) -> Tare | None:
-        """The tare in use."""
-        return self.state.tare
+    def known(self) -> bool:
+        """Whether there is an unloaded state: a tare, or a calibration that was loaded."""
+        return self._known or bool(self.tares)
 
     @property
     def undoable(self) -> int:
         """How many times `undo` can be called."""
-        return len(self._earlier) + (self.present is not None)
-
-    def command(self, command_rad: Array, *, first: bool = False) -> bool:
-        """Go to another command (2N,): readings begin anew, the tare is carried over.
-
-        The `first` command drops a tare that was taken by itself before, if the predicted tensions
-        change by more than the allowed deviation. Gives whether the dropped tare was in use;
-        another is then taken automatically.
-
-        Raises:
-            CableSenseError: the arm has no unloaded state at this command; nothing has changed.
-        """
-        before_n, predicted_n = self.state.predicted_n, self._unloaded.predict_n(command_rad)
-        self.state.predicted_n = predicted_n
-        self._linearise(None)
-        self._readings.clear()
-        self._readings_at_rad = command_rad
-        tare, dropped = self.present, False
-        if first and np.abs(predicted_n - before_n).max() > self._deviation_n:
-            kept = [earlier for earlier in self._earlier if not earlier.by_itself]
-            self._earlier = deque(kept, maxlen=self._earlier.maxlen)
-            dropped = tare is not None and tare.by_itself
-            self.automatic |= dropped
-        self._use(None if dropped else tare)
-        return dropped
-
-    def follow(self, angles_rad: Array) -> None:
-        """Carry the tare over to angles (2N,) on the way of a followed motion.
-
-        Predicted tensions are linear between the angles at which they are solved.
-
-        Raises:
-            EquilibriumError: the unloaded arm has no rest there.
-        """
-        if self._near is None and np.array_equal(angles_rad, self._readings_at_rad):
-            return  # solved there
-        if self._near is None or np.abs(angles_rad - self._near[0]).max() > _LINEAR_RAD:
-            self._linearise(angles_rad)
-        assert self._near is not None
-        at_rad, there_n, by_angle = self._near
-        self.state.predicted_n = there_n + by_angle @ (angles_rad - at_rad)
-        if np.abs(angles_rad - self._readings_at_rad).max() > _ONE_POSE_RAD:
-            self._readings.clear()
-        if not self._readings:
-            self._readings_at_rad = angles_rad
-        self._use(self.present)
-
-    def forget_readings(self) -> None:
-        """Exclude all earlier readings from the next tare."""
-        self._readings.clear()
-
-    def add(self, reading_n: Sequence[float]) -> None:
-        """Add a reading (M,) in N at the present angles, with the arm at rest."""
-        self._readings.append(reading_n)
-        self._since_contact += 1
-
-    def touched(self, contact: Contact) -> None:
-        """Note that a contact was estimated from the last reading."""
-        self._contact, self._since_contact = contact, 0
+        return len(self._earlier)
 
     @property
     def awaited(self) -> str:
@@ -144,9 +111,33 @@ class Tares:
         enough = len(self._readings) >= self._settings.tare_samples
         return self.refusal() if self.automatic and enough else ""
 
-    def refusal(self, *, forced: bool = False) -> str:
+    def at(self, pose_rad: Array) -> None:
+        """Readings are from now on of this pose (2N,)."""
+        if self._pose_rad is None or np.abs(pose_rad - self._pose_rad).max() > _ONE_POSE_RAD:
+            self._readings.clear()
+            self._pose_rad = pose_rad
+            self._moved()
+
+    def forget_readings(self) -> None:
+        """Exclude all earlier readings from the next tare."""
+        self._readings.clear()
+
+    def add(self, reading_n: Sequence[float]) -> None:
+        """Add a reading (M,) in N at the present pose, with the arm at rest."""
+        self._readings.append(reading_n)
+
+    def drop_own(self) -> bool:
+        """Drop a tare that was taken by itself; whether there was one."""
+        if not (self.tares and self.tares[-1].by_itself):
+            return False
+        self.undo()
+        self.automatic = True
+        return True
+
+    def refusal(self) -> str:
         """Why the last readings are no tare, as text; empty where they may be one."""
-        count, steady_n = self._settings.tare_samples, self._settings.tare_steady_n
+        count = self._settings.tare_samples
+        steady_n = self._settings.tare_steady_n
         if len(self._readings) < count:
             return (
                 f"only {len(self._readings)} of {count} usable readings at this pose yet; wait a "
@@ -159,257 +150,287 @@ class Tares:
                 f"cable_{worst + 1} varies by {spread_n[worst]:.2f} N (standard deviation; at "
                 f"most {steady_n:g} N); let the arm rest with nothing touching it and call again"
             )
-        if forced:
-            return ""
-        if self._contact is not None and self._since_contact < count:
-            return (
-                f"a contact of {self._contact.magnitude_n:.1f} N on segment "
-                f"{self._contact.segment} is reported, or was among these readings; take it away "
-                "and call again. If nothing touches the arm, the present tare is wrong: call "
-                "~/tare_undo, or set tare_force"
-            )
-        measured_n = np.mean(self._readings, axis=0)
-        off_n = measured_n - self.state.predicted_n
-        worst = int(np.argmax(np.abs(off_n)))
-        if self._unloaded.incomplete or abs(off_n[worst]) <= self._deviation_n:
-            return ""
-        if exchanged := exchanged_plugs(measured_n, self.state.predicted_n):
-            return f"{exchanged}; exchange them, or set tare_force if they are right"
-        return (
-            f"cable_{worst + 1} lies {off_n[worst]:+.1f} N from the arm file's unloaded tension "
-            f"at the last command, straight before the first (at most {self._deviation_n:g} N, "
-            "tare_deviation_n): take loads away, and send the command that the arm is at. If it "
-            "is unloaded and there, its arm file or sensors are off: set tare_force to take it"
-        )
+        return ""
 
-    def take(
-        self, command_rad: Array, now_ns: int, *, by_itself: bool = False, forced: bool = False
-    ) -> Tare:
-        """Take the average of the last readings as the unloaded state at angles (2N,).
+    def take(self, now_ns: int, *, by_itself: bool = False, forced: bool = False) -> Tare:
+        """Take the average of the last readings as the unloaded state at the present pose.
 
         `now_ns` is the time since the epoch. `forced` takes any steady readings.
 
         Raises:
-            TareError: too few readings yet, they are not steady, or the arm seems to be loaded or
-                elsewhere.
+            TareError: too few readings yet, they are not steady, or they are not those of the
+                untouched arm.
         """
-        if refusal := self.refusal(forced=forced):
+        if refusal := self.refusal():
             raise TareError(refusal)
-        if self.present is not None:
-            self._earlier.append(self.present)
-        predicted_n = self.state.predicted_n
-        tare = Tare(
-            measured_n=np.mean(self._readings, axis=0),
-            predicted_n=self._unloaded.predict_n(command_rad) if self._near else predicted_n,
-            command_rad=command_rad,
-            sample_count=len(self._readings),
-            taken_ns=now_ns,
-            by_itself=by_itself,
-        )
+        assert self._pose_rad is not None
+        mean_n = np.mean(self._readings, axis=0)
+        unloaded = Unloaded(mean_n, self._pose_rad, len(self._readings), now_ns)
+        state, misfit_n = self._with_tare(unloaded, forced=forced)
+        tare = Tare(unloaded, by_itself, misfit_n)
+        self._earlier.append(self._state)
+        self.tares.append(tare)
         self.automatic = False
-        self._use(tare)
+        self._use(state)
         return tare
 
     def undo(self) -> Tare | None:
-        """Return to the previous tare and give it; None when the last was the first.
+        """Return to the state before the last tare; gives the tare now in force, if any.
 
         Raises:
             TareError: there is nothing to undo.
         """
-        if self.present is None:
+        if not self._earlier:
             raise TareError("no tare has been taken, so there is nothing to undo")
-        self._use(self._earlier.pop() if self._earlier else None)
-        return self.present
+        self._use(self._earlier.pop())
+        self.tares.pop()
+        return self.tares[-1] if self.tares else None
 
-    def restore(self, state: TareState, angles_rad: Array, *, same_arm: bool) -> None:
-        """Continue from a state at angles (2N,); readings begin anew.
+    def _use(self, state: Known) -> None:
+        self._state = state
 
-        A state of another arm keeps its measured tensions and gets this arm's predictions.
+    @abstractmethod
+    def _with_tare(self, unloaded: Unloaded, *, forced: bool) -> tuple[Known, Array]:
+        """The state with a tare, and by how much its readings (M,) differ from the expected."""
 
-        Raises:
-            EquilibriumError: this arm has no unloaded rest at these angles or at the tare's.
-        """
-        state = state.model_copy()
-        if not same_arm:
-            state.predicted_n = self._unloaded.predict_n(angles_rad)
-            if state.tare is not None:
-                predicted = {"predicted_n": self._unloaded.predict_n(state.tare.command_rad)}
-                state.tare = state.tare.model_copy(update=predicted)
-        self._earlier.clear()
-        self._readings.clear()
-        self._readings_at_rad = angles_rad
-        self._contact, self.automatic = None, False
-        self.state = state
-        self._linearise(state.linear_at_rad if state.linear_at_rad.size else None)
-        self._use(state.tare)
+    @abstractmethod
+    def _moved(self) -> None:
+        """The arm is at another pose."""
 
+    @abstractmethod
     def status(self) -> Status:
-        """Whether there is a tare, since when, and how far it is from the arm file."""
-        tare = self.present
-        if tare is None:
+        """The unloaded state, for diagnostics."""
+
+    def _tare_status(self, message: str, values: dict[str, str]) -> Status:
+        if not self.known:
             message = "call ~/tare with the arm unloaded"
             if self.automatic:
                 message = f"auto_tare waits: {self.awaited or 'too few readings at rest yet'}"
             return Status("tare", Level.WARN, f"none taken: no estimate; {message}")
+        if self.tares:
+            last = self.tares[-1].unloaded
+            values |= {
+                "tared since": utc_text(last.taken_ns),
+                "readings averaged": str(last.count),
+                "tares that can be undone": str(self.undoable),
+            }
+        return Status("tare", Level.OK, message, values)
+
+
+class CalibratedArm(UnloadedArm[Calibration]):
+    """An arm with a law: tares update its calibration, and readings tell where cables slide.
+
+    A cable whose reading has changed since the untouched arm rested at this pose has slid at its
+    guides, in the direction of the change; what friction adds to its tension is then known but
+    for the coefficient. One that has not moved may carry anything that friction holds.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        law: Law,
+        settings: EstimationSettings,
+        calibration: Calibration | None = None,
+    ) -> None:
+        self.calibrator = Calibrator(arm, law)
+        self._arm = arm
+        self._law = law
+        self._judge = Judge(arm)
+        self._typical = TypicalContact(arm, law)
+        self._known_to_n: float | None = None
+        self._measured: Calibration | None = None
+        start = calibration or self.calibrator.by_tolerances()
+        super().__init__(settings, start, known=calibration is not None)
+        self._slides = CableSlides(self.calibrator.parameters)
+        self._moved_n = MOVED_STD * reading_variance_n2(arm.sensors) ** 0.5
+        self._unrest = np.zeros((arm.joint_count, arm.joint_count))
+        self._untouched_n = np.zeros(arm.cable_count)
+        self._untouched = 0
+        self._aged_ns = 0
+        self._beliefs: dict[bytes, Belief] = {}
+
+    @property
+    def calibration(self) -> Calibration:
+        """The calibration in force."""
+        return self._state
+
+    def load(self, calibration: Calibration) -> None:
+        """Take over a calibration; earlier tares count no more."""
+        self._earlier.append(self._state)
+        self.tares.clear()
+        self._known = True
+        self.automatic = False
+        self._use(calibration)
+
+    def restore(self, calibration: Calibration, *, known: bool) -> None:
+        """Answer by the calibration of another estimator, as far as its state was known."""
+        self._earlier.clear()
+        self.tares.clear()
+        self._known = known
+        self.automatic = False
+        self._use(calibration)
+
+    def belief(self, reading_n: Array, now_ns: int, *, freed: bool = False) -> Belief:
+        """What is known at readings (M,) at a time since the epoch.
+
+        `freed` is whether a breath has taken friction out of the readings.
+        """
+        # whole steps: which time counts follows from the sample alone
+        aged_ns = now_ns - now_ns % _AGED_EVERY_NS
+        if aged_ns != self._aged_ns:
+            self._aged_ns = aged_ns
+            self._beliefs.clear()
+        direction = np.zeros(len(reading_n), dtype=np.int8)
+        if not freed and self._untouched >= _FEWEST_UNTOUCHED:
+            direction = directions_since(reading_n - self._untouched_n, self._moved_n)
+        key = direction.tobytes() + bytes([freed])
+        if key not in self._beliefs:
+            if len(self._beliefs) > _MOST_KEPT:
+                self._beliefs.clear()
+            self._beliefs[key] = self._made(direction, aged_ns, freed=freed)
+        return self._beliefs[key]
+
+    def untouched(self, reading_n: Array) -> None:
+        """Note a reading (M,) of the arm that nothing touches, at the present pose."""
+        weight = 1.0 / min(self._untouched + 1, self._settings.tare_samples)
+        self._untouched_n = self._untouched_n + weight * (reading_n - self._untouched_n)
+        self._untouched += 1
+
+    def _made(self, direction: Directions, now_ns: int, *, freed: bool) -> Belief:
+        # what touches the arm lets cables slide: where they stood at a tare counts no more
+        calibration = self.calibrator.moved(self.calibrator.aged(self._state, now_ns))
+        known = Belief(calibration.mean, calibration.covariance)
+        return self._slides.freed(known) if freed else self._slides.sliding(known, direction)
+
+    def _use(self, state: Calibration) -> None:
+        super()._use(state)
+        self._beliefs.clear()
+
+    def _moved(self) -> None:
+        self._untouched = 0
+        self._beliefs.clear()
+
+    def _with_tare(self, unloaded: Unloaded, *, forced: bool) -> tuple[Calibration, Array]:
+        present = self.calibrator.moved(self._state)
+        seen = self._law(
+            unloaded.reading_n[None],
+            unloaded.command_rad[None],
+            present.mean,
+            present.covariance,
+            self._unrest,
+        )
+        try:
+            updated = self.calibrator.updated(self._state, unloaded, force=forced)
+        except CalibrationError as error:
+            doubt = self._judge(seen, unloaded.reading_n).doubt
+            what = f" It may be that {doubt}." if doubt else ""
+            raise TareError(f"{error}.{what} Set tare_force to take it nevertheless") from error
+        return updated, seen.innovation_n[0]
+
+    def force_known_to_n(self) -> float | None:
+        """Half of the 95 % interval of a push of `FORCE_N` after a move to another pose, N.
+
+        None where there is no such number.
+        """
+        if self._measured is not self._state:
+            self._measured = self._state
+            moved = self.calibrator.moved(self._state)
+            self._known_to_n = self._typical.known_to_n(moved.mean, moved.covariance)
+        return self._known_to_n
+
+    def status(self) -> Status:
+        """How well the arm is known."""
+        calibration = self._state
+        poses = len(calibration.unloaded)
         values = {
-            "tared since": tare.since,
-            "readings averaged": str(tare.sample_count),
-            "largest deviation from the arm file (N)": f"{tare.offset_n:.2f}",
-            "unloaded tensions (N)": ", ".join(f"{tension:.2f}" for tension in tare.measured_n),
-            "tares that can be undone": str(self.undoable),
+            "calibrated by": calibration.made_from,
+            "unloaded readings": str(poses),
+            "misfit probability": f"{calibration.misfit_probability:.3g}",
         }
-        level, message = Level.OK, f"tared since {tare.since}"
-        if not self._unloaded.incomplete and tare.offset_n > self._deviation_n:
-            level, message = Level.WARN, f"{message}, {tare.offset_n:.1f} N from the arm file"
-        exchanged = exchanged_plugs(tare.measured_n, tare.predicted_n)
-        if exchanged and not self._unloaded.incomplete:
-            level, message = Level.WARN, f"{message}; {exchanged}"
-        return Status("tare", level, message, values)
+        message = f"known by {calibration.made_from}"
+        if tares := len(self.tares):
+            message += f" and {tares} tare{'s' * (tares > 1)}"
+        force_n = self.force_known_to_n()
+        if force_n is not None:
+            values["force known to (N)"] = f"{force_n:.3f}"
+            message += f": a push of {FORCE_N:g} N to ±{force_n:.2f} N"
+        status = self._tare_status(message, values)
+        if status.level is Level.OK and not calibration.as_described:
+            return Status(
+                "tare",
+                Level.WARN,
+                "the unloaded readings do not fit the tolerances of the arm file: it is not as "
+                "described, or was touched; enlarge its tolerances, or diagnose it",
+                values,
+            )
+        return status
 
-    def _use(self, tare: Tare | None) -> None:
-        self.state.tare = tare
-        self.unloaded_n = None if tare is None else tare.unloaded_n(self.state.predicted_n)
 
-    def _linearise(self, at_rad: Array | None) -> None:
-        """Linearise predicted tensions about angles (2N,), or take them as solved."""
-        if at_rad is None:
-            self._near, self.state.linear_at_rad = None, np.zeros(0)
-            return
-        step = _DIFFERENCE_RAD * np.eye(len(at_rad))
-        around_rad = at_rad + np.vstack([np.zeros_like(at_rad), step, -step])
-        there_n, *others_n = self._unloaded.predict_n(around_rad)
-        more, less = np.split(np.array(others_n), 2)
-        self._near = (at_rad, there_n, (more - less).T / (2.0 * _DIFFERENCE_RAD))
-        self.state.linear_at_rad = at_rad
+class TaredArm(UnloadedArm[Tare | None]):
+    """An arm whose model takes tension differences: one tare, carried to poses by the arm file."""
+
+    def __init__(self, arm: Arm, settings: EstimationSettings) -> None:
+        super().__init__(settings, None, known=False)
+        self._nominal = mechanism_of(arm)
+        self._mechanism = amended(self._nominal, entries_of(arm))
+        self._limit_n = settings.tare_deviation_n or math.inf
+        self._here_n: Array | None = None
+        self._there_n: Array | None = None
+
+    def unloaded_n(self) -> Array | None:
+        """(M,) readings of the untouched arm at the present pose; None before a tare.
+
+        Raises:
+            EquilibriumError: the arm has no rest there.
+        """
+        if self._state is None or self._there_n is None:
+            return None
+        return self._state.unloaded.reading_n + self._predicted_n() - self._there_n
+
+    def _predicted_n(self) -> Array:
+        """(M,) at the present pose by the arm file."""
+        if self._here_n is None:
+            assert self._pose_rad is not None
+            held_m = held_lengths_m(self._nominal, self._pose_rad)
+            rest = solve_equilibrium(self._mechanism, self._pose_rad, held_m=held_m)
+            self._here_n = rest.tensions_n
+        return self._here_n
+
+    def _moved(self) -> None:
+        self._here_n = None
+
+    def _use(self, state: Tare | None) -> None:
+        super()._use(state)
+        self._there_n = None
+        if state is not None:
+            command_rad = state.unloaded.command_rad
+            held_m = held_lengths_m(self._nominal, command_rad)
+            rest = solve_equilibrium(self._mechanism, command_rad, held_m=held_m)
+            self._there_n = rest.tensions_n
+
+    def _with_tare(self, unloaded: Unloaded, *, forced: bool) -> tuple[Tare | None, Array]:
+        off_n = unloaded.reading_n - self._predicted_n()
+        worst = int(np.argmax(np.abs(off_n)))
+        if not forced and abs(off_n[worst]) > self._limit_n:
+            raise TareError(
+                f"cable_{worst + 1} lies {off_n[worst]:+.1f} N from the arm file's unloaded "
+                f"tension at this command (at most {self._limit_n:g} N, tare_deviation_n): take "
+                "loads away, and send the command that the arm is at; or set tare_force"
+            )
+        return Tare(unloaded, False, off_n), off_n
+
+    def status(self) -> Status:
+        """Whether there is a tare, and since when."""
+        since = utc_text(self.tares[-1].unloaded.taken_ns) if self.tares else ""
+        return self._tare_status(f"tared since {since}", {})
 
 
 def tare_undone_line(
     undone: Tare, earlier: Tare | None, cable_names: Sequence[str], undoable: int
 ) -> str:
     """Log line of an undo: the undone tare, the one in force, and how many `undoable` remain."""
-    line = f"tare of {undone.since} undone; "
+    line = f"tare of {utc_text(undone.unloaded.taken_ns)} undone; "
     if earlier is None:
-        return line + "there is none now, so no estimate"
+        return line + "there is none now"
     described = earlier.described(cable_names)
     return f"{line}again in force is the one {described}; {undoable} left to undo"
-
-
-_APART_N = 1.0
-"""Cables whose unloaded tensions differ by less cannot be distinguished: builds scatter more."""
-_LEFT = 0.5
-"""An exchange is believed if it leaves at most this share of the deviation from the arm file."""
-
-
-def exchanged_plugs(measured_n: Array, predicted_n: Array) -> str:
-    """The plugs whose exchange explains most of how readings (M,) differ from predicted ones (M,).
-
-    Of an untouched arm at a known pose, as a sentence; empty where none does.
-    """
-    before_n2 = float(((measured_n - predicted_n) ** 2).sum())
-    apart_n = np.abs(np.subtract.outer(predicted_n, predicted_n))
-    # by how much each exchange lowers the sum of squares
-    lower_n2 = -2.0 * np.subtract.outer(measured_n, measured_n)
-    lower_n2 = np.triu(lower_n2 * np.subtract.outer(predicted_n, predicted_n))
-    one, other = np.unravel_index(np.argmax(lower_n2), lower_n2.shape)
-    after_n2 = max(before_n2 - float(lower_n2[one, other]), 0.0)
-    if apart_n[one, other] < _APART_N or after_n2 > _LEFT**2 * before_n2:
-        return ""
-    before_n, after_n = (math.sqrt(each / len(measured_n)) for each in (before_n2, after_n2))
-    return (
-        f"the plugs of cable_{one + 1} and cable_{other + 1} look exchanged: the readings are "
-        f"{before_n:.2f} N (RMS) from the arm file's unloaded tensions, and {after_n:.2f} N once "
-        "these two are exchanged"
-    )
-
-
-_WINDOW_S, _FEWEST_READINGS = 0.5, 25
-_WINDOWS = 3
-"""Windows in a row; their smallest deviation is the drift, if all have its sign."""
-_MOST_TOUCHED = 10
-"""This many contacts in a row begin the windows anew; fewer are noise and excluded."""
-_LEAST_STDS = 5.0
-"""No limit is below this many standard deviations of a window and its tare."""
-
-
-class DriftWatch:
-    """Warns of unloaded tensions that have moved since the tare, and proposes a fresh one.
-
-    Readings of an untouched arm less its unloaded tensions are averaged in windows. The part that
-    several windows in a row share is drift. A swing, or a touch too light to be a contact, does
-    not last that long.
-
-    Attributes:
-        drift_n: (M,) drift over the last windows, N; zero before there were enough.
-        limit_n: a warning is due from here on; infinite where nothing is watched.
-    """
-
-    def __init__(self, unloaded: RestingArm, settings: EstimationSettings) -> None:
-        self._cable_names = unloaded.arm.cable_names
-        share = 1.0 / _FEWEST_READINGS + 1.0 / settings.tare_samples
-        noise_n = math.sqrt(reading_variance_n2(unloaded.arm.sensors) * share)
-        self._unwatched, limit_n = unloaded.incomplete, settings.tare_drift_n
-        if not limit_n:
-            self._unwatched = self._unwatched or "switched off (tare_drift_n is 0)"
-        self.limit_n = math.inf if self._unwatched else max(limit_n, _LEAST_STDS * noise_n)
-        self._sum_n = np.zeros(len(self._cable_names))
-        self._means_n: deque[Array] = deque(maxlen=_WINDOWS)
-        self.tared()
-
-    def tared(self) -> None:
-        """Begin anew with another tare, or none."""
-        self.interrupt()
-        self.drift_n = np.zeros(len(self._cable_names))
-        self._since_ns: int | None = None
-
-    def interrupt(self) -> None:
-        """Begin new windows, as the arm is touched or moves; the last result is kept."""
-        self._count = self._touched = 0
-        self._means_n.clear()
-
-    def add(self, difference_n: Array, stamp_ns: int, *, touched: bool) -> None:
-        """Add a reading minus the unloaded one (M,), at rest; `touched` as estimated."""
-        self._touched = self._touched + 1 if touched else 0
-        if self._touched == _MOST_TOUCHED:
-            self.interrupt()
-        if touched:
-            return
-        if not self._count:
-            self._began_ns = stamp_ns
-            self._sum_n[:] = 0.0
-            if not self._means_n:
-                self._first_ns = stamp_ns
-        self._sum_n += difference_n
-        self._count += 1
-        if self._count < _FEWEST_READINGS or abs(stamp_ns - self._began_ns) < _WINDOW_S * 1e9:
-            return
-        self._means_n.append(self._sum_n / self._count)
-        self._count = 0
-        if len(self._means_n) == _WINDOWS:
-            lowest, highest = np.min(self._means_n, axis=0), np.max(self._means_n, axis=0)
-            self.drift_n = np.maximum(lowest, 0.0) + np.minimum(highest, 0.0)
-            if np.abs(self.drift_n).max() < self.limit_n:
-                self._since_ns = None
-            elif self._since_ns is None:
-                self._since_ns = self._first_ns
-
-    def status(self) -> Status:
-        """Which tensions have drifted, and since when."""
-        if self._unwatched:
-            return Status("drift", Level.OK, f"not watched: {self._unwatched}")
-        sizes = zip(self._cable_names, self.drift_n.tolist(), strict=True)
-        values = {
-            "drift since the tare (N)": ", ".join(f"{name} {n:+.2f}" for name, n in sizes),
-            "warned of from (N)": f"{self.limit_n:.2f}",
-        }
-        if self._since_ns is None:
-            return Status("drift", Level.OK, "none of the unloaded tensions seen", values)
-        size_n = np.abs(self.drift_n)
-        off = np.flatnonzero(size_n >= 0.4 * size_n.max())
-        most = 2 * len(off) > len(size_n)
-        which = "most cables" if most else ", ".join(self._cable_names[cable] for cable in off)
-        message = (
-            f"unloaded tensions have drifted by up to {self.drift_n[size_n.argmax()]:+.2f} N "
-            f"({which}) from the tare since {utc_text(self._since_ns)}: call ~/tare with nothing "
-            "touching the arm"
-        )
-        return Status("drift", Level.WARN, message, values)

@@ -28,9 +28,15 @@ LISTENERS = 3
 class ArmClient:
     """Feeds a `LiveArm` with every message, and publishes what a person or a script asks for."""
 
-    def __init__(self, node: Node, arm: Arm, live: LiveArm, estimator: str) -> None:
-        """Subscribe `node`; messages that break the contract are logged."""
+    def __init__(
+        self, node: Node, arm: Arm, live: LiveArm, estimator: str, listeners: int = LISTENERS
+    ) -> None:
+        """Subscribe `node`; messages that break the contract are logged.
+
+        `listeners` read commands once all are up.
+        """
         self._node = node
+        self._listeners = listeners
         self._live = live
         self._joint_names = list(arm.joint_names)
         inputs: tuple[tuple[type, str, qos.Qos], ...] = (
@@ -66,8 +72,8 @@ class ArmClient:
 
     @property
     def connected(self) -> bool:
-        """Whether arm and estimator read commands."""
-        return self._commands.get_subscription_count() >= LISTENERS
+        """Whether all listeners read commands."""
+        return self._commands.get_subscription_count() >= self._listeners
 
     def command(self, joint_angles_rad: Array) -> None:
         """Send joint angles (2N,).

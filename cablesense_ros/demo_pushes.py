@@ -155,11 +155,32 @@ class PushResult:
     Attributes:
         estimate: None when nothing was reported for most of it.
         sample_count: steady moments looked at; 0 when no estimates came.
+        force_ci95_n: ends of the stated interval; None without one.
+        place_ci95_m: ends of the stated interval, each with its segment; None without one.
     """
 
     push: ScriptedPush
     estimate: Contact | None
     sample_count: int
+    force_ci95_n: tuple[float, float] | None = None
+    place_ci95_m: tuple[tuple[int, float], tuple[int, float]] | None = None
+
+    @property
+    def force_covered(self) -> bool | None:
+        """Whether the force is within its stated interval; None without one."""
+        if self.force_ci95_n is None:
+            return None
+        low_n, high_n = self.force_ci95_n
+        return low_n <= self.push.contact.magnitude_n <= high_n
+
+    @property
+    def place_covered(self) -> bool | None:
+        """Whether the place is within its stated interval; None without one."""
+        if self.place_ci95_m is None:
+            return None
+        true = self.push.contact
+        low, high = self.place_ci95_m
+        return low <= (true.segment, true.contact_m) <= high
 
     @property
     def moment_alone(self) -> bool:
@@ -202,9 +223,24 @@ def push_results(script: Sequence[ScriptedPush], played: PushRecord) -> list[Pus
             played.times_s < push.end_s - 0.1
         )
         moments = [played.snapshots[i] for i in np.flatnonzero(steady).tolist()]
-        found = [seen(now) for now in moments if now.answered]
-        results.append(PushResult(push, _median(found), len(found)))
+        answered = [now for now in moments if now.answered]
+        found = [seen(now) for now in answered]
+        ends = _median_ends(answered)
+        results.append(PushResult(push, _median(found), len(found), *ends))
     return results
+
+
+def _median_ends(answered: Sequence[Snapshot]) -> tuple[Any, Any]:
+    """The median ends of the stated intervals of force and place; None where none was stated."""
+    forces_n = [now.bounds[:2] for now in answered if now.bounds is not None and seen(now)]
+    force_n = tuple(np.median(forces_n, axis=0).tolist()) if forces_n else None
+    regions = [now.region for now in answered if now.region]
+    if not regions:
+        return force_n, None
+    lows = sorted((region[0].segment, region[0].low_m) for region in regions)
+    highs = sorted((region[-1].segment, region[-1].high_m) for region in regions)
+    middle = len(regions) // 2
+    return force_n, (lows[middle], highs[middle])
 
 
 def _median(found: Sequence[Contact | None]) -> Contact | None:
@@ -226,7 +262,10 @@ def _median(found: Sequence[Contact | None]) -> Contact | None:
 
 
 def summary(results: Sequence[PushResult]) -> dict[str, Any]:
-    """Mean errors over the pushes found on their segment; None where there are none."""
+    """Mean errors over the pushes found on their segment; None where there are none.
+
+    Beside them, in how many of the stated intervals the truth lies.
+    """
 
     def mean(name: str) -> float | None:
         known = [abs(result.errors[name]) for result in results if name in result.errors]
@@ -240,6 +279,10 @@ def summary(results: Sequence[PushResult]) -> dict[str, Any]:
         "direction_mae_deg": mean("direction_deg"),
         "magnitude_mae_n": mean("magnitude_n"),
         "moment_mae_n_m": mean("moment_n_m"),
+        "place_intervals": sum(result.place_covered is not None for result in results),
+        "place_covered": sum(bool(result.place_covered) for result in results),
+        "force_intervals": sum(result.force_covered is not None for result in results),
+        "force_covered": sum(bool(result.force_covered) for result in results),
     }
 
 
@@ -258,31 +301,45 @@ def metrics(results: Sequence[PushResult]) -> dict[str, Any]:
                 "true": plain(result.push.contact),
                 "estimated": plain(result.estimate) if result.estimate else None,
                 "samples": result.sample_count,
+                "force_ci95_n": result.force_ci95_n,
+                "place_ci95_m": result.place_ci95_m,
             }
             for result in results
         ],
     }
 
 
-def _mean_errors(results: Sequence[PushResult]) -> dict[str, str]:
-    """The means that people are shown, by quantity."""
-    mean = summary(results)
+def _median_errors(results: Sequence[PushResult]) -> dict[str, str]:
+    """The medians that people are shown, by quantity: one wide interval does not hide the rest."""
+
+    def median(name: str) -> float | None:
+        known = [abs(result.errors[name]) for result in results if name in result.errors]
+        return float(np.median(known)) if known else None
+
     return {
-        "place": _text("{:.1f} mm", mean["place_mae_mm"]),
-        "direction": _text("{:.2f}°", mean["direction_mae_deg"]),
-        "force": _text("{:.2f} N", mean["magnitude_mae_n"]),
+        "place": _text("{:.1f} mm", median("place_mm")),
+        "direction": _text("{:.2f}°", median("direction_deg")),
+        "force": _text("{:.2f} N", median("magnitude_n")),
     }
 
 
+def coverage_line(results: Sequence[PushResult]) -> str:
+    """In how many of the stated intervals the truth lies."""
+    found = summary(results)
+    places = f"{found['place_covered']} of {found['place_intervals']} places"
+    forces = f"{found['force_covered']} of {found['force_intervals']} forces"
+    return f"Within their stated 95 % intervals: {places}, {forces}"
+
+
 def results_table(results: Sequence[PushResult]) -> Table:
-    """One row for each push, mean errors in the footer."""
+    """One row for each push, median errors in the footer; red is outside its stated interval."""
     title = "True against estimated: the straight arm, then bent"
     table = Table(title=title, show_footer=True, title_justify="left")
     right = f"{sum(result.segment_right for result in results)} of {len(results)}"
     head = "true segment, place,\ndirection, force"
-    table.add_column(head, "segments right, mean errors", justify="right", no_wrap=True)
+    table.add_column(head, "segments right, median errors", justify="right", no_wrap=True)
     table.add_column("estimated\nsegment", right, justify="right")
-    for name, mean in _mean_errors(results).items():
+    for name, mean in _median_errors(results).items():
         table.add_column(f"{name}\nerror", mean, justify="right")
     straight = sum(not result.push.command_rad.any() for result in results)
     for number, result in enumerate(results, start=1):
@@ -291,14 +348,23 @@ def results_table(results: Sequence[PushResult]) -> Table:
             f"{true.segment} {1e3 * true.contact_m:4.0f} mm {true.angle_deg:6.1f}° "
             f"{true.magnitude_n:6.1f} N",
             f"[{'green' if result.segment_right else 'red'}]{_found(result)}[/]",
-            _text("{:+.1f} mm", errors.get("place_mm")),
+            _judged(_text("{:+.1f} mm", errors.get("place_mm")), result.place_covered),
             _text("{:.2f}°", errors.get("direction_deg")),
             _text("{:+.2f} N·m", errors.get("moment_n_m"))
             if result.moment_alone
-            else _text("{:+.2f} N", errors.get("magnitude_n")),
+            else _judged(_text("{:+.2f} N", errors.get("magnitude_n")), result.force_covered),
             end_section=number == straight,
         )
     return table
+
+
+def _own_region_mm(now: Snapshot) -> tuple[float, float]:
+    """What the interval of the place covers of the segment of the contact."""
+    contact = seen(now) if now.state.known else None
+    for part in now.region:
+        if contact is not None and part.segment == contact.segment:
+            return 1e3 * part.low_m, 1e3 * part.high_m
+    return np.nan, np.nan
 
 
 def _found(result: PushResult) -> str:
@@ -306,6 +372,10 @@ def _found(result: PushResult) -> str:
         return "no contact" if result.sample_count else "no estimate"
     moment = ", moment" if result.moment_alone else ""
     return f"{result.estimate.segment}{moment}"
+
+
+def _judged(text: str, covered: bool | None) -> str:
+    return f"[red]{text}[/]" if covered is False else text
 
 
 def _known(contact: Contact, name: str) -> float:
@@ -330,8 +400,9 @@ def draw_pushes(
     right = sum(result.segment_right for result in results)
     caption = f"{right} of {len(results)} pushes on the right segment"
     if right:
-        means = (f"{name} {mean}" for name, mean in _mean_errors(results).items())
-        caption += f"; mean errors: {', '.join(means)}"
+        medians = (f"{name} {median}" for name, median in _median_errors(results).items())
+        caption += f"; median errors: {', '.join(medians)}"
+    caption += f"\n{coverage_line(results)}"
     with plt.style.context("dark_background"):
         figure, rows = plt.subplots(4, figsize=(10.0, 9.5), sharex=True, layout="constrained")
         _draw_time(rows, played, segment_count)
@@ -342,9 +413,21 @@ def draw_pushes(
 
 
 def _draw_time(rows: Sequence[Any], played: PushRecord, segment_count: int) -> None:
-    """Force, direction, segment and place of the strongest contact, true and estimated."""
+    """Force, direction, segment and place of the strongest contact, true and estimated.
+
+    Bands are the stated intervals; what the estimator does not confirm is left out.
+    """
     true = [next(iter(now.true), None) for now in played.snapshots]
-    estimated = [seen(now) if now.answered else None for now in played.snapshots]
+    estimated = [seen(now) for now in played.snapshots]
+    confirmed = np.array([now.state.known for now in played.snapshots])
+    bounds_n = [
+        now.bounds[:2] if now.state.known and now.bounds else (np.nan, np.nan)
+        for now in played.snapshots
+    ]
+    places_mm = [_own_region_mm(now) for now in played.snapshots]
+    for row, ends in ((rows[0], bounds_n), (rows[3], places_mm)):
+        low, high = np.array(ends).T
+        row.fill_between(played.times_s, low, high, color=css(ESTIMATE_RGB), alpha=0.35, lw=0)
     for row, name, scale, none, label in zip(
         rows,
         ("magnitude_n", "angle_deg", "segment", "contact_m"),
@@ -357,7 +440,11 @@ def _draw_time(rows: Sequence[Any], played: PushRecord, segment_count: int) -> N
             (true, TRUE_RGB, "true", 4.5),
             (estimated, ESTIMATE_RGB, "estimated", 1.6),
         ):
-            values = [none if now is None else scale * _known(now, name) for now in contacts]
+            values = np.array(
+                [none if now is None else scale * _known(now, name) for now in contacts]
+            )
+            if contacts is estimated:
+                values = np.where(confirmed, values, np.nan)
             row.plot(played.times_s, values, color=css(rgb), lw=width, label=kind)
         row.set_ylabel(label)
         row.grid(visible=True, alpha=0.3)

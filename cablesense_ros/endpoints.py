@@ -38,7 +38,7 @@ from trajectory_msgs.msg import JointTrajectory
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import COMMAND, PUBLISHER, Qos
-from cablesense_msgs_py.serialized import require_bounded
+from cablesense_msgs_py.serialized import MAX_CALIBRATION_BYTES, MAX_MESSAGE_BYTES, require_bounded
 from cablesense_msgs_py.topics import ContractError
 from cablesense_online.samples import FollowedPublisher, SampleError
 
@@ -226,10 +226,12 @@ class RefusalLog:
         A message that is too long is never parsed. With a `publisher` to follow, messages of
         others are refused (`subscribe_to_one`).
         """
+        is_calibration = topic in (topics.CALIBRATION, topics.CALIBRATION_USED)
+        most_bytes = MAX_CALIBRATION_BYTES if is_calibration else MAX_MESSAGE_BYTES
 
         def take(raw: bytes) -> None:
             try:
-                require_bounded(raw)
+                require_bounded(raw, most_bytes)
                 try:
                     message = deserialize_message(raw, kind)
                 except Exception as error:  # of the middleware, each its own

@@ -10,18 +10,19 @@ from typing import Any
 from rclpy.event_handler import QoSMessageLostInfo
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
+from std_msgs.msg import UInt8MultiArray
 
-from cablesense_base import CableSenseError
+from cablesense_contact.calibration import calibration_of
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, Status
-from cablesense_msgs_py.qos import COMMAND, SENSOR
+from cablesense_msgs_py.qos import COMMAND, LATCHED, SENSOR
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
-from cablesense_online.state import LIVE_SETTINGS, EstimationSettings, Tare
-from cablesense_online.state_file import StateFile
-from cablesense_online.tare import TareError, tare_undone_line
+from cablesense_online.provenance import Provenance
+from cablesense_online.settings import LIVE_SETTINGS, EstimationSettings
+from cablesense_online.tare import Tare, TareError, tare_undone_line
 from cablesense_ros.endpoints import (
     WARN_EVERY_S,
     CommandInput,
@@ -53,6 +54,7 @@ class EstimatorNode(ConfiguredNode):
     def _begin(self) -> None:
         """Subscribe to tensions and commands."""
         self._estimation.start(time.monotonic())
+        self._outputs.publish_calibration(self._estimation, self._now_ns())
         at_end = self._while_active.callback
         samples = subscribe_to_one(
             self,
@@ -70,6 +72,10 @@ class EstimatorNode(ConfiguredNode):
         offset = self._estimation.offset
         offsets = refuse.subscribe(JointState, topics.CABLE_OFFSETS, COMMAND, offset)
         at_end(self.destroy_subscription, offsets)
+        calibrations = refuse.subscribe(
+            UInt8MultiArray, topics.CALIBRATION, LATCHED, self._on_calibration
+        )
+        at_end(self.destroy_subscription, calibrations)
         commands = CommandInput(
             self,
             refuse,
@@ -82,11 +88,12 @@ class EstimatorNode(ConfiguredNode):
         at_end(self._publish_zero)  # none is left standing
 
     def _configure(self, given: dict[str, Any]) -> None:
-        self._loaded = load_model(given["arm"], given["model"])
-        arm = self._loaded.arm
-        self._estimation = self._new_estimation(given)
-        self._state = StateFile(given["state_file"], given["state_within_s"])
-        self._restore_state(given)
+        self._loaded = loaded = load_model(given["arm"], given["model"])
+        arm = loaded.arm
+        settings = EstimationSettings.model_validate(given)
+        calibration = loaded.calibration(given["calibration_file"])
+        contacts = loaded.contacts(settings, calibration)
+        self._estimation = Estimation(arm, contacts, settings, time.monotonic())
         frames = Frames(arm.segment_count, given["frame_prefix"])
         self._outputs = EstimatorOutputs(
             self._topics,
@@ -95,37 +102,19 @@ class EstimatorNode(ConfiguredNode):
             given["markers"],
             given["unknown_force"],
             self._estimation,
+            Provenance(
+                model=loaded.path,
+                sha256=loaded.sha256,
+                arm=arm.identity,
+                frame_prefix=given["frame_prefix"],
+                settings=settings,
+            ),
             arm.joint_names,
         )
-        self._entities.callback(self._keep_state)
         self._identity = arm.identity
-        self.get_logger().info(f"arm {arm.identity}, model {self._loaded.model}: configured")
-
-    def _new_estimation(self, given: dict[str, Any]) -> Estimation:
-        given["largest_misfit"] = self._loaded.largest_misfit(given["largest_misfit"])
-        return Estimation(
-            self._loaded.arm,
-            self._loaded.estimator,
-            EstimationSettings.model_validate(given),
-            time.monotonic(),
-            self._loaded.origin | {"frame_prefix": given["frame_prefix"]},
-        )
-
-    def _restore_state(self, given: dict[str, Any]) -> None:
-        """Continue from the state of an estimator that was killed a moment ago."""
-        try:
-            state = self._state.read(self._loaded.arm.identity)
-            if state is None:
-                return
-            self._estimation.restore(state)
-        except CableSenseError as error:
-            self._estimation = self._new_estimation(given)
-            self.get_logger().warning(f"starts anew, without tare: {error}")
-            return
-        self.get_logger().info(
-            f"continues with the tare and the command of {given['state_file']}; if the arm was "
-            "changed since, call ~/tare with nothing touching it"
-        )
+        path = given["calibration_file"]
+        known = f"calibrated by {path}" if calibration else "not calibrated"
+        self.get_logger().info(f"arm {arm.identity}, model {loaded.path}, {known}: configured")
 
     def _on_sample(self, raw: bytes) -> None:
         now_ns, now_s = self._now_ns(), time.monotonic()
@@ -135,8 +124,7 @@ class EstimatorNode(ConfiguredNode):
             self._refuse_sample(topics.CABLE_TENSIONS, answer.problem)
         if answer.new_tare is not None:
             self._log_tare(answer.new_tare, "by itself (auto_tare)")
-        if answer.state is not None:
-            self._state.keep(answer.state)
+            self._outputs.publish_calibration(self._estimation, now_ns)
 
     def _on_command(self, message: JointState) -> None:
         if self._estimation.command(message):
@@ -144,6 +132,14 @@ class EstimatorNode(ConfiguredNode):
                 "the tare that was taken before any command is dropped: the first command is to "
                 "another pose than the assumed one; auto_tare takes another once the arm rests"
             )
+
+    def _on_calibration(self, message: UInt8MultiArray) -> None:
+        """Take over the calibration of a commissioning."""
+        source = topics.CALIBRATION
+        calibration = calibration_of(bytes(message.data), self._loaded.arm, source)
+        self._estimation.calibrate(calibration)
+        self._outputs.publish_calibration(self._estimation, self._now_ns())
+        self.get_logger().info(f"calibration taken over: {calibration.made_from}")
 
     def _require_active(self) -> None:
         if not self._active:
@@ -153,15 +149,20 @@ class EstimatorNode(ConfiguredNode):
         self._require_active()
         forced = self.get_parameter("tare_force").value
         tare = self._estimation.take_tare(self._now_ns(), forced=forced)
+        self._outputs.publish_calibration(self._estimation, self._now_ns())
         return self._log_tare(tare, "on request" + " (tare_force)" * forced)
 
     def _undo_tare(self) -> str:
         self._require_active()
-        tares = self._estimation.tares
-        undone = tares.present
+        unloaded = self._estimation.unloaded
+        undone = unloaded.tares[-1] if unloaded.tares else None
         earlier = self._estimation.undo_tare()
-        assert undone is not None  # or there would have been nothing to undo
-        message = tare_undone_line(undone, earlier, self._loaded.arm.cable_names, tares.undoable)
+        self._outputs.publish_calibration(self._estimation, self._now_ns())
+        if undone is None:
+            message = "the calibration taken over last is undone"
+        else:
+            names = self._loaded.arm.cable_names
+            message = tare_undone_line(undone, earlier, names, unloaded.undoable)
         self.get_logger().info(message)
         return message
 
@@ -174,18 +175,9 @@ class EstimatorNode(ConfiguredNode):
         """Time of the clock that sets stamps; the system's is read directly, as that is faster."""
         return self.get_clock().now().nanoseconds if self._simulated_time else time.time_ns()
 
-    def _keep_state(self) -> None:
-        try:
-            self._state.flush()
-        except CableSenseError as error:
-            self.get_logger().error(
-                f"the state is not kept: {error}", throttle_duration_sec=WARN_EVERY_S
-            )
-
     def _check_stale(self) -> None:
         self._simulated_time = self.get_clock().ros_time_is_active
-        self._keep_state()
-        if awaited := self._estimation.tares.awaited:
+        if awaited := self._estimation.unloaded.awaited or self._estimation.auto_tare_problem:
             self.get_logger().warning(
                 f"auto_tare waits: {awaited}", throttle_duration_sec=WARN_EVERY_S
             )
@@ -222,21 +214,20 @@ class EstimatorNode(ConfiguredNode):
         if not self._active:
             return [model]
         publishers = self.count_publishers(topics.CABLE_TENSIONS)
+        breathing = estimation.breathing.status()
         statuses = [
             model,
             estimation.health.status(time.monotonic(), self._lost, publishers),
             estimation.check.status(),
-            estimation.plausibility.status(),
             estimation.gate.status(
-                self._loaded.estimator.metadata.pose_range_deg,
+                self._loaded.metadata.pose_range_deg,
                 self._refuse_command.count,
                 received=estimation.command_received,
-                in_motion=estimation.model.in_motion,
             ),
-            estimation.tares.status(),
-            estimation.drift.status(),
-            *filter(None, [estimation.breathing.status(), self._state.status()]),
+            estimation.unloaded.status(),
         ]
+        if breathing is not None:
+            statuses.append(breathing)
         self._lost = self._refuse_command.count = 0
         return statuses
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from math import nan
 from typing import Any
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import (
     Point,
     Point32,
@@ -23,20 +23,22 @@ from geometry_msgs.msg import (
 )
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
+from cablesense_contact.calibration import calibration_bytes
+from cablesense_contact.estimate import NORMAL_95
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import NO_CONTACT, UNKNOWN_WRENCH, Contact, ForceState, Status
-from cablesense_msgs_py.qos import JOURNAL, WRENCH
+from cablesense_msgs_py.qos import LATCHED, WRENCH
 from cablesense_msgs_py.serialized import restamped, wrench_writers
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
-from cablesense_online.state import put_state
+from cablesense_online.provenance import Provenance, Situation
+from cablesense_online.tare import CalibratedArm
 from cablesense_ros.endpoints import Outputs, message_class
 from cablesense_ros.node_process import diagnostic_array
-from cablesense_training.inference.estimator import NORMAL_95
 
 DISPLAY_PERIOD_S = 1.0 / 30.0
 """Markers and probabilities are for display, and published no faster than this."""
@@ -59,21 +61,19 @@ class EstimatorOutputs:
         markers: bool,
         unknown_force: str,
         estimation: Estimation,
+        provenance: Provenance,
         joint_names: Sequence[str],
     ) -> None:
         """`identity` is the arm's, `unknown_force` as in `EstimationSettings`."""
         self._estimation, self._frames = estimation, frames
         self._unknown_force = unknown_force
+        self._provenance = provenance
         self._next_display_s = float("-inf")
         self._writers = wrench_writers(frames)
         self._wrench_out = outputs.make(WrenchStamped, topics.WRENCH, WRENCH)
         self._status_out = outputs.make(DiagnosticArray, topics.STATUS)
-        self._statuses: dict[ForceState, bytes] = {}
-        for state in ForceState:
-            status = Status("force", state.level, state.value)
-            self._statuses[state] = serialize_message(
-                diagnostic_array(outputs.node, [status], identity)
-            )
+        self._node, self._identity = outputs.node, identity
+        self._statuses = {state: self._status(state) for state in ForceState}
         estimate = message_class("cablesense_msgs/msg/ForceEstimate")
         self._estimate: Any = estimate and estimate()
         self._estimate_out = outputs.make(estimate, topics.ESTIMATE) if estimate else None
@@ -83,7 +83,7 @@ class EstimatorOutputs:
         self._torques_out = outputs.make(JointState, topics.JOINT_TORQUES)
         self._torques = JointState(name=list(joint_names))
         self._torques.header.frame_id = frames.base
-        count = frames.segment_count if estimation.model.several else 0
+        count = frames.segment_count if estimation.contacts.several else 0
         self._segments_out = [
             outputs.make(WrenchStamped, topics.SEGMENT_WRENCHES.format(number))
             for number in range(1, count + 1)
@@ -106,7 +106,7 @@ class EstimatorOutputs:
         self._probabilities.layout.dim = [
             MultiArrayDimension(label=",".join(labels), size=len(labels), stride=len(labels))
         ]
-        self._journal_out = outputs.make(DiagnosticArray, topics.JOURNAL, JOURNAL)
+        self._calibration_out = outputs.make(UInt8MultiArray, topics.CALIBRATION_USED, LATCHED)
         self._markers_out = outputs.make(MarkerArray, topics.MARKERS) if markers else None
         self._most_shown = max(1, count)
 
@@ -116,7 +116,10 @@ class EstimatorOutputs:
         if wrench is not None:
             self._wrench_out.publish(self._writers[contact.segment].write(stamp_ns, wrench))
         if self._status_out.subscribed:
-            self._status_out.publish(restamped(self._statuses[answer.force], stamp_ns))
+            status = self._statuses[answer.force]
+            if answer.doubt:
+                status = self._status(answer.force, {"or": answer.doubt})
+            self._status_out.publish(restamped(status, stamp_ns))
         if self._estimate_out and self._estimate_out.subscribed:
             in_base = self._in_base(answer, "nan")
             put_estimate(self._estimate, answer, in_base, self._frames, _time(stamp_ns))
@@ -128,16 +131,33 @@ class EstimatorOutputs:
             for out, bound in zip(outs, answer.bounds, strict=True):
                 if out.subscribed:
                     out.publish(self._writers[bound.segment].write(stamp_ns, bound.wrench))
-        if answer.state is not None:
-            message = DiagnosticArray()
-            message.header.frame_id = self._frames.base
-            put_state(message, answer.state, DiagnosticStatus, KeyValue)
-            self._journal_out.publish(message)
         if contact.segment and any(out.subscribed for out in self._contact_outs):
             self._publish_contact(answer, stamp_ns)
         if now_s >= self._next_display_s:
             self._next_display_s = now_s + DISPLAY_PERIOD_S
             self._publish_display(answer, stamp_ns)
+
+    def _status(self, state: ForceState, values: Mapping[str, str] | None = None) -> bytes:
+        """The serialized status of a force, without a stamp."""
+        status = Status("force", state.level, state.value, values or {})
+        return serialize_message(diagnostic_array(self._node, [status], self._identity))
+
+    def publish_calibration(self, estimation: Estimation, now_ns: int) -> None:
+        """Publish what answers rest on from the next sample on: a calibration and its provenance.
+
+        A network has none.
+        """
+        unloaded = estimation.unloaded
+        if not isinstance(unloaded, CalibratedArm):
+            return
+        content = calibration_bytes(unloaded.calibration)
+        message = UInt8MultiArray(data=array("B", content))
+        command_rad = tuple(estimation.gate.command_rad.tolist())
+        situation = Situation(now_ns, command_rad, unloaded.known)
+        label = self._provenance.as_json(situation)
+        size = len(content)
+        message.layout.dim = [MultiArrayDimension(label=label, size=size, stride=size)]
+        self._calibration_out.publish(message)
 
     def _publish_whole(self, answer: Answer, wrench: Sequence[float], stamp_ns: int) -> None:
         """The force in base axes, at the joints and, of several contacts, on each segment."""

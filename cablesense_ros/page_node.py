@@ -19,10 +19,13 @@ from cablesense_online.page.guard import exposure_warning
 from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.page.page import Page
 from cablesense_online.page.panel import Actions
-from cablesense_ros.arm_client import ArmClient
+from cablesense_ros.arm_client import LISTENERS, ArmClient
 from cablesense_ros.endpoints import of_node, steady_timer
 from cablesense_ros.node_process import declare_parameters, full_name, parameter_table, run_node
 from cablesense_sim.arm import open_arm
+
+_ASK_AGAIN_S = 0.5
+"""After a commissioner has refused to begin."""
 
 
 class PageNode(Node):
@@ -34,24 +37,32 @@ class PageNode(Node):
         arm, host, port = open_arm(given["arm"]), given["host"], given["port"]
         estimator = given["estimator"]
         self._home_due = given["home_at_start"]
+        self._commission_due = given["commission_at_start"]
+        self._commission_from_s = 0.0
         self._home_rad = np.zeros(arm.joint_count)
         self._live = LiveArm(
             arm,
             joint_speed_rad_s=given["joint_speed_rad_s"],
             frame_prefix=given["frame_prefix"],
             estimator=full_name(self, estimator),
+            commissioner=full_name(self, "commissioner"),
         )
-        self._client = ArmClient(self, arm, self._live, estimator)
+        listeners = LISTENERS + self._commission_due
+        self._client = ArmClient(self, arm, self._live, estimator, listeners)
         tare = self.create_client(Trigger, of_node(estimator, topics.TARE))
         undo_tare = self.create_client(Trigger, of_node(estimator, topics.TARE_UNDO))
         breathe = self.create_client(Trigger, of_node("breather", topics.BREATHE))
+        commission = self.create_client(Trigger, of_node("commissioner", topics.COMMISSION))
+        self._commission_client = commission
         self._actions = Actions(
-            push=self._noting("Not pushed", self._client.push),
-            command=self._noting("Not moved", self._client.command),
+            push=self._of_person("Not pushed", self._client.push),
+            command=self._of_person("Not moved", self._client.command),
             tare=partial(self._ask, tare, "Tared", "Not tared"),
             undo_tare=partial(self._ask, undo_tare, "Tare undone", "Not undone"),
             breathe=partial(self._ask, breathe, "Breathing", "No breath"),
             can_breathe=breathe.service_is_ready,
+            commission=partial(self._ask, commission, "Commissioning", "Not commissioned"),
+            can_commission=commission.service_is_ready,
         )
         controls = given["controls"]
         self._page = Page(arm, self._actions if controls else None, host=host, port=port)
@@ -72,12 +83,31 @@ class PageNode(Node):
         if self._home_due and self._client.connected:
             self._home_due = False
             self._client.command(self._home_rad)
+        if self._commission_due and not self._home_due and self._live.reports_ok("tare"):
+            self._begin_commissioning()
         self._page.show(self._live.snapshot(time.monotonic()))
 
-    def _noting(self, title: str, act: Callable[..., None]) -> Callable[..., None]:
-        """The action, whose refusal is shown on the page."""
+    def _begin_commissioning(self) -> None:
+        """Ask the commissioner, again and again until it begins."""
+        now_s = time.monotonic()
+        client = self._commission_client
+        if now_s < self._commission_from_s or not client.service_is_ready():
+            return
+        self._commission_from_s = now_s + _ASK_AGAIN_S
+
+        def begun(future: Any) -> None:
+            answer = future.result()
+            if answer is not None and answer.success:
+                self._commission_due = False
+                self._page.notify("Commissioning", answer.message)
+
+        client.call_async(Trigger.Request()).add_done_callback(begun)
+
+    def _of_person(self, title: str, act: Callable[..., None]) -> Callable[..., None]:
+        """The action, whose refusal is shown on the page; nothing begins by itself after it."""
 
         def try_to_act(*values: Any) -> None:
+            self._commission_due = False
             try:
                 act(*values)
             except CableSenseError as error:

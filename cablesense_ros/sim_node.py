@@ -38,12 +38,13 @@ from cablesense_ros.node_process import (
     run_node,
 )
 from cablesense_sim.arm import open_arm
-from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.contact_location import touched_at
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.built_arm import as_described, built_arm
 from cablesense_sim.dynamics import moving_arm
 from cablesense_sim.effects.registry import sensings
 from cablesense_sim.loads import contact_of_wrench
 from cablesense_sim.model import urdf_xml
+from cablesense_sim.touch import touched_places
 
 TIMESTEP_S = 1e-3
 JOINT_STATES_HZ = 100.0
@@ -67,13 +68,16 @@ class SimNode(Node):
         cables = NamedOrder(arm.cable_names, "cables")
         self._rng = np.random.default_rng(given["seed"]) if given["noise"] else None
         self._rate_hz = given["rate_hz"] or min(arm.sensors.rate_hz, 1000.0)
+        seed = given["built_seed"]
+        self._built_by = "its file" if seed < 0 else f"its tolerances, seed {seed}"
+        built = as_described(arm) if seed < 0 else built_arm(arm, seed)
         self._simulated = SimulatedArm(
-            moving_arm(arm, TIMESTEP_S),
+            moving_arm(arm, TIMESTEP_S, built),
             TIMESTEP_S,
             given["joint_speed_rad_s"],
             given["load_timeout_s"],
             time.monotonic(),
-            sensings=sensings([entries_of(arm)]),
+            sensings=sensings([built.entries]),
             longest_lag_s=max(LONGEST_LAG_S, _PERIODS_OF_LAG / self._rate_hz),
         )
         self._tensions = JointState(name=list(arm.cable_names))
@@ -98,7 +102,8 @@ class SimNode(Node):
         def on_offsets(message: JointState) -> None:
             self._simulated.offset(cable_offsets_m(message, cables))
 
-        mechanism, (reach_m, _) = mechanism_of(arm), touched_at(arm)
+        mechanism = mechanism_of(arm)
+        reach_m = touched_places(arm).reach_m
 
         def contact_of(force_n: Array, torque_n_m: Array) -> tuple[int, float]:
             pose = self._simulated.joint_angles_rad
@@ -119,7 +124,8 @@ class SimNode(Node):
         publish_diagnostics(self, self._statuses, lambda: arm.identity)
         self.create_timer(1.0 / self._rate_hz, self._tick)
         self.get_logger().info(
-            f"arm {arm.identity}: {arm.cable_count} cables at {self._rate_hz:g} Hz"
+            f"arm {arm.identity}, built by {self._built_by}: {arm.cable_count} cables at "
+            f"{self._rate_hz:g} Hz"
         )
 
     def _tick(self) -> None:
@@ -151,6 +157,7 @@ class SimNode(Node):
             "messages refused": str(self._refuse.count),
             "resets": str(simulated.resets),
             "arm": self._arm.identity,
+            "built by": self._built_by,
         }
         return [Status("simulation", level, message, values)]
 

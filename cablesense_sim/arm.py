@@ -272,7 +272,8 @@ class Arm(FilePart):
     @property
     def identity(self) -> str:
         """Name and the first 12 hex digits of the SHA-256 of what its tensions follow from."""
-        text = json.dumps(self.model_dump(mode="json", exclude={"touch", "tolerances"}), sort_keys=True)
+        content = self.model_dump(mode="json", exclude={"touch", "tolerances"})
+        text = json.dumps(content, sort_keys=True)
         return f"{self.name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 

@@ -19,8 +19,9 @@ from numpy.typing import ArrayLike
 from cablesense_base import Array
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.built_arm import BuiltArm, as_described
 from cablesense_sim.effects.effect import Actuation
-from cablesense_sim.effects.registry import actuations, amended, transmissions
+from cablesense_sim.effects.registry import actuations, amended, joint_zeros_rad, transmissions
 from cablesense_sim.equilibrium import (
     EquilibriumError,
     checked_command,
@@ -37,30 +38,35 @@ _ROUNDING_S = 1e-9
 _SLIGHTLY_M = 1e-6
 
 
-def moving_arm(arm: Arm, timestep_s: float) -> ArmDynamics | RestToRestArm:
-    """The arm of a file with its effects, those of the sensors aside.
+def moving_arm(
+    arm: Arm, timestep_s: float, built: BuiltArm | None = None
+) -> ArmDynamics | RestToRestArm:
+    """The arm of a file with its effects, as it was `built`; its sensors are left to who reads.
 
     Raises:
         EquilibriumError: it has no rest under its own weight.
     """
     if transmissions([entries_of(arm)]):
-        return RestToRestArm(arm)
-    return ArmDynamics(arm, timestep_s)
+        return RestToRestArm(arm, built)
+    return ArmDynamics(arm, timestep_s, built)
 
 
 class _CommandedArm(ABC):
     """What both kinds of arm have: description, command and loads.
 
     Attributes:
-        arm: the description it was built from.
+        arm: its description, by which its controller knows it.
+        built: by what it differs from that.
         mechanism: its numbers as arrays, as its effects leave them.
     """
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: Arm, built: BuiltArm | None = None) -> None:
+        """Without `built` the arm equals its description."""
         self.arm = arm
-        self._entries = entries_of(arm)
+        self.built = built or as_described(arm)
+        self._entries = self.built.entries
         self._nominal = mechanism_of(arm)
-        self.mechanism = amended(self._nominal, self._entries)
+        self.mechanism = amended(self.built.mechanism, self._entries)
         self._forces_n = np.zeros((arm.segment_count, 3))
         self._places_m = self.mechanism.contact_m.copy()
         self._command_rad = np.zeros(arm.joint_count)
@@ -79,7 +85,7 @@ class _CommandedArm(ABC):
     def command(self, joint_angles_rad: ArrayLike) -> None:
         """Let the actuators hold the cable lengths of these joint angles (2N,).
 
-        They are those of the arm without its effects: its controller knows no better.
+        They are those of the arm as described and without effects: its controller knows no better.
 
         Raises:
             EquilibriumError: wrong shape, not finite, or a bend at which guide plates would touch.
@@ -95,7 +101,11 @@ class _CommandedArm(ABC):
     def _actuated_m(
         self, command_rad: Array, through: Sequence[Actuation], time_s: float
     ) -> Array:
-        held = held_lengths_m(self._nominal, command_rad)[None] + self._offset_m
+        angles_rad = command_rad + self.built.joint_zeros_rad
+        zeros_rad = joint_zeros_rad([self._entries], self.arm.segment_count)
+        if zeros_rad is not None:
+            angles_rad = angles_rad + zeros_rad[0]
+        held = held_lengths_m(self._nominal, angles_rad)[None] + self._offset_m
         for actuation in through:
             held = actuation.step(time_s, held)
         return np.asarray(held[0])
@@ -152,13 +162,13 @@ class ArmDynamics(_CommandedArm):
         model, data: MuJoCo's own, for rendering.
     """
 
-    def __init__(self, arm: Arm, timestep_s: float = 1e-3) -> None:
+    def __init__(self, arm: Arm, timestep_s: float = 1e-3, built: BuiltArm | None = None) -> None:
         """Build the model.
 
         Raises:
             EquilibriumError: the arm has history-dependent effects, or no rest.
         """
-        super().__init__(arm)
+        super().__init__(arm, built)
         if transmissions([self._entries]):
             raise EquilibriumError(
                 f"arm {arm.identity} has history-dependent effects; it goes from rest to rest "
@@ -253,8 +263,8 @@ class RestToRestArm(_CommandedArm):
     It comes to rest when it is read, and no sooner than `LEAST_PERIOD_S` after the last time.
     """
 
-    def __init__(self, arm: Arm) -> None:
-        super().__init__(arm)
+    def __init__(self, arm: Arm, built: BuiltArm | None = None) -> None:
+        super().__init__(arm, built)
         self._time_s = 0.0
         self.reset()
         # a rest elsewhere has all code compiled or loaded before time runs

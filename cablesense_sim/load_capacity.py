@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from cablesense_base import Array, CableSenseError
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.effects.registry import actuations, amended
+from cablesense_sim.effects.registry import actuations, amended, joint_zeros_rad
 from cablesense_sim.equilibrium import (
     EquilibriumError,
     checked_command,
@@ -249,8 +249,9 @@ def hidden_force(arm: Arm, commands_rad: ArrayLike, load_n: float) -> HiddenForc
 
     arms = QuasiStaticArm([amended(nominal, entries)] * len(pushes), [entries] * len(pushes))
     actuators = actuations([entries])
+    zeros_rad = joint_zeros_rad([entries], arm.segment_count)
     for time_s, pose in enumerate(poses):
-        held = held_lengths_m(nominal, pose)[None]
+        held = held_lengths_m(nominal, pose if zeros_rad is None else pose + zeros_rad[0])[None]
         for actuator in actuators:
             held = actuator.step(time_s, held)
         held = np.repeat(held, len(pushes), axis=0)

@@ -68,6 +68,8 @@ class QuasiStaticArm:
         """
         self._each = list(mechanisms)
         self._mechanism = stack(mechanisms)
+        # loads and weights notice lengths that differ by tolerances; cables' pieces do not
+        self._lengths_m = np.stack([mechanism.segment_length_m for mechanism in mechanisms])
         self._plates = plates_of(self._mechanism, len(self._each))
         self._bend_limit_rad = self._mechanism.bend_limit_rad
         spring = self._mechanism.joint_stiffness_n_m_rad
@@ -126,7 +128,8 @@ class QuasiStaticArm:
         self._longer_m = longer_m
         rest_m = rest_m + longer_m
         self._hold(rest_m)
-        arms = kinematics.load_arms(replace(self._mechanism, contact_m=places), forces)
+        loaded = replace(self._mechanism, contact_m=places, segment_length_m=self._lengths_m)
+        arms = kinematics.load_arms(loaded, forces)
         with np.errstate(all="ignore"):  # an arm without a rest may go anywhere
             while True:
                 try:

@@ -26,6 +26,7 @@ from cablesense_sim.effects.registry import (
     Variants,
     actuations,
     amended,
+    joint_zeros_rad,
     loadings,
     sensings,
     transmissions,
@@ -37,6 +38,7 @@ from cablesense_sim.equilibrium import (
     solve_equilibrium,
 )
 from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.rest_response import RestResponse
 
 _HARMONICS = 100
 """Terms of the series of rounding. What the others would add is below 1 % of step² / 12."""
@@ -107,6 +109,30 @@ class Replay:
             return self._through(sensings(variants), self._memoryless_n(variants, unborne_n))
         tensions = self._in_turn_n(variants, some_may_fail=unborne_n is not None)
         return self._through(sensings(variants), tensions)
+
+    def small_changes_n(self, base: Sequence[EffectEntry], variants: Variants) -> Array:
+        """Changes (P, R, M) of the readings by P small differences from a memoryless arm.
+
+        To first order. The variants have the same effects as the base, with other numbers.
+
+        Raises:
+            EquilibriumError: the base finds no rest.
+        """
+        together = [base, *variants]
+        mechanisms, held_m, forces_n = self._moved(together)
+        first, same = self._first, self.alike
+        if not np.array_equal(held_m, held_m[:, first][:, same]):
+            first = same = np.arange(len(self.time_s))
+        rest = self._rest(mechanisms[0], first, held_m[0], forces_n[0])
+        touched = [self._touched(mechanism, first) for mechanism in mechanisms]
+        loads_n = forces_n[:, first]
+        response = RestResponse(touched[0], rest.joint_angles_rad, rest.tensions_n, loads_n[0])
+        tensions_n = [
+            response.tensions_n(mechanism, held, loads)
+            for mechanism, held, loads in zip(touched, held_m[:, first], loads_n, strict=True)
+        ]
+        readings_n = self._through(sensings(together), np.stack(tensions_n)[:, same])
+        return readings_n[1:] - readings_n[0]
 
     def begun_at(self, start_rad: Array) -> Replay:
         """The same, but the search for each row's rest begins at joint angles (R, 2N)."""
@@ -219,7 +245,12 @@ class Replay:
 
     def _moved(self, variants: Variants) -> tuple[list[Mechanism], Array, Array]:
         """Each arm with what its effects change of it, lengths (P, R, M) held, loads that act."""
-        held = np.repeat(self._held_m[None], len(variants), axis=0)
+        zeros_rad = joint_zeros_rad(variants, self._nominal.segment_count)
+        if zeros_rad is None:
+            held = np.repeat(self._held_m[None], len(variants), axis=0)
+        else:
+            each_rad, own = np.unique(zeros_rad, axis=0, return_inverse=True)
+            held = held_lengths_m(self._nominal, self.command_rad + each_rad[:, None])[own]
         forces = np.broadcast_to(self.forces_n, (len(variants), *self.forces_n.shape))
         for matrix in loadings(variants):
             forces = forces @ matrix.swapaxes(1, 2)[:, None]
@@ -265,16 +296,19 @@ class Replay:
         self, mechanism: Mechanism, rows: NDArray[np.int64], held_m: Array, forces_n: Array
     ) -> Equilibrium:
         start = self.command_rad if self._start_rad is None else self._start_rad
-        if self._beyond_m is not None:
-            places = mechanism.contact_m + self._beyond_m[rows]
-            mechanism = replace(mechanism, contact_m=places)
         return solve_equilibrium(
-            mechanism,
+            self._touched(mechanism, rows),
             self.command_rad[rows],
             forces_n[rows],
             held_m=held_m[rows],
             start_rad=start[rows],
         )
+
+    def _touched(self, mechanism: Mechanism, rows: NDArray[np.int64]) -> Mechanism:
+        """The mechanism with the places of the loads in some rows."""
+        if self._beyond_m is None:
+            return mechanism
+        return replace(mechanism, contact_m=mechanism.contact_m + self._beyond_m[rows])
 
 
 def _key(entries: Sequence[EffectEntry]) -> Iterator[tuple[object, ...]]:

@@ -53,9 +53,9 @@ class Tolerances(FilePart):
         sensor_zero_n: of each channel, before a tare.
         joint_zero_deg: of each joint angle: the actuators hold the lengths of angles that are off
             by this.
-        friction_coefficient: mean and deviation of the coefficient between cables and guides of
-            an arm whose file lists no friction: every arm has some. Where it lists friction, the
-            coefficient is known to `friction_share` of it.
+        friction_coefficient: between cables and guides, of an arm whose file lists no friction:
+            every arm has some, most likely from none to this (half of it is mean and deviation).
+            Where the file lists friction, the coefficient is known to `friction_share` of it.
         friction_share: see `friction_coefficient`.
         drift_n_per_hour: drift of each sensor's zero since its last unloaded reading.
         contact_m: of the point on each segment at which a recording says that a load acted, along
@@ -111,9 +111,9 @@ class ArmParameters:
     Parameters of a cable come first, M of each kind in the order of the cables: stiffness (share),
     pretension (N), hole of each plate 0 (base) to N outward and then around (m), slide at the
     actuator's pulley and at the guides of each joint 1 to N (1), gain (share) and zero (N) of the
-    sensor. Then of the segments, N each: mass (share), centre (m),
-    length (m); and 2N of their centres across the axis, all along y and then along z (m). Last the tilt of the base about y and x (rad), the joint zeros (2N, rad) and the
-    coefficient of friction.
+    sensor. Then of the segments, N each: mass (share), centre (m), length (m); and 2N of their
+    centres across the axis, all along y and then along z (m). Last the tilt of the base about y
+    and x (rad), the joint zeros (2N, rad) and the coefficient of friction.
 
     A cable's *slide* at a guide is the share of the friction there that its tensions carry now,
     from -1 (the tension is the larger one at the actuator) to 1 (at the arm). It is a state, not a
@@ -151,8 +151,8 @@ class ArmParameters:
                 "friction", "1", ("arm",), given.friction_share * friction, friction
             )
         else:
-            expected = given.friction_coefficient
-            coefficient = ParameterGroup("friction", "1", ("arm",), 0.5 * expected, expected)
+            half = 0.5 * given.friction_coefficient
+            coefficient = ParameterGroup("friction", "1", ("arm",), half, half)
         self.groups: tuple[ParameterGroup, ...] = (
             ParameterGroup("cable_stiffness", "1", cables, given.cable_stiffness_share),
             ParameterGroup("pretension", "N", cables, given.pretension_n),

@@ -12,6 +12,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
+from cablesense_contact.calibration import Calibrator, Unloaded
+from cablesense_contact.judgement import ContactState, Judge
 from cablesense_gap import Recording, read_recording
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_sim import (
@@ -21,7 +23,7 @@ from cablesense_sim import (
     read_tensions_n,
     solve_equilibrium,
 )
-from cablesense_training import Estimator, find_model, open_estimator
+from cablesense_training import LawModel, find_model
 
 CSV = Path("out/estimate_csv/pushes.csv")  # yours, or it is simulated below
 ARM, MODEL = "cdsm", "cdsm_anywhere"  # names, or the paths of your files
@@ -52,24 +54,36 @@ if not CSV.exists():
     write_csv(CSV, simulated)
 
 # %% [markdown]
-# Tensions count from those of the unloaded arm at the same command. The estimator then takes all
-# rows at once.
+# The first rows, where nothing touches the arm, are the tare: they update what the tolerances of
+# the arm file say of this very arm. The law then takes all rows at once.
 
 # %%
 rows = read_recording(CSV, arm)
+law = LawModel(find_model(MODEL), arm)
+calibrator = Calibrator(arm, law)
 baseline_n = rows.tensions_n[:TARE_ROWS].mean(axis=0)
-estimator = open_estimator(find_model(MODEL), arm)
-assert isinstance(estimator, Estimator), "a model with a history needs the rows in order"
-found = estimator.estimate_batch(rows.tensions_n - baseline_n, rows.command_rad)
-force_n = np.where(found.segment > 0, found.magnitude_n, 0.0)
+tare = Unloaded(baseline_n, rows.command_rad[0], TARE_ROWS)
+known = calibrator.updated(calibrator.by_tolerances(), tare)
+
+still = np.zeros((arm.joint_count, arm.joint_count))
+seen = law(rows.tensions_n, rows.command_rad, known.mean, known.covariance, still)
+judge = Judge(arm)
+found = [judge(seen.row(k), rows.tensions_n[k]) for k in range(len(rows))]
+touched = np.array([each.state is not ContactState.FREE for each in found])
+force_n = np.where(touched, np.hypot(*seen.force_n[:, 1:].T), 0.0)
+low_n, high_n = np.where(touched, seen.magnitude_ci95_n.T, 0.0)
 
 for row in range(0, len(rows), 20):
-    print(f"{rows.time_s[row]:5.1f} s  segment {found.segment[row]}  {force_n[row]:6.2f} N")
+    said = found[row].state.value
+    if touched[row]:
+        said += f", segment {found[row].segment}"
+    print(f"{rows.time_s[row]:5.1f} s  {said:20}  {force_n[row]:6.2f} N")
 
 # %%
 figure, axes = plt.subplots(figsize=(8.0, 3.5), layout="constrained")
 axes.plot(rows.time_s, np.linalg.norm(rows.load_n, axis=1), lw=4.0, alpha=0.4, label="true")
 axes.plot(rows.time_s, force_n, label="estimated")
+axes.fill_between(rows.time_s, low_n, high_n, alpha=0.3, label="with 95 %")
 axes.set(xlabel="time, s", ylabel="force, N")
 axes.legend()
 figure.savefig(CSV.with_suffix(".png"), dpi=110)

@@ -1,9 +1,9 @@
-"""Your own arm: an arm file, a model trained for it, and a push that the model has never seen.
+"""Your own arm: an arm file, its estimator in one model file, and a push on a built arm.
 
     python -m examples.own_arm
 
-The model is small, to be quick: `cablesense train --arm my_arm.yaml` trains as many samples as it
-needs (docs/arm_file.md).
+The built arm has errors of its own, within the tolerances of the arm file. After one tare,
+straight, the push is estimated in another pose, with intervals that allow for these errors.
 """
 
 from __future__ import annotations
@@ -13,31 +13,54 @@ from pathlib import Path
 import numpy as np
 
 from cablesense_base.installation import config_path
-from cablesense_sim import load_arm, mechanism_of, normal_force_n, solve_equilibrium
-from cablesense_training import Estimator, draw_training_data, train_model
-from cablesense_training.model_training import recipe_for
-
-NETWORK = "closed-form"
+from cablesense_contact.calibration import Calibrator, Unloaded
+from cablesense_sim import load_arm, normal_force_n, solve_equilibrium
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.equilibrium import held_lengths_m
+from cablesense_training.inference.law_model import LawModel
+from cablesense_training.law_export import export_law
 
 
 def main(folder: Path = Path("out/own_arm")) -> None:
-    """Write the arm file, train, and compare a true contact with its estimate."""
+    """Write the arm file and its model, tare a built arm, and estimate a push."""
     folder.mkdir(parents=True, exist_ok=True)
-    file, model = folder / "my_arm.yaml", folder / "my_arm.onnx"
+    file = folder / "my_arm.yaml"
     text = config_path("arm_template.yaml").read_text(encoding="utf-8")
     file.write_text(text.replace("stiffness_n_m: 1.0e5", "stiffness_n_m: 2.0e5"), encoding="utf-8")
-
     arm = load_arm(file)  # refuses impossible values
-    samples = draw_training_data(arm, NETWORK, {"samples": 300}, seed=0)
-    settings = recipe_for(NETWORK).settings
-    train_model(model, NETWORK, samples, settings, command="own_arm.py", test_samples=300)
-    mechanism, straight = mechanism_of(arm), np.zeros(arm.joint_count)
-    push_n = normal_force_n(mechanism, straight, segment=3, angle_deg=120.0, magnitude_n=25.0)
-    rest = solve_equilibrium(mechanism, [straight, straight], [0.0 * push_n, push_n])
-    found = Estimator.load(model, arm).estimate(rest.tensions_n[1] - rest.tensions_n[0], straight)
 
+    model = folder / "my_arm.onnx"
+    export_law(arm, model, "examples/own_arm.py")
+    law = LawModel(model, arm)
+
+    # an arm as a workshop builds it
+    calibrator = Calibrator(arm, law)
+    parameters = calibrator.parameters
+    errors = parameters.drawn(np.random.default_rng(7))
+    built = parameters.built(errors)
+    nominal = mechanism_of(arm)
+
+    def read(command_rad: np.ndarray, force_n: np.ndarray | None = None) -> np.ndarray:
+        held_m = held_lengths_m(nominal, command_rad + parameters.joint_zeros_rad(errors))
+        rest = solve_equilibrium(built, command_rad, force_n, held_m=held_m)
+        return parameters.read(errors, rest.tensions_n)
+
+    straight = np.zeros(arm.joint_count)
+    known = calibrator.updated(calibrator.by_tolerances(), Unloaded(read(straight), straight, 50))
+
+    bent = np.deg2rad([5.0, -4.0, 6.0, 3.0, -5.0, 4.0, 2.0, -6.0])
+    push_n = normal_force_n(nominal, bent, segment=3, angle_deg=120.0, magnitude_n=25.0)
+    known = calibrator.moved(known)
+    still = np.zeros((arm.joint_count, arm.joint_count))
+    seen = law(read(bent, push_n)[None], bent[None], known.mean, known.covariance, still)
+
+    segment = 1 + int(seen.contact_evidence[0].argmax())
+    angle_deg = np.rad2deg(np.arctan2(*seen.force_n[0, 1:])) % 360.0
+    low_n, high_n = seen.magnitude_ci95_n[0]
+    size_n = np.hypot(*seen.force_n[0, 1:])
     print("true:      segment 3, 120.0°, 25.00 N")
-    print(f"estimated: segment {found.segment}, {found.angle_deg:.1f}°, {found.magnitude_n:.2f} N")
+    print(f"estimated: segment {segment}, {angle_deg:.1f}°, {size_n:.2f} N")
+    print(f"with 95 %: {low_n:.2f} to {high_n:.2f} N")
 
 
 if __name__ == "__main__":

@@ -16,6 +16,8 @@ import numpy as np
 from PIL import Image
 
 from cablesense_base import Array
+from cablesense_contact.calibration import Calibrator, Unloaded
+from cablesense_contact.judgement import ContactState, Judge
 from cablesense_sim import (
     mechanism_of,
     normal_force_n,
@@ -24,7 +26,7 @@ from cablesense_sim import (
     solve_equilibrium,
 )
 from cablesense_sim.kinematics import chain
-from cablesense_training import Estimator, find_model, open_estimator
+from cablesense_training import LawModel, find_model
 
 OUT = Path("out/push.gif")
 ARM, MODEL = "cdsm_lab", "cdsm_lab_anywhere"
@@ -54,9 +56,13 @@ class Frame(NamedTuple):
 def simulated(frames: int) -> list[Frame]:
     """The pushes frame by frame, and an estimator's answers."""
     arm, rng = open_arm(ARM), np.random.default_rng(0)
-    mechanism, estimator = mechanism_of(arm), open_estimator(find_model(MODEL), arm)
-    assert isinstance(estimator, Estimator)
+    mechanism = mechanism_of(arm)
+    law, judge = LawModel(find_model(MODEL), arm), Judge(arm)
     free_n = solve_equilibrium(mechanism, COMMAND_RAD).tensions_n
+    calibrator = Calibrator(arm, law)
+    tare = Unloaded(free_n, COMMAND_RAD, 50)
+    known = calibrator.updated(calibrator.by_tolerances(), tare)
+    still = np.zeros((arm.joint_count, arm.joint_count))
     turn, course = np.linspace(0.0, len(PUSHES), frames, endpoint=False), []
     for number, within in zip(turn.astype(int), turn % 1.0, strict=True):
         segment, first_m, last_m, angle_deg, largest_n = PUSHES[number]
@@ -67,12 +73,13 @@ def simulated(frames: int) -> list[Frame]:
         rest = solve_equilibrium(pushed, COMMAND_RAD, load_n)
         bones = chain(pushed, rest.joint_angles_rad)
         end_m = bones.joint_m[-1] + pushed.segment_length_m[-1] * bones.rotation[-1, :, 0]
-        difference_n = read_tensions_n(rest.tensions_n, arm.sensors, rng) - free_n
-        found, estimated = estimator.estimate(difference_n, COMMAND_RAD), None
-        if found.segment and found.place is not None:
-            stated = found.segment, found.angle_deg, found.magnitude_n
-            force_n = normal_force_n(mechanism, COMMAND_RAD, *stated)[found.segment - 1]
-            estimated = found.segment, found.place.place_m, force_n
+        reading_n = read_tensions_n(rest.tensions_n, arm.sensors, rng)
+        difference_n = reading_n - free_n
+        seen = law(reading_n[None], COMMAND_RAD[None], known.mean, known.covariance, still)
+        judgement, estimated = judge(seen, reading_n), None
+        if judgement.state is not ContactState.FREE:
+            across_n = seen.force_n[0] * [0.0, 1.0, 1.0]  # straight, so in base axes too
+            estimated = judgement.segment, float(seen.place_m[0]), across_n
         true = segment, place_m, load_n[segment - 1]
         course.append(Frame(np.vstack([bones.joint_m, end_m]), difference_n, true, estimated))
     return course

@@ -43,10 +43,10 @@ def _in_browser(nodeid):
 
 EXPORTING = (
     "tests/examples/test_examples_without_nodes.py",
-    "tests/gap/test_adaptation.py",
     "tests/packaging/test_tutorial.py",
     "tests/training/test_export.py",
     "tests/training/test_five_by_four.py",
+    "tests/training/test_law_export.py",
     "tests/training/test_train_model.py",
 )
 """The first export of a network takes a process seconds more than the others: they share one."""

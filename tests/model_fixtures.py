@@ -1,4 +1,4 @@
-"""Metadata of model files, and the history-dependent model that tests share."""
+"""Metadata of model files that tests share."""
 
 from cablesense_sim.arm import Arm
 from cablesense_training.inference.metadata import ModelMetadata
@@ -8,7 +8,7 @@ def metadata_for(arm: Arm, **changes) -> ModelMetadata:
     """What `cablesense train` would write for that arm."""
     content = {
         "kind": "single-contact",
-        "network": "closed-form-corrected",
+        "network": "two-stage",
         "arm": arm,
         "arm_identity": arm.identity,
         "cable_names": arm.cable_names,

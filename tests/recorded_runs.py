@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from array import array
+
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from estimation_settings import estimation_settings
 from joint_commands import joint_command
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
+from std_msgs.msg import MultiArrayDimension, UInt8MultiArray
 
+from cablesense_contact.calibration import calibration_bytes
 from cablesense_gap.recordings.mcap_messages import TopicFile
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import BREATH_END, breath_frame
@@ -17,7 +21,7 @@ from cablesense_msgs_py.serialized import wrench_writers
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
-from cablesense_online.state import put_state
+from cablesense_online.provenance import Provenance, Situation
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 
@@ -45,23 +49,30 @@ class MadeRun:
         unknown_force: str = "zero",
     ) -> None:
         """Of the arm `cdsm`, by its own model or another one."""
-        self.loaded = load_model("cdsm", model)
-        arm = self.loaded.arm
-        live = Estimation(
-            arm,
-            self.loaded.estimator,
-            SETTINGS.model_copy(update={"unknown_force": unknown_force}),
-            0.0,
-            {**self.loaded.origin, "frame_prefix": ""},
-        )
+        self.loaded = loaded = load_model("cdsm_lab", model)
+        arm = loaded.arm
+        settings = SETTINGS.model_copy(update={"unknown_force": unknown_force})
+        live = Estimation(arm, loaded.contacts(settings), settings, 0.0)
+        provenance = Provenance(loaded.path, loaded.sha256, arm.identity, "", settings)
         writers = wrench_writers(Frames(arm.segment_count))
         mechanism, rng = mechanism_of(arm), np.random.default_rng(5)
         angles, force = np.zeros(8), np.zeros((4, 3))
         self.records: list[tuple[str, int, bytes]] = []
+
+        def note_calibration(now):
+            command_rad = tuple(live.gate.command_rad.tolist())
+            situation = Situation(now, command_rad, live.unloaded.known)
+            content = calibration_bytes(live.unloaded.calibration)
+            message = UInt8MultiArray(data=array("B", content))
+            label = provenance.as_json(situation)
+            message.layout.dim = [MultiArrayDimension(label=label)]
+            self.records.append((topics.CALIBRATION_USED, now, serialize_message(message)))
+
+        note_calibration(EPOCH_NS - STEP_NS)
         for i in range(samples):
             now = EPOCH_NS + i * STEP_NS
             if i == samples // 4:
-                force[2] = (0.0, 30.0, 10.0)
+                force[2] = (0.0, 20.0, 7.0)
             if i == samples // 2:
                 angles = np.full(8, 0.002)
                 message = JointState(name=list(arm.joint_names), position=angles.tolist())
@@ -75,8 +86,10 @@ class MadeRun:
                 live.offset(message)
             if i == samples - 40:
                 live.take_tare(now, forced=True)
+                note_calibration(now)
             if i == samples - 20:
                 live.undo_tare()
+                note_calibration(now)
             tensions = solve_equilibrium(mechanism, angles, force).tensions_n
             message = JointState(
                 name=list(arm.cable_names), effort=(tensions + rng.normal(0, 0.05, 12)).tolist()
@@ -86,7 +99,7 @@ class MadeRun:
             answer = live.sample(raw, now, i * STEP_NS * 1e-9)
             self.records.append((topics.CABLE_TENSIONS, now + 100_000, raw))
             answers = [(topics.WRENCH, answer.contact.segment, answer.wrench(unknown_force))]
-            for n in range(1, 5 if live.model.several else 1):
+            for n in range(1, 5 if live.contacts.several else 1):
                 on_it = answer.on_segment(n, unknown_force)
                 answers.append((topics.SEGMENT_WRENCHES.format(n), n, on_it))
             for topic, segment, wrench in answers:
@@ -96,10 +109,8 @@ class MadeRun:
             status = DiagnosticArray(status=[DiagnosticStatus(message=answer.force.value)])
             status.header.stamp = message.header.stamp
             self.records.append((topics.STATUS, now + 450_000, serialize_message(status)))
-            if answer.state is not None:
-                state = DiagnosticArray()
-                put_state(state, answer.state, DiagnosticStatus, KeyValue)
-                self.records.append((topics.JOURNAL, now + 500_000, serialize_message(state)))
+            if answer.new_tare is not None:
+                note_calibration(now + 500_000)
 
     def write(self, path, records=None, namespace="/", kinds=()):
         """Put records into a file; `kinds` replaces types of topics."""

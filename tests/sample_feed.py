@@ -5,11 +5,13 @@ import pytest
 from estimation_settings import estimation_settings
 from joint_commands import joint_command
 
+from cablesense_contact.estimate import Estimate
+from cablesense_online.contacts import NetworkContacts
 from cablesense_online.estimation import Estimation
+from cablesense_online.tare import TaredArm
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_training.inference.estimator import Estimate
 
 serialization = pytest.importorskip("rclpy.serialization")
 sensor_msgs = pytest.importorskip("sensor_msgs.msg")
@@ -49,9 +51,14 @@ def message_bytes(tensions, stamp_ns, names=ARM.cable_names):
 class Feed:
     """Samples one after the other, 10 ms apart."""
 
-    def __init__(self, estimator=None, **changes):
+    def __init__(self, estimator=None, contacts=None, **changes):
+        settings = SETTINGS.model_copy(update=changes)
         self.estimator = estimator or AnyDifference()
-        self.estimation = Estimation(ARM, self.estimator, SETTINGS.model_copy(update=changes), 0.0)
+        if contacts is None:
+            tared = TaredArm(ARM, settings)
+            hidden_n = settings.hidden_above_n
+            contacts = NetworkContacts(ARM, self.estimator, tared, 0.5, hidden_n)
+        self.estimation = Estimation(ARM, contacts, settings, 0.0)
         self.now_ns = 10**18
 
     @property

@@ -3,8 +3,8 @@
 What a user takes from here; each name is imported when it is first asked for, so that an estimator
 needs no PyTorch and a dataset in memory no Parquet library:
 
-    estimator = open_estimator(find_model("cdsm"), load_arm("my_arm.yaml"))
-    contact = estimator.estimate(tension_difference_n, joint_command_rad)
+    export_law(load_arm("my_arm.yaml"), Path("my_arm.onnx"), command="")
+    law = LawModel("my_arm.onnx", load_arm("my_arm.yaml"))
 """
 
 import lazy_loader

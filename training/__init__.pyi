@@ -13,8 +13,8 @@ from .inference.estimator import Estimate as Estimate
 from .inference.estimator import Estimates as Estimates
 from .inference.estimator import Estimator as Estimator
 from .inference.estimator import MultiEstimator as MultiEstimator
+from .inference.law_model import LawModel as LawModel
 from .inference.metadata import find_model as find_model
-from .inference.temporal_estimator import TemporalEstimator as TemporalEstimator
-from .inference.temporal_estimator import open_estimator as open_estimator
+from .law_export import export_law as export_law
 from .model_training import draw_training_data as draw_training_data
 from .model_training import train_model as train_model

@@ -16,15 +16,10 @@ from torch import Tensor, nn
 
 from cablesense_base.files import write_atomically
 from cablesense_training.errors import TrainingError
-from cablesense_training.inference.anywhere import BALANCE_OUTPUTS
 from cablesense_training.inference.estimator import MULTI_OUTPUTS, OUTPUTS
 from cablesense_training.inference.metadata import ModelMetadata
-from cablesense_training.inference.model_file import store_as_single
-from cablesense_training.inference.session import INTERVAL, TAUT, input_widths, open_session
-from cablesense_training.inference.temporal_estimator import TEMPORAL_OUTPUTS
+from cablesense_training.inference.session import input_widths, open_session
 from cablesense_training.networks.layers import ContactNetwork
-from cablesense_training.networks.statics import AnywhereStatics, CorrectedClosedForm
-from cablesense_training.networks.temporal import TemporalNetwork, Ticks
 
 OPSET = 20
 
@@ -35,10 +30,11 @@ _TRIAL_ROWS = 64
 TRACED_ROWS = 10007
 """A prime larger than any other size in a network: no product of these is a multiple of it."""
 
+_FEW = 64
+"""Shorter constants are not worth a cast."""
 
-def export_model(
-    network: ContactNetwork | TemporalNetwork, path: Path, metadata: ModelMetadata
-) -> None:
+
+def export_model(network: ContactNetwork, path: Path, metadata: ModelMetadata) -> None:
     """Write a trained network as an ONNX file in float64 that answers as PyTorch does, checked.
 
     Raises:
@@ -58,38 +54,21 @@ def export_model(
 class _Answers(nn.Module):
     """A network with answers in their units, and the names of these `outputs`."""
 
-    def __init__(self, network: ContactNetwork | TemporalNetwork) -> None:
+    def __init__(self, network: ContactNetwork) -> None:
         super().__init__()
         self.network = network
-        self.outputs: Sequence[str] = OUTPUTS
-        if isinstance(network, TemporalNetwork):
-            self.outputs = (*TEMPORAL_OUTPUTS, INTERVAL)
-        elif network.several:
-            self.outputs = MULTI_OUTPUTS
-        elif isinstance(network, AnywhereStatics):
-            self.outputs = (*BALANCE_OUTPUTS, TAUT)
-        elif isinstance(network, CorrectedClosedForm):
-            self.outputs = (*OUTPUTS, TAUT)
+        self.outputs: Sequence[str] = MULTI_OUTPUTS if network.several else OUTPUTS
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        network = self.network
-        if isinstance(network, AnywhereStatics):
-            return tuple(network(*inputs)[: len(self.outputs)])
-        if network.several:
-            logits, *forces = network(*inputs)
+        if self.network.several:
+            logits, *forces = self.network(*inputs)
             return torch.sigmoid(logits), *forces
-        beside: list[Tensor] = []
-        if isinstance(network, TemporalNetwork):
-            output, *beside = network(Ticks(*inputs[:-1]), inputs[-1])
-        elif isinstance(network, CorrectedClosedForm):
-            output, *beside = network.answer_and_taut(*inputs)
-        else:
-            output = network(*inputs)
-            # a small addend would do as well, did the exporter not leave out what it takes for 0
-            squared = (output.direction * output.direction).sum(-1, keepdim=True)
-            length = torch.sqrt(squared).clamp(min=1e-9)
-            output = output._replace(direction=output.direction / length)
-        return torch.softmax(output.contact_logits, dim=-1), *output[1:], *beside
+        output = self.network(*inputs)
+        # a small addend would do as well, did the exporter not leave out what it takes for 0
+        squared = (output.direction * output.direction).sum(-1, keepdim=True)
+        length = torch.sqrt(squared).clamp(min=1e-9)
+        output = output._replace(direction=output.direction / length)
+        return torch.softmax(output.contact_logits, dim=-1), *output[1:]
 
 
 def _trial_inputs(metadata: ModelMetadata) -> list[Tensor]:
@@ -101,12 +80,7 @@ def _trial_inputs(metadata: ModelMetadata) -> list[Tensor]:
         return [tension]
     reach = np.deg2rad(metadata.pose_range_deg)
     command = rng.uniform(-reach, reach, (_TRIAL_ROWS, metadata.arm.joint_count))
-    inputs = [tension, torch.as_tensor(command)]
-    if metadata.memory:
-        speed = np.deg2rad(metadata.joint_speed_deg_s)
-        inputs += [torch.as_tensor(rng.uniform(-v, v, command.shape)) for v in (speed, 5 * speed)]
-        inputs.append(torch.as_tensor(rng.uniform(-1.0, 1.0, (_TRIAL_ROWS, metadata.memory))))
-    return inputs
+    return [tension, torch.as_tensor(command)]
 
 
 def _to_onnx(answers: _Answers, inputs: dict[str, Tensor]) -> onnx.ModelProto:
@@ -159,6 +133,33 @@ def take_any_number_of_rows(graph: onnx.GraphProto) -> None:
         constant.CopyFrom(onnx.numpy_helper.from_array(values, constant.name))
 
 
+def store_as_single(graph: onnx.GraphProto) -> None:
+    """Store constants in float32 where that loses nothing, each followed by a cast to float64.
+
+    A network is trained in float32 and answers in float64, so this halves its file.
+    """
+    casts = []
+    kept = []
+    for constant in graph.initializer:
+        values = onnx.numpy_helper.to_array(constant)
+        single = values.astype(np.float32)
+        if values.dtype != np.float64 or values.size < _FEW or not (single == values).all():
+            kept.append(constant)
+            continue
+        stored = onnx.numpy_helper.from_array(single, f"{constant.name}_single")
+        kept.append(stored)
+        casts.append(
+            onnx.helper.make_node(
+                "Cast", [stored.name], [constant.name], to=onnx.TensorProto.DOUBLE
+            )
+        )
+    nodes = [*casts, *graph.node]
+    del graph.initializer[:]
+    del graph.node[:]
+    graph.initializer.extend(kept)
+    graph.node.extend(nodes)
+
+
 def _require_agreement(
     answers: nn.Module, model: onnx.ModelProto, inputs: dict[str, Tensor]
 ) -> None:
@@ -169,8 +170,7 @@ def _require_agreement(
     for entry, there, here in zip(session.get_outputs(), found, expected, strict=True):
         if not np.isfinite(there).all():
             raise TrainingError(f"output {entry.name} is not finite in ONNX Runtime")
-        # at rest, in the first row, the direction is that of a rounding error; the error of an
-        # inverse matrix is a share of its largest element
+        # at rest, in the first row, the direction is that of a rounding error
         off = np.abs(there - here.numpy()).reshape(len(there), -1).max(axis=1)
         scale = np.maximum(1.0, np.abs(there).reshape(len(there), -1).max(axis=1))
         difference = float((off / scale)[1:].max())

@@ -165,8 +165,8 @@ class _Fit:
         if step @ (weight_ * gram + np.diag(precision)) @ step < _GAIN:
             return None
         ahead = np.clip(point + found[none:], self._low, self._high)
-        tolerances = zip(problem.tolerance_terms, found[t] * problem.tolerance_std, strict=True)
-        return replace(explanation, values=self._assignment(ahead), tolerances=dict(tolerances))
+        tolerances = problem.tolerances_of(found[t])
+        return replace(explanation, values=self._assignment(ahead), tolerances=tolerances)
 
     def _best(self, starts: Array) -> tuple[Array, float]:
         """The start with the least residual, tolerances fitted, and its mean square."""
@@ -304,13 +304,11 @@ class _Fit:
         spread[at] = np.sqrt(covariance.diagonal()[at])
         values = self._assignment(point)
         units = [unit_of(p, v) for p, v in zip(self._parameters, values.values(), strict=True)]
-        of_term = zip(problem.tolerance_terms, tolerances * problem.tolerance_std, strict=True)
-        acts = dict(zip(problem.tolerance_terms, problem.acting_tolerances, strict=True))
         return Explanation(
             effects=tuple(sorted({term.effect for term in self._terms})),
             values=values,
             deviations=dict(zip(self._terms, 1.96 * spread[none:] * units, strict=True)),
-            tolerances={term: value for term, value in of_term if acts[term]},
+            tolerances=problem.tolerances_of(tolerances),
             prediction=predicted
             + np.tensordot(tolerances, problem.tolerance_columns, axes=1)
             + problem.tolerance_rest,
@@ -323,6 +321,7 @@ class _Fit:
             count=data.count,
             sizes=int((~self._shape & columns.any(axis=(1, 2))).sum()),
             tolerance_chi2=float((tolerances**2).sum()),
+            tolerance_count=int(problem.acting_directions.sum()),
         )
 
 

@@ -95,7 +95,7 @@ def posterior(
         np.array([len(h.effects) for h in explanations]),
         np.array([h.sizes for h in explanations]),
         np.array([h.tolerance_chi2 for h in explanations]),
-        max(len(explanations[0].tolerances), 1),
+        max(explanations[0].tolerance_count, 1),
         floor,
         calibration,
         np.array([h.surprise for h in explanations]),
@@ -295,11 +295,8 @@ def _reason(problem: Problem, best: Ranked, rival: Ranked, unit: str) -> str:
 
 def _change(problem: Problem, explanation: Explanation) -> Array:
     """(R, C) the change by the effects with their fitted numbers."""
-    scaled = [
-        explanation.tolerances.get(term, 0.0) / std
-        for term, std in zip(problem.tolerance_terms, problem.tolerance_std, strict=True)
-    ]
-    of_tolerances = np.tensordot(np.array(scaled), problem.tolerance_columns, axes=1)
+    fitted = problem.coefficients_of(explanation.tolerances)
+    of_tolerances = np.tensordot(fitted, problem.tolerance_columns, axes=1)
     known = problem.nominal + problem.tolerance_rest
     return np.asarray(explanation.prediction - of_tolerances - known)
 

@@ -16,11 +16,17 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.linear_fit import products
-from cablesense_gap.simulator import Assignment, Simulator, Term, parameters_of
+from cablesense_gap.simulator import Assignment, Simulator, Term, parameters_of, small_changes
 from cablesense_sim.effects.effect import Parameter
 
 RESOLUTION = 0.2
 """Residuals below this share of the sensors' floor are not distinguished."""
+
+_UNSEEN = 0.1
+"""Share of the floor below which a change by tolerances is left out: half of what residuals can
+show."""
+_WORTH_MIXING = 0.2
+"""Share of the directions to be left out, from which on tolerances are fitted by directions."""
 
 EFFECT_WORTH, PLACE_WORTH, CHOICE_WORTH = 1.08, 1.04, 0.02
 """The factors by which an effect and each of its places must make the cost smaller, and the power
@@ -44,6 +50,7 @@ class Explanation:
         count: (T,) numbers in each trial.
         sizes: how many of the values are sizes that change a reading.
         tolerance_chi2: sum of the squares of the tolerances, each in standard deviations.
+        tolerance_count: of the directions in which they were fitted, whose sum it is.
         surprise: by how much its sizes and places are less probable than usual ones, natural
             logarithm.
     """
@@ -62,6 +69,7 @@ class Explanation:
     count: Array
     sizes: int
     tolerance_chi2: float
+    tolerance_count: int
     surprise: float = 0.0
 
     @property
@@ -103,8 +111,10 @@ class Problem:
         fold: (T,) trials of one fold are held out together.
         used: (R,) rows that count.
         nominal: (R, C) prediction without any effect.
-        tolerance_std: standard deviation of each of the terms.
-        tolerance_columns: (K, R, C) sensitivities, in standard deviations.
+        tolerance_std: (K,) standard deviation of each of the K terms.
+        tolerance_mix: (K, J) directions in which fits move them: deviations of the terms, in
+            standard deviations, by coefficients that are normal and independent.
+        tolerance_columns: (J, R, C) sensitivities to these coefficients.
         tolerance_rest: (R, C) change by tolerances beyond these, where the columns were taken.
         tolerances_at: the tolerances where they were; without any, the nominal ones.
         tolerances_change: (R, C) change of the nominal prediction by them.
@@ -122,6 +132,7 @@ class Problem:
     nominal: Array
     tolerance_terms: tuple[Term, ...]
     tolerance_std: Array
+    tolerance_mix: Array
     tolerance_columns: Array
     tolerance_rest: Array
     tolerances_at: Assignment
@@ -147,14 +158,25 @@ class Problem:
 
     @cached_property
     def tolerance_gram(self) -> Array:
-        """(T, K, K) of the tolerances' columns in the used rows of each trial."""
+        """(T, J, J) of the tolerances' columns in the used rows of each trial."""
         nothing = np.zeros_like(self.readings)
         return products(self.tolerance_columns, nothing, self.trial, self.used).gram
 
     @cached_property
-    def acting_tolerances(self) -> NDArray[np.bool_]:
-        """(K,) which tolerances change anything; some do so only with friction."""
+    def acting_directions(self) -> NDArray[np.bool_]:
+        """(J,) in which directions tolerances change anything; some do so only with friction."""
         return np.asarray(self.tolerance_columns.any(axis=(1, 2)))
+
+    def tolerances_of(self, coefficients: Array) -> dict[Term, float]:
+        """Those that change anything, of the coefficients (J,) of a fit."""
+        values = self.tolerance_std * (self.tolerance_mix @ coefficients)
+        acting = np.flatnonzero((self.tolerance_mix * self.acting_directions != 0.0).any(axis=1))
+        return {self.tolerance_terms[k]: float(values[k]) for k in acting}
+
+    def coefficients_of(self, tolerances: Assignment) -> Array:
+        """(J,) of tolerances, without what these change less than can be resolved."""
+        values = np.array([tolerances.get(term, 0.0) for term in self.tolerance_terms])
+        return np.asarray((values / self.tolerance_std) @ self.tolerance_mix)
 
     @cached_property
     def parameters(self) -> dict[Term, Parameter]:
@@ -191,7 +213,7 @@ class Problem:
         The search ranks explanations by it. It grows with small surpluses of tolerances as the
         posterior does, but less with large ones: linear columns exaggerate these.
         """
-        usual = max(int(self.acting_tolerances.sum()), 1)
+        usual = max(int(self.acting_directions.sum()), 1)
         return excess(mean_square, self.floor) * max(tolerance_chi2 / usual, 1.0)
 
     def cost_of(self, explanation: Explanation) -> float:
@@ -284,10 +306,14 @@ def prepare(
     fold: NDArray[np.int64],
     used: NDArray[np.bool_],
 ) -> Problem:
-    """Predict the nominal mechanism, and the change by each tolerance."""
+    """Predict the nominal mechanism, and the change by tolerances."""
     nominal = simulator.predict([{}])[0]
     std = {term: p.typical for term, p in parameters_of(simulator.tolerances).items()}
-    columns = [simulator.predict([{term: value}])[0] - nominal for term, value in std.items()]
+    columns = np.zeros((0, *nominal.shape))
+    if std:
+        alone = [{term: value} for term, value in std.items()]
+        columns = small_changes(simulator, {}, alone)
+    mix = tolerance_directions(columns[:, used], simulator.floor)
     return Problem(
         simulator=simulator,
         readings=readings,
@@ -297,11 +323,36 @@ def prepare(
         nominal=nominal,
         tolerance_terms=tuple(std),
         tolerance_std=np.array(list(std.values())),
-        tolerance_columns=np.array(columns).reshape(len(columns), *nominal.shape),
+        tolerance_mix=mix,
+        tolerance_columns=np.tensordot(mix.T, columns, axes=1),
         tolerance_rest=np.zeros_like(nominal),
         tolerances_at={},
         tolerances_change=np.zeros_like(nominal),
     )
+
+
+def tolerance_directions(columns: Array, floor: float) -> Array:
+    """(K, J) orthonormal directions of K tolerances that their columns (K, R, C) distinguish.
+
+    Many tolerances of an arm change readings alike. With independent normal priors of their own,
+    any orthonormal directions have such priors too. Those directions are left out that together
+    are expected to change the readings by less than `_UNSEEN` of the floor. Tolerances that
+    change nothing now may do so with friction, and are directions of their own. So are all if no
+    more than a few directions would be left out.
+    """
+    count = len(columns)
+    acts = columns.any(axis=(1, 2))
+    flat = columns[acts].reshape(int(acts.sum()), columns[0].size if count else 0)
+    squares, vectors = np.linalg.eigh(flat @ flat.T)
+    left_out = np.cumsum(squares) < (_UNSEEN * floor) ** 2 * flat.shape[1]
+    if left_out.sum() < _WORTH_MIXING * count:
+        return np.eye(count)
+    kept = vectors[:, ~left_out][:, ::-1]
+    idle = np.eye(count)[:, ~acts]
+    mix = np.zeros((count, kept.shape[1] + idle.shape[1]))
+    mix[acts, : kept.shape[1]] = kept
+    mix[:, kept.shape[1] :] = idle
+    return mix
 
 
 def excess(mean_square: float, floor: float) -> float:

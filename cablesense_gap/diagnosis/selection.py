@@ -334,7 +334,7 @@ class Selection:
         weight_ = weight(self._fitted(chosen)[1], self._problem.floor)
         reduced = Reduced(
             self._data.columns(order),
-            len(self._problem.tolerance_terms),
+            len(self._problem.tolerance_columns),
             len(first),
             self._precision[order],
             weight_,
@@ -427,7 +427,7 @@ class Selection:
         at: Indices = np.concatenate([np.arange(self._base), *(self._owned[k] for k in chosen)])
         part, precision, none = self._data.columns(at), self._precision[at], np.zeros(len(at))
         count, mean_square, problem = part.count.sum(), self._data.mean_square, self._problem
-        tolerances = len(problem.tolerance_terms)
+        tolerances = len(problem.tolerance_columns)
         for _ in range(2):  # first at the weight of the whole residual, then of what is left
             weight_ = weight(mean_square, problem.floor)
             left = held_out_squares(part, tolerances, precision, none, weight_, self._folds)

@@ -21,7 +21,7 @@ from cablesense_gap.diagnosis.problem import (
     from_scaled,
     to_scaled,
 )
-from cablesense_gap.simulator import Assignment, Term
+from cablesense_gap.simulator import Assignment, Term, small_changes
 
 _STEP_OF_STD, _STEP_OF_EFFECT, _STEP_OF_FLOOR = 0.1, 0.03, 0.2
 """For derivatives: of a tolerance's standard deviation, or of an effect's typical size, but no
@@ -30,6 +30,8 @@ cables slack, and derivatives across such kinks lead fits astray. The rests' rou
 thousandth of that."""
 _MOST_REPEATED = 6
 """Times that tolerances are made linear anew."""
+_SAME_OF_STD = 0.01
+"""A tolerance that is nearer to where it is linear is there, in standard deviations."""
 _MOST_OFF = 3.0
 """Standard deviations up to which tolerances are a place to be linear about."""
 
@@ -70,7 +72,7 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
         if problem.cost_of(fitted) < problem.cost_of(best[0]):
             best = fitted, about
         settled = _is_usual(fitted) or joint_step(about, unmoved) is None
-        if settled and _is_consistent(about, fitted):
+        if settled and (_is_linear_there(about, fitted) or _is_consistent(about, fitted)):
             break
         latest = joint_step(about, fitted) or fitted, about
     if best[1] is problem:
@@ -79,8 +81,21 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
     return replace(best[0], without_tolerances=alone), best[1]
 
 
+def _place_of(problem: Problem, tolerances: Assignment) -> Array:
+    """(K,) tolerances to be linear about."""
+    most = _MOST_OFF * problem.tolerance_std
+    off = np.array([tolerances.get(term, 0.0) for term in problem.tolerance_terms])
+    return np.clip(off, -most, most)
+
+
+def _is_linear_there(problem: Problem, explanation: Explanation) -> bool:
+    """Whether tolerances are linear about these already, so that nothing would change."""
+    off = _place_of(problem, explanation.tolerances) - _place_of(problem, problem.tolerances_at)
+    return bool((np.abs(off) <= _SAME_OF_STD * problem.tolerance_std).all())
+
+
 def _is_usual(explanation: Explanation) -> bool:
-    return explanation.tolerance_chi2 <= len(explanation.tolerances)
+    return explanation.tolerance_chi2 <= explanation.tolerance_count
 
 
 def _is_consistent(problem: Problem, explanation: Explanation) -> bool:
@@ -104,26 +119,27 @@ def _linear_about(
     """
     if not problem.tolerance_terms:
         return None
-    std = dict(zip(problem.tolerance_terms, problem.tolerance_std.tolist(), strict=True))
-    off, most = explanation.tolerances, {t: _MOST_OFF * s for t, s in std.items()}
-    at = {t: float(np.clip(off.get(t, 0.0), -most[t], most[t])) for t in std}
+    std = problem.tolerance_std
+    terms = problem.tolerance_terms
+    off = _place_of(problem, explanation.tolerances)
+    at = dict(zip(terms, off.tolist(), strict=True))
     change = np.sqrt((problem.tolerance_columns[:, problem.used] ** 2).mean(axis=(1, 2)))
     size = 1.0 / np.maximum(1.0 / _STEP_OF_STD, change / (_STEP_OF_FLOOR * problem.floor))
     # towards zero, so that no tolerance leaves its range
-    steps = {t: -s * np.copysign(std[t], at[t]) for t, s in zip(std, size, strict=True)}
+    steps = -np.copysign(size, problem.coefficients_of(at))
+    moved = off + steps[:, None] * (problem.tolerance_mix.T * std)
     # numbers that fade matter in few rows, and their columns stay
     varied = [t for t in explanation.values if not problem.parameters[t].fades]
     base = {**explanation.values, **at}
     scaled, values = _effect_steps(problem, explanation, varied)
-    variants = [base, *({**base, term: at[term] + step} for term, step in steps.items())]
-    there, *moved = problem.simulator.predict(
-        [*variants, *({**base, t: v} for t, v in zip(varied, values, strict=True))]
-    )
-    every = np.array(moved) - there
-    columns = every[: len(std)] / np.array([steps[t] / std[t] for t in std])[:, None, None]
+    there = problem.simulator.predict([base])[0]
+    variants = [{**base, **dict(zip(terms, row, strict=True))} for row in moved.tolist()]
+    variants += [{**base, t: v} for t, v in zip(varied, values, strict=True)]
+    every = small_changes(problem.simulator, base, variants)
+    columns = every[: len(steps)] / steps[:, None, None]
     effects = explanation.columns.copy()
     own = [list(explanation.values).index(term) for term in varied]
-    effects[own] = every[len(std) :] / scaled[:, None, None]
+    effects[own] = every[len(steps) :] / scaled[:, None, None]
     about = with_tolerances(problem, at, columns)
     made = there, columns, effects, about.tolerances_change
     if not all(np.isfinite(each).all() for each in made):
@@ -132,9 +148,9 @@ def _linear_about(
 
 
 def with_tolerances(problem: Problem, at: Assignment, columns: Array) -> Problem:
-    """The problem with tolerances linear about some, where their columns are (K, R, C)."""
+    """The problem with tolerances linear about some, where their columns are (J, R, C)."""
     change = problem.simulator.predict([at])[0] - problem.nominal
-    fitted = np.array(list(at.values())) / problem.tolerance_std
+    fitted = problem.coefficients_of(at)
     return replace(
         problem,
         tolerance_columns=columns,

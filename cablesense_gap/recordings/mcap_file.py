@@ -37,8 +37,8 @@ from cablesense_msgs_py.serialized import require_bounded
 from cablesense_msgs_py.topics import ContractError, Frames
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.contact_location import touched_at
 from cablesense_sim.loads import contact_of_wrench
+from cablesense_sim.touch import touched_places
 
 MAX_FILE_BYTES = 2_000_000_000
 """An hour at 1 kHz."""
@@ -138,7 +138,7 @@ class BagRows:
     def _contact_of(self, force_n: Array, torque_n_m: Array) -> tuple[int, float]:
         """Segment and place of a load at the present command."""
         command = np.zeros(self._arm.joint_count) if self._command is None else self._command
-        reach_m, _ = touched_at(self._arm)
+        reach_m = touched_places(self._arm).reach_m
         return contact_of_wrench(mechanism_of(self._arm), command, reach_m, force_n, torque_n_m)
 
     def _take_tensions(self, log_ns: int, message: Any, command: Array) -> None:

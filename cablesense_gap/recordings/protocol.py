@@ -17,10 +17,10 @@ from cablesense_base import Array
 from cablesense_gap.recordings.recording import Recording, given_places
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.contact_location import touched_at
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import reading_variance_n2
+from cablesense_sim.touch import touched_places
 
 STRONGEST_N = 60.0
 """A person can hang this on an arm, or pull it over a pulley, without a crane."""
@@ -161,9 +161,9 @@ def standard_protocol(arm: Arm) -> tuple[Block, ...]:
 def load_places_m(arm: Arm) -> Array:
     """(N, 3) where loads act on each segment: near its joint, at its contact point, and far out.
 
-    All are within the reach of `touched_at`, in whole mm, so that a person can measure them.
+    All are within the reach of `touched_places`, in whole mm, so that a person can measure them.
     """
-    reach = touched_at(arm)[0]
+    reach = touched_places(arm).reach_m
     inside = _FROM_THE_ENDS * (reach[:, 1] - reach[:, 0])
     near, far = reach[:, 0] + inside, reach[:, 1] - inside
     middle = np.clip(mechanism_of(arm).contact_m, near, far)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,8 +25,8 @@ from cablesense_msgs_py.messages import (
 )
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.page.snapshot import (
-    ANSWERED,
     IN_CONTACT,
+    CommissioningProgress,
     ForceBounds,
     PlaceInterval,
     ShownStatus,
@@ -35,21 +36,41 @@ from cablesense_online.page.snapshot import (
 from cablesense_online.samples import FollowedPublisher
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.contact_location import touched_at
 from cablesense_sim.equilibrium import checked_command
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.kinematics import chain, segment_rotations
 from cablesense_sim.loads import LoadError, contact_of_wrench, normal_force_n
+from cablesense_sim.touch import touched_places
 
 STALE_S = 0.5
 """Tensions and estimates older than this are not shown as the present."""
 DIAGNOSTICS_STALE_S = 4.0
 _NOTHING_ESTIMATED = (ForceState.MOVING, ForceState.UNTARED)
 """These are shown in grey; every other state is as severe as it says."""
+_BOUNDED = (*IN_CONTACT, ForceState.HIDDEN)
+"""The interval of an untouched arm is of a force that nobody claims, on a segment that changes."""
 _LEAST_FELT_N = 1e-3
 _HARMLESS = ("cables", "cable_tensions")
 """Parts whose warnings lessen no trust: statics holds with slack cables, a lost sample is lost."""
 _MOST_NOTES = 3
+_LAST_REFUSAL = "last refusal"
+_HOLDS, _LEFT = "holds", "left (s)"
+"""Figures of the commissioner's status: all of them while it is at work."""
+
+
+class _Health(NamedTuple):
+    """The latest status of a part of a node, and when it came."""
+
+    came_s: float
+    level: Level
+    message: str
+    values: dict[str, str]
+
+    @property
+    def sentence(self) -> str:
+        """What is wrong, as exactly as it is known."""
+        refusal = self.values.get(_LAST_REFUSAL, "")
+        return refusal if self.level is Level.ERROR and refusal else self.message
 
 
 class _Wrench(NamedTuple):
@@ -74,12 +95,16 @@ class LiveArm:
         joint_speed_rad_s: float,
         frame_prefix: str = "",
         estimator: str = "estimator",
+        commissioner: str = "commissioner",
     ) -> None:
         self.mechanism = mechanism_of(arm)
-        self._reach_m, _ = touched_at(arm)
+        self._reach_m = touched_places(arm).reach_m
         self.frames = Frames(arm.segment_count, frame_prefix)
         self.tension_publisher = FollowedPublisher()
         self._estimator = estimator
+        self._commissioner = commissioner
+        length_m = self.mechanism.segment_length_m
+        self._ends_m = np.concatenate([[0.0], np.cumsum(length_m)])
         self._cables = NamedOrder(arm.cable_names, "cables")
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._motion = JointMotion(np.zeros(arm.joint_count), joint_speed_rad_s)
@@ -91,8 +116,9 @@ class LiveArm:
         self._state = ForceState.SILENT
         self._loads: dict[int, Load] = {}
         self._wrenches: dict[str, _Wrench] = {}  # by topic
-        self._region: PlaceInterval | None = None
-        self._health: dict[str, tuple[float, Level, str]] = {}
+        self._region: tuple[PlaceInterval, ...] = ()
+        self._health: dict[str, _Health] = {}
+        self._commissioning: _Health | None = None
         self._lock = threading.Lock()
 
     def take(self, topic: str, message: Any, now_s: float) -> None:
@@ -123,7 +149,7 @@ class LiveArm:
                     if len(probabilities) == self.mechanism.segment_count + 1:
                         self._probabilities = probabilities
                 case topics.CONTACT_REGION:
-                    self._region = PlaceInterval(*read_region(message, self.frames))
+                    self._region = self._covered(*read_region(message, self.frames))
                 case topics.DIAGNOSTICS:
                     self._take_diagnostics(message, now_s)
                 case _:
@@ -140,9 +166,25 @@ class LiveArm:
     def _take_diagnostics(self, message: Any, now_s: float) -> None:
         for status in message.status:
             node, _, part = status.name.partition(": ")
+            level = Level(min(int.from_bytes(status.level, "little"), Level.STALE))
+            values = {each.key: each.value for each in status.values}
+            health = _Health(now_s, level, status.message, values)
             if node.strip("/") == self._estimator and part:
-                level = Level(min(int.from_bytes(status.level, "little"), Level.STALE))
-                self._health[part] = now_s, level, status.message
+                self._health[part] = health
+            elif node.strip("/") == self._commissioner and part:
+                self._commissioning = health
+
+    def _covered(self, segment: int, low_m: float, high_m: float) -> tuple[PlaceInterval, ...]:
+        """What an interval of places covers of each segment, straight on beyond its ends."""
+        from_base_m = float(self._ends_m[segment - 1])
+        covered = []
+        for n, (begin_m, end_m) in enumerate(pairwise(self._ends_m.tolist()), start=1):
+            # the ends of the arm are as good as what lies beyond them
+            first_m = min(max(from_base_m + low_m, begin_m), end_m)
+            last_m = min(max(from_base_m + high_m, begin_m), end_m)
+            if last_m > first_m or n == segment:
+                covered.append(PlaceInterval(n, first_m - begin_m, last_m - begin_m))
+        return tuple(covered)
 
     def _contact_of(self, force_n: Array, torque_n_m: Array) -> tuple[int, float]:
         pose = self._pose_rad
@@ -157,7 +199,18 @@ class LiveArm:
     def reports_ok(self, part: str) -> bool:
         """Whether the estimator's latest status of a part, such as `tare`, is OK."""
         latest = self._health.get(part)
-        return latest is not None and latest[1] is Level.OK
+        return latest is not None and latest.level is Level.OK
+
+    @property
+    def commissioned(self) -> str | None:
+        """How the last commissioning ended, as a sentence.
+
+        None while one is under way, and before the first.
+        """
+        latest = self._commissioning
+        if latest is None or _HOLDS not in latest.values or _LEFT in latest.values:
+            return None
+        return latest.message
 
     def loads_of(self, contact: Contact, *, beside: bool = False) -> list[Load]:
         """The loads that make this push the only one on the arm, or one more of several.
@@ -210,7 +263,7 @@ class LiveArm:
             state = self._state if self._fresh(topics.STATUS, now_s) else ForceState.SILENT
             estimated = self._estimated(now_s) if state in IN_CONTACT else ()
             moment = self._moment(now_s) if state in IN_CONTACT else None
-            bounds = self._bounds(now_s) if state in ANSWERED else None
+            bounds = self._bounds(now_s) if state in _BOUNDED else None
             located = state in IN_CONTACT and self._fresh(topics.CONTACT_REGION, now_s)
             said = headline(state, estimated, bounds, moment)
             return Snapshot(
@@ -225,8 +278,26 @@ class LiveArm:
                 probabilities=self._probabilities if state.known else None,
                 status=self._status(state, said, now_s),
                 moment=moment,
-                region=self._region if located else None,
+                region=self._region if located else (),
+                arm_known=self._known(now_s),
+                commissioning=self._commissioning_progress(now_s),
             )
+
+    def _known(self, now_s: float) -> str:
+        """How well the estimator says that it knows its arm."""
+        latest = self._health.get("tare")
+        if latest is None or latest.level is not Level.OK or not _is_recent(latest, now_s):
+            return ""
+        return latest.message
+
+    def _commissioning_progress(self, now_s: float) -> CommissioningProgress | None:
+        latest = self._commissioning
+        if latest is None or _LEFT not in latest.values or not _is_recent(latest, now_s):
+            return None
+        done, _, holds = latest.values.get(_HOLDS, "").partition(" of ")
+        if not (done.isdecimal() and holds.isdecimal()):
+            return None
+        return CommissioningProgress(int(done), int(holds))
 
     def _fresh(self, topic: str, now_s: float) -> bool:
         return now_s - self._came_s.get(topic, -math.inf) <= STALE_S
@@ -274,27 +345,27 @@ class LiveArm:
         return ForceBounds(_norm(low[1:]), _norm(high[1:]), angles)
 
     def _status(self, state: ForceState, said: str, now_s: float) -> ShownStatus:
-        """The headline `said`, with the estimator's warnings, or else its first status."""
+        """The headline `said`, with the warnings of estimator and commissioner."""
         status = self._waiting(now_s)
         if status is None:
-            present = sorted(
-                (
-                    (level, part, text)
-                    for part, (since_s, level, text) in self._health.items()
-                    if now_s - since_s <= DIAGNOSTICS_STALE_S
-                ),
-                key=lambda one: -one[0],
-            )
-            warnings = [text for level, _, text in present if level is not Level.OK]
-            notes = warnings[:_MOST_NOTES] or [text for _, _, text in present[:1]]
+            present = {
+                part: latest for part, latest in self._health.items() if _is_recent(latest, now_s)
+            }
             doubts = [
-                level
-                for level, part, _ in present
-                if level is Level.ERROR or (level is Level.WARN and part not in _HARMLESS)
+                latest.level
+                for part, latest in present.items()
+                if latest.level is Level.ERROR
+                or (latest.level is Level.WARN and part not in _HARMLESS)
             ]
+            warned = list(present.values())
+            if self._commissioning is not None and _is_recent(self._commissioning, now_s):
+                warned.append(self._commissioning)
+            warned = [latest for latest in warned if latest.level is not Level.OK]
+            warned.sort(key=lambda latest: -latest.level)
+            notes = tuple(latest.sentence for latest in warned[:_MOST_NOTES])
             grey = state in _NOTHING_ESTIMATED
             level = Level.STALE if grey else max([state.level, *doubts])
-            status = ShownStatus(level, said, tuple(notes))
+            status = ShownStatus(level, said, notes)
         if now_s - self.tension_publisher.refused_s <= DIAGNOSTICS_STALE_S:
             note = f"{topics.CABLE_TENSIONS} has two publishers; those of one are shown"
             status = ShownStatus(Level.ERROR, status.headline, (note, *status.notes))
@@ -309,6 +380,10 @@ class LiveArm:
         if topics.STATUS not in self._came_s:
             return ShownStatus(Level.STALE, "Waiting for the estimator")
         return None
+
+
+def _is_recent(latest: _Health, now_s: float) -> bool:
+    return now_s - latest.came_s <= DIAGNOSTICS_STALE_S
 
 
 def _strongest_first(contacts: list[Contact]) -> tuple[Contact, ...]:

@@ -17,8 +17,8 @@ from cablesense_online.page.scene import VIEW_ANGLE_RAD, ArmScene, Arrows, view
 from cablesense_online.page.snapshot import Score, Snapshot, full_scale_n
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.contact_location import touched_at
 from cablesense_sim.load_capacity import contact_range_n
+from cablesense_sim.touch import touched_places
 
 _FIGURES_EVERY_S = 0.15
 _NOTE_S = 5.0
@@ -40,7 +40,7 @@ class Page:
         """Starts serving; without `actions` the page only shows."""
         self._mechanism = mechanism = mechanism_of(arm)
         self._actions, self._force_limit_n = actions, contact_range_n(arm)
-        self._reach_m, _ = touched_at(arm)
+        self._reach_m = touched_places(arm).reach_m
         token = secrets.token_urlsafe(16)  # for nobody to guess
         self._server = server = guarded_server(host, free_port(host, port), token)
         self.port = server.get_port()
@@ -158,8 +158,8 @@ class Page:
         self._figures_due_s = time.monotonic() + _FIGURES_EVERY_S
         with self._lock:
             errors = self._score.errors
-            if self._controls is not None and self._actions is not None:
-                self._controls.offer_breath(self._actions.can_breathe())
+            if self._controls is not None:
+                self._controls.offer()
         estimate = html("estimate", snapshot)
         self._summary.content = f"<div class='cablesense-narrow'>{estimate}</div>"
         self._estimate.content = estimate

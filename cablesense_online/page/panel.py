@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -15,11 +15,12 @@ import numpy as np
 import viser
 
 from cablesense_base import Array
-from cablesense_msgs_py.messages import NO_CONTACT, Contact, Level
+from cablesense_msgs_py.messages import NO_CONTACT, Contact, ForceState, Level
 from cablesense_online.page.snapshot import (
     ESTIMATE_RGB,
     TENSION_CSS,
     TRUE_RGB,
+    PlaceInterval,
     Snapshot,
     css,
     segment_rgb,
@@ -41,6 +42,8 @@ class Actions:
         undo_tare: goes back to the tare before.
         breathe: asks for a breath.
         can_breathe: whether a breather answers; the button is shown where one does.
+        commission: asks for a commissioning.
+        can_commission: likewise, whether a commissioner answers.
     """
 
     push: Callable[[Contact, bool], None]
@@ -49,6 +52,8 @@ class Actions:
     undo_tare: Callable[[], None]
     breathe: Callable[[], None]
     can_breathe: Callable[[], bool]
+    commission: Callable[[], None]
+    can_commission: Callable[[], bool]
 
 
 class Controls:
@@ -120,6 +125,10 @@ class Controls:
             self._breathe = gui.add_button(
                 "Breathe", icon=viser.Icon.LUNGS, hint=hint, visible=actions.can_breathe()
             )
+            hint = "visits some poses untouched, to learn how the arm was built"
+            self._commission = gui.add_button(
+                "Commission", icon=viser.Icon.ROUTE, hint=hint, visible=actions.can_commission()
+            )
         for joint in self._joints:
             self._on(joint.on_update, self._send_command)
         for handle in (self._segment, self._place, self._angle, self._newtons, self._along):
@@ -130,6 +139,7 @@ class Controls:
             (tare, actions.tare),
             (undo, actions.undo_tare),
             (self._breathe, actions.breathe),
+            (self._commission, actions.commission),
         ):
             self._on(button.on_click, act)
 
@@ -140,10 +150,15 @@ class Controls:
             if self._pushing:
                 self._actions.push(NO_CONTACT, False)
 
-    def offer_breath(self, offered: bool) -> None:
-        """Show or hide the button of a breath."""
-        if self._breathe.visible != offered:
-            self._breathe.visible = offered
+    def offer(self) -> None:
+        """Show the buttons of those who answer, and hide the others."""
+        offers = (
+            (self._breathe, self._actions.can_breathe()),
+            (self._commission, self._actions.can_commission()),
+        )
+        for button, offered in offers:
+            if button.visible != offered:
+                button.visible = offered
 
     def touch(self, segment: int, place_m: float) -> None:
         """Choose where to push: segment 1 … N and the place nearest to `place_m` in its reach."""
@@ -227,10 +242,15 @@ def newtons_text(force_n: float) -> str:
 def _decimals(low: float, high: float) -> int:
     """The number of decimals, at most two, that leaves one digit of the interval's width.
 
-    The ends of an interval of angles may be on both sides of 360°.
+    Two digits where the first is 1. The ends of an interval of angles may be on both sides of
+    360°.
     """
     width = high - low if high >= low else high - low + 360.0
-    return min(2, max(0, -math.floor(math.log10(width)))) if width > 0.0 else 2
+    if width <= 0.0:
+        return 2
+    power = math.floor(math.log10(width))
+    second = width < 2.0 * 10.0**power
+    return min(2, max(0, second - power))
 
 
 def interval_text(low: float, high: float) -> str:
@@ -244,6 +264,21 @@ def known_text(value: float, low: float, high: float) -> str:
     return f"{value:.{_decimals(low, high)}f}"
 
 
+def covered_m(region: Sequence[PlaceInterval]) -> float:
+    """The length of an interval of places along the arm."""
+    return sum(part.high_m - part.low_m for part in region)
+
+
+def places_text(region: Sequence[PlaceInterval]) -> str:
+    """`52 to 73 mm`, or `121 mm of 2 to 14 mm of 3` where it ends on another segment."""
+    low_mm = 1e3 * region[0].low_m
+    high_mm = 1e3 * region[-1].high_m
+    if len(region) == 1:
+        return f"{interval_text(low_mm, high_mm)} mm"
+    first, last = region[0].segment, region[-1].segment
+    return f"{low_mm:.0f} mm of {first} to {high_mm:.0f} mm of {last}"
+
+
 def _number_text(value: float | None, form: str) -> str:
     return "–" if value is None else form % value
 
@@ -252,6 +287,7 @@ def _macros() -> Any:
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     environment.filters.update(newtons=newtons_text, number=_number_text)
     environment.globals.update(_COLOURS, interval=interval_text, known=known_text)
+    environment.globals.update(covered=covered_m, places=places_text)
     text = files("cablesense_online.page").joinpath("panel.html").read_text(encoding="utf-8")
     return environment.from_string(text).module
 
@@ -358,11 +394,15 @@ class ForceTrace(Trace):
         super().__init__(gui, [*ends, true, estimated], "force, N", least_n, 170, (band,))
 
     def add(self, now: Snapshot) -> None:
-        """Keeps a moment; an unknown force is drawn below the axis, as uPlot bears no NaN."""
+        """Keeps a moment; an unknown force is drawn below the axis, as uPlot bears no NaN.
+
+        An unconfirmed one has no band: while the arm swings it would be wider than the axis.
+        """
         true = now.true[0].magnitude_n if now.true else 0.0
         nothing = 0.0 if now.state.known and now.moment is None else _UNKNOWN_N
         estimate = now.estimated[0].magnitude_n if now.estimated else nothing
-        ends = (0.0, 0.0) if now.bounds is None else now.bounds[:2]
+        bounds = None if now.state is ForceState.UNCONFIRMED else now.bounds
+        ends = (0.0, 0.0) if bounds is None else bounds[:2]
         self.buffer.add(now.time_s, np.array([*ends, true, estimate]))
 
 

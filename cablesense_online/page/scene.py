@@ -21,6 +21,7 @@ from cablesense_online.page.snapshot import (
     ESTIMATE_RGB,
     TRUE_RGB,
     ForceBounds,
+    PlaceInterval,
     Rgb,
     Snapshot,
     linear_rgb,
@@ -236,14 +237,17 @@ class ArmScene:
             thickness=_INTERVAL_WIDTH * reach_m,
             visible=False,
         )
-        self._region = scene.add_cylinder(
-            "/region",
-            _REGION_SHARE * _BODY_SHARE * self._radius_m,
-            color=ESTIMATE_RGB,
-            opacity=_REGION_OPACITY,
-            cast_shadow=False,
-            visible=False,
-        )
+        self._region = [
+            scene.add_cylinder(
+                f"/region/segment_{n}",
+                _REGION_SHARE * _BODY_SHARE * self._radius_m,
+                color=ESTIMATE_RGB,
+                opacity=_REGION_OPACITY,
+                cast_shadow=False,
+                visible=False,
+            )
+            for n in numbers
+        ]
         self._true = _Forces(scene, mechanism, arrows, "true", TRUE_RGB, "bottom-right")
         self._estimated = _Forces(scene, mechanism, arrows, "est.", ESTIMATE_RGB, "bottom-left")
 
@@ -285,16 +289,25 @@ class ArmScene:
                 point_m, axis, force_n, angle_deg, bounds, clearance_m, self._arrows
             )
             self._interval.points = lines_m.astype(np.float32)
-        region = snapshot.region
-        self._region.visible = region is not None
-        if region is not None:
-            n, low_m, high_m = region.segment - 1, region.low_m, region.high_m
-            self._region.position = joints_m[n] + 0.5 * (low_m + high_m) * axes[n]
-            lying = Rotation.from_quat(_ALONG_X, scalar_first=True)
+        self._show_region(snapshot.region, joints_m, rotations)
+
+    def _show_region(
+        self, region: Sequence[PlaceInterval], joints_m: Array, rotations: Array
+    ) -> None:
+        """A band around what an interval of places covers of each segment."""
+        lying = Rotation.from_quat(_ALONG_X, scalar_first=True)
+        thinnest_m = _THINNEST_REGION * self._arrows.reach_m
+        covered = {part.segment: part for part in region}
+        for n, band in enumerate(self._region):
+            part = covered.get(n + 1)
+            band.visible = part is not None
+            if part is None:
+                continue
+            middle_m = 0.5 * (part.low_m + part.high_m)
+            band.position = joints_m[n] + middle_m * rotations[n, :, 0]
             turn = Rotation.from_matrix(rotations[n]) * lying
-            self._region.wxyz = turn.as_quat(scalar_first=True)
-            thinnest_m = _THINNEST_REGION * self._arrows.reach_m
-            self._region.scale = (1.0, 1.0, max(high_m - low_m, thinnest_m))
+            band.wxyz = turn.as_quat(scalar_first=True)
+            band.scale = (1.0, 1.0, max(part.high_m - part.low_m, thinnest_m))
 
     def _add_segment(self, segment: int) -> viser.FrameHandle:
         name, radius_m = f"/arm/segment_{segment}", _BODY_SHARE * self._radius_m

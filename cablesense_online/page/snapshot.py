@@ -20,7 +20,7 @@ from cablesense_msgs_py.messages import Contact, ForceState, Level
 
 
 class PlaceInterval(NamedTuple):
-    """Ends, m from the joint centre of a segment, of the 95 % interval of a contact's place."""
+    """Ends, m from the joint centre of a segment, of what an interval of places covers of it."""
 
     segment: int
     low_m: float
@@ -36,6 +36,13 @@ class ForceBounds(NamedTuple):
     low_n: float
     high_n: float
     angles_deg: tuple[float, float] | None = None
+
+
+class CommissioningProgress(NamedTuple):
+    """How many of a commissioning's holds are done."""
+
+    done: int
+    holds: int
 
 
 @dataclass(frozen=True)
@@ -60,10 +67,14 @@ class Snapshot:
         state: of the estimate.
         estimated: contacts, the strongest first; none when nothing touches and when the force is
             unknown.
-        bounds: of the strongest estimated force, or of the one behind `moment`.
+        bounds: of the strongest estimated force, of the one behind `moment`, or of one that
+            friction hides.
         probabilities: (N + 1,) of no contact and of each segment.
         moment: a contact of which only that is known.
-        region: where the strongest contact, or the one behind `moment`, acts.
+        region: the 95 % interval of where the strongest contact, or the one behind `moment`, acts:
+            what it covers of each segment, in their order.
+        arm_known: how well the estimator knows its arm, as a sentence; empty where it does not.
+        commissioning: of one that is under way.
     """
 
     time_s: float
@@ -77,7 +88,9 @@ class Snapshot:
     probabilities: Array | None
     status: ShownStatus
     moment: Contact | None = None
-    region: PlaceInterval | None = None
+    region: tuple[PlaceInterval, ...] = ()
+    arm_known: str = ""
+    commissioning: CommissioningProgress | None = None
 
     @property
     def answered(self) -> bool:
@@ -94,7 +107,7 @@ _HEADLINES = {
     ForceState.UNCONFIRMED: "Unconfirmed contact",
     ForceState.HIDDEN: "No contact seen",
     ForceState.MOVING: "Moving: no estimate",
-    ForceState.UNTARED: "No tare: no estimate",
+    ForceState.UNTARED: "Not tared: no estimate",
     ForceState.REFUSED: "Readings refused: no estimate",
     ForceState.IMPLAUSIBLE: "Readings fit no contact: no estimate",
     ForceState.STALE: "Readings are out of date: no estimate",

@@ -88,6 +88,7 @@ class RealArm:
     Attributes:
         nominal: the arm as drawn, by which its actuators are commanded.
         load_turn: (3, 3) from the load that is written down to the one that acts.
+        joint_zero_rad: (2N,) by which angles whose lengths are held exceed the commanded ones.
         actuation: gives lengths (R, M), less those of the straight arm, of what earlier faults
             made of the commands, of the commands, and of times (R,).
         sensing: gives signals (R, M) of what earlier faults made of the tensions, and of times.
@@ -100,6 +101,7 @@ class RealArm:
     sensing: Faults = ()
     friction: PlantFriction = field(default_factory=PlantFriction)
     creep: Creep = field(default_factory=Creep)
+    joint_zero_rad: Array | float = 0.0
 
     @property
     def history_dependent(self) -> bool:
@@ -179,7 +181,7 @@ class RealArm:
     def held_m(self, command_rad: Array) -> Array:
         """(R, M) cable paid out by commands (R, 2N) as drawn, minus that of the straight arm."""
         straight = cable_lengths_m(self.nominal.body, np.zeros((1, command_rad.shape[1])))
-        return cable_lengths_m(self.nominal.body, command_rad) - straight
+        return cable_lengths_m(self.nominal.body, command_rad + self.joint_zero_rad) - straight
 
     def path(self) -> QuasiStaticPath:
         """Takes this arm, with friction and creep, from rest to rest."""

@@ -5,13 +5,14 @@ They are the truth for tests of estimators that know an arm by its file and its 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_plants.arm.arm import ideal_arm, turned
+from cablesense_plants.arm.arm import ADDED, SCALED, RealArm, ideal_arm, turned
 from cablesense_plants.arm.body import Body, Nominal
 from cablesense_plants.arm.friction import Creep, PathState, PlantFriction, QuasiStaticPath
 from cablesense_plants.arm.statics import BodyRest, commanded_angles_rad, find_rest, frames, turns
@@ -136,6 +137,13 @@ class BuiltArm:
             self.body, contact_at_m=_CORNERS[:, None] * nominal.length_m[:, None]
         )
 
+    def altered(self, change: Callable[[Body], Body]) -> BuiltArm:
+        """The same arm with something about its body changed that no workshop's scatter makes."""
+        arm = copy(self)
+        arm.body = change(self.body)
+        arm._cornered = change(self._cornered)
+        return arm
+
     def held_m(self, command_rad: Array) -> Array:
         """(B, M) cable that the actuators pay out at commands (B, 2N), less the straight arm's."""
         return self._drawn.held_m(command_rad + self.joint_zero_rad)
@@ -203,6 +211,23 @@ class BuiltArm:
             PlantError: the arm finds no rest.
         """
         return Walk(self, command_rad)
+
+
+def built_as(nominal: Nominal, workmanship: Workmanship, rng: np.random.Generator) -> RealArm:
+    """A built arm without friction, to hide changes in and to record.
+
+    Raises:
+        PlantError: the deviations are so large that no such arm exists.
+    """
+    built = BuiltArm(nominal, workmanship, rng)
+    scaled = (SCALED, lambda signal_n, _time_s: built.gains * signal_n)
+    zeroed = (ADDED, lambda signal_n, _time_s: signal_n + built.zeros_n)
+    return replace(
+        ideal_arm(nominal),
+        body=built.body,
+        sensing=(scaled, zeroed),
+        joint_zero_rad=built.joint_zero_rad,
+    )
 
 
 class Walk:

@@ -27,6 +27,7 @@ from cablesense_plants.arm.arm import (
     with_tolerances,
 )
 from cablesense_plants.arm.body import Nominal
+from cablesense_plants.arm.built import Workmanship, built_as
 from cablesense_plants.arm.listed import LISTED, ArmChange, ArmDraw
 from cablesense_plants.arm.unlisted import UNLISTED
 from cablesense_plants.cases import (
@@ -47,6 +48,9 @@ _PLAIN = (8.0, 60.0)
 _VISIBLE_FLOORS, _WANTED_SHARE = 5.0, 0.1
 """The least gap of such a change, and of one alone as a share of the gap that it was to make."""
 _CHANGE_REDRAWS = 8
+
+_BUILT = (3.0, 10.0)
+"""The same of changes of an arm as a workshop builds it, by the gap that its errors make."""
 
 _LACKING = ("actuator_ratio", "cogging", "hardening_cables", "screw_error", "tether")
 _LACKED = (4.0, 16.0)
@@ -71,12 +75,14 @@ def withhold(
     *,
     second: bool = False,
     imperfect: bool = False,
+    workmanship: Workmanship | None = None,
 ) -> Iterator[ArmAnswer]:
     """Write `case_001.csv` … into a folder and, at the end, the answers; yields them as they come.
 
     With `second`, the folder `second/` in it gets another recording of each arm, with other
     commands, loads and past. With `imperfect` the nominal arm lacks two changes that no verdict
-    has a name for; `reference/` gets a recording of each arm before anything else was hidden. The
+    has a name for; `reference/` gets a recording of each arm before anything else was hidden. With
+    a `workmanship` arms are built as `cablesense_plants.arm.built` does. The
     same seed makes the same files, whatever the number of processes.
 
     Raises:
@@ -91,7 +97,7 @@ def withhold(
     kinds = draw_kinds(np.random.default_rng([seed]), count, only)
     answers = []
     with WorkerPool(workers, nominal, seed, refusal=PlantError) as pool:
-        make = partial(make_case, second=second, imperfect=imperfect)
+        make = partial(make_case, second=second, imperfect=imperfect, workmanship=workmanship)
         for recorded in pool.map(make, range(1, count + 1), kinds):
             name = f"{recorded.answer.recording}.csv"
             for part, rows in recorded.recordings.items():
@@ -135,6 +141,7 @@ def make_case(
     *,
     second: bool = False,
     imperfect: bool = False,
+    workmanship: Workmanship | None = None,
 ) -> CaseRecording:
     """Case `index` (from 1, as in its name `case_001`) of the set of a seed.
 
@@ -147,7 +154,7 @@ def make_case(
     for attempt in range(_REDRAWS):
         rng = np.random.default_rng([seed, index, attempt])
         with suppress(PlantError) if attempt + 1 < _REDRAWS else nullcontext():
-            return _recorded(rng, index, nominal, kind, second, imperfect)
+            return _recorded(rng, index, nominal, kind, second, imperfect, workmanship)
     raise AssertionError
 
 
@@ -212,6 +219,7 @@ def _recorded(
     kind: str,
     second: bool,
     imperfect: bool,
+    workmanship: Workmanship | None,
 ) -> CaseRecording:
     """Draw an arm, its hidden changes and its protocol, and record it, all from one `rng`."""
     draws = {**LISTED, **UNLISTED} if "+" not in kind else LISTED
@@ -226,7 +234,11 @@ def _recorded(
         )
     drawn = ideal_arm(nominal)
     done = _schedules(drawn, rng)
-    plain_arm = with_tolerances(drawn, rng)
+    if workmanship is None:
+        plain_arm = with_tolerances(drawn, rng)
+    else:
+        plain_arm = built_as(nominal, workmanship, rng)
+        built_n = gap_n(plain_arm.signals_n(*done), drawn.signals_n(*done))
     for name in rng.choice(_LACKING, 2, replace=False) if imperfect else ():
         change = UNLISTED[str(name)](ArmDraw(rng, nominal))
         lacked_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(_LACKED))))
@@ -239,6 +251,8 @@ def _recorded(
             plain = len(names) > 1 or change.effect == UNKNOWN
             bounds = _PLAIN if plain else _FLOORS[str(rng.choice(list(_FLOORS), p=_SHARES))]
             wanted_n = nominal.floor_n * float(np.exp(rng.uniform(*np.log(bounds))))
+            if workmanship is not None:
+                wanted_n = built_n * float(np.exp(rng.uniform(*np.log(_BUILT))))
             size, alone_n = _sized(change, plain_arm, wanted_n, *done)
             least_n = _VISIBLE_FLOORS * nominal.floor_n if plain else _WANTED_SHARE * wanted_n
             if alone_n >= least_n:

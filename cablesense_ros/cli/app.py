@@ -14,7 +14,9 @@ from typing import Annotated
 import typer
 
 from cablesense_base import CableSenseError
+from cablesense_ros.cli.calibrate import calibrate
 from cablesense_ros.cli.evaluate import evaluate, paper
+from cablesense_ros.cli.export import export
 from cablesense_ros.cli.gap import gap
 from cablesense_ros.cli.info import info, urdf
 from cablesense_ros.cli.runs import demo, record, replay
@@ -31,7 +33,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for verb in (demo, dataset, train, evaluate, info, urdf, record, replay, paper):
+for verb in (demo, export, dataset, train, evaluate, info, urdf, calibrate, record, replay, paper):
     app.command()(verb)
 app.add_typer(gap)
 app.add_typer(sensors)

@@ -7,7 +7,7 @@ import sys
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -26,6 +26,10 @@ from cablesense_ros.cli.options import (
     task_bars,
 )
 
+if TYPE_CHECKING:
+    from cablesense_training.inference.estimator import Estimator
+    from cablesense_training.inference.law_model import LawModel
+
 
 def evaluate(
     context: typer.Context,
@@ -39,9 +43,9 @@ def evaluate(
     model: Annotated[
         list[str] | None,
         typer.Option(
-            help="Evaluate this model of one contact, or of contacts anywhere (a path, or a "
-            "bundled name) alone, on its own arm. With --recording repeatable: before and after "
-            "an adaptation."
+            help="Evaluate this model of contacts anywhere, or of a network of one contact (a "
+            "path, or a bundled name) alone, on its own arm. With --recording repeatable: before "
+            "and after an adaptation."
         ),
     ] = None,
     recording: Annotated[
@@ -49,6 +53,13 @@ def evaluate(
         typer.Option(
             help="Instead: the known loads of this recording (.csv, .mcap, rosbag2 folder), of "
             "the model's arm."
+        ),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --recording: how well the arm is known, as a commissioning has written "
+            "it; without it, the recording's unloaded rows say so."
         ),
     ] = None,
     picture: Annotated[
@@ -64,12 +75,13 @@ def evaluate(
     ] = False,
     json_output: JsonOption = False,
 ) -> None:
-    """Compare the bundled models, their baselines and the noise bound on fresh samples.
+    """Compare the estimator, the paper's networks and the noise bound on fresh samples.
 
-    Without options: single contacts on the straight arm, at random poses, on a compliant arm, and
-    from tensions alone; several contacts at once. With [bold]--table2[/bold]: the six loads that
-    were hung on the physical arm. With [bold]--recording[/bold]: a model on one's own arm, by
-    segment and by force.
+    Without options: single contacts on the straight arm, at random poses, and on a compliant arm;
+    several contacts at once. With [bold]--model[/bold] of contacts anywhere: statements on arms
+    as a workshop builds them by the file, and on exactly the arm of the file. With
+    [bold]--table2[/bold]: the six loads that were hung on the physical arm. With
+    [bold]--recording[/bold]: a model on one's own arm, by segment and by force.
 
     Examples: [bold]cablesense evaluate --json[/bold], [bold]cablesense evaluate --table2[/bold],
     [bold]cablesense evaluate --model my_arm.onnx[/bold],
@@ -77,7 +89,7 @@ def evaluate(
     """
     models = model or []
     if recording is None:
-        refuse_given(context, ("picture", "force"), "without --recording")
+        refuse_given(context, ("picture", "force", "calibration"), "without --recording")
         if len(models) > 1:
             raise OptionError("several --model go with --recording alone; give one")
     if recording is not None:
@@ -89,7 +101,7 @@ def evaluate(
             refuse_given(context, ["force"], "without --picture")
         else:
             output_file(picture, force=force, inputs=(recording, *models))
-        title, content = _recorded(recording, models, picture)
+        title, content = _recorded(recording, models, calibration, picture)
     elif table2:
         unused = ("samples", "seed", "workers")
         refuse_given(context, unused, "with --table2, which draws no samples")
@@ -111,40 +123,44 @@ def _table2(model: str) -> Result:
         SHIPPED,
         TABLE2_MODELS,
         evaluate_table2,
+        open_single,
     )
-    from cablesense_training.inference.estimator import Estimator
     from cablesense_training.inference.metadata import find_model
 
-    estimator = Estimator.load(find_model(model or TABLE2_MODELS[SHIPPED]))
+    opened = open_single(find_model(model or TABLE2_MODELS[SHIPPED]))
     content = [
         {
-            "true_segment": load.segment,
+            "true_segment": found.load.segment,
             "segment": found.segment,
             "true_angle_deg": DOWN_DEG,
             "angle_deg": found.angle_deg,
-            "true_magnitude_n": load.weight_n,
+            "true_magnitude_n": found.load.weight_n,
             "magnitude_n": found.magnitude_n,
-            "magnitude_error": found.magnitude_n / load.weight_n - 1.0,
+            "magnitude_error": found.magnitude_n / found.load.weight_n - 1.0,
+            "magnitude_ci95_n": [found.low_n, found.high_n],
         }
-        for load, found in evaluate_table2(estimator)
+        for found in evaluate_table2(opened)
     ]
     title = "Loads hung on the physical arm (the paper's Table II)"
-    return title, {"model": estimator.metadata.network, "rows": content}
+    return title, {"model": opened.metadata.network, "rows": content}
 
 
-def _recorded(recording: Path, models: list[str], picture: Path | None) -> Result:
-    from cablesense_gap.recorded_contacts import recorded_errors
+def _recorded(
+    recording: Path, models: list[str], calibration: Path | None, picture: Path | None
+) -> Result:
+    from cablesense_contact.calibration import read_calibration
+    from cablesense_gap.recorded_contacts import open_estimator, recorded_errors
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import drawn_errors
     from cablesense_gap.report.style import image_bytes, style
     from cablesense_training.inference.metadata import find_model
-    from cablesense_training.inference.temporal_estimator import open_estimator
 
-    opened = {name: open_estimator(find_model(name)) for name in models}
-    found = {
-        name: recorded_errors(read_recording(recording, estimator.metadata.arm), estimator)
-        for name, estimator in opened.items()
-    }
+    found = {}
+    for name in models:
+        estimator = open_estimator(find_model(name))
+        arm = estimator.metadata.arm
+        known = None if calibration is None else read_calibration(calibration, arm)
+        found[name] = recorded_errors(read_recording(recording, arm), estimator, calibration=known)
     if picture is not None:
         with style():
             image = image_bytes(drawn_errors(found), "png")
@@ -153,22 +169,28 @@ def _recorded(recording: Path, models: list[str], picture: Path | None) -> Resul
 
 
 def _one_model(model: str, samples: int, seed: int, workers: int) -> Result:
-    """A model's errors on samples like those of its training, next to their noise bound."""
+    """A model on fresh samples: of the law's arm, or like those of a network's training."""
+    from cablesense_training.evaluation.comparison import open_single
+    from cablesense_training.inference.law_model import LawModel
+    from cablesense_training.inference.metadata import find_model
+
+    opened = open_single(find_model(model))
+    described = opened.metadata
+    title = f"{described.network} on {described.arm_identity}, {samples} fresh samples"
+    if isinstance(opened, LawModel):
+        return title, _law_statements(opened, samples, seed)
+    return title, _network_errors(opened, samples, seed, workers)
+
+
+def _network_errors(estimator: Estimator, samples: int, seed: int, workers: int) -> dict[str, Any]:
+    """A network's errors on samples like those of its training, next to their noise bound."""
     from cablesense_training.data.generation import draw_dataset
-    from cablesense_training.data.protocols import AnywhereContact, SingleContact
-    from cablesense_training.evaluation import anywhere
+    from cablesense_training.data.protocols import SingleContact
     from cablesense_training.evaluation.comparison import evaluate_estimator, metrics_json
     from cablesense_training.evaluation.metrics import noise_bound
-    from cablesense_training.inference.anywhere import AnywhereEstimator
-    from cablesense_training.inference.estimator import Estimator
-    from cablesense_training.inference.metadata import ANYWHERE, find_model
-    from cablesense_training.inference.model_file import read_model
 
-    path = find_model(model)
-    is_anywhere = read_model(path)[1].kind == ANYWHERE
-    estimator = AnywhereEstimator.load(path) if is_anywhere else Estimator.load(path)
     described = estimator.metadata
-    protocol = (AnywhereContact if is_anywhere else SingleContact)(
+    protocol = SingleContact(
         samples=samples,
         pose="random" if described.pose_range_deg > 0 else "straight",
         pose_range_deg=described.pose_range_deg,
@@ -176,13 +198,25 @@ def _one_model(model: str, samples: int, seed: int, workers: int) -> Result:
         tare_samples=described.tare_samples,
     )
     dataset = draw_dataset(described.arm, protocol, seed, workers=workers)
-    title = f"{described.network} on {described.arm_identity}, {samples} fresh samples"
-    if isinstance(estimator, AnywhereEstimator):
-        profile = anywhere.anywhere_metrics(dataset, anywhere.commanded_profile(dataset))
-        found = anywhere.evaluate_anywhere(estimator, dataset)
-        return title, {"anywhere": found.as_json(), "commanded_profile": profile.as_json()}
     metrics = evaluate_estimator(estimator, dataset).metrics
-    return title, {"single": metrics_json(metrics), "bound": asdict(noise_bound(dataset))}
+    return {"single": metrics_json(metrics), "bound": asdict(noise_bound(dataset))}
+
+
+def _law_statements(law: LawModel, samples: int, seed: int) -> dict[str, Any]:
+    """What a law states, on arms of the tolerances of its file and on exactly that of the file."""
+    from cablesense_base.progress import progress_bar
+    from cablesense_training.evaluation.law import evaluate_built, evaluate_exact, law_protocol
+
+    protocol = law_protocol(law.arm, samples)
+    with progress_bar(samples, shown=True) as advance:
+        built = evaluate_built(law, law.arm, protocol, seed, advance)
+    exact = evaluate_exact(law, law.arm, protocol, seed)
+    force_range_n = [protocol.force_low_n, protocol.force_high_n]
+    return {
+        "force_range_n": force_range_n,
+        "built_by_tolerances": built.as_json(),
+        "as_the_file": exact.as_json(),
+    }
 
 
 def _comparison(samples: int, seed: int, workers: int) -> Result:
@@ -192,7 +226,7 @@ def _comparison(samples: int, seed: int, workers: int) -> Result:
         content = compare(
             seed, samples, workers, lambda name: status.update(f"Evaluating {name} …")
         )
-    return "Bundled models, their peers, and the noise bound", content
+    return "The estimator, the paper's networks, and the noise bound", content
 
 
 def _study_names() -> str:

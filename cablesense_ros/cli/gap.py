@@ -28,7 +28,7 @@ from cablesense_ros.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from cablesense_gap.adaptation import Adaptation
+    from cablesense_gap.adaptation import Adaptation, AdaptedEstimator
 
 BandwidthOption = Annotated[
     float | None,
@@ -76,6 +76,9 @@ PositionsOption = Annotated[
 ]
 OF_ROBOTS = ("bandwidth", "forward", "zeroed", "positions")
 ADAPTED_MODEL = "estimator.onnx"
+CALIBRATION = "calibration.npz"
+_SHOWN_N = 0.05
+"""Unexplained readings from this on are stated."""
 
 
 def diagnose(
@@ -282,88 +285,115 @@ def _predicted_arm(
 def adapt(
     recording: RecordingArgument,
     out: Annotated[
-        Path, typer.Option(help="Folder for what `gap diagnose` writes, and for estimator.onnx.")
+        Path,
+        typer.Option(
+            help="Folder for what `gap diagnose` writes, for estimator.onnx and calibration.npz."
+        ),
     ],
     arm: NominalArmOption = "cdsm_lab",
     model: Annotated[
         str | None,
         typer.Option(
-            help="The estimator in use: a path, or a bundled name.",
-            show_default="the bundled one of contacts anywhere, or of the arm's name",
+            help="The estimator in use, of single contacts: a path, or a bundled name.",
+            show_default="that of the arm file",
         ),
     ] = None,
     workers: WorkersOption = 2,
     force: ForcedDiagnosisOption = False,
     json_output: JsonOption = False,
 ) -> None:
-    """Diagnose a recording, and train the force estimator on the arm as it is found to be.
+    """Diagnose a recording, and make the force estimator of the arm as it is found to be.
 
-    A fifth of the trials are withheld from diagnosis and training; on their loads both
-    estimators are judged. Writes what `gap diagnose` writes, with these errors, and the model
-    that the estimator node takes. The model in use is kept if the new one is no better.
+    A fifth of the trials are withheld from the diagnosis; on their loads both estimators are
+    judged. Writes what `gap diagnose` writes, with these errors, the model that the estimator node
+    takes, and its calibration. The model in use is kept if the new one is no better.
 
-    Example: [bold]cablesense gap adapt recording.mcap --arm my_arm.yaml --model my_arm.onnx
-    --out adapted[/bold]
+    Example: [bold]cablesense gap adapt recording.mcap --arm my_arm.yaml --out adapted[/bold]
     """
+    from cablesense_contact.calibration import write_calibration
     from cablesense_gap.adaptation import adapt as make
     from cablesense_gap.amended_arm import AMENDED_ARM
+    from cablesense_gap.recorded_contacts import open_estimator
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import FRICTION_HIDES, headline
-    from cablesense_online.misfit_limit import put_simulated_limit
     from cablesense_sim.arm import find_arm, load_arm
-    from cablesense_training.inference.metadata import find_model_of
+    from cablesense_training.inference.metadata import find_model
 
     arm_file = find_arm(arm)
     nominal = load_arm(arm_file)
-    first = find_model_of(nominal, arm, model or "")
-    written = (*DIAGNOSIS_FILES, ADAPTED_MODEL)
-    output_folder(out, written, force=force, inputs=(recording, arm_file, first))
+    path = find_model(model) if model else None
+    first = open_estimator(path, nominal) if path else None
+    written = (*DIAGNOSIS_FILES, ADAPTED_MODEL, CALIBRATION)
+    inputs = (recording, arm_file, path) if path else (recording, arm_file)
+    output_folder(out, written, force=force, inputs=inputs)
     recorded = read_recording(recording, nominal)
-    command = ["cablesense", "gap", "adapt", recording.name, "--arm", arm, "--out", out.name]
+    words = ["cablesense", "gap", "adapt", recording.name, "--arm", arm, "--out", out.name]
     console = Console(stderr=json_output)
+    adapted_model = out / ADAPTED_MODEL
+    calibration = out / CALIBRATION
     with tempfile.TemporaryDirectory() as folder, diagnosis_progress(console) as (show, warn):
-        second = Path(folder) / ADAPTED_MODEL
-        found = make(
-            recorded, nominal, first, second, shlex.join(command), show, workers, warn, force=force
-        )
-        if found.better:
-            put_simulated_limit(second)
+        found = make(recorded, nominal, first, show, workers, warn, force=force)
+        made = found.adapted if found.better else None
+        exported = Path(folder) / ADAPTED_MODEL
+        if made is not None:
+            made.export(exported, shlex.join(words))
         models = {"before": found.before} | ({"after": found.after} if found.after else {})
         write_diagnosis(out, found.diagnosis, models)
-        adapted = out / ADAPTED_MODEL
-        if found.better:
-            write_atomically(adapted, second.read_bytes(), OptionError)
-        else:  # one of an earlier run is for another arm
-            adapted.unlink(missing_ok=True)
+        if made is not None:
+            write_atomically(adapted_model, exported.read_bytes(), OptionError)
+            write_calibration(calibration, made.calibration)
+        else:  # those of an earlier run are for another arm
+            adapted_model.unlink(missing_ok=True)
+            calibration.unlink(missing_ok=True)
     verdict = found.diagnosis.verdict
     if json_output:
-        use, plain = adapted if found.better else first, verdict.model_dump(mode="json")
-        print_json({"model": str(use), "better": found.better, "verdict": plain})
+        used = adapted_model if made else path
+        print_json(
+            {
+                "model": str(used) if used else None,
+                "calibration": str(calibration) if made else None,
+                "better": found.better,
+                "verdict": verdict.model_dump(mode="json"),
+            }
+        )
         return
-    lines = [headline(verdict), _outcome(found, first), f"Report: {out / 'report.html'}"]
+    kept = str(path) if path else f"the estimator of {nominal.name}"
+    lines = [headline(verdict), _outcome(found, kept), f"Report: {out / 'report.html'}"]
     if "capstan_friction" in verdict.effects:
         lines.append(FRICTION_HIDES)
-    if found.better:
-        run = f"ros2 run cablesense_ros estimator --ros-args -p arm:={out / AMENDED_ARM}"
-        lines.append(f"Run it: {run} -p model:={adapted}")
+    if made is not None:
+        lines += _how_to_run(made, out / AMENDED_ARM, adapted_model, calibration)
     for line in lines:
         console.print(line, soft_wrap=True, highlight=False)
 
 
-def _outcome(found: Adaptation, first: Path) -> str:
+def _how_to_run(made: AdaptedEstimator, arm: Path, model: Path, calibration: Path) -> list[str]:
+    """What the new estimator takes as noise, and the command that starts it."""
+    unexplained_n = made.unexplained_n2**0.5
+    lines = []
+    if unexplained_n >= _SHOWN_N:
+        lines.append(
+            f"Readings differ by {unexplained_n:.2f} N (RMS) from what this arm explains, beyond "
+            "the sensors' noise: the estimator takes it as noise, so its intervals are wider."
+        )
+    run = f"ros2 run cablesense_ros estimator --ros-args -p arm:={arm} -p model:={model}"
+    return [*lines, f"Run it: {run} -p calibration_file:={calibration}"]
+
+
+def _outcome(found: Adaptation, kept: str) -> str:
     """The errors before and after in a sentence, and which model to use."""
     if found.after is None:
-        return f"Nothing was found that an estimator could be trained on: keep {first}."
+        return f"Nothing was found that would make another estimator: keep {kept}."
     before, after = (
         f"force off by {errors.magnitude_mae_n:.2f} N, direction by "
         f"{errors.direction_mae_deg:.1f}°, segment right {errors.contact_accuracy:.1%}"
         for errors in (found.before.whole.errors, found.after.whole.errors)
     )
-    use = "Use the new estimator." if found.better else f"The new one is no better: keep {first}."
+    use = "Use the new estimator." if found.better else f"The new one is no better: keep {kept}."
     return (
         f"On {found.before.whole.errors.contacts} loaded rows of {len(found.trials)} trials that "
-        f"neither diagnosis nor training had: before, {before}; after, {after}. {use}"
+        f"the diagnosis did not have: before, {before}; after, {after}. {use}"
     )
 
 

@@ -1,4 +1,4 @@
-"""`cablesense info` shows an arm file, a model file or the effects; `cablesense urdf` writes one.
+"""`cablesense info` shows an arm, model, calibration or effects; `cablesense urdf` writes an arm.
 
 Each description consists of plain values, which `--json` and the tables show.
 """
@@ -15,12 +15,18 @@ import numpy as np
 import typer
 
 from cablesense_base import Array, CableSenseError
-from cablesense_base.files import OutputError, output_file, write_atomically
+from cablesense_base.files import OutputError, output_file, read_bounded_bytes, write_atomically
 from cablesense_base.installation import config_path
-from cablesense_ros.cli.options import ForceOption, JsonOption, print_result, refuse_given
+from cablesense_ros.cli.options import (
+    ForceOption,
+    JsonOption,
+    print_json,
+    print_result,
+    refuse_given,
+)
 from cablesense_sim.arm import Arm, find_arm, load_arm, open_arm
 from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.contact_location import AXIAL_STD_N, contact_information, reach_m
+from cablesense_sim.contact_bound import contact_information
 from cablesense_sim.effects.effect import Effect, Parameter
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.load_capacity import (
@@ -31,6 +37,7 @@ from cablesense_sim.load_capacity import (
     load_capacity,
 )
 from cablesense_sim.replay import difference_variance_n2
+from cablesense_sim.touch import touched_places
 
 Description = dict[str, Any]
 _SLOWEST_HZ = 2.0
@@ -42,7 +49,8 @@ def info(
     file: Annotated[
         str,
         typer.Argument(
-            help="An arm file (.yaml) or a model file (.onnx): a path, or a bundled arm's name."
+            help="An arm file (.yaml), a model file (.onnx) or a calibration file: a path, or a "
+            "bundled arm's name."
         ),
     ] = "cdsm",
     effects: Annotated[
@@ -91,6 +99,8 @@ def info(
 ) -> None:
     """Show what an arm or a model is: geometry, cables, sensors; or inputs, outputs, training.
 
+    Of a calibration file: how well it knows its arm, and whether that is built as its file says.
+
     With --effects: what real arms do beyond the ideal, with places, parameters and sources.
     With --blind: how much more or less an arm can be pushed before its readings show it.
     With --observability: how well tensions determine where and how hard an arm is touched.
@@ -127,6 +137,9 @@ def info(
         description = _hidden_force(file, load_n, bend_deg)
     elif file.endswith(".onnx"):
         title, description = "Model", _model(file)
+    elif (content := _calibration_content(file)) is not None:
+        _show_calibration(content, file, json_output)
+        return
     else:
         title, description = "Arm", _arm(file)
     print_result(title, description, json_output)
@@ -259,6 +272,36 @@ def _model(path: str) -> Description:
     }
 
 
+def _calibration_content(path: str) -> bytes | None:
+    """The content of a calibration file; None of other files."""
+    from cablesense_contact.calibration import MAX_FILE_BYTES, CalibrationError, is_calibration
+
+    if not Path(path).is_file():
+        return None
+    content = read_bounded_bytes(path, MAX_FILE_BYTES, "a calibration file", CalibrationError)
+    return content if is_calibration(content) else None
+
+
+def _show_calibration(content: bytes, path: str, as_json: bool) -> None:
+    """Print what a calibration file says, in the words of `cablesense calibrate`."""
+    from rich.console import Console
+
+    from cablesense_contact.calibration import calibration_of, described_arm
+    from cablesense_ros.cli.calibrate import calibration_description, law_of, print_calibration
+
+    arm = described_arm(content, path)
+    calibration = calibration_of(content, arm, path)
+    try:
+        law = law_of(arm, path)
+    except ModuleNotFoundError:
+        law = None  # the deviation of forces is left out without PyTorch or a model file
+    description = calibration_description(calibration, arm, law)
+    if as_json:
+        print_json({"file": path, **description})
+    else:
+        print_calibration(Console(), description)
+
+
 def _hidden_force(name: str, load_n: float, bend_deg: float) -> Description:
     """Medians and largest over the directions of `cablesense_sim.load_capacity`, by segment, N.
 
@@ -302,6 +345,8 @@ def _effect(effect: Effect) -> Description:
 
 _TARE_SAMPLES = 50
 """The node averages as many for a tare by default."""
+_AXIAL_STD_N, _LARGEST_N = 100.0, 200.0
+"""Of the prior: deviation of the axial force, and the largest lateral one."""
 _DRAWS, _PLACES = 100, 12
 _DETERMINED = 0.5
 """A number is called undetermined if the bound exceeds this share of its prior's deviation."""
@@ -312,11 +357,11 @@ def _observability(arm: Arm, force_n: float, bend_deg: float) -> Description:
 
     Poses, places and directions are random. A number that tensions do not determine is None.
     """
-    low, high = reach_m(mechanism_of(arm)).T
+    low, high = touched_places(arm).reach_m.T
     known = {
         "place_mm": _DETERMINED * 1e3 * (high - low) / np.sqrt(12.0),
         "lateral_n": np.full(arm.segment_count, _DETERMINED * force_n),
-        "axial_n": np.full(arm.segment_count, _DETERMINED * AXIAL_STD_N),
+        "axial_n": np.full(arm.segment_count, _DETERMINED * _AXIAL_STD_N),
     }
     found: Description = {}
     for pose, bend in (("straight", 0.0), (f"joints within {bend_deg:g} degrees", bend_deg)):
@@ -344,7 +389,7 @@ def _contact_bound(
     They act in random directions, joints within `bend_deg`: at `at_m`, or anywhere on the segment.
     """
     rng, mechanism = np.random.default_rng(n), mechanism_of(arm)
-    low, high = reach_m(mechanism)[n]
+    low, high = touched_places(arm).reach_m[n]
     place_m = rng.uniform(low, high, _DRAWS) if at_m is None else np.full(_DRAWS, at_m)
     bend = np.deg2rad(bend_deg)
     command_rad = rng.uniform(-bend, bend, (_DRAWS, arm.joint_count))
@@ -355,7 +400,8 @@ def _contact_bound(
     information = contact_information(
         mechanism, command_rad, segments, place_m, force_n * along, variance_n2
     )
-    prior = np.diag([AXIAL_STD_N**-2, 0.0, 0.0, 12.0 / (high - low) ** 2])
+    lateral = _LARGEST_N**-2  # at a joint's own centre no force turns it
+    prior = np.diag([_AXIAL_STD_N**-2, lateral, lateral, 12.0 / (high - low) ** 2])
     covariance = np.linalg.inv(information + prior)  # (B, 4, 4) of force and place
 
     def deviation(of_force: Array, of_place: float) -> Array:
@@ -374,7 +420,7 @@ def _draw_observability(path: Path, arm: Arm, force_n: float, bend_deg: float) -
     """Draw the bound along the arm, as PNG or SVG by the file's ending."""
     from matplotlib.figure import Figure
 
-    reach = reach_m(mechanism_of(arm))
+    reach = touched_places(arm).reach_m
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     titles = {
         "place_mm": "place, mm",

@@ -17,6 +17,9 @@ from cablesense_ros.cli.options import (
     refuse_given,
 )
 from cablesense_ros.demo import (
+    AS_FILE,
+    BUILT_SEED,
+    DEMO_ARM,
     DEMO_FILES,
     DEMO_FOLDER,
     DemoOptions,
@@ -32,7 +35,7 @@ def demo(
         str | None,
         typer.Option(
             help="Arm file: the name of a bundled one, or a path.",
-            show_default="cdsm; with --breathe cdsm_friction, with the model cdsm",
+            show_default="cdsm_lab; with --breathe cdsm_friction",
         ),
     ] = None,
     model: Annotated[
@@ -83,6 +86,24 @@ def demo(
             "friction hides no force.",
         ),
     ] = False,
+    built_seed: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Seed of the errors with which the arm was built, within its file's tolerances.",
+            show_default=f"{BUILT_SEED}; with --breathe the arm equals its file",
+        ),
+    ] = None,
+    as_file: Annotated[
+        bool, typer.Option("--as-file", help="The arm equals its file, as no built arm does.")
+    ] = False,
+    no_commission: Annotated[
+        bool,
+        typer.Option(
+            "--no-commission",
+            help="Do not visit poses first, to learn how the arm was built: a tare must do.",
+        ),
+    ] = False,
     json_output: Annotated[
         bool, typer.Option("--json", help="With --headless: print the report as JSON.")
     ] = False,
@@ -90,13 +111,31 @@ def demo(
     """Watch an arm being pushed, with the force estimated from its cables and the true one.
 
     Starts the simulated arm, the estimator and a page in the browser where you can push the arm
-    and move its joints. Ctrl-C ends all of it. With --headless it needs no browser: a script of
-    pushes runs for a minute. A controller that yields to a wall is in examples/admittance.
+    and move its joints. The arm is not quite as its file says, like every built one; it first
+    visits some poses by itself, untouched, to learn that. Ctrl-C ends all of it. With --headless
+    it needs no browser: a script of pushes runs for a minute. A controller that yields to a wall
+    is in examples/admittance.
     """
     output_folder(out, DEMO_FILES, force=force or out == DEMO_FOLDER)
+    if as_file:
+        refuse_given(context, ("built_seed",), "with --as-file, which has no errors")
+    if built_seed is None:
+        built_seed = AS_FILE if as_file or breathe else BUILT_SEED
     if arm is None:
-        arm, model = ("cdsm_friction", model or "cdsm") if breathe else ("cdsm", model)
-    options = DemoOptions(arm, model, host, port, out, seed, source, breathe, not no_open)
+        arm = "cdsm_friction" if breathe else DEMO_ARM
+    options = DemoOptions(
+        arm=arm,
+        model=model,
+        host=host,
+        port=port,
+        out=out,
+        seed=seed,
+        source=source,
+        breathe=breathe,
+        open_page=not no_open,
+        built_seed=built_seed,
+        commission=not no_commission,
+    )
     if headless:
         given = ("host", "port", "no_open")
         refuse_given(context, given, "with --headless, which serves no page")
@@ -114,7 +153,7 @@ def record(
 ) -> None:
     """Record all topics of the contract from running nodes, as rosbag2 MCAP.
 
-    Tensions, commands and loads, the estimates and the estimator's journal, diagnostics, joint
+    Tensions, commands and loads, the estimates and what they rest on, diagnostics, joint
     states, the robot description. Opens in Foxglove and PlotJuggler, plays in `ros2 bag play`,
     and `cablesense replay` gives the same estimates again. A recorder that is killed loses half a
     second. Ctrl-C ends it.

@@ -152,26 +152,18 @@ def train(
     network: Annotated[
         str,
         typer.Option(
-            help="anywhere: statics of one contact or two at any place, with a force in three "
-            "dimensions. At the contact points of the arm file: closed-form-corrected: statics "
-            "and a small network, knows the pose, the most accurate; closed-form: statics alone. "
-            "From tensions alone: scale-aware, or the paper's decoupled, shared-backbone and "
-            "two-stage. Several contacts at once: multi-contact-closed-form, or the paper's "
-            "multi-contact. In motion and under friction: temporal, which is history-dependent. "
-            "For an arm file with friction, creep, backlash or lagging sensors whose numbers are "
-            "known: history-simulated."
+            help="The paper's networks, from tensions alone, of contacts at the contact points of "
+            "the arm file. One contact: two-stage, shared-backbone, decoupled. Several at once: "
+            "multi-contact."
         ),
-    ] = "anywhere",
+    ] = "two-stage",
     data: Annotated[
         Path | None,
         typer.Option(help="Train on this file of cablesense dataset, not on fresh samples."),
     ] = None,
     samples: Annotated[
         int | None,
-        typer.Option(
-            help="How many fresh samples to draw; temporal: sequences of 30 s.",
-            show_default="the network's own",
-        ),
+        typer.Option(help="How many fresh samples to draw.", show_default="the network's own"),
     ] = None,
     pose: PoseOption = "random",
     pose_range_deg: PoseRangeOption = None,
@@ -179,7 +171,7 @@ def train(
         float | None,
         typer.Option(
             help="Strongest contact force, N.",
-            show_default="200; 60 for several contacts, 100 in motion; less on a weak arm",
+            show_default="200; 60 for several contacts; less on a weak arm",
         ),
     ] = None,
     randomise: RandomiseOption = None,
@@ -202,23 +194,20 @@ def train(
     force: ForceOption = False,
     json_output: JsonOption = False,
 ) -> None:
-    """Train a network for an arm and write it as one ONNX file.
+    """Train a network of the paper for an arm and write it as one ONNX file.
 
     Draws its own samples unless given a dataset, trains, and tests on samples it has never seen.
-    The model file contains the arm, this command, and how far readings of a healthy arm at rest
-    may be from the estimates.
+    The model file contains the arm and this command. The estimator that CableSense uses needs no
+    training: [bold]cablesense export[/bold] makes it.
 
-    Example: cablesense train --arm my_arm.yaml --out my_arm.onnx
+    Example: cablesense train --arm my_arm.yaml --network two-stage --out my_arm_two_stage.onnx
     """
-    import os
     from dataclasses import replace
 
-    from cablesense_online.misfit_limit import put_simulated_limit
     from cablesense_sim.arm import find_arm, load_arm
     from cablesense_training import model_training
     from cablesense_training.data.parquet import read_dataset
     from cablesense_training.fit import EpochRecord
-    from cablesense_training.inference.metadata import HISTORY_SIMULATED
 
     if data is not None:
         drawing = ("samples", "pose", "pose_range_deg", "force_high_n", "randomise")
@@ -226,7 +215,6 @@ def train(
     elif pose == "straight":
         refuse_given(context, ["pose_range_deg"], "with --pose straight")
     recipe = model_training.recipe_for(network)
-    in_motion = recipe.learns_from == "motion"
     chosen = {"epochs": epochs, "batch_size": batch_size, "learning_rate": learning_rate}
     given: dict[str, Any] = {k: value for k, value in chosen.items() if value is not None}
     settings = replace(recipe.settings, seed=seed, threads=threads, **given)
@@ -237,10 +225,6 @@ def train(
         "force_high_n": force_high_n,
         "randomise": randomise,
     }
-    if in_motion:
-        why = f"with network {network}, which learns from sequences in motion that it draws itself"
-        refuse_given(context, ("data", "pose", "randomise"), why)
-        del drawn["pose"], drawn["randomise"]
     command = {"arm": arm, "network": network, **(drawn if data is None else {"data": data})}
     command |= {name: getattr(settings, name) for name in chosen}
     command |= {"seed": seed, "threads": threads, "out": out}
@@ -248,14 +232,11 @@ def train(
     output_file(out, force=force, inputs=(arm_file, data))
     description = load_arm(arm_file)
     if data is None:
-        workers = (os.cpu_count() or 1) if in_motion else 1
         training = model_training.draw_training_data(
-            description, network, drawn, seed, workers=workers, show_progress=not json_output
+            description, network, drawn, seed, show_progress=not json_output
         )
     else:
         training = read_dataset(data, description)
-    widened = model_training.widened_by_history(description, seed)
-    after = widened if network == HISTORY_SIMULATED else lambda _: None
     with progress_bar(settings.epochs, shown=not json_output, what="epochs") as advance:
 
         def on_epoch(record: EpochRecord) -> None:
@@ -268,10 +249,7 @@ def train(
             settings,
             command=command_line("train", command),
             on_epoch=on_epoch,
-            on_trained=after,
         )
-    if report.errors.keys() & {"single", "anywhere"}:
-        put_simulated_limit(out)
     print_result(f"{network}, arm {description.identity}", report.as_json(), json_output)
 
 

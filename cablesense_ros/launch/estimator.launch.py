@@ -32,7 +32,7 @@ ARGUMENTS = {
     "model": ("", None, "model file: the name of a bundled one, or a path; empty: the arm's own"),
     "params_file": ("", None, "parameters of the nodes, YAML; arguments take precedence"),
     "auto_tare": ("true", SWITCH, "the first readings of the unloaded arm are its tare"),
-    "state_file": ("", None, "keeps the estimator's tare and command over a kill"),
+    "calibration_file": ("", None, "calibration file of this very arm, for the estimator"),
     "respawn": ("false", SWITCH, "a node that ends is started again, and activates itself"),
     "map": ("twelve_channel_amplifier", None, "channel map: the name of a bundled one, or a path"),
     "calibration": ("", None, "path of a calibration file, or empty for none"),
@@ -41,6 +41,8 @@ ARGUMENTS = {
     "bitrate_bit_s": ("0", None, "bit rate of the bus, bit/s; 0 where the system sets it"),
     "breathe": ("none", ("none", "on_request", "continuous"),
                 "the breather: a breath on ~/breathe, or all the time"),
+    "commission_to": ("", None,
+                      "the commissioner, and the file that its calibration is written to"),
     "description": ("true", SWITCH, "robot_state_publisher: robot_description and tf"),
     "page": ("false", SWITCH, "the page in the browser"),
     "rviz": ("false", SWITCH, "rviz2"),
@@ -143,10 +145,13 @@ def start(context: LaunchContext) -> list:
         started += lifecycle("can_driver", framed | bus)
     if breathe != "none":
         started.append(node("breather", shared | {"continuous": breathe == "continuous"}))
+    if given["commission_to"]:
+        written = {"calibration_file": as_text(given["commission_to"])}
+        started.append(node("commissioner", shared | some("model") | written))
     tared = {"await_breath": True} if breathe != "none" else {}
     if "auto_tare" not in wanted:
         tared["auto_tare"] = False
-    started += lifecycle("estimator", framed | some("model", "state_file") | tared)
+    started += lifecycle("estimator", framed | some("model", "calibration_file") | tared)
     if "page" in wanted:
         started.append(node("page", framed))
     if "description" in wanted:

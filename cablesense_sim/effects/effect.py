@@ -135,6 +135,10 @@ class Effect(EffectDescription):
         """(P, 3, 3) from a load as it is recorded to the one that acts, both in base axes."""
         return None
 
+    def joint_zeros_rad(self, place: str, values: Values, joint_count: int) -> Array | None:
+        """(P, 2 joint_count) by which angles whose lengths are held exceed the commanded ones."""
+        return None
+
     def actuation(self, place: str, values: Values) -> Actuation | None:
         """Its action between the commanded and the held cable length."""
         return None

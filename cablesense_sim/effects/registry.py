@@ -139,6 +139,17 @@ def loadings(variants: Variants) -> list[Array]:
     return _acting(variants, lambda effect, place, values: effect.loading(place, values))
 
 
+def joint_zeros_rad(variants: Variants, joint_count: int) -> Array | None:
+    """(P, 2N) by which angles whose cable lengths are held exceed the commanded ones.
+
+    N is the `joint_count`. None where no effect has any.
+    """
+    found = _acting(
+        variants, lambda effect, place, values: effect.joint_zeros_rad(place, values, joint_count)
+    )
+    return np.sum(found, axis=0) if found else None
+
+
 def actuations(variants: Variants) -> list[Actuation]:
     """Effects between the commanded and the held cable lengths, each for all arms."""
     return _acting(variants, lambda effect, place, values: effect.actuation(place, values))

@@ -88,8 +88,16 @@ class ChangeSimulator:
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
         """Changes (P, K, M), N, without noise; NaN where the arm finds no rest."""
-        readings_n = self._arm.predict(variants)
-        return np.asarray(readings_n[..., 1::2, :] - readings_n[..., 0::2, :])
+        return _under_load(self._arm.predict(variants))
+
+    def small_changes(self, base: Assignment, variants: Sequence[Assignment]) -> Array:
+        """See `cablesense_gap.simulator.LinearSimulator`."""
+        return _under_load(self._arm.small_changes(base, variants))
+
+
+def _under_load(readings_n: Array) -> Array:
+    """Changes (P, K, M) of readings (P, 2K, M), each without its load and then with it."""
+    return np.asarray(readings_n[..., 1::2, :] - readings_n[..., 0::2, :])
 
 
 def internal_n(arm: Arm, changes_n: Array) -> Array:

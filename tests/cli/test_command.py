@@ -17,7 +17,7 @@ from cablesense_ros.cli.app import app
 from cablesense_sim.arm import open_arm
 
 COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
-VERBS = ("demo", "dataset", "train", "evaluate", "info", "paper", "gap", "sensors")
+VERBS = ("demo", "export", "dataset", "train", "evaluate", "info", "paper", "gap", "sensors")
 GAP_VERBS = ("diagnose", "predict", "protocol", "record", "score", "watch", "withhold")
 
 
@@ -57,11 +57,11 @@ def test_help_loads_neither_ros_nor_torch_nor_the_page():
         (["info", "missing.onnx"], "no model file missing.onnx"),
         (["info", "broken.onnx"], "not a valid ONNX file"),
         (["evaluate", "--model", "nonsense"], "bundled models are"),
-        (["evaluate", "--table2", "--model", "cdsm"], "cdsm_table2"),
+        (["evaluate", "--table2", "--model", "cdsm_anywhere"], "cdsm_table2"),
         (["evaluate", "--recording", "loads.csv"], "--recording needs --model"),
         (["demo", "--arm", "nonsense"], "bundled arms are cdsm"),
         (["demo", "--headless", "--model", "missing.onnx"], "no model file missing.onnx"),
-        (["demo", "--arm", "own.yaml"], "cablesense train --arm own.yaml --out own.onnx"),
+        (["demo", "--arm", "own.yaml"], "cablesense export --arm own.yaml --out own.onnx"),
         (["demo", "--out", "/proc/none"], "give another --out"),
         (["gap", "diagnose", "missing.csv", "--out", "d"], "missing.csv: no such"),
         (["gap", "diagnose", "r.csv", "--arm", "x.yaml", "--out", "d"], "no arm file x.yaml"),
@@ -135,8 +135,8 @@ sys.meta_path.insert(0, Absent())
 """The beginning of a program for which the libraries named first are not installed."""
 
 SPARING = """
-from cablesense_training import Dataset, draw_dataset, find_model, open_estimator
-open_estimator(find_model("cdsm"))
+from cablesense_training import Dataset, LawModel, draw_dataset, find_model
+LawModel(find_model("cdsm_anywhere"))
 import cablesense_ros.sim_node, cablesense_ros.estimator_node, cablesense_ros.demo
 from cablesense_ros.cli.app import app, main
 try:

@@ -86,6 +86,14 @@ def test_nothing_is_written_when_a_network_is_unknown(command, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_nothing_is_written_when_a_network_is_one_of_earlier_versions(command, tmp_path):
+    ended = command("train", "--network", "temporal", "--out", "model.onnx")
+    assert ended.returncode == 2
+    assert "cablesense export --arm" in ended.stderr
+    assert len(ended.stderr.splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_command_names_what_was_chosen_and_quotes_it():
     options = {"arm": "my arm.yaml", "samples": 5, "data": None, "pose_range_deg": 10.0}
     assert command_line("train", options) == (

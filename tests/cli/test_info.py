@@ -51,7 +51,7 @@ def test_a_sample_rate_in_another_unit_is_questioned(tmp_path: Path) -> None:
 
 
 def test_a_model_states_what_it_was_made_for() -> None:
-    model = described("config/models/cdsm.onnx")
+    model = described("config/models/peers/cdsm_two_stage.onnx")
     assert "tension_difference_n" in [port["name"] for port in model["inputs"]]
     assert model["metadata"]["arm_identity"].startswith("cdsm-")
 

@@ -28,6 +28,7 @@ def folder(tmp_path, monkeypatch):
     [
         ("dataset --workers 0 --out a.parquet", "a.parquet"),
         ("train --data none.parquet --out a.onnx", "a.onnx"),
+        ("export --out a.onnx", "a.onnx"),
         ("gap diagnose none.csv --out .", "report.html"),
         ("gap diagnose none.csv --out found", "found/amended_arm.yaml"),
         ("gap withhold --count 1 --only rust --out cases", "cases/case_060.csv"),

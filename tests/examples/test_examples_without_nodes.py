@@ -23,8 +23,10 @@ def test_a_sensor_reads_nothing_below_its_threshold(capsys):
 def test_a_model_for_an_own_arm_estimates_a_push(tmp_path, capsys):
     pytest.importorskip("torch")
     own_arm.main(tmp_path)
-    true, estimated = capsys.readouterr().out.splitlines()[-2:]
-    assert numbers(estimated) == pytest.approx(numbers(true), rel=0.02)
+    true, estimated, interval = capsys.readouterr().out.splitlines()[-3:]
+    assert numbers(estimated) == pytest.approx(numbers(true), rel=0.1)
+    _, low_n, high_n = numbers(interval)
+    assert low_n < numbers(true)[-1] < high_n
 
 
 @pytest.mark.slow
@@ -62,7 +64,7 @@ def test_the_animation_moves(tmp_path):
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("estimate_csv", r"5\.0 s  segment 3   (59|60)\.\d+ N"),
+        ("estimate_csv", r"5\.0 s  contact, segment 3  +(59|60)\.\d+ N"),
         ("diagnose_recording", r"payload \(\d+%\)\n.*\n  payload\.mass_kg: 0\.1"),
     ],
 )

@@ -173,7 +173,7 @@ def test_few_rows_that_the_nominal_arm_cannot_bear_are_left_out_and_reported():
 
 OFFSET = Term("contact_offset", "segment_4", "offset_m")
 GAIN = Term("sensor_gain", "cable_2", "gain")
-ZERO = Term("cable_tolerance", "cable_5", "zero_n")
+ZERO = Term("sensor_tolerance", "cable_5", "zero_n")
 LISTED = amended_arm(LAB, {MASS: 0.4, OFFSET: 0.02, GAIN: 0.1}, {ZERO: 0.04})
 
 

@@ -17,8 +17,8 @@ from cablesense_gap.recordings.protocol import (
 )
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.contact_location import touched_at
 from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.touch import touched_places
 
 ARMS = {name: open_arm(name) for name in ("cdsm_lab", "cdsm_table2")}
 LAB = ARMS["cdsm_lab"]
@@ -64,7 +64,7 @@ def test_blocks_follow_on_without_a_jump_of_the_command():
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_every_segment_is_loaded_at_three_places_within_reach(arm):
     blocks = [b for b in standard_protocol(arm) if b.kind is BlockKind.LOAD_CYCLE]
-    reach_m, _ = touched_at(arm)
+    reach_m = touched_places(arm).reach_m
     for n in range(1, arm.segment_count + 1):
         places = sorted({b.at_m for b in blocks if b.segment == n})
         assert len(places) == 3

@@ -12,6 +12,7 @@ from html_page import Page, draw_no_pictures
 from verdict_cases import gap_of, verdict_of
 
 from cablesense_gap.amended_arm import amended_arm
+from cablesense_gap.arm_nuisance import expected_parameters
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.report.page import report_page, write_diagnosis
 from cablesense_gap.report.text import headline
@@ -43,7 +44,8 @@ def found(
     """A diagnosis with such residuals before and after, negated."""
     before_n, after_n = recording.tensions_n + before_n, recording.tensions_n + after_n
     rows = np.broadcast_to(counted, len(recording))
-    return Diagnosis(recording, LAB, verdict, LAB, before_n, after_n, rows, findings)
+    known = expected_parameters(LAB)
+    return Diagnosis(recording, LAB, verdict, LAB, before_n, after_n, rows, known, findings)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +73,7 @@ def test_the_first_line_is_the_verdict(page):
 def test_it_says_what_to_do_and_shows_figures(page):
     for words in (
         "Use the amended arm file amended_arm.yaml",
-        "cablesense train --arm amended_arm.yaml",
+        "cablesense export --arm amended_arm.yaml",
         "Load segment 2 downwards.",
         "0.400",
         "0.380 to 0.420",

@@ -230,8 +230,8 @@ class BreathingArm:
     """The simulated arm with friction, which breathes, and an estimation beside it."""
 
     def __init__(self, over, settings):
-        loaded = load_model("cdsm_friction", "cdsm")
-        self.estimation = Estimation(loaded.arm, loaded.estimator, settings, 0.0)
+        loaded = load_model("cdsm_friction", "")
+        self.estimation = Estimation(loaded.arm, loaded.contacts(settings), settings, 0.0)
         self.arm = SimulatedArm(moving_arm(FRICTION, 1e-3), 1e-3, np.radians(20.0), 0.0, 0.0)
         self.over, self.rng, self.tick = over, np.random.default_rng(0), 0
 
@@ -267,9 +267,9 @@ def test_forces_under_friction_are_right_after_a_breath_and_gone_when_it_is_gone
     settings = estimation_settings(tare_samples=20, await_breath=True)
     breathing = BreathingArm(over, settings)
     breathing.go_on(0.5)
-    assert breathing.estimation.tares.present is None
+    assert not breathing.estimation.unloaded.known
     breathing.breathe()
-    assert breathing.estimation.tares.present is not None
+    assert breathing.estimation.unloaded.known
     force = np.array([0.0, -12.0, 9.0])
     breathing.arm.push(Load(4, force), 0.01 * breathing.tick)
     passive = breathing.go_on(0.3).contact

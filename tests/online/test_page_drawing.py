@@ -6,8 +6,15 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cablesense_online.page.panel import TraceBuffer, interval_text, known_text
+from cablesense_online.page.panel import (
+    TraceBuffer,
+    covered_m,
+    interval_text,
+    known_text,
+    places_text,
+)
 from cablesense_online.page.scene import Arrows, arrow_m, cable_pieces, place_m
+from cablesense_online.page.snapshot import PlaceInterval
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import cable_lengths_m, joint_positions_m
@@ -68,12 +75,21 @@ def test_a_ray_through_the_axis_meets_it_at_its_place(along_m, eye, turn):
         (59.3551, (59.331, 59.379), ("59.36", "59.33 to 59.38")),
         (65.03, (64.9, 65.2), ("65.0", "64.9 to 65.2")),
         (48.0, (20.4, 90.3), ("48", "20 to 90")),
+        (60.87, (59.84, 61.26), ("60.9", "59.8 to 61.3")),
         (5.04, (355.2, 14.9), ("5", "355 to 15")),
         (0.0, (0.0, 0.0), ("0.00", "0.00 to 0.00")),
     ],
 )
 def test_numbers_have_the_digits_that_their_interval_leaves(value, ends, stated):
     assert (known_text(value, *ends), interval_text(*ends)) == stated
+
+
+def test_an_interval_of_places_may_end_on_another_segment():
+    whole = [PlaceInterval(2, 0.0521, 0.0734)]
+    assert places_text(whole) == "52 to 73 mm"
+    two = [PlaceInterval(2, 0.121, 0.13), PlaceInterval(3, 0.0, 0.014)]
+    assert places_text(two) == "121 mm of 2 to 14 mm of 3"
+    assert covered_m(two) == pytest.approx(0.023)
 
 
 def test_traces_keep_the_last_window_thinned_evenly():

@@ -25,9 +25,9 @@ from cablesense_online.page.page import Page
 from cablesense_online.page.panel import Actions, joint_limit_deg
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.contact_location import reach_m
 from cablesense_sim.equilibrium import checked_command
 from cablesense_sim.load_capacity import USUAL_CONTACT_N as FORCE_LIMIT_N
+from cablesense_sim.touch import touched_places
 
 pytestmark = pytest.mark.slow
 
@@ -36,7 +36,7 @@ LIMIT_DEG = joint_limit_deg(mechanism_of(ARM))
 SLIDERS = ("force, N", "angle, °", "place, mm", "along, N", "joint 3 yaw, °")
 FIRST_CONTACT = Contact(4, 215.0, 60.0, 0.065, 0.0)
 FIRST_PUSH = ("push", FIRST_CONTACT, False)
-NEAREST_M, FARTHEST_M = reach_m(mechanism_of(ARM))[3]
+NEAREST_M, FARTHEST_M = touched_places(ARM).reach_m[3]
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +49,8 @@ def served():
         lambda: asked.append(("tare",)),
         lambda: asked.append(("undo",)),
         lambda: asked.append(("breathe",)),
+        lambda: True,
+        lambda: asked.append(("commission",)),
         lambda: True,
     )
     page = Page(ARM, actions, port=18_180)
@@ -183,8 +185,8 @@ def test_too_long_a_message_and_too_many_browsers_are_refused(page, visit, comma
     [
         (1e300, Contact(4, 355.0, FORCE_LIMIT_N, FARTHEST_M, 0.5 * FORCE_LIMIT_N), LIMIT_DEG),
         (-1e6, Contact(4, 0.0, 0.0, NEAREST_M, -0.5 * FORCE_LIMIT_N), -LIMIT_DEG),
-        (7, Contact(4, 7.0, 7.0, NEAREST_M, 7.0), 7.0),
-        (True, Contact(4, 1.0, 1.0, NEAREST_M, 1.0), 1.0),
+        (7, Contact(4, 7.0, 7.0, 1e-3 * 7.0, 7.0), 7.0),
+        (True, Contact(4, 1.0, 1.0, 1e-3, 1.0), 1.0),
     ],
 )
 def test_values_are_brought_into_range_whatever_a_browser_sends(

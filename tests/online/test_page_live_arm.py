@@ -169,9 +169,19 @@ def test_an_estimate_acts_where_its_torque_says_within_its_region(live):
     (found,) = shown.estimated
     assert (found.contact_m, found.along_n) == (pytest.approx(0.09), 2.0)
     assert found.magnitude_n == pytest.approx(np.hypot(20.0, 10.0))
-    assert shown.region == PlaceInterval(3, 0.086, 0.094)
+    assert shown.region == (pytest.approx(PlaceInterval(3, 0.086, 0.094)),)
     receive(live, ForceState.FREE, 1.1)
-    assert live.snapshot(1.1).region is None
+    assert live.snapshot(1.1).region == ()
+
+
+def test_a_region_goes_on_along_the_neighbouring_segments_and_ends_with_the_arm(live):
+    push_n = wrench("segment_3", (0, 20, 0), (0, 0, 1))
+    receive(live, ForceState.CONTACT, 1.0, WRENCH=push_n)
+    live.take(topics.CONTACT_REGION, region("segment_3", -0.02, 0.3), 1.0)
+    parts = live.snapshot(1.0).region
+    assert [part.segment for part in parts] == [2, 3, 4]
+    assert parts[0] == pytest.approx((2, 0.11, 0.13))
+    assert parts[-1] == pytest.approx((4, 0.0, 0.13))
 
 
 def test_of_a_moment_one_sentence_states_what_is_known(live):
@@ -184,7 +194,7 @@ def test_of_a_moment_one_sentence_states_what_is_known(live):
     assert shown.estimated == ()
     known = Contact(1, np.degrees(np.arctan(0.75)), moment_n_m=3.2)
     assert shown.moment == pytest.approx(known)
-    assert shown.region == PlaceInterval(1, 0.02, 0.13)
+    assert shown.region == (pytest.approx(PlaceInterval(1, 0.02, 0.13)),)
     sentence = "segment 1: moment 3.2 N·m known, force between 20 and 90 N"
     assert shown.status.headline == f"Contact on {sentence}"
     assert shown.status.level is Level.OK
@@ -200,8 +210,60 @@ def test_of_a_moment_one_sentence_states_what_is_known(live):
 )
 def test_warnings_are_notes_and_those_that_lessen_trust_colour_the_state(live, part, level, shown):
     receive(live, ForceState.FREE, 1.0)
-    status = Message(name=f"estimator: {part}", level=bytes([level]), message="as it is")
-    live.take(topics.DIAGNOSTICS, Message(status=[status]), 1.0)
+    diagnose(live, f"estimator: {part}", level, "as it is")
     assert live.reports_ok(part) is False
     status = live.snapshot(1.0).status
     assert (status.level, status.notes) == (shown, ("as it is",))
+
+
+def diagnose(live, name, level, message, **values):
+    """A status of a node comes; keys of values with spaces for underscores."""
+    pairs = [Message(key=key.replace("_", " "), value=value) for key, value in values.items()]
+    status = Message(name=name, level=bytes([level]), message=message, values=pairs)
+    live.take(topics.DIAGNOSTICS, Message(status=[status]), 1.0)
+
+
+def test_the_sentence_of_a_refusal_is_shown_in_place_of_its_kind(live):
+    receive(live, ForceState.IMPLAUSIBLE, 1.0)
+    sentence = "readings fit no contact: cable_7 reads 3.0 N too much"
+    diagnose(
+        live, "estimator: cable_tensions", Level.ERROR, "samples refused", last_refusal=sentence
+    )
+    shown = live.snapshot(1.0).status
+    assert shown.headline == "Readings fit no contact: no estimate"
+    assert shown.notes == (sentence,)
+
+
+def test_how_well_the_arm_is_known_is_shown_while_it_is(live):
+    receive(live, ForceState.FREE, 1.0)
+    assert live.snapshot(1.0).arm_known == ""
+    diagnose(live, "estimator: tare", Level.OK, "known by 1 tare")
+    assert live.snapshot(1.0).arm_known == "known by 1 tare"
+    assert live.snapshot(9.0).arm_known == ""
+    diagnose(live, "estimator: tare", Level.WARN, "it is not as described")
+    shown = live.snapshot(1.0)
+    assert shown.arm_known == ""
+    assert shown.status.notes == ("it is not as described",)
+
+
+def test_a_commissioning_is_shown_while_it_lasts_and_its_end_is_known(live):
+    receive(live, ForceState.FREE, 1.0)
+    name = "commissioner: commissioning"
+    diagnose(live, name, Level.OK, "none yet")
+    assert (live.snapshot(1.0).commissioning, live.commissioned) == (None, None)
+    values = {"holds": "3 of 8", "left_(s)": "20"}
+    diagnose(live, name, Level.OK, "at rest", **values)
+    assert live.snapshot(1.0).commissioning == (3, 8)
+    assert live.commissioned is None
+    diagnose(live, name, Level.ERROR, "stopped: something touches segment 2", holds="3 of 8")
+    shown = live.snapshot(1.0)
+    assert shown.commissioning is None
+    assert live.commissioned == "stopped: something touches segment 2"
+    assert shown.status.notes == (live.commissioned,)
+    assert shown.status.level is Level.OK  # the estimate is as good as before
+
+
+def test_the_interval_of_an_untouched_arm_is_of_no_force(live):
+    ends = {"WRENCH_LOWER": wrench("base_link"), "WRENCH_UPPER": wrench("segment_1", (0, 19, 0))}
+    receive(live, ForceState.FREE, 1.0, **ends)
+    assert live.snapshot(1.0).bounds is None

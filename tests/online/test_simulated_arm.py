@@ -18,6 +18,7 @@ from cablesense_msgs_py.messages import Load
 from cablesense_online.simulated_arm import RealTimePacer, SimulatedArm
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.built_arm import built_arm
 from cablesense_sim.dynamics import ArmDynamics, moving_arm
 from cablesense_sim.effects.registry import known_effects, sensings
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
@@ -53,6 +54,22 @@ def test_a_push_holds_until_it_is_taken_away():
     assert arm.loads == [PUSH]
     arm.push(Load(3, np.zeros(3)), 1.0)
     assert not arm.loads
+
+
+def test_a_built_arm_reads_what_its_own_sensors_and_cables_say():
+    """Without noise: the tensions of the built mechanism, by gains and zeros of its sensors."""
+    arm = open_arm("cdsm_lab")
+    built = built_arm(arm, 7)
+    moving = moving_arm(arm, 1e-3, built)
+    driven = SimulatedArm(moving, 1e-3, np.radians(20.0), 0.0, now_s=0.0)
+    driven.push(PUSH, 0.0)
+    run(driven, 0.0, 3.0)
+    forces = np.zeros((4, 3))
+    forces[2] = PUSH.force_base_n
+    held_m = held_lengths_m(mechanism_of(arm), built.joint_zeros_rad)
+    rest = solve_equilibrium(built.mechanism, np.zeros(8), forces, held_m=held_m)
+    expected = (1.0 + built.sensor_gain) * rest.tensions_n + built.sensor_zero_n
+    np.testing.assert_allclose(driven.reading_n(arm.sensors, None), expected, atol=0.02)
 
 
 def test_a_load_lapses_after_its_time():

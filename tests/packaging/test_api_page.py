@@ -27,9 +27,9 @@ def test_the_example_estimates_the_push_and_finds_the_payload(tmp_path, monkeypa
     (example,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     values: dict = {}
     exec(compile(example, "docs/api.md", "exec"), values)
-    contact, verdict = values["contact"], values["found"].verdict
-    assert contact.segment == 3
-    assert contact.angle_deg == pytest.approx(215.0, abs=0.5)
-    assert contact.magnitude_n == pytest.approx(40.0, abs=0.2)
+    verdict = values["found"].verdict
+    assert values["judged"].segment == 3
+    assert values["angle_deg"] == pytest.approx(215.0, abs=0.5)
+    assert values["magnitude_n"] == pytest.approx(40.0, abs=0.5)
     assert verdict.effects == ("payload",)
     assert verdict.gap.removed_fraction > 0.9

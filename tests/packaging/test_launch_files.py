@@ -185,6 +185,13 @@ def test_arguments_reach_the_node_that_they_are_of(start, tmp_path):
     assert str(file) in estimator.given["parameters"]
 
 
+def test_a_commissioner_is_started_with_the_file_that_it_writes(start):
+    assert "commissioner" not in nodes(start())
+    commissioner = nodes(start(commission_to="1.calibration", model="mine.onnx"))["commissioner"]
+    assert commissioner.parameter("calibration_file") == "1.calibration"
+    assert commissioner.parameter("model") == "mine.onnx"
+
+
 def test_the_demo_is_the_estimator_with_the_page(start):
     plain = set(nodes(start(breathe="continuous")))
     started = nodes(start("demo.launch.py", namespace="left", frame_prefix="left_"))
@@ -223,6 +230,7 @@ def test_a_missing_package_is_told_before_anything_starts(start, missing, argume
         ("force_torque_sensor.yaml", False),
         ("can_driver.yaml", True),
         ("breather.yaml", True),
+        ("commissioner.yaml", True),
     ],
 )
 def test_node_settings_name_parameters_that_exist(file, default):

@@ -31,7 +31,8 @@ def names(profile, kind, right):
     found = set()
     for group in profile.findall(kind):
         if group.get(right) == "ALLOW":
-            found |= {in_contract(entry.text, "estimator|breather") for entry in group}
+            nodes = "estimator|breather|commissioner"
+            found |= {in_contract(entry.text, nodes) for entry in group}
     return found
 
 
@@ -67,7 +68,8 @@ def test_every_topic_and_service_is_of_the_contract(path):
         ("cable_tensions", {"sim", "can_driver"}),
         ("applied_wrench", {"page"}),
         ("~/wrench", {"estimator"}),
-        ("~/journal", {"estimator"}),
+        ("calibration", {"commissioner"}),
+        ("~/calibration", {"estimator"}),
     ],
 )
 def test_what_others_rest_on_few_may_publish(topic, who):
@@ -84,6 +86,7 @@ def test_only_the_page_and_an_operator_may_tare():
 NODES = {
     "sim": ("SimNode", {}),
     "breather": ("BreatherNode", {}),
+    "commissioner": ("CommissionerNode", {"poses": 2}),
     "estimator": ("EstimatorNode", {}),
     "page": ("PageNode", {"port": 18100}),
     "can_driver": ("CanDriverNode", {"interface": "virtual", "channel": "policy"}),
@@ -110,7 +113,7 @@ def test_a_live_node_asks_for_nothing_that_the_policy_does_not_give(name):
         for entity, (what, right) in RIGHTS.items():
             look = getattr(node, f"get_{entity}_names_and_types_by_node")
             seen = [topic for topic, _ in look(node.get_name(), node.get_namespace())]
-            nodes = f"{name}|estimator|breather"
+            nodes = f"{name}|estimator|breather|commissioner"
             asked = {in_contract(topic.removeprefix("/"), nodes) for topic in seen}
             assert asked <= names(PROFILES[name], what, right), entity
     finally:

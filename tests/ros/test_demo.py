@@ -2,6 +2,8 @@
 
 import io
 import json
+import re
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,14 +12,22 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from cablesense_msgs_py.messages import Contact, ForceState, Level
-from cablesense_online.page.snapshot import ShownStatus, Snapshot
+from cablesense_online.page.snapshot import ForceBounds, PlaceInterval, ShownStatus, Snapshot
 from cablesense_ros import demo
 from cablesense_ros.cli import runs
 from cablesense_ros.cli.app import app
-from cablesense_ros.demo import DemoOptions, Source, node_commands, run_headless
+from cablesense_ros.demo import (
+    AS_FILE,
+    BUILT_SEED,
+    DemoOptions,
+    Source,
+    node_commands,
+    run_headless,
+)
 from cablesense_ros.demo_pushes import (
     PushRecord,
     ScriptError,
+    coverage_line,
     draw_pushes,
     make_script,
     metrics,
@@ -35,8 +45,16 @@ SOURCES = {Source.SIM: ["sim"], Source.CAN: ["can_emulator", "can_driver", "sim"
 def test_the_nodes_are_those_of_the_source(source, live, tmp_path):
     options = DemoOptions(out=tmp_path, seed=3, source=source)
     commands = node_commands(options, live)
-    assert list(commands) == [*SOURCES[source], "estimator", *(["page"] if live else [])]
+    assert list(commands) == [
+        *SOURCES[source],
+        "estimator",
+        "commissioner",
+        *(["page"] if live else []),
+    ]
     assert "seed:=3" in commands["sim"]
+    assert f"built_seed:={BUILT_SEED}" in commands["sim"]
+    if live:
+        assert "commission_at_start:=true" in commands["page"]
     if source is Source.SIM:
         assert "-r" not in commands["sim"]
     else:
@@ -44,6 +62,48 @@ def test_the_nodes_are_those_of_the_source(source, live, tmp_path):
         assert link in commands["can_emulator"]
         assert link in commands["can_driver"]
         assert "cable_tensions:=simulated_tensions" in commands["sim"]
+
+
+def test_slow_sensors_are_read_more_often_and_fast_ones_at_their_rate(tmp_path):
+    slow, fast = (
+        node_commands(DemoOptions(arm=arm, out=tmp_path), live=False)["sim"]
+        for arm in ("cdsm_lab", "cdsm")
+    )
+    assert "rate_hz:=50.0" in slow
+    assert not any(word.startswith("rate_hz") for word in fast)
+
+
+def test_without_a_commissioning_nobody_asks_for_one(tmp_path):
+    commands = node_commands(DemoOptions(out=tmp_path, commission=False), live=True)
+    assert "commissioner" not in commands
+    assert "commission_at_start:=false" in commands["page"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "built_seed", "commission"),
+    [
+        ([], BUILT_SEED, True),
+        (["--built-seed", "3"], 3, True),
+        (["--as-file"], AS_FILE, True),
+        (["--breathe"], AS_FILE, True),
+        (["--no-commission"], BUILT_SEED, False),
+    ],
+)
+def test_the_arm_is_a_built_one_unless_it_is_asked_for_as_its_file(
+    tmp_path, monkeypatch, asked, built_seed, commission
+):
+    played = []
+    monkeypatch.setattr(runs, "run_headless", lambda options, **_: played.append(options))
+    command = ["demo", "--headless", "--out", str(tmp_path), *asked]
+    assert CliRunner().invoke(app, command).exit_code == 0
+    (options,) = played
+    assert (options.built_seed, options.commission) == (built_seed, commission)
+
+
+def test_as_its_file_and_with_errors_at_once_is_refused(tmp_path):
+    command = ["demo", "--headless", "--out", str(tmp_path), "--as-file", "--built-seed", "3"]
+    refused = CliRunner().invoke(app, command).exception
+    assert "--built-seed has no effect with --as-file" in str(refused)
 
 
 def test_breathing_keeps_an_arm_that_is_asked_for(tmp_path, monkeypatch):
@@ -184,11 +244,48 @@ def test_a_moment_is_compared_as_one_and_has_no_place():
     assert metrics([result])["pushes"][0]["estimated"]["moment_n_m"] > 0.0
 
 
-def test_a_push_is_estimated_and_reported(tmp_path, capfd):
+def with_intervals(played, force_n, place_m):
+    """The same record with intervals of these half widths about the truth of each moment."""
+    snapshots = []
+    for now in played.snapshots:
+        if not now.true:
+            snapshots.append(now)
+            continue
+        true = now.true[0]
+        low_m, high_m = true.contact_m - place_m, true.contact_m + place_m
+        snapshots.append(
+            replace(
+                now,
+                bounds=ForceBounds(true.magnitude_n - 1.0, true.magnitude_n + force_n),
+                region=(PlaceInterval(true.segment, low_m, high_m),),
+            )
+        )
+    return PushRecord(played.times_s, snapshots)
+
+
+@pytest.mark.parametrize(
+    ("force_n", "place_m", "line"),
+    [(1.0, 0.005, "1 of 1 places, 1 of 1 forces"), (-0.5, -0.005, "0 of 1 places, 0 of 1 forces")],
+)
+def test_the_report_counts_truths_in_their_stated_intervals(force_n, place_m, line):
+    script = make_script(REACH_M, 4.0, seed=0)
+    played, _ = results_of(script, exact)
+    results = push_results(script, with_intervals(played, force_n, place_m))
+    assert coverage_line(results).endswith(line)
+    found = metrics(results)
+    assert found["summary"]["force_intervals"] == 1
+    assert len(found["pushes"][0]["force_ci95_n"]) == 2
+
+
+def test_a_built_arm_is_commissioned_pushed_and_reported(tmp_path, capfd):
     """By simulated sensors; test_kills.py has the chain through CAN frames."""
     run_headless(DemoOptions(out=tmp_path), duration_s=4.0, as_json=True)
-    found = json.loads(capfd.readouterr().out)
+    out, said = capfd.readouterr()
+    found = json.loads(out)
+    known_n = [float(each) for each in re.findall(r"±([0-9.]+)\s+N", said)]
+    assert 0.0 < known_n[1] < known_n[0]  # after the tare, and after the commissioning
     assert found["summary"]["pushes"] == found["summary"]["segment_right"] == 1
+    assert found["summary"]["place_covered"] == found["summary"]["force_covered"] == 1
     assert found["summary"]["magnitude_mae_n"] < 2.0
     assert found["summary"]["place_mae_mm"] < 3.0
     assert (tmp_path / "demo.png").is_file()

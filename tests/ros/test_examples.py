@@ -7,6 +7,7 @@ import pytest
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 
+from cablesense_sim.arm import open_arm
 from examples.admittance.__main__ import metrics, play
 from examples.back_off import LIMIT_RAD, THRESHOLD_N
 
@@ -30,6 +31,10 @@ def test_a_reader_prints_the_force_and_a_controller_backs_off_above_its_threshol
     start("estimator")
     reader, controller = start("examples.read_topics"), start("examples.back_off")
     graph.until(lambda: "free" in reader.log, "a free arm")
+    straight = JointState(name=list(open_arm("cdsm").joint_names), position=[0.0] * 8)
+    graph.command.publish(straight)  # or the first step drops the tare
+    graph.until(lambda: commands, "the command")
+    commands.clear()
     graph.push(3, (0.0, 0.75 * THRESHOLD_N, 0.0))
     graph.until(lambda: "contact on segment_3: (" in reader.log, "the contact, read")
     graph.until(lambda: "contact on segment_3: (" in controller.log, "the contact, controlled")

@@ -28,7 +28,7 @@ from waiting import until
 
 from cablesense_base import CableSenseError
 from cablesense_msgs_py.topics import ContractError
-from cablesense_online.state import LIVE_SETTINGS
+from cablesense_online.settings import LIVE_SETTINGS
 from cablesense_ros.can_driver_node import CanDriverNode
 from cablesense_ros.endpoints import RefusalLog
 from cablesense_ros.estimator_node import EstimatorNode
@@ -45,7 +45,7 @@ from cablesense_sim.arm import open_arm
 ARM = open_arm("cdsm")
 RATE = NodeParameter("rate_hz", 10.0, "A rate, Hz.", (1.0, 100.0))
 MODE = NodeParameter("mode", "slow", "A mode.", choices=("slow", "fast"))
-NODES = ["sim", "estimator", "can_driver", "can_emulator", "breather", "page"]
+NODES = ["sim", "estimator", "can_driver", "can_emulator", "breather", "commissioner", "page"]
 
 
 @pytest.fixture

@@ -1,29 +1,22 @@
 """The sim and estimator nodes as processes, over the real middleware."""
 
 import math
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped, WrenchStamped
 from rcl_interfaces.srv import SetParameters
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import qos_profile_sensor_data
 from rclpy.time import Time
-from ros_graph import PATIENCE_S, force
+from ros_graph import force
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
 from cablesense_msgs_py.messages import ForceState
-from cablesense_msgs_py.qos import CONTRACT
-from cablesense_msgs_py.topics import SEGMENT_WRENCHES
-from cablesense_online.replay import RecordedRun, replay_in_process
-from cablesense_ros.recorder import Recorder
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -86,6 +79,11 @@ def told(graph, state=None):
     return force(latest) if state in (None, graph.state_of(latest)) else None
 
 
+def told_state(graph):
+    """The state of the latest wrench but one."""
+    return graph.state_of(graph.wrenches[-2]) if len(graph.wrenches) > 1 else None
+
+
 def test_a_push_is_estimated_in_every_form_and_its_end_as_well(tared):
     ends = [tared.listen(WrenchStamped, f"/estimator/wrench_{end}") for end in ("lower", "upper")]
     base = tared.listen(WrenchStamped, "/estimator/wrench_base")
@@ -111,11 +109,11 @@ def test_a_push_is_estimated_in_every_form_and_its_end_as_well(tared):
     tared.until(lambda: poses and covariances, "the point of the contact")
     assert poses[-1].header.frame_id == "base_link"
     assert poses[-1].pose.pose.position.x == pytest.approx(x_m, abs=2e-3)
-    assert 0.0 < poses[-1].pose.covariance[0] < 1e-6
+    assert 0.0 < poses[-1].pose.covariance[0] < 0.015**2
     covariance = np.reshape(covariances[-1].data, (4, 4))
     assert np.linalg.eigvalsh(covariance).min() > 0.0
-    assert 0.0 < covariance[0, 0] < 1e-6
-    assert covariance[1, 1] > 100.0 > 1.0 > covariance[2, 2]  # a straight arm shows no axial force
+    assert 0.0 < covariance[0, 0] < 0.015**2
+    assert covariance[1, 1] > 5.0 > 1.0 > covariance[2, 2]  # a straight arm shows no axial force
     tared.until(lambda: shown and shown[-1].markers[-1].action == Marker.ADD, "the band")
     band = shown[-1].markers[-1]
     assert band.header.frame_id == "segment_3"
@@ -167,57 +165,20 @@ def test_a_load_beside_the_contact_point_turns_the_arm_as_one_there(tared):
     )
 
 
-def test_several_contacts_at_once_have_a_wrench_each_and_are_replayed(
-    tared, start, tmp_path, request
-):
-    remaps = {name: f"/{name}" for name in ("cable_tensions", "joint_commands")}
-    several = start("estimator", "/several", remaps, model="cdsm_multi")
-    names = [f"/several/estimator/wrenches/segment_{number}" for number in (1, 2, 3, 4)]
-    told = {number: tared.listen(WrenchStamped, names[number - 1]) for number in (2, 3, 4)}
-    shown = tared.listen(MarkerArray, "/several/estimator/markers")
-    tared.until(lambda: "tare taken" in several.log, "its tare")
+def test_two_pushes_at_once_are_never_vouched_for_as_one(tared):
+    """Nor for none."""
     for segment, push in ((2, (0.0, 0.0, 30.0)), (4, (0.0, -25.0, 0.0))):
         tared.push(segment, push)
-
-    def both():
-        return [force(told[number][-1])[k] for number, k in ((2, 2), (4, 1))]
-
-    tared.until(lambda: all(told.values()), "wrenches of all segments")
-    tared.until(lambda: np.allclose(both(), (30.0, -25.0), atol=2.0), "both forces")
-    tared.until(lambda: not any(force(told[3][-1])), "nothing on the segment between")
-    tared.until(
-        lambda: shown and [m.action for m in shown[-1].markers].count(Marker.ADD) == 4,
-        "two arrows with their spheres",
-    )
-    tared.forget()
-
-    args = [word for name, to in remaps.items() for word in ("-r", f"{name}:={to}")]
-    listener = Node("recorder", namespace="/several", cli_args=["--ros-args", *args])
-    request.addfinalizer(listener.destroy_node)  # other tests count subscriptions
-    recorder = Recorder(listener, tmp_path / "several.mcap", CONTRACT, None)
-    alone = SingleThreadedExecutor()  # it would lose samples beside what the test listens to
-    alone.add_node(listener)
-    request.addfinalizer(alone.shutdown)
-
-    def record_until(condition, what):
-        end_s = time.monotonic() + PATIENCE_S
-        while not condition():
-            assert time.monotonic() < end_s, f"recorded {recorder.status}, and waits for {what}"
-            alone.spin_once(timeout_sec=0.05)
-            recorder.flush()  # subscribes to the segments that are discovered
-
-    record_until(lambda: all(map(listener.count_subscribers, names)), "its subscriptions")
-    for force_n in (30.0, 0.0):  # recorded from here on, with its journal from the start
-        tared.push(2, (0.0, 0.0, force_n))
-        wanted = recorder.counts[SEGMENT_WRENCHES] + 300
-        record_until(lambda wanted=wanted: recorder.counts[SEGMENT_WRENCHES] > wanted, "wrenches")
-    recorder.close()
-    run = RecordedRun(tmp_path / "several.mcap")
-    assert run.segments == (1, 2, 3, 4)
-    whole = [len(step.answers) == 5 for step in run.samples()]
-    assert 10 < sum(whole) < len(whole)  # a busy machine loses samples
-    got = replay_in_process(run)
-    assert got.same, got.first_difference
+    doubtful = (ForceState.UNCONFIRMED, ForceState.IMPLAUSIBLE)
+    tared.until(lambda: told_state(tared) in doubtful, "doubt")
+    tared.spin(1.0)  # the arm has settled
+    tared.wrenches.clear()
+    tared.until(lambda: len(tared.wrenches) > 50, "wrenches at rest")
+    states = {tared.state_of(wrench) for wrench in tared.wrenches[:-5]}
+    assert states & set(doubtful)
+    assert not any(state is not None and state.known for state in states)
+    tared.push(2, (0.0, 0.0, 0.0))
+    tared.until(lambda: told(tared, ForceState.CONTACT) is not None, "the one that is left")
 
 
 def test_a_tare_is_answered_with_its_values_and_can_be_taken_back(tared, estimator):
@@ -292,12 +253,15 @@ def test_a_tare_under_load_is_refused_and_where_forced_can_be_undone(tared):
     tared.spin(0.5)
     refused = tared.call("/estimator/tare")
     assert not refused.success
-    assert "N on segment 4 is reported" in refused.message
+    assert "not those of the untouched arm" in refused.message
     assert "is read when the node is configured" in _refusal(tared, "tare_samples", 7)
     assert not _refusal(tared, "tare_force", True)
     answer = tared.call("/estimator/tare")
     assert answer.success, answer.message
-    tared.until(touched(tared, 0), "the tared load to vanish")
+    tared.until(
+        lambda: "do not fit the tolerances" in tared.statuses["estimator: tare"].message,
+        "diagnostics to say that no arm of these tolerances reads so without a load",
+    )
     assert tared.call("/estimator/tare_undo").success
     assert not _refusal(tared, "tare_force", False)
     tared.until(touched(tared, 4), "the load to show again")

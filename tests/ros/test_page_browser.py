@@ -352,7 +352,7 @@ def test_a_push_on_the_page_moves_arm_wrench_and_estimate(page_url, browser, at_
 def test_a_push_off_the_middle_is_set_by_the_slider_and_drawn_there(browser, at_rest):
     browser.press("place, mm", "Home")
     browser.click_button("Push")
-    wait_for_cells(browser, "true", lambda row: row[1:2] == ["15"])
+    wait_for_cells(browser, "true", lambda row: row[1:2] == ["0"])
     near_px = eventually(lambda: arrow_px(browser), np.isfinite, "no arrow was drawn")
     browser.press("place, mm", "End")
     true = wait_for_cells(browser, "true", lambda row: row[1:2] == ["130"])

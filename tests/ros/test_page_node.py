@@ -59,3 +59,31 @@ def test_what_the_arm_cannot_do_is_not_commanded_but_shown(page, executor):
         page._actions.command(np.full(8, 0.1))
         executor.spin_once(timeout_sec=0.05)
     assert {message.position[0] for message in commands} == {0.1}
+
+
+@pytest.mark.parametrize("acted", [False, True])
+def test_a_commissioning_is_asked_for_until_it_begins_unless_a_person_acts(
+    page, executor, monkeypatch, acted
+):
+    commissioner = Node("commissioner")
+    executor.add_node(commissioner)
+    asked = []
+
+    def answer(_, response):
+        asked.append(response)
+        response.success = len(asked) > 1  # at first the last command is too recent
+        response.message = "8 holds"
+        return response
+
+    commissioner.create_service(Trigger, "~/commission", answer)
+    monkeypatch.setattr(page._live, "reports_ok", lambda part: part == "tare")
+    page._commission_due = True
+    if acted:
+        page._actions.command(np.full(8, 0.01))
+    for _ in range(300):
+        executor.spin_once(timeout_sec=0.02)
+        if page.shown:
+            break
+    assert len(asked) == (0 if acted else 2)
+    assert page.shown == ([] if acted else [("Commissioning", "8 holds")])
+    commissioner.destroy_node()

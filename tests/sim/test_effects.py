@@ -57,22 +57,42 @@ def test_a_load_elsewhere_is_a_load_with_another_lever() -> None:
         np.testing.assert_allclose(missing[:, joint], moment if joint < 6 else 0.0, atol=1e-6)
 
 
-def test_a_cables_tolerance_is_its_own_tension_angle_and_zero() -> None:
-    place = "cable_7"
-    tolerance = entry("cable_tolerance", place, pretension_n=0.5, angle_rad=0.004, zero_n=0.2)
+def test_tolerances_are_numbers_of_one_cable_hole_or_sensor() -> None:
     own = np.arange(12) == 6
-    mechanism = amended(MECHANISM, [tolerance])
+    cable = entry("cable_tolerance", "cable_7", pretension_n=0.5, log_stiffness=0.1)
+    mechanism = amended(MECHANISM, [cable])
     np.testing.assert_allclose(mechanism.pretension_n - 50.0, 0.5 * own)
-    np.testing.assert_allclose(
-        np.hypot(mechanism.hole_y_m - MECHANISM.hole_y_m, mechanism.hole_z_m - MECHANISM.hole_z_m),
-        2 * 0.05 * np.sin(0.002) * own,
-        atol=1e-15,
+    stiffer = mechanism.stiffness_n_m / MECHANISM.stiffness_n_m
+    np.testing.assert_allclose(stiffer, np.exp(0.1 * own))
+    hole = entry("hole_tolerance", "cable_7_plate_2", outward_m=3e-4, around_m=4e-4)
+    moved = amended(MECHANISM, [hole])
+    np.testing.assert_array_equal(moved.hole_y_m, MECHANISM.hole_y_m)
+    by_m = np.hypot(
+        moved.segment_hole_y_m - MECHANISM.segment_hole_y_m,
+        moved.segment_hole_z_m - MECHANISM.segment_hole_z_m,
     )
+    np.testing.assert_allclose(by_m, np.outer(5e-4 * own, [0, 1, 0, 0]), atol=1e-15)
+    radius_m = np.hypot(moved.segment_hole_y_m, moved.segment_hole_z_m)[6, 1]
+    assert radius_m == pytest.approx(np.hypot(0.05 + 3e-4, 4e-4))
+    base = amended(MECHANISM, [entry("hole_tolerance", "cable_7_plate_0", outward_m=3e-4)])
+    np.testing.assert_array_equal(base.segment_hole_y_m, MECHANISM.segment_hole_y_m)
+    assert np.hypot(base.hole_y_m, base.hole_z_m)[6] == pytest.approx(0.0503)
     replay = course(POSES, PUSH)
-    zero = entry("cable_tolerance", place, zero_n=0.2)
-    np.testing.assert_allclose(
-        readings(replay, zero) - readings(replay), np.broadcast_to(0.2 * own, (5, 12)), atol=1e-9
+    sensor = entry("sensor_tolerance", "cable_7", zero_n=0.2, gain=0.01)
+    expected = readings(replay) * (1.0 + 0.01 * own) + 0.2 * own
+    np.testing.assert_allclose(readings(replay, sensor), expected, atol=1e-9)
+
+
+def test_with_wrong_joint_zeros_the_actuators_hold_the_lengths_of_other_angles() -> None:
+    replay = course(POSES, PUSH)
+    found = readings(
+        replay,
+        entry("joint_tolerance", "joint_1", pitch_rad=0.01),
+        entry("joint_tolerance", "joint_3", yaw_rad=-0.02),
     )
+    zeros_rad = np.array([0.01, 0, 0, 0, 0, -0.02, 0, 0])
+    told = solve_equilibrium(MECHANISM, POSES + zeros_rad, PUSH)
+    np.testing.assert_allclose(found, told.tensions_n, atol=1e-6)
 
 
 def test_the_actuators_hold_the_lengths_of_the_arm_as_it_was_drawn() -> None:

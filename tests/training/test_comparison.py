@@ -7,7 +7,15 @@ import pytest
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.errors import ModelFileError
 from cablesense_training.evaluation import comparison
-from cablesense_training.evaluation.comparison import SETTINGS, Setting, compare, evaluate_setting
+from cablesense_training.evaluation.comparison import (
+    SETTINGS,
+    TABLE2_MODELS,
+    Setting,
+    compare,
+    evaluate_setting,
+    evaluate_table2,
+    open_single,
+)
 from cablesense_training.inference.metadata import find_model
 
 METRICS = {
@@ -26,7 +34,7 @@ def test_every_setting_every_model_and_the_bound_on_the_same_samples():
         raise AssertionError(f"{constant} is not JSON")
 
     content = json.loads(json.dumps(result), parse_constant=refuse)
-    names = {"straight", "random_pose", "compliant", "tensions_only"}
+    names = {"straight", "random_pose", "compliant"}
     assert content["seed"] == 7
     assert content["samples"] == 150
     assert set(content["single"]) == set(content["bound"]) == names
@@ -34,7 +42,7 @@ def test_every_setting_every_model_and_the_bound_on_the_same_samples():
         assert set(metrics) == METRICS | {"mae_over_bound"}
     for name, baseline in content["peers"].items():
         assert set(baseline) <= names, name
-    assert set(content["peers"]["closed_form"]) == names - {"tensions_only"}
+    assert set(content["peers"]) == {"two_stage"}
     assert set(content["peers"]["two_stage"]) == names - {"compliant"}
     assert {"recognition_accuracy", "macro_f1", "magnitude_mae_n"} <= set(content["multi"])
     for name in ("straight", "random_pose", "compliant"):
@@ -46,10 +54,19 @@ def test_every_setting_every_model_and_the_bound_on_the_same_samples():
 def test_a_model_for_another_arm_is_refused(monkeypatch):
     path = find_model("peers/cdsm_two_stage")
     monkeypatch.setattr(comparison, "find_model", lambda name: path)
-    setting = Setting("mixed", "cdsm_lab", "straight", {"shipped": "cdsm"})
+    setting = Setting("mixed", "cdsm_lab", "straight", {"shipped": "cdsm_anywhere"})
     dataset = draw_dataset(setting.arm, setting.protocol(100), seed=0)
     with pytest.raises(ModelFileError, match="made for arm cdsm-"):
         evaluate_setting(setting, dataset)
+
+
+def test_the_law_has_the_errors_that_noise_leaves_and_half_of_the_papers_on_its_measured_loads():
+    law, network = (
+        [abs(each.magnitude_n / each.load.weight_n - 1.0) for each in evaluate_table2(model)]
+        for model in map(open_single, map(find_model, TABLE2_MODELS.values()))
+    )
+    assert max(law) < 0.1
+    assert sum(law) < sum(network)
 
 
 def test_a_missing_model_is_named_before_samples_are_drawn(monkeypatch):

@@ -8,8 +8,12 @@ from joint_torques import load_torques_n_m
 
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
-from cablesense_sim.contact_location import torque_balance
-from cablesense_sim.kinematics import cable_jacobian_m, contact_jacobians_m, segment_rotations
+from cablesense_sim.kinematics import (
+    cable_jacobian_m,
+    contact_jacobians_m,
+    contact_torques,
+    segment_rotations,
+)
 from cablesense_sim.loads import contact_angle_deg
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import AnywhereContact, MultiContact, SingleContact
@@ -49,16 +53,18 @@ def test_cables_balance_the_contacts(arm, protocol):
     assert (dataset.slack_cables > 0).any()
 
 
-def test_contacts_anywhere_are_where_the_law_of_contacts_finds_them(arm):
-    """Tensions of the equilibrium, labels, and the torques of `contact_location` agree."""
-    dataset = ideal(arm, AnywhereContact, pose="random")
-    balance = torque_balance(
-        mechanism_of(arm), dataset.command_rad, dataset.tension_difference_n, 1e-8
-    )
-    lever = balance.by_force_m + dataset.places_m[..., None, None] * balance.by_place
+def test_contacts_anywhere_balance_the_cables(arm):
+    """On the stiff arm the torques of forces at their places are those of the tensions."""
+    dataset = ideal(arm, AnywhereContact, pose="random", force_high_n=20.0)
+    mechanism = mechanism_of(arm)
+    axes = segment_rotations(mechanism, dataset.command_rad)
+    at_joint, by_place = contact_torques(mechanism, dataset.command_rad, axes)
+    lever = at_joint + dataset.places_m[..., None, None] * by_place
     expected = np.einsum("bncj,bnc->bj", lever, dataset.local_forces_n)
-    assert balance.torque_n_m == pytest.approx(expected, rel=1e-5, abs=1e-4)
-    axes = segment_rotations(mechanism_of(arm), dataset.command_rad)
+    cables = cable_jacobian_m(mechanism, dataset.command_rad)
+    torque = np.einsum("bmj,bm->bj", cables, dataset.tension_difference_n)
+    assert np.abs(expected).max() > 2.0
+    assert torque == pytest.approx(expected, abs=0.01)
     turned = np.einsum("bnij,bnj->bni", axes, dataset.local_forces_n)
     assert turned == pytest.approx(dataset.forces_n, abs=1e-9)
 

@@ -4,7 +4,6 @@ import numpy as np
 import onnx
 import pytest
 import torch
-from arm_variants import variant
 from model_fixtures import metadata_for
 
 from cablesense_sim.arm import open_arm
@@ -12,10 +11,10 @@ from cablesense_training import export
 from cablesense_training.errors import ModelFileError, TrainingError
 from cablesense_training.export import AGREEMENT, export_model
 from cablesense_training.inference.estimator import Estimator, MultiEstimator
-from cablesense_training.inference.metadata import bundled_models, find_model
+from cablesense_training.inference.law_model import LawModel
+from cablesense_training.inference.metadata import bundled_models, find_model, find_model_of
 from cablesense_training.inference.model_file import read_model
-from cablesense_training.inference.session import COMMAND, TENSION
-from cablesense_training.inference.temporal_estimator import open_estimator
+from cablesense_training.inference.session import TENSION
 from cablesense_training.model_training import build_network
 from cablesense_training.networks.learnt import TwoStageNetwork
 
@@ -32,7 +31,7 @@ def _metadata(**changes):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["closed-form-corrected", "multi-contact"])
+@pytest.mark.parametrize("name", ["two-stage", "multi-contact"])
 def test_the_file_answers_as_pytorch_does_and_names_no_path_of_this_machine(name, tmp_path):
     network = build_network(name, CDSM)
     several = network.several
@@ -62,32 +61,10 @@ def test_the_file_answers_as_pytorch_does_and_names_no_path_of_this_machine(name
         direction = torch.nn.functional.normalize(output.direction, dim=-1)
         expected = [torch.softmax(output.contact_logits, dim=-1), direction, *output[2:]]
         session = Estimator.load(path, CDSM)
-    found = session.run({TENSION: tension} | ({COMMAND: command} if network.pose_aware else {}))
+    found = session.run({TENSION: tension})
     for here, there in zip(expected, found, strict=True):
         np.testing.assert_allclose(there[1:], here[1:], rtol=AGREEMENT, atol=AGREEMENT)
         assert np.isfinite(there).all()
-
-
-@pytest.mark.slow
-def test_a_graph_in_which_another_size_is_large_is_exported(tmp_path):
-    """Six segments with three stiff cables each expand 732 numbers about every joint."""
-    arm = variant(
-        {
-            "segments.count": 6,
-            "segments.length_m": [0.113, 0.143, 0.103, 0.077, 0.184, 0.097],
-            "segments.contact_m": [0.056, 0.072, 0.052, 0.038, 0.092, 0.048],
-            "segments.mass_kg": 0.114,
-            "segments.plate_offset_m": 0.012,
-            "cables.routing_radius_m": 0.063,
-            "cables.angle_deg": {"first": 0.0, "per_segment": 20.0, "per_cable": -120.0},
-            "cables.stiffness_n_m": 6.49e6,
-        },
-        "cdsm_lab",
-    )
-    path, name = tmp_path / "model.onnx", "anywhere"
-    metadata = metadata_for(arm, network=name, kind="contact-anywhere")
-    export_model(build_network(name, arm), path, metadata)
-    assert onnx.load(path).graph.node
 
 
 @pytest.mark.slow
@@ -101,11 +78,42 @@ def test_a_failed_check_leaves_nothing_behind(tmp_path, monkeypatch):
     assert kept.read_text() == "what was there"
 
 
+NETWORKS = {
+    "peers/cdsm_two_stage": Estimator,
+    "peers/cdsm_straight_two_stage": Estimator,
+    "peers/cdsm_table2_two_stage": Estimator,
+    "peers/cdsm_multi_two_stage": MultiEstimator,
+}
+
+
 @pytest.mark.parametrize("name", bundled_models())
 def test_every_bundled_model_opens_for_the_bundled_arm_it_was_made_for(name):
     _, metadata = read_model(find_model(name))
-    load = MultiEstimator.load if metadata.kind == "multi-contact" else open_estimator
-    assert load(find_model(name), open_arm(metadata.arm.name)).metadata == metadata
+    arm = open_arm(metadata.arm.name)
+    assert NETWORKS.get(name, LawModel)(find_model(name), arm).metadata == metadata
+
+
+def test_every_bundled_arm_has_its_estimator():
+    arms = ("cdsm", "cdsm_friction", "cdsm_lab", "cdsm_table2")
+    assert set(bundled_models()) == {f"{name}_anywhere" for name in arms} | set(NETWORKS)
+    for name in arms:
+        assert find_model_of(open_arm(name), name).stem == f"{name}_anywhere"
+    own = CDSM.model_copy(update={"name": "own"})
+    with pytest.raises(ModelFileError, match=r"cablesense export --arm own\.yaml --out own\.onnx"):
+        find_model_of(own, "own.yaml")
+
+
+def test_constants_stored_in_single_precision_lose_nothing(tmp_path):
+    """Weights are trained in float32: the graph with and without casts answers alike."""
+    path = tmp_path / "model.onnx"
+    export_model(_small_network(), path, _metadata())
+    stored = onnx.load(path)
+    kinds = {constant.name: constant.data_type for constant in stored.graph.initializer}
+    casts = [
+        node for node in stored.graph.node if node.input[0] in kinds and node.op_type == "Cast"
+    ]
+    assert casts
+    assert all(kinds[node.input[0]] == onnx.TensorProto.FLOAT for node in casts)
 
 
 @pytest.mark.parametrize("name", ["", "cdsn", "../models/cdsm", "mine.onnx"])

@@ -13,7 +13,7 @@ from cablesense_training.data.protocols import MultiContact, SingleContact
 from cablesense_training.errors import TrainingError
 from cablesense_training.fit import FitSettings, fit
 from cablesense_training.networks.learnt import (
-    ScaleAwareNetwork,
+    SharedBackboneNetwork,
     TwoStageMultiContactNetwork,
     TwoStageNetwork,
 )
@@ -56,7 +56,7 @@ def test_a_tiny_set_is_learnt_by_heart(single):
     settings = FitSettings(
         epochs=250, batch_size=54, learning_rate=3e-3, stop_patience=250, patience=250, threads=1
     )
-    history = fit(ScaleAwareNetwork(12, 4, widths=(96, 96)), tiny, settings)
+    history = fit(SharedBackboneNetwork(12, 4, widths=(96, 96)), tiny, settings)
     last = history.epochs[-1]
     assert last.contact < 0.02
     assert last.direction < 0.02

@@ -16,21 +16,20 @@ from small_models import CDSM, DOUBLE, FLOAT, refused, small_model, value, writt
 from cablesense_base import CableSenseError
 from cablesense_sim.arm import open_arm
 from cablesense_training.errors import ModelFileError
-from cablesense_training.inference.estimator import OUTPUTS, Estimator, MultiEstimator
-from cablesense_training.inference.metadata import FORMAT, ModelMetadata, effect_versions
+from cablesense_training.inference.estimator import Estimator, MultiEstimator
+from cablesense_training.inference.metadata import (
+    FORMAT,
+    REMOVED_NETWORKS,
+    ModelMetadata,
+    effect_versions,
+)
 from cablesense_training.inference.model_file import MAX_FILE_BYTES
-from cablesense_training.inference.session import TAUT, TENSION
 
 
-def test_a_model_may_tell_beside_its_answers_which_cables_are_taut(tmp_path):
-    model = small_model(nodes=[helper.make_node("Sign", ["tension_difference_n"], [TAUT])])
-    taut = value(TAUT, DOUBLE, ["batch", 12])
-    model.graph.output.append(taut)
-    session = Estimator.load(written(tmp_path, model), CDSM)
-    assert session.beside == [TAUT]
-    assert len(session.run({TENSION: np.ones((3, 12))})) == len(OUTPUTS)
-    model.graph.output.append(taut)
-    assert TAUT in refused(written(tmp_path, model))
+def test_further_outputs_than_those_needed_are_refused(tmp_path):
+    model = small_model(nodes=[helper.make_node("Sign", ["tension_difference_n"], ["taut"])])
+    model.graph.output.append(value("taut", DOUBLE, ["batch", 12]))
+    assert "gives contact_probability" in refused(written(tmp_path, model))
 
 
 def test_no_file_is_said_to_be_none(tmp_path):
@@ -266,6 +265,13 @@ def test_another_format_names_both(version):
     message = _refused_description(_changed(lambda content: content.update(format=version)))
     assert repr(version) in message
     assert FORMAT in message
+
+
+@pytest.mark.parametrize("name", REMOVED_NETWORKS)
+def test_a_model_of_a_network_of_earlier_versions_names_what_makes_the_estimator_now(name):
+    message = _refused_description(_changed(lambda content: content.update(network=name)))
+    assert f"network {name} was " in message
+    assert "cablesense export --arm" in message
 
 
 def test_an_altered_arm_is_noticed():

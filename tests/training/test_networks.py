@@ -8,11 +8,6 @@ from cablesense_sim.arm import load_arm
 from cablesense_training.model_training import RECIPES, build_network
 
 ARM = load_arm(config_path("arms/cdsm.yaml"))
-SAMPLE_NETWORKS = [
-    name
-    for name, recipe in RECIPES.items()
-    if recipe.learns_from != "motion" and name != "history-simulated"
-]
 
 
 def _inputs(rows):
@@ -22,7 +17,7 @@ def _inputs(rows):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in SAMPLE_NETWORKS if name != "anywhere"])
+@pytest.mark.parametrize("name", RECIPES)
 def test_answers_have_the_contract_shapes_and_positive_deviations(name):
     network = build_network(name, ARM)
     output = network(*_inputs(7))
@@ -36,7 +31,7 @@ def test_answers_have_the_contract_shapes_and_positive_deviations(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SAMPLE_NETWORKS)
+@pytest.mark.parametrize("name", RECIPES)
 def test_rows_do_not_influence_each_other(name):
     network = build_network(name, ARM).double().eval()
     tension, command = (part.double() for part in _inputs(6))
@@ -47,7 +42,7 @@ def test_rows_do_not_influence_each_other(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in SAMPLE_NETWORKS if name != "anywhere"])
+@pytest.mark.parametrize("name", RECIPES)
 def test_the_seed_fixes_the_initial_weights_and_nothing_else(name):
     torch.manual_seed(5)
     expected_draw = torch.rand(3)

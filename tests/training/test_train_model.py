@@ -7,8 +7,6 @@ from arm_variants import variant
 
 from cablesense_sim.arm import open_arm
 from cablesense_sim.load_capacity import contact_range_n
-from cablesense_training import fit_sequences
-from cablesense_training.data.sequences import MotionProtocol, draw_sequences
 from cablesense_training.errors import TrainingError
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
@@ -17,7 +15,7 @@ from cablesense_training.evaluation.metrics import (
 )
 from cablesense_training.fit import FitSettings
 from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.temporal_estimator import TemporalEstimator
+from cablesense_training.inference.metadata import REMOVED_NETWORKS
 from cablesense_training.model_training import (
     TEST_SEED_OFFSET,
     draw_training_data,
@@ -39,7 +37,7 @@ def test_an_arm_that_bears_two_newtons_is_trained_on_two_newtons():
     forces = {"cables.stiffness_n_m": 1e3, "cables.pretension_n": 0.5, "segments.mass_kg": 0.005}
     sensors = {"sensors.noise_std_n": 1e-3, "sensors.step_n": 0.0}
     weak = variant({"segments.count": 2} | forces | sensors, "cdsm_lab")
-    data = draw_training_data(weak, "closed-form-corrected", FEW, seed=0)
+    data = draw_training_data(weak, "two-stage", FEW, seed=0)
     assert data.protocol.force_high_n == contact_range_n(weak) < 10.0
     assert not data.redrawn.any()
 
@@ -61,30 +59,15 @@ def test_the_model_file_answers_as_the_report_says(single, tmp_path):
     assert asdict(found).items() <= report.errors["single"].items()
 
 
-@pytest.mark.slow  # the export of the graph
-def test_a_model_for_sequences_opens_and_names_what_it_was_made_for(tmp_path, monkeypatch):
-    monkeypatch.setattr(fit_sequences, "_STEPS", 20)
-    small = variant({"segments.count": 2})
-    sequences = draw_sequences(small, MotionProtocol(sequences=4, duration_s=0.5), seed=3)
-    settings = FitSettings(epochs=1, batch_size=4, threads=1)
-    path = tmp_path / "model.onnx"
-    report = train_model(path, "temporal", sequences, settings, command="made so", test_samples=1)
-    metadata = TemporalEstimator.load(path, small).metadata
-    assert (metadata.network, metadata.command) == ("temporal", "made so")
-    assert (metadata.tick_s, metadata.joint_speed_deg_s) == (0.02, 20.0)
-    assert metadata.memory > 0
-    assert metadata.units["next_state"] == "1"
-    figures = report.as_json()
-    assert (figures["sequences"], figures["test_sequences"]) == (4, 1)
-    assert figures["every"]["samples"] == sequences.segment.shape[1]
-    assert path.stat().st_size < 2_000_000
-
-
 def test_refuses_data_of_the_wrong_protocol(single, tmp_path):
     with pytest.raises(TrainingError, match="--protocol multi"):
         train_model(tmp_path / "m.onnx", "multi-contact", single, QUICK, command="")
-    with pytest.raises(TrainingError, match="network temporal is for protocol motion"):
-        train_model(tmp_path / "m.onnx", "temporal", single, QUICK, command="")
+
+
+@pytest.mark.parametrize("name", [*REMOVED_NETWORKS, "anywhere"])
+def test_a_network_of_earlier_versions_names_what_makes_the_estimator_now(name):
+    with pytest.raises(TrainingError, match=f"network {name} was .*cablesense export --arm"):
+        recipe_for(name)
 
 
 def test_refuses_a_folder_that_is_not_there_before_training(single, tmp_path):

@@ -2,7 +2,7 @@
 
 A chunk follows from arm, protocol, seed and its number, wherever it is computed (processor types
 may differ in the last bit). A case beyond the arm is drawn again, and a protocol that would
-need that often is refused. An arm with effects is sampled along a `_LoadHistory`; randomised arms
+need that often is refused. An arm with effects is sampled along a `LoadHistory`; randomised arms
 in blocks of samples on one arm each.
 """
 
@@ -101,7 +101,7 @@ def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Datas
     """The samples of one chunk; the last chunk of a run may hold fewer than `CHUNK_SAMPLES`.
 
     A sample's reading is one of the loaded arm at rest, its tare the mean of `tare_samples` of the
-    unloaded arm at the same command. With effects, both come at the end of a `_LoadHistory`.
+    unloaded arm at the same command. With effects, both come at the end of a `LoadHistory`.
 
     Raises:
         DatasetError: the protocol does not fit the arm.
@@ -161,7 +161,7 @@ class _Resting:
         self._listed = entries_of(arm)
         self._varied = bool(self._listed) or protocol.randomise is not None
         self._seed = seed, chunk
-        self._arms: dict[int, tuple[list[EffectEntry], _LoadHistory]] = {}
+        self._arms: dict[int, tuple[list[EffectEntry], LoadHistory]] = {}
 
     def tensions_n(self, points: Array, rows: NDArray[np.int64], allowed: int) -> Array:
         """(3, B, M): loaded and unloaded readings, true loaded tensions; NaN without equilibrium.
@@ -191,7 +191,7 @@ class _Resting:
             at_m = places_m[rows] if self._protocol.anywhere else None
             true = tensions_along_n(mechanism, entries, history.time_s, commands, loads, at_m)
             sensed = sensed_along_n(entries, history.time_s, true.swapaxes(0, 1))
-            return np.stack([sensed[:, -1], sensed[:, _TARED], true[-1]])
+            return np.stack([sensed[:, -1], sensed[:, TARED], true[-1]])
 
         shape = (3, len(command), mechanism.cable_count)
         if block in self._arms:
@@ -201,9 +201,9 @@ class _Resting:
         for left in reversed(range(1 if randomise is None else _MAX_ARMS_DRAWN)):
             entries = list(self._listed)
             if self._varied:
-                history = _LoadHistory.drawn(_BLOCK_SAMPLES, rng)
+                history = LoadHistory.drawn(_BLOCK_SAMPLES, rng)
             else:
-                history = _LoadHistory.plain(CHUNK_SAMPLES)
+                history = LoadHistory.plain(CHUNK_SAMPLES)
             if randomise is not None:
                 size = mechanism.segment_count, mechanism.cable_count
                 entries += drawn_entries(effect_names(randomise), *size, rng)
@@ -227,7 +227,7 @@ _BACK = np.array([0.5, 1.0, 1.0])
 
 _RESTS = len(_ON_THE_WAY) + len(_RISE) + len(_BACK)
 
-_TARED = len(_ON_THE_WAY) - 1
+TARED = len(_ON_THE_WAY) - 1
 """The rest at which the tare is taken; the reading is that of the last."""
 
 _STEP_S = 0.5
@@ -237,7 +237,7 @@ _HIGHEST_PEAK = 1.4
 
 
 @dataclass(frozen=True)
-class _LoadHistory:
+class LoadHistory:
     """What B samples go through in R rests: from another pose to the command, then the load.
 
     Attributes:
@@ -251,24 +251,24 @@ class _LoadHistory:
     peak_share: Array
 
     @classmethod
-    def drawn(cls, count: int, rng: np.random.Generator) -> _LoadHistory:
+    def drawn(cls, count: int, rng: np.random.Generator) -> LoadHistory:
         """A history for `count` samples; half of them are loaded beyond their force and back."""
         steps = np.full(_RESTS, _STEP_S)
-        steps[_TARED] += rng.uniform(0.0, _LONGEST_WAIT_S)
-        steps[_TARED + 1] += rng.uniform(0.0, _LONGEST_WAIT_S)
+        steps[TARED] += rng.uniform(0.0, _LONGEST_WAIT_S)
+        steps[TARED + 1] += rng.uniform(0.0, _LONGEST_WAIT_S)
         steps[-1] = rng.uniform(0.0, _LONGEST_HOLD_S)
         beyond = rng.random(count) < 0.5
         peak = np.where(beyond, rng.uniform(1.0, _HIGHEST_PEAK, count), 1.0)
         return cls(np.cumsum(steps), rng.uniform(-1.0, 1.0, count), peak)
 
     @classmethod
-    def plain(cls, count: int) -> _LoadHistory:
+    def plain(cls, count: int) -> LoadHistory:
         """At the command and the force at once, for arms that do not depend on history."""
         return cls(np.arange(_RESTS, dtype=float), np.ones(count), np.ones(count))
 
-    def select(self, rows: NDArray[np.int64]) -> _LoadHistory:
+    def select(self, rows: NDArray[np.int64]) -> LoadHistory:
         """The same for some of the samples."""
-        return _LoadHistory(self.time_s, self.from_share[rows], self.peak_share[rows])
+        return LoadHistory(self.time_s, self.from_share[rows], self.peak_share[rows])
 
     def commands_rad(self, command_rad: Array) -> Array:
         """(R, B, 2N) for the samples' commands (B, 2N)."""
@@ -335,7 +335,7 @@ def tensions_along_n(
     if places_m is not None:
         mechanism = replace(mechanism, contact_m=places_m)
     tensions = np.zeros_like(held)
-    for row in range(len(held)) if sensings(arms) else (_TARED, len(held) - 1):
+    for row in range(len(held)) if sensings(arms) else (TARED, len(held) - 1):
         rest = solve_equilibrium(mechanism, commands_rad[row], loads_n[row], held_m=held[row])
         tensions[row] = rest.tensions_n
     return tensions

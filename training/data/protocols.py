@@ -27,10 +27,10 @@ from scipy.stats import qmc
 from cablesense_base import Array
 from cablesense_base.plain_yaml import describe_problem
 from cablesense_sim.arm import Arm, per_segment
-from cablesense_sim.contact_location import touched_at
 from cablesense_sim.effects.effect import Parameter
 from cablesense_sim.effects.registry import EffectEntry, known_effects
 from cablesense_sim.load_capacity import contact_range_n, pose_range_deg
+from cablesense_sim.touch import touched_places
 from cablesense_training.errors import DatasetError
 
 CHUNK_SAMPLES = 2048
@@ -327,7 +327,7 @@ class AnywhereContact(Protocol):
 
     def reach_m(self, arm: Arm) -> Array:
         """(N, 2) the reach of the arm file."""
-        return touched_at(arm)[0]
+        return touched_places(arm).reach_m
 
     def _contact_dimensions(self, segment_count: int) -> int:
         return 1 + 2 * 4
@@ -396,5 +396,5 @@ def borne_by(arm: Arm, protocol: Any, given: dict[str, Any], contacts: int = 1) 
 
 def _touched_at_its_end(arm: Arm) -> Arm:
     """The arm with its contact points where touch bends it most: at the far ends of the reach."""
-    ends = touched_at(arm)[0][:, 1].tolist()
+    ends = touched_places(arm).reach_m[:, 1].tolist()
     return arm.model_copy(update={"segments": arm.segments.model_copy(update={"contact_m": ends})})

@@ -1,9 +1,10 @@
 """The one evaluation of estimators: their errors on a dataset, and every bundled model compared.
 
-A `Setting` is an arm, poses and the models that answer: the shipped model and its baselines, with
-the noise bound on the same fresh samples. The paper's Table II has tensions that were measured on
-the physical arm: loads of 1 and 2 kg hung at mid-segment on segments 1 to 3 of a three-segment,
-nine-cable arm, straight and level.
+A `Setting` is an arm, poses and the models that answer: the law that CableSense ships, asked for
+contacts at the points of the arm file, and the paper's networks, with the noise bound on the same
+fresh samples. The paper's Table II has tensions that were measured on the physical arm: loads of 1
+and 2 kg hung at mid-segment on segments 1 to 3 of a three-segment, nine-cable arm, straight and
+level.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,11 +20,15 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_base.installation import config_path
+from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_sim.arm import Arm, open_arm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact, Pose, SingleContact
 from cablesense_training.errors import ModelFileError
+from cablesense_training.evaluation.law import exact_calibration
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
     ContactTruth,
@@ -35,21 +41,22 @@ from cablesense_training.evaluation.metrics import (
     plain_values,
     single_contact_metrics,
 )
-from cablesense_training.inference.estimator import Estimate, Estimator, MultiEstimator
-from cablesense_training.inference.metadata import find_model
+from cablesense_training.evaluation.points import point_answer
+from cablesense_training.inference.estimator import NORMAL_95, Estimator, MultiEstimator
+from cablesense_training.inference.law_model import LawModel
+from cablesense_training.inference.metadata import ANYWHERE, find_model
+from cablesense_training.inference.model_file import read_model
 
 SHIPPED = "shipped"
 """The model that CableSense uses in a setting, in reports."""
 
 MULTI_ARM = "cdsm"
-MULTI_MODELS = {SHIPPED: "cdsm_multi", "two_stage": "peers/cdsm_multi_two_stage"}
+TWO_STAGE = "two_stage"
+"""The paper's two-stage network, in reports."""
+MULTI_MODELS = {TWO_STAGE: "peers/cdsm_multi_two_stage"}
 """Models for several contacts, by the name that reports use."""
 
-TABLE2_MODELS = {
-    SHIPPED: "cdsm_table2",
-    "closed_form": "peers/cdsm_table2_closed_form",
-    "two_stage": "peers/cdsm_table2_two_stage",
-}
+TABLE2_MODELS = {SHIPPED: "cdsm_table2_anywhere", TWO_STAGE: "peers/cdsm_table2_two_stage"}
 """Models of the three-segment arm, likewise."""
 
 STANDARD_GRAVITY_M_S2 = 9.81
@@ -72,7 +79,7 @@ class Setting:
     """One column of the comparison, as `cablesense evaluate --json` names it; single contacts.
 
     Attributes:
-        pose: straight, or joints within ± 10 degrees, which pose-aware models know.
+        pose: straight, or joints within ± 10 degrees, which the law knows and networks do not.
         models: bundled models by the name that reports use; the first is the shipped one.
     """
 
@@ -91,18 +98,20 @@ class Setting:
         return SingleContact(samples=samples, pose=self.pose)
 
 
-def _setting(name: str, arm: str, pose: Pose, shipped: str, **baselines: str) -> Setting:
-    models = {baseline: f"peers/{arm}_{model}" for baseline, model in baselines.items()}
-    return Setting(name, arm, pose, {SHIPPED: shipped, **models})
-
-
-_BOTH = {"closed_form": "closed_form", "two_stage": "two_stage"}
-_STRAIGHT = _BOTH | {"two_stage": "straight_two_stage"}
 SETTINGS = (
-    _setting("straight", "cdsm", "straight", "cdsm", **_STRAIGHT),
-    _setting("random_pose", "cdsm", "random", "cdsm", **_BOTH),
-    _setting("compliant", "cdsm_lab", "random", "cdsm_lab", closed_form="closed_form"),
-    _setting("tensions_only", "cdsm", "random", "cdsm_tensions_only", two_stage="two_stage"),
+    Setting(
+        "straight",
+        "cdsm",
+        "straight",
+        {SHIPPED: "cdsm_anywhere", TWO_STAGE: "peers/cdsm_straight_two_stage"},
+    ),
+    Setting(
+        "random_pose",
+        "cdsm",
+        "random",
+        {SHIPPED: "cdsm_anywhere", TWO_STAGE: "peers/cdsm_two_stage"},
+    ),
+    Setting("compliant", "cdsm_lab", "random", {SHIPPED: "cdsm_lab_anywhere"}),
 )
 
 
@@ -149,12 +158,43 @@ def evaluate_estimator(estimator: Estimator, dataset: Dataset) -> Evaluation:
     return evaluate_answer(ContactAnswer.of(found), dataset)
 
 
+def evaluate_law(law: LawModel, dataset: Dataset) -> Evaluation:
+    """Answers of a law on a dataset of contacts at the points of the arm file, and their errors.
+
+    It takes the arm for exactly that of its file, as the dataset has it.
+    """
+    answer = point_answer(
+        law,
+        exact_calibration(dataset.arm),
+        dataset.unloaded_n + dataset.tension_difference_n,
+        dataset.command_rad,
+        mechanism_of(dataset.arm).contact_m,
+        dataset.protocol.force_high_n,
+    )
+    return evaluate_answer(answer, dataset)
+
+
 def evaluate_models(models: Mapping[str, str], dataset: Dataset) -> dict[str, Evaluation]:
-    """Bundled single-contact models, or files, on a dataset of their arm."""
-    return {
-        name: evaluate_estimator(Estimator.load(find_model(model), dataset.arm), dataset)
-        for name, model in models.items()
-    }
+    """Bundled models of one contact, or files, on a dataset of their arm."""
+    evaluations = {}
+    for name, model in models.items():
+        opened = open_single(find_model(model), dataset.arm)
+        if isinstance(opened, LawModel):
+            evaluations[name] = evaluate_law(opened, dataset)
+        else:
+            evaluations[name] = evaluate_estimator(opened, dataset)
+    return evaluations
+
+
+def open_single(path: Path, arm: Arm | None = None) -> LawModel | Estimator:
+    """Open the law, or a network of one contact, for a certain arm where one is given.
+
+    Raises:
+        ModelFileError: the file is neither, or not for this arm.
+    """
+    if read_model(path)[1].kind == ANYWHERE:
+        return LawModel(path, arm)
+    return Estimator.load(path, arm)
 
 
 def evaluate_multi_answer(
@@ -219,7 +259,7 @@ def compare(
         found.append((shipped.errors.found, shipped.errors.magnitude_coverage95))
     on_setting("multi")
     dataset = draw_dataset(open_arm(MULTI_ARM), multi_protocol(samples), seed, workers=workers)
-    multi = evaluate_multi_models(dataset)[SHIPPED].metrics
+    multi = evaluate_multi_models(dataset)[TWO_STAGE].metrics
     shown = ("recognition_accuracy", "macro_f1", "magnitude_mae_n")
     return {
         "seed": seed,
@@ -274,21 +314,65 @@ def read_table2() -> list[HungLoad]:
         ]
 
 
-def evaluate_table2(estimator: Estimator) -> list[tuple[HungLoad, Estimate]]:
+class HungLoadAnswer(NamedTuple):
+    """A load of Table II, and what a model answers to it; `low_n` and `high_n` hold with 95 %."""
+
+    load: HungLoad
+    segment: int
+    angle_deg: float
+    magnitude_n: float
+    low_n: float
+    high_n: float
+
+
+def evaluate_table2(model: LawModel | Estimator) -> list[HungLoadAnswer]:
     """The loads on the physical arm, with what a model of the three-segment arm answers to each.
+
+    The law knows the arm as well as the tolerances of its file and one tare say. Both kinds of
+    models take the loads to hang at the contact points, where they did.
 
     Raises:
         ModelFileError: the model is for an arm of other cables.
     """
-    metadata = estimator.metadata
+    metadata = model.metadata
     if metadata.arm.cable_count != _TABLE2_CABLES:
         raise ModelFileError(
             f"a model of arm {metadata.arm_identity} with {metadata.arm.cable_count} cables; "
             f"Table II was measured on one with {_TABLE2_CABLES}, such as cdsm_table2"
         )
-    straight = np.zeros(metadata.arm.joint_count)
+    loads = [load for load in read_table2() if load.source == "physical"]
+    differences = np.stack([load.tension_difference_n for load in loads])
+    answer = _table2_answer(model, differences)
+    half_n = NORMAL_95 * answer.magnitude_std_n
     return [
-        (load, estimator.estimate(load.tension_difference_n, straight))
-        for load in read_table2()
-        if load.source == "physical"
+        HungLoadAnswer(
+            load,
+            segment=int(answer.segment[row]),
+            angle_deg=float(answer.angle_deg[row]),
+            magnitude_n=float(answer.magnitude_n[row]),
+            low_n=max(0.0, float(answer.magnitude_n[row] - half_n[row])),
+            high_n=float(answer.magnitude_n[row] + half_n[row]),
+        )
+        for row, load in enumerate(loads)
     ]
+
+
+def _table2_answer(model: LawModel | Estimator, differences_n: Array) -> ContactAnswer:
+    """Answers to tension differences (B, M) of the straight arm."""
+    arm = model.metadata.arm
+    straight = np.zeros((len(differences_n), arm.joint_count))
+    if isinstance(model, Estimator):
+        return ContactAnswer.of(model.estimate_batch(differences_n, straight))
+    mechanism = mechanism_of(arm)
+    unloaded_n = solve_equilibrium(mechanism, straight[0]).tensions_n
+    calibrator = Calibrator(arm, model)
+    tare = Unloaded(unloaded_n, straight[0], count=1)
+    tared = calibrator.updated(calibrator.by_tolerances(), tare)
+    return point_answer(
+        model,
+        tared,
+        unloaded_n + differences_n,
+        straight,
+        mechanism.contact_m,
+        model.metadata.force_range_n,
+    )

@@ -21,13 +21,12 @@ from pydantic import TypeAdapter
 
 from cablesense_base import Array
 from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.contact_location import contact_response
+from cablesense_sim.contact_bound import contact_response
 from cablesense_sim.effects.registry import amended
 from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import solved_rows
-from cablesense_training.data.sequences import Sequences
 from cablesense_training.inference.estimator import NORMAL_95
 
 Integers = NDArray[np.int64]
@@ -53,7 +52,7 @@ class ContactTruth:
 
     @classmethod
     def of(cls, answered: Any) -> Self:
-        """The labels of a single-contact dataset or of sequences, all axes as one."""
+        """The labels of a single-contact dataset, or the answers in `Estimates`."""
         return cls(*(getattr(answered, part.name).ravel() for part in fields(cls)))
 
     def select(self, rows: NDArray[np.bool_]) -> Self:
@@ -225,47 +224,6 @@ def multi_contact_metrics(
             mean_or_nan(error[(true & counted)[:, n], n]) for n in range(true.shape[1])
         ),
     )
-
-
-SETTLED_S = 0.5
-"""After so long without motion an arm counts as at rest, as the estimator node waits."""
-
-
-@dataclass(frozen=True)
-class SequenceMetrics:
-    """Metrics over all ticks of sequences, those in motion or just after it, and the others.
-
-    False is the mean force answered where nothing touches.
-    """
-
-    every: SingleContactMetrics
-    moving: SingleContactMetrics
-    rest: SingleContactMetrics
-    false_force_n: float
-    false_force_moving_n: float
-    false_force_rest_n: float
-
-
-def sequence_metrics(answer: ContactAnswer, sequences: Sequences) -> SequenceMetrics:
-    """The metrics of answers (S · T,), in motion and at rest."""
-    truth, moving = ContactTruth.of(sequences), unsettled(sequences).ravel()
-    segments = sequences.arm.segment_count
-    metrics, false_force_n = [], []
-    for rows in (np.ones_like(moving), moving, ~moving):
-        metrics.append(single_contact_metrics(truth.select(rows), answer.select(rows), segments))
-        force = answer.force_n[rows & (truth.segment == 0)]
-        false_force_n.append(mean_or_nan(force) if force.size else 0.0)
-    every, in_motion, at_rest = metrics
-    return SequenceMetrics(every, in_motion, at_rest, *false_force_n)
-
-
-def unsettled(sequences: Sequences) -> NDArray[np.bool_]:
-    """(S, T) whether the set-point moves, or did within the last `SETTLED_S`."""
-    moving = (sequences.joint_speed_rad_s != 0.0).any(axis=-1)
-    ticks = max(1, round(SETTLED_S / sequences.protocol.tick_s))
-    padded = np.pad(moving, ((0, 0), (ticks - 1, 0)))
-    windows = np.lib.stride_tricks.sliding_window_view(padded, ticks, axis=1)
-    return np.asarray(windows.any(axis=-1))
 
 
 def _errors(truth: ContactTruth, answer: ContactAnswer, chosen: NDArray[np.bool_]) -> ErrorMetrics:

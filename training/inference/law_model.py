@@ -40,14 +40,19 @@ class LawModel:
         if arm is not None and not fits(made_for.arm, arm):
             raise ModelFileError(
                 f"{path}: made for arm {made_for.arm_identity}, not for {arm.identity}; make one "
-                "for this arm with `cablesense train --network anywhere --arm`"
+                "for this arm with `cablesense export --arm`"
+            )
+        if arm is not None and made_for.arm.touch != arm.touch:
+            raise ModelFileError(
+                f"{path}: made for contacts on {made_for.arm.touch}, and the arm file now states "
+                f"{arm.touch}; make it again with `cablesense export`"
             )
         given = tuple(entry.name for entry in model.graph.input)
         answers = tuple(entry.name for entry in model.graph.output)
         if given != INPUTS or answers != LawOutput._fields:
             raise ModelFileError(
                 f"{path}: a model of contacts anywhere of an earlier version, without tolerances; "
-                "make it again with `cablesense train --network anywhere` (seconds)"
+                "make it again with `cablesense export` (seconds)"
             )
         try:
             self._session = open_session(model)
@@ -103,11 +108,11 @@ class LawModel:
         if seen.by_parameter.shape != shape or not finite:
             raise ModelFileError(
                 f"{self._source}: its answer for an idle arm is not finite, or not of "
-                f"{size} parameters; make it again with `cablesense train --network anywhere`"
+                f"{size} parameters; make it again with `cablesense export`"
             )
 
     def _cannot_run(self, error: Exception) -> ModelFileError:
         return ModelFileError(
             f"{self._source}: ONNX Runtime cannot run it ({one_line(error)}); make it again with "
-            "`cablesense train --network anywhere`"
+            "`cablesense export`"
         )

@@ -20,58 +20,45 @@ FORMAT = "cablesense-model/1"
 UNITS = {
     "tension_difference_n": "N",
     "joint_command_rad": "rad",
-    "joint_speed_rad_s": "rad/s",
-    "joint_acceleration_rad_s2": "rad/s²",
-    "state": "1",
-    "next_state": "1",
     "contact_probability": "1",
     "direction": "1",
     "magnitude_n": "N",
     "magnitude_std_n": "N",
     "angle_std_deg": "deg",
-    "interval_n": "N",
-    "torque_n_m": "N·m",
-    "precision": "1/(N·m)²",
-    "by_force_m": "m",
-    "by_place": "1",
-    "by_twist": "1",
-    "residual": "1",
-    "taut": "1",
 }
-"""Unit of every input and output that a model may have."""
+"""Unit of every input and output of the paper's networks."""
 
 ModelKind = Literal["single-contact", "multi-contact", "contact-anywhere"]
 ANYWHERE: ModelKind = "contact-anywhere"
 """The kind of models whose contacts may be at any place."""
 
-HISTORY_SIMULATED = "history-simulated"
-"""The network whose files are of an arm that is simulated together with the real one."""
+SINGLE_CONTACT: ModelKind = "single-contact"
+"""The kind of models of one contact at the contact points of the arm file."""
+MULTI_CONTACT: ModelKind = "multi-contact"
+"""The kind of models of several contacts at once, with their magnitudes."""
+
+REMOVED_NETWORKS = {
+    "closed-form": "statics of one contact at the points of the arm file",
+    "closed-form-corrected": "statics of one contact at the points of the arm file, corrected",
+    "history-simulated": "the same beside a simulation of the arm's friction and creep",
+    "multi-contact-closed-form": "statics of several contacts at the points of the arm file",
+    "scale-aware": "one contact at the points of the arm file from tensions alone",
+    "temporal": "statics corrected by a recurrent network, in motion and under friction",
+}
+"""Networks of earlier versions, and what they were."""
 
 _KEY = "cablesense"
-MISFIT_KEY = "cablesense_misfit"
-
 _Finite = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
-class MisfitLimit(BaseModel):
-    """How far readings may be from the model's estimate, found on simulated healthy arms.
-
-    It is a property of its own, so that it can be replaced, or be missing.
-
-    Attributes:
-        largest_misfit: of readings that fit: root mean square of their residual under statics, as
-            a multiple of that of noise.
-        false_alarm_rate: share of healthy samples above it that was aimed at, by the tail of a
-            chi-square distribution as wide as the simulated misfits.
-        samples, above: how many were simulated, and were above it.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    largest_misfit: Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-    false_alarm_rate: Annotated[float, Field(gt=0.0, lt=1.0)]
-    samples: Annotated[int, Field(ge=1)]
-    above: Annotated[int, Field(ge=0)]
+def of_removed_network(name: str) -> str:
+    """The sentence about a network that earlier versions had; empty of any other name."""
+    if name not in REMOVED_NETWORKS:
+        return ""
+    return (
+        f"network {name} was {REMOVED_NETWORKS[name]}; this version has one estimator for all "
+        "that, which `cablesense export --arm` makes in seconds, without training"
+    )
 
 
 class ModelMetadata(BaseModel):
@@ -79,18 +66,14 @@ class ModelMetadata(BaseModel):
 
     Attributes:
         kind: single contact with direction, several contacts with magnitudes, both at the contact
-            points of the arm file; or the statics of contacts anywhere.
-        network: as `cablesense train --network` takes it.
+            points of the arm file; or the law of contacts anywhere.
+        network: as `cablesense train --network` takes it, or `anywhere` of the law.
         arm_identity: name and hash of the arm.
         cable_names, joint_names: order of the inputs.
         pose_aware: whether the commanded joint angles are an input.
         pose_range_deg, force_range_n: joint angles within ± this and forces up to this were
             trained on.
         tare_samples: readings averaged into the unloaded state in training.
-        memory, hidden: sizes of the state that is carried from tick to tick, 0 of a model without
-            memory, and of its part that belongs to the recurrent unit, see `TemporalState`.
-        tick_s: time from tick to tick.
-        joint_speed_deg_s: peak speed of the moves that a model with memory was trained on.
         effect_versions: of the laws of the arm's effects that it was trained on, if not 1.
         command, seed: what makes the file again.
         version: of CableSense.
@@ -110,26 +93,17 @@ class ModelMetadata(BaseModel):
     pose_range_deg: _Finite
     force_range_n: _Finite
     tare_samples: Annotated[int, Field(ge=1)]
-    memory: Annotated[int, Field(ge=0, le=4096)] = 0
-    hidden: Annotated[int, Field(ge=0, le=4096)] = 0
-    tick_s: _Finite = 0.0
-    joint_speed_deg_s: _Finite = 0.0
     effect_versions: dict[str, Annotated[int, Field(ge=1)]] = Field(default_factory=dict)
     command: str
     seed: int
     version: str
-    misfit_limit: MisfitLimit | None = None
 
     def to_properties(self) -> dict[str, str]:
-        """As ONNX metadata properties, without those of a memory that the model does not have."""
-        of_some = ("memory", "hidden", "tick_s", "joint_speed_deg_s", "effect_versions")
-        left_out = {"misfit_limit", *(name for name in of_some if not getattr(self, name))}
+        """As ONNX metadata properties."""
+        left_out = set() if self.effect_versions else {"effect_versions"}
         # JSON has no infinity: pydantic writes a rigid actuator's stiffness as null
         content = json.loads(self.model_dump_json(exclude=left_out))
-        properties = {_KEY: json.dumps(content, sort_keys=True, allow_nan=False)}
-        if self.misfit_limit is not None:
-            properties[MISFIT_KEY] = self.misfit_limit.model_dump_json()
-        return properties
+        return {_KEY: json.dumps(content, sort_keys=True, allow_nan=False)}
 
     @classmethod
     def from_properties(cls, properties: Mapping[str, str], source: str) -> ModelMetadata:
@@ -137,7 +111,7 @@ class ModelMetadata(BaseModel):
         if _KEY not in properties:
             raise ModelFileError(
                 f"{source}: an ONNX file, but not a CableSense model (no metadata {_KEY!r}); "
-                "make one with `cablesense train`"
+                "make one with `cablesense export`"
             )
         try:
             content = json.loads(properties[_KEY])
@@ -146,10 +120,11 @@ class ModelMetadata(BaseModel):
                     f"{source}: format {str(content.get('format'))[:80]!r}; this version reads "
                     f"{FORMAT!r}, so train the model again"
                 )
+            if isinstance(content, dict):
+                removed = of_removed_network(str(content.get("network")))
+                if removed:
+                    raise ModelFileError(f"{source}: {removed}")
             metadata = cls.model_validate(_with_infinities(content))
-            if MISFIT_KEY in properties:
-                limit = MisfitLimit.model_validate_json(properties[MISFIT_KEY])
-                metadata = metadata.model_copy(update={"misfit_limit": limit})
         except (ValueError, ValidationError, RecursionError) as error:
             line = " ".join(str(error).split())[:200]
             raise ModelFileError(
@@ -190,31 +165,28 @@ _BUNDLED = BundledFiles("model", "models", (".onnx",), ModelFileError)
 
 
 def bundled_models() -> list[str]:
-    """Names of the bundled models, for example `cdsm`; baselines are in `peers/`."""
+    """Names of the bundled models, for example `cdsm_anywhere`; the paper's are in `peers/`."""
     return _BUNDLED.names()
 
 
 def find_model_of(arm: Arm, arm_file: str, model: str = "") -> Path:
     """The model file of a name or a path; by default the arm's bundled one, of contacts anywhere.
 
-    Without such a model (`cdsm_anywhere`) it is that of the arm's name.
-
     Raises:
         ModelFileError: as `find_model`, or no model is bundled for the arm.
     """
     name = f"{arm.name}_anywhere"
     if not model and name not in bundled_models():
-        name = arm.name
-        if name not in bundled_models():
-            raise ModelFileError(
-                f"no model is bundled for arm {name}: train one with `cablesense train --arm "
-                f"{arm_file} --out {name}.onnx`, and give it as the model (--model {name}.onnx)"
-            )
+        raise ModelFileError(
+            f"no model is bundled for arm {arm.name}: make one with `cablesense export --arm "
+            f"{arm_file} --out {arm.name}.onnx`, and give it as the model (--model "
+            f"{arm.name}.onnx)"
+        )
     return find_model(model or name)
 
 
 def find_model(name_or_path: str | Path) -> Path:
-    """The model file of a name (`cdsm`) or a path (`my.onnx`).
+    """The model file of a name (`cdsm_anywhere`) or a path (`my.onnx`).
 
     Raises:
         ModelFileError: neither a bundled model nor a file; the message lists the bundled names.

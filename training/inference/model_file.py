@@ -6,27 +6,23 @@ import hashlib
 import math
 from pathlib import Path
 
-import numpy as np
 import onnx
-from onnx import AttributeProto, GraphProto, ModelProto, TensorProto
+from onnx import AttributeProto, ModelProto, TensorProto
 
-from cablesense_base.files import read_bounded_bytes, write_atomically
+from cablesense_base.files import read_bounded_bytes
 from cablesense_training.errors import ModelFileError
-from cablesense_training.inference.metadata import MISFIT_KEY, MisfitLimit, ModelMetadata
+from cablesense_training.inference.metadata import ModelMetadata
 
 MAX_FILE_BYTES = 64 * 1024 * 1024
 """Models are a fraction of a megabyte; a file beyond this is not one."""
 
-_FEW = 64
-"""Shorter constants are not worth a cast."""
-
 _PLAIN_OPERATORS = """
-Abs Add And ArgMax ArgMin Atan Cast Clip Concat Constant ConstantOfShape Cos CumSum Div
-Elu Equal Erf Exp Expand Flatten Floor Gather GatherElements Gemm Greater GreaterOrEqual
-Identity LayerNormalization LeakyRelu Less LessOrEqual Log LogSoftmax MatMul Max Min Mul
-Neg Not Or Pad Pow Range Reciprocal ReduceL2 ReduceMax ReduceMean ReduceMin ReduceProd
-ReduceSum Relu Reshape Shape Sigmoid Sign Sin Slice Softmax Softplus Split Sqrt Squeeze Sub
-Tanh Tile Transpose Unsqueeze Where
+Abs Add And ArgMax ArgMin Atan Cast Clip Concat Constant ConstantOfShape Cos CumSum Div Elu
+Equal Erf Exp Expand EyeLike Flatten Floor Gather GatherElements Gemm Greater GreaterOrEqual
+Identity LayerNormalization LeakyRelu Less LessOrEqual Log LogSoftmax MatMul Max Min Mul Neg
+Not Or Pad Pow Range Reciprocal ReduceL2 ReduceLogSumExp ReduceMax ReduceMean ReduceMin
+ReduceProd ReduceSum Relu Reshape Shape Sigmoid Sign Sin Slice Softmax Softplus Split Sqrt
+Squeeze Sub Tanh Tile Transpose Unsqueeze Where
 """
 OPERATORS = {
     "": frozenset(_PLAIN_OPERATORS.split()),
@@ -69,7 +65,7 @@ def read_model(path: str | Path) -> tuple[ModelProto, ModelMetadata]:
     except Exception as error:  # protobuf and onnx raise whatever the broken place led to
         raise ModelFileError(
             f"{path}: not a valid ONNX file ({one_line(error)}); needed is a model file, "
-            "as `cablesense train` writes it"
+            "as `cablesense export` and `cablesense train` write it"
         ) from error
     properties = {entry.key: entry.value for entry in model.metadata_props}
     return model, ModelMetadata.from_properties(properties, str(path))
@@ -80,64 +76,14 @@ def one_line(error: Exception) -> str:
     return " ".join(str(error).split())[:200]
 
 
-def replace_misfit_limit(path: Path, limit: MisfitLimit | None) -> None:
-    """Put another limit of the misfit, or none, into a model file; all else of it stays.
-
-    Raises:
-        ModelFileError: no model file, or it cannot be written.
-    """
-    model, _ = read_model(path)
-    write_atomically(path, _with_misfit_limit(model, limit), ModelFileError)
-
-
 def model_sha256(path: str | Path) -> str:
-    """SHA-256 of a model file without its limit of the misfit, which no estimate follows from.
+    """SHA-256 of a model file.
 
     Raises:
-        ModelFileError: no model file.
+        ModelFileError: it cannot be read.
     """
-    model, _ = read_model(path)
-    return hashlib.sha256(_with_misfit_limit(model, None)).hexdigest()
-
-
-def _with_misfit_limit(model: ModelProto, limit: MisfitLimit | None) -> bytes:
-    kept = [entry for entry in model.metadata_props if entry.key != MISFIT_KEY]
-    del model.metadata_props[:]
-    model.metadata_props.extend(kept)
-    if limit is not None:
-        model.metadata_props.add(key=MISFIT_KEY, value=limit.model_dump_json())
-    return model.SerializeToString()
-
-
-def store_as_single(graph: GraphProto) -> None:
-    """Store constants in float32 where that loses nothing, each followed by a cast to float64.
-
-    A network is trained in float32 and answers in float64, so this halves its file.
-    """
-    casts, kept = [], []
-    for constant in graph.initializer:
-        values = onnx.numpy_helper.to_array(constant)
-        single = values.astype(np.float32)
-        if values.dtype != np.float64 or values.size < _FEW or not (single == values).all():
-            kept.append(constant)
-            continue
-        kept.append(onnx.numpy_helper.from_array(single, f"{constant.name}_single"))
-        names = [kept[-1].name], [constant.name]
-        casts.append(onnx.helper.make_node("Cast", *names, to=TensorProto.DOUBLE))
-    nodes = [*casts, *graph.node]
-    del graph.initializer[:], graph.node[:]
-    graph.initializer.extend(kept)
-    graph.node.extend(nodes)
-
-
-def widen_constants(graph: GraphProto) -> None:
-    """Undo `store_as_single`: a constant behind a cast would be a result in a split graph."""
-    single = {constant.name: constant for constant in graph.initializer}
-    for node in list(graph.node):
-        if node.op_type == "Cast" and node.input[0] in single:
-            values = onnx.numpy_helper.to_array(single[node.input[0]]).astype(np.float64)
-            single[node.input[0]].CopyFrom(onnx.numpy_helper.from_array(values, node.output[0]))
-            graph.node.remove(node)
+    content = read_bounded_bytes(path, MAX_FILE_BYTES, "a model file (.onnx)", ModelFileError)
+    return hashlib.sha256(content).hexdigest()
 
 
 def require_harmless(model: ModelProto, source: str) -> None:
@@ -167,7 +113,7 @@ def require_harmless(model: ModelProto, source: str) -> None:
     if problem:
         raise ModelFileError(
             f"{source}: {problem}; needed is one plain graph with all its numbers in this file, "
-            "as `cablesense train` writes it"
+            "as `cablesense export` and `cablesense train` write it"
         )
 
 

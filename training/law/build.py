@@ -2,29 +2,84 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import torch
+from torch import Tensor, nn
 
 from cablesense_base import Array
 from cablesense_contact.calibration import parameters_of
 from cablesense_contact.law import LawOutput
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
-from cablesense_sim.effects.registry import amended
+from cablesense_sim.effects.registry import amended, joint_zeros_rad, sensings
 from cablesense_sim.replay import reading_variance_n2
 from cablesense_sim.touch import touched_places
-from cablesense_training.law.estimator import ArmEstimator
+from cablesense_training.law.estimator import ArmEstimator, EstimatorOutput
+from cablesense_training.law.geometry import constant
 from cablesense_training.law.measurement import FrictionWraps
 
 UNLISTED_PULLEY_RAD = 1.0
 """Wrap at the actuators of an arm whose file lists no friction."""
 
 
-def arm_estimator(arm: Arm) -> ArmEstimator:
-    """The estimator of an arm: as drawn, with the effects on its body that its file lists."""
+class _ListedSensing(NamedTuple):
+    """What the effects in an arm file make of tensions and commands, beside the arm's body.
+
+    Attributes:
+        mixing: (M, M) and
+        zero_n: (M,) of readings that have settled: mixing @ tensions + zeros.
+        mean: (P,) the parameters that the file lists: joint zeros.
+    """
+
+    mixing: Array
+    zero_n: Array
+    mean: Array
+
+    @property
+    def is_perfect(self) -> bool:
+        """Whether the file lists no such effect."""
+        unmixed = np.array_equal(self.mixing, np.eye(len(self.mixing)))
+        return unmixed and not self.zero_n.any() and not self.mean.any()
+
+
+class _SensedEstimator(nn.Module):
+    """The estimator behind the sensors and joint zeros that an arm file lists.
+
+    Readings are taken back to those of sensors as they should be; parameters are deviations from
+    what the file lists.
+    """
+
+    def __init__(self, estimator: ArmEstimator, listed: _ListedSensing) -> None:
+        super().__init__()
+        self.estimator = estimator
+        self.unmixing = constant(np.linalg.inv(listed.mixing).T)
+        self.zero_n = constant(listed.zero_n)
+        self.mean = constant(listed.mean)
+
+    def forward(
+        self,
+        reading_n: Tensor,
+        command_rad: Tensor,
+        mean: Tensor,
+        covariance: Tensor,
+        unrest_n2_m2: Tensor,
+    ) -> EstimatorOutput:
+        """See `ArmEstimator`."""
+        right_n = (reading_n - self.zero_n) @ self.unmixing
+        return self.estimator(right_n, command_rad, mean + self.mean, covariance, unrest_n2_m2)
+
+
+def arm_estimator(arm: Arm, unexplained_n2: float = 0.0) -> ArmEstimator | _SensedEstimator:
+    """The estimator of an arm: as drawn, with the effects that its file lists.
+
+    Of effects without memory it knows all but springs in joints, of the others the friction of
+    cables. `unexplained_n2` is the variance of readings by what it does not know, N².
+    """
     nominal = mechanism_of(arm)
     places = touched_places(arm)
-    return ArmEstimator(
+    estimator = ArmEstimator(
         amended(nominal, entries_of(arm)),
         nominal,
         parameters_of(arm),
@@ -34,6 +89,27 @@ def arm_estimator(arm: Arm) -> ArmEstimator:
         places.radius_m,
         places.friction,
     )
+    # which cables are taut is seen by the sensors' own noise
+    estimator.measurement.reading_variance_n2 += unexplained_n2
+    listed = _listed_sensing(arm)
+    return estimator if listed.is_perfect else _SensedEstimator(estimator, listed)
+
+
+def _listed_sensing(arm: Arm) -> _ListedSensing:
+    """Sensors without memory are affine in the tensions; others are taken as they settle."""
+    entries = entries_of(arm)
+    cables = arm.cable_count
+    tensions_n = np.concatenate([np.zeros((1, cables)), np.eye(cables)])
+    readings_n = tensions_n
+    for sensing in sensings([entries] * len(tensions_n)):
+        readings_n = sensing.step(0.0, readings_n)
+    zero_n = readings_n[0]
+    parameters = parameters_of(arm)
+    mean = np.zeros(len(parameters))
+    zeros_rad = joint_zeros_rad([entries], arm.segment_count)
+    if zeros_rad is not None:
+        mean[parameters.slices["joint_zero"]] = zeros_rad[0]
+    return _ListedSensing((readings_n[1:] - zero_n).T, zero_n, mean)
 
 
 def friction_wraps(arm: Arm) -> FrictionWraps:
@@ -45,10 +121,16 @@ def friction_wraps(arm: Arm) -> FrictionWraps:
 
 
 class TorchLaw:
-    """The law of an arm in PyTorch; a `cablesense_contact.law.Law`."""
+    """The law of an arm in PyTorch; a `cablesense_contact.law.Law`.
 
-    def __init__(self, arm: Arm) -> None:
-        self._estimator = arm_estimator(arm).double().eval()
+    Attributes:
+        arm: the arm.
+    """
+
+    def __init__(self, arm: Arm, unexplained_n2: float = 0.0) -> None:
+        """Build it; see `arm_estimator`."""
+        self.arm = arm
+        self._estimator = arm_estimator(arm, unexplained_n2).double().eval()
 
     def __call__(
         self,

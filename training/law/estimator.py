@@ -1,4 +1,4 @@
-"""The whole estimator as one module: a reading, a command and a calibration in, a posterior out."""
+"""The whole estimator as one module: reading, command and calibration in, a posterior out."""
 
 from __future__ import annotations
 
@@ -10,17 +10,24 @@ from torch import Tensor, nn
 
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.tolerances import ArmParameters
-from cablesense_training.law.geometry import constant, error_function
+from cablesense_training.law.geometry import Matrix, constant
 from cablesense_training.law.hypotheses import RivalHypotheses
-from cablesense_training.law.measurement import FrictionWraps, MeasurementModel
-from cablesense_training.law.posterior import LARGEST_N, ContactPosterior, PosteriorOfContact
+from cablesense_training.law.measurement import POSE_STEPS, FrictionWraps, MeasurementModel
+from cablesense_training.law.posterior import (
+    LARGEST_N,
+    PLACES,
+    ContactPosterior,
+    PosteriorOfContact,
+)
+from cablesense_training.law.wrench import WrenchFit
 
-_POINTS = 61
+_POINTS = 49
 """Points at which a distribution is taken for the ends of its interval."""
-_WIDTH = 5.0
+_WIDTH = 4.0
 """Standard deviations that they cover to each side."""
 _LOW = 0.025
 _HIGH = 0.975
+_TINY = 1e-18
 
 
 class EstimatorOutput(NamedTuple):
@@ -94,6 +101,7 @@ class ArmEstimator(nn.Module):
         reach_m: (N, 2) places on each segment where it can be touched.
         radius_m: (N,) of the touched surface.
         friction: coefficient of the touched surface; zero where contacts act on the axis.
+        pose_steps: Gauss-Newton steps from the command to the pose.
     """
 
     def __init__(
@@ -103,24 +111,32 @@ class ArmEstimator(nn.Module):
         parameters: ArmParameters,
         reading_variance_n2: float,
         wraps: FrictionWraps,
-        reach_m: np.ndarray,
-        radius_m: np.ndarray,
+        reach_m: Matrix,
+        radius_m: Matrix,
         friction: float,
+        pose_steps: int = POSE_STEPS,
     ) -> None:
         super().__init__()
         self.measurement = MeasurementModel(
-            mechanism, held_by, parameters, reading_variance_n2, wraps
+            mechanism, held_by, parameters, reading_variance_n2, wraps, pose_steps
         )
+        self.wrench = WrenchFit(mechanism.segment_length_m)
         self.contact = PosteriorOfContact(reach_m, radius_m, friction)
         self.rivals = RivalHypotheses(mechanism.segment_length_m)
+        length_m = mechanism.segment_length_m
+        joint_m = np.concatenate([[0.0], np.cumsum(length_m)[:-1]])
         self.points = constant(np.linspace(0.0, 1.0, _POINTS))
         self.ends = constant(np.array([[_LOW], [_HIGH]]))
-        self.low_m = constant(reach_m[:, :1])
-        self.high_m = constant(reach_m[:, 1:])
-        length = mechanism.segment_length_m
-        self.joint_m = constant(np.concatenate([[0.0], np.cumsum(length)[:-1]]))
+        self.low_m = constant(reach_m[:, :1, None])
+        self.high_m = constant(reach_m[:, 1:, None])
+        self.joint_m = constant(joint_m[:, None, None])
         self.numbers = constant(np.arange(mechanism.segment_count))
-        self.earlier = constant(np.tril(np.ones((len(length), len(length))), -1).T)
+        self.earlier = constant(np.tril(np.ones((len(length_m), len(length_m))), -1).T)
+        self.to_covariance = constant(_to_covariance())
+        self.around_axes = constant(np.array([[0.0, 1.0], [-1.0, 0.0]]))
+        self.moment_variances = constant(np.array([35, 28]))
+        self.lateral_variances = constant(np.array([5, 9]))
+        self.grid_shape = (-1, 20, PLACES)
 
     def forward(
         self,
@@ -132,25 +148,32 @@ class ArmEstimator(nn.Module):
     ) -> EstimatorOutput:
         """The posterior; `unrest_n2_m2` (2N, 2N) is the covariance of torques by motion."""
         seen = self.measurement(reading_n, command_rad, mean, covariance, unrest_n2_m2)
-        one = self.contact(
-            seen.torque_precision,
-            seen.torque_pull,
-            seen.at_joint_m,
-            seen.by_place,
-            seen.by_torsion,
-        )
-        rival = self.rivals(seen, reading_n)
+        wrench = self.wrench(seen)
+        one = self.contact(wrench, self.wrench)
+        rival = self.rivals(seen, wrench)
         best = one.log_evidence.argmax(1, keepdim=True)
-        chosen = (best == self.numbers).to(reading_n.dtype)
+        chosen = (best == self.numbers).to(reading_n.dtype)[:, None]
+        gain = (chosen @ one.chi2_gain[..., None])[:, 0, 0]
         place_ci, region = self._places(one, chosen)
 
-        def of_best(values: Tensor) -> Tensor:
-            shaped = chosen.reshape(-1, chosen.shape[1], *([1] * (values.dim() - 2)))
-            return (values * shaped).sum(1)
-
-        means = of_best(one.means)
-        spread = of_best(one.covariance)
-        gain = of_best(one.chi2_gain)
+        # the grid of the likeliest segment
+        place_m = torch.minimum(torch.maximum(one.place_m, self.low_m), self.high_m)
+        rows = (
+            place_m, one.force_n, one.line_m * one.force_n[:, :, 1:], one.weight,
+            one.place_variance_m2, one.covariance_n2, one.line_m**2, one.lateral_squared_n2,
+            one.lateral_variance_n2,
+        )  # fmt: skip
+        grid = (chosen @ torch.cat(rows, dim=2).flatten(2)).reshape(self.grid_shape)
+        values, weight, within, square_m2, squared, variance = grid.split((6, 1, 10, 1, 1, 1), 1)
+        means = values @ weight.transpose(1, 2)
+        offsets = values - means
+        moment_variance = within.index_select(1, self.lateral_variances) * square_m2
+        within = torch.cat([within, moment_variance], dim=1) @ weight.transpose(1, 2)
+        within = (within.transpose(1, 2) @ self.to_covariance).reshape(-1, 6, 6)
+        spread = (offsets * weight) @ offsets.transpose(1, 2) + within
+        place, force, around = means[:, :, 0].split((1, 3, 2), dim=1)
+        moment_variance = spread.flatten(1).index_select(1, self.moment_variances)
+        at_joint, by_place = seen.levers.split(3, dim=2)
         return EstimatorOutput(
             contact_evidence=one.log_evidence,
             segment_evidence=rival.segment,
@@ -161,71 +184,96 @@ class ArmEstimator(nn.Module):
             free_chi2=rival.free_chi2,
             contact_chi2=rival.free_chi2 - gain,
             several_chi2=rival.free_chi2 - rival.several_gain,
-            place_m=means[:, 0],
+            place_m=place[:, 0],
             place_ci95_m=place_ci,
             region_m=region,
-            force_n=means[:, 1:],
-            contact_covariance=spread,
-            magnitude_ci95_n=self._magnitudes(
-                of_best(one.weight), of_best(one.lateral_n), of_best(one.lateral_std_n)
-            ),
-            moment_n_m=of_best(one.moment_n_m),
-            moment_std_n_m=of_best(one.moment_std_n_m),
+            force_n=force,
+            contact_covariance=spread[:, :4, :4],
+            magnitude_ci95_n=self._magnitudes(weight, squared, variance),
+            moment_n_m=around @ self.around_axes,
+            moment_std_n_m=torch.sqrt(moment_variance.clamp(min=_TINY)),
             fault_n=rival.faulty_free_n,
-            innovation_n=seen.innovation_n,
+            innovation_n=seen.innovation_n[:, 0],
             information_n2=seen.information_n2,
             by_parameter=seen.by_parameter,
             by_torque=seen.by_torque,
-            at_joint_m=seen.at_joint_m,
-            by_place=seen.by_place,
-            pose_rad=seen.pose_rad,
+            at_joint_m=at_joint,
+            by_place=by_place,
+            pose_rad=seen.pose_rad[:, 0],
         )
 
-    def _magnitudes(self, weight: Tensor, lateral_n: Tensor, std_n: Tensor) -> Tensor:
-        """The interval (B, 2) of a mixture (B, K) of normal magnitudes, up to the largest."""
-        mean = (weight * lateral_n).sum(1, keepdim=True)
-        variance = (weight * (std_n**2 + (lateral_n - mean) ** 2)).sum(1, keepdim=True)
-        width = _WIDTH * torch.sqrt(variance)
-        low = (mean - width).clamp(min=0.0)
-        high = mean + width
-        points = low + (high - low) * self.points
-        off = (points[:, :, None] - lateral_n[:, None]) * torch.rsqrt(2.0 * std_n**2)[:, None]
-        cdf = 0.5 * (weight[:, None] * (1.0 + error_function(off))).sum(2)
+    def _magnitudes(self, weight: Tensor, squared_n2: Tensor, variance_n2: Tensor) -> Tensor:
+        """The interval (B, 2) of a mixture (B, 1, K) of normal magnitudes, up to the largest."""
+        lateral = torch.sqrt(squared_n2)
+        mean, std = _moments(weight, lateral, variance_n2)
+        low = (mean - _WIDTH * std).clamp(min=0.0)
+        points = low + (mean + _WIDTH * std - low) * self.points
+        cdf = _mixture_cdf(points, mean, std, weight, lateral, variance_n2)
         # forces beyond the largest that is expected count only where all are
-        most = cdf[:, -1:]
-        inside = (cdf * (points <= LARGEST_N)).amax(1, keepdim=True)
-        most = torch.where(inside > _LOW, inside, most)
+        inside = (cdf * (points <= LARGEST_N)).amax(2, keepdim=True)
+        most = torch.where(inside > _LOW, inside, cdf[:, :, -1:])
         return _quantiles(points, cdf / most, self.ends)
 
     def _places(self, one: ContactPosterior, chosen: Tensor) -> tuple[Tensor, Tensor]:
         """The intervals (B, 2) of the place on the chosen segment, and along the arm."""
-        mean = one.means[:, :, :1]
-        std = torch.sqrt(one.covariance[:, :, :1, 0])
-        low = torch.maximum(mean - _WIDTH * std, self.low_m)
-        high = torch.minimum(mean + _WIDTH * std, self.high_m)
+        mean, std = _moments(one.weight, one.place_m, one.place_variance_m2)
+        width = _WIDTH * std
+        low = torch.minimum(torch.maximum(mean - width, self.low_m), self.high_m - std)
+        high = torch.maximum(torch.minimum(mean + width, self.high_m), self.low_m + std)
         points = low + (high - low) * self.points
-        off = points[..., None] - one.place_m[:, :, None]
-        scaled = off * torch.rsqrt(2.0 * one.place_std_m**2)[:, :, None]
-        cdf = 0.5 * (one.weight[:, :, None] * (1.0 + error_function(scaled))).sum(3)
+        cdf = _mixture_cdf(points, mean, std, one.weight, one.place_m, one.place_variance_m2)
         # what lies beyond the ends of the segment is taken to be on it
-        cdf = (cdf - cdf[:, :, :1]) / (cdf[:, :, -1:] - cdf[:, :, :1] + 1e-12)
-        own_points = (points * chosen[..., None]).sum(1)
-        own_cdf = (cdf * chosen[..., None]).sum(1)
+        first = cdf[..., :1]
+        cdf = (cdf - first) / (cdf[..., -1:] - first).clamp(min=1e-12)
+        both = chosen @ torch.cat([points, cdf], dim=3).flatten(2)
+        own_points, own_cdf = both.split(_POINTS, dim=2)
         own = _quantiles(own_points, own_cdf, self.ends)
         probability = torch.softmax(one.log_evidence, dim=1)
         before = probability @ self.earlier
-        along = (points + self.joint_m[:, None]).flatten(1)
-        all_cdf = (before[..., None] + probability[..., None] * cdf).flatten(1)
-        return own, _quantiles(along, all_cdf, self.ends)
+        along = points + self.joint_m
+        along_cdf = before[:, :, None, None] + probability[:, :, None, None] * cdf
+        return own, _quantiles(along.flatten(1)[:, None], along_cdf.flatten(1)[:, None], self.ends)
+
+
+def _moments(weight: Tensor, value: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and deviation (..., 1, 1) of a mixture (..., 1, K) of normal distributions."""
+    mean = (weight * value).sum(-1, keepdim=True)
+    square = weight * (variance + (value - mean) ** 2)
+    return mean, torch.sqrt(square.sum(-1, keepdim=True))
+
+
+def _mixture_cdf(
+    points: Tensor, mean: Tensor, std: Tensor, weight: Tensor, value: Tensor, variance: Tensor
+) -> Tensor:
+    """(..., 1, Q) distribution function of a mixture (..., 1, K) at points (..., 1, Q).
+
+    In single precision, relative to the mean and the deviation of the mixture, as ONNX Runtime
+    has the error function in that alone.
+    """
+    place = ((points - mean) / std).float()
+    offset = ((value - mean) / std).float().transpose(-1, -2)
+    scale = (std * torch.rsqrt(2.0 * variance)).float().transpose(-1, -2)
+    shares = torch.erf((place - offset) * scale)
+    return 0.5 + 0.5 * (weight.float() @ shares).double()
 
 
 def _quantiles(points: Tensor, cdf: Tensor, shares: Tensor) -> Tensor:
-    """(B, S) where a distribution function (B, Q) at ascending points reaches shares (S, 1)."""
-    above = (cdf[:, None] < shares).to(torch.int64).sum(2).clamp(1, points.shape[1] - 1)
-    below = above - 1
-    low = torch.gather(points, 1, below)
-    high = torch.gather(points, 1, above)
-    low_cdf = torch.gather(cdf, 1, below)
-    high_cdf = torch.gather(cdf, 1, above)
-    part = (shares[:, 0] - low_cdf) / (high_cdf - low_cdf + 1e-12)
-    return low + (high - low) * part.clamp(0.0, 1.0)
+    """(B, S) where a distribution function (B, 1, Q) at ascending points reaches shares (S, 1).
+
+    Between two points it is linear: of each step there is what the share exceeds the lower end by.
+    """
+    lower = cdf[:, :, :-1]
+    rise = (cdf[:, :, 1:] - lower).clamp(min=1e-12)
+    part = ((shares - lower) / rise).clamp(0.0, 1.0)
+    step = points[:, :, 1:] - points[:, :, :-1]
+    return (points[:, :, :1] + part @ step.transpose(1, 2))[:, :, 0]
+
+
+def _to_covariance() -> Matrix:
+    """(12, 36): variances of the place, of the force (3, 3) and of two moments, to one matrix."""
+    placed = np.zeros((12, 6, 6))
+    placed[0, 0, 0] = 1.0
+    placed[1:10, 1:4, 1:4] = np.eye(9).reshape(9, 3, 3)
+    placed[10, 4, 4] = 1.0
+    placed[11, 5, 5] = 1.0
+    return placed.reshape(12, 36)

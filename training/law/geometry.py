@@ -1,12 +1,14 @@
 """Cables through guide holes and segments on joints, with all derivatives that the law needs.
 
-With before_i and after_i the holes of cable i in the plates around a joint, each in the frame of
-its own plate, and R = Ry(pitch) Rz(yaw) the turn of the joint, the span across it is
+A cable passes a hole at b in the plate before a joint and one at a in the plate behind it, each in
+the frame of its own plate. With R = Ry(pitch) Rz(yaw) the turn of the joint, the span between them
+is
 
-    d_i² = |before_i|² + |after_i|² - 2 before_i · R after_i.
+    d² = |b|² + |a|² - 2 b · R a = Σ_f t_f Q_f,
 
-Every derivative of d² by the angles has R replaced by its own derivative, and those by the holes
-follow from R after and Rᵀ before. So a stack of six matrices for each joint does all.
+t being nine trigonometric terms of the joint's two angles: 1, and cosine and sine of pitch, yaw,
+their sum and their difference. Q is bilinear in the two holes. So derivatives by the angles are
+those of t, a constant matrix, and derivatives by a hole are those of Q.
 """
 
 from __future__ import annotations
@@ -28,15 +30,32 @@ for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
     LEVI_CIVITA[_i, _j, _k] = 1.0
     LEVI_CIVITA[_k, _j, _i] = -1.0
 
-_BY_ANGLE = np.array([[0, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=float)
-"""Coefficients of d/dx (1, cos x, sin x) = (0, -sin x, cos x)."""
-
-_TINY = 1e-18
+_ANGLES = np.array([[0, 1, 1, 0, 0, 1, 1, 1, 1], [0, 0, 0, 1, 1, 1, 1, -1, -1]], dtype=float)
+"""Pitch and yaw in the angles of the nine terms."""
+_PHASES = np.array([0, 0, 1, 0, 1, 0, 1, 0, 1]) * (-0.5 * np.pi)
+"""Sines are cosines a quarter of a turn behind."""
 
 
 def constant(value: NDArray[np.generic]) -> nn.Buffer:
     """Numbers of an arm that go with a module and are not trained."""
     return nn.Buffer(torch.as_tensor(np.ascontiguousarray(value)))
+
+
+def error_function(value: Tensor) -> Tensor:
+    """erf, to 1e-7: ONNX Runtime has it in single precision only."""
+    return torch.erf(value.float()).double()
+
+
+def _term_derivatives() -> Matrix:
+    """(9, 6, 9): terms to themselves and their derivatives by p, y, pp, py and yy."""
+    by_angle = np.zeros((2, 9, 9))
+    for cosine in (1, 3, 5, 7):
+        sine = cosine + 1
+        by_angle[:, sine, cosine] = -_ANGLES[:, cosine]
+        by_angle[:, cosine, sine] = _ANGLES[:, cosine]
+    by_pitch, by_yaw = by_angle
+    orders = [np.eye(9), by_pitch, by_yaw, by_pitch @ by_pitch, by_pitch @ by_yaw, by_yaw @ by_yaw]
+    return np.stack(orders, axis=1)
 
 
 def _rotation_about(axis: int) -> Matrix:
@@ -45,49 +64,48 @@ def _rotation_about(axis: int) -> Matrix:
     return np.stack([along, np.eye(3) - along, LEVI_CIVITA[:, axis]], axis=-1)
 
 
-def _joint_rotation_stack() -> Matrix:
-    """(9, 81): products of (1, cos, sin) of pitch and yaw to nine matrices.
-
-    They are R, R_p, R_y, R_pp, R_py and R_yy, and the first three transposed.
-    """
-    plain = np.einsum("kmi,mlj->ijkl", _rotation_about(1), _rotation_about(2))
-
-    def by_pitch(coefficients: Matrix) -> Matrix:
-        return np.einsum("ai,ijkl->ajkl", _BY_ANGLE, coefficients)
-
-    def by_yaw(coefficients: Matrix) -> Matrix:
-        return np.einsum("bj,ijkl->ibkl", _BY_ANGLE, coefficients)
-
-    pitched = by_pitch(plain)
-    yawed = by_yaw(plain)
-    stack = [plain, pitched, yawed, by_pitch(pitched), by_yaw(pitched), by_yaw(yawed)]
-    stack += [np.swapaxes(each, 2, 3) for each in stack[:3]]
-    return np.stack(stack, axis=2).reshape(9, 81)
-
-
-def error_function(value: Tensor) -> Tensor:
-    """erf, to 1e-7: ONNX Runtime has it in single precision only."""
-    return torch.erf(value.float()).double()
+def _rotation_terms() -> Matrix:
+    """(9, 3, 3): R as coefficients of the nine terms."""
+    # (1, cos p, sin p) x (1, cos y, sin y) by the terms: cos p cos y = (cos(p+y) + cos(p-y)) / 2
+    products = np.zeros((3, 3, 9))
+    products[0, 0, 0] = 1.0
+    products[1, 0, 1] = 1.0
+    products[2, 0, 2] = 1.0
+    products[0, 1, 3] = 1.0
+    products[0, 2, 4] = 1.0
+    products[1, 1, [5, 7]] = 0.5
+    products[2, 2, [5, 7]] = -0.5, 0.5
+    products[2, 1, [6, 8]] = 0.5
+    products[1, 2, [6, 8]] = 0.5, -0.5
+    turn = np.einsum("kmi,mlj->ijkl", _rotation_about(1), _rotation_about(2))
+    return np.einsum("ijf,ijkl->fkl", products, turn)
 
 
 class Holes(NamedTuple):
-    """Where the cables pass the plates around each joint, (N, 3, M) m in the frames of the plates."""
+    """The squares of all spans by the nine terms, with N joints and M cables.
 
-    before_m: Tensor
-    after_m: Tensor
+    Attributes:
+        squares: (N, 9, M) m²; zero where a cable does not pass.
+        by_hole: (N, 9, 2 (N + 1) M) their derivatives by the holes of plates 0 to N, outward and
+            then around.
+    """
+
+    squares: Tensor
+    by_hole: Tensor
 
 
 class Spans(NamedTuple):
     """The cables at B poses.
 
     Attributes:
-        length_m: (B, M) sums of the spans of each cable.
+        length_m: (B, 1, M) sums of the spans of each cable.
         slope_m: (B, N, 2, M) by pitch and yaw.
         curve_m: (B, N, 3, M) second derivatives: pitch², pitch yaw, yaw².
-        by_hole: (B, 2, N + 1, M) of a cable's length by its hole, outward and around, in each plate.
-        slope_by_hole: (B, 2N, 2, N + 1, M) of the slopes of all joints.
-        bend_rad: (B, N, M) turn of a cable at the guides of each joint: behind the joint before it
-            and before this one.
+        by_hole: (B, 2 (N + 1), M) of a cable's length by its hole in each plate, outward and
+            then around.
+        slope_by_hole: (B, N, 2, 2 (N + 1), M) of the slopes.
+        bend_rad: (B, N + 1, M) turn of a cable at each plate, behind the joint before it and
+            before the one after it.
     """
 
     length_m: Tensor
@@ -96,11 +114,6 @@ class Spans(NamedTuple):
     by_hole: Tensor
     slope_by_hole: Tensor
     bend_rad: Tensor
-
-    @property
-    def jacobian_t_m(self) -> Tensor:
-        """(B, 2N, M) transposed derivative of the cables' lengths by the joint angles."""
-        return self.slope_m.flatten(1, 2)
 
 
 class CableGeometry(nn.Module):
@@ -112,141 +125,143 @@ class CableGeometry(nn.Module):
         cables = mechanism.cable_count
         self.segment_count = count
         self.cable_count = cables
-        self.trig_map = constant(np.kron(np.eye(2 * count), [0.0, 1.0, 1.0]))
-        self.trig_shift = constant(np.tile([0.0, 0.0, -0.5 * np.pi], 2 * count))
-        joint = np.repeat(np.arange(count), 9)
-        self.pitch_feature = constant(6 * joint + np.tile(np.arange(9) // 3, count))
-        self.yaw_feature = constant(6 * joint + 3 + np.tile(np.arange(9) % 3, count))
-        self.rotation_map = constant(_joint_rotation_stack())
-        holes, _ = plate_holes_of(mechanism)
-        angle = np.arctan2(holes[:, 0], holes[:, 1])
-        outward = np.stack([np.sin(angle), np.cos(angle)], axis=1)
-        around = np.stack([np.cos(angle), -np.sin(angle)], axis=1)
-        self.hole_m = constant(holes)
-        self.outward = constant(outward)
-        self.around = constant(around)
-        units = np.stack([outward, around], axis=1)
-        # (N, 2, 1, 2, 2, M): before and after each joint, outward and around, (y, z)
-        self.units = constant(np.stack([units[:-1], units[1:]], axis=1)[:, :, None])
-        offset = np.full((count, 1, cables), mechanism.plate_offset_m)
-        self.before_x = constant(-offset)
-        self.after_x = constant(offset)
-        passes = mechanism.passes_joint.T.astype(float)
-        self.passes = constant(passes)
-        self.absent = constant(1.0 - passes)
-        plate = np.zeros((count, 2, count + 1))
-        for n in range(count):
-            plate[n, 0, n] = 1.0
-            plate[n, 1, n + 1] = 1.0
-        self.plate = constant(plate.reshape(2 * count, count + 1).T)
-        self.plate_of_side = constant(plate[:, :, None, None, :, None])
-        self.first = constant(np.array([0, 0, 1]))
-        self.second = constant(np.array([0, 1, 1]))
-        bends = np.stack([np.eye(count), np.eye(count, k=-1)], axis=2)
-        self.bends_of_joint = constant(bends.reshape(count, 2 * count))
+        self.term_angles = constant(np.kron(np.eye(count), _ANGLES))
+        self.term_phases = constant(np.tile(_PHASES, count))
+        self.straight_terms = constant(np.cos(_PHASES)[None])
+        orders = _term_derivatives()
+        self.first_order = constant(orders[:, :3].reshape(9, 27))
+        self.second_order = constant(orders.reshape(9, 54))
+        self.rotation_terms = constant(_rotation_terms().reshape(9, 9))
+        nominal, _ = plate_holes_of(mechanism)
+        self.radius_m = np.hypot(nominal[:, 0], nominal[:, 1])
+        self.bilinear = constant(_bilinear(mechanism, nominal))
+        self.unity = constant(np.ones((1, count + 1, 1, cables)))
+        plates = np.arange(count + 1)
+        joints = np.arange(count)[:, None]
+        self.is_before = constant((plates == joints).astype(float)[:, None, :, None])
+        self.is_after = constant((plates == joints + 1).astype(float)[:, None, :, None])
+        absent = 1.0 - mechanism.passes_joint.T
+        self.absent = constant(absent[:, None])
+        # |b|² is the sum of squares of the coordinates of b, the first in units of the offset
+        squared_units = np.array([mechanism.plate_offset_m**2, 1.0, 1.0])[:, None, None, None]
+        first_term = np.eye(9)[0][:, None] * mechanism.passes_joint.T[:, None]
+        self.doubled = constant(2.0 * squared_units * first_term)
 
-    def holes(self, outward_m: Tensor, around_m: Tensor) -> Holes:
-        """The holes, displaced by (N + 1, M) outward and around the axis."""
-        outward = outward_m[:, None] * self.outward
-        return self._holes_at(self.hole_m + outward + around_m[:, None] * self.around)
-
-    def nominal_holes(self) -> Holes:
-        """The holes where the arm file has them."""
-        return self._holes_at(self.hole_m)
-
-    def _holes_at(self, hole_m: Tensor) -> Holes:
-        before = torch.cat([self.before_x, hole_m[:-1]], dim=1)
-        after = torch.cat([self.after_x, hole_m[1:]], dim=1)
-        return Holes(before, after)
-
-    def rotations(self, angles_rad: Tensor) -> Tensor:
-        """(B, N, 9, 3, 3): the stack of each joint at angles (B, 2N)."""
-        trig = torch.cos(angles_rad @ self.trig_map + self.trig_shift)
-        features = trig.index_select(1, self.pitch_feature) * trig.index_select(
-            1, self.yaw_feature
-        )
-        stack = features.reshape(-1, self.segment_count, 9) @ self.rotation_map
-        return stack.reshape(-1, self.segment_count, 9, 3, 3)
-
-    def straight_m(self, holes: Holes) -> Tensor:
-        """(M,) sums of the spans with the arm straight."""
-        apart = holes.after_m - holes.before_m
-        return (torch.sqrt((apart * apart).sum(1)) * self.passes).sum(0)
-
-    def lengths(self, turns: Tensor, holes: Holes) -> Tensor:
-        """Sums of the spans (B, M); `turns` by `rotations`."""
-        rotated = turns[:, :, 0] @ holes.after_m
-        inner = (holes.before_m * rotated).sum(2)
-        return (self._length(inner, holes) * self.passes).sum(1)
-
-    def lengths_and_slopes(self, turns: Tensor, holes: Holes) -> tuple[Tensor, Tensor]:
-        """Sums of the spans (B, M) and their slopes (B, 2N, M); `turns` by `rotations`."""
+    def holes(self, placed_m: Tensor) -> Holes:
+        """Holes at (2, N + 1, M): their radius from the axis, and how far around they are off."""
         count = self.segment_count
-        first = turns[:, :, :3].reshape(-1, count, 9, 3)
-        rotated = (first @ holes.after_m).reshape(-1, count, 3, 3, self.cable_count)
-        inner = (holes.before_m[:, None] * rotated).sum(3)
-        length = self._length(inner[:, :, 0], holes)
-        slope = -inner[:, :, 1:] * (self.passes / length)[:, :, None]
-        return (length * self.passes).sum(1), slope.flatten(1, 2)
+        # a hole's coordinates: one (along the axis), outward, and around
+        placed = torch.cat([self.unity, placed_m[:, :, None]])
+        before = placed[:, :-1]
+        after = placed[:, 1:]
+        by_before = (self.bilinear * after).sum(1) + self.doubled * before
+        by_after = (self.bilinear * before[:, None]).sum(0) + self.doubled * after
+        # a quadratic form is half of the sum of its coordinates times its derivatives
+        squares = 0.5 * (before * by_before + after * by_after).sum(0)
+        here = by_before[1:, :, :, None] * self.is_before
+        there = by_after[1:, :, :, None] * self.is_after
+        by_hole = (here + there).permute(1, 2, 0, 3, 4).reshape(count, 9, -1)
+        return Holes(squares, by_hole)
 
-    def _length(self, inner: Tensor, holes: Holes) -> Tensor:
-        """(B, N, M); one where a cable does not pass."""
-        squares = (holes.before_m**2 + holes.after_m**2).sum(1) * self.passes + self.absent
-        return torch.sqrt(squares - inner * (2.0 * self.passes))
+    def nominal_holes(self) -> Tensor:
+        """The squares (N, 9, M) with the holes where the arm file has them."""
+        placed = np.stack([self.radius_m, np.zeros_like(self.radius_m)])
+        return self.holes(torch.as_tensor(placed)).squares
 
-    def forward(self, turns: Tensor, holes: Holes) -> Spans:
-        """All of the `Spans`; `turns` by `rotations`."""
+    def terms(self, angles_rad: Tensor) -> Tensor:
+        """(B, N, 1, 9): the nine terms of each joint at angles (B, 1, 2N)."""
+        terms = torch.cos(angles_rad @ self.term_angles + self.term_phases)
+        return terms.reshape(-1, self.segment_count, 1, 9)
+
+    def lengths(self, terms: Tensor, squares: Tensor) -> Tensor:
+        """Sums of the spans (B, 1, M)."""
+        return torch.sqrt(terms @ squares).sum(-3)
+
+    def lengths_and_slopes(self, terms: Tensor, squares: Tensor) -> tuple[Tensor, Tensor]:
+        """Sums of the spans (B, 1, M) and their slopes (B, 2N, M)."""
+        orders = (terms @ self.first_order).reshape(-1, self.segment_count, 3, 9) @ squares
+        square, slope = orders.split((1, 2), dim=2)
+        length = torch.sqrt(square)
+        return length.sum(1), (slope * (0.5 / (length + self.absent))).flatten(1, 2)
+
+    def straight(self, holes: Holes) -> tuple[Tensor, Tensor]:
+        """Lengths (1, M) of the cables of the straight arm, and their derivatives by the holes."""
+        length = torch.sqrt(self.straight_terms @ holes.squares)
+        slope = (self.straight_terms @ holes.by_hole).reshape(
+            self.segment_count, -1, self.cable_count
+        )
+        return length.sum(0), (slope * (0.5 / (length + self.absent))).sum(0)
+
+    def forward(self, terms: Tensor, holes: Holes) -> Spans:
+        """All of the `Spans`."""
         count = self.segment_count
         cables = self.cable_count
-        both = torch.cat([holes.after_m, holes.before_m], dim=2)
-        turned = (turns.reshape(-1, count, 27, 3) @ both).reshape(-1, count, 9, 3, 2 * cables)
-        rotated = turned[:, :, :6, :, :cables]
-        back = turned[:, :, 6:, :, cables:]
-        inner = (holes.before_m[:, None] * rotated).sum(3)
-        length = self._length(inner[:, :, 0], holes)
-        per_length = (self.passes / length)[:, :, None]
-        slope = -inner[:, :, 1:3] * per_length
-        products = slope.index_select(2, self.first) * slope.index_select(2, self.second)
-        curve = -(inner[:, :, 3:] + products) * per_length
+        orders = (terms @ self.second_order).reshape(-1, count, 6, 9)
+        square, first, second = (orders @ holes.squares).split((1, 2, 3), dim=2)
+        length = torch.sqrt(square)
+        per_length = 1.0 / (length + self.absent)
+        # (d²)'' = 2 d d'' + 2 d'²
+        half = 0.5 * per_length
+        slope = first * half
+        share = slope * per_length
+        pitch, yaw = share.split(1, dim=2)
+        _, own_yaw = slope.split(1, dim=2)
+        products = torch.cat([pitch * slope, yaw * own_yaw], dim=2)
+        curve = second * half - products
 
-        # for both holes of a span: where the other one is, in this one's frame, and its slopes
-        seen = torch.stack([rotated[:, :, :3, 1:], back[:, :, :, 1:]], dim=2)
-        own = torch.stack([holes.before_m[:, 1:], holes.after_m[:, 1:]], dim=1)
-        away = own[:, :, None] - seen[:, :, :, :1]
-        by_hole = (away[:, :, :, None] * self.units).sum(5) * per_length[:, :, None, None]
-        direct = (seen[:, :, :, 1:, None] * self.units).sum(5)
-        through = slope[:, :, None, :, None] * by_hole
-        slope_by_side = -(direct + through) * per_length[:, :, None, None]
-        of_plates = self.plate @ by_hole.reshape(-1, 2 * count, 2 * cables)
-        of_plates = of_plates.reshape(-1, count + 1, 2, cables).transpose(1, 2)
-        slope_by_hole = (slope_by_side[:, :, :, :, :, None] * self.plate_of_side).sum(2)
-        sine = torch.sqrt((away * away).sum((3, 4)) + _TINY) * per_length
-        bend = sine + sine**3 / 6.0
-        bend = self.bends_of_joint @ bend.reshape(-1, 2 * count, cables)
-        return Spans(
-            length_m=(length * self.passes).sum(1),
-            slope_m=slope,
-            curve_m=curve,
-            by_hole=of_plates,
-            slope_by_hole=slope_by_hole.flatten(1, 2),
-            bend_rad=bend,
-        )
+        by_hole = (orders[:, :, :3] @ holes.by_hole).reshape(-1, count, 3, 2 * count + 2, cables)
+        by_hole = by_hole * half[:, :, :, None]
+        direct, sloped = by_hole.split((1, 2), dim=2)
+        slope_by_hole = sloped - share[:, :, :, None] * direct
+        direct = direct[:, :, 0]
+        # the part of a span's direction that is across the axis is the sine of its angle to it
+        squared = (direct * direct).reshape(-1, count, 2, count + 1, cables).sum(2)
+        sine = torch.sqrt(squared)
+        bend = (sine * (1.0 + squared / 6.0)).sum(1)
+        return Spans(length.sum(1), slope, curve, direct.sum(1), slope_by_hole, bend)
+
+
+def _bilinear(mechanism: Mechanism, nominal_m: Matrix) -> Matrix:
+    """(3, 3, N, 9, M): squares of the spans by the coordinates of the holes before and after.
+
+    The coordinates are 1, outward and around; the first is the plate's place on the axis.
+    """
+    count = mechanism.segment_count
+    angle = np.arctan2(nominal_m[:, 0], nominal_m[:, 1])
+    none = np.zeros_like(angle)
+    outward = np.stack([none, np.sin(angle), np.cos(angle)])
+    around = np.stack([none, np.cos(angle), -np.sin(angle)])
+    along = np.stack([none + mechanism.plate_offset_m, none, none])
+    before = np.stack([-along, outward, around])[:, :, :count]
+    after = np.stack([along, outward, around])[:, :, 1:]
+    # before and after are (3 coordinates, 3 axes, N, M)
+    rotated = -2.0 * np.einsum("fxy,ixnm,jynm->ijnfm", _rotation_terms(), before, after)
+    return rotated * mechanism.passes_joint.T[:, None]
 
 
 class SegmentFrames(NamedTuple):
     """The segments at B poses.
 
     Attributes:
-        axes: (B, N, 3, 3) axes of each segment in its rows, in the base frame.
-        joint_axes: (B, 2N, 3) axes of the joint angles.
+        along: (B, N, 3) their axes in the base frame.
+        joint_axes: (B, 3, 2N) axes of the joint angles, in columns.
+        levers: (B, 3N, 3, 2N) w x a for each joint axis w that moves an axis a of a segment, first
+            the x axes of all segments, then y, then z; zero for joints that do not.
+        commanded: (B, N, 1, 3, 3) axes of the segments at the command, in columns.
     """
 
-    axes: Tensor
+    along: Tensor
     joint_axes: Tensor
+    levers: Tensor
+    commanded: Tensor
 
 
 class SegmentGeometry(nn.Module):
-    """Torques at the joints by forces on the segments and by their weights."""
+    """Torques at the joints by forces on the segments and by their weights.
+
+    A force f at r makes the torque w · (r x f) = f · (w x r) on a joint axis w, and r is a sum of
+    pieces along the segments' axes.
+    """
 
     def __init__(self, mechanism: Mechanism) -> None:
         super().__init__()
@@ -254,55 +269,58 @@ class SegmentGeometry(nn.Module):
         self.segment_count = count
         beyond = np.repeat(np.tril(np.ones((count, count))), 2, axis=1)
         self.beyond = constant(beyond)
-        inside = np.zeros((count, count, count))
-        for joint in range(count):
-            for segment in range(joint, count):
-                inside[segment, joint, joint:segment] = 1.0
-        self.between = constant(np.repeat(inside, 2, axis=1))
-        self.cross = constant(LEVI_CIVITA.transpose(1, 0, 2).reshape(3, 9))
-        self.upright = constant(np.array([0.0, 1.0, 0.0]))
+        self.beyond_each = constant(np.tile(beyond, (3, 1))[:, None])
+        # of each segment its joint centre, which lies at the end of those before it, and its axis
+        earlier = np.stack([np.tril(np.ones((count, count)), -1), np.zeros((count, count))], 1)
+        own = np.stack([np.zeros((count, count)), np.eye(count)], 1)
+        self.earlier = constant(earlier.reshape(2 * count, count))
+        self.own = constant(own.reshape(2 * count, count))
+        parts, first = _parts_of_rotations(count)
+        self.parts = constant(parts)
+        self.first_axis = constant(first)
 
     def frames(self, turns: Tensor) -> SegmentFrames:
-        """The frames; `turns` (B, N, 9, 3, 3) by `CableGeometry.rotations`."""
-        own = turns[:, :, 0].unbind(1)
-        rotation = own[0]
-        rotations = [rotation]
+        """The frames; `turns` (B, N, 2, 3, 3) of each joint, at the pose and at the command."""
+        count = self.segment_count
+        own = turns.split(1, dim=1)
+        rotations = [own[0]]
         for turn in own[1:]:
-            rotation = rotation @ turn
-            rotations.append(rotation)
-        axes = torch.stack(rotations, dim=1).transpose(2, 3)
-        # a joint's pitch turns about the y axis before it, its yaw about its own z axis
-        first = self.upright + 0.0 * axes[:, :1, 1]
-        before = torch.cat([first, axes[:, :-1, 1]], dim=1)
-        joint_axes = torch.stack([before, axes[:, :, 2]], dim=2)
-        return SegmentFrames(axes, joint_axes.flatten(1, 2))
+            rotations.append(rotations[-1] @ turn)
+        pose, commanded = torch.cat(rotations, dim=1).split(1, dim=2)
+        parts = pose.reshape(-1, 9 * count) @ self.parts + self.first_axis
+        along, joint_axes, crossed = parts.split((3 * count, 6 * count, 27 * count), dim=1)
+        joint_axes = joint_axes.reshape(-1, 3, 2 * count)
+        levers = crossed.reshape(-1, 9 * count, 3) @ joint_axes
+        levers = levers.reshape(-1, 3 * count, 3, 2 * count) * self.beyond_each
+        return SegmentFrames(along.reshape(-1, count, 3), joint_axes, levers, commanded)
 
-    def levers(
-        self, frames: SegmentFrames, force_axes: Tensor, length_m: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Torques of unit forces at the joint centres (B, N, 3, 2N), their slope by the place.
+    def levers(self, frames: SegmentFrames, length_m: Tensor) -> Tensor:
+        """(B, N, 6, 2N): torques of unit forces at the joint centres, and slopes by the place.
 
-        The torque on joint axis w of a force e at distance r is w · (r x e) = r · (e x w). Forces
-        are along `force_axes` (B, N, 3, 3), places along those of the pose; `length_m` is (N,).
-        Third are the torques (B, N, 2N) of unit moments about the segments' axes.
+        Forces are along the axes at the command, places along those of the pose; lengths are (N,).
         """
         count = self.segment_count
-        along = frames.axes[:, :, 0]
-        crossed = (force_axes.reshape(-1, 3) @ self.cross).reshape(-1, 3 * count, 3, 3)
-        turned = crossed.flatten(1, 2) @ frames.joint_axes.transpose(1, 2)
-        turned = turned.reshape(-1, count, 3, 3, 2 * count)
-        pieces = length_m[:, None] * along
-        centres = (self.between @ pieces[:, None]).transpose(2, 3)
-        at_joint = (turned * centres[:, :, None]).sum(3)
-        slope = (turned * along[:, :, None, :, None]).sum(3) * self.beyond[:, None]
-        torsion = (along @ frames.joint_axes.transpose(1, 2)) * self.beyond
-        return at_joint, slope, torsion
+        pieces = self.own + self.earlier * length_m
+        arms = pieces @ frames.levers[:, :count].flatten(2)
+        arms = arms.reshape(-1, count, 2, 3, 2 * count)
+        return (frames.commanded.transpose(3, 4) @ arms).flatten(2, 3)
 
-    def weight_levers(self, frames: SegmentFrames) -> Tensor:
-        """(B, 3, N, 2N) torques per gravity component and first moment of mass on each axis."""
-        along = frames.axes[:, :, 0]
-        count = self.segment_count
-        crossed = (along @ self.cross).reshape(-1, count, 3, 3)
-        turned = -(crossed.flatten(1, 2) @ frames.joint_axes.transpose(1, 2))
-        turned = turned.reshape(-1, count, 3, 2 * count) * self.beyond[:, None]
-        return turned.transpose(1, 2)
+    def torsion(self, frames: SegmentFrames) -> Tensor:
+        """(B, N, 1, 2N): torques of unit moments about the segments' axes."""
+        return (frames.along @ frames.joint_axes * self.beyond)[:, :, None]
+
+
+def _parts_of_rotations(count: int) -> tuple[Matrix, Matrix]:
+    """What `frames` takes of N rotations (9N,): a matrix (9N, 36N), and what is added (36N,)."""
+    rotations = np.eye(9 * count).reshape(-1, count, 3, 3)
+    along = rotations[..., 0]
+    joint_axes = np.zeros((9 * count, 3, count, 2))
+    # a joint's pitch turns about the y axis before it, its yaw about its own z axis
+    joint_axes[:, :, 1:, 0] = np.swapaxes(rotations[:, :-1, :, 1], 1, 2)
+    joint_axes[..., 1] = np.swapaxes(rotations[..., 2], 1, 2)
+    crossed = -np.einsum("cad,pnae->pencd", LEVI_CIVITA, rotations)
+    first = np.zeros((3, count, 2))
+    first[1, 0, 0] = 1.0
+    parts = [each.reshape(9 * count, -1) for each in (along, joint_axes, crossed)]
+    added = [np.zeros(3 * count), first.reshape(-1), np.zeros(27 * count)]
+    return np.concatenate(parts, axis=1), np.concatenate(added)

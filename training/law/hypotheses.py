@@ -14,19 +14,16 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
-from cablesense_training.law.geometry import constant
-from cablesense_training.law.measurement import Measurement
-
-import numpy as np
+from cablesense_training.law.geometry import Matrix, constant
+from cablesense_training.law.measurement import Measurement, inverse
+from cablesense_training.law.wrench import FORCE_STD_N, SegmentWrench
 
 FAULT_STD_N = 20.0
 """Prior deviation of what a faulty channel adds to its reading."""
-
-FORCE_STD_N = 30.0
-"""Prior deviation of each component of the forces that several contacts have in sum."""
 
 
 class Hypotheses(NamedTuple):
@@ -56,89 +53,88 @@ class Hypotheses(NamedTuple):
 class RivalHypotheses(nn.Module):
     """`Hypotheses` of measurements, for an arm with segments of lengths (N,) in m."""
 
-    def __init__(self, length_m: np.ndarray) -> None:
+    def __init__(self, length_m: Matrix) -> None:
         super().__init__()
-        middle_m = 0.5 * float(length_m.mean())
-        scale = [FORCE_STD_N] * 3 + [FORCE_STD_N * middle_m] * 2
-        self.wrench_scale = constant(np.array(scale)[:, None])
         count = len(length_m)
+        joints = 2 * count
         # torques by forces in the middle of all segments, as independent at each joint
         levers_m = np.arange(count, 0, -1) - 0.5
         torque = (
             FORCE_STD_N * float(length_m.mean()) * np.sqrt(np.cumsum(levers_m[::-1] ** 2)[::-1])
         )
-        self.torque_scale = constant(np.repeat(torque, 2))
-        self.wrench_identity = constant(np.eye(5))
-        self.torque_identity = constant(np.eye(2 * count))
+        scale = np.repeat(torque, 2)
+        self.torque_scale = constant(scale[:, None])
+        self.torque_scales = constant(scale[:, None] * scale)
+        self.torque_identity = constant(np.eye(joints))
+        # determinants of all hypotheses at once, of a size that can be halved
+        size = 2 ** int(np.ceil(np.log2(max(joints, 5))))
+        self.wrench_place = constant(np.eye(5, size))
+        self.wrench_rest = constant(np.diag(np.arange(size) >= 5).astype(float))
+        self.torque_place = constant(np.eye(joints, size))
+        self.torque_rest = constant(np.diag(np.arange(size) >= joints).astype(float))
 
-    def forward(self, seen: Measurement, reading_n: Tensor) -> Hypotheses:
-        """The evidence of each, `reading_n` (B, M) being what was measured."""
+    def forward(self, seen: Measurement, wrench: SegmentWrench) -> Hypotheses:
+        """The evidence of each."""
         information = seen.information_n2
-        weighted = (information @ seen.innovation_n[..., None])[..., 0]
-        free_chi2 = (weighted * seen.innovation_n).sum(1)
-        own = torch.diagonal(information, dim1=1, dim2=2)
-
-        known = own + FAULT_STD_N**-2
-        occam = 0.5 * torch.log(known * FAULT_STD_N**2)
-        faulty_free = 0.5 * weighted**2 / known - occam
+        weighted = seen.innovation_n @ information
+        free_chi2 = (weighted * seen.innovation_n).sum((1, 2))
+        own = torch.diagonal(information, dim1=1, dim2=2)[:, None]
+        faulty_free, faulty_n = _fault(weighted, own)
 
         # exchanged: the innovation without the difference of the two readings
-        apart = reading_n[:, :, None] - reading_n[:, None]
-        pulls = weighted[:, :, None] - weighted[:, None]
-        both = own[:, :, None] + own[:, None] - 2.0 * information
-        exchanged_free = apart * pulls - 0.5 * apart**2 * both
+        apart = seen.reading_n - seen.reading_n.transpose(1, 2)
+        pulls = weighted - weighted.transpose(1, 2)
+        both = own + own.transpose(1, 2) - 2.0 * information
+        exchanged_free = apart * (pulls - 0.5 * apart * both)
 
-        # any wrench on one segment, alone and beside a wrong channel j: the information of the
-        # torques is then all but what goes in the channel's direction
-        weights = information @ seen.by_torque
-        lost = weights[..., None] * (weights / known[..., None])[:, :, None]
-        lost_pull = weights * (weighted / known)[..., None]
-        precision = torch.cat(
-            [seen.torque_precision[:, None], seen.torque_precision[:, None] - lost], 1
-        )
-        pull = torch.cat([seen.torque_pull[:, None], seen.torque_pull[:, None] - lost_pull], 1)
-        levers = torch.cat([seen.at_joint_m, seen.by_place[:, :, 1:]], dim=2) * self.wrench_scale
-        levers = levers[:, None]
-        wrench, _ = _evidence(
-            levers @ precision[:, :, None] @ levers.transpose(3, 4),
-            levers @ pull[:, :, None, :, None],
-            self.wrench_identity,
-        )
-        segment = wrench[:, 0]
-        faulty_segment = wrench[:, 1:] + faulty_free[..., None]
+        scaled = seen.torque_precision * self.torque_scales + self.torque_identity
+        pull = seen.torque_pull.transpose(1, 2) * self.torque_scale
+        several_gain = (inverse(scaled) @ pull * pull).sum((1, 2))
+        several = self._padded(scaled, self.torque_place, self.torque_rest)
+        segments = self._padded(wrench.precision, self.wrench_place, self.wrench_rest)
+        determinants = _log_determinants(torch.cat([segments, several[:, None]], dim=1))
+        of_segments, of_several = determinants.split((segments.shape[1], 1), dim=1)
+        segment = 0.5 * (wrench.chi2_gain - of_segments)
 
-        scale = self.torque_scale
-        several, gain = _evidence(
-            scale[:, None] * seen.torque_precision * scale,
-            (scale * seen.torque_pull)[..., None],
-            self.torque_identity,
-        )
+        # beside any wrench on a segment, a wrong channel: S⁻¹ is then less by what that explains
+        seen_in = wrench.unit_torques @ seen.informed[:, None].transpose(2, 3)
+        explained = wrench.covariance @ seen_in
+        left = own - (explained * seen_in).sum(2)
+        pulled = weighted - (wrench.mean.transpose(2, 3) @ seen_in)[:, :, 0]
+        faulty_segment, _ = _fault(pulled, left)
         return Hypotheses(
-            free_chi2,
-            faulty_free,
-            exchanged_free,
-            segment,
-            faulty_segment,
-            several,
-            gain,
-            weighted / known,
+            free_chi2=free_chi2,
+            faulty_free=faulty_free[:, 0],
+            exchanged_free=exchanged_free,
+            segment=segment,
+            faulty_segment=(faulty_segment + segment[:, :, None]).transpose(1, 2),
+            several=0.5 * (several_gain - of_several[:, 0]),
+            several_gain=several_gain,
+            faulty_free_n=faulty_n[:, 0],
         )
 
+    def _padded(self, matrix: Tensor, place: Tensor, rest: Tensor) -> Tensor:
+        """A larger matrix with the same determinant."""
+        return place.T @ matrix @ place + rest
 
-def _evidence(information: Tensor, pull: Tensor, identity: Tensor) -> tuple[Tensor, Tensor]:
-    """Log evidence (...) of unknowns with standard normal priors, and by how much they lower χ².
 
-    `information` is (..., k, k) and `pull` (..., k, 1). Gaussian elimination gives the determinant
-    and the quadratic form at once: its rows begin with the pivots.
-    """
-    matrix = torch.cat([information + identity, pull], dim=-1)
-    unknowns = pull.shape[-2]
-    ends = []
-    for _ in range(unknowns):
-        row = matrix[..., :1, :]
-        pivot = row[..., :1]
-        ends.append(torch.cat([pivot, row[..., -1:]], dim=-1))
-        matrix = matrix[..., 1:, 1:] - matrix[..., 1:, :1] * (row / pivot)[..., 1:]
-    pivots, pulls = torch.cat(ends, dim=-2).split(1, dim=-1)
-    gain = (pulls * pulls / pivots).sum((-2, -1))
-    return 0.5 * (gain - torch.log(pivots).sum((-2, -1))), gain
+def _fault(pull: Tensor, own: Tensor) -> tuple[Tensor, Tensor]:
+    """Log evidence of each channel's fault alone, and the fault itself, N."""
+    known = own + FAULT_STD_N**-2
+    fault_n = pull / known
+    return 0.5 * (fault_n * pull - torch.log(known * FAULT_STD_N**2)), fault_n
+
+
+def _log_determinants(matrix: Tensor) -> Tensor:
+    """(B, H) of positive matrices (B, H, 2^k, 2^k), by Schur complements of their halves."""
+    hypotheses = matrix.shape[1]
+    size = matrix.shape[2]
+    while size > 2:
+        size = size // 2
+        upper, lower = matrix.split(size, dim=2)
+        first, across = upper.split(size, dim=3)
+        across_t, last = lower.split(size, dim=3)
+        matrix = torch.cat([first, last - across_t @ inverse(first) @ across], dim=1)
+    a, b, c, d = matrix.flatten(2).split(1, dim=2)
+    logarithms = torch.log(a * d - b * c)
+    return logarithms.reshape(-1, logarithms.shape[1] // hypotheses, hypotheses).sum(1)

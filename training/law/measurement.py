@@ -7,13 +7,15 @@ angle up to there) and κ the compliance that the pieces have with these tension
 
     Σ_in (ρ_in ∂l_in/∂q) T_i = τ_weight(q) + τ,      y_i = (1 + g_i) T_i + b_i + noise
 
-with τ the torques of contacts (with several guides u Φ is the sum over those up to joint n). A reading y gives a pose q by Gauss-Newton on the stretches. There
+with τ the torques of contacts; with several guides, u Φ is the sum over those up to joint n. A
+reading y gives a pose q by Gauss-Newton on the stretches. There
 the model's own tensions T(q), with the torques τ(q) that they balance, are one exact state, and
 everything else is linear about it:
 
-    δT = D δτ + [(I - D J') A - D B] δθ,      D = K J H⁻¹,      H = J K J' + geometry,
+    δT = D δτ + [A - D (J A + B)] δθ,      D = K J' H⁻¹,      H = J K J' + geometry - weight,
 
-A and B being the derivatives of T and of the left side by the parameters θ at a fixed pose. The
+A and B being the derivatives of T and of the left side by the parameters θ at a fixed pose, and
+the last two terms of H those of J T and of the weight's torques by the pose. The
 innovation y - y(q) then has the covariance S = R + G Σ G', and S says all that readings tell of
 torques, of faults and of the parameters (Schmidt, Application of State-Space Methods to
 Navigation Problems, 1966: parameters that are considered, not estimated).
@@ -21,6 +23,7 @@ Navigation Problems, 1966: parameters that are considered, not estimated).
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -30,8 +33,10 @@ from torch import Tensor, nn
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.tolerances import ArmParameters
 from cablesense_training.law.geometry import (
+    LEVI_CIVITA,
     CableGeometry,
     Holes,
+    Matrix,
     SegmentFrames,
     SegmentGeometry,
     Spans,
@@ -43,37 +48,54 @@ _SLACK_WEIGHT = 1e-5
 pose where few are taut."""
 _TAUT_ABOVE_STD = 4.0
 """A reading above this many deviations of the sensor shows a taut cable."""
-_POSE_STEPS = 3
-"""Gauss-Newton steps from the command to the pose; each about squares its error."""
+POSE_STEPS = 3
+"""Gauss-Newton steps from the command to the pose; each leaves a few hundredths of its error."""
+_FAR_M = 1e9
 
 
 class Measurement(NamedTuple):
     """What B readings say, linear about their states; P parameters.
 
     Attributes:
-        innovation_n: (B, M) reading minus that of the untouched arm with the mean parameters.
+        reading_n: (B, 1, M).
+        innovation_n: (B, 1, M) reading minus that of the untouched arm with the mean parameters.
         information_n2: (B, M, M) inverse covariance S⁻¹ of innovations.
         by_torque: (B, M, 2N) derivative D of readings by contact torques, N/(N·m).
         by_parameter: (B, M, P) derivative G of readings by parameters.
+        informed: (B, M, 2N) S⁻¹ D.
         torque_precision: (B, 2N, 2N) D' S⁻¹ D.
-        torque_pull: (B, 2N) D' S⁻¹ times the innovation.
-        at_joint_m: (B, N, 3, 2N) torques of unit forces at the joint centres, along the axes that
-            the segments have at the command.
-        by_place: (B, N, 3, 2N) their derivative by the distance from the joint centre.
-        by_torsion: (B, N, 2N) torques of unit moments about the segments' axes.
-        pose_rad: (B, 2N) joint angles by the reading.
+        torque_pull: (B, 1, 2N) D' S⁻¹ times the innovation.
+        levers: (B, N, 6, 2N) torques of unit forces at the joint centres, along the axes that the
+            segments have at the command, and their derivatives by the distance from the centre.
+        by_torsion: (B, N, 1, 2N) torques of unit moments about the segments' axes.
+        pose_rad: (B, 1, 2N) joint angles by the reading.
     """
 
+    reading_n: Tensor
     innovation_n: Tensor
     information_n2: Tensor
     by_torque: Tensor
     by_parameter: Tensor
+    informed: Tensor
     torque_precision: Tensor
     torque_pull: Tensor
-    at_joint_m: Tensor
-    by_place: Tensor
+    levers: Tensor
     by_torsion: Tensor
     pose_rad: Tensor
+
+
+class Weighed(NamedTuple):
+    """The weight of the segments.
+
+    Attributes:
+        torque: (B, 1, 2N) on the joints.
+        by_pose: (B, 2N, 2N) its derivative by the joint angles.
+        by_parameter: (B, 2N, 5N + 2) by the numbers of the bodies and the tilt.
+    """
+
+    torque: Tensor
+    by_pose: Tensor
+    by_parameter: Tensor
 
 
 class Parameters(NamedTuple):
@@ -85,10 +107,9 @@ class Parameters(NamedTuple):
     slide: Tensor  # (N + 1, M)
     gain: Tensor  # (M,) one and the deviation
     zero_n: Tensor  # (M,)
-    mass_kg: Tensor  # (N,)
-    centre_m: Tensor  # (N,)
+    bodies: Tensor  # (5N,) of segments: mass, centre, length; centres along y and along z
     length_m: Tensor  # (N,)
-    gravity_m_s2: Tensor  # (3,)
+    gravity_m_s2: Tensor  # (1, 3)
     joint_zero_rad: Tensor  # (2N,)
     friction: Tensor  # (1,)
 
@@ -109,6 +130,7 @@ class MeasurementModel(nn.Module):
         parameters: its uncertain parameters.
         reading_variance_n2: of one reading: noise and step of the sensor, N².
         wraps: of the cables with the arm straight.
+        pose_steps: Gauss-Newton steps from the command to the pose.
     """
 
     def __init__(
@@ -118,40 +140,68 @@ class MeasurementModel(nn.Module):
         parameters: ArmParameters,
         reading_variance_n2: float,
         wraps: FrictionWraps,
+        pose_steps: int = POSE_STEPS,
     ) -> None:
         super().__init__()
         count = mechanism.segment_count
         self.segment_count = count
         self.cable_count = mechanism.cable_count
+        cables = mechanism.cable_count
+        self.pose_steps = pose_steps
         self.sizes = _sizes(parameters)
         self.cables = CableGeometry(mechanism)
-        self.held_cables = CableGeometry(held_by)
         self.segments = SegmentGeometry(mechanism)
-        self.reading_variance_n2 = reading_variance_n2
-        self.taut_above_n = _TAUT_ABOVE_STD * reading_variance_n2**0.5
+        nominal, scale = _nominal(mechanism, parameters, self.cables.radius_m)
+        self.nominal = constant(nominal)
+        self.scale = constant(scale)
+        zero_n = float(parameters.prior_std[parameters.slices["sensor_zero"]].max())
+        self.taut_above_n = _TAUT_ABOVE_STD * math.hypot(reading_variance_n2**0.5, zero_n)
         self.compliance_m_n = constant(1.0 / mechanism.stiffness_n_m)
-        self.pretension_n = constant(mechanism.pretension_n)
-        self.mass_kg = constant(mechanism.mass_kg)
-        self.centre_m = constant(mechanism.centre_of_mass_m)
-        self.length_m = constant(mechanism.segment_length_m)
-        self.gravity_m_s2 = constant(mechanism.gravity_m_s2)
+        self.gravity_m_s2 = constant(mechanism.gravity_m_s2[None])
         gravity = mechanism.gravity_m_s2
         by_tilt = [np.cross([0.0, 1.0, 0.0], gravity), np.cross([1.0, 0.0, 0.0], gravity)]
         self.gravity_by_tilt = constant(np.array(by_tilt))
-        self.carried = constant(np.triu(np.ones((count, count)), 1))
-        self.pulley_rad = constant(np.full((1, mechanism.cable_count), wraps.pulley_rad))
-        between = np.full((count, 1), wraps.guide_rad)
-        between[0] = 0.0
-        self.guide_rad = constant(between * mechanism.passes_joint.T)
+        self.cross = constant(LEVI_CIVITA.reshape(3, 9))
+        self.is_length = constant((np.arange(5 * count) >= count).astype(float))
+        self.moment_slopes = constant(_first_moment_slopes(mechanism))
+        self.spring_n_m_rad = constant(np.repeat(mechanism.joint_stiffness_n_m_rad, 2))
+        self.springs = constant(np.diag(np.repeat(mechanism.joint_stiffness_n_m_rad, 2)))
+        self.until = constant(np.triu(np.ones((2 * count, 2 * count))))
+        self.after = constant(np.tril(np.ones((2 * count, 2 * count)), -1))
+
+        held = CableGeometry(held_by)
+        self.held_squares_m2 = constant(held.nominal_holes().numpy())
+        straight = held.lengths(held.straight_terms, self.held_squares_m2)
+        self.held_straight_m = constant(straight.numpy())
+
+        # a cable's guides: at the actuator, and in the plates 0 to N - 1
+        wrap_rad = np.full((count + 1, cables), wraps.guide_rad)
+        wrap_rad[0] = wraps.pulley_rad
+        wrap_rad[1] = 0.0
+        wrap_rad[1:] *= mechanism.passes_joint.T
+        self.wrap_rad = constant(wrap_rad)
+        self.plate_of_guide = constant(np.eye(count + 1, k=-1))
         until = np.tril(np.ones((count, count + 1)), 1)
         self.guides_until = constant(until)
         self.reaches = constant(until[:, None, :, None])
         run, spans = _compliance_shares(mechanism)
         self.run_share = constant(run)
         self.span_share = constant(spans)
-        self.cable_identity = constant(np.eye(mechanism.cable_count))
+
+        self.reading_variance_n2 = reading_variance_n2
+        self.cable_identity = constant(np.eye(cables))
         self.same_joint = constant(_same_joint(count))
-        self.mass_sensitivity = constant(_first_moment_slopes(mechanism))
+        # a cable has a stiffness, a pretension, 2 (N + 1) numbers of holes, and N + 1 slides
+        self.same_cable = constant(np.tile(np.eye(cables), 3 * count + 5))
+        self.same_sensor = constant(np.tile(np.eye(cables), 2))
+        self.plain_and_exponents = ((2 * count + 4) * cables, (count + 1) * cables)
+        self.by_gain = constant(np.array([[1.0], [0.0]]))
+        self.by_zero = constant(np.array([[0.0], [1.0]]))
+        self.zero = constant(np.array(0.0))
+        self.one = constant(np.array(1.0))
+        self.nothing = constant(np.zeros((2, 1)))
+        self.slack_weight = constant(np.array(_SLACK_WEIGHT))
+        self.far_m = constant(np.array(_FAR_M))
 
     def forward(
         self,
@@ -163,88 +213,81 @@ class MeasurementModel(nn.Module):
     ) -> Measurement:
         """The measurement; `unrest_n2_m2` (2N, 2N) is the covariance of torques by motion."""
         given = self.parameters_of(mean)
-        commanded = self.held_cables.rotations(command_rad + given.joint_zero_rad)
-        nominal = self.held_cables.nominal_holes()
-        held, held_slope = self.held_cables.lengths_and_slopes(commanded, nominal)
-        held = held - self.held_cables.straight_m(nominal)
-        held = held + self.cables.straight_m(given.holes)
-        unstretched = held - given.pretension_n * given.compliance_m_n
+        reading = reading_n[:, None]
+        start_rad = (command_rad + given.joint_zero_rad)[:, None]
+        start = self.cables.terms(start_rad)
+        held, held_slope = self.cables.lengths_and_slopes(start, self.held_squares_m2)
+        straight, straight_by_hole = self.cables.straight(given.holes)
+        given_m = given.pretension_n * given.compliance_m_n
+        unstretched = held + (straight - self.held_straight_m - given_m)
 
-        tension = (reading_n - given.zero_n) / given.gain
-        taut = (tension > self.taut_above_n).to(tension.dtype)
-        angles, at_pose = self._pose(
-            command_rad + given.joint_zero_rad, tension * taut, taut, unstretched, given
-        )
-
+        tension = (reading - given.zero_n) / given.gain
+        angles = self._pose(start_rad, start, tension, unstretched, given)
+        at_pose = self.cables.terms(angles)
         spans = self.cables(at_pose, given.holes)
         carried, compliance, wrap_rad = self._friction(spans, given)
         stretch = (spans.length_m - unstretched) / compliance
         pulls = (stretch > 0.0).to(stretch.dtype)
         tension_n = stretch * pulls
-        jacobian = (spans.slope_m * carried[:, :, None]).flatten(1, 2)
-        frames = self.segments.frames(at_pose)
-        weight, weight_levers, moments = self._weight(frames, given)
-        torque = (jacobian @ tension_n[..., None])[..., 0] - weight
-
         stiffness = pulls / compliance
-        geometric = (spans.curve_m * (carried * tension_n[:, None])[:, :, None]).sum(3)
-        hessian = (jacobian * stiffness[:, None]) @ spans.jacobian_t_m.transpose(1, 2)
-        hessian = hessian + (geometric.flatten(1) @ self.same_joint).reshape(hessian.shape)
-        by_torque = stiffness[..., None] * (spans.jacobian_t_m.transpose(1, 2) @ inverse(hessian))
+
+        # torques of one newton at each actuator, and of all that there is
+        ratio = carried[:, :, None]
+        across_n = ratio * tension_n[:, None]
+        jacobian = (spans.slope_m * ratio).flatten(1, 2)
+        frames = self._frames(at_pose, command_rad)
+        weighed = self._weight(frames, given)
+        torque = tension_n @ jacobian.transpose(1, 2) - weighed.torque
+        torque = torque + self.spring_n_m_rad * angles
+
+        # how tensions (B, 2N, M) and torques (B, 2N, 2N) follow the pose
+        stiffened = spans.slope_m.flatten(1, 2) * stiffness
+        geometric = (across_n @ spans.curve_m.transpose(2, 3)).flatten(1)
+        geometric = (geometric @ self.same_joint).reshape(-1, *self.springs.shape)
+        hessian = jacobian @ stiffened.transpose(1, 2) + geometric - weighed.by_pose
+        by_torque = stiffened.transpose(1, 2) @ inverse(hessian + self.springs)
+        by_torque = by_torque * given.gain[:, None]
 
         by_parameter = self._by_parameter(
-            given,
-            spans,
-            carried,
-            wrap_rad,
-            held_slope,
-            tension_n,
-            stiffness,
-            by_torque,
-            jacobian,
-            weight_levers,
-            moments,
-        )
-        by_torque = given.gain[:, None] * by_torque
-        variance = self.reading_variance_n2 * self.cable_identity
-        spread = variance + (by_parameter @ covariance) @ by_parameter.transpose(1, 2)
-        spread = spread + (by_torque @ unrest_n2_m2) @ by_torque.transpose(1, 2)
+            given, spans, straight_by_hole, carried, wrap_rad, tension_n, stiffness, across_n,
+            jacobian, held_slope, weighed, by_torque,
+        )  # fmt: skip
+        spread = by_parameter @ covariance @ by_parameter.transpose(1, 2)
+        spread = spread + self.reading_variance_n2 * self.cable_identity
+        spread = spread + by_torque @ unrest_n2_m2 @ by_torque.transpose(1, 2)
         information = inverse(spread)
-        expected_n = given.gain * tension_n + given.zero_n
-        innovation = reading_n - expected_n + (by_torque @ torque[..., None])[..., 0]
-        weighted = information @ by_torque
-        command_frames = self.segments.frames(self.cables.rotations(command_rad))
-        levers = self.segments.levers(frames, command_frames.axes, given.length_m)
+        expected = given.gain * tension_n + given.zero_n
+        innovation = reading - expected + torque @ by_torque.transpose(1, 2)
+        informed = information @ by_torque
         return Measurement(
-            innovation,
-            information,
-            by_torque,
-            by_parameter,
-            by_torque.transpose(1, 2) @ weighted,
-            (innovation[:, None] @ weighted)[:, 0],
-            *levers,
-            angles,
+            reading_n=reading,
+            innovation_n=innovation,
+            information_n2=information,
+            by_torque=by_torque,
+            by_parameter=by_parameter,
+            informed=informed,
+            torque_precision=by_torque.transpose(1, 2) @ informed,
+            torque_pull=innovation @ informed,
+            levers=self.segments.levers(frames, given.length_m),
+            by_torsion=self.segments.torsion(frames),
+            pose_rad=angles,
         )
 
     def parameters_of(self, mean: Tensor) -> Parameters:
         """The parameters of a mean θ (P,)."""
         count = self.segment_count
-        parts = list(mean.split(self.sizes))
-        stiffness, pretension = parts[:2]
-        outward, around, slide, gain, zero, mass, centre, length, tilt, joint_zero, friction = (
-            parts[2:]
-        )
-        plates = (count + 1, self.cable_count)
+        values = self.nominal + self.scale * mean
+        parts = values.split(self.sizes)
+        stiffness, pretension, holes, slide, gain, zero, bodies, tilt, joint_zero, friction = parts
         return Parameters(
-            compliance_m_n=self.compliance_m_n * torch.exp(-stiffness),
-            pretension_n=self.pretension_n + pretension,
-            holes=self.cables.holes(outward.reshape(plates), around.reshape(plates)),
-            slide=slide.reshape(plates),
-            gain=1.0 + gain,
+            compliance_m_n=self.compliance_m_n / torch.exp(stiffness),
+            pretension_n=pretension,
+            holes=self.cables.holes(holes.reshape(2, count + 1, self.cable_count)),
+            slide=slide.reshape(count + 1, self.cable_count),
+            gain=gain,
             zero_n=zero,
-            mass_kg=self.mass_kg * (1.0 + mass),
-            centre_m=self.centre_m + centre,
-            length_m=self.length_m + length,
+            bodies=bodies,
+            length_m=bodies[2 * count : 3 * count],
             gravity_m_s2=self.gravity_m_s2 + tilt @ self.gravity_by_tilt,
             joint_zero_rad=joint_zero,
             friction=friction,
@@ -253,142 +296,136 @@ class MeasurementModel(nn.Module):
     def _pose(
         self,
         start_rad: Tensor,
+        start: Tensor,
         tension_n: Tensor,
-        taut: Tensor,
         unstretched_m: Tensor,
         given: Parameters,
-    ) -> tuple[Tensor, Tensor]:
-        """Angles (B, 2N) at which taut cables have the lengths of their tensions, and rotations.
+    ) -> Tensor:
+        """Angles (B, 1, 2N) at which taut cables have the lengths of their tensions.
 
         The Jacobian is that of the start: each step is a part of the first, a few hundredths.
         """
-        turns = self.cables.rotations(start_rad)
-        length, slope = self.cables.lengths_and_slopes(turns, given.holes)
-        wanted = unstretched_m + tension_n * given.compliance_m_n
-        weight = taut * (1.0 - _SLACK_WEIGHT) + _SLACK_WEIGHT
-        weighted = slope * weight[:, None]
-        solve = inverse(weighted @ slope.transpose(1, 2)) @ weighted
+        taut = tension_n > self.taut_above_n
+        wanted = unstretched_m + torch.where(taut, tension_n, self.zero) * given.compliance_m_n
+        # a slack cable may hang as loosely as the pose leaves it
+        loose = torch.where(taut, self.far_m, self.zero)
+        weight = torch.where(taut, self.one, self.slack_weight)
+        length, slope = self.cables.lengths_and_slopes(start, given.holes.squares)
+        weighted = slope * weight
+        solve = weighted.transpose(1, 2) @ inverse(weighted @ slope.transpose(1, 2))
         angles = start_rad
-        for step in range(_POSE_STEPS):
-            missing = wanted - length
-            # a slack cable may hang as loosely as the pose leaves it
-            missing = taut * missing + (1.0 - taut) * missing.clamp(max=0.0)
-            angles = angles + (solve @ missing[..., None])[..., 0]
-            turns = self.cables.rotations(angles)
-            if step + 1 < _POSE_STEPS:
-                length = self.cables.lengths(turns, given.holes)
-        return angles, turns
+        for step in range(self.pose_steps):
+            if step:
+                length = self.cables.lengths(self.cables.terms(angles), given.holes.squares)
+            angles = angles + torch.minimum(wanted - length, loose) @ solve
+        return angles
 
     def _friction(self, spans: Spans, given: Parameters) -> tuple[Tensor, Tensor, Tensor]:
-        """Ratios ρ (B, N, M) of tensions, compliances κ (B, M), and wraps (B, N + 1, M), rad."""
-        bends = spans.bend_rad + self.guide_rad
-        wrap_rad = torch.cat([self.pulley_rad + 0.0 * bends[:, :1], bends], dim=1)
+        """Ratios ρ (B, N, M) of tensions, compliances κ (B, 1, M), wraps (B, N + 1, M) in rad."""
+        wrap_rad = self.plate_of_guide @ spans.bend_rad + self.wrap_rad
         carried = torch.exp(self.guides_until @ (given.friction * given.slide * wrap_rad))
-        share = self.run_share + (self.span_share * carried).sum(1)
+        share = self.run_share + (self.span_share * carried).sum(1, keepdim=True)
         return carried, given.compliance_m_n * share, wrap_rad
 
-    def _weight(self, frames: SegmentFrames, given: Parameters) -> tuple[Tensor, Tensor, Tensor]:
-        """Torques of the weight (B, 2N), their levers (B, 3, N, 2N), and first moments (N,)."""
-        beyond = self.carried @ given.mass_kg
-        moments = given.mass_kg * given.centre_m + given.length_m * beyond
-        levers = self.segments.weight_levers(frames)
-        by_moment = (levers * given.gravity_m_s2[:, None, None]).sum(1)
-        return (by_moment * moments[:, None]).sum(1), levers, moments
+    def _frames(self, at_pose: Tensor, command_rad: Tensor) -> SegmentFrames:
+        at_command = self.cables.terms(command_rad[:, None])
+        turns = torch.cat([at_pose, at_command], dim=2) @ self.cables.rotation_terms
+        return self.segments.frames(turns.reshape(-1, self.segment_count, 2, 3, 3))
+
+    def _weight(self, frames: SegmentFrames, given: Parameters) -> Weighed:
+        joints = 2 * self.segment_count
+        slopes = (given.bodies @ self.moment_slopes).reshape(3 * self.segment_count, -1)
+        # first moments of mass, which are linear in the centres and lengths
+        moments = (slopes @ (given.bodies * self.is_length))[None]
+        by_moment = (given.gravity_m_s2 @ frames.levers).flatten(2)
+        by_gravity = (moments @ frames.levers.flatten(2)).reshape(-1, 3, joints)
+        # joint k turns what joint j <= k carries: g · w_j x (w_k x r) = (g x w_j) · (w_k x r)
+        turned = (given.gravity_m_s2 @ self.cross).reshape(3, 3) @ by_gravity
+        turned = frames.joint_axes.transpose(1, 2) @ turned
+        by_pose = turned * self.until + turned.transpose(1, 2) * self.after
+        by_masses = by_moment.transpose(1, 2) @ slopes
+        by_tilt = by_gravity.transpose(1, 2) @ self.gravity_by_tilt.T
+        return Weighed(moments @ by_moment, by_pose, torch.cat([by_masses, by_tilt], dim=2))
 
     def _by_parameter(
         self,
         given: Parameters,
         spans: Spans,
+        straight_by_hole: Tensor,
         carried: Tensor,
         wrap_rad: Tensor,
-        held_slope: Tensor,
         tension_n: Tensor,
         stiffness: Tensor,
-        by_torque: Tensor,
+        across_n: Tensor,
         jacobian: Tensor,
-        weight_levers: Tensor,
-        moments: Tensor,
+        held_slope: Tensor,
+        weighed: Weighed,
+        by_torque: Tensor,
     ) -> Tensor:
         """G (B, M, P): derivative of readings by parameters at fixed contact torques."""
-        count = self.segment_count
-        cables = self.cable_count
-        joints = 2 * count
-
-        # parameters of one cable: its own tension at a fixed pose (A), and torques (B)
-        pulls = (tension_n > 0.0).to(tension_n.dtype)
-        by_stiffness = tension_n - given.pretension_n * pulls
-        straight = self._straight_by_hole(given.holes)
-        by_hole = stiffness[:, None, None] * (spans.by_hole - straight)
-        by_slide = given.friction * wrap_rad
-        # a guide acts on the spans behind it
+        # Parameters of one cable: its own tension at a fixed pose (A), and torques beside (B).
+        # At a guide they are in the exponent u μ Φ, which acts on the spans behind it.
+        by_pretension = stiffness * given.compliance_m_n
+        by_stiffness = tension_n - given.pretension_n * by_pretension
+        by_hole = stiffness * (spans.by_hole - straight_by_hole)
         behind = self.guides_until.T @ (self.span_share * carried)
-        given_way = (tension_n * stiffness * given.compliance_m_n)[:, None]
-        by_own_slide = -given_way * behind * by_slide
-        own = torch.cat(
-            [by_stiffness[:, None], pulls[:, None], by_hole.flatten(1, 2), by_own_slide], dim=1
-        )
-        across_n = (carried * tension_n[:, None])[:, :, None]
-        rubbed = (spans.slope_m * across_n)[:, :, :, None] * self.reaches * by_slide[:, None, None]
-        rubbed = rubbed.reshape(-1, joints, (count + 1) * cables)
-        turned = spans.slope_by_hole.reshape(-1, count, 2, 2 * (count + 1), cables)
-        turned = (turned * across_n[:, :, None]).reshape(-1, joints, 2 * (count + 1) * cables)
-        nothing = 0.0 * jacobian
-        own_torque = torch.cat([nothing, nothing, turned, rubbed], dim=2)
-        freed = self.cable_identity - by_torque @ jacobian
-        of_cables = (freed[:, :, None] * own[:, None]).flatten(2) - by_torque @ own_torque
+        by_exponent = behind * -(tension_n * by_pretension)
+        own = torch.cat([by_stiffness, by_pretension, by_hole, by_exponent], dim=1)
+        rubbed = (spans.slope_m * across_n)[:, :, :, None] * self.reaches
+        turned = spans.slope_by_hole * across_n[:, :, :, None]
+        beside = torch.cat([self.nothing * rubbed[:, :, :, :2], turned, rubbed], dim=3)
+        torques = jacobian[:, :, None] * own[:, None] + beside.flatten(1, 2)
+        gained = (own * given.gain).flatten(1)[:, None]
+        of_cables = self.same_cable * gained - by_torque @ torques.flatten(2)
+        plain, of_exponents = of_cables.split(self.plain_and_exponents, dim=2)
+        of_slides = of_exponents * (given.friction * wrap_rad).flatten(1)[:, None]
+        of_friction = of_exponents @ (given.slide * wrap_rad).flatten(1)[:, :, None]
 
-        of_sensors = torch.cat(
-            [self.cable_identity * tension_n[:, None], self.cable_identity + 0.0 * freed], dim=2
-        )
+        # a sensor reads its tension times its gain, and its zero
+        sensed = self.by_gain * tension_n + self.by_zero
+        of_sensors = self.same_sensor * sensed.flatten(1)[:, None]
 
-        # what moves no cable at a fixed pose: masses, centres, lengths, the tilt
-        by_moment = (weight_levers * given.gravity_m_s2[:, None, None]).sum(1)
-        of_segments = (by_torque @ by_moment.transpose(1, 2)) @ self.mass_sensitivity
-        by_gravity = (weight_levers * moments[:, None]).sum(2)
-        of_tilt = by_torque @ (self.gravity_by_tilt @ by_gravity).transpose(1, 2)
+        # joint zeros hold other lengths
+        slack_n = stiffness.transpose(1, 2) * held_slope.transpose(1, 2)
+        of_zeros = by_torque @ (jacobian @ slack_n) - slack_n * given.gain[:, None]
 
-        of_zeros = -freed @ (stiffness[..., None] * held_slope.transpose(1, 2))
+        of_bodies = by_torque @ weighed.by_parameter
+        return torch.cat([plain, of_slides, of_sensors, of_bodies, of_zeros, of_friction], dim=2)
 
-        slid = self.guides_until @ (given.slide * wrap_rad)
-        friction_own = -given_way[:, 0] * (self.span_share * carried * slid).sum(1)
-        friction_torque = (spans.slope_m * (across_n * slid[:, :, None])).flatten(1, 2).sum(2)
-        of_friction = freed @ friction_own[..., None] - by_torque @ friction_torque[..., None]
 
-        gained = given.gain[:, None]
-        return torch.cat(
-            [
-                gained * of_cables,
-                of_sensors,
-                gained * of_segments,
-                gained * of_tilt,
-                gained * of_zeros,
-                gained * of_friction,
-            ],
-            dim=2,
-        )
+def _nominal(
+    mechanism: Mechanism, parameters: ArmParameters, radius_m: Matrix
+) -> tuple[Matrix, Matrix]:
+    """The numbers of an arm as its file describes it, in the places of its parameters θ.
 
-    def _straight_by_hole(self, holes: Holes) -> Tensor:
-        """(2, N + 1, M) derivative of the straight arm's lengths by the holes."""
-        apart = holes.after_m - holes.before_m
-        across = apart[:, 1:] * (self.cables.passes / torch.sqrt((apart * apart).sum(1)))[:, None]
-        none = 0.0 * across[:1]
-        pulled = torch.cat([none, across]) - torch.cat([across, none])
-        outward = (pulled * self.cables.outward).sum(1)
-        around = (pulled * self.cables.around).sum(1)
-        return torch.stack([outward, around])
+    Of holes they are radius and offset around. With the second, n + s θ are those of another arm.
+    """
+    at = parameters.slices
+    nominal = np.zeros(len(parameters))
+    scale = np.ones(len(parameters))
+    nominal[at["pretension"]] = mechanism.pretension_n
+    for plate, radius in enumerate(radius_m):
+        nominal[at[f"hole_outward_{plate}"]] = radius
+    nominal[at["sensor_gain"]] = 1.0
+    nominal[at["segment_mass"]] = mechanism.mass_kg
+    scale[at["segment_mass"]] = mechanism.mass_kg
+    nominal[at["centre_of_mass"]] = mechanism.centre_of_mass_m
+    nominal[at["segment_length"]] = mechanism.segment_length_m
+    return nominal, scale
 
 
 def _sizes(parameters: ArmParameters) -> list[int]:
-    """Numbers of parameters of each kind, the holes of all plates together."""
-    at = parameters.slices
-    sizes = {}
-    for name, part in at.items():
-        kind = name.rstrip("0123456789")
+    """Numbers of parameters of each kind, with all holes together, all slides, and all bodies."""
+    sizes: dict[str, int] = {}
+    bodies = ("segment_mass", "centre_of_mass", "segment_length", "centre_across")
+    for name, part in parameters.slices.items():
+        kind = name.split("_")[0] if name.startswith(("hole", "slide")) else name
+        kind = "bodies" if name in bodies else kind
         sizes[kind] = sizes.get(kind, 0) + part.stop - part.start
     return list(sizes.values())
 
 
-def _same_joint(count: int) -> np.ndarray:
+def _same_joint(count: int) -> Matrix:
     """(3N, 4N²) that puts second derivatives of the joints' spans into a matrix (2N, 2N)."""
     placed = np.zeros((count, 3, 2 * count, 2 * count))
     for n in range(count):
@@ -401,8 +438,8 @@ def _same_joint(count: int) -> np.ndarray:
     return placed.reshape(3 * count, -1)
 
 
-def _compliance_shares(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
-    """Shares of a cable's compliance: (M,) before its first guide, and (N, M) from each joint on."""
+def _compliance_shares(mechanism: Mechanism) -> tuple[Matrix, Matrix]:
+    """Shares of a cable's compliance: (M,) before its first guide, (N, M) from each joint on."""
     pieces = mechanism.piece_length_m
     whole = pieces.sum(1)
     count = mechanism.segment_count
@@ -414,16 +451,23 @@ def _compliance_shares(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray]:
     return pieces[:, 0] / whole, behind / whole
 
 
-def _first_moment_slopes(mechanism: Mechanism) -> np.ndarray:
-    """(N, 3N): first moments of mass by shares of masses, centres and lengths."""
+def _first_moment_slopes(mechanism: Mechanism) -> Matrix:
+    """(5N, 3N · 5N): numbers of bodies to the derivatives of first moments by their parameters.
+
+    A segment has the first moments m x + l Σ m of those that it carries, m y and m z; the
+    parameters of masses are shares.
+    """
     count = mechanism.segment_count
-    mass = mechanism.mass_kg
-    beyond = np.triu(np.ones((count, count)), 1)
-    by_mass = np.diag(mass * mechanism.centre_of_mass_m)
-    by_mass = by_mass + mechanism.segment_length_m[:, None] * beyond * mass
-    by_centre = np.diag(mass)
-    by_length = np.diag(beyond @ mass)
-    return np.concatenate([by_mass, by_centre, by_length], axis=1)
+    carried = np.triu(np.ones((count, count)), 1)
+    slopes = np.zeros((5, count, 3, count, 5, count))
+    mass, x, length, y, z = range(5)
+    for n in range(count):
+        for axis, centre in enumerate((x, y, z)):
+            slopes[centre, n, axis, n, mass, n] = mechanism.mass_kg[n]
+            slopes[mass, n, axis, n, centre, n] = 1.0
+        slopes[length, n, 0, n, mass] = carried[n] * mechanism.mass_kg
+        slopes[mass, :, 0, n, length, n] = carried[n]
+    return slopes.reshape(5 * count, -1)
 
 
 def inverse(matrix: Tensor) -> Tensor:

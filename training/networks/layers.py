@@ -48,23 +48,6 @@ class SingleContactOutput(NamedTuple):
     angle_std_deg: Tensor
 
 
-def contact_of(evidence: Tensor, force_n: Tensor, std_n: Tensor) -> SingleContactOutput:
-    """The answer of statics, from its evidence (B, N) for a contact on each segment against none.
-
-    Forces (B, 2) are y and z components on the likeliest segment, deviations (B, 2) along it and
-    across it.
-    """
-    magnitude_n = torch.linalg.vector_norm(force_n, dim=-1)
-    along_n, across_n = std_n.unbind(-1)
-    return SingleContactOutput(
-        contact_logits=functional.pad(evidence, (1, 0)),
-        direction=force_n / magnitude_n[:, None],
-        magnitude_n=magnitude_n,
-        magnitude_std_n=along_n,
-        angle_std_deg=torch.rad2deg(across_n / magnitude_n),
-    )
-
-
 class MultiContactOutput(NamedTuple):
     """Answer for B tension differences, all (B, N): the sigmoid of a logit is that of a contact.
 

@@ -1,15 +1,13 @@
-"""Networks that know nothing of the arm: the paper's designs, and a scale-aware one."""
+"""The paper's networks, which know nothing of the arm."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import ClassVar, Self
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
 from cablesense_sim.arm import Arm
 from cablesense_training.networks.layers import (
@@ -160,59 +158,16 @@ class DecoupledNetwork(LearntNetwork):
 class SharedBackboneNetwork(LearntNetwork):
     """Contact, direction and magnitude are linear in the same hidden features."""
 
-    usual_widths: ClassVar[Sequence[int]] = (192, 192, 192)
-
-    def __init__(self, cable_count: int, segment_count: int, widths: Sequence[int] = ()) -> None:
-        widths = widths or self.usual_widths
+    def __init__(
+        self, cable_count: int, segment_count: int, widths: Sequence[int] = (192, 192, 192)
+    ) -> None:
         super().__init__(cable_count, segment_count, widths[-1])
-        self.trunk = self._trunk(cable_count, widths)
+        self.trunk = perceptron(cable_count, widths)
         self.contact_head = nn.Linear(widths[-1], segment_count + 1)
         self.direction_head = nn.Linear(widths[-1], 2)
         self.magnitude_head = nn.Linear(widths[-1], 1)
-
-    def _trunk(self, cable_count: int, widths: Sequence[int]) -> nn.Module:
-        return perceptron(cable_count, widths)
 
     def _answer(self, tension_difference_n: Tensor) -> _Answer:
         hidden = self.trunk(self.tension(tension_difference_n))
         logits, direction = self.contact_head(hidden), self.direction_head(hidden)
         return logits, direction, self.magnitude.undo(self.magnitude_head(hidden)), hidden
-
-
-class GatedLayer(nn.Module):
-    """SiLU(W x + a) times (V x + b), elementwise: a layer that can multiply its inputs.
-
-    An unknown pose changes tensions by a product of angles and forces. Shazeer, GLU Variants
-    Improve Transformer, 2020 (there: SwiGLU).
-    """
-
-    def __init__(self, inputs: int, width: int) -> None:
-        super().__init__()
-        self.gate = nn.Linear(inputs, width)
-        self.value = nn.Linear(inputs, width)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Features (B, width) of inputs (B, inputs)."""
-        return functional.silu(self.gate(x)) * self.value(x)
-
-
-class ScaleAwareNetwork(SharedBackboneNetwork):
-    """Separates the pattern ΔT / |ΔT| from the size: without slack, twice the force is twice ΔT.
-
-    Slack and sensor noise do depend on size, so log |ΔT| and the standardised differences enter
-    the trunk of gated layers too. The magnitude's head answers the logarithm of F / |ΔT|.
-    """
-
-    usual_widths: ClassVar[Sequence[int]] = (208, 208, 208)
-
-    def _trunk(self, cable_count: int, widths: Sequence[int]) -> nn.Module:
-        sizes = pairwise([2 * cable_count + 1, *widths])
-        return nn.Sequential(*(GatedLayer(inputs, width) for inputs, width in sizes))
-
-    def _answer(self, tension_difference_n: Tensor) -> _Answer:
-        length = tension_norm_n(tension_difference_n)
-        scaled = self.tension(tension_difference_n)
-        pattern = tension_difference_n / length
-        hidden = self.trunk(torch.cat([pattern, torch.log(length) / 3.0, scaled], dim=-1))
-        ratio = torch.exp(self.magnitude_head(hidden).clamp(max=3.0))
-        return self.contact_head(hidden), self.direction_head(hidden), length * ratio, hidden

@@ -13,7 +13,7 @@ from cablesense_training.data.generation import draw_dataset
 from cablesense_training.evaluation.comparison import (
     MULTI_ARM,
     SETTINGS,
-    SHIPPED,
+    TWO_STAGE,
     WEAKEST_MULTI_N,
     MultiEvaluation,
     evaluate_models,
@@ -24,19 +24,12 @@ from cablesense_training.evaluation.comparison import (
 from cablesense_training.evaluation.metrics import confusion_matrix, multi_contact_bound_n
 from examples.paper.boosting import BoostingSettings, MultiBoostingBaseline
 from examples.paper.drawing import BLACK, DOTTED, confusion_grid, one_panel, plain_log_ticks
-from examples.paper.studies.single_contact import (
-    LABELS,
-    STYLES,
-    TEST_SEED,
-    TRAIN_SEED,
-    TREES,
-    TWO_STAGE,
-)
+from examples.paper.studies.single_contact import LABELS, STYLES, TEST_SEED, TRAIN_SEED, TREES
 from examples.paper.study import Figures, Numbers, Progress
 
 
 def several_contacts(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
-    """None to four contacts on the straight arm, answered by the bundled models and by trees."""
+    """None to four contacts on the straight arm, answered by the paper's network and by trees."""
     arm = open_arm(MULTI_ARM)
     test = draw_dataset(arm, multi_protocol(size["samples"]), TEST_SEED)
     answers = evaluate_multi_models(test)
@@ -46,7 +39,7 @@ def several_contacts(size: Numbers, progress: Progress) -> tuple[Numbers, Figure
     answers[TREES] = evaluate_multi_answer(*trees.answer(test), test)
     progress(0.9)
     bound_n = multi_contact_bound_n(test, WEAKEST_MULTI_N)
-    shipped, two_stage = answers[SHIPPED].metrics, answers[TWO_STAGE].metrics
+    two_stage = answers[TWO_STAGE].metrics
     wrong = answers[TWO_STAGE].touched != test.contacts
     weak = wrong & test.contacts & (test.magnitudes_n < WEAKEST_MULTI_N)
     errors_n = np.array(two_stage.magnitude_mae_n)
@@ -59,9 +52,7 @@ def several_contacts(size: Numbers, progress: Progress) -> tuple[Numbers, Figure
     numbers = {
         "weakest_n": WEAKEST_MULTI_N,
         "recognised": 100.0 * two_stage.recognition_accuracy,
-        "shipped_recognised": 100.0 * shipped.recognition_accuracy,
         "f1": two_stage.macro_f1,
-        "shipped_f1": shipped.macro_f1,
         "errors": ", ".join(f"{value:.2f}" for value in errors_n),
         "all_recognised": 100.0 * float(1.0 - wrong.mean()),
         "wrong": wrong.sum(),

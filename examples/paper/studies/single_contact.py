@@ -16,6 +16,7 @@ from cablesense_training.evaluation.comparison import (
     SETTINGS,
     SHIPPED,
     TABLE2_MODELS,
+    TWO_STAGE,
     Evaluation,
     Setting,
     evaluate_answer,
@@ -34,7 +35,6 @@ from examples.paper.drawing import (
     DASHES,
     DOTTED,
     GREEN,
-    ORANGE,
     VERMILION,
     confusion_grid,
     panels,
@@ -43,26 +43,24 @@ from examples.paper.drawing import (
 from examples.paper.study import Figures, Numbers, Progress
 
 TEST_SEED, TRAIN_SEED = 20_260_002, 0
-TWO_STAGE, TREES = "two_stage", "gradient_boosting"
+TREES = "gradient_boosting"
 LABELS = {
-    SHIPPED: "shipped model",
-    "closed_form": "closed form",
+    SHIPPED: "shipped estimator",
     TWO_STAGE: "two-stage (the paper’s)",
     TREES: "gradient boosting",
 }
-"""Estimators by the names of the comparison; `shipped` is the model that CableSense uses."""
+"""Estimators by the names of the comparison; `shipped` is the one that CableSense uses."""
 
 STYLES = {
     name: {"color": colour, "marker": mark, "ls": dashes}
     for name, colour, mark, dashes in zip(
-        LABELS, (BLUE, ORANGE, GREEN, VERMILION), "osD^", DASHES, strict=True
+        LABELS, (BLUE, GREEN, VERMILION), "oD^", DASHES, strict=False
     )
 }
 TITLES = {
     "straight": "straight arm (the paper’s)",
     "random_pose": "poses within ±10°",
     "compliant": "compliant arm, poses ±10°",
-    "tensions_only": "poses unknown",
     "table2": "three segments, straight",
 }
 ALL_SETTINGS = (*SETTINGS, Setting("table2", "cdsm_table2", "straight", TABLE2_MODELS))

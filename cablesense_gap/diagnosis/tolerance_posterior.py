@@ -1,0 +1,133 @@
+"""What a recording says about the tolerances of a machine, beside the effects that were found.
+
+Fits move tolerances in the directions that readings show (`problem.tolerance_directions`). Whoever
+continues with the machine wants all of them with their covariance. Here they are linear about the
+explanation, with normal priors: the posterior is that of a Kalman update with the recording.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_gap.diagnosis.linear_fit import weight
+from cablesense_gap.diagnosis.problem import (
+    Explanation,
+    Problem,
+    from_scaled,
+    prior_precision,
+    to_scaled,
+)
+from cablesense_gap.simulator import Term, small_changes
+
+_STEP_OF_STD = 0.1
+"""For derivatives, of a standard deviation."""
+_MOST_STEPS, _SMALL_STEP = 4, 0.1
+"""Of Gauss-Newton; a step that is too small to continue, in deviations of the posterior."""
+
+
+@dataclass(frozen=True)
+class TolerancePosterior:
+    """Tolerances after a recording.
+
+    Attributes:
+        terms: the K tolerances that were fitted.
+        mean: (K,) in their units.
+        covariance: (K, K) of them; effects and all other tolerances may be anything beside them.
+    """
+
+    terms: tuple[Term, ...]
+    mean: Array
+    covariance: Array
+
+
+def tolerance_posterior(problem: Problem, explanation: Explanation) -> TolerancePosterior:
+    """Tolerances beside an explanation's effects.
+
+    Gauss-Newton's method from the explanation: what a recording shows best, it shows to a
+    thousandth of a tolerance, and there no column is linear. Columns of tolerances are without
+    friction and creep, which are expensive to simulate; those of effects are the explanation's. A
+    residual that the explanation leaves counts as in all fits: it makes readings count less.
+    """
+    terms = problem.tolerance_terms
+    if not terms:
+        return TolerancePosterior((), np.zeros(0), np.zeros((0, 0)))
+    fit = _Fit(problem, explanation)
+    std = problem.tolerance_std
+    scaled = np.array([explanation.tolerances.get(term, 0.0) for term in terms]) / std
+    effects = (to_scaled(fit.parameters[t], v) for t, v in explanation.values.items())
+    point = np.concatenate([scaled, np.fromiter(effects, float)])
+    residual = problem.readings - explanation.prediction
+    covariance, step = fit.step(point, residual)
+    cost = np.inf
+    for _ in range(_MOST_STEPS):
+        ahead = point + step
+        residual = fit.residual(ahead)
+        after = fit.cost(ahead, residual)
+        if not after < cost:
+            break
+        point, cost = ahead, after
+        covariance, step = fit.step(point, residual)
+        if (step**2 < _SMALL_STEP**2 * covariance.diagonal()).all():
+            break
+    k = slice(None, len(terms))
+    return TolerancePosterior(terms, std * point[k], covariance[k, k] * np.outer(std, std))
+
+
+class _Fit:
+    """Tolerances, in standard deviations, and scaled values of the effects, as one vector (K,)."""
+
+    def __init__(self, problem: Problem, explanation: Explanation) -> None:
+        self._problem = problem
+        self._columns = explanation.columns
+        self.parameters = {term: problem.parameters[term] for term in explanation.values}
+        values = explanation.values.items()
+        expected = [
+            to_scaled(self.parameters[t], v) if self.parameters[t].role == "shape" else 0.0
+            for t, v in values
+        ]
+        of_effects = [prior_precision(parameter) for parameter in self.parameters.values()]
+        nothing = np.zeros(len(problem.tolerance_terms))
+        self._expected = np.concatenate([nothing, expected])
+        self._precision = np.concatenate([nothing + 1.0, of_effects])
+        self._weight = weight(explanation.held_out_rmse**2, problem.floor)
+
+    def _assignment(self, point: Array) -> dict[Term, float]:
+        count = len(self._problem.tolerance_terms)
+        tolerances = (self._problem.tolerance_std * point[:count]).tolist()
+        found = dict(zip(self._problem.tolerance_terms, tolerances, strict=True))
+        for (term, parameter), scaled in zip(
+            self.parameters.items(), point[count:].tolist(), strict=True
+        ):
+            found[term] = from_scaled(parameter, scaled)
+        return found
+
+    def residual(self, point: Array) -> Array:
+        """(R, C) with the simulator itself."""
+        predicted = self._problem.simulator.predict([self._assignment(point)])[0]
+        return np.asarray(self._problem.readings - predicted)
+
+    def cost(self, point: Array, residual: Array) -> float:
+        """Twice the negative log posterior."""
+        squares = float((residual[self._problem.used] ** 2).sum())
+        off = point - self._expected
+        return self._weight * squares + float(off @ (self._precision * off))
+
+    def step(self, point: Array, residual: Array) -> tuple[Array, Array]:
+        """Covariance (K, K) about a point, and the step (K,) to where the linear model is best."""
+        problem = self._problem
+        history = {c.effect for c in problem.simulator.candidates if c.history_dependent}
+        base = {t: v for t, v in self._assignment(point).items() if t.effect not in history}
+        steps = dict(zip(problem.tolerance_terms, problem.tolerance_std.tolist(), strict=True))
+        variants = [{**base, t: base[t] + _STEP_OF_STD * std} for t, std in steps.items()]
+        columns = small_changes(problem.simulator, base, variants) / _STEP_OF_STD
+        columns[~np.isfinite(columns).all(axis=(1, 2))] = 0.0
+        every = np.concatenate([columns, self._columns])[:, problem.used]
+        every = every.reshape(len(every), -1)
+        system = self._weight * every @ every.T + np.diag(self._precision)
+        covariance = np.linalg.inv(system)
+        pull = self._weight * every @ residual[problem.used].ravel()
+        pull -= self._precision * (point - self._expected)
+        return covariance, covariance @ pull

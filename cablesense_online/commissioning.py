@@ -1,0 +1,432 @@
+"""The commissioning: an unloaded arm goes from pose to pose, until it is known.
+
+In each pose it waits for rest, averages readings, and adds them to its calibration
+(`cablesense_contact.calibration`). Cables slide as they reach a pose, and friction leaves them
+with tensions of the side that they came from; so poses are reached from two sides in turn, and
+each from both sides where the arm file lists friction.
+
+Here is what to do when; who calls has the clock, sends the commands, and hands over the readings.
+All times are of one clock, that of the readings' stamps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from cablesense_base import Array, CableSenseError
+from cablesense_contact.calibration import CalibrationError, Calibrator, Unloaded
+from cablesense_contact.judgement import ContactState, Judge
+from cablesense_contact.law import Law, LawOutput
+from cablesense_contact.reference_contacts import ReferenceContacts
+from cablesense_online.chosen_poses import READINGS, UnloadedReadings
+from cablesense_sim import kinematics
+from cablesense_sim.arm import Arm
+from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.joint_motion import JointMotion, move_duration_s
+from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.replay import reading_variance_n2
+
+_DIRECTIONS = 200
+"""Directions of approach that are tried."""
+_TOUCHED_PROBABILITY = 0.999
+"""A reading stops the motion if a contact is so probable."""
+_CONFIRMED = 2
+"""Means in turn that must show it."""
+_UNSTEADY_STD = 6.0
+"""A reading so many deviations from the mean before it is not of an arm at rest."""
+_FEWEST_STEADY = 5
+_SWING_S = 0.2
+"""Readings are averaged over at least this time: an arm on cables swings with 5 to 20 Hz."""
+_LONGEST_HOLD = 3.0
+"""A hold takes at most this multiple of its time, and `_HOLD_MARGIN_S` more."""
+_HOLD_MARGIN_S = 5.0
+_NS = 1_000_000_000
+
+
+class CommissioningRefusedError(CableSenseError):
+    """A commissioning that cannot begin; says why, and what would be right."""
+
+
+class Stage(Enum):
+    """What the arm does."""
+
+    APPROACHING = "on the way to a pose"
+    ARRIVING = "arriving"
+    HOLDING = "at rest"
+    RETURNING = "on the way back"
+    DONE = "done"
+    STOPPED = "stopped"
+
+
+@dataclass(frozen=True)
+class CommissioningSettings:
+    """How a commissioning goes.
+
+    Attributes:
+        joint_speed_rad_s: peak speed at which the arm approaches a command.
+        settle_s: waited after a move, until the arm is at rest.
+        readings: averaged in each pose; of fast sensors those of 0.2 s.
+        approach_rad: how far beyond a pose a joint turns first, to reach it from a certain side;
+            it must move the cables farther than their friction stretches them.
+        both_sides: whether every pose is held twice; None where the arm file lists friction.
+        silent_after_s: without a reading for this long the motion stops.
+    """
+
+    joint_speed_rad_s: float = float(np.deg2rad(20.0))
+    settle_s: float = 0.5
+    readings: int = READINGS
+    approach_rad: float = float(np.deg2rad(1.0))
+    both_sides: bool | None = None
+    silent_after_s: float = 1.0
+
+    def readings_at(self, rate_hz: float) -> int:
+        """How many readings a hold takes at a rate."""
+        return max(self.readings, math.ceil(_SWING_S * rate_hz))
+
+    def hold_s(self, rate_hz: float) -> float:
+        """How long a hold takes at a rate."""
+        return self.settle_s + self.readings_at(rate_hz) / rate_hz
+
+
+class Visit(NamedTuple):
+    """One hold: by way of a pose beside it (2N,), at a pose (2N,)."""
+
+    beside_rad: Array
+    pose_rad: Array
+
+
+class Progress(NamedTuple):
+    """How far a commissioning has come.
+
+    Attributes:
+        holds_done, holds: in all.
+        remaining_s: until it has returned.
+        force_std_n: deviation of the force of a contact (`ReferenceContacts`), as known now.
+        text: of these, in words.
+    """
+
+    holds_done: int
+    holds: int
+    remaining_s: float
+    force_std_n: float
+
+    @property
+    def text(self) -> str:
+        """All of it as a sentence."""
+        return (
+            f"{self.holds_done} of {self.holds} holds, about {self.remaining_s:.0f} s left; a "
+            f"contact's force is known to ± {self.force_std_n:.2f} N"
+        )
+
+
+def visits(arm: Arm, poses_rad: Array, settings: CommissioningSettings) -> list[Visit]:
+    """What is visited in poses (K, 2N): from two sides in turn, or each from both."""
+    both = settings.both_sides
+    if both is None:
+        both = any(entry.effect.name == "capstan_friction" for entry in entries_of(arm))
+    beside_rad = settings.approach_rad * approach_direction(mechanism_of(arm))
+    found = []
+    for number, pose_rad in enumerate(poses_rad):
+        side = -1.0 if number % 2 else 1.0
+        found.append(Visit(pose_rad + side * beside_rad, pose_rad))
+        if both:
+            found.append(Visit(pose_rad - side * beside_rad, pose_rad))
+    return found
+
+
+def approach_direction(mechanism: Mechanism) -> Array:
+    """(2N,) relative turns of the joints, at most 1, by which every cable moves at every guide."""
+    rng = np.random.default_rng(0)
+    count = mechanism.joint_count
+    directions = rng.uniform(-1.0, 1.0, (_DIRECTIONS, count))
+    directions /= np.abs(directions).max(axis=1, keepdims=True)
+    by_angle = kinematics.cable_jacobian_m(mechanism, np.zeros(count))
+    by_joint = (by_angle * directions[:, None]).reshape(_DIRECTIONS, mechanism.cable_count, -1, 2)
+    # a cable moves at a guide by what the joints from there on take of it
+    moved = np.abs(by_joint.sum(axis=3)[..., ::-1].cumsum(axis=2)[..., ::-1])
+    least = np.where(mechanism.passes_joint, moved, np.inf).min(axis=(1, 2))
+    return np.asarray(directions[least.argmax()])
+
+
+def expected_duration_s(
+    arm: Arm, stops: Sequence[Visit], settings: CommissioningSettings, start_rad: Array
+) -> float:
+    """How long visits take, from a pose (2N,) and back to it; readings come at the arm's rate."""
+    way = [start_rad]
+    for visit in stops:
+        way += [visit.beside_rad, visit.pose_rad]
+    way.append(start_rad)
+    moving_s = sum(
+        move_duration_s(float(np.abs(there - here).max()), settings.joint_speed_rad_s)
+        for here, there in pairwise(way)
+    )
+    return moving_s + len(stops) * settings.hold_s(arm.sensors.rate_hz)
+
+
+class _Readings:
+    """Readings (M,) with their times."""
+
+    def __init__(self) -> None:
+        self._readings_n: list[Array] = []
+        self._begun_ns = 0
+        self._ended_ns = 0
+
+    def __len__(self) -> int:
+        return len(self._readings_n)
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self._readings_n.clear()
+
+    def add(self, reading_n: Array, stamp_ns: int) -> None:
+        """Add the next one."""
+        if not self._readings_n:
+            self._begun_ns = stamp_ns
+        self._ended_ns = stamp_ns
+        self._readings_n.append(reading_n)
+
+    @property
+    def span_s(self) -> float:
+        """From the first to the last."""
+        return (self._ended_ns - self._begun_ns) / _NS if self._readings_n else 0.0
+
+    @property
+    def mean_n(self) -> Array:
+        """(M,) their mean."""
+        return np.asarray(np.mean(self._readings_n, axis=0))
+
+
+class Commissioning:
+    """One commissioning, from its first command to the calibration.
+
+    Attributes:
+        stage: what the arm does.
+        problem: why it stopped; empty where it did not.
+        skipped: holds left out, because a cable would be nearly slack there.
+        calibration: by the holds so far.
+        sent_rad: (2N,) the last command.
+    """
+
+    def __init__(
+        self,
+        arm: Arm,
+        law: Law,
+        poses_rad: Array,
+        start_rad: Array,
+        now_ns: int,
+        settings: CommissioningSettings | None = None,
+    ) -> None:
+        """Begin in poses (K, 2N), with the arm at rest at a command (2N,).
+
+        Raises:
+            CommissioningRefusedError: there are no poses.
+        """
+        if not len(poses_rad):
+            raise CommissioningRefusedError("a commissioning needs at least one pose")
+        self._arm = arm
+        self._law = law
+        self._settings = settings or CommissioningSettings()
+        self._calibrator = Calibrator(arm, law)
+        self._judge = Judge(arm, _TOUCHED_PROBABILITY)
+        self._contacts = ReferenceContacts(arm)
+        self._unloaded = UnloadedReadings(arm, law)
+        self._unrest = np.zeros((arm.joint_count, arm.joint_count))
+        self._unsteady_n = _UNSTEADY_STD * math.sqrt(reading_variance_n2(arm.sensors))
+        self._left = visits(arm, poses_rad, self._settings)
+        self._holds = len(self._left)
+        self._start_rad = start_rad
+        self._motion = JointMotion(start_rad, self._settings.joint_speed_rad_s)
+        self._moved_ns = now_ns
+        self._heard_ns = now_ns
+        self._readings = _Readings()
+        self._latest = _Readings()
+        self._touched = 0
+        self._added = False
+        self._hold: Visit | None = None
+        self._hold_from_ns = now_ns
+        self.stage = Stage.HOLDING
+        self.problem = ""
+        self.skipped = 0
+        self.calibration = self._calibrator.by_tolerances()
+        self._present = self.calibration
+        self.sent_rad = start_rad
+        self._due_rad: Array | None = None
+        self._learn()
+        self._next(now_ns)
+
+    @property
+    def over(self) -> bool:
+        """Whether it is done, or has stopped."""
+        return self.stage in (Stage.DONE, Stage.STOPPED)
+
+    @property
+    def progress(self) -> Progress:
+        """How far it has come."""
+        left = list(self._left)
+        if self._hold is not None and not self._added:
+            left.insert(0, self._hold)
+        here_rad = self._motion.target_rad
+        remaining_s = 0.0
+        if not self.over:
+            remaining_s = expected_duration_s(self._arm, left, self._settings, here_rad)
+        return Progress(self._holds - len(left), self._holds, remaining_s, self._force_std_n)
+
+    def advance(self, now_ns: int) -> Array | None:
+        """Let time pass; gives a command (2N,) that is to be sent now."""
+        if not self.over:
+            self._pass(now_ns)
+        due_rad = self._due_rad
+        self._due_rad = None
+        if due_rad is not None:
+            self.sent_rad = due_rad
+        return due_rad
+
+    def take(self, reading_n: Array, stamp_ns: int) -> None:
+        """Take a reading (M,) of a time; `advance` then gives what follows from it."""
+        if self.over:
+            return
+        self._heard_ns = max(self._heard_ns, stamp_ns)
+        if self.stage is not Stage.HOLDING or self._added or stamp_ns < self._hold_from_ns:
+            return
+        self._latest.add(reading_n, stamp_ns)
+        if self._latest.span_s >= _SWING_S and self._is_touched(self._latest.mean_n, stamp_ns):
+            return
+        if self._moves(reading_n):
+            self._readings.clear()
+        self._readings.add(reading_n, stamp_ns)
+        enough = len(self._readings) >= self._settings.readings
+        if enough and self._readings.span_s >= _SWING_S:
+            self._add(stamp_ns)
+
+    def stop(self, problem: str, now_ns: int) -> None:
+        """End here, because of a problem; `advance` gives the command that holds the pose."""
+        if self.over:
+            return
+        self._due_rad = self._motion.at((now_ns - self._moved_ns) / _NS).copy()
+        self.stage = Stage.STOPPED
+        self.problem = problem
+
+    def give_way(self, problem: str) -> None:
+        """End here without a command: someone else moves the arm."""
+        self.stage = Stage.STOPPED
+        self.problem = problem
+        self._due_rad = None
+
+    def _pass(self, now_ns: int) -> None:
+        silent_s = (now_ns - self._heard_ns) / _NS
+        if self._added:
+            # what was learnt took its time, and no reading was taken meanwhile
+            self._added = False
+            self._heard_ns = now_ns
+            self._next(now_ns)
+        elif silent_s > self._settings.silent_after_s:
+            self.stop(f"no reading for {silent_s:.1f} s", now_ns)
+        elif self.stage is Stage.HOLDING:
+            held_s = (now_ns - self._hold_from_ns) / _NS
+            usual_s = self._settings.hold_s(self._arm.sensors.rate_hz)
+            if held_s > _LONGEST_HOLD * usual_s + _HOLD_MARGIN_S:
+                self.stop(
+                    f"no {self._settings.readings} steady readings in {held_s:.0f} s at rest: "
+                    "does the arm swing, or do samples get lost?",
+                    now_ns,
+                )
+        elif now_ns - self._moved_ns >= self._motion.remaining_s * _NS:
+            self._arrived(now_ns)
+
+    def _arrived(self, now_ns: int) -> None:
+        if self.stage is Stage.RETURNING:
+            self.stage = Stage.DONE
+        elif self.stage is Stage.APPROACHING:
+            assert self._hold is not None
+            self._go_to(self._hold.pose_rad, Stage.ARRIVING, now_ns)
+        else:
+            self.stage = Stage.HOLDING
+            self._hold_from_ns = now_ns + round(self._settings.settle_s * _NS)
+            self._present = self._calibrator.moved(self.calibration)
+            self._readings.clear()
+            self._latest.clear()
+            self._touched = 0
+
+    def _next(self, now_ns: int) -> None:
+        """Head for the next hold whose cables stay taut, or back."""
+        while self._left:
+            self._hold = self._left.pop(0)
+            if self._unloaded.taut(self._hold.pose_rad[None], self.calibration)[0]:
+                self._go_to(self._hold.beside_rad, Stage.APPROACHING, now_ns)
+                return
+            self.skipped += 1
+        self._hold = None
+        self._go_to(self._start_rad, Stage.RETURNING, now_ns)
+
+    def _go_to(self, target_rad: Array, stage: Stage, now_ns: int) -> None:
+        self._motion = JointMotion(self._motion.target_rad, self._settings.joint_speed_rad_s)
+        self._motion.go_to(target_rad)
+        self._moved_ns = now_ns
+        self._due_rad = target_rad
+        self.stage = stage
+
+    def _is_touched(self, mean_n: Array, stamp_ns: int) -> bool:
+        """Whether a mean (M,) of readings is not that of the untouched arm; stops if confirmed."""
+        self._latest.clear()
+        seen = self._seen(mean_n)
+        judged = self._judge(seen, mean_n)
+        if judged.state is ContactState.FREE:
+            self._touched = 0
+            return False
+        self._touched += 1
+        self._readings.clear()
+        if self._touched >= _CONFIRMED:
+            problem = f"readings are not those of the untouched arm: {judged.doubt}"
+            if not judged.doubt:
+                force_n = float(np.hypot(*seen.force_n[0, 1:]))
+                segment = judged.segment
+                problem = f"something touches segment {segment}, with about {force_n:.1f} N"
+            self.stop(problem, stamp_ns)
+        return True
+
+    def _seen(self, reading_n: Array) -> LawOutput:
+        assert self._hold is not None
+        return self._law(
+            reading_n[None],
+            self._hold.pose_rad[None],
+            self._present.mean,
+            self._present.covariance,
+            self._unrest,
+        )
+
+    def _moves(self, reading_n: Array) -> bool:
+        """Whether a reading is far from the mean of those before it in this hold."""
+        if len(self._readings) < _FEWEST_STEADY:
+            return False
+        off_n = np.abs(reading_n - self._readings.mean_n)
+        return bool(off_n.max() > self._unsteady_n)
+
+    def _add(self, stamp_ns: int) -> None:
+        assert self._hold is not None
+        count = len(self._readings)
+        unloaded = Unloaded(self._readings.mean_n, self._hold.pose_rad, count, stamp_ns)
+        try:
+            self.calibration = self._calibrator.updated(self.calibration, unloaded)
+        except CalibrationError as error:
+            self.stop(str(error), stamp_ns)
+            return
+        self._learn()
+        self._added = True
+
+    def _learn(self) -> None:
+        """State where the calibration comes from, and what it is worth elsewhere."""
+        poses = {one.command_rad.tobytes() for one in self.calibration.unloaded}
+        if poses:
+            made_from = f"a commissioning in {len(poses)} poses"
+            self.calibration = replace(self.calibration, made_from=made_from)
+        elsewhere = self._calibrator.moved(self.calibration)
+        self._force_std_n = self._contacts.force_std_n(
+            self._law, elsewhere.mean, elsewhere.covariance
+        )

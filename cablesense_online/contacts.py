@@ -1,0 +1,281 @@
+"""From a reading of an arm at one pose to the contacts that are stated of it.
+
+`LawContacts` asks the law of a calibrated arm; `NetworkContacts` a network of the paper, in its
+plain form, about the difference to the tared readings.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_contact.estimate import NORMAL_95, ContactPlace, Estimate
+from cablesense_contact.judgement import ContactState, Judge, Judgement
+from cablesense_contact.law import Law, LawOutput
+from cablesense_msgs_py.messages import Contact, ForceState
+from cablesense_online.answer import decide
+from cablesense_online.tare import CalibratedArm, TaredArm, UnloadedArm
+from cablesense_sim.arm import Arm, per_segment
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.kinematics import contact_torques
+from cablesense_training.inference.estimator import Estimator, MultiEstimator
+
+_ALONG_KNOWN_N = 1.0
+"""An axial force is stated if its standard deviation is below this."""
+
+_SWING = 2.0
+"""A sudden acceleration swings an undamped arm by twice what a steady one bends it."""
+
+_STATES = {
+    ContactState.FREE: ForceState.FREE,
+    ContactState.CONTACT: ForceState.CONTACT,
+    ContactState.MOMENT: ForceState.MOMENT,
+    ContactState.UNCONFIRMED: ForceState.UNCONFIRMED,
+    ContactState.IMPLAUSIBLE: ForceState.IMPLAUSIBLE,
+}
+
+
+@dataclass(frozen=True)
+class Unrest:
+    """How the joints move at a sample: speeds (2N,), rad/s, and accelerations (2N,), rad/s²."""
+
+    speed_rad_s: Array
+    swing_rad_s2: Array
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What a reading is answered in.
+
+    Attributes:
+        pose_rad: (2N,) where the joints are commanded.
+        stamp_ns: time of the sample since the epoch.
+        unrest: how the joints move; None at rest.
+        freed: whether a breath has taken friction out of the readings.
+    """
+
+    pose_rad: Array
+    stamp_ns: int
+    unrest: Unrest | None = None
+    freed: bool = False
+
+
+@dataclass(frozen=True)
+class FoundContacts:
+    """The contacts in a reading, the strongest first.
+
+    Attributes:
+        force: what is stated of the force.
+        probabilities: (N + 1,) that nothing touches, and of each segment that it is touched.
+        estimate: the one behind a single contact, or none; None if the model states none.
+        doubt: what else would explain the reading; empty without doubt.
+    """
+
+    force: ForceState
+    probabilities: list[float]
+    contacts: tuple[Contact, ...]
+    estimate: Estimate | None = None
+    doubt: str = ""
+
+
+class ContactFinder(Protocol):
+    """Finds contacts in readings of one arm.
+
+    Attributes:
+        arm: the unloaded state of the arm.
+        several: whether more than one contact may be found.
+    """
+
+    several: bool
+
+    @property
+    def arm(self) -> UnloadedArm[object]:
+        """The unloaded state."""
+        ...
+
+    def find(self, reading_n: Array, situation: Situation) -> FoundContacts | None:
+        """The contacts behind readings (M,); None while the unloaded state is unknown."""
+        ...
+
+
+class LawContacts:
+    """Contacts by the law of a calibrated arm."""
+
+    several = True
+
+    def __init__(
+        self, arm: Arm, law: Law, known: CalibratedArm, threshold: float, hidden_above_n: float
+    ) -> None:
+        self.arm = known
+        self._law = law
+        self._file = arm
+        self._hidden_above_n = hidden_above_n
+        mechanism = mechanism_of(arm)
+        length_m = np.array(per_segment(arm.segments.length_m, arm.segment_count))
+        self._middle_m = 0.5 * length_m
+        self._joint_m = np.concatenate([[0.0], np.cumsum(length_m)[:-1]])
+        self._damping_n_m_s = mechanism.joint_damping_n_m_s
+        at_joint, slope = contact_torques(mechanism, np.zeros(arm.joint_count), np.eye(3))
+        by_force_m = at_joint + mechanism.centre_of_mass_m[:, None, None] * slope
+        self._inertia_kg_m2 = np.einsum("n,nxi,nxj->ij", mechanism.mass_kg, by_force_m, by_force_m)
+        self._still = np.zeros((arm.joint_count, arm.joint_count))
+        self.threshold(threshold)
+
+    def threshold(self, contact_threshold: float) -> None:
+        """State contacts from this probability on."""
+        self._judge = Judge(self._file, contact_threshold)
+
+    def find(self, reading_n: Array, situation: Situation) -> FoundContacts | None:
+        """See `ContactFinder`."""
+        if not self.arm.known:
+            return None
+        belief = self.arm.belief(reading_n, situation.stamp_ns, freed=situation.freed)
+        seen = self._law(
+            reading_n[None],
+            situation.pose_rad[None],
+            belief.mean,
+            belief.covariance,
+            self._torques_of(situation.unrest),
+        )
+        judgement = self._judge(seen, reading_n)
+        force = _STATES[judgement.state]
+        if force is ForceState.FREE and situation.unrest is None:
+            self.arm.untouched(reading_n)
+        if force is ForceState.FREE and self._unseen_n(seen) > self._hidden_above_n:
+            force = ForceState.HIDDEN
+        touched = judgement.state not in (ContactState.FREE, ContactState.IMPLAUSIBLE)
+        contacts = (self._contact(seen, judgement),) if touched else ()
+        return FoundContacts(
+            force,
+            judgement.probabilities.tolist(),
+            contacts,
+            self._estimate(seen, judgement),
+            judgement.doubt,
+        )
+
+    def _torques_of(self, unrest: Unrest | None) -> Array:
+        """(2N, 2N) covariance of the torques of inertia and damping, as large as they are."""
+        if unrest is None:
+            return self._still
+        swing_n_m = _SWING * self._inertia_kg_m2 * unrest.swing_rad_s2
+        damping_n_m = self._damping_n_m_s * unrest.speed_rad_s
+        return np.asarray(swing_n_m @ swing_n_m.T + np.diag(damping_n_m**2))
+
+    def _unseen_n(self, seen: LawOutput) -> float:
+        """The force in the middle of the last segment that would not show with 95 %, N."""
+        by_torque = seen.by_torque[0]
+        precision = by_torque.T @ seen.information_n2[0] @ by_torque
+        lever = seen.at_joint_m[0, -1, 1:] + self._middle_m[-1] * seen.by_place[0, -1, 1:]
+        (yy, yz), (_, zz) = lever @ precision @ lever.T
+        least = 0.5 * (yy + zz) - math.hypot(0.5 * (yy - zz), yz)
+        return NORMAL_95 / math.sqrt(max(least, 1e-12))
+
+    def _contact(self, seen: LawOutput, judgement: Judgement) -> Contact:
+        along_n, y, z = seen.force_n[0].tolist()
+        known = judgement.state is not ContactState.MOMENT
+        around_y, around_z = seen.moment_n_m[0].tolist()
+        moment_n_m = math.hypot(around_y, around_z)
+        if not known:
+            # the direction of the force, by its moment: around_z = s f_y, around_y = -s f_z
+            y, z = around_z, -around_y
+        along_std_n = float(seen.contact_covariance[0, 1, 1]) ** 0.5
+        return Contact(
+            judgement.segment,
+            math.degrees(math.atan2(y, z)) % 360.0,
+            math.hypot(y, z) if known else 0.0,
+            float(seen.place_m[0]),
+            along_n if along_std_n < _ALONG_KNOWN_N else 0.0,
+            moment_n_m,
+        )
+
+    def _estimate(self, seen: LawOutput, judgement: Judgement) -> Estimate:
+        along_n, y, z = seen.force_n[0].tolist()
+        size_n = max(math.hypot(y, z), 1e-9)
+        covariance = seen.contact_covariance[0]
+        (yy, yz), (_, zz) = covariance[2:, 2:].tolist()
+        across_n2 = z**2 * yy + y**2 * zz - 2.0 * y * z * yz
+        low_n, high_n = seen.magnitude_ci95_n[0].tolist()
+        low_m, high_m = (seen.region_m[0] - self._joint_m[judgement.segment - 1]).tolist()
+        touched = judgement.state is not ContactState.FREE
+        return Estimate(
+            probabilities=judgement.probabilities,
+            segment=judgement.segment if touched else 0,
+            angle_deg=math.degrees(math.atan2(y, z)) % 360.0,
+            magnitude_n=size_n,
+            magnitude_std_n=(high_n - low_n) / (2.0 * NORMAL_95),
+            angle_std_deg=math.degrees(math.atan(math.sqrt(max(across_n2, 0.0)) / size_n**2)),
+            low_n=low_n,
+            high_n=high_n,
+            place=ContactPlace(
+                place_m=float(seen.place_m[0]),
+                low_m=low_m,
+                high_m=high_m,
+                along_n=along_n,
+                covariance=covariance,
+                moment_n_m=float(np.hypot(*seen.moment_n_m[0])),
+                force_known=judgement.state is not ContactState.MOMENT,
+            ),
+        )
+
+
+class NetworkContacts:
+    """Contacts by a network of the paper, at the contact points of the arm file, at rest."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        network: Estimator | MultiEstimator,
+        tared: TaredArm,
+        threshold: float,
+        hidden_above_n: float,
+    ) -> None:
+        self.arm = tared
+        self._hidden_above_n = hidden_above_n
+        self.several = isinstance(network, MultiEstimator)
+        self._network = network
+        self._contact_m = per_segment(arm.segments.contact_m, arm.segment_count)
+        self.threshold(threshold)
+
+    def threshold(self, contact_threshold: float) -> None:
+        """State contacts from this probability on."""
+        self._threshold = contact_threshold
+
+    def find(self, reading_n: Array, situation: Situation) -> FoundContacts | None:
+        """See `ContactFinder`."""
+        unloaded_n = self.arm.unloaded_n()
+        if unloaded_n is None:
+            return None
+        difference_n = reading_n - unloaded_n
+        pose_rad = situation.pose_rad if self._network.pose_aware else None
+        if isinstance(self._network, MultiEstimator):
+            return self._several(difference_n, pose_rad)
+        estimate = Estimate(*self._network.estimate(difference_n, pose_rad)[:8])
+        probabilities = estimate.probabilities.tolist()
+        angle_deg = float(estimate.angle_deg)
+        size_n = float(estimate.magnitude_n)
+        contact = decide(probabilities, angle_deg, size_n, self._threshold, self._contact_m)
+        if not contact.segment:
+            hidden = estimate.high_n > self._hidden_above_n
+            force = ForceState.HIDDEN if hidden else ForceState.FREE
+            return FoundContacts(force, probabilities, (), estimate)
+        return FoundContacts(ForceState.CONTACT, probabilities, (contact,), estimate)
+
+    def _several(self, difference_n: Array, pose_rad: Array | None) -> FoundContacts:
+        """Sizes of the forces; the network gives no directions, so they are unconfirmed."""
+        answer = self._network.estimate_batch(difference_n, pose_rad)
+        touching = answer.probabilities[0]
+        sizes_n = answer.magnitude_n[0].tolist()
+        probabilities = [float(np.prod(1.0 - touching)), *touching.tolist()]
+        contacts = [
+            Contact(n, 0.0, size_n, self._contact_m[n - 1])
+            for n, size_n in enumerate(sizes_n, start=1)
+            if probabilities[n] >= self._threshold and size_n > 0.0
+        ]
+        contacts.sort(key=lambda contact: -contact.magnitude_n)
+        doubt = "the network of several contacts gives no directions" if contacts else ""
+        force = ForceState.UNCONFIRMED if contacts else ForceState.FREE
+        return FoundContacts(force, probabilities, tuple(contacts), doubt=doubt)

@@ -1,0 +1,210 @@
+"""`cablesense calibrate`: from unloaded poses of a recording, what is known of an arm."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cablesense_base.files import output_file
+from cablesense_ros.cli.options import ForceOption, JsonOption, print_json, titled_table
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from cablesense_contact.calibration import Calibration
+    from cablesense_contact.law import Law
+    from cablesense_sim.arm import Arm
+
+Description = dict[str, Any]
+_SHOWN_UNITS = {"1": (100.0, "%"), "m": (1e3, "mm"), "rad": (57.29577951308232, "°")}
+"""Factor and unit in tables; others are as they are."""
+
+
+def calibrate(
+    recording: Annotated[
+        Path, typer.Argument(help="A .csv file, a .mcap file or a rosbag2 folder.")
+    ],
+    out: Annotated[Path, typer.Option(help="The calibration file to write.")],
+    arm: Annotated[
+        str, typer.Option(help="Arm of the recording: a path, or the name of a bundled one.")
+    ] = "cdsm",
+    model: Annotated[
+        str,
+        typer.Option(
+            help="Model file of contacts anywhere for this arm.",
+            show_default="the arm's own, or its law in PyTorch",
+        ),
+    ] = "",
+    ended: Annotated[
+        datetime | None,
+        typer.Option(
+            help="When the recording ended, UTC: from then on sensors drift.",
+            show_default="the time of its file",
+        ),
+    ] = None,
+    force: ForceOption = False,
+    json_output: JsonOption = False,
+) -> None:
+    """Find how an arm differs from its file, from the unloaded poses of a recording.
+
+    Takes every stay of a second or more at one command without a load. Twenty-five poses within
+    10 degrees make a good calibration; the node commissioner chooses better ones, and visits them
+    by itself. Writes the file that the estimator takes as its parameter calibration_file.
+
+    Example: cablesense calibrate poses.mcap --arm my_arm.yaml --out my_arm.calibration
+    """
+    from dataclasses import replace
+
+    from rich.console import Console
+
+    from cablesense_contact.calibration import Calibrator, write_calibration
+    from cablesense_gap.recordings.checks import read_recording
+    from cablesense_gap.recordings.unloaded_holds import unloaded_holds
+    from cablesense_sim.arm import open_arm
+
+    output_file(out, force=force, inputs=(recording, arm, model))
+    described = open_arm(arm)
+    recorded = read_recording(recording, described)
+    law = law_of(described, arm, model)
+    unloaded = unloaded_holds(recorded, _ended_ns(recording, ended))
+    calibration = Calibrator(described, law).from_poses(unloaded)
+    poses = len({one.command_rad.tobytes() for one in unloaded})
+    many = "1 pose" if poses == 1 else f"{poses} poses"
+    made_from = f"{recorded.name}, with unloaded readings in {many}"
+    calibration = replace(calibration, made_from=made_from)
+    write_calibration(out, calibration, described)
+    description = calibration_description(calibration, described, law)
+    if json_output:
+        print_json({"file": str(out), **description})
+        return
+    console = Console()
+    print_calibration(console, description)
+    console.print(
+        f"{out}: give it to the estimator as -p calibration_file:={out}",
+        soft_wrap=True,
+        markup=False,
+    )
+
+
+def law_of(arm: Arm, arm_file: str, model: str = "") -> Law:
+    """The law of an arm: from a model file, the arm's bundled one, or else in PyTorch.
+
+    Raises:
+        ModelFileError: a model file is given and does not fit.
+        ModuleNotFoundError: no model file fits, and PyTorch is not installed.
+    """
+    from cablesense_training.errors import ModelFileError
+    from cablesense_training.inference.law_model import LawModel
+    from cablesense_training.inference.metadata import find_model_of
+
+    try:
+        return LawModel(find_model_of(arm, arm_file, model), arm)
+    except ModelFileError:
+        if model:
+            raise
+    from cablesense_training.law.build import TorchLaw
+
+    return TorchLaw(arm)
+
+
+def calibration_description(calibration: Calibration, arm: Arm, law: Law | None) -> Description:
+    """What a calibration says, as plain values in SI units.
+
+    Without a law nothing is said of the deviation of forces.
+    """
+    from dataclasses import asdict
+
+    from cablesense_contact.calibration_summary import summarised
+
+    unloaded = calibration.unloaded
+    taken_ns = calibration.changed_ns
+    taken = (
+        datetime.fromtimestamp(taken_ns / 1e9, UTC).replace(microsecond=0) if taken_ns else None
+    )
+    return {
+        "kind": "calibration",
+        "arm": calibration.arm_identity,
+        "made_from": calibration.made_from,
+        "poses": len({one.command_rad.tobytes() for one in unloaded}),
+        "unloaded_readings": len(unloaded),
+        "taken": taken.isoformat() if taken else None,
+        "chi2": calibration.chi2,
+        "channels": sum(len(one.reading_n) for one in unloaded),
+        "probability": calibration.misfit_probability,
+        "as_described": calibration.as_described,
+        "force_std_n": None if law is None else _force_std_n(calibration, arm, law),
+        "parameters": [asdict(row) for row in summarised(calibration, arm)],
+    }
+
+
+def print_calibration(console: Any, description: Description) -> None:
+    """Print what `calibration_description` gives: some sentences and a table."""
+
+    def say(text: str) -> None:
+        console.print(text, soft_wrap=True, markup=False, highlight=False)
+
+    say(f"Calibration of {description['arm']}, from {description['made_from']}")
+    if description["taken"]:
+        say(f"taken {description['taken']}")
+    console.print(_table(description))
+    say(
+        f"χ² {description['chi2']:.0f} of {description['channels']} readings: probability "
+        f"{description['probability']:.2g}"
+    )
+    if description["as_described"]:
+        say("The arm is as its file's tolerances describe it.")
+    else:
+        say(
+            "The arm is not as its file's tolerances describe it: was it touched, is a load not "
+            "in the recording, or is it built less well? Larger tolerances in the arm file make "
+            "its intervals true"
+        )
+    known = description["force_std_n"]
+    if known:
+        say(
+            f"The force of a contact of 20 N is known to ± {known['after']:.2f} N (one standard "
+            f"deviation); by the tolerances alone to ± {known['before']:.2f} N"
+        )
+
+
+def _force_std_n(calibration: Calibration, arm: Arm, law: Law) -> Description:
+    """Deviations of the force of contacts, in another pose than those of the calibration."""
+    from cablesense_contact.calibration import Calibrator
+    from cablesense_contact.reference_contacts import ReferenceContacts
+
+    contacts = ReferenceContacts(arm)
+    prior_mean = calibration.prior_mean
+    elsewhere = Calibrator(arm, law).moved(calibration)
+    return {
+        "before": contacts.force_std_n(law, prior_mean, calibration.prior_covariance),
+        "after": contacts.force_std_n(law, elsewhere.mean, elsewhere.covariance),
+    }
+
+
+def _table(description: Description) -> Table:
+    headings = ("tolerance", "known to", "determined", "farthest from the file")
+    rows = []
+    for row in description["parameters"]:
+        factor, unit = _SHOWN_UNITS.get(row["unit"], (1.0, row["unit"]))
+        rows.append(
+            (
+                row["kind"].replace("_", " "),
+                f"{factor * row['tolerance']:.3g} {unit}",
+                f"{factor * row['std']:.3g} {unit}",
+                f"{row['determined']} of {row['count']}",
+                f"{row['largest']:.1f} tolerances",
+            )
+        )
+    title = "One standard deviation each, medians of a kind"
+    return titled_table(title, "parameters", *headings, right=headings, rows=rows)
+
+
+def _ended_ns(recording: Path, ended: datetime | None) -> int:
+    """When a recording ended, since the epoch: as given, or when its newest file was written."""
+    if ended is not None:
+        return round(1e9 * ended.replace(tzinfo=ended.tzinfo or UTC).timestamp())
+    files = [each for each in recording.iterdir() if each.is_file()] if recording.is_dir() else []
+    return max(each.stat().st_mtime_ns for each in files or [recording])

@@ -1,0 +1,301 @@
+"""The `commissioner` node: moves the unloaded arm from pose to pose, until it is well known."""
+
+from __future__ import annotations
+
+import array
+import math
+import sys
+import time
+from collections import deque
+from functools import partial
+
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import UInt8MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+from cablesense_base import Array, CableSenseError
+from cablesense_base.files import output_file
+from cablesense_contact.calibration import CalibrationError, calibration_bytes, write_calibration
+from cablesense_msgs_py import topics
+from cablesense_msgs_py.messages import (
+    Level,
+    NamedOrder,
+    Status,
+    breath_turn,
+    joint_command_rad,
+    put_joint_angles,
+)
+from cablesense_msgs_py.qos import COMMAND, LATCHED, SENSOR
+from cablesense_msgs_py.serialized import EffortReader
+from cablesense_online.breathing import tip_m
+from cablesense_online.chosen_poses import chosen_poses
+from cablesense_online.commissioning import (
+    Commissioning,
+    CommissioningRefusedError,
+    CommissioningSettings,
+    Stage,
+)
+from cablesense_online.models import load_model
+from cablesense_online.samples import (
+    FollowedPublisher,
+    ProblemKind,
+    SampleCheck,
+    SampleClock,
+    SampleError,
+)
+from cablesense_ros.endpoints import RefusalLog, qos_profile, serve, subscribe_to_one
+from cablesense_ros.node_process import (
+    declare_parameters,
+    parameter_table,
+    publish_diagnostics,
+    run_node,
+)
+from cablesense_sim.build import mechanism_of
+from cablesense_training.errors import ModelFileError
+from cablesense_training.inference.law_model import LawModel
+
+_TICK_S = 0.02
+_OWN_COMMANDS = 8
+"""Commands that come back after having been sent are told from those of others by these."""
+_SIDES = {"auto": None, "one": False, "both": True}
+
+
+class CommissionerNode(Node):
+    """Commissions on request; stops on contact, on silence, and when others command the arm."""
+
+    def __init__(self) -> None:
+        super().__init__("commissioner")
+        self._given = given = declare_parameters(self, parameter_table("commissioner"))
+        loaded = load_model(given["arm"], given["model"])
+        if not isinstance(loaded.model, LawModel):
+            raise ModelFileError(
+                f"{loaded.path}: a commissioning needs a model of contacts anywhere; make one "
+                "with `cablesense export`"
+            )
+        self._law = loaded.model
+        self._arm = arm = loaded.arm
+        self._settings = CommissioningSettings(
+            joint_speed_rad_s=given["joint_speed_rad_s"],
+            settle_s=given["settle_s"],
+            readings=given["readings"],
+            approach_rad=given["approach_rad"],
+            both_sides=_SIDES[given["sides"]],
+            silent_after_s=given["stale_after_s"],
+        )
+        self._poses_rad = chosen_poses(
+            arm, self._law, given["poses"], given["bend_rad"], given["readings"]
+        )
+        self._joints = NamedOrder(arm.joint_names, "joints")
+        self._cables = NamedOrder(arm.cable_names, "cables")
+        self._reader = EffortReader()
+        self._check = SampleCheck(arm.sensors.range_n, slack_below_n=0.0)
+        self._sample_clock = SampleClock(given["stale_after_s"])
+        self._base_rad: Array | None = None
+        if not given["await_command"]:
+            self._base_rad = np.zeros(arm.joint_count)
+        self._commanded_ns = 0
+        self._heard_s = -math.inf
+        self._own: deque[Array] = deque(maxlen=_OWN_COMMANDS)
+        self._running: Commissioning | None = None
+        self._status = Status("commissioning", Level.OK, "none yet")
+        self._message = JointState(name=list(arm.joint_names))
+        self._commands = self.create_publisher(
+            JointState, topics.JOINT_COMMANDS, qos_profile(COMMAND)
+        )
+        self._calibrations = self.create_publisher(
+            UInt8MultiArray, topics.CALIBRATION, qos_profile(LATCHED)
+        )
+        self._refuse = RefusalLog(self)
+        self._refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND, self._on_command)
+        self._refuse.subscribe(
+            JointTrajectory, topics.JOINT_TRAJECTORY, COMMAND, self._on_trajectory
+        )
+        subscribe_to_one(
+            self,
+            JointState,
+            topics.CABLE_TENSIONS,
+            SENSOR,
+            FollowedPublisher(given["stale_after_s"]),
+            self._on_tensions,
+            partial(self._refuse, topics.CABLE_TENSIONS),
+        )
+        serve(self, topics.COMMISSION, self._begin)
+        self.create_timer(_TICK_S, self._tick)
+        publish_diagnostics(self, self._statuses, lambda: arm.identity)
+        self.get_logger().info(
+            f"arm {arm.identity}, model {loaded.path}: {len(self._poses_rad)} poses chosen"
+        )
+
+    def destroy_node(self) -> None:
+        """Leaves the arm where it is now."""
+        if self._running is not None:
+            self._running.stop("the node ends", self._now_ns())
+            self._tick()
+        super().destroy_node()
+
+    def _begin(self) -> str:
+        """Begin; gives how long it will take and how far the arm will go.
+
+        Raises:
+            CableSenseError: not now, or not here.
+        """
+        given = self._given
+        if self._running is not None:
+            raise CommissioningRefusedError(
+                "a commissioning is under way; wait until it has ended"
+            )
+        if self._base_rad is None:
+            raise CommissioningRefusedError(
+                f"no command on {topics.JOINT_COMMANDS} yet, so the pose to begin from is "
+                "unknown; send the one that the arm is at"
+            )
+        now_ns = self._now_ns()
+        waited_s = 1e-9 * (now_ns - self._commanded_ns)
+        if waited_s < given["rest_s"]:
+            raise CommissioningRefusedError(
+                f"commanded {waited_s:.1f} s ago; a commissioning begins {given['rest_s']:g} s "
+                "after a command (rest_s) at the earliest"
+            )
+        if time.monotonic() - self._heard_s > given["stale_after_s"]:
+            raise CommissioningRefusedError(
+                f"no readings on {topics.CABLE_TENSIONS}; are the sensors' driver and the network "
+                "running?"
+            )
+        if given["calibration_file"]:
+            output_file(given["calibration_file"], force=True)
+        start_rad = self._base_rad
+        running = Commissioning(
+            self._arm, self._law, self._poses_rad, start_rad, now_ns, self._settings
+        )
+        self._running = running
+        self._own.clear()
+        mechanism = mechanism_of(self._arm)
+        moved_m = tip_m(mechanism, self._poses_rad) - tip_m(mechanism, start_rad)
+        farthest_m = float(np.linalg.norm(moved_m, axis=-1).max())
+        progress = running.progress
+        return (
+            f"{progress.holds} holds in {len(self._poses_rad)} poses, about "
+            f"{progress.remaining_s:.0f} s; the tip moves by up to {farthest_m:.2f} m: leave the "
+            "arm alone"
+        )
+
+    def _on_tensions(self, raw: bytes) -> None:
+        self._heard_s = time.monotonic()
+        running = self._running
+        if running is None:
+            return
+        try:
+            message = self._reader.read(raw)
+            reading_n = self._cables.arrange(message.names, message.values, "effort")
+            now_ns = self._now_ns()
+            self._sample_clock.accept(message.stamp_ns, now_ns)
+            self._check.check(reading_n.tolist())
+            running.take(reading_n, message.stamp_ns or now_ns)
+        except CableSenseError as error:
+            if not _is_of_the_clock(error):
+                running.stop(str(error), self._now_ns())
+            self._refuse(topics.CABLE_TENSIONS, error)
+        self._tick()
+
+    def _on_command(self, message: JointState) -> None:
+        if breath_turn(message) is not None:
+            self._give_way("a breather moves the arm")
+            return
+        command_rad = joint_command_rad(message, self._joints, self._base_rad)
+        if any(np.array_equal(command_rad, own_rad) for own_rad in self._own):
+            return
+        if self._base_rad is None or not np.array_equal(command_rad, self._base_rad):
+            self._commanded_ns = self._now_ns()
+        self._base_rad = command_rad
+        self._give_way("another node commands the arm")
+
+    def _on_trajectory(self, message: JointTrajectory) -> None:
+        if not message.points:
+            return
+        self._commanded_ns = self._now_ns()
+        self._give_way("another node commands the arm along a trajectory")
+
+    def _give_way(self, why: str) -> None:
+        if self._running is not None:
+            self._running.give_way(why)
+            self._tick()
+
+    def _tick(self) -> None:
+        running = self._running
+        if running is None:
+            return
+        command_rad = running.advance(self._now_ns())
+        if command_rad is not None:
+            self._own.append(command_rad)
+            self._base_rad = command_rad
+            put_joint_angles(self._message, command_rad)
+            self._message.header.stamp = self.get_clock().now().to_msg()
+            self._commands.publish(self._message)
+        if running.over:
+            self._running = None
+            self._commanded_ns = self._now_ns()
+            self._end(running)
+
+    def _end(self, ended: Commissioning) -> None:
+        """State how it ended; a calibration is published and saved."""
+        values = {"holds": f"{ended.progress.holds_done} of {ended.progress.holds}"}
+        if ended.stage is Stage.STOPPED:
+            text = f"stopped: {ended.problem}"
+            self._status = Status("commissioning", Level.ERROR, text, values)
+            self.get_logger().error(f"{text}; nothing was saved")
+            return
+        calibration = ended.calibration
+        content = calibration_bytes(calibration, self._arm)
+        self._calibrations.publish(UInt8MultiArray(data=array.array("B", content)))
+        values["force of a contact known to (N)"] = f"{ended.progress.force_std_n:.3f}"
+        values["probability of such residuals"] = f"{calibration.misfit_probability:.3g}"
+        level = Level.OK
+        text = f"done: {calibration.made_from}"
+        if ended.skipped:
+            text += f", {ended.skipped} holds left out where a cable would be nearly slack"
+        if not calibration.as_described:
+            level = Level.WARN
+            text += "; the arm is not as its file's tolerances describe it"
+        path = self._given["calibration_file"]
+        if path:
+            values["file"] = path
+            try:
+                write_calibration(path, calibration, self._arm)
+            except CalibrationError as error:
+                level = Level.ERROR
+                text += f"; not saved: {error}"
+        self._status = Status("commissioning", level, text, values)
+        log = self.get_logger()
+        (log.info if level is Level.OK else log.warning)(
+            f"{text}; a contact's force is known to ± {ended.progress.force_std_n:.2f} N"
+        )
+
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _statuses(self) -> list[Status]:
+        running = self._running
+        if running is None:
+            return [self._status]
+        progress = running.progress
+        values = {
+            "holds": f"{progress.holds_done} of {progress.holds}",
+            "left (s)": f"{progress.remaining_s:.0f}",
+            "force of a contact known to (N)": f"{progress.force_std_n:.3f}",
+        }
+        text = f"{running.stage.value}: {progress.text}"
+        return [Status("commissioning", Level.OK, text, values)]
+
+
+def _is_of_the_clock(error: CableSenseError) -> bool:
+    """Whether a sample was refused only because it came late; the next may be in time."""
+    return isinstance(error, SampleError) and error.kind is ProblemKind.CLOCK
+
+
+main = partial(run_node, CommissionerNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

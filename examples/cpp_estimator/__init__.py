@@ -1,0 +1,1 @@
+"""The estimator in C++, with ONNX Runtime alone."""

@@ -1,0 +1,33 @@
+"""Writes what is known of an arm as plain doubles, for programs that read no NumPy archive.
+
+    python -m examples.cpp_estimator.known ARM known.bin [CALIBRATION]
+
+Mean (P,) and covariance (P, P) of the arm's parameters, by a calibration file or by the tolerances
+of the arm file.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from cablesense_contact.calibration import parameters_of, read_calibration
+from cablesense_sim import open_arm
+
+
+def main(arm: str, out: str, calibration: str = "") -> None:
+    """Write `out`."""
+    description = open_arm(arm)
+    if calibration:
+        known = read_calibration(calibration, description)
+        mean, covariance = known.mean, known.covariance
+    else:
+        parameters = parameters_of(description)
+        mean, covariance = parameters.prior_mean, np.diag(parameters.prior_std**2)
+    Path(out).write_bytes(mean.tobytes() + covariance.tobytes())
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

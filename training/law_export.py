@@ -1,0 +1,139 @@
+"""Writes the estimator of an arm as one ONNX file: no training, some seconds."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import warnings
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+from torch import Tensor, nn
+
+from cablesense_base.files import write_atomically
+from cablesense_base.installation import package_version
+from cablesense_contact.calibration import parameters_of
+from cablesense_contact.law import INPUTS, LawOutput
+from cablesense_sim.arm import Arm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.replay import read_tensions_n
+from cablesense_training.errors import TrainingError
+from cablesense_training.export import OPSET, TRACED_ROWS, take_any_number_of_rows
+from cablesense_training.inference.metadata import ANYWHERE, ModelMetadata, effect_versions
+from cablesense_training.inference.session import open_session
+from cablesense_training.law.build import arm_estimator
+from cablesense_training.law.posterior import LARGEST_N
+
+AGREEMENT = 1e-6
+"""Largest difference allowed between PyTorch and ONNX Runtime, as a share of the largest."""
+
+_TRIAL_ROWS = 16
+_COMMANDED_DEG = 20.0
+_PUSH_N = 10.0
+
+
+def export_law(arm: Arm, path: Path, command: str, unexplained_n2: float = 0.0) -> None:
+    """Write the estimator of an arm as a model file that answers as PyTorch does, checked.
+
+    `command` is what makes the file again, kept in it. `unexplained_n2` is the variance of
+    readings, N², by what the arm file does not know of the arm.
+
+    Raises:
+        TrainingError: PyTorch and ONNX Runtime differ, or the file cannot be written.
+    """
+    estimator = arm_estimator(arm, unexplained_n2).double().eval()
+    trial = _trial(arm)
+    model = _to_onnx(estimator, trial)
+    onnx.helper.set_model_props(model, _metadata(arm, command).to_properties())
+    onnx.checker.check_model(model, full_check=False)
+    _require_agreement(estimator, model, trial)
+    write_atomically(path, model.SerializeToString(), TrainingError)
+
+
+def _trial(arm: Arm) -> list[Tensor]:
+    """Inputs of some rows: readings of the arm of the file, pushed in usual poses."""
+    rng = np.random.default_rng(0)
+    parameters = parameters_of(arm)
+    reach = np.deg2rad(_COMMANDED_DEG)
+    joints = arm.joint_count
+    commands = rng.uniform(-reach, reach, (_TRIAL_ROWS, joints))
+    forces_n = np.zeros((_TRIAL_ROWS, arm.segment_count, 3))
+    rows = np.arange(_TRIAL_ROWS)
+    pushed = rng.integers(0, arm.segment_count, _TRIAL_ROWS)
+    forces_n[rows, pushed] = rng.normal(0.0, _PUSH_N, (_TRIAL_ROWS, 3))
+    rest = solve_equilibrium(mechanism_of(arm), commands, forces_n)
+    given = [
+        read_tensions_n(rest.tensions_n, arm.sensors, rng),
+        commands,
+        parameters.prior_mean,
+        np.diag(parameters.prior_std**2),
+        np.zeros((joints, joints)),
+    ]
+    return [torch.as_tensor(each) for each in given]
+
+
+def _to_onnx(estimator: nn.Module, trial: list[Tensor]) -> onnx.ModelProto:
+    """The graph, traced for `TRACED_ROWS` samples and made to take any number."""
+    rows = torch.arange(TRACED_ROWS) % _TRIAL_ROWS
+    traced = (trial[0][rows], trial[1][rows], *trial[2:])
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+        program = torch.onnx.export(
+            estimator,
+            traced,
+            dynamo=True,
+            opset_version=OPSET,
+            input_names=list(INPUTS),
+            output_names=list(LawOutput._fields),
+            verbose=False,
+        )
+    assert program is not None
+    model = program.model_proto
+    for node in model.graph.node:
+        del node.metadata_props[:]
+        node.doc_string = ""
+    del model.metadata_props[:]
+    take_any_number_of_rows(model.graph)
+    return model
+
+
+def _metadata(arm: Arm, command: str) -> ModelMetadata:
+    return ModelMetadata(
+        kind=ANYWHERE,
+        network="anywhere",
+        arm=arm,
+        arm_identity=arm.identity,
+        cable_names=arm.cable_names,
+        joint_names=arm.joint_names,
+        pose_aware=True,
+        pose_range_deg=_COMMANDED_DEG,
+        force_range_n=LARGEST_N,
+        tare_samples=1,
+        effect_versions=effect_versions(arm),
+        command=command,
+        seed=0,
+        version=package_version(),
+    )
+
+
+def _require_agreement(estimator: nn.Module, model: onnx.ModelProto, trial: list[Tensor]) -> None:
+    session = open_session(model)
+    given = {name: value.numpy() for name, value in zip(INPUTS, trial, strict=True)}
+    there = session.run(None, given)
+    with torch.no_grad():
+        here = estimator(*trial)
+    for name, one, other in zip(LawOutput._fields, there, here, strict=True):
+        if not np.isfinite(one).all():
+            raise TrainingError(f"output {name} is not finite in ONNX Runtime")
+        scale = max(1.0, float(np.abs(one).max()))
+        difference = float(np.abs(one - other.numpy()).max()) / scale
+        if not difference <= AGREEMENT:
+            raise TrainingError(
+                f"output {name} differs by {difference:.2g} between PyTorch and ONNX Runtime; at "
+                f"most {AGREEMENT:g} is allowed"
+            )
