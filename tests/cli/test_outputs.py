@@ -28,7 +28,6 @@ def folder(tmp_path, monkeypatch):
     [
         ("dataset --workers 0 --out a.parquet", "a.parquet"),
         ("train --data none.parquet --out a.onnx", "a.onnx"),
-        ("export --out a.onnx", "a.onnx"),
         ("gap diagnose none.csv --out .", "report.html"),
         ("gap diagnose none.csv --out found", "found/amended_arm.yaml"),
         ("gap withhold --count 1 --only rust --out cases", "cases/case_060.csv"),
@@ -45,6 +44,12 @@ def test_what_exists_is_replaced_only_by_force(folder, command, file):
     assert f"{file}: exists already; " in refused(*command.split())
     assert f"{path.name}: exists already; " not in refused(*command.split(), "--force")
     assert path.read_text() == "mine"
+
+
+def test_an_exported_model_replaces_another_only_by_force(folder):
+    (folder / "a.onnx").write_text("mine")
+    assert "a.onnx: exists already; " in refused("export", "--out", "a.onnx")
+    assert (folder / "a.onnx").read_text() == "mine"
 
 
 @pytest.mark.parametrize(

@@ -132,12 +132,12 @@ def test_the_estimator_is_configured_then_activated_or_the_launch_ends(start):
 
 
 def test_a_respawned_node_activates_itself(start):
-    entities = start(respawn="true", state_file="/tmp/state")
+    entities = start(respawn="true", calibration_file="/tmp/known.npz")
     assert not of_kind(entities, "LifecycleNode", "EmitEvent")
     estimator = nodes(entities)["estimator"]
     assert estimator.given["respawn"] is True
     assert estimator.parameter("autostart") is True
-    assert estimator.parameter("state_file") == "/tmp/state"
+    assert estimator.parameter("calibration_file") == "/tmp/known.npz"
 
 
 @pytest.mark.parametrize(
