@@ -107,9 +107,9 @@ def test_a_demo_serves_its_page_and_ends_cleanly_when_told_to(tmp_path):
             assert answer.status == 200
         assert (tmp_path / "logs/page.log").stat().st_mode & 0o077 == 0
         log = (tmp_path / "logs/page.log").read_text()
-        assert f"page of arm {open_arm('cdsm').identity}" in log
+        assert f"page of arm {open_arm('cdsm_lab').identity}" in log
         children = child_pids(process.pid)
-        assert len(children) == 3
+        assert len(children) == 4  # sim, estimator, commissioner, page
         process.send_signal(signal.SIGTERM)
         assert process.wait(30) == 143
         assert "Traceback" not in process.stderr.read()
