@@ -79,15 +79,15 @@ class Bench:
 
     def false_contacts(self, count: int, seed: int) -> int:
         """How many samples of the untouched arm are answered with a contact."""
-        found = 0
+        false_contacts = 0
         parts = max(1, count // UNTOUCHED_AT_ONCE)
         for part in track(range(parts), f"{self.arm.name}, untouched"):
             protocol = AnywhereContact(
                 samples=min(count, UNTOUCHED_AT_ONCE), pose="random", no_contact_fraction=1.0
             )
             metrics = law_metrics(self.arm, *self.answered(protocol, seed + part))
-            found += metrics.false_contacts
-        return found
+            false_contacts += metrics.false_contacts
+        return false_contacts
 
 
 def bars_of(where: str, metrics: LawMetrics) -> dict[str, bool]:

@@ -234,22 +234,23 @@ def errors(course: Course, estimates: Estimates, loads: int) -> dict[str, Any]:
         lower = np.maximum(_FORCES_N[0], highest * rng.uniform(0.2, 0.8, arms))
         for force in (highest, lower, np.zeros(arms)):
             course.load(normal_force_n(mechanism, course.base_rad, segment, angle, force))
-            found = estimates.answered()
+            estimated = estimates.answered()
             if not force.any():
-                untouched += found.state
-                stated = [state in STATED for state in found.state]
-                ghosts_n.append(np.where(stated, found.size_n, 0.0).max())
+                untouched += estimated.state
+                stated = [state in STATED for state in estimated.state]
+                ghosts_n.append(np.where(stated, estimated.size_n, 0.0).max())
                 continue
             along_m = joint_m[segment - 1] + mechanism.contact_m[segment - 1]
-            low_n, high_n = found.interval_n.T
-            low_m, high_m = found.region_m.T
+            estimated_m = joint_m[estimated.segment - 1] + estimated.place_m
+            low_n, high_n = estimated.interval_n.T
+            low_m, high_m = estimated.region_m.T
             figures = {
-                "state": [state.value for state in found.state],
-                "stated": [state in STATED for state in found.state],
+                "state": [state.value for state in estimated.state],
+                "stated": [state in STATED for state in estimated.state],
                 "segment": segment,
-                "right": found.segment == segment,
-                "off_n": np.abs(found.size_n - force),
-                "off_mm": 1e3 * np.abs(joint_m[found.segment - 1] + found.place_m - along_m),
+                "right": estimated.segment == segment,
+                "off_n": np.abs(estimated.size_n - force),
+                "off_mm": 1e3 * np.abs(estimated_m - along_m),
                 "half_n": 0.5 * (high_n - low_n),
                 "force_holds": (low_n <= force) & (force <= high_n),
                 "place_holds": (low_m <= along_m) & (along_m <= high_m),
@@ -284,9 +285,9 @@ def breathed(name: str, coefficient: float, options: Any) -> dict[str, Any]:
     arm = with_friction(course.arm, coefficient)
     breathing = Breathing(course, arm)
     estimates = Estimates(course, arm, breathing.read_n, freed=True)
-    found = errors(course, estimates, options.loads)
+    error_figures = errors(course, estimates, options.loads)
     joints_deg = np.degrees(max(circle.largest_rad for circle in breathing.circles))
-    return found | {
+    return error_figures | {
         "took_s": round(breathing.took_s, 3),
         "joints_deg": round(float(joints_deg), 3),
         "tip_commanded_mm": round(1e3 * max(c.tip_m for c in breathing.circles), 3),

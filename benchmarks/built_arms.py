@@ -230,8 +230,8 @@ class Bench:
         if self.case.fault is not None:
             readings = np.array([self.case.fault(reading, rng) for reading in readings])
         known = self.calibrator.moved(calibration)
-        at = np.array(commands)[kept]
-        seen = self.law(readings, at, known.mean, known.covariance, self.still)
+        commands_rad = np.array(commands)[kept]
+        seen = self.law(readings, commands_rad, known.mean, known.covariance, self.still)
         return [self._judged(drawn[k], seen.row(i), readings[i]) for i, k in enumerate(kept)]
 
     def _walked(
@@ -488,9 +488,9 @@ def main() -> int:
                 continue
             stated = stated_file(arm, case)
             bench = Bench(stated, TorchLaw(stated), nominal, case)
-            found = run_case(bench, title, given, row)
-            result.setdefault(name, {})[title] = found
-            print(name, title, found, file=sys.stderr, flush=True)
+            figures = run_case(bench, title, given, row)
+            result.setdefault(name, {})[title] = figures
+            print(name, title, figures, file=sys.stderr, flush=True)
     return harness.publish("built_arms.json", result, given, "numpy", "torch")
 
 

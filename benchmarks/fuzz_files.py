@@ -211,14 +211,14 @@ def _require_finite(contacts: LawContacts | NetworkContacts, untouched_n: Array)
     """Check that readings are refused, or answered by finite numbers."""
     for scale in (0.0, 1.0, 40.0):
         reading_n = untouched_n + np.linspace(-scale, scale, len(untouched_n))
-        found = contacts.find(reading_n, Situation(np.zeros(STRAIGHT.shape), 1))
-        assert found is not None
-        numbers = list(found.probabilities)
-        for contact in found.contacts:
+        stated = contacts.find(reading_n, Situation(np.zeros(STRAIGHT.shape), 1))
+        assert stated is not None
+        numbers = list(stated.probabilities)
+        for contact in stated.contacts:
             numbers += contact.wrench
-        if found.estimate is not None:
-            numbers += found.estimate[2:8]
-        require(np.isfinite(numbers).all(), f"{found} is stated")
+        if stated.estimate is not None:
+            numbers += stated.estimate[2:8]
+        require(np.isfinite(numbers).all(), f"{stated} is stated")
 
 
 def _calibrate(path: Path) -> None:

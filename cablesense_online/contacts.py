@@ -253,7 +253,7 @@ class NetworkContacts:
         pose_rad = situation.pose_rad if self._network.pose_aware else None
         if isinstance(self._network, MultiEstimator):
             return self._several(difference_n, pose_rad)
-        estimate = Estimate(*self._network.estimate(difference_n, pose_rad)[:8])
+        estimate = self._network.estimate(difference_n, pose_rad)
         probabilities = estimate.probabilities.tolist()
         angle_deg = float(estimate.angle_deg)
         size_n = float(estimate.magnitude_n)

@@ -5,33 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from blind_sets import narrow_arm
 
 from cablesense_gap.recordings.recording import Recording
-from cablesense_sim.arm import open_arm
-from cablesense_sim.tolerances import Tolerances
 
-NARROW = (
-    Tolerances()
-    .scaled(0.0)
-    .model_copy(
-        update={
-            "pretension_n": 0.15,
-            "segment_mass_share": 0.005,
-            "hole_around_m": 1e-4,
-            "sensor_zero_n": 0.05,
-            "contact_m": 3e-4,
-            "friction_share": 0.1,
-        }
-    )
-)
-"""Tolerances of an arm that is built with great care: few parameters, which are soon fitted.
-
-Arms of the plant with `with_tolerances` are within them. All holes of a cable are turned by 0.05
-degrees together there, 44 um of five holes at 50 mm. Independent holes of 0.1 mm have a mean as
-wide as that.
-"""
-
-LAB = open_arm("cdsm_lab").model_copy(update={"tolerances": NARROW})
+LAB = narrow_arm("cdsm_lab")
 RATE_HZ = 5.0
 CYCLE = np.repeat([0.0, 0.25, 0.5, 0.75, 1.0, 0.75, 0.5, 0.25, 0.0], 4)
 

@@ -9,7 +9,6 @@ from .data.protocols import SingleContact as SingleContact
 from .errors import DatasetError as DatasetError
 from .errors import ModelFileError as ModelFileError
 from .errors import TrainingError as TrainingError
-from .inference.estimator import Estimate as Estimate
 from .inference.estimator import Estimates as Estimates
 from .inference.estimator import Estimator as Estimator
 from .inference.estimator import MultiEstimator as MultiEstimator

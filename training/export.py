@@ -6,7 +6,7 @@ import contextlib
 import io
 import logging
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +43,9 @@ def export_model(network: ContactNetwork, path: Path, metadata: ModelMetadata) -
     """
     answers = _Answers(network).double().eval()
     inputs = dict(zip(input_widths(metadata), _trial_inputs(metadata), strict=True))
-    model = _to_onnx(answers, inputs)
+    rows = torch.arange(TRACED_ROWS) % _TRIAL_ROWS
+    traced = {name: value[rows] for name, value in inputs.items()}
+    model = to_onnx(answers, traced, answers.outputs)
     onnx.helper.set_model_props(model, metadata.to_properties())
     store_as_single(model.graph)
     onnx.checker.check_model(model, full_check=False)
@@ -83,21 +85,28 @@ def _trial_inputs(metadata: ModelMetadata) -> list[Tensor]:
     return [tension, torch.as_tensor(command)]
 
 
-def _to_onnx(answers: _Answers, inputs: dict[str, Tensor]) -> onnx.ModelProto:
-    """The graph, traced for `TRACED_ROWS` samples and made to take any number.
+def to_onnx(
+    module: nn.Module, traced: Mapping[str, Tensor], outputs: Sequence[str]
+) -> onnx.ModelProto:
+    """The graph of a module, traced for `TRACED_ROWS` samples and made to take any number.
 
     With that number as a symbol tracing takes more than twice as long.
+
+    Args:
+        module: gives a tuple, in the order of the names of its `outputs`.
+        traced: inputs by name, those of samples with `TRACED_ROWS` rows.
+        outputs: see `module`.
     """
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
         program = torch.onnx.export(
-            answers,
-            tuple(v[torch.arange(TRACED_ROWS) % _TRIAL_ROWS] for v in inputs.values()),
+            module,
+            tuple(traced.values()),
             dynamo=True,
             opset_version=OPSET,
-            input_names=list(inputs),
-            output_names=list(answers.outputs),
+            input_names=list(traced),
+            output_names=list(outputs),
             verbose=False,
         )
     assert program is not None
@@ -106,11 +115,11 @@ def _to_onnx(answers: _Answers, inputs: dict[str, Tensor]) -> onnx.ModelProto:
         del node.metadata_props[:]
         node.doc_string = ""
     del model.metadata_props[:]
-    take_any_number_of_rows(model.graph)
+    _take_any_number_of_rows(model.graph)
     return model
 
 
-def take_any_number_of_rows(graph: onnx.GraphProto) -> None:
+def _take_any_number_of_rows(graph: onnx.GraphProto) -> None:
     """Take `TRACED_ROWS` out of shapes, and out of constants, which are one row for all samples.
 
     A graph that contains it elsewhere fails on the trial's rows.

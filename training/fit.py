@@ -16,9 +16,9 @@ import torch
 from torch import Tensor
 
 from cablesense_base import Array
+from cablesense_contact.estimate import NORMAL_95
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.errors import TrainingError
-from cablesense_training.inference.estimator import NORMAL_95
 from cablesense_training.networks.layers import (
     ContactNetwork,
     LossTerms,

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import logging
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +18,7 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.replay import read_tensions_n
 from cablesense_training.errors import TrainingError
-from cablesense_training.export import OPSET, TRACED_ROWS, take_any_number_of_rows
+from cablesense_training.export import TRACED_ROWS, to_onnx
 from cablesense_training.inference.metadata import ANYWHERE, ModelMetadata, effect_versions
 from cablesense_training.inference.session import open_session
 from cablesense_training.law.build import arm_estimator
@@ -77,29 +73,10 @@ def _trial(arm: Arm) -> list[Tensor]:
 
 
 def _to_onnx(estimator: nn.Module, trial: list[Tensor]) -> onnx.ModelProto:
-    """The graph, traced for `TRACED_ROWS` samples and made to take any number."""
     rows = torch.arange(TRACED_ROWS) % _TRIAL_ROWS
-    traced = (trial[0][rows], trial[1][rows], *trial[2:])
-    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-        program = torch.onnx.export(
-            estimator,
-            traced,
-            dynamo=True,
-            opset_version=OPSET,
-            input_names=list(INPUTS),
-            output_names=list(LawOutput._fields),
-            verbose=False,
-        )
-    assert program is not None
-    model = program.model_proto
-    for node in model.graph.node:
-        del node.metadata_props[:]
-        node.doc_string = ""
-    del model.metadata_props[:]
-    take_any_number_of_rows(model.graph)
-    return model
+    readings, commands, *known = trial
+    traced = (readings[rows], commands[rows], *known)
+    return to_onnx(estimator, dict(zip(INPUTS, traced, strict=True)), LawOutput._fields)
 
 
 def _metadata(arm: Arm, command: str) -> ModelMetadata:

@@ -46,17 +46,25 @@ class CableTolerance(Effect):
     version = 2  # before, it had the angle of its holes and the sensor's zero
     parameters = (
         Parameter(
-            "log_stiffness", "1", -1.0, 1.0, _CAREFUL.cable_stiffness_share,
+            "log_stiffness",
+            "1",
+            -1.0,
+            1.0,
+            _CAREFUL.cable_stiffness_share,
             "logarithm of the ratio of its stiffness to the stated one",
         ),
         Parameter(
             "pretension_n", "N", -1e4, 1e4, _CAREFUL.pretension_n, "of the pretension, in excess"
         ),
         Parameter(
-            "friction_share", "1", -0.9, 2.0, _CAREFUL.friction_share,
+            "friction_share",
+            "1",
+            -0.9,
+            2.0,
+            _CAREFUL.friction_share,
             "of the friction at its guides, in excess",
         ),
-    )  # fmt: skip
+    )
     tolerance = True
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
@@ -93,10 +101,14 @@ class HoleTolerance(Effect):
     parameters = (
         Parameter("outward_m", "m", -0.02, 0.02, _CAREFUL.hole_radial_m, "away from the axis"),
         Parameter(
-            "around_m", "m", -0.02, 0.02, _CAREFUL.hole_around_m,
+            "around_m",
+            "m",
+            -0.02,
+            0.02,
+            _CAREFUL.hole_around_m,
             "around the axis, from +z towards +y",
         ),
-    )  # fmt: skip
+    )
     tolerance = True
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
@@ -134,11 +146,15 @@ class SensorTolerance(Effect):
     order = _LAST
     parameters = (
         Parameter(
-            "gain", "1", -0.5, 0.5, _CAREFUL.sensor_gain_share,
+            "gain",
+            "1",
+            -0.5,
+            0.5,
+            _CAREFUL.sensor_gain_share,
             "share by which readings are too high",
         ),
         Parameter("zero_n", "N", -1e4, 1e4, _CAREFUL.sensor_zero_n, "reading without a tension"),
-    )  # fmt: skip
+    )
     tolerance = True
 
     def sensing(self, place: str, values: Values) -> Sensing:
@@ -169,15 +185,23 @@ class SegmentTolerance(Effect):
             "mass_share", "1", -0.9, 2.0, _CAREFUL.segment_mass_share, "of the mass, in excess"
         ),
         Parameter(
-            "centre_m", "m", -0.05, 0.05, _CAREFUL.centre_of_mass_m,
+            "centre_m",
+            "m",
+            -0.05,
+            0.05,
+            _CAREFUL.centre_of_mass_m,
             "of the centre of mass, outward",
         ),
         Parameter(
-            "length_m", "m", -0.02, 0.02, _CAREFUL.segment_length_m,
+            "length_m",
+            "m",
+            -0.02,
+            0.02,
+            _CAREFUL.segment_length_m,
             "from joint centre to joint centre, in excess",
         ),
         Parameter("contact_m", "m", -0.02, 0.02, _CAREFUL.contact_m, "of loaded points, outward"),
-    )  # fmt: skip
+    )
     tolerance = True
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from sklearn.ensemble import HistGradientBoostingClassifier, HistGradientBoostingRegressor
 
 from cablesense_base import Array
+from cablesense_contact.estimate import NORMAL_95
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.evaluation.metrics import ContactAnswer, angle_difference_deg
-from cablesense_training.inference.estimator import NORMAL_95
 
 _SEED, _HELD_OUT = 0, 0.1
 """The share of the samples that the stated deviations are taken from."""

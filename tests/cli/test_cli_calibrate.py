@@ -49,9 +49,16 @@ def calibrated(command, tmp_path):
     """A calibration file of an arm that is built well, and what the verb printed."""
     write_csv(tmp_path / "poses.csv", stays(12))
     ended = command(
-        "calibrate", "poses.csv", "--arm", LAB, "--out", "lab.calibration", "--json",
-        "--ended", "2026-03-01T10:00:00",
-    )  # fmt: skip
+        "calibrate",
+        "poses.csv",
+        "--arm",
+        LAB,
+        "--out",
+        "lab.calibration",
+        "--json",
+        "--ended",
+        "2026-03-01T10:00:00",
+    )
     assert ended.returncode == 0, ended.stderr
     return tmp_path / "lab.calibration", json.loads(ended.stdout)
 

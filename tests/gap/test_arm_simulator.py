@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arm_variants import variant
-from gap_recordings import LAB, NARROW, small_recording
+from blind_sets import NARROW
+from gap_recordings import LAB, small_recording
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cablesense_gap.amended_arm import amended_arm, write_arm

@@ -7,7 +7,7 @@ import pytest
 import torch
 from law_arms import LawArm, Push
 
-from cablesense_contact.law import INPUTS
+from cablesense_contact.law import INPUTS, LawOutput
 from cablesense_sim.arm import open_arm
 from cablesense_training.inference.session import open_session
 from cablesense_training.law.estimator import EstimatorOutput
@@ -58,3 +58,7 @@ def test_the_graph_answers_as_pytorch_does(law, given, session, rows):
         assert np.isfinite(one).all(), name
         scale = max(1.0, np.abs(one).max())
         assert np.abs(one - other.numpy()).max() <= 1e-6 * scale, name
+
+
+def test_outputs_in_pytorch_have_the_order_of_those_in_a_file():
+    assert EstimatorOutput._fields == LawOutput._fields

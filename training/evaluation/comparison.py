@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_base.installation import config_path
 from cablesense_contact.calibration import Calibrator, Unloaded
+from cablesense_contact.estimate import NORMAL_95
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -42,7 +43,7 @@ from cablesense_training.evaluation.metrics import (
     single_contact_metrics,
 )
 from cablesense_training.evaluation.points import point_answer
-from cablesense_training.inference.estimator import NORMAL_95, Estimator, MultiEstimator
+from cablesense_training.inference.estimator import Estimator, MultiEstimator
 from cablesense_training.inference.law_model import LawModel
 from cablesense_training.inference.metadata import ANYWHERE, find_model
 from cablesense_training.inference.model_file import read_model

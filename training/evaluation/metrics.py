@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import TypeAdapter
 
 from cablesense_base import Array
+from cablesense_contact.estimate import NORMAL_95
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.contact_bound import contact_response
 from cablesense_sim.effects.registry import amended
@@ -27,7 +28,6 @@ from cablesense_sim.equilibrium import held_lengths_m
 from cablesense_sim.replay import difference_variance_n2
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import solved_rows
-from cablesense_training.inference.estimator import NORMAL_95
 
 Integers = NDArray[np.int64]
 

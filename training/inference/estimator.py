@@ -14,37 +14,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablesense_base import Array
+from cablesense_contact.estimate import NORMAL_95, Estimate
 from cablesense_training.errors import EstimateError
 from cablesense_training.inference.session import COMMAND, TENSION, OpenedModel
 
 OUTPUTS = ("contact_probability", "direction", "magnitude_n", "magnitude_std_n", "angle_std_deg")
 MULTI_OUTPUTS = ("contact_probability", "magnitude_n", "magnitude_std_n")
-
-NORMAL_95 = 1.959964
-"""Standard deviations on either side of the mean that hold 95 % of a Gaussian."""
-
-
-class Estimate(NamedTuple):
-    """One contact, or none.
-
-    Attributes:
-        probabilities: (N + 1,) of no contact and of segment 1 … N.
-        segment: the likeliest of them; 0 is no contact.
-        angle_deg: contact angle in [0, 360), in the normal plane of the segment at the commanded
-            angles, from +z towards +y.
-        magnitude_n: force; without a contact, that of the likeliest segment.
-        magnitude_std_n, angle_std_deg: standard deviations.
-        low_n, high_n: between which the force lies with 95 %, where there is a contact.
-    """
-
-    probabilities: Array
-    segment: int
-    angle_deg: float
-    magnitude_n: float
-    magnitude_std_n: float
-    angle_std_deg: float
-    low_n: float
-    high_n: float
 
 
 class Estimates(NamedTuple):

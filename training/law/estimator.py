@@ -31,36 +31,7 @@ _TINY = 1e-18
 
 
 class EstimatorOutput(NamedTuple):
-    """What a reading says, for B samples of an arm with N segments, M cables and P parameters.
-
-    Log evidences are against "nothing touches". Forces are along the axes that their segment has
-    at the command; those of one contact are of the likeliest segment.
-
-    Attributes:
-        contact_evidence: (B, N) of one contact on this segment.
-        segment_evidence: (B, N) of any force and moment on this segment.
-        several_evidence: (B,) of several contacts on the whole arm.
-        faulty_evidence: (B, M) nothing touches, and this channel is wrong.
-        faulty_segment_evidence: (B, M, N) any force on this segment, and this channel is wrong.
-        exchanged_evidence: (B, M, M) nothing touches, and two channels are exchanged.
-        free_chi2, contact_chi2, several_chi2: (B,) that nothing, one contact, and several leave.
-        place_m: (B,) mean distance from the joint centre.
-        place_ci95_m: (B, 2) interval of it.
-        region_m: (B, 2) interval of the place over all segments, from the first joint centre along
-            the straight arm.
-        force_n: (B, 3) mean.
-        contact_covariance: (B, 4, 4) of place, m, and force, N.
-        magnitude_ci95_n: (B, 2) interval of the lateral force.
-        moment_n_m, moment_std_n_m: (B, 2) about the joint centre, around y and z.
-        fault_n: (B, M) what each channel reads too much if nothing touches and it is wrong.
-        innovation_n: (B, M) reading minus that of the untouched arm.
-        information_n2: (B, M, M) inverse covariance of innovations.
-        by_parameter: (B, M, P) derivative of readings by the parameters.
-        by_torque: (B, M, 2N) derivative of readings by contact torques.
-        at_joint_m, by_place: (B, N, 3, 2N) torques of unit forces at the joint centres, and their
-            derivative by the distance from these.
-        pose_rad: (B, 2N) joint angles.
-    """
+    """What B readings say, as tensors: each is described at `cablesense_contact.law.LawOutput`."""
 
     contact_evidence: Tensor
     segment_evidence: Tensor
@@ -159,10 +130,16 @@ class ArmEstimator(nn.Module):
         # the grid of the likeliest segment
         place_m = torch.minimum(torch.maximum(one.place_m, self.low_m), self.high_m)
         rows = (
-            place_m, one.force_n, one.line_m * one.force_n[:, :, 1:], one.weight,
-            one.place_variance_m2, one.covariance_n2, one.line_m**2, one.lateral_squared_n2,
+            place_m,
+            one.force_n,
+            one.line_m * one.force_n[:, :, 1:],
+            one.weight,
+            one.place_variance_m2,
+            one.covariance_n2,
+            one.line_m**2,
+            one.lateral_squared_n2,
             one.lateral_variance_n2,
-        )  # fmt: skip
+        )
         grid = (chosen @ torch.cat(rows, dim=2).flatten(2)).reshape(self.grid_shape)
         values, weight, within, square_m2, squared, variance = grid.split((6, 1, 10, 1, 1, 1), 1)
         means = values @ weight.transpose(1, 2)

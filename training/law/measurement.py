@@ -249,9 +249,19 @@ class MeasurementModel(nn.Module):
         by_torque = by_torque * given.gain[:, None]
 
         by_parameter = self._by_parameter(
-            given, spans, straight_by_hole, carried, wrap_rad, tension_n, stiffness, across_n,
-            jacobian, held_slope, weighed, by_torque,
-        )  # fmt: skip
+            given,
+            spans,
+            straight_by_hole,
+            carried,
+            wrap_rad,
+            tension_n,
+            stiffness,
+            across_n,
+            jacobian,
+            held_slope,
+            weighed,
+            by_torque,
+        )
         spread = by_parameter @ covariance @ by_parameter.transpose(1, 2)
         spread = spread + self.reading_variance_n2 * self.cable_identity
         spread = spread + by_torque @ unrest_n2_m2 @ by_torque.transpose(1, 2)
