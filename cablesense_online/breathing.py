@@ -19,14 +19,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_msgs_py.messages import BREATH_END, Level, Status
-from cablesense_online.state import BreathState
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
@@ -224,6 +223,41 @@ def _motion_m(mechanism: Mechanism, command_rad: Array, axes_rad: Array) -> Arra
     beyond = np.hypot(*by_joint[..., ::-1].cumsum(-1)[..., ::-1])
     passed = mechanism.cable_segment[:, None] > np.arange(beyond.shape[-1])
     return np.where(passed, beyond, np.inf)
+
+
+@dataclass
+class BreathState:
+    """Progress and results of a breath (`BreathReadings`).
+
+    Attributes:
+        turn: turn of the last reading, as `messages.breath_turn` numbers them.
+        from_ns, last_ns: stamps of the turn's beginning, 0 where the turn does not count, and of
+            the last reading.
+        count, gap_ns: number of readings in the turn, and the longest time between two.
+        sum_log_n: (M,) sum of their logarithms, weighted by time in s.
+        lowest_n, highest_n: (M,) range of the readings.
+        mark_turn, mark_ns: turn and stamp of the mark that the next reading passes; 0 for none.
+        reading_n: (M,) mean of the last whole turn; empty where none counts.
+        ended_ns: stamp of the breath's end; 0 where no rest is awaited.
+        rest_n, rest_count: (M,) sum of the readings at rest since, and their number.
+        offset_n: (M,) correction of the readings for friction; empty where it is not known.
+    """
+
+    turn: int = BREATH_END
+    from_ns: int = 0
+    last_ns: int = 0
+    count: int = 0
+    gap_ns: int = 0
+    sum_log_n: Array = field(default_factory=lambda: _NONE)
+    lowest_n: Array = field(default_factory=lambda: _NONE)
+    highest_n: Array = field(default_factory=lambda: _NONE)
+    mark_turn: int = BREATH_END
+    mark_ns: int = 0
+    reading_n: Array = field(default_factory=lambda: _NONE)
+    ended_ns: int = 0
+    rest_n: Array = field(default_factory=lambda: _NONE)
+    rest_count: int = 0
+    offset_n: Array = field(default_factory=lambda: _NONE)
 
 
 class BreathReadings:

@@ -8,13 +8,14 @@ gate.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.settings import EstimationSettings
-from cablesense_online.state import LONG_AGO_NS, GateState
 from cablesense_sim.joint_motion import SHORTEST_MOVE_S, JointMotion
 
 _POSE_STEP_RAD = 2e-3
@@ -31,6 +32,38 @@ _SETTLED, _SWINGS = 3.0, 2.0
 """A swing falls to a twentieth within `settle_s`, and is forgotten after twice that time."""
 _CLOCK_JITTER_S = 0.02
 """Between the stamps' clock and the monotonic one; a larger difference means a clock was set."""
+
+
+LONG_AGO_NS: Final = -(2**62)
+"""A stamp before all others."""
+_NONE: Final = np.zeros(0)
+
+
+@dataclass
+class GateState:
+    """Where the arm may be on its way to the command in force.
+
+    Attributes:
+        command_rad: (2N,) the command in force.
+        pose_rad: (2N,) pose of the estimates: the command, or a set-point of a followed motion.
+        rest_from_ns: stamp from which on the arm rests.
+        course_from_ns: the stamp at which a motion of the set-points began.
+        turned_ns: stamp at which the last turn beyond `still_rad` arrives.
+        swing_rad_s2, swung_ns: (2N,) accelerations with which the arm swung at a stamp; empty
+            where it has not moved.
+        net_turn_rad, turns_rad: averages of the latest changes of the command (2N,), and of their
+            sizes.
+    """
+
+    command_rad: Array
+    pose_rad: Array
+    rest_from_ns: int
+    course_from_ns: int = 0
+    turned_ns: int = LONG_AGO_NS
+    swing_rad_s2: Array = field(default_factory=lambda: _NONE)
+    swung_ns: int = LONG_AGO_NS
+    net_turn_rad: Array = field(default_factory=lambda: _NONE)
+    turns_rad: float = 0.0
 
 
 class MotionGate:
@@ -57,14 +90,19 @@ class MotionGate:
         self._blind_since_ns: int | None = None
         self._commands_since = 0
         self._rest_from_s = 0.0
-        self._last_ns = LONG_AGO_NS
         self.rest_at(command_rad)
 
     def rest_at(self, command_rad: Array) -> None:
         """The arm has been at rest at a command (2N,) for long."""
         here = command_rad.copy()
-        state = GateState(command_rad=here, pose_rad=here, rest_from_ns=LONG_AGO_NS)
-        self.restore(state)
+        self.state = GateState(command_rad=here, pose_rad=here, rest_from_ns=LONG_AGO_NS)
+        self.angles_rad = here
+        self._course = JointMotion(here, self._settings.joint_speed_rad_s)
+        self._last_ns = LONG_AGO_NS
+        self._heading = False
+        self._starting = False
+        self._resting = False
+        self.step = 0
 
     @property
     def command_rad(self) -> Array:
@@ -170,17 +208,17 @@ class MotionGate:
                 state.turned_ns = stamp_ns + round(course.remaining_s * 1e9)
         if self._heading or last_ns == LONG_AGO_NS:
             sampled_s = now_s - max(0, now_ns - stamp_ns) * 1e-9
-            self._wait_for_course(stamp_ns, sampled_s, restored=last_ns == LONG_AGO_NS)
+            self._wait_for_course(stamp_ns, sampled_s, first=last_ns == LONG_AGO_NS)
         shut = self._may_move(stamp_ns, now_s)
         self._resting &= not course.moving
         if not shut:
             self._pose_at(course.state[0] if course.moving else self.command_rad)
         return shut
 
-    def _wait_for_course(self, stamp_ns: int, sampled_s: float, *, restored: bool) -> None:
+    def _wait_for_course(self, stamp_ns: int, sampled_s: float, *, first: bool) -> None:
         """Wait until the set-points must have arrived; a followed command may bring that forward.
 
-        `sampled_s` is the monotonic time of the stamp.
+        `sampled_s` is the monotonic time of the stamp; `first` is whether no other came before.
         """
         state = self.state
         wait_s = self._course.remaining_s + self._settings.settle_s
@@ -189,7 +227,7 @@ class MotionGate:
         changed = self._starting or too_long_s > _ROUNDING_S
         if changed:
             state.rest_from_ns = latest_ns
-        if changed or restored:
+        if changed or first:
             self._rest_from_s = sampled_s + (state.rest_from_ns - stamp_ns) * 1e-9
         self._heading = self._starting = False
 
@@ -241,25 +279,6 @@ class MotionGate:
             self._blind_since_ns, self._commands_since = None, 0
         elif self._blind_since_ns is None:
             self._blind_since_ns = self._last_ns
-
-    def snapshot(self) -> GateState:
-        """The state at the last sample, for `restore`."""
-        course = self._course.course if self._course.moving else ()
-        return self.state.model_copy(update={"course": np.array(course)})
-
-    def restore(self, state: GateState) -> None:
-        """Continue from the snapshot of another gate.
-
-        The wait is no longer than its set-points take to arrive and the arm to settle.
-        """
-        self.state = state = state.model_copy()
-        self.angles_rad = state.pose_rad
-        self._course = JointMotion(state.command_rad, self._settings.joint_speed_rad_s)
-        if state.course.size:
-            self._course.resume(state.course.tolist())
-        self._last_ns = LONG_AGO_NS
-        self._heading = self._starting = self._resting = False
-        self.step = 0
 
     def status(self, pose_range_deg: float, refused: int, *, received: bool) -> Status:
         """Command, motion and pose, for diagnostics.

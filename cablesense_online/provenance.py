@@ -13,7 +13,7 @@ _MOST_CHARACTERS = 20_000
 
 
 @dataclass(frozen=True)
-class Situation:
+class Beginning:
     """Of an estimator when it begins to use a calibration.
 
     Attributes:
@@ -44,13 +44,13 @@ class Provenance:
     frame_prefix: str
     settings: EstimationSettings
 
-    def as_json(self, situation: Situation) -> str:
-        """As text, with the situation from which on it holds."""
+    def as_json(self, beginning: Beginning) -> str:
+        """As text, with what held when it began."""
         return json.dumps(
             {
-                "from_ns": situation.from_ns,
-                "command_rad": list(situation.command_rad),
-                "known": situation.known,
+                "from_ns": beginning.from_ns,
+                "command_rad": list(beginning.command_rad),
+                "known": beginning.known,
                 "model": self.model,
                 "sha256": self.sha256,
                 "arm": self.arm,
@@ -60,7 +60,7 @@ class Provenance:
         )
 
     @classmethod
-    def from_json(cls, text: str) -> tuple[Provenance, Situation]:
+    def from_json(cls, text: str) -> tuple[Provenance, Beginning]:
         """From the text of `as_json`.
 
         Raises:
@@ -78,10 +78,10 @@ class Provenance:
                 settings=EstimationSettings.model_validate(content["settings"]),
             )
             command_rad = tuple(float(angle) for angle in content["command_rad"])
-            situation = Situation(int(content["from_ns"]), command_rad, bool(content["known"]))
+            beginning = Beginning(int(content["from_ns"]), command_rad, bool(content["known"]))
         except Exception as error:  # JSON and pydantic have families of their own
             line = " ".join(str(error).split())[:200]
             raise ContractError(
                 f"{text[:40]!r} does not state model and settings of an estimator ({line})"
             ) from error
-        return provenance, situation
+        return provenance, beginning

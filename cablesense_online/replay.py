@@ -226,7 +226,7 @@ class RebuiltEstimator:
         try:
             dimensions = message.layout.dim
             label = str(dimensions[0].label) if dimensions else ""
-            provenance, situation = Provenance.from_json(label)
+            provenance, beginning = Provenance.from_json(label)
         except ContractError as error:
             raise RecordingError(f"{self._run.path}: {raw.topic}: {error}") from error
         if self._estimation is None:
@@ -240,8 +240,8 @@ class RebuiltEstimator:
         assert self._loaded is not None
         content = bytes(message.data)
         calibration = calibration_of(content, self._loaded.arm, raw.topic)
-        command_rad = np.array(situation.command_rad)
-        self._estimation.restore(calibration, command_rad, known=situation.known)
+        command_rad = np.array(beginning.command_rad)
+        self._estimation.restore(calibration, command_rad, known=beginning.known)
 
     def _answer(self, sample: bytes) -> ReplayedAnswer | None:
         assert self._estimation is not None

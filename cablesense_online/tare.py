@@ -275,8 +275,9 @@ class CalibratedArm(UnloadedArm[Calibration]):
 
         `freed` is whether a breath has taken friction out of the readings.
         """
-        # whole steps: which time counts follows from the sample alone
-        aged_ns = now_ns - now_ns % _AGED_EVERY_NS
+        # whole steps since the last unloaded reading, which follow from sample and state alone
+        passed_ns = now_ns - self._state.changed_ns
+        aged_ns = now_ns - passed_ns % _AGED_EVERY_NS
         if aged_ns != self._aged_ns:
             self._aged_ns = aged_ns
             self._beliefs.clear()

@@ -35,7 +35,7 @@ from cablesense_msgs_py.serialized import restamped, wrench_writers
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
-from cablesense_online.provenance import Provenance, Situation
+from cablesense_online.provenance import Beginning, Provenance
 from cablesense_online.tare import CalibratedArm
 from cablesense_ros.endpoints import Outputs, message_class
 from cablesense_ros.node_process import diagnostic_array
@@ -153,8 +153,8 @@ class EstimatorOutputs:
         content = calibration_bytes(unloaded.calibration)
         message = UInt8MultiArray(data=array("B", content))
         command_rad = tuple(estimation.gate.command_rad.tolist())
-        situation = Situation(now_ns, command_rad, unloaded.known)
-        label = self._provenance.as_json(situation)
+        beginning = Beginning(now_ns, command_rad, unloaded.known)
+        label = self._provenance.as_json(beginning)
         size = len(content)
         message.layout.dim = [MultiArrayDimension(label=label, size=size, stride=size)]
         self._calibration_out.publish(message)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from cablesense_base import Array
@@ -80,18 +78,6 @@ class JointMotion:
     def target_rad(self) -> Array:
         """(2N,) where it ends."""
         return self._target_rad
-
-    @property
-    def course(self) -> tuple[float, ...]:
-        """All that the set-points to come follow from: `resume` continues with them."""
-        times = (self._elapsed_s, self._duration_s)
-        return (*times, *self._target_rad.tolist(), *self._coefficients.ravel().tolist())
-
-    def resume(self, course: Sequence[float]) -> None:
-        """Continue with the set-points of another motion of as many joints."""
-        self._elapsed_s, self._duration_s = course[:2]
-        target, self._coefficients = np.split(np.array(course[2:]).reshape(7, -1), [1])
-        self._target_rad = target[0]
 
     @property
     def state(self) -> tuple[Array, Array, Array]:

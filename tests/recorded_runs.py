@@ -21,7 +21,7 @@ from cablesense_msgs_py.serialized import wrench_writers
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
-from cablesense_online.provenance import Provenance, Situation
+from cablesense_online.provenance import Beginning, Provenance
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 
@@ -61,10 +61,10 @@ class MadeRun:
 
         def note_calibration(now):
             command_rad = tuple(live.gate.command_rad.tolist())
-            situation = Situation(now, command_rad, live.unloaded.known)
+            beginning = Beginning(now, command_rad, live.unloaded.known)
             content = calibration_bytes(live.unloaded.calibration)
             message = UInt8MultiArray(data=array("B", content))
-            label = provenance.as_json(situation)
+            label = provenance.as_json(beginning)
             message.layout.dim = [MultiArrayDimension(label=label)]
             self.records.append((topics.CALIBRATION_USED, now, serialize_message(message)))
 

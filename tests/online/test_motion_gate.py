@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 from estimation_settings import estimation_settings
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from cablesense_msgs_py.messages import Level
 from cablesense_online.motion_gate import MotionGate
-from cablesense_sim.joint_motion import JointMotion, move_duration_s
+from cablesense_sim.joint_motion import JointMotion
 
 SPEED, SETTLE = 0.5, 0.2
 S = 1_000_000_000
@@ -71,17 +69,6 @@ def test_stamps_that_step_forward_do_not_end_the_wait():
     assert not watched.moving(round((3600.0 + wait_s - 0.5) * S), now_s=100.0 + wait_s)
 
 
-def test_the_rest_of_a_restored_gate_is_no_further_ahead_than_a_move_takes():
-    watched = gate()
-    watched.command(np.array([0.0, 0.3]))
-    assert watched.moving(5 * S)
-    watched.restore(watched.snapshot().model_copy(update={"rest_from_ns": 3600 * S}))
-    assert watched.moving(5 * S)
-    wait_ns = round((move_duration_s(0.3, SPEED) + SETTLE) * S)
-    assert watched.state.rest_from_ns == 5 * S + wait_ns
-    assert not watched.moving(5 * S + wait_ns)
-
-
 STILL, FOLLOW = 1e-4, 0.05
 
 
@@ -126,31 +113,3 @@ def test_a_faster_motion_shuts_the_gate_and_is_reported_once_it_lasts():
         watched.estimated(known=not moving)
     assert not moving
     assert watched.status_now().level is Level.OK
-
-
-@settings(max_examples=15, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(0, 160), st.booleans())
-def test_a_gate_restored_anywhere_answers_the_same(seed, restored_at, follows):
-    def gate():
-        return Gate(STILL, 10.0 * FOLLOW) if follows else Gate()
-
-    rng = np.random.default_rng(seed)
-    watched, other = gate(), None
-    for step in range(200):
-        if rng.random() < 0.05:
-            target = rng.choice([0.1, 1.0]) * rng.uniform(-0.3, 0.3, 2)
-            watched.command(target)
-            if other is not None:
-                other.command(target)
-        moving = watched.moving(10 * MS * step)
-        if other is not None:
-            assert other.moving(10 * MS * step) == moving
-            assert other.state.rest_from_ns == watched.state.rest_from_ns
-            np.testing.assert_array_equal(other.pose_rad, watched.pose_rad)
-            assert (other.unrest is None) == (watched.unrest is None)
-            # the swing decays in two steps where the restored gate had one sample more
-            np.testing.assert_allclose(other.unrest or (), watched.unrest or (), rtol=1e-12)
-        if step == restored_at:
-            other = gate()
-            other.restore(watched.snapshot())
-            other.moving(10 * MS * step)
