@@ -58,6 +58,7 @@ class Estimation:
     """Takes samples and commands as they come; gives no force from what cannot be trusted.
 
     Attributes:
+        settings: those in force; `adjust` changes some.
         publisher, clock, check, health: checks of the input.
         gate: the command in force, and whether the arm moves.
         breathing: what readings would be without friction.
@@ -75,7 +76,7 @@ class Estimation:
         settings: EstimationSettings,
         now_s: float,
     ) -> None:
-        self._settings = settings
+        self.settings = settings
         self._reader = EffortReader()
         self._cable_order = NamedOrder(arm.cable_names, "cables")
         self._joint_order = NamedOrder(arm.joint_names, "joints")
@@ -163,7 +164,7 @@ class Estimation:
         if freed_n is None:
             return Answer(force=ForceState.MOVING)
         freed = self.breathing.known
-        if freed or not self._settings.await_breath:
+        if freed or not self.settings.await_breath:
             self.unloaded.add(freed_n)
         if self.unloaded.automatic and not self.unloaded.refusal():
             tare = self._tared_by_itself(stamp_ns)
@@ -313,7 +314,7 @@ class Estimation:
         """Take over the settings that may change while running."""
         values = (contact_threshold, stale_after_s, slack_below_n)
         update = dict(zip(LIVE_SETTINGS, values, strict=True))
-        self._settings = self._settings.model_copy(update=update)
+        self.settings = self.settings.model_copy(update=update)
         self.contacts.threshold(contact_threshold)
         self.clock.stale_after_s = self.publisher.stale_after_s = stale_after_s
         self.check.slack_below_n = slack_below_n

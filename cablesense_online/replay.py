@@ -31,6 +31,7 @@ from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import LoadedModel, load_model
 from cablesense_online.provenance import Provenance
+from cablesense_online.settings import LIVE_SETTINGS
 from cablesense_training.inference.metadata import find_model
 
 _WRENCH_NUMBERS: Final = struct.Struct("<6d")
@@ -238,6 +239,8 @@ class RebuiltEstimator:
             self._writers = wrench_writers(frames)
             self._unknown_force = provenance.settings.unknown_force
         assert self._loaded is not None
+        settings = provenance.settings
+        self._estimation.adjust(**{name: getattr(settings, name) for name in LIVE_SETTINGS})
         content = bytes(message.data)
         calibration = calibration_of(content, self._loaded.arm, raw.topic)
         command_rad = np.array(beginning.command_rad)

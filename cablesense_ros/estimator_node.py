@@ -128,6 +128,7 @@ class EstimatorNode(ConfiguredNode):
 
     def _on_command(self, message: JointState) -> None:
         if self._estimation.command(message):
+            self._outputs.publish_calibration(self._estimation, self._now_ns())
             self.get_logger().warning(
                 "the tare that was taken before any command is dropped: the first command is to "
                 "another pose than the assumed one; auto_tare takes another once the arm rests"
@@ -204,6 +205,7 @@ class EstimatorNode(ConfiguredNode):
         if self._identity and any(p.name in LIVE_SETTINGS for p in parameters):
             given = parameter_values(self)
             self._estimation.adjust(**{name: given[name] for name in LIVE_SETTINGS})
+            self._outputs.publish_calibration(self._estimation, self._now_ns())
 
     def _statuses(self) -> list[Status]:
         if not self._identity:

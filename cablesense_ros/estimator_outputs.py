@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import nan
 from typing import Any
 
@@ -154,7 +155,8 @@ class EstimatorOutputs:
         message = UInt8MultiArray(data=array("B", content))
         command_rad = tuple(estimation.gate.command_rad.tolist())
         beginning = Beginning(now_ns, command_rad, unloaded.known)
-        label = self._provenance.as_json(beginning)
+        provenance = replace(self._provenance, settings=estimation.settings)
+        label = provenance.as_json(beginning)
         size = len(content)
         message.layout.dim = [MultiArrayDimension(label=label, size=size, stride=size)]
         self._calibration_out.publish(message)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from array import array
+from dataclasses import replace
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -26,6 +27,8 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 
 SETTINGS = estimation_settings(tare_samples=10, settle_s=0.05)
+LOW_THRESHOLD = 1e-9
+"""So low that noise is a contact."""
 EPOCH_NS = 1_700_000_000_000_000_000
 STEP_NS = 5_000_000
 BREATH = {60: 0, 70: 1, 90: 2, 105: 0, 110: BREATH_END}
@@ -47,8 +50,9 @@ class MadeRun:
         *,
         breath: bool = False,
         unknown_force: str = "zero",
+        adjusted: bool = False,
     ) -> None:
-        """Of the arm `cdsm`, by its own model or another one."""
+        """Of the arm `cdsm_lab`; `adjusted` lowers the threshold of contacts before the push."""
         self.loaded = loaded = load_model("cdsm_lab", model)
         arm = loaded.arm
         settings = SETTINGS.model_copy(update={"unknown_force": unknown_force})
@@ -64,7 +68,8 @@ class MadeRun:
             beginning = Beginning(now, command_rad, live.unloaded.known)
             content = calibration_bytes(live.unloaded.calibration)
             message = UInt8MultiArray(data=array("B", content))
-            label = provenance.as_json(beginning)
+            in_force = replace(provenance, settings=live.settings)
+            label = in_force.as_json(beginning)
             message.layout.dim = [MultiArrayDimension(label=label)]
             self.records.append((topics.CALIBRATION_USED, now, serialize_message(message)))
 
@@ -86,6 +91,9 @@ class MadeRun:
                 live.offset(message)
             if i == samples - 40:
                 live.take_tare(now, forced=True)
+                note_calibration(now)
+            if adjusted and i == samples // 8:
+                live.adjust(LOW_THRESHOLD, settings.stale_after_s, settings.slack_below_n)
                 note_calibration(now)
             if i == samples - 20:
                 live.undo_tare()

@@ -47,6 +47,13 @@ def test_every_byte_is_the_same(whole):
     assert not got.first_difference
 
 
+def test_a_setting_that_changed_is_changed_again(tmp_path):
+    made = made_run(adjusted=True)
+    got = replayed(made.write(tmp_path / "adjusted.mcap"))
+    assert (got.compared, got.identical) == (300, 300)
+    assert made.records != made_run().records
+
+
 def test_a_breath_is_repeated(tmp_path):
     made = made_run(breath=True)
     got = replayed(made.write(tmp_path / "breath.mcap"))

@@ -8,8 +8,14 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from ros_graph import force
 
+from cablesense_contact.calibration import Calibrator, Unloaded, write_calibration
 from cablesense_msgs_py.qos import Qos
 from cablesense_ros.endpoints import qos_profile
+from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_training.inference.law_model import LawModel
+from cablesense_training.inference.metadata import find_model
 
 LOAD_N = np.array([0.0, 30.0, -40.0])
 SEGMENT = 3
@@ -41,11 +47,22 @@ def nodes(graph, living, start_for_all, tmp_path_factory):
         "sim": start_for_all("sim", remaps={"cable_tensions": "simulated_tensions"}),
         "can_emulator": start_for_all("can_emulator", channel=link),
         "can_driver": start_for_all("can_driver", **bus),
-        "estimator": start_for_all("estimator", state_file=folder / "state.json"),
+        "estimator": start_for_all("estimator", calibration_file=calibrated(folder)),
     }
-    log = chain["estimator"]
-    graph.until(lambda: "tare taken by itself" in log.log, "a tare of the unloaded arm")
+    estimator = chain["estimator"]
+    graph.until(lambda: "calibrated by" in estimator.log, "the estimator")
     return chain
+
+
+def calibrated(folder):
+    """A calibration file by the untouched straight arm, with which no tare is needed."""
+    arm = open_arm("cdsm")
+    straight = np.zeros(arm.joint_count)
+    reading_n = solve_equilibrium(mechanism_of(arm), straight).tensions_n
+    calibrator = Calibrator(arm, LawModel(find_model("cdsm_anywhere"), arm))
+    path = folder / "known.npz"
+    write_calibration(path, calibrator.from_poses([Unloaded(reading_n, straight, count=50)]))
+    return path
 
 
 def until_right(graph, what):
