@@ -22,7 +22,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import harness
 import numpy as np
@@ -143,19 +143,33 @@ CASES = {
 }
 
 
+class Drawn(NamedTuple):
+    """What acts on the arm in one sample.
+
+    Attributes:
+        pushes: one or several; none of an untouched arm.
+        force_n: (3,) of the only one, along the axes of its segment at the command.
+        moment_n_m: (N, 2) of all about the joint centres, around y and z of the segments.
+    """
+
+    pushes: tuple[Push, ...]
+    force_n: Array
+    moment_n_m: Array
+
+
 @dataclass(frozen=True)
 class Touched:
     """One sample: what acts on the arm, and what is stated.
 
     Attributes:
-        pushes: one or several; none of an untouched arm.
-        force_n: (3,) of the only one, along the axes of its segment at the command.
+        pushes, force_n, moment_n_m: see `Drawn`.
         output: of the law, a batch of one.
         judgement: what is stated.
     """
 
     pushes: tuple[Push, ...]
     force_n: Array
+    moment_n_m: Array
     output: LawOutput
     judgement: Judgement
 
@@ -167,9 +181,9 @@ def stated_file(arm: Arm, case: Case) -> Arm:
         tolerances = tolerances.model_copy(update={"friction_coefficient": 0.0})
     update: dict[str, Any] = {"tolerances": tolerances}
     if case.pushes != "surface":
-        update["touch"] = arm.touch.model_copy(update={"radius_m": 0.0, "friction": 0.0})
+        update["touch"] = arm.touch.model_copy(update={"radius_m": 0.0, "friction": AXIAL_SHARE})
     if case.listed:
-        parameters = {"coefficient": case.friction, "pulley_wrap_rad": 1.0}
+        parameters = {"coefficient": case.friction, "pulley_wrap_rad": 1.0, "run_compliance": 0.5}
         friction = ListedEffect(effect="capstan_friction", parameters=parameters)
         update["effects"] = [friction]
     return arm.model_copy(update=update)
@@ -187,6 +201,7 @@ class Bench:
         self.judge = Judge(arm)
         self.still = np.zeros((arm.joint_count, arm.joint_count))
         self.length_m = nominal.length_m
+        self.nothing = Drawn((), np.zeros(3), np.zeros((arm.segment_count, 2)))
 
     def built(self, rng: np.random.Generator) -> BuiltArm:
         """An arm with errors of its own."""
@@ -196,7 +211,7 @@ class Bench:
         return arm if broken is None else arm.altered(lambda body: broken(body, _fresh(rng)))
 
     def calibrated(self, built: BuiltArm, rng: np.random.Generator) -> Calibration:
-        """By unloaded readings: straight, then in random poses, with friction from two sides."""
+        """By unloaded readings: straight, then in random poses, one after the other."""
         count = self.case.poses
         commands = np.zeros((count, self.arm.joint_count))
         commands[1:] = rng.uniform(-BEND_RAD, BEND_RAD, commands[1:].shape)
@@ -205,9 +220,10 @@ class Bench:
             tensions = np.array([walk.go(command) for command in commands])
         else:
             tensions = built.rests(commands, [()] * count).tensions_n
+        came_from = [None, *commands[:-1]]
         unloaded = [
-            Unloaded(mean_reading(built, tension_n, rng), command, TARE_SAMPLES)
-            for tension_n, command in zip(tensions, commands, strict=True)
+            Unloaded(mean_reading(built, tension_n, rng), command, TARE_SAMPLES, 0, before)
+            for tension_n, command, before in zip(tensions, commands, came_from, strict=True)
         ]
         return self.calibrator.from_poses(unloaded)
 
@@ -218,14 +234,14 @@ class Bench:
         if self.case.friction:
             return self._walked(built, calibration, poses, rng)
         commands: list[Array] = []
-        drawn: list[tuple[tuple[Push, ...], Array]] = []
+        drawn: list[Drawn] = []
         for _ in range(poses):
             command = rng.uniform(-BEND_RAD, BEND_RAD, self.arm.joint_count)
             for k in range(CONTACTS_AT_A_POSE + UNTOUCHED_AT_A_POSE):
                 touched = k < CONTACTS_AT_A_POSE
-                drawn.append(self.drawn(built, command, rng) if touched else ((), np.zeros(3)))
+                drawn.append(self.drawn(built, command, rng) if touched else self.nothing)
                 commands.append(command)
-        tensions, kept = borne(built, np.array(commands), [pushes for pushes, _ in drawn])
+        tensions, kept = borne(built, np.array(commands), [one.pushes for one in drawn])
         readings = built.read(tensions, rng)
         if self.case.fault is not None:
             readings = np.array([self.case.fault(reading, rng) for reading in readings])
@@ -237,27 +253,30 @@ class Bench:
     def _walked(
         self, built: BuiltArm, calibration: Calibration, poses: int, rng: np.random.Generator
     ) -> list[Touched]:
-        """The same on an arm with friction, each contact after the untouched arm."""
+        """The same on an arm with friction: each contact comes to the untouched arm, and goes."""
         settings = estimation_settings()
         known = CalibratedArm(self.arm, self.law, settings, calibration)
-        walk = built.walk(np.zeros(self.arm.joint_count))
+        command = np.zeros(self.arm.joint_count)
+        walk = built.walk(command)
         samples = []
         for _ in range(poses):
+            walk.go(command)
             command = rng.uniform(-BEND_RAD, BEND_RAD, self.arm.joint_count)
             for _ in range(CONTACTS_AT_A_POSE):
                 try:
                     walk.go(command)
                 except PlantError:
                     break
-                known.at(command + 1.0)
                 known.at(command)
                 for _ in range(settings.tare_samples):
                     reading = built.read(walk.tensions_n, rng)
-                    known.untouched(reading)
-                samples.append(self._of_belief(known, command, reading, ((), np.zeros(3))))
+                    sample = self._of_belief(known, command, reading, self.nothing)
+                    if sample.judgement.state is ContactState.FREE:
+                        known.untouched(reading)
+                samples.append(sample)
                 drawn = self.drawn(built, command, rng)
                 try:
-                    walk.go(command, drawn[0])
+                    walk.go(command, drawn.pushes)
                 except PlantError:
                     continue
                 reading = built.read(walk.tensions_n, rng)
@@ -265,30 +284,34 @@ class Bench:
         return samples
 
     def _of_belief(
-        self,
-        known: CalibratedArm,
-        command_rad: Array,
-        reading_n: Array,
-        drawn: tuple[tuple[Push, ...], Array],
+        self, known: CalibratedArm, command_rad: Array, reading_n: Array, drawn: Drawn
     ) -> Touched:
-        belief = known.belief(reading_n, 0)
-        seen = self.law(
-            reading_n[None], command_rad[None], belief.mean, belief.covariance, self.still
-        )
+        sample = self._judged(drawn, self._seen(known, command_rad, reading_n), reading_n)
+        if sample.judgement.state is ContactState.FREE or known.seen_untouched:
+            return sample
+        seen = self._seen(known, command_rad, reading_n, touched=True)
         return self._judged(drawn, seen, reading_n)
 
-    def _judged(
-        self, drawn: tuple[tuple[Push, ...], Array], seen: LawOutput, reading_n: Array
-    ) -> Touched:
-        pushes, force_n = drawn
-        return Touched(pushes, force_n, seen, self.judge(seen, reading_n))
+    def _seen(
+        self, known: CalibratedArm, command_rad: Array, reading_n: Array, *, touched: bool = False
+    ) -> LawOutput:
+        belief = known.belief(reading_n, 0, touched=touched)
+        return self.law(
+            reading_n[None], command_rad[None], belief.mean, belief.covariance, self.still
+        )
 
-    def drawn(
-        self, built: BuiltArm, command_rad: Array, rng: np.random.Generator
-    ) -> tuple[tuple[Push, ...], Array]:
-        """The pushes of one sample; of a single one the force along the segment's axes."""
-        count = self.arm.segment_count
+    def _judged(self, drawn: Drawn, seen: LawOutput, reading_n: Array) -> Touched:
+        return Touched(*drawn, seen, self.judge(seen, reading_n))
+
+    def drawn(self, built: BuiltArm, command_rad: Array, rng: np.random.Generator) -> Drawn:
+        """The pushes of one sample."""
         axes = built.axes(command_rad)
+        pushes, force_n = self._pushes(axes, rng)
+        return Drawn(pushes, force_n, self._moments_n_m(axes, pushes))
+
+    def _pushes(self, axes: Array, rng: np.random.Generator) -> tuple[tuple[Push, ...], Array]:
+        """Pushes, and of a single one the force along the segment's axes."""
+        count = self.arm.segment_count
         kind = self.case.pushes
         if kind == "segments 1 and 2":
             return tuple(self._push(n, axes, rng)[0] for n in (0, 1)), np.zeros(3)
@@ -304,6 +327,18 @@ class Bench:
         if kind == "near joints":
             push = replace(push, place_m=rng.uniform(0.0, NEAR_JOINT_M))
         return (push,), force_n
+
+    def _moments_n_m(self, axes: Array, pushes: Sequence[Push]) -> Array:
+        """(N, 2) of pushes about the joint centres, around y and z of each segment (N, 3, 3)."""
+        along_m = self.length_m[:, None] * axes[:, :, 0]
+        joints_m = np.concatenate([np.zeros((1, 3)), along_m[:-1].cumsum(axis=0)])
+        moments = np.zeros((len(axes), 3))
+        for push in pushes:
+            point_m = joints_m[push.segment - 1] + axes[push.segment - 1] @ push.at_m
+            for n in range(push.segment):
+                about_n_m = np.cross(point_m - joints_m[n], push.force_n)
+                moments[n] += axes[n].T @ about_n_m
+        return moments[:, 1:]
 
     def _push(self, n: int, axes: Array, rng: np.random.Generator) -> tuple[Push, Array]:
         """A contact on segment n, from 0 on, and its force along the segment's axes."""
@@ -400,11 +435,29 @@ def judged(sample: Touched, length_m: Array) -> Judged:
     )
 
 
-def misleads(sample: Touched) -> bool:
-    """Whether a vouched statement about several contacts, or none, names a force above 5 N."""
-    if sample.judgement.state is not ContactState.CONTACT:
-        return False
-    return float(np.hypot(*sample.output.force_n[0, 1:])) > WRONG_N
+def misleads(sample: Touched, length_m: Array) -> bool:
+    """Whether a vouched statement about several contacts, or none, is wrong.
+
+    A contact is wrong unless it is one of them; a moment, unless it is that of all of them.
+    """
+    output = sample.output
+    segment = sample.judgement.segment
+    if sample.judgement.state is ContactState.MOMENT:
+        true_n_m = sample.moment_n_m[segment - 1]
+        off_n_m = float(np.hypot(*(output.moment_n_m[0] - true_n_m)))
+        allowed_n = max(WRONG_N, WRONG_SHARE * float(np.hypot(*true_n_m)) / length_m[segment - 1])
+        return off_n_m > allowed_n * length_m[segment - 1]
+    size_n = float(np.hypot(*output.force_n[0, 1:]))
+    if not sample.pushes:
+        return size_n > WRONG_N
+    joint_m = np.concatenate([[0.0], np.cumsum(length_m)[:-1]])
+    stated_m = joint_m[segment - 1] + output.place_m[0]
+    for push in sample.pushes:
+        true_n = float(np.linalg.norm(push.force_n))
+        near = abs(joint_m[push.segment - 1] + push.place_m - stated_m) < SAME_PLACE_M
+        if near and abs(size_n - true_n) < max(WRONG_N, WRONG_SHARE * true_n):
+            return False
+    return True
 
 
 def figures(samples: Sequence[Touched], length_m: Array) -> dict[str, Any]:
@@ -415,13 +468,18 @@ def figures(samples: Sequence[Touched], length_m: Array) -> dict[str, Any]:
     rows = [judged(sample, length_m) for sample in vouched if len(sample.pushes) == 1]
     outer = [row for row in rows if row.segment > 1]
     several = [sample for sample in vouched if len(sample.pushes) > 1]
+
+    def vouches_wrongly(some: Sequence[Touched]) -> list[bool]:
+        vouched_for = [sample for sample in some if sample.judgement.state in VOUCHED]
+        return [bool(misleads(sample, length_m)) for sample in vouched_for]
+
     free = [sample.judgement.state is ContactState.FREE for sample in untouched]
     return {
         "touched": len(touched),
         "states": dict(Counter(sample.judgement.state.value for sample in touched)),
         "answered": share([sample in vouched for sample in touched]),
         "untouched free": share(free),
-        "untouched vouched for": sum(misleads(sample) for sample in untouched),
+        "untouched vouched for": sum(vouches_wrongly(untouched)),
         "place, median (mm)": median([row.place_mm for row in outer]),
         "force, median (N)": median([row.force_n for row in outer]),
         "half-width of force, median (N)": median([row.half_n for row in outer]),
@@ -429,6 +487,7 @@ def figures(samples: Sequence[Touched], length_m: Array) -> dict[str, Any]:
         "force holds": share([row.force_holds for row in rows]),
         "wrong and vouched for": sum(row.wrong for row in rows),
         "several, vouched for": len(several),
+        "several, wrong and vouched for": sum(vouches_wrongly(several)),
     }
 
 

@@ -27,12 +27,13 @@ from scipy.stats import chi2
 from cablesense_base import Array, CableSenseError
 from cablesense_base.files import read_bounded_bytes, write_atomically
 from cablesense_contact.law import Law
+from cablesense_contact.slides import Belief, CableSlides, Slides
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import mean_variance_n2, reading_variance_n2
 from cablesense_sim.tolerances import ArmParameters
 
-FORMAT = "cablesense-calibration/1"
+FORMAT = "cablesense-calibration/2"
 MAX_FILE_BYTES = 64 * 1024 * 1024
 REFUSED_BELOW = 1e-6
 """Probability, by the innovation's χ², below which an unloaded reading is refused: it is not one
@@ -68,12 +69,15 @@ class Unloaded:
         command_rad: (2N,).
         count: how many readings.
         taken_ns: time of the last one since the epoch.
+        came_from_rad: (2N,) another command from which the unloaded arm came straight to this one,
+            so that it is known in which direction its cables slid; None where that is not known.
     """
 
     reading_n: Array
     command_rad: Array
     count: int
     taken_ns: int = 0
+    came_from_rad: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -129,7 +133,8 @@ class _Fit(NamedTuple):
         mean, covariance: (P,) and (P, P) after the update.
         cost: the sum of squares at `about`.
         chi2: that of the normalised innovations.
-        slopes: (K, M, P) of the readings.
+        slopes: (K, M, P) of the readings by what lasts: without what friction carries, and by the
+            coefficient of what it carries in each pose.
     """
 
     about: Array
@@ -151,12 +156,11 @@ class Calibrator:
         self.parameters = parameters_of(arm)
         self._arm = arm
         self._law = law
-        at = self.parameters.slices
-        slides = [part for name, part in at.items() if name.startswith("slide")]
-        self._slides = slice(slides[0].start, slides[-1].stop)
-        self._is_slide = np.zeros(len(self.parameters), dtype=bool)
-        self._is_slide[self._slides] = True
-        self._zeros = at["sensor_zero"]
+        self._slides = CableSlides(mechanism_of(arm), self.parameters)
+        self._carried = self.parameters.carried_friction
+        self._is_carried = np.zeros(len(self.parameters), dtype=bool)
+        self._is_carried[self._carried] = True
+        self._zeros = self.parameters.slices["sensor_zero"]
         sensor_n = np.hypot(arm.tolerances.sensor_zero_n, reading_variance_n2(arm.sensors) ** 0.5)
         self._slack_below_n = _SLACK_BELOW_STD * float(sensor_n)
         self._unrest = np.zeros((arm.joint_count, arm.joint_count))
@@ -169,14 +173,9 @@ class Calibrator:
 
     def moved(self, calibration: Calibration) -> Calibration:
         """The calibration after the arm has moved: the slides of its cables are unknown again."""
-        slides = self._slides
-        mean = calibration.mean.copy()
-        covariance = calibration.covariance.copy()
-        mean[slides] = self.parameters.prior_mean[slides]
-        covariance[slides, :] = 0.0
-        covariance[:, slides] = 0.0
-        covariance[slides, slides] = np.diag(self.parameters.prior_std[slides] ** 2)
-        return replace(calibration, mean=mean, covariance=covariance)
+        known = Belief(calibration.mean, calibration.covariance)
+        there = self._slides.carried(known, self._slides.unknown)
+        return replace(calibration, mean=there.mean, covariance=there.covariance)
 
     def aged(self, calibration: Calibration, now_ns: int) -> Calibration:
         """The calibration at a time: zeros drift from the last unloaded reading on."""
@@ -219,8 +218,8 @@ class Calibrator:
     def _fitted(self, calibration: Calibration) -> Calibration:
         """The mean and covariance by the prior and all unloaded readings.
 
-        The slides are other ones in each pose: they count as noise of its readings. Those of the
-        last pose are still there.
+        What friction carries is another thing in each pose: of it, readings tell the coefficient.
+        What it carries in the last pose is still there.
         """
         prior = calibration.prior_mean
         covariance = calibration.prior_covariance
@@ -239,11 +238,11 @@ class Calibrator:
                 continue
             best = fit
             start = fit.about
-            step = np.where(self._is_slide, 0.0, fit.mean - fit.about)
+            step = np.where(self._is_carried, 0.0, fit.mean - fit.about)
             if np.abs(fit.slopes @ step).max() < _CONVERGED_N:
                 break
         assert best is not None
-        mean = np.where(self._is_slide, best.mean, best.about)
+        mean = np.where(self._is_carried, best.mean, best.about)
         return replace(calibration, mean=mean, covariance=best.covariance, chi2=best.chi2)
 
     def _fit_about(self, about: Array, calibration: Calibration, now_ns: int) -> _Fit:
@@ -251,45 +250,69 @@ class Calibrator:
         prior = calibration.prior_mean
         covariance = calibration.prior_covariance
         unloaded = calibration.unloaded
-        slopes, innovations = self._linear(about, covariance, unloaded)
-        off = np.where(self._is_slide, 0.0, about - prior)
-        known = np.diagonal(covariance) > 0.0
+        there = [
+            self._slides.carried(Belief(about, covariance), self._slides_of(one))
+            for one in unloaded
+        ]
+        slopes, innovations = self._linear(there, unloaded)
+        off = np.where(self._is_carried, 0.0, about - prior)
+        known = (np.diagonal(covariance) > 0.0) & ~self._is_carried
         cost = float(off[known] @ np.linalg.solve(covariance[np.ix_(known, known)], off[known]))
         mean = prior
         misfit = 0.0
-        for one, slope, seen in zip(unloaded, slopes, innovations, strict=True):
-            mean, covariance = self._slides_unknown(mean, covariance, calibration)
+        for one, here, slope, seen in zip(unloaded, there, slopes, innovations, strict=True):
+            slides = self._slides_of(one)
+            mean, covariance = self._slides.carried(Belief(mean, covariance), slides)
             noise = self._noise_n2(one, now_ns)
-            by_slide = slope[:, self._slides]
-            slid = by_slide @ covariance[self._slides, self._slides] @ by_slide.T + noise
+            of_slides = self._slides.alone(here, slides)
+            by_slide = slope[:, self._carried]
+            slid = (by_slide * of_slides) @ by_slide.T + noise
             cost += float(seen @ np.linalg.solve(slid, seen))
-            innovation = seen + slope @ (about - mean)
+            innovation = seen + slope @ (here.mean - mean)
             spread = slope @ covariance @ slope.T + noise
             gain = np.linalg.solve(spread, slope @ covariance).T
             misfit += float(innovation @ np.linalg.solve(spread, innovation))
             mean = mean + gain @ innovation
             left = np.eye(len(prior)) - gain @ slope
             covariance = left @ covariance @ left.T + (gain @ noise) @ gain.T
-        return _Fit(about, mean, 0.5 * (covariance + covariance.T), cost, misfit, slopes)
+        covariance = 0.5 * (covariance + covariance.T)
+        lasting = np.array(
+            [
+                self._slides.by_lasting(slope, self._slides_of(one))
+                for slope, one in zip(slopes, unloaded, strict=True)
+            ]
+        )
+        return _Fit(about, mean, covariance, cost, misfit, lasting)
 
-    def _slides_unknown(
-        self, mean: Array, covariance: Array, calibration: Calibration
-    ) -> tuple[Array, Array]:
-        there = self.moved(replace(calibration, mean=mean, covariance=covariance))
-        return there.mean, there.covariance
+    def _slides_of(self, unloaded: Unloaded) -> Slides:
+        """What is known of the cables' slides at an unloaded reading."""
+        if unloaded.came_from_rad is None:
+            return self._slides.unknown
+        return self._slides.after_motion(unloaded.came_from_rad, unloaded.command_rad)
 
     def _linear(
-        self, mean: Array, covariance: Array, unloaded: Sequence[Unloaded]
+        self, beliefs: Sequence[Belief], unloaded: Sequence[Unloaded]
     ) -> tuple[Array, Array]:
-        """Slopes (K, M, P) of unloaded readings by the parameters, and innovations (K, M)."""
-        seen = self._law(
-            np.array([one.reading_n for one in unloaded]),
-            np.array([one.command_rad for one in unloaded]),
-            mean,
-            covariance,
-            self._unrest,
-        )
-        return seen.by_parameter, seen.innovation_n
+        """Slopes (K, M, P) of unloaded readings by the parameters, and innovations (K, M).
+
+        Each reading has a belief of its own; those with the same mean are asked together.
+        """
+        slopes = np.empty((len(unloaded), self._arm.cable_count, len(self.parameters)))
+        innovations = np.empty(slopes.shape[:2])
+        means = np.array([belief.mean for belief in beliefs])
+        _, first, alike = np.unique(means, axis=0, return_index=True, return_inverse=True)
+        for number, one in enumerate(first):
+            rows = np.flatnonzero(alike.ravel() == number).tolist()
+            seen = self._law(
+                np.array([unloaded[row].reading_n for row in rows]),
+                np.array([unloaded[row].command_rad for row in rows]),
+                beliefs[one].mean,
+                beliefs[one].covariance,
+                self._unrest,
+            )
+            slopes[rows] = seen.by_parameter
+            innovations[rows] = seen.innovation_n
+        return slopes, innovations
 
     def _noise_n2(self, unloaded: Unloaded, now_ns: int) -> Array:
         """Covariance (M, M) of the channels' means against the law and the zeros of now.
@@ -361,8 +384,15 @@ def calibration_bytes(calibration: Calibration, described: Arm | None = None) ->
         commands_rad=np.array([one.command_rad for one in unloaded]),
         counts=np.array([one.count for one in unloaded], dtype=np.int64),
         taken_ns=np.array([one.taken_ns for one in unloaded], dtype=np.int64),
+        came_from_rad=np.array([_came_from(one) for one in unloaded]),
     )
     return content.getvalue()
+
+
+def _came_from(unloaded: Unloaded) -> Array:
+    """(2N,) where the arm came from, as a file holds it: its own command where unknown."""
+    came_from_rad = unloaded.came_from_rad
+    return unloaded.command_rad if came_from_rad is None else came_from_rad
 
 
 def read_calibration(path: str | Path, arm: Arm) -> Calibration:
@@ -390,12 +420,19 @@ def calibration_of(content: bytes, arm: Arm, source: str) -> Calibration:
             prior_mean=_real(parts["prior_mean"]),
             prior_covariance=_whole(_real(parts["prior_covariance"])),
             unloaded=tuple(
-                Unloaded(reading, command, int(count), int(taken))
-                for reading, command, count, taken in zip(
+                Unloaded(
+                    reading,
+                    command,
+                    int(count),
+                    int(taken),
+                    None if np.array_equal(came_from, command) else came_from,
+                )
+                for reading, command, count, taken, came_from in zip(
                     _real(parts["readings_n"]),
                     _real(parts["commands_rad"]),
                     parts["counts"],
                     parts["taken_ns"],
+                    _real(parts["came_from_rad"]),
                     strict=True,
                 )
             ),

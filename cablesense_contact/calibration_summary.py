@@ -8,6 +8,7 @@ import numpy as np
 
 from cablesense_contact.calibration import Calibration, parameters_of
 from cablesense_sim.arm import Arm
+from cablesense_sim.tolerances import CARRIED_FRICTION
 
 DETERMINED_SHARE = 0.5
 """A parameter is determined if its deviation is below this share of its tolerance."""
@@ -39,7 +40,8 @@ class KindSummary:
 def summarised(calibration: Calibration, arm: Arm) -> list[KindSummary]:
     """One row for each kind of uncertain parameters, in the order of `ArmParameters`.
 
-    Slides are left out: they are states of the last pose. So are parameters without tolerance.
+    Carried friction is left out: it is a state of the last pose. So are parameters without
+    tolerance.
     """
     parameters = parameters_of(arm)
     kinds: dict[str, list[int]] = {}
@@ -53,7 +55,7 @@ def summarised(calibration: Calibration, arm: Arm) -> list[KindSummary]:
     rows = []
     for kind, numbers in kinds.items():
         known = np.array([number for number in numbers if prior_std[number] > 0.0], dtype=int)
-        if kind == "slide" or not len(known):
+        if kind == CARRIED_FRICTION or not len(known):
             continue
         before = prior_std[known]
         after = calibration.std[known]

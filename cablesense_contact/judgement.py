@@ -16,6 +16,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from cablesense_base import Array
+from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.law import LawOutput
 from cablesense_sim.arm import Arm
 
@@ -87,6 +88,7 @@ class Judge:
 
     def __init__(self, arm: Arm, contact_threshold: float = 0.5) -> None:
         self._names = arm.cable_names
+        self._friction = arm.touch.friction
         self._log_odds = math.log(contact_threshold / max(1.0 - contact_threshold, 1e-12))
         channels = arm.cable_count
         self._free_limit = float(chi2.isf(IMPROBABLE, channels))
@@ -118,6 +120,9 @@ class Judge:
         state, doubt = self._state(best, known, touched=touched, doubted=doubted, fits=fits)
         if doubt and best.log_weight < stated - 5.0:
             doubt = "no single contact and no single fault explains the reading"
+        if state in (ContactState.CONTACT, ContactState.MOMENT) and self._slips(seen):
+            state = ContactState.UNCONFIRMED
+            doubt = "several contacts: a single one would push along the arm more than it can rub"
         return Judgement(state, segment + 1, probabilities, doubt)
 
     def _state(
@@ -133,6 +138,13 @@ class Judge:
         if doubted:
             return ContactState.UNCONFIRMED, best.sentence
         return (ContactState.CONTACT if known else ContactState.MOMENT), ""
+
+    def _slips(self, seen: LawOutput) -> bool:
+        """Whether the force is outside the cone of friction, with 95 % confidence."""
+        along_n, y, z = seen.force_n[0].tolist()
+        along_std_n = float(seen.contact_covariance[0, 1, 1]) ** 0.5
+        least_n = abs(along_n) - NORMAL_95 * along_std_n
+        return self._friction > 0.0 and least_n > self._friction * math.hypot(y, z)
 
     def _rivals(self, seen: LawOutput, reading_n: Array) -> Iterator[_Rival]:
         """What else may be behind the reading."""

@@ -20,7 +20,7 @@ from cablesense_contact.calibration import Calibration, Calibrator, Unloaded
 from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import Law, LawOutput
-from cablesense_contact.slides import MOVED_STD, Belief, CableSlides, directions_along
+from cablesense_contact.slides import MOVED_STD, Belief, CableSlides, Slides, SlidesUnderLoad
 from cablesense_gap.recordings.recording import SAME_PLACE_M, Recording, RecordingError
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
@@ -317,7 +317,7 @@ class RecordedArm:
         self._tares = tares
         self._law = law
         self._calibrator = Calibrator(law.arm, law)
-        self._slides = CableSlides(self._calibrator.parameters)
+        self._slides = CableSlides(mechanism_of(law.arm), self._calibrator.parameters)
         self._calibration = calibration
         self._by_poses: Calibration | None = None
         if calibration is None:
@@ -393,12 +393,11 @@ class RecordedArm:
             known = Belief(calibration.mean, calibration.covariance)
             since = np.flatnonzero(of_row == number)
             readings_n = recording.tensions_n[since]
-            along = directions_along(readings_n, tare.reading_n, self._moved_n)
-            judged = rows[since]
-            directions, alike = np.unique(along[judged], axis=0, return_inverse=True)
-            for k, direction in enumerate(directions):
-                chosen = since[judged][alike.ravel() == k]
-                belief = self._slides.sliding(known, direction)
+            slides = self._slid(readings_n, tare, known)
+            judged = np.flatnonzero(rows[since])
+            for rounded, positions in self._slides.alike([slides[k] for k in judged]):
+                chosen = since[judged[positions]]
+                belief = self._slides.carried(known, rounded)
                 yield (
                     chosen,
                     self._law(
@@ -410,12 +409,22 @@ class RecordedArm:
                     ),
                 )
 
+    def _slid(self, readings_n: Array, tare: Unloaded, known: Belief) -> list[Slides]:
+        """Slides at each of readings (R, M) that follow a tare."""
+        if not self._slides.matter(known, self._moved_n):
+            return [self._slides.unknown] * len(readings_n)
+        pose = self._slides.at_pose(tare.command_rad)
+        friction = self._slides.friction(known)
+        unknown = self._slides.unknown
+        under_load = SlidesUnderLoad(pose, unknown, tare.reading_n, self._moved_n, friction)
+        return [under_load.follow(reading_n) for reading_n in readings_n]
+
     def _known_after(self, tare: Unloaded) -> Calibration:
         if self._by_poses is not None:
             return self._by_poses
         assert self._calibration is not None
         tared = self._calibrator.updated(self._calibration, tare, force=True)
-        # a tare is linear about slides of zero, and the law about those that it would find
+        # what touches the arm lets cables slide: what they carried at the tare counts no more
         return self._calibrator.moved(tared)
 
 

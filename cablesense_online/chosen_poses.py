@@ -125,7 +125,7 @@ def _candidates(
 class _Design:
     """The covariance that chosen poses will leave, and what it means for the contacts.
 
-    Lasting parameters are all but the slides, which are others in each pose.
+    Lasting parameters are all but what friction carries, which is another in each pose.
     """
 
     def __init__(
@@ -135,10 +135,9 @@ class _Design:
         self._prior = prior
         self._predicted = UnloadedReadings(arm, law)
         self._unrest = np.zeros((arm.joint_count, arm.joint_count))
-        self._slides = np.zeros(len(prior.mean), dtype=bool)
-        for name, part in calibrator.parameters.slices.items():
-            self._slides[part] = name.startswith("slide")
-        self._slide_variance = np.diagonal(prior.covariance)[self._slides]
+        self._carried = np.zeros(len(prior.mean), dtype=bool)
+        self._carried[calibrator.parameters.carried_friction] = True
+        self._carried_variance = np.diagonal(prior.covariance)[self._carried]
         self._mean_variance_n2 = mean_variance_n2(arm.sensors, readings) + _MODEL_STD_N**2
         contacts = ReferenceContacts(arm)
         seen = contacts.response(law, prior.mean, prior.covariance)
@@ -147,7 +146,7 @@ class _Design:
         self._by_lasting, self._contact_noise_n2 = self._parted(
             seen.by_parameter, reading_variance_n2(arm.sensors)
         )
-        self.covariance = prior.covariance[np.ix_(~self._slides, ~self._slides)]
+        self.covariance = prior.covariance[np.ix_(~self._carried, ~self._carried)]
 
     def seen_from(self, candidates: Array) -> tuple[Array, Array]:
         """Slopes (C, M, L) by lasting parameters, and noise (C, M, M), of unloaded readings."""
@@ -178,10 +177,10 @@ class _Design:
         self.covariance = 0.5 * (left + left.T)
 
     def _parted(self, slopes: Array, variance_n2: float) -> tuple[Array, Array]:
-        """Slopes by lasting parameters, and the noise of sensors and slides together."""
-        by_slide = slopes[..., self._slides]
-        noise_n2 = (by_slide * self._slide_variance) @ by_slide.transpose(0, 2, 1)
-        return slopes[..., ~self._slides], noise_n2 + variance_n2 * np.eye(slopes.shape[1])
+        """Slopes by lasting parameters, and the noise of sensors and friction together."""
+        by_carried = slopes[..., self._carried]
+        noise_n2 = (by_carried * self._carried_variance) @ by_carried.transpose(0, 2, 1)
+        return slopes[..., ~self._carried], noise_n2 + variance_n2 * np.eye(slopes.shape[1])
 
 
 def _tour(poses: Array) -> Array:

@@ -411,7 +411,10 @@ class Commissioning:
     def _add(self, stamp_ns: int) -> None:
         assert self._hold is not None
         count = len(self._readings)
-        unloaded = Unloaded(self._readings.mean_n, self._hold.pose_rad, count, stamp_ns)
+        visit = self._hold
+        unloaded = Unloaded(
+            self._readings.mean_n, visit.pose_rad, count, stamp_ns, visit.beside_rad
+        )
         try:
             self.calibration = self._calibrator.updated(self.calibration, unloaded)
         except CalibrationError as error:

@@ -133,18 +133,16 @@ class LawContacts:
         """See `ContactFinder`."""
         if not self.arm.known:
             return None
-        belief = self.arm.belief(reading_n, situation.stamp_ns, freed=situation.freed)
-        seen = self._law(
-            reading_n[None],
-            situation.pose_rad[None],
-            belief.mean,
-            belief.covariance,
-            self._torques_of(situation.unrest),
-        )
+        seen = self._seen(reading_n, situation)
         judgement = self._judge(seen, reading_n)
+        if judgement.state is not ContactState.FREE and not self.arm.seen_untouched:
+            seen = self._seen(reading_n, situation, touched=True)
+            judgement = self._judge(seen, reading_n)
         force = _STATES[judgement.state]
         if force is ForceState.FREE and situation.unrest is None:
             self.arm.untouched(reading_n)
+        if force is not ForceState.FREE or situation.freed:
+            self.arm.touched()
         if force is ForceState.FREE and self._unseen_n(seen) > self._hidden_above_n:
             force = ForceState.HIDDEN
         touched = judgement.state not in (ContactState.FREE, ContactState.IMPLAUSIBLE)
@@ -155,6 +153,18 @@ class LawContacts:
             contacts,
             self._estimate(seen, judgement),
             judgement.doubt,
+        )
+
+    def _seen(self, reading_n: Array, situation: Situation, *, touched: bool = False) -> LawOutput:
+        belief = self.arm.belief(
+            reading_n, situation.stamp_ns, freed=situation.freed, touched=touched
+        )
+        return self._law(
+            reading_n[None],
+            situation.pose_rad[None],
+            belief.mean,
+            belief.covariance,
+            self._torques_of(situation.unrest),
         )
 
     def _torques_of(self, unrest: Unrest | None) -> Array:

@@ -21,7 +21,14 @@ from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import Calibration, CalibrationError, Calibrator, Unloaded
 from cablesense_contact.judgement import Judge
 from cablesense_contact.law import Law
-from cablesense_contact.slides import MOVED_STD, Belief, CableSlides, Directions, directions_since
+from cablesense_contact.slides import (
+    MOVED_STD,
+    Belief,
+    CableSlides,
+    LastWay,
+    Slides,
+    SlidesUnderLoad,
+)
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.settings import EstimationSettings
 from cablesense_online.typical_contact import FORCE_N, TypicalContact
@@ -116,7 +123,7 @@ class UnloadedArm(ABC, Generic[Known]):
         if self._pose_rad is None or np.abs(pose_rad - self._pose_rad).max() > _ONE_POSE_RAD:
             self._readings.clear()
             self._pose_rad = pose_rad
-            self._moved()
+            self._moved(pose_rad)
 
     def forget_readings(self) -> None:
         """Exclude all earlier readings from the next tare."""
@@ -165,7 +172,9 @@ class UnloadedArm(ABC, Generic[Known]):
             raise TareError(refusal)
         assert self._pose_rad is not None
         mean_n = np.mean(self._readings, axis=0)
-        unloaded = Unloaded(mean_n, self._pose_rad, len(self._readings), now_ns)
+        unloaded = Unloaded(
+            mean_n, self._pose_rad, len(self._readings), now_ns, self._came_from_rad
+        )
         state, misfit_n = self._with_tare(unloaded, forced=forced)
         tare = Tare(unloaded, by_itself, misfit_n)
         self._earlier.append(self._state)
@@ -194,8 +203,13 @@ class UnloadedArm(ABC, Generic[Known]):
         """The state with a tare, and by how much its readings (M,) differ from the expected."""
 
     @abstractmethod
-    def _moved(self) -> None:
-        """The arm is at another pose."""
+    def _moved(self, pose_rad: Array) -> None:
+        """The arm is at another pose (2N,)."""
+
+    @property
+    def _came_from_rad(self) -> Array | None:
+        """The pose (2N,) from which the unloaded arm came to the present one, if known."""
+        return None
 
     @abstractmethod
     def status(self) -> Status:
@@ -241,13 +255,15 @@ class CalibratedArm(UnloadedArm[Calibration]):
         self._measured: Calibration | None = None
         start = calibration or self.calibrator.by_tolerances()
         super().__init__(settings, start, known=calibration is not None)
-        self._slides = CableSlides(self.calibrator.parameters)
+        self._slides = CableSlides(mechanism_of(arm), self.calibrator.parameters)
+        self._way = LastWay()
         self._moved_n = MOVED_STD * reading_variance_n2(arm.sensors) ** 0.5
         self._unrest = np.zeros((arm.joint_count, arm.joint_count))
         self._untouched_n = np.zeros(arm.cable_count)
         self._untouched = 0
         self._aged_ns = 0
-        self._beliefs: dict[bytes, Belief] = {}
+        self._beliefs: dict[object, Belief] = {}
+        self._under_load: SlidesUnderLoad | None = None
 
     @property
     def calibration(self) -> Calibration:
@@ -270,10 +286,16 @@ class CalibratedArm(UnloadedArm[Calibration]):
         self.automatic = False
         self._use(calibration)
 
-    def belief(self, reading_n: Array, now_ns: int, *, freed: bool = False) -> Belief:
+    def belief(
+        self, reading_n: Array, now_ns: int, *, freed: bool = False, touched: bool = False
+    ) -> Belief:
         """What is known at readings (M,) at a time since the epoch.
 
-        `freed` is whether a breath has taken friction out of the readings.
+        Args:
+            reading_n: they are given one after the other, as loads change.
+            now_ns: the time.
+            freed: whether a breath has taken friction out of the readings.
+            touched: whether the arm is touched though it was not yet seen untouched here.
         """
         # whole steps since the last unloaded reading, which follow from sample and state alone
         passed_ns = now_ns - self._state.changed_ns
@@ -281,15 +303,16 @@ class CalibratedArm(UnloadedArm[Calibration]):
         if aged_ns != self._aged_ns:
             self._aged_ns = aged_ns
             self._beliefs.clear()
-        direction = np.zeros(len(reading_n), dtype=np.int8)
-        if not freed and self._untouched >= _FEWEST_UNTOUCHED:
-            direction = directions_since(reading_n - self._untouched_n, self._moved_n)
-        key = direction.tobytes() + bytes([freed])
-        if key not in self._beliefs:
-            if len(self._beliefs) > _MOST_KEPT:
-                self._beliefs.clear()
-            self._beliefs[key] = self._made(direction, aged_ns, freed=freed)
-        return self._beliefs[key]
+        if freed:
+            return self._with("freed", self._slides.freed, aged_ns)
+        if not self._rubs:
+            return self._with("unknown", self._slides.unknown, aged_ns)
+        if self._untouched >= _FEWEST_UNTOUCHED:
+            key, slides = self._slides.rounded(self._followed().follow(reading_n))
+            return self._with(key, slides, aged_ns)
+        if touched:
+            return self._with("touched", self._slides.unknown, aged_ns)
+        return self._with("came", self._came(), aged_ns)
 
     def untouched(self, reading_n: Array) -> None:
         """Note a reading (M,) of the arm that nothing touches, at the present pose."""
@@ -297,19 +320,67 @@ class CalibratedArm(UnloadedArm[Calibration]):
         self._untouched_n = self._untouched_n + weight * (reading_n - self._untouched_n)
         self._untouched += 1
 
-    def _made(self, direction: Directions, now_ns: int, *, freed: bool) -> Belief:
-        # what touches the arm lets cables slide: where they stood at a tare counts no more
-        calibration = self.calibrator.moved(self.calibrator.aged(self._state, now_ns))
-        known = Belief(calibration.mean, calibration.covariance)
-        return self._slides.freed(known) if freed else self._slides.sliding(known, direction)
+    def touched(self) -> None:
+        """Note that something has moved cables over their guides, at the present pose."""
+        self._way.forget()
+
+    @property
+    def seen_untouched(self) -> bool:
+        """Whether the arm was seen untouched at this pose, or nothing depends on it."""
+        return self._untouched >= _FEWEST_UNTOUCHED or not self._rubs
+
+    @property
+    def _rubs(self) -> bool:
+        """Whether friction can be seen."""
+        known = Belief(self._state.mean, self._state.covariance)
+        return self._slides.matter(known, self._moved_n)
+
+    def _came(self) -> Slides:
+        """Slides of the unloaded arm as it came to the present pose."""
+        came_from_rad = self._came_from_rad
+        if came_from_rad is None or self._pose_rad is None:
+            return self._slides.unknown
+        return self._slides.after_motion(came_from_rad, self._pose_rad)
+
+    def _followed(self) -> SlidesUnderLoad:
+        if self._under_load is None:
+            assert self._pose_rad is not None
+            known = Belief(self._state.mean, self._state.covariance)
+            self._under_load = SlidesUnderLoad(
+                self._slides.at_pose(self._pose_rad),
+                self._came(),
+                self._untouched_n.copy(),
+                self._moved_n,
+                self._slides.friction(known),
+            )
+        return self._under_load
+
+    def _with(self, key: object, slides: Slides, now_ns: int) -> Belief:
+        """What is known with these slides, which have a key among those of the present state."""
+        if key not in self._beliefs:
+            if len(self._beliefs) > _MOST_KEPT:
+                self._beliefs.clear()
+            calibration = self.calibrator.aged(self._state, now_ns)
+            known = Belief(calibration.mean, calibration.covariance)
+            self._beliefs[key] = self._slides.carried(known, slides)
+        return self._beliefs[key]
 
     def _use(self, state: Calibration) -> None:
+        same = np.array_equal(state.mean, self._state.mean)
         super()._use(state)
         self._beliefs.clear()
+        if not same:
+            self._under_load = None
 
-    def _moved(self) -> None:
+    def _moved(self, pose_rad: Array) -> None:
         self._untouched = 0
         self._beliefs.clear()
+        self._under_load = None
+        self._way.go(pose_rad)
+
+    @property
+    def _came_from_rad(self) -> Array | None:
+        return self._way.came_from_rad
 
     def _with_tare(self, unloaded: Unloaded, *, forced: bool) -> tuple[Calibration, Array]:
         present = self.calibrator.moved(self._state)
@@ -397,7 +468,7 @@ class TaredArm(UnloadedArm[Tare | None]):
             self._here_n = rest.tensions_n
         return self._here_n
 
-    def _moved(self) -> None:
+    def _moved(self, pose_rad: Array) -> None:
         self._here_n = None
 
     def _use(self, state: Tare | None) -> None:

@@ -121,7 +121,8 @@ class Touch(FilePart):
     """How the arm is touched: tensions do not follow from it, only what estimates state.
 
     `radius_m` is that of the surface, from the axis, by default where the outermost cables run;
-    `friction` is the Coulomb coefficient there. With one of them zero, contacts act on the axis.
+    `friction` is the Coulomb coefficient there. With a radius of zero contacts act on the axis;
+    with a friction of zero they do so with any axial force.
     `reach_m` is the range on each segment that can be touched, from its joint centre; by default
     all of its length.
     """

@@ -8,6 +8,7 @@ mechanism, and `read` the readings, of an arm with given deviations.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -25,10 +26,7 @@ _Metres = Annotated[Number, Field(ge=0.0, le=0.02)]
 _Degrees = Annotated[Number, Field(ge=0.0, le=10.0)]
 _Newtons = Annotated[Number, Field(ge=0.0, le=1e4)]
 _Coefficient = Annotated[Number, Field(ge=0.0, le=1.0)]
-
-
-UNKNOWN_SLIDE_STD = 3.0**-0.5
-"""Of a slide that may be anywhere from -1 to 1."""
+_Logarithm = Annotated[Number, Field(ge=0.0, le=3.0)]
 
 
 class Tolerances(FilePart):
@@ -57,6 +55,9 @@ class Tolerances(FilePart):
             every arm has some, most likely from none to this (half of it is mean and deviation).
             Where the file lists friction, the coefficient is known to `friction_share` of it.
         friction_share: see `friction_coefficient`.
+        run_compliance_log: of the logarithm of each cable's `run_compliance` (see the effect
+            `capstan_friction`); 0.7 is a factor of two. It says how much of what friction carries
+            a reading shows.
         drift_n_per_hour: drift of each sensor's zero since its last unloaded reading.
         contact_m: of the point on each segment at which a recording says that a load acted, along
             the axis; ISO 2768-1, class m, of dimensions from 30 to 120 mm (± 0.3 mm) and of where
@@ -76,6 +77,7 @@ class Tolerances(FilePart):
     joint_zero_deg: _Degrees = 0.2
     friction_coefficient: _Coefficient = 0.02
     friction_share: _Share = 0.33
+    run_compliance_log: _Logarithm = 0.7
     drift_n_per_hour: _Newtons = 1.0
     contact_m: _Metres = 3e-4
 
@@ -84,6 +86,10 @@ class Tolerances(FilePart):
         return self.model_copy(
             update={name: factor * value for name, value in self.model_dump().items()}
         )
+
+
+CARRIED_FRICTION = "carried_friction"
+"""Name of the kind of parameters that are the state of friction, see `ArmParameters`."""
 
 
 @dataclass(frozen=True)
@@ -109,15 +115,17 @@ class ArmParameters:
     """The uncertain parameters θ of an arm with N segments and M cables, as one vector of P.
 
     Parameters of a cable come first, M of each kind in the order of the cables: stiffness (share),
-    pretension (N), hole of each plate 0 (base) to N outward and then around (m), slide at the
-    actuator's pulley and at the guides of each joint 1 to N (1), gain (share) and zero (N) of the
-    sensor. Then of the segments, N each: mass (share), centre (m), length (m); and 2N of their
-    centres across the axis, all along y and then along z (m). Last the tilt of the base about y
-    and x (rad), the joint zeros (2N, rad) and the coefficient of friction.
+    pretension (N), compliance before the pulley over that behind it (logarithm), hole of each
+    plate 0 (base) to N outward and then around (m), carried friction at the actuator's pulley and
+    at the guides of each joint 1 to N (1), gain (share) and zero (N) of the sensor. Then of the
+    segments, N each: mass (share), centre (m), length (m); and 2N of their centres across the
+    axis, all along y and then along z (m). Last the tilt of the base about y and x (rad), the
+    joint zeros (2N, rad) and the coefficient of friction.
 
-    A cable's *slide* at a guide is the share of the friction there that its tensions carry now,
-    from -1 (the tension is the larger one at the actuator) to 1 (at the arm). It is a state, not a
-    property: each unloaded reading and each motion says something about it.
+    At a guide where a cable wraps by Φ, its tensions have the ratio exp(ε Φ) towards the arm. The
+    *carried friction* ε is the *slide* u, from -1 (the larger tension is at the actuator) to 1 (at
+    the arm), times the coefficient. It is a state, not a property: each motion and each load
+    changes it (`cablesense_contact.slides`).
     """
 
     def __init__(
@@ -140,10 +148,6 @@ class ArmParameters:
             for n, places in enumerate(plates)
         ]
         guides = [tuple(f"{cable} at guide {n}" for cable in cables) for n in range(count + 1)]
-        slides = [
-            ParameterGroup(f"slide_{n}", "1", places, UNKNOWN_SLIDE_STD)
-            for n, places in enumerate(guides)
-        ]
         tilt_rad = float(np.deg2rad(given.base_tilt_deg))
         zero_rad = float(np.deg2rad(given.joint_zero_deg))
         if friction:
@@ -153,12 +157,20 @@ class ArmParameters:
         else:
             half = 0.5 * given.friction_coefficient
             coefficient = ParameterGroup("friction", "1", ("arm",), half, half)
+        rubs = coefficient.mean > 0.0 or coefficient.std > 0.0
+        run_log = given.run_compliance_log if rubs else 0.0
+        carried_std = math.hypot(coefficient.mean, coefficient.std)
+        carried = [
+            ParameterGroup(f"{CARRIED_FRICTION}_{n}", "1", places, carried_std)
+            for n, places in enumerate(guides)
+        ]
         self.groups: tuple[ParameterGroup, ...] = (
             ParameterGroup("cable_stiffness", "1", cables, given.cable_stiffness_share),
             ParameterGroup("pretension", "N", cables, given.pretension_n),
+            ParameterGroup("run_compliance", "1", cables, run_log),
             *outward,
             *around,
-            *slides,
+            *carried,
             ParameterGroup("sensor_gain", "1", cables, given.sensor_gain_share),
             ParameterGroup("sensor_zero", "N", cables, given.sensor_zero_n),
             ParameterGroup("segment_mass", "1", segments, given.segment_mass_share),
@@ -195,7 +207,7 @@ class ArmParameters:
         std = np.concatenate([np.full(len(g.places), g.std) for g in self.groups])
         for n in range(1, self._mechanism.segment_count + 1):
             absent = ~self._mechanism.passes_joint[:, n - 1]
-            for name in (f"hole_outward_{n}", f"hole_around_{n}", f"slide_{n}"):
+            for name in (f"hole_outward_{n}", f"hole_around_{n}", f"{CARRIED_FRICTION}_{n}"):
                 std[self.slices[name]][absent] = 0.0
         return std
 
@@ -203,6 +215,12 @@ class ArmParameters:
     def slices(self) -> Mapping[str, slice]:
         """Where the parameters of each kind stand."""
         return dict(self._slices())
+
+    @property
+    def carried_friction(self) -> slice:
+        """Where the carried frictions stand, M of each guide 0 to N."""
+        parts = [part for name, part in self._slices() if name.startswith(CARRIED_FRICTION)]
+        return slice(parts[0].start, parts[-1].stop)
 
     def _slices(self) -> Iterator[tuple[str, slice]]:
         begin = 0
@@ -254,13 +272,13 @@ class ArmParameters:
         return gain * tensions_n + theta[self.slices["sensor_zero"]]
 
     def drawn(self, rng: np.random.Generator) -> Array:
-        """Deviations (P,) of an arm of these tolerances, its cables' slides between -1 and 1."""
+        """Deviations (P,) of an arm of these tolerances, with slides between -1 and 1."""
         theta = self.prior_mean + self.prior_std * rng.standard_normal(len(self))
-        for name, part in self.slices.items():
-            if name.startswith("slide"):
-                theta[part] = rng.uniform(-1.0, 1.0, part.stop - part.start)
         friction = self.slices["friction"]
         theta[friction] = np.abs(theta[friction])
+        carried = self.carried_friction
+        slides = rng.uniform(-1.0, 1.0, carried.stop - carried.start)
+        theta[carried] = theta[friction] * slides
         return theta
 
 

@@ -16,7 +16,8 @@ class TouchedPlaces(NamedTuple):
     Attributes:
         reach_m: (N, 2) from each segment's joint centre, along its axis.
         radius_m: (N,) of the surface, from the axis; zero where contacts act on the axis.
-        friction: coefficient of the surface; zero where contacts act on the axis.
+        friction: bound to axial over lateral forces; zero where contacts act on the axis with any
+            axial force.
     """
 
     reach_m: Array
@@ -35,7 +36,6 @@ def touched_places(arm: Arm) -> TouchedPlaces:
     radius_m = np.array(per_segment(arm.cables.routing_radius_m, count))
     if touch.radius_m is not None:
         radius_m[:] = touch.radius_m
-    on_axis = touch.friction == 0.0 or not radius_m.any()
-    if on_axis:
+    if touch.friction == 0.0:
         radius_m[:] = 0.0
-    return TouchedPlaces(reach_m, radius_m, 0.0 if on_axis else touch.friction)
+    return TouchedPlaces(reach_m, radius_m, touch.friction)

@@ -13,7 +13,7 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.tolerances import ArmParameters
 from cablesense_training.law.estimator import ArmEstimator
-from cablesense_training.law.measurement import FrictionWraps
+from cablesense_training.law.measurement import CableGuides
 
 NOISE_STD_N = 0.05
 
@@ -30,7 +30,9 @@ class Push:
 class LawArm:
     """The estimator of an arm, and the statics that it has to invert."""
 
-    def __init__(self, arm, mechanism=None, wraps=(0.0, 0.0), radius_m=0.0, friction=0.0):
+    def __init__(
+        self, arm, mechanism=None, wraps=(0.0, 0.0), radius_m=0.0, friction=0.0, run_compliance=0.5
+    ):
         self.mechanism = mechanism_of(arm) if mechanism is None else mechanism
         self.parameters = ArmParameters(self.mechanism, arm.tolerances)
         count = self.mechanism.segment_count
@@ -40,14 +42,14 @@ class LawArm:
             self.mechanism,
             self.parameters,
             NOISE_STD_N**2,
-            FrictionWraps(*wraps),
+            CableGuides(*wraps, np.full(self.mechanism.cable_count, run_compliance)),
             self.reach_m,
             np.full(count, radius_m),
             friction,
         )
 
     def at(self, kind):
-        """Where the parameters of a kind stand, `slide` being those of all guides."""
+        """Where the parameters of a kind stand, `carried_friction` being those of all guides."""
         found = [part for name, part in self.parameters.slices.items() if name.startswith(kind)]
         return slice(found[0].start, found[-1].stop)
 
@@ -58,8 +60,9 @@ class LawArm:
         """
         changed = values.copy()
         changed[self.at("centre_across")] = 0.0
-        changed[self.at("slide")] = 0.0
+        changed[self.at("carried_friction")] = 0.0
         changed[self.at("friction")] = 0.0
+        changed[self.at("run_compliance")] = 0.0
         return changed
 
     def command(self, rng, largest_deg=10.0):

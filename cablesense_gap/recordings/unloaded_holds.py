@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from cablesense_contact.calibration import Unloaded
+from cablesense_contact.slides import LastWay
 from cablesense_gap.recordings.recording import Recording, RecordingError
 
 SETTLING_S = 1.0
@@ -25,8 +26,14 @@ def unloaded_holds(recording: Recording, ended_ns: int = 0) -> list[Unloaded]:
     Raises:
         RecordingError: there is none.
     """
-    holds = []
+    holds: list[Unloaded] = []
+    way = LastWay()
+    end = 0
     for rows in _stays(recording):
+        if rows.start != end or recording.trial[rows.start] != recording.trial[end - 1]:
+            way = LastWay()
+        way.go(recording.command_rad[rows.start])
+        end = rows.stop
         begun_s = recording.time_s[rows.start]
         times_s = recording.time_s[rows]
         settled = times_s >= begun_s + SETTLING_S
@@ -38,7 +45,11 @@ def unloaded_holds(recording: Recording, ended_ns: int = 0) -> list[Unloaded]:
         taken_ns = ended_ns - round(1e9 * before_end_s) if ended_ns else 0
         readings_n = recording.tensions_n[rows][settled]
         command_rad = recording.command_rad[rows.start]
-        holds.append(Unloaded(readings_n.mean(axis=0), command_rad, len(readings_n), taken_ns))
+        holds.append(
+            Unloaded(
+                readings_n.mean(axis=0), command_rad, len(readings_n), taken_ns, way.came_from_rad
+            )
+        )
     if not holds:
         raise RecordingError(
             f"{recording.name}: the arm never rests unloaded (load_segment 0) at one command for "

@@ -165,9 +165,12 @@ class _Guides(Transmission):
         """(P, M, 1 + 2N) compliances, which add up to that of the cable and its actuator."""
         whole = 1.0 / mechanism.stiffness_n_m
         actuator = np.minimum(1.0 / mechanism.actuator_stiffness_n_m, whole)
-        in_arm_m = np.cumsum(mechanism.segment_length_m)[mechanism.cable_segment - 1]
-        run = (in_arm_m.mean() / in_arm_m) ** self._values["run_by_length"][:, None]
-        behind = (whole - actuator) / (1.0 + self._values["run_compliance"][:, None] * run)
+        before = run_compliance(
+            mechanism,
+            self._values["run_compliance"][:, None],
+            self._values["run_by_length"][:, None],
+        )
+        behind = (whole - actuator) / (1.0 + before)
         length = mechanism.piece_length_m
         pieces = behind[..., None] * length / length.sum(-1, keepdims=True)
         return np.concatenate([(whole - behind)[..., None], pieces], axis=-1)
@@ -182,6 +185,12 @@ class _Guides(Transmission):
         evenly = self._longer, self._longer_m
         wraps = self._values["pulley_wrap_rad"], self._values["guide_wrap_rad"]
         return along_guides(spans_m, bends_rad, self._rest_m, *evenly, self._coefficient, *wraps)
+
+
+def run_compliance(mechanism: Mechanism, ratio: float | Array, by_length: float | Array) -> Array:
+    """(..., M) compliances before the pulley over those behind it, of the numbers of an effect."""
+    in_arm_m = np.cumsum(mechanism.segment_length_m)[mechanism.cable_segment - 1]
+    return np.asarray(ratio * (in_arm_m.mean() / in_arm_m) ** by_length)
 
 
 class JointFriction(Effect):

@@ -72,7 +72,7 @@ def test_poses_of_a_recording_become_a_calibration(calibrated):
     assert content["taken"] == "2026-03-01T10:00:00+00:00"
     assert content["force_std_n"]["after"] < content["force_std_n"]["before"]
     kinds = {row["kind"]: row for row in content["parameters"]}
-    assert "slide" not in kinds
+    assert "carried_friction" not in kinds
     assert kinds["sensor_zero"]["count"] == 12
     assert kinds["sensor_zero"]["std"] < kinds["sensor_zero"]["tolerance"] == 0.5
     assert kinds["hole_outward"]["count"] == 12 + 12 + 9 + 6 + 3

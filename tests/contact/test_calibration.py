@@ -16,6 +16,7 @@ from cablesense_contact.calibration import (
     read_calibration,
     write_calibration,
 )
+from cablesense_contact.slides import Belief
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.built import BuiltArm, Workmanship
 from cablesense_sim.arm import open_arm
@@ -81,7 +82,8 @@ def test_unloaded_poses_determine_what_moves_readings_and_say_so(calibrator):
     there = unloaded(arm, poses(6, rng)[1:], rng)
     errors = {}
     for name, known in (("before", calibrator.by_tolerances()), ("after", calibration)):
-        _, innovations = calibrator._linear(known.mean, known.covariance, there)
+        beliefs = [Belief(known.mean, known.covariance)] * len(there)
+        _, innovations = calibrator._linear(beliefs, there)
         errors[name] = np.sqrt(np.mean(innovations**2))
     assert errors["after"] < 0.2 * errors["before"]
 

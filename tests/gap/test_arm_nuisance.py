@@ -51,7 +51,8 @@ def test_everything_that_a_diagnosis_can_simulate_has_a_term_of_its_own():
     terms = terms_of(PARAMETERS)
     each = zip(PARAMETERS.names, terms, strict=True)
     nameless = {name.split(" of ")[0] for name, term in each if term is None}
-    assert nameless == {*(f"slide_{n}" for n in range(5)), "friction", "centre_across"}
+    carried = {f"carried_friction_{n}" for n in range(5)}
+    assert nameless == carried | {"friction", "run_compliance", "centre_across"}
     named = [term for term in terms if term]
     assert len(set(named)) == len(named)
     offered = parameters_of(tolerance_candidates(BUILT))

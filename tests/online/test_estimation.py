@@ -221,7 +221,7 @@ def test_a_push_is_unconfirmed_until_the_arm_cannot_swing_any_more(lab_law):
     for _ in range(60):
         beside.sample()
     beside.push(4, [0.0, 15.0, 0.0])
-    states = [beside.sample().force for _ in range(60)]
+    states = [beside.sample().force for _ in range(100)]
     assert ForceState.UNCONFIRMED in states[:10]
     assert states[-1] is ForceState.CONTACT
 

@@ -116,7 +116,7 @@ def test_derivatives_by_torques_are_those_of_the_equilibrium(law):
 
 
 def untouched_reading(law, theta, command):
-    """What the module itself expects of an untouched arm with slides."""
+    """What the module itself expects of an untouched arm with friction."""
     reading = law.mechanism.pretension_n.copy()
     for _ in range(12):
         reading = reading - law.answer(reading, command, theta).innovation_n
@@ -132,14 +132,15 @@ def test_derivatives_by_what_the_equilibrium_lacks_are_those_of_the_prediction()
     law = LawArm(open_arm("cdsm_lab"), wraps=(1.0, 0.1))
     rng = np.random.default_rng(5)
     theta = law.parameters.drawn(rng)
-    theta[law.at("friction")] = 0.002
+    theta[law.at("carried_friction")] *= 0.002 / theta[law.at("friction")]
     command = law.command(rng)
     reading = untouched_reading(law, theta, command)
     answer = law.answer(reading, command, theta)
     np.testing.assert_allclose(answer.innovation_n, 0.0, atol=1e-9)
     std = law.parameters.prior_std
     places = range(len(std))
-    lacking = [places[law.at(kind)] for kind in ("slide", "friction", "centre_across")]
+    kinds = ("carried_friction", "run_compliance", "centre_across")
+    lacking = [places[law.at(kind)] for kind in kinds]
     for i in (i for kind in lacking for i in kind if std[i]):
         step = np.zeros(len(std))
         step[i] = 1e-3 * std[i]
@@ -157,15 +158,13 @@ def weightless(arm, wraps):
 
 @pytest.mark.parametrize("slide", [1.0, -0.5])
 def test_a_pulley_carries_tension_over_as_the_capstan_equation_says(slide):
-    """T_out = T_in exp(μθ): the straight arm's pretension, shared between run and spans."""
+    """T_out = T_in exp(μθ): the straight arm's pretension, shared by what lies on either side."""
     wrap_rad = 1.2
+    run = 0.5 / (1.0 + 0.5)  # of the compliance, before the pulley
     law = weightless(open_arm("cdsm_lab"), (wrap_rad, 0.0))
     theta = np.zeros(len(law.parameters))
-    theta[law.at("friction")] = 0.3
-    theta[law.at("slide_0")] = slide
+    theta[law.at("carried_friction_0")] = 0.3 * slide
     ratio = np.exp(0.3 * slide * wrap_rad)
-    pieces = law.mechanism.piece_length_m
-    run = pieces[:, 0] / pieces.sum(axis=1)
     # all cables of a segment are alike, so the arm stays straight
     expected = law.mechanism.pretension_n / (run + (1.0 - run) * ratio)
     answer = law.answer(expected, np.zeros(8), theta)
@@ -184,11 +183,9 @@ def test_a_push_is_weighed_by_the_tensions_behind_the_pulley():
     rest, torque = law.rest(nominal, command, [Push(2, 0.08, (0.0, 10.0, -15.0))])
     ratio = np.exp(0.1 * 1.2)
     reading = rest.tensions_n / ratio
-    pieces = law.mechanism.piece_length_m
-    run = pieces[:, 0] / pieces.sum(axis=1)
+    run = 0.5 / (1.0 + 0.5)  # of the compliance, before the pulley
     theta = nominal.copy()
-    theta[law.at("friction")] = 0.1
-    theta[law.at("slide_0")] = 1.0
+    theta[law.at("carried_friction_0")] = 0.1
     theta[law.at("pretension")] = run * (reading - rest.tensions_n)
     inferred = inferred_torque(law.answer(reading, command, theta))
     np.testing.assert_allclose(inferred, torque, atol=2e-3 * np.abs(torque).max())

@@ -20,7 +20,7 @@ from cablesense_base import Array
 from cablesense_contact.calibration import Calibration, Calibrator, parameters_of
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import Law
-from cablesense_contact.slides import MOVED_STD, Belief, CableSlides, directions_along
+from cablesense_contact.slides import MOVED_STD, Belief, CableSlides, Slides, SlidesUnderLoad
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.built_arm import as_described, built_arm
@@ -223,7 +223,7 @@ class KnownArm:
         self._law = law
         self._judge = Judge(arm)
         self._known = Belief(calibration.mean, calibration.covariance)
-        self._slides = CableSlides(parameters_of(arm))
+        self._slides = CableSlides(mechanism_of(arm), parameters_of(arm))
         self._moved_n = MOVED_STD * reading_variance_n2(arm.sensors) ** 0.5
         self._unrest = np.zeros((arm.joint_count, arm.joint_count))
 
@@ -234,22 +234,33 @@ class KnownArm:
         direction cables slide at their guides.
         """
         last = readings_n[-1]
-        directions = np.zeros(last.shape, dtype=np.int8)
-        if len(readings_n) > 2:
-            for row, course in enumerate(readings_n.swapaxes(0, 1)):
-                directions[row] = directions_along(course[1:], course[0], self._moved_n)[-1]
+        slides = [self._slides.unknown] * len(last)
+        if len(readings_n) > 2 and self._slides.matter(self._known, self._moved_n):
+            courses = readings_n.swapaxes(0, 1)
+            slides = [
+                self._slid(course, command_rad)
+                for course, command_rad in zip(courses, commands_rad, strict=True)
+            ]
         parts = []
         order = []
-        alike, of_row = np.unique(directions, axis=0, return_inverse=True)
-        for number, direction in enumerate(alike):
-            known = self._slides.sliding(self._known, direction)
-            rows = np.flatnonzero(of_row.ravel() == number)
+        for rounded, rows in self._slides.alike(slides):
+            known = self._slides.carried(self._known, rounded)
             for first in range(0, len(rows), _ROWS_AT_ONCE):
                 chosen = rows[first : first + _ROWS_AT_ONCE]
                 parts.append(self._answers(last[chosen], commands_rad[chosen], known))
                 order.append(chosen)
         every = Statements.concatenate(parts)
         return every.select(np.argsort(np.concatenate(order)))
+
+    def _slid(self, course_n: Array, command_rad: Array) -> Slides:
+        """Slides at the last of readings (K, M) that begin with those of the untouched arm."""
+        pose = self._slides.at_pose(command_rad)
+        friction = self._slides.friction(self._known)
+        unknown = self._slides.unknown
+        under_load = SlidesUnderLoad(pose, unknown, course_n[0], self._moved_n, friction)
+        for reading_n in course_n[1:]:
+            under_load.follow(reading_n)
+        return under_load.slides
 
     def _answers(self, readings_n: Array, commands_rad: Array, known: Belief) -> Statements:
         seen = self._law(readings_n, commands_rad, known.mean, known.covariance, self._unrest)
@@ -270,15 +281,13 @@ class KnownArm:
 def exact_calibration(arm: Arm) -> Calibration:
     """That of an arm which equals its file: only what friction its cables carry is unknown."""
     parameters = parameters_of(arm)
-    at = parameters.slices
+    friction = parameters.slices["friction"]
     mean = np.zeros(len(parameters))
-    std = np.zeros(len(parameters))
+    covariance = np.zeros((len(parameters), len(parameters)))
     if any(effect.effect == "capstan_friction" for effect in arm.effects):
-        mean[at["friction"]] = parameters.prior_mean[at["friction"]]
-        for name, part in at.items():
-            if name.startswith("slide"):
-                std[part] = parameters.prior_std[part]
-    covariance = np.diag(std**2)
+        mean[friction] = parameters.prior_mean[friction]
+        slides = CableSlides(mechanism_of(arm), parameters)
+        mean, covariance = slides.carried(Belief(mean, covariance), slides.unknown)
     return Calibration(
         arm.identity, mean, covariance, mean, covariance, made_from="the arm file, as exact"
     )

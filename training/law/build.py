@@ -14,14 +14,17 @@ from cablesense_contact.law import LawOutput
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended, joint_zeros_rad, sensings
+from cablesense_sim.effects.transmission import run_compliance
 from cablesense_sim.replay import reading_variance_n2
 from cablesense_sim.touch import touched_places
 from cablesense_training.law.estimator import ArmEstimator, EstimatorOutput
 from cablesense_training.law.geometry import constant
-from cablesense_training.law.measurement import FrictionWraps
+from cablesense_training.law.measurement import CableGuides
 
 UNLISTED_PULLEY_RAD = 1.0
 """Wrap at the actuators of an arm whose file lists no friction."""
+UNLISTED_RUN_COMPLIANCE = 0.5
+"""Its compliance before the pulley over that behind: drive, sensor and a short piece of cable."""
 
 
 class _ListedSensing(NamedTuple):
@@ -84,7 +87,7 @@ def arm_estimator(arm: Arm, unexplained_n2: float = 0.0) -> ArmEstimator | _Sens
         nominal,
         parameters_of(arm),
         reading_variance_n2(arm.sensors),
-        friction_wraps(arm),
+        cable_guides(arm),
         places.reach_m,
         places.radius_m,
         places.friction,
@@ -112,12 +115,20 @@ def _listed_sensing(arm: Arm) -> _ListedSensing:
     return _ListedSensing((readings_n[1:] - zero_n).T, zero_n, mean)
 
 
-def friction_wraps(arm: Arm) -> FrictionWraps:
-    """Where cables turn with the arm straight, by the friction that the arm file lists."""
+def cable_guides(arm: Arm) -> CableGuides:
+    """Where cables may rub, by the friction that the arm file lists."""
+    cables = arm.cable_count
     for entry in entries_of(arm):
         if entry.effect.name == "capstan_friction":
-            return FrictionWraps(entry.values["pulley_wrap_rad"], entry.values["guide_wrap_rad"])
-    return FrictionWraps(UNLISTED_PULLEY_RAD, 0.0)
+            values = entry.values
+            return CableGuides(
+                values["pulley_wrap_rad"],
+                values["guide_wrap_rad"],
+                run_compliance(
+                    mechanism_of(arm), values["run_compliance"], values["run_by_length"]
+                ),
+            )
+    return CableGuides(UNLISTED_PULLEY_RAD, 0.0, np.full(cables, UNLISTED_RUN_COMPLIANCE))
 
 
 class TorchLaw:

@@ -12,7 +12,7 @@ from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.tolerances import ArmParameters
 from cablesense_training.law.geometry import Matrix, constant
 from cablesense_training.law.hypotheses import RivalHypotheses
-from cablesense_training.law.measurement import POSE_STEPS, FrictionWraps, MeasurementModel
+from cablesense_training.law.measurement import POSE_STEPS, CableGuides, MeasurementModel
 from cablesense_training.law.posterior import (
     LARGEST_N,
     PLACES,
@@ -81,7 +81,7 @@ class ArmEstimator(nn.Module):
         held_by: Mechanism,
         parameters: ArmParameters,
         reading_variance_n2: float,
-        wraps: FrictionWraps,
+        guides: CableGuides,
         reach_m: Matrix,
         radius_m: Matrix,
         friction: float,
@@ -89,7 +89,7 @@ class ArmEstimator(nn.Module):
     ) -> None:
         super().__init__()
         self.measurement = MeasurementModel(
-            mechanism, held_by, parameters, reading_variance_n2, wraps, pose_steps
+            mechanism, held_by, parameters, reading_variance_n2, guides, pose_steps
         )
         self.wrench = WrenchFit(mechanism.segment_length_m)
         self.contact = PosteriorOfContact(reach_m, radius_m, friction)

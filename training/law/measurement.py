@@ -2,12 +2,12 @@
 
 The arm holds cable lengths h(c + z) at commanded angles c with joint zeros z. Cable i with the
 stretch s_i = l_i(q) - h_i + T0_i / k_i has the tension T_i = max(0, s_i / κ_i) at its actuator and
-ρ_in T_i across joint n, where ρ = exp(u μ Φ) is what friction makes of it (u the slide, Φ the wrap
-angle up to there) and κ the compliance that the pieces have with these tensions. At rest
+ρ_in T_i across joint n, where ρ = exp(ε Φ) is what friction makes of it (ε the carried friction, Φ
+the wrap angle up to there) and κ the compliance that the pieces have with these tensions. At rest
 
     Σ_in (ρ_in ∂l_in/∂q) T_i = τ_weight(q) + τ,      y_i = (1 + g_i) T_i + b_i + noise
 
-with τ the torques of contacts; with several guides, u Φ is the sum over those up to joint n. A
+with τ the torques of contacts; with several guides, ε Φ is the sum over those up to joint n. A
 reading y gives a pose q by Gauss-Newton on the stretches. There
 the model's own tensions T(q), with the torques τ(q) that they balance, are one exact state, and
 everything else is linear about it:
@@ -31,7 +31,7 @@ import torch
 from torch import Tensor, nn
 
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.tolerances import ArmParameters
+from cablesense_sim.tolerances import CARRIED_FRICTION, ArmParameters
 from cablesense_training.law.geometry import (
     LEVI_CIVITA,
     CableGeometry,
@@ -98,27 +98,52 @@ class Weighed(NamedTuple):
     by_parameter: Tensor
 
 
+class CarriedTensions(NamedTuple):
+    """What friction makes of the tensions at the actuators.
+
+    Attributes:
+        ratio: (B, N, M) ρ of the tension across a joint.
+        compliance_m_n: (B, 1, M) κ, stretch of a cable by that tension.
+        wrap_rad: (B, N + 1, M) at the guides.
+        by_exponent: (B, N + 1, M) derivative of κ / κ_0 by the exponents ε Φ.
+        by_run: (B, 1, M) the same by the logarithm of `run_compliance`.
+    """
+
+    ratio: Tensor
+    compliance_m_n: Tensor
+    wrap_rad: Tensor
+    by_exponent: Tensor
+    by_run: Tensor
+
+
 class Parameters(NamedTuple):
     """The mean parameters by kind, as the measurement takes them."""
 
     compliance_m_n: Tensor  # (M,)
     pretension_n: Tensor  # (M,)
+    run_share: Tensor  # (M,) of the compliance, before the pulley
     holes: Holes
-    slide: Tensor  # (N + 1, M)
+    carried_friction: Tensor  # (N + 1, M)
     gain: Tensor  # (M,) one and the deviation
     zero_n: Tensor  # (M,)
     bodies: Tensor  # (5N,) of segments: mass, centre, length; centres along y and along z
     length_m: Tensor  # (N,)
     gravity_m_s2: Tensor  # (1, 3)
     joint_zero_rad: Tensor  # (2N,)
-    friction: Tensor  # (1,)
 
 
-class FrictionWraps(NamedTuple):
-    """Where a cable turns with the arm straight: at the actuator, and between two joints, rad."""
+class CableGuides(NamedTuple):
+    """Where cables may rub.
+
+    Attributes:
+        pulley_rad, guide_rad: by which a cable turns with the arm straight, at the actuator and
+            between two joints.
+        run_compliance: (M,) of a cable before the pulley, over that behind it.
+    """
 
     pulley_rad: float
     guide_rad: float
+    run_compliance: Matrix
 
 
 class MeasurementModel(nn.Module):
@@ -129,7 +154,7 @@ class MeasurementModel(nn.Module):
         held_by: the arm by which its actuators are commanded: as drawn.
         parameters: its uncertain parameters.
         reading_variance_n2: of one reading: noise and step of the sensor, N².
-        wraps: of the cables with the arm straight.
+        guides: of the cables.
         pose_steps: Gauss-Newton steps from the command to the pose.
     """
 
@@ -139,7 +164,7 @@ class MeasurementModel(nn.Module):
         held_by: Mechanism,
         parameters: ArmParameters,
         reading_variance_n2: float,
-        wraps: FrictionWraps,
+        guides: CableGuides,
         pose_steps: int = POSE_STEPS,
     ) -> None:
         super().__init__()
@@ -175,31 +200,33 @@ class MeasurementModel(nn.Module):
         self.held_straight_m = constant(straight.numpy())
 
         # a cable's guides: at the actuator, and in the plates 0 to N - 1
-        wrap_rad = np.full((count + 1, cables), wraps.guide_rad)
-        wrap_rad[0] = wraps.pulley_rad
+        wrap_rad = np.full((count + 1, cables), guides.guide_rad)
+        wrap_rad[0] = guides.pulley_rad
         wrap_rad[1] = 0.0
         wrap_rad[1:] *= mechanism.passes_joint.T
         self.wrap_rad = constant(wrap_rad)
         self.plate_of_guide = constant(np.eye(count + 1, k=-1))
         until = np.tril(np.ones((count, count + 1)), 1)
-        self.guides_until = constant(until)
         self.reaches = constant(until[:, None, :, None])
-        run, spans = _compliance_shares(mechanism)
-        self.run_share = constant(run)
-        self.span_share = constant(spans)
+        # of the compliance behind the pulley: the run up to the base, and from each joint on
+        behind_pulley = _compliance_shares(mechanism)
+        self.behind_pulley = constant(behind_pulley)
+        self.pieces_behind = constant(np.concatenate([np.eye(1, count + 1), until]))
+        self.run_log = constant(np.log(guides.run_compliance))
 
         self.reading_variance_n2 = reading_variance_n2
         self.cable_identity = constant(np.eye(cables))
         self.same_joint = constant(_same_joint(count))
-        # a cable has a stiffness, a pretension, 2 (N + 1) numbers of holes, and N + 1 slides
-        self.same_cable = constant(np.tile(np.eye(cables), 3 * count + 5))
+        # a cable has a stiffness, a pretension, a compliance of its run, 2 (N + 1) numbers of
+        # holes, and N + 1 carried frictions
+        self.same_cable = constant(np.tile(np.eye(cables), 3 * count + 6))
         self.same_sensor = constant(np.tile(np.eye(cables), 2))
-        self.plain_and_exponents = ((2 * count + 4) * cables, (count + 1) * cables)
+        self.plain_and_exponents = ((2 * count + 5) * cables, (count + 1) * cables)
         self.by_gain = constant(np.array([[1.0], [0.0]]))
         self.by_zero = constant(np.array([[0.0], [1.0]]))
         self.zero = constant(np.array(0.0))
         self.one = constant(np.array(1.0))
-        self.nothing = constant(np.zeros((2, 1)))
+        self.nothing = constant(np.zeros((3, 1)))
         self.slack_weight = constant(np.array(_SLACK_WEIGHT))
         self.far_m = constant(np.array(_FAR_M))
 
@@ -225,14 +252,14 @@ class MeasurementModel(nn.Module):
         angles = self._pose(start_rad, start, tension, unstretched, given)
         at_pose = self.cables.terms(angles)
         spans = self.cables(at_pose, given.holes)
-        carried, compliance, wrap_rad = self._friction(spans, given)
-        stretch = (spans.length_m - unstretched) / compliance
+        carried = self._friction(spans, given)
+        stretch = (spans.length_m - unstretched) / carried.compliance_m_n
         pulls = (stretch > 0.0).to(stretch.dtype)
         tension_n = stretch * pulls
-        stiffness = pulls / compliance
+        stiffness = pulls / carried.compliance_m_n
 
         # torques of one newton at each actuator, and of all that there is
-        ratio = carried[:, :, None]
+        ratio = carried.ratio[:, :, None]
         across_n = ratio * tension_n[:, None]
         jacobian = (spans.slope_m * ratio).flatten(1, 2)
         frames = self._frames(at_pose, command_rad)
@@ -253,7 +280,6 @@ class MeasurementModel(nn.Module):
             spans,
             straight_by_hole,
             carried,
-            wrap_rad,
             tension_n,
             stiffness,
             across_n,
@@ -288,19 +314,19 @@ class MeasurementModel(nn.Module):
         count = self.segment_count
         values = self.nominal + self.scale * mean
         parts = values.split(self.sizes)
-        stiffness, pretension, holes, slide, gain, zero, bodies, tilt, joint_zero, friction = parts
+        stiffness, pretension, run, holes, carried, gain, zero, bodies, tilt, joint_zero, _ = parts
         return Parameters(
             compliance_m_n=self.compliance_m_n / torch.exp(stiffness),
             pretension_n=pretension,
+            run_share=torch.sigmoid(self.run_log + run),
             holes=self.cables.holes(holes.reshape(2, count + 1, self.cable_count)),
-            slide=slide.reshape(count + 1, self.cable_count),
+            carried_friction=carried.reshape(count + 1, self.cable_count),
             gain=gain,
             zero_n=zero,
             bodies=bodies,
             length_m=bodies[2 * count : 3 * count],
             gravity_m_s2=self.gravity_m_s2 + tilt @ self.gravity_by_tilt,
             joint_zero_rad=joint_zero,
-            friction=friction,
         )
 
     def _pose(
@@ -330,12 +356,24 @@ class MeasurementModel(nn.Module):
             angles = angles + torch.minimum(wanted - length, loose) @ solve
         return angles
 
-    def _friction(self, spans: Spans, given: Parameters) -> tuple[Tensor, Tensor, Tensor]:
-        """Ratios ρ (B, N, M) of tensions, compliances κ (B, 1, M), wraps (B, N + 1, M) in rad."""
+    def _friction(self, spans: Spans, given: Parameters) -> CarriedTensions:
+        """What friction makes of tensions.
+
+        With the share r of a cable's compliance before the pulley, and the shares c of the pieces
+        behind it, a tension T at the actuator stretches it by κ T, κ = κ_0 (r + (1 - r) Σ c ρ).
+        """
         wrap_rad = self.plate_of_guide @ spans.bend_rad + self.wrap_rad
-        carried = torch.exp(self.guides_until @ (given.friction * given.slide * wrap_rad))
-        share = self.run_share + (self.span_share * carried).sum(1, keepdim=True)
-        return carried, given.compliance_m_n * share, wrap_rad
+        carried = torch.exp(self.pieces_behind @ (given.carried_friction * wrap_rad))
+        stretched = self.behind_pulley * carried
+        behind = stretched.sum(1, keepdim=True)
+        run = given.run_share
+        return CarriedTensions(
+            ratio=carried[:, 1:],
+            compliance_m_n=given.compliance_m_n * (run + (1.0 - run) * behind),
+            wrap_rad=wrap_rad,
+            by_exponent=self.pieces_behind.T @ ((1.0 - run) * stretched),
+            by_run=run * (1.0 - run) * (1.0 - behind),
+        )
 
     def _frames(self, at_pose: Tensor, command_rad: Tensor) -> SegmentFrames:
         at_command = self.cables.terms(command_rad[:, None])
@@ -362,8 +400,7 @@ class MeasurementModel(nn.Module):
         given: Parameters,
         spans: Spans,
         straight_by_hole: Tensor,
-        carried: Tensor,
-        wrap_rad: Tensor,
+        carried: CarriedTensions,
         tension_n: Tensor,
         stiffness: Tensor,
         across_n: Tensor,
@@ -374,22 +411,24 @@ class MeasurementModel(nn.Module):
     ) -> Tensor:
         """G (B, M, P): derivative of readings by parameters at fixed contact torques."""
         # Parameters of one cable: its own tension at a fixed pose (A), and torques beside (B).
-        # At a guide they are in the exponent u μ Φ, which acts on the spans behind it.
+        # At a guide they are in the exponent ε Φ, which acts on the spans behind it.
         by_pretension = stiffness * given.compliance_m_n
         by_stiffness = tension_n - given.pretension_n * by_pretension
         by_hole = stiffness * (spans.by_hole - straight_by_hole)
-        behind = self.guides_until.T @ (self.span_share * carried)
-        by_exponent = behind * -(tension_n * by_pretension)
-        own = torch.cat([by_stiffness, by_pretension, by_hole, by_exponent], dim=1)
+        by_compliance = -(tension_n * by_pretension)
+        by_run = carried.by_run * by_compliance
+        by_exponent = carried.by_exponent * by_compliance
+        own = torch.cat([by_stiffness, by_pretension, by_run, by_hole, by_exponent], dim=1)
         rubbed = (spans.slope_m * across_n)[:, :, :, None] * self.reaches
         turned = spans.slope_by_hole * across_n[:, :, :, None]
-        beside = torch.cat([self.nothing * rubbed[:, :, :, :2], turned, rubbed], dim=3)
+        beside = torch.cat([self.nothing * rubbed[:, :, :, :3], turned, rubbed], dim=3)
         torques = jacobian[:, :, None] * own[:, None] + beside.flatten(1, 2)
         gained = (own * given.gain).flatten(1)[:, None]
         of_cables = self.same_cable * gained - by_torque @ torques.flatten(2)
         plain, of_exponents = of_cables.split(self.plain_and_exponents, dim=2)
-        of_slides = of_exponents * (given.friction * wrap_rad).flatten(1)[:, None]
-        of_friction = of_exponents @ (given.slide * wrap_rad).flatten(1)[:, :, None]
+        of_carried = of_exponents * carried.wrap_rad.flatten(1)[:, None]
+        # the coefficient itself is in no reading: only what is carried of it
+        of_coefficient = 0.0 * of_exponents[:, :, :1]
 
         # a sensor reads its tension times its gain, and its zero
         sensed = self.by_gain * tension_n + self.by_zero
@@ -400,7 +439,8 @@ class MeasurementModel(nn.Module):
         of_zeros = by_torque @ (jacobian @ slack_n) - slack_n * given.gain[:, None]
 
         of_bodies = by_torque @ weighed.by_parameter
-        return torch.cat([plain, of_slides, of_sensors, of_bodies, of_zeros, of_friction], dim=2)
+        parts = [plain, of_carried, of_sensors, of_bodies, of_zeros, of_coefficient]
+        return torch.cat(parts, dim=2)
 
 
 def _nominal(
@@ -425,11 +465,12 @@ def _nominal(
 
 
 def _sizes(parameters: ArmParameters) -> list[int]:
-    """Numbers of parameters of each kind, with all holes together, all slides, and all bodies."""
+    """Numbers of parameters of each kind, with all holes together, all guides, and all bodies."""
     sizes: dict[str, int] = {}
     bodies = ("segment_mass", "centre_of_mass", "segment_length", "centre_across")
     for name, part in parameters.slices.items():
-        kind = name.split("_")[0] if name.startswith(("hole", "slide")) else name
+        kind = name.rstrip("0123456789") if name.startswith(CARRIED_FRICTION) else name
+        kind = "hole" if name.startswith("hole") else kind
         kind = "bodies" if name in bodies else kind
         sizes[kind] = sizes.get(kind, 0) + part.stop - part.start
     return list(sizes.values())
@@ -448,17 +489,17 @@ def _same_joint(count: int) -> Matrix:
     return placed.reshape(3 * count, -1)
 
 
-def _compliance_shares(mechanism: Mechanism) -> tuple[Matrix, Matrix]:
-    """Shares of a cable's compliance: (M,) before its first guide, (N, M) from each joint on."""
+def _compliance_shares(mechanism: Mechanism) -> Matrix:
+    """(N + 1, M) shares of the compliance behind the pulley: the run, and from each joint on."""
     pieces = mechanism.piece_length_m
-    whole = pieces.sum(1)
     count = mechanism.segment_count
-    behind = np.zeros((count, mechanism.cable_count))
+    behind = np.zeros((count + 1, mechanism.cable_count))
+    behind[0] = pieces[:, 0]
     for n in range(count):
-        behind[n] = pieces[:, 1 + 2 * n]
+        behind[n + 1] = pieces[:, 1 + 2 * n]
         if n + 1 < count:
-            behind[n] += pieces[:, 2 + 2 * n]
-    return pieces[:, 0] / whole, behind / whole
+            behind[n + 1] += pieces[:, 2 + 2 * n]
+    return behind / behind.sum(0)
 
 
 def _first_moment_slopes(mechanism: Mechanism) -> Matrix:

@@ -9,7 +9,9 @@ uniform in direction and magnitude across the segment.
 Contacts are on a surface, at a radius r from the axis. There an axial force f_x, which friction
 bounds to about μ f, adds the moment r f_x: the place is not s but s - r f_x / f. So s is fitted
 beyond both ends of a segment too, and the place follows from it with the width that r and f_x
-leave. The torsion of a force that does not point at the axis is one more unknown.
+leave. Friction around the segment lets the force point beside the axis, by an angle φ of about μ.
+Then two more moments are unknown: the torsion r f sin φ, and the part r f_x sin φ of the axial
+force's moment that is not along the place.
 
 Manuelli and Tedrake, Localizing External Contact Using Proprioceptive Sensors, IROS 2016, draw
 particles of the same posterior.
@@ -32,10 +34,11 @@ LARGEST_N = 200.0
 AXIAL_STD_N = 100.0
 """Prior deviation of the axial force of contacts on the axis: half the largest lateral force."""
 
-RADIUS_MEAN = 0.5
-RADIUS_STD = 12.0**-0.5
-"""Where a surface is touched, from the axis, as shares of its radius: anywhere, uniformly. Plates
-and cables stand out by different amounts, and a tool may reach between them."""
+RADIUS_MEAN = 2.0 / 3.0
+RADIUS_STD = 18.0**-0.5
+"""Where a surface is touched, from the axis, as shares of its radius: anywhere within it, the
+farther out the likelier. Plates and cables stand out by different amounts, and a tool may reach
+between them."""
 
 _LEAST_N = 0.05
 """Lateral forces count as no smaller where something is divided by them or scales with them."""
@@ -78,12 +81,12 @@ class ContactPosterior(NamedTuple):
     lateral_variance_n2: Tensor
 
 
-class _Torsion(NamedTuple):
-    """What is left beside an unknown torsion, and what that explains by itself.
+class _Without(NamedTuple):
+    """What is left beside unknown moments, and what they explain by themselves.
 
     Attributes:
         table: (B, N, 6, 8) as in `SegmentWrench`.
-        gain, log_evidence: (B, N) of the torsion, against none.
+        gain, log_evidence: (B, N) of the moments, against none.
     """
 
     table: Tensor
@@ -114,6 +117,9 @@ class PosteriorOfContact(nn.Module):
         self.radius_variance_m2 = constant(RADIUS_STD**2 * radius**2)
         self.radius_square_m2 = constant((RADIUS_STD**2 + RADIUS_MEAN**2) * radius**2)
         self.torsion_share_m2 = constant((friction * radius) ** 2)
+        self.beside_share_m2 = constant((friction**2 * radius) ** 2)
+        # of a moment beside the place, across the force of a wrench: (f_y, f_z) to (-f_z, f_y)
+        self.beside = constant(_rows_beside())
         self.ends_m = constant(np.concatenate([low, high], axis=1))
         self.first_m = constant(low - offset)
         self.last_m = constant(high + offset)
@@ -139,26 +145,22 @@ class PosteriorOfContact(nn.Module):
             return self._posterior(wrench.table[:, :, :6], line, None)
         strength = fit.strength(wrench)
         per_force2 = _within(strength.per_force2 + self.middle_m**2 * strength.per_moment2)
-        torsion = self._torsion(wrench.table, per_force2)
-        line = fit.refined_line(torsion.table, per_force2 * self.friction**-2)
-        posterior = self._posterior(torsion.table, line, strength)
-        return posterior._replace(
-            log_evidence=posterior.log_evidence + torsion.log_evidence,
-            chi2_gain=posterior.chi2_gain + torsion.gain,
-        )
-
-    def _torsion(self, table: Tensor, per_force2: Tensor) -> _Torsion:
-        """Take the torsion of a force across the segment out of the torques (Woodbury)."""
-        levers, torsion = table.split((6, 1), dim=2)
+        levers, torsion = wrench.table.split((6, 1), dim=2)
         *_, own, along = torsion.split((6, 1, 1), dim=3)
         variance = self.torsion_share_m2 / per_force2
-        occam = 1.0 + variance * own
-        share = variance / occam
-        gain = (share * along * along).sum((2, 3))
-        return _Torsion(
-            levers - levers[..., 6:7] * share * torsion,
-            gain,
-            0.5 * (gain - torch.log(occam).sum((2, 3))),
+        twisted = _without(levers, torsion, own, along, variance)
+        beside = self.beside @ wrench.mean
+        square = (beside * beside).sum(2, keepdim=True).clamp(min=_TINY_N**2)
+        beside = beside * torch.rsqrt(square)
+        row = beside.transpose(2, 3) @ twisted.table
+        own = row[..., :6] @ beside
+        variance = self.beside_share_m2 / per_force2
+        left = _without(twisted.table, row, own, row[..., 7:8], variance)
+        line = fit.refined_line(left.table, per_force2 * self.friction**-2)
+        posterior = self._posterior(left.table, line, strength)
+        return posterior._replace(
+            log_evidence=posterior.log_evidence + twisted.log_evidence + left.log_evidence,
+            chi2_gain=posterior.chi2_gain + twisted.gain + left.gain,
         )
 
     def _posterior(
@@ -229,6 +231,33 @@ class PosteriorOfContact(nn.Module):
             lateral_squared_n2=squared,
             lateral_variance_n2=variance,
         )
+
+
+def _without(
+    levers: Tensor, row: Tensor, own: Tensor, along: Tensor, variance: Tensor
+) -> _Without:
+    """Take an unknown moment, of a variance, out of the torques (Woodbury).
+
+    Of the products with P are given: `row` (B, N, 1, 8) of the moment with all, `own` with itself
+    and `along` with the torques, (B, N, 1, 1).
+    """
+    occam = 1.0 + variance * own
+    share = variance / occam
+    gain = (share * along * along).sum((2, 3))
+    return _Without(
+        levers - row[..., :6].transpose(2, 3) * share * row,
+        gain,
+        0.5 * (gain - torch.log(occam).sum((2, 3))),
+    )
+
+
+def _rows_beside() -> Matrix:
+    """(6, 5): from the unknowns of a wrench to levers by a moment across its force."""
+    rows = np.zeros((6, 5))
+    for unknown in (1, 3):
+        rows[5, unknown] = 1.0
+        rows[4, unknown + 1] = -1.0
+    return rows
 
 
 def _within(per_force2: Tensor) -> Tensor:
