@@ -72,6 +72,7 @@ class Case:
         friction: coefficient of the cables on their guides; the plant walks.
         listed: whether the file lists that friction; else it leaves some to be expected.
         frictionless: whether the file says that no cable rubs, as none does without `friction`.
+        holes_m: deviation of the holes, built and stated, where it is not a workshop's.
         fault: changes readings of the calibrated arm, touched and untouched.
         broken: changes the body in another way than by tolerances.
     """
@@ -83,6 +84,7 @@ class Case:
     friction: float = 0.0
     listed: bool = False
     frictionless: bool = True
+    holes_m: float | None = None
     fault: Fault | None = None
     broken: Callable[[Body, np.random.Generator], Body] | None = None
 
@@ -142,6 +144,15 @@ CASES = {
     "friction 0.15": Case(friction=0.15, listed=True),
 }
 
+STIFF_CASES = {
+    f"holes {1e6 * holes_m:g} um, {'tare' if poses == 1 else '25 poses'}": Case(
+        poses=poses, holes_m=holes_m
+    )
+    for holes_m in (1e-4, 3e-5, 1e-5, 3e-6, 1e-6)
+    for poses in (1, COMMISSIONED_POSES)
+}
+"""Of an arm whose cables are ninety times as stiff: a hole that is off by 0.1 mm is 1,000 N."""
+
 
 class Drawn(NamedTuple):
     """What acts on the arm in one sample.
@@ -177,6 +188,9 @@ class Touched:
 def stated_file(arm: Arm, case: Case) -> Arm:
     """The arm file of a case: what it says of touch, tolerances and friction."""
     tolerances = Tolerances().scaled(case.stated)
+    if case.holes_m is not None:
+        holes = {"hole_radial_m": case.holes_m, "hole_around_m": case.holes_m}
+        tolerances = tolerances.model_copy(update=holes)
     if case.frictionless and not case.friction:
         tolerances = tolerances.model_copy(update={"friction_coefficient": 0.0})
     update: dict[str, Any] = {"tolerances": tolerances}
@@ -206,6 +220,9 @@ class Bench:
     def built(self, rng: np.random.Generator) -> BuiltArm:
         """An arm with errors of its own."""
         workmanship = Workmanship().scaled(self.case.errors)
+        holes_m = self.case.holes_m
+        if holes_m is not None:
+            workmanship = replace(workmanship, hole_radial_m=holes_m, hole_around_m=holes_m)
         arm = BuiltArm(self.nominal, workmanship, rng, friction=self.case.friction)
         broken = self.case.broken
         return arm if broken is None else arm.altered(lambda body: broken(body, _fresh(rng)))
@@ -526,6 +543,7 @@ def run_case(bench: Bench, title: str, given: argparse.Namespace, row: int) -> d
 FILES = {
     "cdsm_lab": Path("config/arms/cdsm_lab.yaml"),
     "five_by_four": Path(__file__).parent / "arms" / "five_by_four.yaml",
+    "cdsm": Path("config/arms/cdsm.yaml"),
 }
 
 
@@ -534,23 +552,25 @@ def main() -> int:
     options = harness.parser(__doc__, "built_arms.json")
     options.add_argument("--arms", type=int, default=40, help="of each case and file")
     options.add_argument("--poses", type=int, default=20, help="of each arm")
-    options.add_argument("--case", nargs="*", default=list(CASES), help="names of cases")
+    options.add_argument("--case", nargs="*", default=[], help="names of cases; all")
     options.add_argument("--file", nargs="*", default=list(FILES), help="names of arm files")
     options.add_argument("--seed", type=int, default=9501, help="of errors, contacts and noise")
+    options.add_argument("--out", default="built_arms.json", help="name of the result")
     given = options.parse_args()
     result: dict[str, Any] = {}
     for name in given.file:
         arm = load_arm(FILES[name])
         nominal = read_nominal(FILES[name])
-        for row, (title, case) in enumerate(CASES.items()):
-            if title not in given.case:
+        cases = STIFF_CASES if name == "cdsm" else CASES
+        for row, (title, case) in enumerate(cases.items()):
+            if given.case and title not in given.case:
                 continue
             stated = stated_file(arm, case)
             bench = Bench(stated, TorchLaw(stated), nominal, case)
             figures = run_case(bench, title, given, row)
             result.setdefault(name, {})[title] = figures
             print(name, title, figures, file=sys.stderr, flush=True)
-    return harness.publish("built_arms.json", result, given, "numpy", "torch")
+    return harness.publish(given.out, result, given, "numpy", "torch")
 
 
 if __name__ == "__main__":

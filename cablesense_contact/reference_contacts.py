@@ -1,4 +1,4 @@
-"""What a calibration is worth: how well it lets a contact be known, as the deviation of its force.
+"""What a calibration is worth: how well it lets a contact be known, as the interval of its force.
 
 A fixed set of contacts stands for all: on every segment, in some poses, of one size. Parameters of
 the arm with covariance Σ disturb readings by G Σ Gᵀ, beside the sensors' noise R. A contact of
@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.law import Law
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
@@ -97,10 +98,10 @@ class ReferenceContacts:
         by_contact = seen.by_torque @ np.concatenate([moved, by_force], axis=1).transpose(0, 2, 1)
         return ContactResponse(by_contact, seen.by_parameter, seen.information_n2)
 
-    def force_std_n(self, law: Law, mean: Array, covariance: Array) -> float:
-        """Deviation of the contacts' size as one reading tells it, their median, N."""
+    def force_known_n(self, law: Law, mean: Array, covariance: Array) -> float:
+        """Half of the 95 % interval of a contact's size as one reading tells it: the median, N."""
         seen = self.response(law, mean, covariance)
         information = seen.by_contact.transpose(0, 2, 1) @ seen.information_n2 @ seen.by_contact
         spread = np.linalg.inv(information + self.prior_precision)[:, 1:, 1:]
         variance = np.einsum("ti,tij,tj->t", self._direction, spread, self._direction)
-        return float(np.median(np.sqrt(variance)))
+        return NORMAL_95 * float(np.median(np.sqrt(variance)))

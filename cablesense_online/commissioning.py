@@ -24,7 +24,7 @@ from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import CalibrationError, Calibrator, Unloaded
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import Law, LawOutput
-from cablesense_contact.reference_contacts import ReferenceContacts
+from cablesense_contact.reference_contacts import FORCE_N, ReferenceContacts
 from cablesense_online.chosen_poses import READINGS, UnloadedReadings
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
@@ -108,21 +108,21 @@ class Progress(NamedTuple):
     Attributes:
         holds_done, holds: in all.
         remaining_s: until it has returned.
-        force_std_n: deviation of the force of a contact (`ReferenceContacts`), as known now.
+        force_known_n: half of the 95 % interval of a push (`ReferenceContacts`), as known now.
         text: of these, in words.
     """
 
     holds_done: int
     holds: int
     remaining_s: float
-    force_std_n: float
+    force_known_n: float
 
     @property
     def text(self) -> str:
         """All of it as a sentence."""
         return (
             f"{self.holds_done} of {self.holds} holds, about {self.remaining_s:.0f} s left; a "
-            f"contact's force is known to ± {self.force_std_n:.2f} N"
+            f"push of {FORCE_N:g} N is known to ± {self.force_known_n:.2f} N"
         )
 
 
@@ -276,7 +276,7 @@ class Commissioning:
         remaining_s = 0.0
         if not self.over:
             remaining_s = expected_duration_s(self._arm, left, self._settings, here_rad)
-        return Progress(self._holds - len(left), self._holds, remaining_s, self._force_std_n)
+        return Progress(self._holds - len(left), self._holds, remaining_s, self._force_known_n)
 
     def advance(self, now_ns: int) -> Array | None:
         """Let time pass; gives a command (2N,) that is to be sent now."""
@@ -430,6 +430,6 @@ class Commissioning:
             made_from = f"a commissioning in {len(poses)} poses"
             self.calibration = replace(self.calibration, made_from=made_from)
         elsewhere = self._calibrator.moved(self.calibration)
-        self._force_std_n = self._contacts.force_std_n(
+        self._force_known_n = self._contacts.force_known_n(
             self._law, elsewhere.mean, elsewhere.covariance
         )

@@ -21,6 +21,7 @@ from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import Calibration, CalibrationError, Calibrator, Unloaded
 from cablesense_contact.judgement import Judge
 from cablesense_contact.law import Law
+from cablesense_contact.reference_contacts import FORCE_N, ReferenceContacts
 from cablesense_contact.slides import (
     MOVED_STD,
     Belief,
@@ -31,11 +32,10 @@ from cablesense_contact.slides import (
 )
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.settings import EstimationSettings
-from cablesense_online.typical_contact import FORCE_N, TypicalContact
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended
-from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
+from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
 from cablesense_sim.replay import reading_variance_n2
 
 _MOST_KEPT = 16
@@ -250,7 +250,7 @@ class CalibratedArm(UnloadedArm[Calibration]):
         self._arm = arm
         self._law = law
         self._judge = Judge(arm)
-        self._typical = TypicalContact(arm, law)
+        self._contacts: ReferenceContacts | None = None
         self._known_to_n: float | None = None
         self._measured: Calibration | None = None
         start = calibration or self.calibrator.by_tolerances()
@@ -402,12 +402,18 @@ class CalibratedArm(UnloadedArm[Calibration]):
     def force_known_to_n(self) -> float | None:
         """Half of the 95 % interval of a push of `FORCE_N` after a move to another pose, N.
 
-        None where there is no such number.
+        None where the arm of the file bears no such push.
         """
         if self._measured is not self._state:
             self._measured = self._state
             moved = self.calibrator.moved(self._state)
-            self._known_to_n = self._typical.known_to_n(moved.mean, moved.covariance)
+            try:
+                self._contacts = self._contacts or ReferenceContacts(self._arm)
+            except EquilibriumError:
+                self._known_to_n = None
+            else:
+                known = moved.mean, moved.covariance
+                self._known_to_n = self._contacts.force_known_n(self._law, *known)
         return self._known_to_n
 
     def status(self) -> Status:

@@ -249,7 +249,7 @@ class CommissionerNode(Node):
         calibration = ended.calibration
         content = calibration_bytes(calibration, self._arm)
         self._calibrations.publish(UInt8MultiArray(data=array.array("B", content)))
-        values["force of a contact known to (N)"] = f"{ended.progress.force_std_n:.3f}"
+        values["force of a contact known to (N)"] = f"{ended.progress.force_known_n:.3f}"
         values["probability of such residuals"] = f"{calibration.misfit_probability:.3g}"
         level = Level.OK
         text = f"done: {calibration.made_from}"
@@ -269,7 +269,7 @@ class CommissionerNode(Node):
         self._status = Status("commissioning", level, text, values)
         log = self.get_logger()
         (log.info if level is Level.OK else log.warning)(
-            f"{text}; a contact's force is known to ± {ended.progress.force_std_n:.2f} N"
+            f"{text}; a push is known to ± {ended.progress.force_known_n:.2f} N"
         )
 
     def _now_ns(self) -> int:
@@ -283,7 +283,7 @@ class CommissionerNode(Node):
         values = {
             "holds": f"{progress.holds_done} of {progress.holds}",
             "left (s)": f"{progress.remaining_s:.0f}",
-            "force of a contact known to (N)": f"{progress.force_std_n:.3f}",
+            "force of a contact known to (N)": f"{progress.force_known_n:.3f}",
         }
         text = f"{running.stage.value}: {progress.text}"
         return [Status("commissioning", Level.OK, text, values)]

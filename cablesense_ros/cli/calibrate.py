@@ -135,7 +135,7 @@ def calibration_description(calibration: Calibration, arm: Arm, law: Law | None)
         "channels": sum(len(one.reading_n) for one in unloaded),
         "probability": calibration.misfit_probability,
         "as_described": calibration.as_described,
-        "force_std_n": None if law is None else _force_std_n(calibration, arm, law),
+        "force_known_n": None if law is None else _force_known_n(calibration, arm, law),
         "parameters": [asdict(row) for row in summarised(calibration, arm)],
     }
 
@@ -162,16 +162,16 @@ def print_calibration(console: Any, description: Description) -> None:
             "in the recording, or is it built less well? Larger tolerances in the arm file make "
             "its intervals true"
         )
-    known = description["force_std_n"]
+    known = description["force_known_n"]
     if known:
         say(
-            f"The force of a contact of 20 N is known to ± {known['after']:.2f} N (one standard "
-            f"deviation); by the tolerances alone to ± {known['before']:.2f} N"
+            f"A push of 20 N is known to ± {known['after']:.2f} N (95 %); by the tolerances alone "
+            f"to ± {known['before']:.2f} N"
         )
 
 
-def _force_std_n(calibration: Calibration, arm: Arm, law: Law) -> Description:
-    """Deviations of the force of contacts, in another pose than those of the calibration."""
+def _force_known_n(calibration: Calibration, arm: Arm, law: Law) -> Description:
+    """To what the force of a push is known, in another pose than those of the calibration."""
     from cablesense_contact.calibration import Calibrator
     from cablesense_contact.reference_contacts import ReferenceContacts
 
@@ -179,8 +179,8 @@ def _force_std_n(calibration: Calibration, arm: Arm, law: Law) -> Description:
     prior_mean = calibration.prior_mean
     elsewhere = Calibrator(arm, law).moved(calibration)
     return {
-        "before": contacts.force_std_n(law, prior_mean, calibration.prior_covariance),
-        "after": contacts.force_std_n(law, elsewhere.mean, elsewhere.covariance),
+        "before": contacts.force_known_n(law, prior_mean, calibration.prior_covariance),
+        "after": contacts.force_known_n(law, elsewhere.mean, elsewhere.covariance),
     }
 
 

@@ -70,7 +70,7 @@ def test_poses_of_a_recording_become_a_calibration(calibrated):
     assert content["probability"] > 0.01
     assert content["channels"] == 12 * 12
     assert content["taken"] == "2026-03-01T10:00:00+00:00"
-    assert content["force_std_n"]["after"] < content["force_std_n"]["before"]
+    assert content["force_known_n"]["after"] < content["force_known_n"]["before"]
     kinds = {row["kind"]: row for row in content["parameters"]}
     assert "carried_friction" not in kinds
     assert kinds["sensor_zero"]["count"] == 12
