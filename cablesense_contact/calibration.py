@@ -207,7 +207,14 @@ class Calibrator:
 
     def from_poses(self, unloaded: Sequence[Unloaded]) -> Calibration:
         """The calibration by the tolerances and unloaded readings in several poses."""
-        return self._fitted(replace(self.by_tolerances(), unloaded=tuple(unloaded)))
+        at_once = self._fitted(replace(self.by_tolerances(), unloaded=tuple(unloaded)))
+        if at_once.as_described:
+            return at_once
+        # tensions of stiff cables are far from linear: reading by reading each fit begins nearby
+        grown = self.by_tolerances()
+        for one in unloaded:
+            grown = self._fitted(replace(grown, unloaded=(*grown.unloaded, one)))
+        return min(at_once, grown, key=lambda calibration: calibration.chi2)
 
     def determined(self, calibration: Calibration) -> list[str]:
         """Names of the parameters that readings have determined."""
@@ -227,7 +234,8 @@ class Calibrator:
         if not unloaded:
             return replace(calibration, mean=prior, covariance=covariance, chi2=0.0)
         now_ns = calibration.changed_ns
-        start = prior
+        # what was known before the last reading is near
+        start = np.where(self._is_carried, prior, calibration.mean)
         step = np.zeros(len(prior))
         best: _Fit | None = None
         for _ in range(_ITERATIONS):
