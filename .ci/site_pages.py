@@ -34,7 +34,8 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
     """Turn the links of the repository into those of the site."""
-    source, folder = _source(page.file.src_uri), posixpath.dirname(page.file.src_uri)
+    source = _source(page.file.src_uri)
+    folder = posixpath.dirname(page.file.src_uri)
 
     def of_site(link: re.Match[str]) -> str:
         target = posixpath.normpath(posixpath.join(posixpath.dirname(source), link[0]))

@@ -61,10 +61,14 @@ MOST_ITERATIONS = 60
 
 BAR_DEG = 0.5
 RATE_HZ = 50.0
-FAULT_S, MOVED_S, END_S = 3.0, 5.0, 9.0
+FAULT_S = 3.0
+MOVED_S = 5.0
+END_S = 9.0
 DRIFT_S = 14.0
 TOUCHED = {"segment": 3, "angle_deg": 70.0, "magnitude_n": 40.0}
-TOUCHED_S, GIVEN_WAY_S, TOUCHED_LIMIT_DEG = 3.0, 12.0, 1.5
+TOUCHED_S = 3.0
+GIVEN_WAY_S = 12.0
+TOUCHED_LIMIT_DEG = 1.5
 """The times of weight and fault, and the limit of the controller."""
 LOOSE_N = -1e5
 """Pretension of a broken cable: it would have to stretch by centimetres to be taut."""
@@ -202,7 +206,8 @@ class Fault:
 
     def change(self, reading_n: Array, since_s: float) -> None:
         """Change readings (M,) in place, so long after the fault began, s."""
-        at, size = self.cable, self.size
+        at = self.cable
+        size = self.size
         match self.kind:
             case "zero":
                 reading_n[at] = 0.0
@@ -254,8 +259,10 @@ class Run(EstimatedArm):
         if fault is not None:
             fault.change(read_n, since_s)
         answer = self.sample(np.maximum(read_n, 0.0), now_s)
-        contact, controller = answer.contact, self.controller
-        force_n, now_ns = np.array(contact.wrench[:3]), START_NS + round(now_s * 1e9)
+        contact = answer.contact
+        controller = self.controller
+        force_n = np.array(contact.wrench[:3])
+        now_ns = START_NS + round(now_s * 1e9)
         given = controller.received(answer.force, contact.segment, force_n, now_ns, now_ns, now_s)
         for command in (given, controller.repeated(now_s)):
             if command is not None:

@@ -46,8 +46,11 @@ Ints = NDArray[np.int64]
 
 SEED = 20_261_122
 FRICTIONS = (0.05, 0.10, 0.15)
-TURN_S, SETTLE_S = 0.4, 0.5
-_PULLEY_RAD, _BENT_DEG, _FORCES_N = np.pi / 2, 8.0, (5.0, 100.0)
+TURN_S = 0.4
+SETTLE_S = 0.5
+_PULLEY_RAD = np.pi / 2
+_BENT_DEG = 8.0
+_FORCES_N = (5.0, 100.0)
 _STEPS = 4
 """The steps of a load, and of a move."""
 STATED = (ContactState.CONTACT, ContactState.MOMENT)
@@ -64,7 +67,8 @@ class Course:
         self.rng = np.random.default_rng(SEED)
         self.base_rad = np.radians(_BENT_DEG) * self.rng.uniform(-1.0, 1.0, (arms, 8))
         self.base_rad[: arms // 2] = 0.0
-        self._command_rad, self._forces_n = np.zeros((arms, 8)), np.zeros((arms, 4, 3))
+        self._command_rad = np.zeros((arms, 8))
+        self._forces_n = np.zeros((arms, 4, 3))
         straight = self._command_rad, self._plant.held_m(self._command_rad), self._forces_n
         self._path = self._plant.path()
         self._states = [self._path.start(*each) for each in zip(*straight, strict=True)]
@@ -83,7 +87,8 @@ class Course:
         self._go(self._command_rad, forces_n)
 
     def _go(self, command_rad: Array, forces_n: Array) -> None:
-        pose_rad, loads_n = self._command_rad, self._forces_n
+        pose_rad = self._command_rad
+        loads_n = self._forces_n
         for share in np.linspace(0.0, 1.0, _STEPS + 1)[1:]:
             self._forces_n = loads_n + share * (forces_n - loads_n)
             self.step(pose_rad + share * (command_rad - pose_rad))
@@ -124,10 +129,12 @@ class Breathing:
 
     def read_n(self) -> Array:
         """(B, M) one reading of each arm after a breath, corrected by it."""
-        course, tick_s = self._course, TURN_S / SET_POINTS_A_TURN
+        course = self._course
+        tick_s = TURN_S / SET_POINTS_A_TURN
         readings = [BreathReadings(SETTLE_S) for _ in self.circles]
         breaths = [Breath(circle, 1) for circle in self.circles]
-        now_ns, tips = 1, []
+        now_ns = 1
+        tips = []
         while not breaths[0].over:
             points = [breath.next() for breath in breaths]
             now_ns += round(tick_s * 1e9)

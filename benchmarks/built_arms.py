@@ -44,9 +44,11 @@ from cablesense_training.law.build import TorchLaw
 TARE_SAMPLES = 50
 COMMISSIONED_POSES = 25
 BEND_RAD = float(np.deg2rad(10.0))
-LOW_N, HIGH_N = 5.0, 40.0
+LOW_N = 5.0
+HIGH_N = 40.0
 AXIAL_SHARE = 0.3
-WRONG_N, WRONG_SHARE = 5.0, 0.2
+WRONG_N = 5.0
+WRONG_SHARE = 0.2
 SAME_PLACE_M = 0.02
 """Next to a joint the neighbour's end is the same place."""
 CONTACTS_AT_A_POSE = 4

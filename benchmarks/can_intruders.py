@@ -26,14 +26,18 @@ from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.emulator import Emulator
 from cablesense_online.can.reader import TensionReader
 
-PACKED, CIA404 = "twelve_channel_amplifier", "cia404_amplifier"
+PACKED = "twelve_channel_amplifier"
+CIA404 = "cia404_amplifier"
 SEED = 404
 START_S = 1.7e9
 FRAME_S = 1.05e-4
 """A frame of five bytes takes about as long at 1 Mbit/s."""
 LATENCY_S = 1e-4
-HEALTHY_CYCLES, ATTACKED_CYCLES, CYCLES_AFTER = 30, 5, 3
-RISE_N, HALF_STEP_N = 0.3, 0.051
+HEALTHY_CYCLES = 30
+ATTACKED_CYCLES = 5
+CYCLES_AFTER = 3
+RISE_N = 0.3
+HALF_STEP_N = 0.051
 """Tensions rise in each cycle by more than a converter's step: no reading is like another."""
 
 Frames = list[can.Message]
@@ -60,8 +64,10 @@ class Line:
 
     def cycle(self) -> Frames:
         """The frames of the next cycle, stamped one after another."""
-        number, cycle_s = len(self.sent), self.map.cycle_time_s
-        tensions_n, begin_s = self._lowest_n + RISE_N * number, START_S + number * cycle_s
+        number = len(self.sent)
+        cycle_s = self.map.cycle_time_s
+        tensions_n = self._lowest_n + RISE_N * number
+        begin_s = START_S + number * cycle_s
         self.sent.append((begin_s, tensions_n))
         frames = self._amplifiers.frames(tensions_n.tolist())
         for place, (frame, (phase, slow)) in enumerate(zip(frames, self._timers, strict=False)):

@@ -37,7 +37,8 @@ HARD_CASES = 2_000
 STEPPED_CASES = 12
 STILL_RAD_S = {"cdsm": 1e-8, "cdsm_lab": 1e-6}
 STEPPED_LARGEST_N = {"cdsm": 200.0, "cdsm_lab": 100.0}
-BAR_PER_S, RATIO_BAR = 10_000, 500
+BAR_PER_S = 10_000
+RATIO_BAR = 500
 
 
 def main() -> int:
@@ -127,10 +128,12 @@ def _measure(pool: WorkerPool, name: str, cases: int) -> dict[str, Any]:
 def _step_to_rest(name: str) -> tuple[float, float]:
     """Mean processor seconds of a case, and the largest difference from equilibrium, N."""
     arm = open_arm(name)
-    mechanism, dynamics = mechanism_of(arm), ArmDynamics(arm)
+    mechanism = mechanism_of(arm)
+    dynamics = ArmDynamics(arm)
     command, forces = _cases(mechanism, STEPPED_CASES, 10, 1, STEPPED_LARGEST_N[name])
     rest = solve_equilibrium(mechanism, command, forces)
-    seconds, difference_n = 0.0, 0.0
+    seconds = 0.0
+    difference_n = 0.0
     for i in range(STEPPED_CASES):
         dynamics.reset(command[i])
         for n in range(arm.segment_count):

@@ -26,7 +26,8 @@ from scipy.interpolate import interp1d
 from cablesense_base import Array
 from cablesense_sim.cable_chain import CableChains
 
-ROWS, MOST_GUIDES = 20, 8
+ROWS = 20
+MOST_GUIDES = 8
 BAR = 1e-6
 _CLOSE = 1e-9
 
@@ -37,10 +38,12 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=200, help="cables")
     parser.add_argument("--seed", type=int, default=7, help="of the cables")
     options = parser.parse_args()
-    rng, errors = np.random.default_rng(options.seed), []
+    rng = np.random.default_rng(options.seed)
+    errors = []
     for i in range(options.count):
         case = random_history(rng, 1 + i % MOST_GUIDES, ROWS)
-        found, expected = tensions_by_law(*case), searched(*case)
+        found = tensions_by_law(*case)
+        expected = searched(*case)
         errors.append(float(np.abs(found - expected).max() / np.ptp(expected)))
     result: dict[str, Any] = {
         "cables": options.count,
@@ -77,7 +80,8 @@ def searched(stiffness_n_m: Array, grip: Array, stretch_m: Array) -> Array:
     guides = len(stiffness_n_m) - 1
     passes = np.eye(guides + 1, guides) - np.eye(guides + 1, guides, k=-1)
     patterns = np.array(list(product((0, 1, -1), repeat=guides)))
-    passed, found = np.zeros(guides), []
+    passed = np.zeros(guides)
+    found = []
     for stretch, bound in zip(
         stretch_m, np.broadcast_to(grip, (len(stretch_m), guides)), strict=True
     ):
@@ -85,7 +89,8 @@ def searched(stiffness_n_m: Array, grip: Array, stretch_m: Array) -> Array:
             passed, tension = _admissible(stiffness_n_m, passes, patterns, bound, stretch, passed)
         else:  # wherever the slack lies, no piece has tension
             even = stretch.sum() / stiffness_n_m / (1.0 / stiffness_n_m).sum()
-            passed, tension = np.cumsum(even - stretch)[:-1], np.zeros(guides + 1)
+            passed = np.cumsum(even - stretch)[:-1]
+            tension = np.zeros(guides + 1)
         found.append(tension)
     return np.array(found)
 
@@ -103,7 +108,8 @@ def _admissible(
     right = np.where(stick, before, ratio * unpassed[:-1] - unpassed[1:])
     passed = np.linalg.solve(matrix, right[..., None])[..., 0]
     tension = unpassed + passed @ by_passed.T
-    scale_n, scale_m = np.abs(unpassed).max(), np.abs(unpassed / stiffness).max()
+    scale_n = np.abs(unpassed).max()
+    scale_m = np.abs(unpassed / stiffness).max()
     low, high = np.sort(np.stack([tension[:, 1:], tension[:, :-1]]), axis=0)
     holds = high <= np.exp(bound) * low + _CLOSE * scale_n
     onward = patterns * (passed - before) >= -_CLOSE * scale_m

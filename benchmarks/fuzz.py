@@ -86,7 +86,8 @@ def watched(check: Check, name: str, seed: int, count: int) -> dict[str, Any]:
             counts, finding = child.submit(run_examples, check, seed, count, folder).result()
         except BrokenProcessPool:
             crash = (folder / CRASH).read_text(encoding="utf-8")
-            counts, finding = Counter(), f"its process ended: {_line(crash.splitlines()[:12])}"
+            counts = Counter()
+            finding = f"its process ended: {_line(crash.splitlines()[:12])}"
     if finding:
         finding = f"{name}, seed {seed}, last file in {folder}: {finding}"[:2_000]
     else:

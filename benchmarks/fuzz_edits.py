@@ -72,14 +72,16 @@ def edited(
             case "left out":
                 piece = []
             case "cut off" if at > len(items) // 2:
-                piece, end = [], len(items)
+                piece = []
+                end = len(items)
             case "repeated":
                 piece *= draw(st.sampled_from((2, 3, 200 if len(piece) == 1 else 2)))
             case "exchanged" if others is not None:
                 piece = list(draw(others))
             case _:  # moved
                 del items[at:end]
-                at = end = draw(st.integers(0, len(items)))
+                at = draw(st.integers(0, len(items)))
+                end = at
         items[at:end] = piece
     return items
 
@@ -100,22 +102,82 @@ def edited_bytes(draw: Draw, content: bytes, most: int = 4) -> bytes:
 
 
 NUMBERS = (
-    "nan", ".nan", "inf", "-.inf", "1e999", "1e308", "0", "-0.0", "-1", "1e-320", "0.5", "1e9",
-    "9" * 30, "9" * 400, "0x" + "f" * 40, "1_000", "1:30:00", "4294967296", "-9223372036854775809",
-    "", "~", "true", "'1'", "[1]", "{a: 1}", "{}", "1,5", "١٢", "1 2", "[" * 30 + "1" + "]" * 30,
-    "[" * 3_000 + "1" + "]" * 3_000, "{a: " * 3_000, "null", '"nan"', str([0.1] * 300),
-)  # fmt: skip
+    "nan",
+    ".nan",
+    "inf",
+    "-.inf",
+    "1e999",
+    "1e308",
+    "0",
+    "-0.0",
+    "-1",
+    "1e-320",
+    "0.5",
+    "1e9",
+    "9" * 30,
+    "9" * 400,
+    "0x" + "f" * 40,
+    "1_000",
+    "1:30:00",
+    "4294967296",
+    "-9223372036854775809",
+    "",
+    "~",
+    "true",
+    "'1'",
+    "[1]",
+    "{a: 1}",
+    "{}",
+    "1,5",
+    "١٢",
+    "1 2",
+    "[" * 30 + "1" + "]" * 30,
+    "[" * 3_000 + "1" + "]" * 3_000,
+    "{a: " * 3_000,
+    "null",
+    '"nan"',
+    str([0.1] * 300),
+)
 WORDS = (
-    "*a", "&a x", "!!python/object/apply:os.system [ls]", "!!binary aaaa", "<<", "|", ">-",
-    "\0", "\u202e", "\x1b[31m", "\"", "'", "\\", "{", "}", "[" * 40, "- ", "#", "\ufeff",
-    "../../x.dbc", "x" * 2_000, "\ud7ff", "%s%n", "=1+1", "--", ": ", ",", ";", "\r", "\t", "\n",
-)  # fmt: skip
+    "*a",
+    "&a x",
+    "!!python/object/apply:os.system [ls]",
+    "!!binary aaaa",
+    "<<",
+    "|",
+    ">-",
+    "\0",
+    "\u202e",
+    "\x1b[31m",
+    '"',
+    "'",
+    "\\",
+    "{",
+    "}",
+    "[" * 40,
+    "- ",
+    "#",
+    "\ufeff",
+    "../../x.dbc",
+    "x" * 2_000,
+    "\ud7ff",
+    "%s%n",
+    "=1+1",
+    "--",
+    ": ",
+    ",",
+    ";",
+    "\r",
+    "\t",
+    "\n",
+)
 _TOKENS = re.compile(r"\n|[^\S\n]+|-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?|\w+|[^\w\s]")
 
 
 def edited_text(draw: Draw, content: bytes, words: Sequence[str] = ()) -> bytes:
     """Text with lines or tokens changed, some for extremes or for `words`, a few of its bytes."""
-    text, whole_lines = content.decode("utf-8"), draw(st.booleans())
+    text = content.decode("utf-8")
+    whole_lines = draw(st.booleans())
     parts = text.splitlines(keepends=True) if whole_lines else _TOKENS.findall(text)
     extremes = st.sampled_from((*NUMBERS, *WORDS, *words)).map(lambda word: [word])
     data = "".join(edited(draw, parts, extremes, most=3)).encode("utf-8", errors="surrogatepass")

@@ -75,7 +75,8 @@ class _Amplifier:
 
     def take(self, frame: can.Message) -> None:
         """Note the readings of a well-formed frame, (channel, N), those in range alone."""
-        id_, data = frame.arbitration_id, frame.data
+        id_ = frame.arbitration_id
+        data = frame.data
         kinds = (frame.is_error_frame, frame.is_remote_frame, frame.is_fd, frame.is_extended_id)
         if any(kinds):
             return
@@ -121,7 +122,8 @@ def check_frames(draw: Draw) -> Tally:
     skew_limit_s = max(amplifier.map.skew_limit_s, skew_s)
     rng = draw(st.randoms(use_true_random=True))
     frames = [one for n in range(CYCLES) for one in amplifier.cycle(rng, n)]
-    taken, arrival_s = 0, START_S
+    taken = 0
+    arrival_s = START_S
     gap_s = CYCLES * amplifier.map.cycle_time_s / len(frames)
     odd = rng.choice((0.0, 0.0, 0.3))
     reopened = draw(st.integers(0, 20 * len(frames)))
@@ -149,7 +151,8 @@ def _changed(draw: Draw, frames: list[can.Message]) -> list[can.Message]:
 
 
 def _changed_frame(draw: Draw, frame: can.Message) -> can.Message:
-    data, number = bytes(frame.data), frame.arbitration_id
+    data = bytes(frame.data)
+    number = frame.arbitration_id
     changed: dict[str, Any] = {"is_extended_id": False, "timestamp": frame.timestamp}
     match draw(st.sampled_from(("data", "data", "line", "id", "extended", "kind", "stamp"))):
         case "data":

@@ -43,7 +43,8 @@ ARM = "cdsm_lab"
 HURTING = {"contact_offset", "capstan_friction", "sensor_lag", "sensor_gain", "joint_friction"}
 """Effects that a tare takes away seldom mislead."""
 _MOST_DRAWN = 200
-_LEAST_N, _NEAR_PEAK = 2.0, 0.9
+_LEAST_N = 2.0
+_NEAR_PEAK = 0.9
 LOG = Console(stderr=True)
 
 

@@ -50,9 +50,11 @@ def main() -> None:
     options = parser.parse_args()
     folder = options.folder or Path(tempfile.mkdtemp(prefix="gap_arms_"))
     kinds = in_turn(np.random.default_rng(options.seed), list(LISTED))
-    until, cases = time.time() + 60.0 * options.minutes, []
+    until = time.time() + 60.0 * options.minutes
+    cases = []
     for index in range(1, options.count + 1):
-        kind, own = next(kinds), folder / f"arm_{index:03d}"
+        kind = next(kinds)
+        own = folder / f"arm_{index:03d}"
         if time.time() < until or (own / "diagnosis").exists():
             cases.append(_case(own, np.random.default_rng([options.seed, index]), index, kind))
             print(cases[-1], flush=True)
@@ -65,7 +67,8 @@ def main() -> None:
 def draw_arm(rng: np.random.Generator) -> Arm:
     """An arm that stands and bears contacts, its holes evenly around the axis."""
     while True:
-        count, each = int(rng.integers(2, 7)), int(rng.integers(3, 5))
+        count = int(rng.integers(2, 7))
+        each = int(rng.integers(3, 5))
         length_m = rng.uniform(0.06, 0.25, count).round(3) * np.ones(count)
         offset_m = round(float(rng.uniform(0.1, 0.2) * length_m.min()), 3)
         arm = {
@@ -122,7 +125,8 @@ def _case(folder: Path, rng: np.random.Generator, index: int, kind: str) -> dict
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if done.returncode or "Warning" in done.stderr:
             failed[name] = done.stderr.strip()[-300:]
-    found, answers = folder / "diagnosis" / "verdict.json", folder / "cases/answers/answers.csv"
+    found = folder / "diagnosis" / "verdict.json"
+    answers = folder / "cases/answers/answers.csv"
     named = "+".join(read_verdict(found).effects) if found.exists() else ""
     return {
         "case": f"{index:03d}, {arm.segment_count} x {arm.cables.per_segment}",

@@ -75,23 +75,27 @@ def main() -> None:
     parser.add_argument("--reference", action="store_true", help="diagnose what changed")
     options = parser.parse_args()
     if options.exchanged:
-        name, found = "gap_exchanged.json", _exchanged(options.exchanged, options.seed)
+        name = "gap_exchanged.json"
+        found = _exchanged(options.exchanged, options.seed)
     elif options.speed:
         each = [_speed(effect, options.seed) for effect in options.speed.split(",")]
-        name, found = "gap_speed.json", {"diagnoses": each}
+        name = "gap_speed.json"
+        found = {"diagnoses": each}
     elif options.recordings:
         name = f"{options.recordings.resolve().name}.json"
         found = {"each_case": _without_answers(options)}
     else:
         kind = "_several" if options.effects else "_friction" if options.friction else ""
         kind += "_imperfect" * options.imperfect + "_reference" * options.reference
-        name, found = f"gap_blind{kind}.json", _blind(options)
+        name = f"gap_blind{kind}.json"
+        found = _blind(options)
     harness.publish(name, {"arm": ARM, **found}, options)
 
 
 def _blind(options: Any) -> dict[str, Any]:
     folder = blind_sets.folder_of(options)
-    answers_file, began = folder / "answers" / "answers.csv", time.time()
+    answers_file = folder / "answers" / "answers.csv"
+    began = time.time()
     if not answers_file.exists():
         rng = np.random.default_rng([options.seed])
         if options.effects:
@@ -116,7 +120,8 @@ def _blind(options: Any) -> dict[str, Any]:
 
 def drawn(folder: Path, kinds: Sequence[str], seed: int, **more: Any) -> list[ArmAnswer]:
     """Write `case_….csv` of these kinds by the independent plant, and `answers/answers.csv`."""
-    nominal, answers = read_nominal(find_arm(ARM)), folder / "answers" / "answers.csv"
+    nominal = read_nominal(find_arm(ARM))
+    answers = folder / "answers" / "answers.csv"
     made = withhold(folder, answers, nominal, len(kinds), seed, kinds, **more)
     return list(track(made, "Recording", total=len(kinds)))
 
@@ -137,7 +142,8 @@ def _diagnosed(path: Path, since: str) -> tuple[Verdict, float]:
 
 
 def _speed(effect: str, seed: int) -> dict[str, Any]:
-    loads, workers = [round(load, 1) for load in os.getloadavg()], 2
+    loads = [round(load, 1) for load in os.getloadavg()]
+    workers = 2
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (answer,) = drawn(folder, [effect], seed)
@@ -161,7 +167,10 @@ def _exchanged(count: int, seed: int) -> dict[str, Any]:
     arm = blind_sets.narrow_arm(ARM)
     law = TorchLaw(arm)
     rng = np.random.default_rng([seed])
-    named = false = tared = false_tares = 0
+    named = 0
+    false = 0
+    tared = 0
+    false_tares = 0
     seconds = []
     with tempfile.TemporaryDirectory() as name:
         drawn(Path(name), draw_kinds(rng, count), seed)

@@ -48,14 +48,21 @@ def main() -> None:
         paths = sorted(folder.glob("case_???.csv"))
         found = in_pool(_searched, paths, options.workers)
         cases += [(case, tuple(truth[p.stem])) for case, p in zip(found, paths, strict=True)]
-    best = minimize(_cost, np.zeros(len(WIDTHS)), args=(cases,), method="Nelder-Mead",
-                    options={"maxiter": 4000, "xatol": 1e-3, "fatol": 1e-5})  # fmt: skip
+    best = minimize(
+        _cost,
+        np.zeros(len(WIDTHS)),
+        args=(cases,),
+        method="Nelder-Mead",
+        options={"maxiter": 4000, "xatol": 1e-3, "fatol": 1e-5},
+    )
     calibration = _calibration(best.x)
     stated = [_probabilities(case, calibration) for case, _ in cases]
     named = [max(each.items(), key=lambda item: item[1]) for each in stated]
     right = np.mean([n[0] == truth for n, (_, truth) in zip(named, cases, strict=True)])
-    print(f"{len(cases)} cases, {right:.0%} right, mean probability of the named effects "
-          f"{np.mean([p for _, p in named]):.2f}")  # fmt: skip
+    print(
+        f"{len(cases)} cases, {right:.0%} right, mean probability of the named effects "
+        f"{np.mean([p for _, p in named]):.2f}"
+    )
     print(json.dumps(asdict(calibration), indent=1))
     if options.write:
         harness.write_result(str(TARGET), asdict(calibration))

@@ -99,7 +99,8 @@ def _planted(
     candidate: Candidate, place: str, multiple: float, asked: Recording, seeds: list[int]
 ) -> dict[str, Any]:
     """A case; an arm that collapses gives none."""
-    arm, rng = narrow_arm(ARM), np.random.default_rng(seeds)
+    arm = narrow_arm(ARM)
+    rng = np.random.default_rng(seeds)
     simulator = ArmSimulator(arm, asked)
     off = {
         term: float(rng.normal(0.0, parameter.typical))
@@ -146,10 +147,13 @@ def _judged(
     """Whether the verdict has the effect, in its place alone, and how many sizes are right."""
     sizes = {p.name for p in candidate.parameters if p.role == "size"}
     wanted = {term: value for term, value in truth.items() if term.parameter in sizes}
-    found, in_place, right = False, False, 0
+    found = False
+    in_place = False
+    right = 0
     if verdict and verdict.effects == (candidate.effect,):
         expected = set() if place == WHOLE_ARM else {place.split("_into_")[0]}
-        found, in_place = True, set(verdict.where.places) == expected
+        found = True
+        in_place = set(verdict.where.places) == expected
         several = any(key.count(".") > 1 for key in verdict.parameters)
         for term, value in wanted.items():
             key = str(term) if several else f"{term.effect}.{term.parameter}"

@@ -123,7 +123,8 @@ def run_watched(command: Sequence[str]) -> tuple[float, float]:
 
     Pages that processes share count in each.
     """
-    began, peak_mb = time.monotonic(), 0.0
+    began = time.monotonic()
+    peak_mb = 0.0
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as running:
         while running.poll() is None:
             sizes_mb = [rss_mb(pid) for pid in _tree(running.pid)]

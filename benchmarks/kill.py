@@ -56,7 +56,8 @@ from cablesense_sim.replay import read_tensions_n
 from cablesense_training.inference.law_model import LawModel
 from cablesense_training.inference.metadata import find_model_of
 
-STALE_WITHIN_S, RIGHT_WITHIN_S = 0.1, 1.0
+STALE_WITHIN_S = 0.1
+RIGHT_WITHIN_S = 1.0
 RATE_HZ = 200.0
 STALE_AFTER_S = 0.05
 LEASE_S = 0.08
@@ -66,9 +67,12 @@ CALIBRATED_POSES = 25
 CALIBRATED_BEND_RAD = float(np.deg2rad(10.0))
 POSE_READINGS = 50
 
-LOAD_EVERY_S, COMMAND_EVERY_S = 0.05, 0.5
-LEAST_N, MOST_N = 20.0, 100.0
-TOLERANCE_N, TOLERANCE = 2.0, 0.03
+LOAD_EVERY_S = 0.05
+COMMAND_EVERY_S = 0.5
+LEAST_N = 20.0
+MOST_N = 100.0
+TOLERANCE_N = 2.0
+TOLERANCE = 0.03
 """A wrench is right when it is no further from the load than the larger of these."""
 
 STEADY = 10
@@ -93,7 +97,8 @@ LOOP = (
     Transition.TRANSITION_DEACTIVATE,
     Transition.TRANSITION_CLEANUP,
 )
-SUBSCRIBED_EVERY_S, SUBSCRIPTIONS = 0.003, 3
+SUBSCRIBED_EVERY_S = 0.003
+SUBSCRIPTIONS = 3
 
 
 def start_chain(run: LiveRun) -> None:
@@ -305,7 +310,8 @@ def _statistics(kills: pd.DataFrame) -> dict[str, Any]:
 
 
 def _bars(one: dict[str, Any]) -> dict[str, bool]:
-    stale, right = one["stale_s"], one["right_after_set_up_s"]
+    stale = one["stale_s"]
+    right = one["right_after_set_up_s"]
     said = stale["seen"] == one["kills"] and stale["worst"] <= STALE_WITHIN_S
     return {
         "the others go on": one["others lived"] == one["kills"],
@@ -331,7 +337,8 @@ def measure_lifecycle(loops: int) -> dict[str, Any]:
     with LiveRun() as run:
         run.start("sim", node_command("sim", {"arm": ARM}))
         estimator = run.start("estimator", node_command("estimator", {"autostart": False}))
-        node, usage = SpunNode("restless"), Usage({"estimator": estimator})
+        node = SpunNode("restless")
+        usage = Usage({"estimator": estimator})
         client = node.create_client(ChangeState, "estimator/change_state")
         node.spin_until(client.service_is_ready, "the estimator")
         node.create_timer(SUBSCRIBED_EVERY_S, subscribe)

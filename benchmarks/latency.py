@@ -49,7 +49,9 @@ RATE_HZ = 1000
 BLOCK_S = 1.0
 WARM_UP_S = 2.0
 PUSH = {"segment": 3, "angle_deg": 70.0, "magnitude_n": 40.0}
-MEDIAN_BAR, P99_BAR_US, IN_PROCESS_BAR_US = 2.0, 1000.0, 120.0
+MEDIAN_BAR = 2.0
+P99_BAR_US = 1000.0
+IN_PROCESS_BAR_US = 120.0
 PATHS = ("estimator", "relay")
 
 
@@ -90,8 +92,10 @@ def publish_all(blocks: int, file: Path) -> None:
 
 def _samples() -> list[list[bytes]]:
     """Serialized readings, unloaded and pushed, with the sensors' noise."""
-    arm, rng = open_arm(ARM), np.random.default_rng(0)
-    mechanism, command = mechanism_of(arm), np.zeros(arm.joint_count)
+    arm = open_arm(ARM)
+    rng = np.random.default_rng(0)
+    mechanism = mechanism_of(arm)
+    command = np.zeros(arm.joint_count)
     force_n = normal_force_n(mechanism, command, **PUSH)
 
     def serialized(forces_n: Array | None) -> list[bytes]:
@@ -130,7 +134,8 @@ def _in_process(count: int) -> dict[str, Any]:
         taken_us.clear()
         for i in range(repeats):
             stamp_ns += round(1e9 / RATE_HZ)
-            sample, begun = restamped(samples[i % len(samples)], stamp_ns), time.perf_counter()
+            sample = restamped(samples[i % len(samples)], stamp_ns)
+            begun = time.perf_counter()
             answer = estimation.sample(sample, stamp_ns, stamp_ns * 1e-9)
             taken_us.append((time.perf_counter() - begun) * 1e6)
     if answer.force is not ForceState.CONTACT:
@@ -141,7 +146,8 @@ def _in_process(count: int) -> dict[str, Any]:
 def measure(seconds: float) -> dict[str, Any]:
     """Run everything; the latencies by path, and the bars."""
     with LiveRun() as run:
-        sink, logs = SpunNode("sink"), {path: Log(1) for path in PATHS}
+        sink = SpunNode("sink")
+        logs = {path: Log(1) for path in PATHS}
         qos = qos_profile(Qos(depth=1000, reliable=True))
         for path, log in logs.items():
             kind = WrenchStamped if path == "estimator" else JointState
@@ -151,7 +157,8 @@ def measure(seconds: float) -> dict[str, Any]:
         parameters = {"arm": ARM, "stale_after_s": 60.0, "tare_samples": 100}
         remaps = {"cable_tensions": "estimator_in", "~/wrench": "estimator_out"}
         run.start("estimator", node_command("estimator", parameters, remaps))
-        file, role = run.folder / "sent.npz", [sys.executable, __file__, f"--seconds={seconds}"]
+        file = run.folder / "sent.npz"
+        role = [sys.executable, __file__, f"--seconds={seconds}"]
         source = run.start("source", [*role, "--source", str(file)])
         while source.alive:
             sink.spin(0.5)

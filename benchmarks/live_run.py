@@ -38,7 +38,8 @@ PATIENCE_S = 30.0
 END_WITHIN_S = 20.0
 """A node under load may take so long to end by itself."""
 
-FIRST_MINUTE_S, GROWTH_MB = 60.0, 5.0
+FIRST_MINUTE_S = 60.0
+GROWTH_MB = 5.0
 """A process may not grow by more after its first minute."""
 
 
@@ -123,9 +124,11 @@ class Operator(SpunNode):
 
     def __init__(self, name: str, seed: int) -> None:
         super().__init__(name)
-        self.arm, self.rng = open_arm(ARM), np.random.default_rng(seed)
+        self.arm = open_arm(ARM)
+        self.rng = np.random.default_rng(seed)
         self._mechanism = mechanism_of(self.arm)
-        self.segment, self.force_n = 1, np.zeros(3)
+        self.segment = 1
+        self.force_n = np.zeros(3)
         qos = qos_profile(COMMAND)
         self._loads = self.create_publisher(WrenchStamped, topics.APPLIED_WRENCH, qos)
         self._commands = self.create_publisher(JointState, topics.JOINT_COMMANDS, qos)

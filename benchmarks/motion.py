@@ -37,11 +37,15 @@ from cablesense_sim.kinematics import segment_rotations
 from cablesense_sim.loads import normal_force_n
 from cablesense_sim.mechanism import Mechanism
 
-RATE_HZ, COMMANDS_HZ = 500, 50
-PUSH_N, BEND_DEG = 20.0, (5.0, 8.0)
-REST_S, AFTER_S = 1.5, 2.0
+RATE_HZ = 500
+COMMANDS_HZ = 50
+PUSH_N = 20.0
+BEND_DEG = (5.0, 8.0)
+REST_S = 1.5
+AFTER_S = 2.0
 JOINT_SPEED_RAD_S = float(np.deg2rad(20.0))
-LATE_S, IN_TIME = 0.1, 0.99
+LATE_S = 0.1
+IN_TIME = 0.99
 """The bar: the force is back so long after the arm may have settled, in this share of moves."""
 FIGURES = (
     "no_force_after_arrival_s",
@@ -49,8 +53,12 @@ FIGURES = (
     "share_outside_interval_on_the_way",
     "largest_vouched_error_n",
 )
-ENCODER, NOISE_RAD, NOISE_HZ, NOISY_PUSH_N = "encoder noise at rest", 1e-3, 100, 30.0
-ANSWERED, NOISES = 0.95, 3.0
+ENCODER = "encoder noise at rest"
+NOISE_RAD = 1e-3
+NOISE_HZ = 100
+NOISY_PUSH_N = 30.0
+ANSWERED = 0.95
+NOISES = 3.0
 """The bar under noise: this share of samples has a force, and this share of forces is within three
 standard deviations of those at single noisy poses."""
 SINGLE_POSES = 40
@@ -106,7 +114,9 @@ class Bench(EstimatedArm):
             still_rad=float(np.deg2rad(0.02)),
             follow_rad_s=float(np.deg2rad(4.0)),
         )
-        self._tick, self.now_s, dynamics = 0, 0.0, ArmDynamics(self.arm)
+        self._tick = 0
+        self.now_s = 0.0
+        dynamics = ArmDynamics(self.arm)
         self._simulated = SimulatedArm(dynamics, 1e-3, JOINT_SPEED_RAD_S, 0.0, now_s=0.0)
         self.set_points = JointMotion(dynamics.command_rad, JOINT_SPEED_RAD_S)
 
@@ -166,22 +176,30 @@ def unloaded_n(mechanism: Mechanism, command_rad: Array) -> Array:
 def moved(seed: int, name: str, title: str, number: int) -> list[float]:
     """The `FIGURES` of one course; of an encoder's noise also the share of forces too far off."""
     rng = np.random.default_rng([seed, *name.encode(), *title.encode(), number])
-    bench, segment = Bench(name, rng), int(rng.integers(2, 5))
+    bench = Bench(name, rng)
+    segment = int(rng.integers(2, 5))
     joints = bench.arm.joint_count
     signs = rng.choice([-1.0, 1.0], joints)  # through the straight arm, within the model's range
     start_rad = -signs * np.deg2rad(rng.uniform(*BEND_DEG, joints))
     bench.rest()
     bench.go_to(start_rad)
     bench.rest()
-    angle_deg, push_n = rng.uniform(0.0, 360.0), NOISY_PUSH_N if title == ENCODER else PUSH_N
+    angle_deg = rng.uniform(0.0, 360.0)
+    push_n = NOISY_PUSH_N if title == ENCODER else PUSH_N
     forces_n = normal_force_n(bench.mechanism, start_rad, segment, angle_deg, push_n)
     bench.push(Load(segment, forces_n[segment - 1]))
     bench.rest()
     most_off_n = NOISES * noisy_n(bench, start_rad, push_n) if title == ENCODER else np.inf
     command, after_s = (bench.command, 0.0) if title == ENCODER else (bench.go_to, AFTER_S)
-    began_s, commands = bench.now_s, list(MOVES[title]) or noise(rng, joints)
-    away_s = arrived_s = began_s
-    away = on_the_way = stated = outside = far_off = 0
+    began_s = bench.now_s
+    commands = list(MOVES[title]) or noise(rng, joints)
+    away_s = began_s
+    arrived_s = away_s
+    away = 0
+    on_the_way = 0
+    stated = 0
+    outside = 0
+    far_off = 0
     worst_n = 0.0
     while commands or bench.set_points.moving or bench.now_s < arrived_s + after_s:
         while commands and bench.now_s >= began_s + commands[0][0]:
@@ -191,7 +209,8 @@ def moved(seed: int, name: str, title: str, number: int) -> list[float]:
         if not contact.segment:
             away_s = bench.now_s
         if commands or bench.set_points.moving:
-            arrived_s, pushed_n = bench.now_s, bench.pushed_n()
+            arrived_s = bench.now_s
+            pushed_n = bench.pushed_n()
             on_the_way += 1
             away += not contact.segment
             right = contact.segment == segment
@@ -216,7 +235,8 @@ def main() -> None:
     given = options.parse_args()
     result: dict[str, Any] = {"of_each_figure": PERCENTILES}
     latest_s = estimation_settings().settle_s + LATE_S
-    in_time, answered = [], []
+    in_time = []
+    answered = []
     with WorkerPool(given.workers, given.seed) as pool:
         for name, title in product(("cdsm", "cdsm_lab"), MOVES):
             numbers = range(given.moves)

@@ -45,7 +45,8 @@ from cablesense_gap.simulator import Assignment
 from cablesense_gap.verdict import Verdict
 
 MODELS = Path(__file__).parents[1] / "config" / "robots"
-_JAWS, _SAMPLE_S = ("jaw.xml", "jaw_cable.xml"), 0.01
+_JAWS = ("jaw.xml", "jaw_cable.xml")
+_SAMPLE_S = 0.01
 _JAW_COLUMNS = {
     "position.drive": ("drive_angle_rad", 1.0),
     "position.jaw": ("jaw_angle_rad", 1.0),
@@ -90,7 +91,8 @@ def _jaws(data: Path, index: pd.DataFrame) -> dict[str, Any]:
     for name in _JAWS:
         robot = load_robot(MODELS / name)
         fitted, unseen = (_recording(half, robot) for half in halves)
-        diagnosis, motion = diagnose(fitted, robot), prepared(unseen, robot)
+        diagnosis = diagnose(fitted, robot)
+        motion = prepared(unseen, robot)
         before, after = (
             1e3 * RobotSystem(robot, motion, effects).gaps()[0][2]  # of the drive
             for effects in ({}, diagnosis.amended)

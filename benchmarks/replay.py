@@ -30,7 +30,8 @@ from cablesense_ros.processes import node_command
 RATE_HZ = 1000.0
 SEED = 20
 LARGEST_ANGLE_RAD = 0.12
-LEAST_N, MOST_N = 5.0, 60.0
+LEAST_N = 5.0
+MOST_N = 60.0
 ACTIONS = {"push": 0.45, "command": 0.3, "tare": 0.1, "tare_undo": 0.08, "parameter": 0.07}
 """How often each is chosen."""
 

@@ -125,14 +125,19 @@ def main() -> None:
 
 def _exchanged(count: int, seed: int, folder: Path) -> dict[str, Any]:
     """How often a wrong column stops a diagnosis and is named, and false alarms."""
-    rng, named, false, seconds, each_case = np.random.default_rng(seed), 0, 0, [], []
+    rng = np.random.default_rng(seed)
+    named = 0
+    false = 0
+    seconds = []
+    each_case = []
     cases = drawn(count, seed)
     _record(cases, folder, np.inf)
     for k, case in enumerate(cases):
         robot = load_robot(case.kind.path)
         recording = read_recording(_place(folder, case, "csv.gz"), robot)
         wrong, text = _wrong_column(recording, robot, k, rng)
-        began, said = time.monotonic(), ""
+        began = time.monotonic()
+        said = ""
         try:
             diagnose(wrong, robot)
         except RecordingError as error:
@@ -156,26 +161,32 @@ def _payloads(count: int, seed: int, folder: Path) -> dict[str, Any]:
 
     Those that do not stand out of a robot's tolerances are not hidden.
     """
-    rng, each_case = np.random.default_rng([seed]), []
+    rng = np.random.default_rng([seed])
+    each_case = []
     for k, size in enumerate(np.geomspace(0.02, 10.0, count).tolist()):
         if k % 2:
             path, recording = lifted(size, rng, folder)
-            robot, body, mass_kg = load_robot(path), "carriage", 0.5 * size
+            robot = load_robot(path)
+            body = "carriage"
+            mass_kg = 0.5 * size
         else:
             try:
                 case = with_payload(size, seed, k // 2)
             except PlantError:
                 continue
             record([case], folder)
-            robot, body = load_robot(case.kind.path), case.answer.where
+            robot = load_robot(case.kind.path)
+            body = case.answer.where
             recording = read_recording(_place(folder, case, "csv.gz"), robot)
             mass_kg = json.loads(case.answer.sizes)[0]["size"]
         verdict = diagnose(recording, robot).verdict
         effect = "+".join(verdict.effects)
         named = effect == "payload" or "payload" in (verdict.ambiguity_group or ())
-        number, truth = "payload.mass_kg", mass_kg
+        number = "payload.mass_kg"
+        truth = mass_kg
         if effect == "link_mass":  # of its group
-            number, truth = "link_mass.share", size
+            number = "link_mass.share"
+            truth = size
         found = verdict.parameters.get(number)
         near = found is not None and (
             abs(found.value - truth) <= 0.1 * truth or found.ci95[0] <= truth <= found.ci95[1]
@@ -254,7 +265,8 @@ def _long_s(case: RobotCase, folder: Path) -> float:
     with tempfile.TemporaryDirectory() as beside:
         path = Path(beside) / "long.csv"
         pd.DataFrame(long).to_csv(path, index=False)
-        began, robot = time.monotonic(), load_robot(case.kind.path)
+        began = time.monotonic()
+        robot = load_robot(case.kind.path)
         diagnose(read_recording(path, robot), robot)
     return round(time.monotonic() - began, 1)
 

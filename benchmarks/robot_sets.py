@@ -34,7 +34,8 @@ from cablesense_plants.robot.robots import RealRobot, RobotKind
 PRETENSION_N = 2.0
 _STIFF_N_M = 2e4
 """Of a piece: some 5 N/mm for a whole tendon."""
-_SWEEPS, _CLOSE_N = 40, 1e-3
+_SWEEPS = 40
+_CLOSE_N = 1e-3
 _FINGER_M = np.array([[0.011, 0.0], [-0.010, 0.0], [0.009, 0.008], [-0.008, -0.007]])
 """(K, N) by how much a tendon of the finger pulls at a joint."""
 _IMPERFECT = (0.05, 0.15)
@@ -94,7 +95,8 @@ class Rubbing:
 
     def __init__(self, guides: TendonGuides, friction: Array, angle: Array) -> None:
         """`friction` (B, K) of each tendon with its guides; at angles (B, N) at first."""
-        self._guides, self._friction = guides, friction
+        self._guides = guides
+        self._friction = friction
         points, _ = guides.pose(angle)
         self._natural_m = np.abs(np.diff(points)) - PRETENSION_N / _STIFF_N_M
 
@@ -116,17 +118,20 @@ class Rubbing:
 
 def _settled(tension_n: Array, most: Array) -> Array:
     """Tensions (C, P - 1) of which neighbours differ by a factor of `most` (C, P - 2) at most."""
-    pieces, low = tension_n.T.copy(), 1.0 / most.T
+    pieces = tension_n.T.copy()
+    low = 1.0 / most.T
     for _ in range(_SWEEPS):
         before = pieces.copy()
         for n in range(1, len(pieces)):
-            near, far = pieces[n - 1], pieces[n]
+            near = pieces[n - 1]
+            far = pieces[n]
             ratio = np.minimum(np.maximum(near / far, low[n - 1]), most[:, n - 1])
             if n == 1:  # the motor holds what lies before
                 pieces[n] = near / ratio
             else:
                 passed = (near - ratio * far) / (1.0 + ratio)
-                pieces[n - 1], pieces[n] = near - passed, far + passed
+                pieces[n - 1] = near - passed
+                pieces[n] = far + passed
         if np.abs(pieces - before).max(initial=0.0) < _CLOSE_N:
             break
     return np.maximum(pieces.T, 1e-3)
@@ -152,11 +157,15 @@ def pulls_n(moment_m: Array, torque_n_m: Array) -> Array:
 def read_guides(path: Path) -> TendonGuides:
     """The tendons of one of these MJCFs; short ones have points more on their first piece."""
     model = mujoco.MjModel.from_xml_path(str(path))
-    most, links, places = int(model.tendon_num.max()), [], []
+    most = int(model.tendon_num.max())
+    links = []
+    places = []
     at_m = model.site_pos @ (1.0, 0.0, 1j)
     for first, count in zip(model.tendon_adr, model.tendon_num, strict=True):
-        sites, missing = model.wrap_objid[first : first + count], most - count
-        link, place_m = model.site_bodyid[sites], at_m[sites]
+        sites = model.wrap_objid[first : first + count]
+        missing = most - count
+        link = model.site_bodyid[sites]
+        place_m = at_m[sites]
         links.append(np.pad(link, (missing, 0), mode="edge"))
         between = np.linspace(place_m[0], place_m[1], missing + 1, endpoint=False)
         places.append([*between, *place_m[1:]])
@@ -207,7 +216,8 @@ KINDS = {
         ),
     )
 }
-_SERVO_GAIN_1_S2, _CAMERA_RAD = 300.0, 1e-3
+_SERVO_GAIN_1_S2 = 300.0
+_CAMERA_RAD = 1e-3
 SERVOS = {
     name: replace(
         KINDS[name], gain_1_s2=_SERVO_GAIN_1_S2, encoder_rad=_CAMERA_RAD, rate_hz=100, servos=True
@@ -224,7 +234,9 @@ GUIDED = replace(
     rubbing=lambda friction, angle: Rubbing(GUIDES, friction, angle).lost_n_m,
 )
 """The finger with tendons over guides, for causes that the others cannot show."""
-_MOVING, _IN_SERVOS, _TENDONS = Draws(), Draws(), Draws()
+_MOVING = Draws()
+_IN_SERVOS = Draws()
+_TENDONS = Draws()
 _MOVING.of_size("rad", most=0.04)(
     at_joints("play_rad", form="teeth with play", one=True), "backlash"
 )
@@ -237,7 +249,8 @@ _IN_SERVOS.of_size("1", most=0.6)(
 def capstan_friction(draw: RobotDraw) -> RobotChange:
     """Tendons that rub on their guides."""
     names = draw.kind.drives
-    chosen, weight = draw.some(len(names)), np.zeros(len(names))
+    chosen = draw.some(len(names))
+    weight = np.zeros(len(names))
     weight[chosen] = 1.0
     where = tuple(names[k] for k in sorted(chosen))
     return RobotChange(sets(capstan=added(weight)), "elastic tendons stick and slip", where)
@@ -262,7 +275,8 @@ def drawn(
             {name: cause for name, cause in pool.items() if name not in _IN_TORQUES}
             for pool in (LISTED | _MOVING, UNLISTED)
         ]
-    hidden, kinds = sets_of_names(rng, count, known), in_turn(rng, list(KINDS))
+    hidden = sets_of_names(rng, count, known)
+    kinds = in_turn(rng, list(KINDS))
     lacking = _imperfect if imperfect else None
     return [
         draw_case(KINDS[next(kinds)], own, seed, index, known, lacking)
@@ -274,7 +288,8 @@ def _imperfect(
     robot: RealRobot, kind: RobotKind, rng: np.random.Generator, asked: ReferenceMotion
 ) -> RealRobot:
     """The robot with what its model lacks, in random shares, joint by joint."""
-    count, whole = len(kind.home_rad), prescribed_n_m(kind, robot, asked)
+    count = len(kind.home_rad)
+    whole = prescribed_n_m(kind, robot, asked)
     mix = rng.uniform(0.2, 1.0, (3, count))
     mix *= rng.uniform(*_IMPERFECT, count) / np.linalg.norm(mix, axis=0)
     robot = replace(
@@ -304,7 +319,8 @@ def with_tendons(count: int, seed: int) -> list[RobotCase]:
     """Fingers with guides: of four two have tendons that rub, one other friction, one nothing."""
     alike = ("joint_friction", "load_friction", "viscous_friction")
     known = [_TENDONS, {name: LISTED[name] for name in alike}]
-    others, cases = in_turn(np.random.default_rng([seed]), alike), []
+    others = in_turn(np.random.default_rng([seed]), alike)
+    cases = []
     for k in range(count):
         names = ["capstan_friction"] if k % 2 == 0 else []
         if k % 4 == 3:
@@ -320,7 +336,8 @@ def with_servos(count: int, seed: int) -> list[RobotCase]:
     """
     listed = ("joint_zero", "backlash", "joint_coupling", "payload", "servo_gain")
     known = {name: (LISTED | _MOVING | _IN_SERVOS)[name] for name in listed}
-    turns, cases = [*([name] for name in listed), []], []
+    turns = [*([name] for name in listed), []]
+    cases = []
     kinds = in_turn(np.random.default_rng([seed]), list(SERVOS))
     for k in range(count):
         names = turns[k % len(turns)]
@@ -343,9 +360,11 @@ def with_payload(size: float, seed: int, index: int) -> RobotCase:
 
 def lifted(size: float, rng: np.random.Generator, folder: Path) -> tuple[Path, RobotRecording]:
     """A carriage of 0.5 kg on a lift of 2 kg, which bears `size` times its mass: Newton's law."""
-    path, parts = folder / "lift.xml", []
+    path = folder / "lift.xml"
+    parts = []
     path.write_text(_LIFT, encoding="utf-8")
-    time_s, mass_kg = np.arange(0.0, 4.0, 0.01), 0.5 * (1.0 + size)
+    time_s = np.arange(0.0, 4.0, 0.01)
+    mass_kg = 0.5 * (1.0 + size)
     for trial in range(5):
         w = 2.0 * np.pi * rng.uniform(0.3, 0.9, 2)
         place_m = 0.1 * np.sin(w * time_s[:, None] + rng.uniform(0.0, 6.0, 2))

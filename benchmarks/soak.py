@@ -54,13 +54,15 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
 
-PACKED, CIA404 = "twelve_channel_amplifier", "cia404_amplifier"
+PACKED = "twelve_channel_amplifier"
+CIA404 = "cia404_amplifier"
 RATES_HZ = {PACKED: 1000.0, CIA404: 500.0}
 CIA404_MINUTES = 1.0
 LISTEN_AFTER_S = 2.5
 """Diagnostics come once a second: the last ones must be of after the end."""
 
-PUSHES, PUSH_S = 24, 2.0
+PUSHES = 24
+PUSH_S = 2.0
 UNTOUCHED_S = 3.0
 """Before the first push, for the tare."""
 
@@ -78,7 +80,8 @@ class MarkedReadings:
     """
 
     def __init__(self, map_name: str) -> None:
-        arm, rng = open_arm(ARM), np.random.default_rng(0)
+        arm = open_arm(ARM)
+        rng = np.random.default_rng(0)
         self.map, self.database = open_channel_map(map_name)
         self.map = self.map.arranged(arm.cable_names)
         (self.step_n,) = {
@@ -86,8 +89,10 @@ class MarkedReadings:
             for channel in self.map.channels.values()
         }
         segments = 1 + np.arange(PUSHES) % arm.segment_count
-        angles_deg, forces_n = rng.uniform(0.0, 360.0, PUSHES), rng.uniform(20.0, 100.0, PUSHES)
-        mechanism, command = mechanism_of(arm), np.zeros((PUSHES, arm.joint_count))
+        angles_deg = rng.uniform(0.0, 360.0, PUSHES)
+        forces_n = rng.uniform(20.0, 100.0, PUSHES)
+        mechanism = mechanism_of(arm)
+        command = np.zeros((PUSHES, arm.joint_count))
         forces = normal_force_n(mechanism, command, segments, angles_deg, forces_n)
         untouched_n = solve_equilibrium(mechanism, command[:1]).tensions_n
         pushed_n = solve_equilibrium(mechanism, command, forces).tensions_n
@@ -120,7 +125,8 @@ def play(map_name: str, link: str, cycles: int, log: Path) -> int:
     The log's `written_ns` is when the last frame of each cycle was on the pseudo-terminal, and
     `dropped` how many of its frames the terminal did not take.
     """
-    readings, rate_hz = MarkedReadings(map_name), RATES_HZ[map_name]
+    readings = MarkedReadings(map_name)
+    rate_hz = RATES_HZ[map_name]
     emulator = Emulator(readings.map, readings.database, lambda: SlcanPort(link))
     written_ns = np.zeros(cycles, dtype=np.int64)
     dropped = np.zeros(cycles, dtype=np.int64)
@@ -189,7 +195,8 @@ class Sink(SpunNode):
 
     def __init__(self) -> None:
         super().__init__("soak_sink")
-        self.tensions, self.wrenches = Log(open_arm(ARM).cable_count), Log(1)
+        self.tensions = Log(open_arm(ARM).cable_count)
+        self.wrenches = Log(1)
         self.diagnostics: dict[str, dict[str, str]] = {}
         for kind, topic, log in (
             (JointState, "cable_tensions", self.tensions),
@@ -223,7 +230,8 @@ def measure(map_name: str, minutes: float) -> dict[str, Any]:
     """Run one map."""
     cycles = round(60.0 * minutes * RATES_HZ[map_name])
     with LiveRun() as run:
-        link, log = run.folder / "adapter", run.folder / "played.npz"
+        link = run.folder / "adapter"
+        log = run.folder / "played.npz"
         given = [map_name, str(link), str(cycles), str(log)]
         amplifiers = run.start("amplifiers", [sys.executable, __file__, "--play", *given])
         wait_until(lambda: "ready" in amplifiers.log, PATIENCE_S, "not ready", run.check)
@@ -245,7 +253,8 @@ def measure(map_name: str, minutes: float) -> dict[str, Any]:
         played = dict(np.load(log))
         codes = run.stop()
         sink.destroy_node()
-    tensions, dropped = sink.tensions.table(), played["dropped"]
+    tensions = sink.tensions.table()
+    dropped = played["dropped"]
     cycle = MarkedReadings(map_name).cycles(tensions.numbers, len(dropped))
     return {
         "map": map_name,

@@ -44,9 +44,12 @@ from cablesense_training.law.build import TorchLaw
 SURFACE_M = 0.055
 """Radius of the touched surface: just outside the cables, which run 0.05 m from the axis."""
 OBSTACLE_M = 0.01
-SERVO_N_M, SERVO_KG = 2e3, 0.2
-HALF_EDGE_M, GAP_M = 0.04, 0.002
-STEPS, AT_REST_RAD_S = 6000, 1e-6
+SERVO_N_M = 2e3
+SERVO_KG = 0.2
+HALF_EDGE_M = 0.04
+GAP_M = 0.002
+STEPS = 6000
+AT_REST_RAD_S = 1e-6
 NOSLIP_ITERATIONS = 20
 EDGE_M = 0.012
 """Contacts stay this far from the ends of a segment's reach: past them two surfaces overlap."""
@@ -104,7 +107,8 @@ class TouchedArm:
 
     def __init__(self, arm: Arm, kind: Kind) -> None:
         """An edge is a thin capsule across the segment, otherwise an obstacle is a sphere."""
-        self._kind, friction = kind, kind.friction
+        self._kind = kind
+        friction = kind.friction
         self.mechanism = mechanism_of(arm)
         spec = build_spec(self.mechanism)
         spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
@@ -120,10 +124,15 @@ class TouchedArm:
         }
         for n, length in enumerate(self.mechanism.segment_length_m, start=1):
             spec.body(f"segment_{n}").add_geom(
-                name=f"surface_{n}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, mass=0.0,
-                fromto=[0.0, 0.0, 0.0, float(length), 0.0, 0.0], size=[SURFACE_M, 0.0, 0.0],
-                contype=2, conaffinity=1, **rubbing,
-            )  # fmt: skip
+                name=f"surface_{n}",
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                mass=0.0,
+                fromto=[0.0, 0.0, 0.0, float(length), 0.0, 0.0],
+                size=[SURFACE_M, 0.0, 0.0],
+                contype=2,
+                conaffinity=1,
+                **rubbing,
+            )
         shape = mujoco.mjtGeom.mjGEOM_CAPSULE if kind.edge else mujoco.mjtGeom.mjGEOM_SPHERE
         for k in range(kind.obstacles):
             holder = spec.worldbody.add_body(name=f"holder_{k}", mocap=True)
@@ -138,9 +147,14 @@ class TouchedArm:
                 )
                 servo.set_to_position(kp=SERVO_N_M, kv=2.0 * np.sqrt(SERVO_N_M * SERVO_KG))
             body.add_geom(
-                type=shape, size=[OBSTACLE_M, HALF_EDGE_M * kind.edge, 0.0], mass=SERVO_KG,
-                quat=[0.5**0.5, 0.5**0.5, 0.0, 0.0], contype=1, conaffinity=2, **rubbing,
-            )  # fmt: skip
+                type=shape,
+                size=[OBSTACLE_M, HALF_EDGE_M * kind.edge, 0.0],
+                mass=SERVO_KG,
+                quat=[0.5**0.5, 0.5**0.5, 0.0, 0.0],
+                contype=1,
+                conaffinity=2,
+                **rubbing,
+            )
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self._joints = [self.model.joint(name).qposadr[0] for name in arm.joint_names]
@@ -152,7 +166,8 @@ class TouchedArm:
 
         None if they do not make one contact each, or the arm does not come to rest.
         """
-        data, mechanism = self.data, self.mechanism
+        data = self.data
+        mechanism = self.mechanism
         mujoco.mj_resetData(self.model, data)
         data.qpos[self._joints] = command_rad
         straight = kinematics.cable_lengths_m(mechanism, np.zeros(mechanism.joint_count))
@@ -191,8 +206,10 @@ class TouchedArm:
         return found, self._tensions_n() - before_n
 
     def _contact(self, k: int, commanded: Array) -> EngineContact:
-        data, model = self.data, self.model
-        contact, wrench = data.contact[k], np.zeros(6)
+        data = self.data
+        model = self.model
+        contact = data.contact[k]
+        wrench = np.zeros(6)
         mujoco.mj_contactForce(model, data, k, wrench)
         names = [model.geom(int(g)).name for g in contact.geom]
         surface = next(name for name in names if name.startswith("surface"))
@@ -202,7 +219,8 @@ class TouchedArm:
         if names[0] == surface:
             force = -force
         body = data.body(f"segment_{segment}")
-        arm_m, axes = contact.pos - body.xpos, commanded[segment - 1]
+        arm_m = contact.pos - body.xpos
+        axes = commanded[segment - 1]
         place_m = float(arm_m @ body.xmat.reshape(3, 3)[:, 0])
         return EngineContact(
             segment, place_m, axes.T @ force, (axes.T @ np.cross(arm_m, force))[1:]
@@ -234,7 +252,9 @@ def drawn(arm: Arm, kind: Kind, count: int, rng: np.random.Generator, title: str
     touched = TouchedArm(arm, kind)
     largest_n = ARMS[arm.name]
     reach = reach_m(touched.mechanism)
-    commands, contacts, changes = [], [], []
+    commands = []
+    contacts = []
+    changes = []
     edge_m = EDGE_M + kind.slide_m
     for _ in track(range(count), title):
         command = np.deg2rad(rng.uniform(-10.0, 10.0, arm.joint_count))

@@ -64,11 +64,29 @@ BROKEN = "broken cable"
 STUCK = "stuck at the tare"
 EXCHANGED = "exchanged"
 FAULTS = {
-    1: ("scaled by 0.5", "scaled by 0.9", "scaled by 1.1", "scaled by 2", "5 N more", "20 N more",
-        "20 N less", "100 N more", "zero", STUCK, BROKEN),
-    2: ("scaled by 0.9", "scaled by 1.1", "10 N more", "20 N more", "10 N apart", "20 N apart",
-        EXCHANGED),
-}  # fmt: skip
+    1: (
+        "scaled by 0.5",
+        "scaled by 0.9",
+        "scaled by 1.1",
+        "scaled by 2",
+        "5 N more",
+        "20 N more",
+        "20 N less",
+        "100 N more",
+        "zero",
+        STUCK,
+        BROKEN,
+    ),
+    2: (
+        "scaled by 0.9",
+        "scaled by 1.1",
+        "10 N more",
+        "20 N more",
+        "10 N apart",
+        "20 N apart",
+        EXCHANGED,
+    ),
+}
 """By the number of faulty channels; apart is more on one and less on the other."""
 SIGNS: dict[str, Any] = {"more": 1.0, "less": -1.0, "apart": np.array([1.0, -1.0])}
 LOOSE_N = -1e5

@@ -74,7 +74,9 @@ class BundledFiles:
             CableSenseError: of the class `refusal`: neither a bundled name nor a file; the message
                 lists the bundled names.
         """
-        name, names, suffix = str(name_or_path), self.names(), self.suffixes[0]
+        name = str(name_or_path)
+        names = self.names()
+        suffix = self.suffixes[0]
         bundled = ", ".join(names)
         if name in names:
             return config_path(f"{self.folder}/{name}{suffix}")

@@ -151,7 +151,8 @@ def describe_problem(error: ValidationError, root: type[BaseModel]) -> str:
 
 
 def _message(problem: Any, root: type[BaseModel]) -> str:
-    kind, location = problem["type"], problem["loc"]
+    kind = problem["type"]
+    location = problem["loc"]
     value = reprlib.repr(problem["input"])  # a text or a nest of lists may have no end
     if kind == _UNKNOWN:
         keys = _keys_of(root, location[:-1])

@@ -50,7 +50,9 @@ class WorkerPool:
 
         The processes start on entering it.
         """
-        self.workers, self._common, self._refusal = workers, shared, refusal
+        self.workers = workers
+        self._common = shared
+        self._refusal = refusal
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> Self:

@@ -238,6 +238,7 @@ class Calibrator:
         start = np.where(self._is_carried, prior, calibration.mean)
         step = np.zeros(len(prior))
         best: _Fit | None = None
+        converged = False
         for _ in range(_ITERATIONS):
             fit = self._fit_about(start + step, calibration, now_ns)
             if best is not None and fit.cost > best.cost:
@@ -247,10 +248,11 @@ class Calibrator:
             best = fit
             start = fit.about
             step = np.where(self._is_carried, 0.0, fit.mean - fit.about)
-            if np.abs(fit.slopes @ step).max() < _CONVERGED_N:
+            converged = np.abs(fit.slopes @ step).max() < _CONVERGED_N
+            if converged:
                 break
         assert best is not None
-        mean = np.where(self._is_carried, best.mean, best.about)
+        mean = best.mean if converged else np.where(self._is_carried, best.mean, best.about)
         return replace(calibration, mean=mean, covariance=best.covariance, chi2=best.chi2)
 
     def _fit_about(self, about: Array, calibration: Calibration, now_ns: int) -> _Fit:

@@ -39,7 +39,8 @@ from cablesense_training.law_export import export_law
 
 _MOST_TRIALS = 12
 """Trials, evenly chosen, that show what the law does not explain."""
-_ERROR_LEFT, _CONTACTS_LOST = 0.95, 0.01
+_ERROR_LEFT = 0.95
+_CONTACTS_LOST = 0.01
 """A better estimator leaves at most this share of the force error, and names at most this share of
 the contacts less: one that names fewer contacts has small errors for the wrong reason."""
 
@@ -221,7 +222,8 @@ def withheld_trials(recording: Recording, arm: Arm) -> tuple[int, ...]:
         AdaptationError: fewer than two trials have a load that can be estimated.
     """
     can_be_estimated = (recording.load_segment > 0) & (tares_of(recording).of_row >= 0)
-    numbers, folds = np.unique(recording.trial), folds_of(recording)
+    numbers = np.unique(recording.trial)
+    folds = folds_of(recording)
     of_every_model = can_be_estimated & at_contact_points(recording, arm)
     if len(np.unique(recording.trial[of_every_model])) > 1:
         can_be_estimated = of_every_model
@@ -239,7 +241,8 @@ def withheld_trials(recording: Recording, arm: Arm) -> tuple[int, ...]:
 
 
 def _is_better(before: RecordedErrors, after: RecordedErrors) -> bool:
-    first, second = before.whole.errors, after.whole.errors
+    first = before.whole.errors
+    second = after.whole.errors
     return (
         second.magnitude_mae_n < _ERROR_LEFT * first.magnitude_mae_n
         and second.contact_accuracy >= first.contact_accuracy - _CONTACTS_LOST

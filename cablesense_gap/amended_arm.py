@@ -25,7 +25,8 @@ from cablesense_sim.effects.registry import known_effects
 
 AMENDED_ARM = "amended_arm.yaml"
 """In the folder of a diagnosis."""
-_STEPS, _STEPS_WITHOUT = 4, 2
+_STEPS = 4
+_STEPS_WITHOUT = 2
 """Gauss-Newton steps with all listed effects, from earlier numbers, and without one of them."""
 _WORSE = 1.08
 """Ratio of the costs without and with an effect from which on the effect is needed."""
@@ -117,7 +118,8 @@ def judged_earlier(problem: Problem, arm: Arm) -> tuple[Arm, tuple[Earlier, ...]
     fitted = refit(problem, listed, _STEPS)
     if fitted is None:
         return arm, ()
-    earlier, kept = [], dict(fitted.values)
+    earlier = []
+    kept = dict(fitted.values)
     for effect in sorted({term.effect for term in listed}):
         others = {t: v for t, v in fitted.values.items() if t.effect != effect}
         rest = refit(problem, others, _STEPS_WITHOUT)
@@ -136,14 +138,17 @@ def _judgement(
 ) -> Earlier:
     """Earlier and present numbers of one effect."""
     known = parameters_of(problem.simulator.candidates)
-    was, now, moved = {}, {}, False
+    was = {}
+    now = {}
+    moved = False
     for term, value in listed.items():
         parameter = known[term]
         if parameter.past:
             continue
         name = term.parameter if term.place == WHOLE_ARM else f"{term.place}.{term.parameter}"
         found = fitted_number(parameter, fitted.values[term], fitted.deviations[term])
-        was[name], now[name] = value, found
+        was[name] = value
+        now[name] = found
         if parameter.role == "size":
             moved |= not found.ci95[0] <= value <= found.ci95[1]
     places = dict.fromkeys(term.place for term in listed)

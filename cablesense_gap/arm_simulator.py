@@ -24,7 +24,8 @@ _SAME_N = 1e-3
 """Tensions that differ by less are of one equilibrium, which is balanced to some 1e-5 N."""
 _FOLLOWED = 16
 """Rows over which a rest is followed at most: one that a load has turned to may last as long."""
-_SIMILAR_ARMS, _MOST_SCATTER = 16, 5.0
+_SIMILAR_ARMS = 16
+_MOST_SCATTER = 5.0
 """Arms with other tolerances, and by how many times their readings may scatter more in a row that
 counts than in the middle one: on arms drawn at random 3 to 4 times where nothing turns."""
 _PRIOR = 0.05
@@ -141,9 +142,11 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
         mirrored_rad[:, axis::2] = (2.0 * recording.command_rad - rest_rad)[:, axis::2]
         others.append(replay.begun_at(mirrored_rad).readings_n([[]], predicted_n)[0])
     for step in (1, -1):
-        follower, found = replay.begun_at(rest_rad), here
+        follower = replay.begun_at(rest_rad)
+        found = here
         for _ in range(_FOLLOWED):
-            before, begin_rad = found, np.roll(follower.rest_rad, step, axis=0)
+            before = found
+            begin_rad = np.roll(follower.rest_rad, step, axis=0)
             follower = follower.begun_at(begin_rad)
             found = follower.readings_n([[]], predicted_n)[0]
             if np.abs(found - before).max() < _SAME_N:

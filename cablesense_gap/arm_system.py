@@ -62,8 +62,11 @@ class ArmSystem(ArmSimulator, System):
     def __init__(self, arm: Arm, recording: Recording, unseen: Collection[int] = ()) -> None:
         """`recording` holds the rows to use; `unseen` are numbers of trials."""
         super().__init__(arm, recording)
-        self.name, self.recording_name, self.row_count = arm.name, recording.name, len(recording)
-        self.recording, self._unseen = recording, tuple(unseen)
+        self.name = arm.name
+        self.recording_name = recording.name
+        self.row_count = len(recording)
+        self.recording = recording
+        self._unseen = tuple(unseen)
         self.readings = recording.tensions_n
         self.trial, self.fold = parts_of(recording, unseen)
         self.nominal_n = self.predict([{}])[0]
@@ -160,13 +163,15 @@ def with_product(
     slope *= [unit_of(size, amount), unit_of(shape, form)]
     variance = float(slope @ explanation.covariance[np.ix_(own, own)] @ slope)
     half = 1.96 * max(variance, 0.0) ** 0.5
-    value, at = amount * lever(form), name
+    value = amount * lever(form)
+    at = name
     if f"{at}.{size.name}" not in numbers:
         at = f"{name}.{place}"
     product = FittedNumber(
         value=value, unit=effect.product.unit, ci95=(value - half, value + half)
     )
-    found, of_size = {f"{at}.{effect.product.name}": product, **numbers}, f"{at}.{size.name}"
+    found = {f"{at}.{effect.product.name}": product, **numbers}
+    of_size = f"{at}.{size.name}"
     low, high = numbers[of_size].ci95
     if high - low > abs(amount):
         short, long = map(lever, numbers[f"{at}.{shape.name}"].ci95)
@@ -360,7 +365,8 @@ def parts_of(
     Fits without it would have to extrapolate to it, which on a stiff arm fails by far more than
     an effect changes: each fold gets a part of it.
     """
-    part, fold = np.unique(recording.trial, return_inverse=True)[1], folds_of(recording, unseen)
+    part = np.unique(recording.trial, return_inverse=True)[1]
+    fold = folds_of(recording, unseen)
     for t, count in enumerate(np.bincount(part)):
         if count > max(len(part) / FOLDS, FOLDS):
             for k, rows in enumerate(np.array_split(np.flatnonzero(part == t), FOLDS)[1:], 1):

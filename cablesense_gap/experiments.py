@@ -26,7 +26,8 @@ Rival = Mapping[Term, float]
 
 _SLOW_HZ = 2.5
 """The rate of history-dependent simulations: two samples and more for each level of a load."""
-_CLEAR_FLOORS, _HIDDEN_FLOORS = 1.0, 0.1
+_CLEAR_FLOORS = 1.0
+_HIDDEN_FLOORS = 0.1
 """In noise floors: a difference that one recording shows, and one that no repetition shows."""
 _AS_FAR = 0.9
 """The first block with this share of the largest difference is proposed: it is the simplest."""
@@ -142,7 +143,8 @@ def _text(
     arm: Arm, rivals: Sequence[Rival], does: str, by_cable_n: Array, floor_n: float, question: str
 ) -> str:
     floors = _rms(by_cable_n) / floor_n
-    first, others = _name(rivals[0]), listed([_name(rival) for rival in rivals[1:] or [{}]], "or")
+    first = _name(rivals[0])
+    others = listed([_name(rival) for rival in rivals[1:] or [{}]], "or")
     if floors < _HIDDEN_FLOORS:
         if question:
             return f"No block of the protocol shows {question}."

@@ -100,7 +100,8 @@ def estimates(
 
 def fitted_number(parameter: Parameter, value: float, half: float) -> FittedNumber:
     """A value with its interval of this half width, within the plausible range."""
-    low, high = max(value - half, parameter.low), min(value + half, parameter.high)
+    low = max(value - half, parameter.low)
+    high = min(value + half, parameter.high)
     return FittedNumber(value=value, unit=parameter.unit, ci95=(low, high))
 
 
@@ -135,7 +136,8 @@ def shares(
 
 def remainder(problem: Problem, explanation: Explanation) -> Remainder:
     """The contribution of tolerances and the unexplained part."""
-    used, floor = problem.used, problem.floor
+    used = problem.used
+    floor = problem.floor
     gap = _rms((problem.readings - problem.nominal)[used])
     unexplained, whole = (
         float(np.sqrt(max(size**2 - floor**2, 0.0))) for size in (explanation.held_out_rmse, gap)
@@ -161,7 +163,8 @@ def trades(problem: Problem, best: Explanation) -> list[Trade]:
         correlation = covariance / (one.deviation * other.deviation)
         if abs(correlation) < TRADING:
             continue
-        both, less = _part(problem, best, set(pair)), min(one, other, key=lambda part: part.size)
+        both = _part(problem, best, set(pair))
+        less = min(one, other, key=lambda part: part.size)
         traded = Traded(
             effects=pair,
             share_n=both.size,
@@ -201,7 +204,8 @@ class _Part(NamedTuple):
 def _part(problem: Problem, best: Explanation, effects: set[str]) -> _Part:
     others = {t: v for t, v in best.values.items() if t.effect not in effects}
     change = (best.without_tolerances - problem.predict([others])[0])[problem.used]
-    size, slope = _rms(change), np.zeros(len(best.values))
+    size = _rms(change)
+    slope = np.zeros(len(best.values))
     if size > 0.0:
         by_number = (best.columns[:, problem.used] * change).mean(axis=(1, 2)) / size
         slope = np.where([term.effect in effects for term in best.values], by_number, 0.0)

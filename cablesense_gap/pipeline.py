@@ -77,7 +77,8 @@ def diagnose_system(
     it is what changed since then.
     """
     began_s = time.monotonic() if began_s is None else began_s
-    problem, calibration = problem_of(system), bundled_calibration()
+    problem = problem_of(system)
+    calibration = bundled_calibration()
     nothing = np.zeros_like(problem.readings)
     usual = Expected(nothing, nothing + 1.0, problem.floor)
     if reference is not None:
@@ -91,7 +92,8 @@ def diagnose_system(
         found = system.completed(problem, search(problem, progress, workers))
     ranked = named(problem, posterior(found, problem.floor, calibration), calibration)
     progress("describing the verdict", 0.98)
-    best, used = ranked[0].explanation, problem.used
+    best = ranked[0].explanation
+    used = problem.used
     fitted = [r.explanation for r in ranked if r.explanation is not None]
     none = next(e for e in fitted if not e.effects)
     explained = best or none
@@ -99,7 +101,8 @@ def diagnose_system(
     traded = trades(problem, best) if best else []
     rest = remainder(problem, explained)
     group, reasons = ambiguity(problem, ranked, system.unit)
-    held_out, experiment = explained.held_out, ""
+    held_out = explained.held_out
+    experiment = ""
     if best:
         rivals = [r.explanation.values for r in rivals_of(ranked) if r.explanation is not None]
         if traded and not rivals:

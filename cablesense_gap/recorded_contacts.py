@@ -447,7 +447,8 @@ def _force_at(seen: LawOutput, at_m: float) -> tuple[float, float, float, float]
     # a moment around z is due to y, around -y to z
     around_y, around_z = (seen.moment_n_m[0] / at_m).tolist()
     y_std, z_std = (seen.moment_std_n_m[0, ::-1] / at_m).tolist()
-    y, z = around_z, -around_y
+    y = around_z
+    z = -around_y
     size_n = max(float(np.hypot(y, z)), _LEAST_N)
     along_std_n = float(np.hypot(y * y_std, z * z_std)) / size_n
     angle, angle_std = _turns(y, z, float(np.hypot(z * y_std, y * z_std)) / size_n)

@@ -51,7 +51,8 @@ class MovingMean:
         altered = self.system.altered(variant)
         if altered is None:
             return 0.0
-        there, change = altered.conditions, np.zeros_like(self.here)
+        there = altered.conditions
+        change = np.zeros_like(self.here)
         moves = np.flatnonzero((there.position != self.usual.position).any(0))
         change[:, moves] = self.along.of(there, moves) - self.here[:, moves]
         at_variant = self.mean + self.system.compared_columns(change) / self.system.scale
@@ -97,7 +98,8 @@ def imperfect(
     the direction of its motion, as of friction: waves, with the same variance in each octave. The
     rest is as large as the best of the explanations leaves it.
     """
-    conditions, nothing = system.conditions(), np.zeros_like(problem.readings)
+    conditions = system.conditions()
+    nothing = np.zeros_like(problem.readings)
     assert conditions is not None
     waves = SmoothColumns.like(conditions).waves(conditions)
     variance = np.array([1.0 / (1.0 + half_waves) for half_waves, _, _ in waves])
@@ -129,7 +131,8 @@ class Reference:
         problem = problem_of(system)
         none = refine(problem, {}, [[]])
         assert none is not None
-        used, nominal = problem.used, problem.readings - problem.nominal
+        used = problem.used
+        nominal = problem.readings - problem.nominal
         self.tolerances = dict(none.tolerances)
         system = system.with_listed(self.tolerances)
         problem = replace(
@@ -143,14 +146,17 @@ class Reference:
         self._smooth = None if conditions is None else SmoothColumns.like(conditions)
         effects = _scaled_effects(system, problem)
         columns = {name: own[used] for name, own in self._columns(system, effects).items()}
-        residual, trial = (problem.readings - problem.nominal)[used], problem.trial[used]
+        residual = (problem.readings - problem.nominal)[used]
+        trial = problem.trial[used]
         found = Discrepancy(columns, residual * system.scale, problem.fold[trial])
-        self._discrepancy, self._along = found, None
+        self._discrepancy = found
+        self._along = None
         if self._smooth is not None and conditions is not None:
             powers = [system.compared_columns(p)[used] for p in self._smooth.powers(conditions)]
             others = {name: own[used] for name, own in effects.items()}
             self._along = AlongTheWay.learnt(self._smooth, found, others, np.array(powers))
-        before, left = nominal[used], residual - found.held_out / system.scale
+        before = nominal[used]
+        left = residual - found.held_out / system.scale
         self.left = ReferenceGap(
             recording=system.recording_name,
             before_n=float(np.sqrt((before**2).mean())),
@@ -160,14 +166,16 @@ class Reference:
 
     def expected(self, system: System, problem: Problem) -> Expected:
         """In another recording, in its units; `system` has the reference's tolerances."""
-        beyond, conditions = np.zeros_like(system.readings), system.conditions()
+        beyond = np.zeros_like(system.readings)
+        conditions = system.conditions()
         if self._smooth is not None and conditions is not None:
             beyond = np.abs(system.compared_columns(self._smooth.beyond(conditions)))
         columns = self._columns(system, _scaled_effects(system, problem))
         mean, deviation = self._discrepancy.of(columns, beyond)
         deviation = np.maximum(deviation / system.scale, system.floor)
         floor = float(np.sqrt((deviation[system.counted] ** 2).mean()))
-        mean, moving = mean / system.scale, None
+        mean = mean / system.scale
+        moving = None
         if self._along is not None and conditions is not None:
             here = self._along.of(conditions, np.arange(mean.shape[1]))
             moving = MovingMean(system, self._along, mean, conditions, here)
@@ -189,12 +197,16 @@ class _Weighted:
     """A simulator whose channels are less certain in some rows than in others."""
 
     def __init__(self, simulator: Simulator, expected: Expected) -> None:
-        self._simulator, self._expected, self.floor = simulator, expected, expected.floor
-        self.candidates, self.tolerances = simulator.candidates, simulator.tolerances
+        self._simulator = simulator
+        self._expected = expected
+        self.floor = expected.floor
+        self.candidates = simulator.candidates
+        self.tolerances = simulator.tolerances
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
         """As of the simulator with the expected residual, times the weight (R, C)."""
-        predicted, moving = self._simulator.predict(variants), self._expected.moving
+        predicted = self._simulator.predict(variants)
+        moving = self._expected.moving
         if moving is not None:
             each = zip(predicted, variants, strict=True)
             predicted = np.array([own + moving.change(variant) for own, variant in each])
@@ -209,7 +221,8 @@ class _Weighted:
 
 def since(problem: Problem, expected: Expected) -> Problem:
     """The problem of what changed: weighted readings beyond the expected ones."""
-    weighted, sketch = expected.weighted, problem.sketch
+    weighted = expected.weighted
+    sketch = problem.sketch
     if sketch is not None:
         rows = sketch.rows
         part = Expected(expected.mean[rows], expected.weight[rows], expected.floor)

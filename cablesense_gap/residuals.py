@@ -18,8 +18,13 @@ from cablesense_gap.recordings.recording import Recording
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 
-ALL, CABLE, SET, LOOP = "all", "cable", "cable set", "hysteresis"
-LOADED, LEVEL, TRIAL = "loaded segment", "load level", "trial"
+ALL = "all"
+CABLE = "cable"
+SET = "cable set"
+LOOP = "hysteresis"
+LOADED = "loaded segment"
+LEVEL = "load level"
+TRIAL = "trial"
 LOAD_PLACE = "place of the load"
 _THIRDS = "near the joint", "amid a segment", "far from the joint"
 BRANCHES = ("before the load", "loading", "unloading", "after the load")
@@ -40,7 +45,9 @@ BENT_RAD = float(np.deg2rad(1.5))
 """A joint bent by less counts as straight: the small reversals of the protocol stay below."""
 _LOAD_TOLERANCE = 0.05
 """Share of a trial's peak by which a measured load must move before it counts as moved."""
-_LARGER, _ABOVE_FLOORS, _FEWEST_ROWS = 1.4, 2.0, 20
+_LARGER = 1.4
+_ABOVE_FLOORS = 2.0
+_FEWEST_ROWS = 20
 """A regime has this many times the RMS of the rest of its group (twice the mean square), this many
 floors, and this many rows: a shorter one, of 4 s at 5 Hz, can be large by chance."""
 
@@ -145,8 +152,10 @@ def segment_modes_n(residual_n: Array, arm: Arm) -> Array:
     are self-stress, which neither compresses nor bends the segment. All are orthonormal: each has
     the noise of one cable, and their squares add up to those of the cables.
     """
-    angles, count = arm.cables.angle_deg, arm.cables.per_segment
-    n, k = np.arange(arm.segment_count)[:, None], np.arange(count)
+    angles = arm.cables.angle_deg
+    count = arm.cables.per_segment
+    n = np.arange(arm.segment_count)[:, None]
+    k = np.arange(count)
     hole = np.deg2rad(angles.first + n * angles.per_segment + k * angles.per_cable)
     spans = np.stack([np.ones_like(hole), np.sin(hole), np.cos(hole)], axis=-1)
     basis, triangle = np.linalg.qr(spans, mode="complete")
@@ -164,14 +173,18 @@ def load_branch(recording: Recording) -> NDArray[np.int64]:
         step = _LOAD_TOLERANCE * float(size[rows].max())
         if step == 0.0:
             continue
-        extreme, rising, loaded = float(size[rows[0]]), bool(size[rows[0]] > step), False
+        extreme = float(size[rows[0]])
+        rising = bool(size[rows[0]] > step)
+        loaded = False
         for row, value in zip(rows, size[rows].tolist(), strict=True):
             if (value >= extreme) if rising else (value <= extreme):
                 extreme = value
             elif abs(value - extreme) > step:
-                extreme, rising = value, not rising
+                extreme = value
+                rising = not rising
             if value > step:
-                branch[row], loaded = 1 if rising else 2, True
+                branch[row] = 1 if rising else 2
+                loaded = True
             else:
                 branch[row] = 3 if loaded else 0
     return branch
@@ -182,7 +195,8 @@ def loop_n(recording: Recording, residual_n: Array) -> Array:
 
     Friction causes such a difference. An effect that depends on the present load alone does not.
     """
-    size, branch = np.linalg.norm(recording.load_n, axis=-1), load_branch(recording)
+    size = np.linalg.norm(recording.load_n, axis=-1)
+    branch = load_branch(recording)
     found = []
     for trial in np.unique(recording.trial[branch >= 0]):
         here = recording.trial == trial
@@ -197,7 +211,8 @@ def loop_n(recording: Recording, residual_n: Array) -> Array:
 
 def row_groups(recording: Recording, arm: Arm) -> Iterator[tuple[str, str, Rows]]:
     """Group, member and its rows (R,); members of a group share no row."""
-    segment, size = recording.load_segment, np.linalg.norm(recording.load_n, axis=-1)
+    segment = recording.load_segment
+    size = np.linalg.norm(recording.load_n, axis=-1)
     yield LOADED, "no load", segment == 0
     for n in range(1, recording.command_rad.shape[1] // 2 + 1):
         yield LOADED, f"segment_{n}", segment == n
@@ -208,14 +223,16 @@ def row_groups(recording: Recording, arm: Arm) -> Iterator[tuple[str, str, Rows]
             name = name if high < np.inf else f"above {low:.{digits}f} N"
             yield LEVEL, name, (segment > 0) & (size > low) & (size <= high)
     if recording.load_at_m is not None:
-        mechanism, own = mechanism_of(arm), np.maximum(segment, 1) - 1
+        mechanism = mechanism_of(arm)
+        own = np.maximum(segment, 1) - 1
         unstated = np.isnan(recording.load_at_m)
         at_m = np.where(unstated, mechanism.contact_m[own], recording.load_at_m)
         third = np.minimum(3.0 * at_m / mechanism.segment_length_m[own], 2.0).astype(int)
         for i, name in enumerate(_THIRDS):
             yield LOAD_PLACE, name, (segment > 0) & (third == i)
     bend = np.linalg.norm(recording.command_rad.reshape(len(recording), -1, 2), axis=-1)
-    bent, most = bend.max(axis=1) > BENT_RAD, bend.argmax(axis=1)
+    bent = bend.max(axis=1) > BENT_RAD
+    most = bend.argmax(axis=1)
     yield "pose", "straight", ~bent
     yield "pose", "bent", bent
     for n in range(bend.shape[1]):

@@ -99,7 +99,8 @@ def _answer(at: str, row: dict[str, str | None]) -> Truth:
 
 def _numbers(at: str, cells: Mapping[str, str], column: str, count: int) -> tuple[float, ...]:
     """The numbers in a cell; none if it is empty or missing."""
-    cell, found = cells.get(column, ""), list[float]()
+    cell = cells.get(column, "")
+    found = list[float]()
     if not cell:
         return ()
     with suppress(ValueError):
@@ -154,7 +155,8 @@ def proportion(outcomes: Iterable[bool]) -> Proportion:
     from scipy.stats import binomtest
 
     listed = [bool(outcome) for outcome in outcomes]
-    hits, count = sum(listed), len(listed)
+    hits = sum(listed)
+    count = len(listed)
     if not count:
         return Proportion(None, (0.0, 1.0), 0, 0)
     low, high = binomtest(hits, count).proportion_ci(method="wilson")
@@ -180,7 +182,8 @@ def reliability(probability: Sequence[float], right: Sequence[bool]) -> Reliabil
 
     G. W. Brier, Monthly Weather Review 78 (1950) 1-3; M. P. Naeini et al., AAAI 2015.
     """
-    stated, outcome = np.asarray(probability, dtype=float), np.asarray(right, dtype=float)
+    stated = np.asarray(probability, dtype=float)
+    outcome = np.asarray(right, dtype=float)
     member = np.minimum((stated * 10).astype(int), 9)  # 1.0 belongs to the last bin
     apart = [abs((stated - outcome)[member == k].sum()) for k in range(10)]
     return Reliability(
@@ -208,7 +211,10 @@ class BudgetScore:
 
 def budget_score(cases: Sequence[tuple[Verdict, Truth]]) -> BudgetScore:
     """Budgets against answers that give the gap of each effect."""
-    named, false, shares, removed = [], [], [], []
+    named = []
+    false = []
+    shares = []
+    removed = []
     for verdict, answer in cases:
         if answer.effects[0] in (NONE, UNKNOWN):
             continue
@@ -301,7 +307,9 @@ def score(verdicts: Mapping[str, Verdict], answers: Sequence[Truth]) -> ScoreShe
 
 def _judged(verdict: Verdict, answer: Truth) -> dict[str, Any]:
     """One verdict with its answer, as a row of the table that is counted."""
-    truth, named, gap = answer.effects, verdict.effects, verdict.gap
+    truth = answer.effects
+    named = verdict.effects
+    gap = verdict.gap
     weighed = {c.effects: c.probability for c in verdict.candidates}
     others = [c.effects for c in verdict.ranked if c.effects != named]
     ratio = answer.gap_over_floor

@@ -60,9 +60,11 @@ def describe_unlisted(
     problem: Problem, residual: Array, recording: Recording, arm: Arm, conditions: Conditions
 ) -> Unlisted:
     """The pattern of a held-out residual (R, M), and the experiment to repeat."""
-    used, floor_n = problem.used, problem.floor
+    used = problem.used
+    floor_n = problem.floor
     features = residual_features(recording, problem.nominal, arm)
-    rows, left = recording.rows(used), residual[used]
+    rows = recording.rows(used)
+    left = residual[used]
     found = flexible_model(
         {
             group: {name: own[used] for name, own in each.items()}
@@ -92,10 +94,12 @@ def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Featu
     middle of a play that follows it, for a narrow and a wide play. time: since the recording
     began, and since the arm or its load last changed.
     """
-    held_m, trial = held_lengths_m(mechanism_of(arm), recording.command_rad), recording.trial
+    held_m = held_lengths_m(mechanism_of(arm), recording.command_rad)
+    trial = recording.trial
     step_m = np.diff(held_m, axis=0, prepend=held_m[:1])
     step_m[np.diff(trial, prepend=trial[0]) != 0] = 0.0
-    forces_n, segments = recording.forces_n, range(1, arm.segment_count + 1)
+    forces_n = recording.forces_n
+    segments = range(1, arm.segment_count + 1)
     loads_n = forces_n.reshape(len(recording), -1)
     load_names = [f"load on segment_{n} along {axis}" for n in segments for axis in "xyz"]
     load = dict(zip(load_names, loads_n.T, strict=True))
@@ -239,7 +243,8 @@ def _wave(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> 
     readings of all cables, because the arm passes on the change of one. All cables share a period.
     """
     free = recording.load_segment == 0
-    command, residual = recording.command_rad[free], residual_n[free]
+    command = recording.command_rad[free]
+    residual = residual_n[free]
     moving = np.ptp(command, axis=0) > 0.0 if len(command) else np.zeros(0, dtype=bool)
     if len(command) < 100 or not moving.any():
         return
@@ -260,7 +265,8 @@ def _wave(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> 
 
     held_m = held_lengths_m(mechanism_of(arm), command)
     joints = [(*best(command[:, k : k + 1]), arm.joint_names[k]) for k in np.flatnonzero(moving)]
-    (joint_share, period_rad, joint), (share, period_m) = max(joints), best(held_m)
+    (joint_share, period_rad, joint) = max(joints)
+    (share, period_m) = best(held_m)
     # the waves of all cables together can follow the wave of one joint, which is simpler
     if joint_share >= 0.7 * share:
         if joint_share >= 0.25:
@@ -289,7 +295,8 @@ def _explained(turns: Array, rest: Array, smooth: Array) -> float:
 
 def _steps(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> Iterator[str]:
     """Cables in which one lasting step explains most of the scatter, the largest first."""
-    count, rows = len(residual_n), np.arange(1, len(residual_n))
+    count = len(residual_n)
+    rows = np.arange(1, len(residual_n))
     centred = residual_n - residual_n.mean(0)
     weight = (rows * (count - rows) / count)[:, None]
     apart_n = -np.cumsum(centred, axis=0)[:-1] / weight
@@ -316,7 +323,8 @@ def _jumps(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) ->
     state = np.concatenate([recording.command_rad, *loads], axis=1)
     still = (np.diff(state, axis=0) == 0.0).all(1) & (np.diff(recording.trial) == 0)
     change = np.pad(np.diff(residual_n, axis=0), ((1, 1), (0, 0)))
-    here, size = change[1:-1], np.abs(change[1:-1])
+    here = change[1:-1]
+    size = np.abs(change[1:-1])
     beside = np.stack([change[:-2], change[2:]])
     # a change that goes on in the same direction is not a jump: the channel is late
     late = ((np.sign(beside) == np.sign(here)) & (np.abs(beside) > 0.25 * size)).any(0)
@@ -370,7 +378,8 @@ def _done_and_again(rows: Recording) -> tuple[str, str]:
     size = np.linalg.norm(rows.load_n, axis=1)
     if size.max() > 0.0:
         peak = int(size.argmax())
-        direction, half = rows.load_n[peak] / size[peak], 0.5**0.5
+        direction = rows.load_n[peak] / size[peak]
+        half = 0.5**0.5
         sides = {**DIRECTIONS, "up": (0.0, 0.0, 1.0), "up and to the left": (0.0, half, half)}
         along = {name: float(np.dot(side, direction)) for name, side in sides.items()}
         side = max(along, key=lambda name: along[name])

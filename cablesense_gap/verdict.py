@@ -340,7 +340,8 @@ def read_verdict(path: str | Path) -> Verdict:
         if first["type"] == "json_invalid":
             problem = f"not valid JSON ({first['ctx']['error']})"
         elif first["type"] == "string_pattern_mismatch":
-            key, pattern = ".".join(map(str, first["loc"])), first["ctx"]["pattern"]
+            key = ".".join(map(str, first["loc"]))
+            pattern = first["ctx"]["pattern"]
             problem = f"{key} = {str(first['input'])[:80]!r}: must be written as {pattern}"
         else:
             problem = describe_problem(error, Verdict)

@@ -86,9 +86,13 @@ def _picture(table: pd.DataFrame) -> bytes:
     at = range(len(table))
     with style():
         figure, axes = plt.subplots(
-            1 + len(shown), 1, figsize=(WIDTH_IN, 1.2 + 1.3 * (1 + len(shown))),
-            sharex=True, squeeze=False, layout="constrained",
-        )  # fmt: skip
+            1 + len(shown),
+            1,
+            figsize=(WIDTH_IN, 1.2 + 1.3 * (1 + len(shown))),
+            sharex=True,
+            squeeze=False,
+            layout="constrained",
+        )
         axes[0, 0].plot(at, table["gap"] / table["floor"], "o-", color=BEFORE)
         axes[0, 0].axhline(1.0, color=AFTER, lw=1.0)
         axes[0, 0].set_title("gap since the reference, by what the model leaves of it", pad=2)

@@ -51,7 +51,8 @@ def compile_sources(into: Path) -> None:
     """Make the libraries that Fast DDS loads by name, and Python's extension module."""
     import numpy as np
 
-    libraries, headers = Path(sys.prefix, "lib"), Path(sys.prefix, "include")
+    libraries = Path(sys.prefix, "lib")
+    headers = Path(sys.prefix, "include")
     includes = [into, *headers.iterdir(), headers, sysconfig.get_path("include"), np.get_include()]
     used = [
         f"-l:{library.name}"

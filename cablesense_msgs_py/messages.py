@@ -99,7 +99,8 @@ def joint_command_rad(message: Any, order: NamedOrder, present_rad: Array | None
         ContractError: none of the arm's joints is named, or one repeatedly, or an angle is not
             finite or out of reach.
     """
-    names, angles = message.name, message.position
+    names = message.name
+    angles = message.position
     if len(angles) != len(names):
         raise ContractError(f"position holds {len(angles)} values for {len(names)} names")
     named = [pair for pair in zip(names, angles, strict=True) if pair[0] in order.names]
@@ -190,7 +191,8 @@ class Contact(NamedTuple):
     ) -> Contact:
         """Of a force (3,) in the segment's frame at a place; where not `known`, of its moment."""
         along_n, y, z = force_n
-        size_n, moment_n_m = math.hypot(y, z), None
+        size_n = math.hypot(y, z)
+        moment_n_m = None
         if not known:
             size_n, moment_n_m = 0.0, contact_m * size_n
         angle_deg = math.degrees(math.atan2(y, z)) % 360.0
@@ -206,7 +208,8 @@ class Contact(NamedTuple):
     def wrench(self) -> tuple[float, float, float, float, float, float]:
         """The force, N, and its moment about the origin of the segment's frame, N·m."""
         y, z = self.direction
-        size, moment = self.magnitude_n, self.moment_n_m
+        size = self.magnitude_n
+        moment = self.moment_n_m
         if moment is None:
             moment = self.contact_m * size
         return self.along_n, size * y, size * z, 0.0, -moment * z, moment * y

@@ -22,7 +22,8 @@ MAX_CALIBRATION_BYTES = 1 << 25
 """The same of a calibration, with the covariance of all parameters; twelve cables have 170 kB."""
 MAX_NAMES = 4096
 """Far more joints than any arm has; a larger count is a malformed message."""
-_STAMP_AT, _HEAD_AT = 4, 12
+_STAMP_AT = 4
+_HEAD_AT = 12
 """After the encapsulation, and after the stamp."""
 _BYTE_ORDERS = {b"\0\0": ">", b"\0\1": "<"}
 _STAMPS = {encapsulation: struct.Struct(f"{o}iI") for encapsulation, o in _BYTE_ORDERS.items()}
@@ -81,8 +82,10 @@ class EffortReader:
             count = fields.doubles(field)
             fields.at += 8 * count
         count = fields.doubles("effort")
-        self._encapsulation, self._head = raw[:2], raw[_HEAD_AT : fields.at]
-        self._names, self._values = names, struct.Struct(f"{fields.order}{count}d")
+        self._encapsulation = raw[:2]
+        self._head = raw[_HEAD_AT : fields.at]
+        self._names = names
+        self._values = struct.Struct(f"{fields.order}{count}d")
         return fields.at
 
 
@@ -96,7 +99,9 @@ class _Fields:
     """Reads a message after its stamp, field by field; `at` is where the next one begins."""
 
     def __init__(self, raw: bytes, order: str) -> None:
-        self.raw, self.order, self.at = raw, order, _HEAD_AT
+        self.raw = raw
+        self.order = order
+        self.at = _HEAD_AT
 
     def count(self, field: str) -> int:
         self.at += -self.at % 4

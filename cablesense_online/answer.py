@@ -62,20 +62,28 @@ class Answer:
         Without a decided contact the lower end is none, and the upper is on the likeliest segment:
         this much may act unseen.
         """
-        estimate, segment = self.estimate, self.contact.segment
+        estimate = self.estimate
+        segment = self.contact.segment
         if estimate is None:
             return None
-        low_n, high_n = estimate.low_n if segment else 0.0, estimate.high_n
+        low_n = estimate.low_n if segment else 0.0
+        high_n = estimate.high_n
         if not segment:
             segment = 1 + int(estimate.probabilities[1:].argmax())
         half_deg = min(NORMAL_95 * estimate.angle_std_deg, _HALF_TURN_DEG)
-        low_m, high_m, moment_n_m = self.contact_m[segment - 1], self.contact_m[segment - 1], None
+        low_m = self.contact_m[segment - 1]
+        high_m = self.contact_m[segment - 1]
+        moment_n_m = None
         if (place := estimate.place) is not None:
-            low_m = high_m = place.place_m
+            low_m = place.place_m
+            high_m = low_m
             if self.contact.segment and not place.force_known:
                 # a weak force acts far from the joint, a strong one near
-                low_m, high_m, moment_n_m = place.high_m, place.low_m, place.moment_n_m
-        low_deg, high_deg = estimate.angle_deg - half_deg, estimate.angle_deg + half_deg
+                low_m = place.high_m
+                high_m = place.low_m
+                moment_n_m = place.moment_n_m
+        low_deg = estimate.angle_deg - half_deg
+        high_deg = estimate.angle_deg + half_deg
         upper = Contact(segment, high_deg, high_n, high_m, moment_n_m=moment_n_m)
         if low_n <= 0.0:
             return NO_CONTACT, upper
@@ -161,7 +169,8 @@ class ContactStatics:
     def at(self, pose_rad: Array) -> ContactStatics:
         """This object at a pose (2N,)."""
         if pose_rad is not self._pose_rad:
-            self._pose_rad, mechanism = pose_rad, self._mechanism
+            self._pose_rad = pose_rad
+            mechanism = self._mechanism
             self._axes = kinematics.segment_rotations(mechanism, pose_rad)
             at_joints = replace(mechanism, contact_m=np.zeros(mechanism.segment_count))
             self._joints_m = kinematics.contact_points_m(at_joints, pose_rad)
@@ -183,7 +192,8 @@ class ContactStatics:
         """(2N,) torques of all contacts at the joints."""
         torques = np.zeros(self._mechanism.joint_count)
         for contact in contacts:
-            n, (_, about_y, about_z) = contact.segment - 1, contact.wrench[3:]
+            n = contact.segment - 1
+            (_, about_y, about_z) = contact.wrench[3:]
             torques += contact.wrench[:3] @ self._by_force_m[n]
             torques += np.array([0.0, about_z, -about_y]) @ self._by_place[n]
         return torques.tolist()
@@ -195,7 +205,8 @@ class ContactStatics:
 
         The place varies along the segment's axis, the direction about it.
         """
-        n, (y, z) = contact.segment - 1, contact.direction
+        n = contact.segment - 1
+        (y, z) = contact.direction
         axes = self._axes[n]
         along = axes[:, 0]
         turn = axes @ np.array([[0.0, 0.0, 1.0], [y, -z, 0.0], [z, y, 0.0]])

@@ -34,7 +34,9 @@ from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 
 SET_POINTS_A_TURN: Final = 20
-_RISE, _LEAD, _FALL = 10, 10, 10
+_RISE = 10
+_LEAD = 10
+_FALL = 10
 """Set-points up to the full circle, until the arm has followed, and back."""
 _LOADED = 2.0
 """The circle still turns a cable at this multiple of its unloaded tension."""
@@ -51,7 +53,8 @@ SILENT_AFTER_S = 1.0
 """A breather that has sent nothing for this long in mid-breath is assumed to have gone."""
 _REST_S = 0.1
 """Readings at rest are averaged over this time to find the friction, and over one at least."""
-_FEWEST, _LARGEST_GAP = 8, 0.2
+_FEWEST = 8
+_LARGEST_GAP = 0.2
 """Readings of a turn, and the longest time between two of them, in turns."""
 _SHIFT_N = 1.0
 """Added before the logarithm: that of a slack cable's noise would weigh as much as a load's."""
@@ -106,7 +109,8 @@ class Breath:
         """The next deviation from the command (2N,), and its turn (`messages.breath_turn`)."""
         number = self._number
         self._number += 1
-        size, turn = min(1.0, number / _RISE), 0
+        size = min(1.0, number / _RISE)
+        turn = 0
         if number >= self._last:
             size = 1.0 - (number - self._last) / _FALL
         elif number >= self._first:
@@ -175,7 +179,8 @@ def breath_circle(
 def offsets_m(arm: Arm, command_rad: Array, deviation_rad: Array) -> Array:
     """(M,) change of the cable lengths by a deviation (2N,) from a command."""
     mechanism = mechanism_of(arm)
-    there, here = command_rad + deviation_rad, command_rad
+    there = command_rad + deviation_rad
+    here = command_rad
     return held_lengths_m(mechanism, there) - held_lengths_m(mechanism, here)
 
 
@@ -207,7 +212,8 @@ def _grip(arm: Arm, mechanism: Mechanism, command_rad: Array) -> tuple[Array, fl
     """(M,) μ θ of each cable, summed over its guides, and the give before it slips, m."""
     passed = mechanism.cable_segment[:, None] > np.arange(mechanism.segment_count)
     bends_rad = passed @ kinematics.bend_rad(command_rad) + _LOADED_BEND_RAD
-    grip, give_m = np.zeros(mechanism.cable_count), 0.0
+    grip = np.zeros(mechanism.cable_count)
+    give_m = 0.0
     for entry in entries_of(arm):
         if entry.effect.name == "capstan_friction":
             values = entry.values
@@ -276,8 +282,10 @@ class BreathReadings:
     def __init__(self, settle_s: float) -> None:
         """`settle_s` is waited after the end of a breath."""
         self._settle_ns = round(settle_s * 1e9)
-        self._heard, self._heard_s = False, 0.0
-        self._lasting, self._problem = False, ""
+        self._heard = False
+        self._heard_s = 0.0
+        self._lasting = False
+        self._problem = ""
         self.learnt = False
         self.state = BreathState()
 
@@ -287,7 +295,8 @@ class BreathReadings:
         `lasting` marks an offset of the cables that is no breath's and need not be repeated.
         """
         state = self.state
-        self._heard, self._lasting = True, lasting
+        self._heard = True
+        self._lasting = lasting
         if turn == self._latest_turn:
             return False
         if state.mark_ns:  # no reading came since the previous mark
@@ -295,7 +304,8 @@ class BreathReadings:
             self._lose_turn()
         if not self.breathing:
             self._problem = ""
-        state.mark_turn, state.mark_ns = turn, stamp_ns
+        state.mark_turn = turn
+        state.mark_ns = stamp_ns
         return True
 
     def silent(self, now_s: float) -> bool:
@@ -304,19 +314,23 @@ class BreathReadings:
         To be asked again and again, at monotonic times `now_s`.
         """
         if self._heard or not self.breathing or self._lasting:
-            self._heard, self._heard_s = False, now_s
+            self._heard = False
+            self._heard_s = now_s
         return now_s - self._heard_s > SILENT_AFTER_S
 
     def give_up(self, problem: str) -> None:
         """End the breath here, without any knowledge of friction, for a `problem`."""
         self._enter(BREATH_END, 0)
         self.moved()
-        self.state.mark_ns, self._problem = 0, problem
+        self.state.mark_ns = 0
+        self._problem = problem
 
     def moved(self) -> None:
         """Forget the friction: it is unknown where the arm was commanded to."""
-        self.state.reading_n = self.state.offset_n = _NONE
-        self.state.from_ns = self.state.ended_ns = 0
+        self.state.reading_n = _NONE
+        self.state.offset_n = self.state.reading_n
+        self.state.from_ns = 0
+        self.state.ended_ns = 0
 
     @property
     def _latest_turn(self) -> int:
@@ -336,7 +350,8 @@ class BreathReadings:
         self, tensions_n: Sequence[float], stamp_ns: int
     ) -> Sequence[float] | None:
         """The tensions to answer from at a reading (M,), N; None before a breath has a result."""
-        self.learnt, state = False, self.state
+        self.learnt = False
+        state = self.state
         if state.mark_ns:
             self._pass_mark(tensions_n, stamp_ns)
         elif state.turn > 0:
@@ -370,7 +385,8 @@ class BreathReadings:
         elif state.ended_ns:
             message = "coming to rest after a breath"
         elif loop_n.size:
-            level, message = Level.WARN, "moved since the last breath: friction is in the readings"
+            level = Level.WARN
+            message = "moved since the last breath: friction is in the readings"
         else:
             return None
         return Status("breathing", level, message, values)
@@ -410,15 +426,24 @@ class BreathReadings:
         state = self.state
         seen_from_its_beginning = state.turn != BREATH_END
         if not seen_from_its_beginning:
-            state.reading_n = state.offset_n = _NONE
+            state.reading_n = _NONE
+            state.offset_n = state.reading_n
         state.turn = turn
-        state.from_ns = state.last_ns = state.count = state.gap_ns = 0
-        state.ended_ns = state.rest_count = 0
+        state.from_ns = 0
+        state.last_ns = 0
+        state.count = 0
+        state.gap_ns = 0
+        state.ended_ns = 0
+        state.rest_count = 0
         if turn > 0 and seen_from_its_beginning:
-            state.from_ns = state.last_ns = at_ns
-            state.sum_log_n = state.lowest_n = state.highest_n = _NONE
+            state.from_ns = at_ns
+            state.last_ns = state.from_ns
+            state.sum_log_n = _NONE
+            state.lowest_n = state.sum_log_n
+            state.highest_n = state.sum_log_n
         elif turn == BREATH_END:
-            state.ended_ns, state.rest_n = at_ns, _NONE
+            state.ended_ns = at_ns
+            state.rest_n = _NONE
 
     def _add(self, tensions_n: Sequence[float], until_ns: int) -> None:
         """Weight a reading by the time since the previous one."""
@@ -431,7 +456,9 @@ class BreathReadings:
         passed_ns = until_ns - state.last_ns
         weighted = np.log(np.maximum(reading, 0.0) + _SHIFT_N) * (1e-9 * passed_ns)
         if not state.count:
-            state.sum_log_n, state.lowest_n, state.highest_n = weighted, reading, reading
+            state.sum_log_n = weighted
+            state.lowest_n = reading
+            state.highest_n = reading
         else:
             state.sum_log_n = state.sum_log_n + weighted
             state.lowest_n = np.minimum(state.lowest_n, reading)

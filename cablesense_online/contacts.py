@@ -191,7 +191,8 @@ class LawContacts:
         moment_n_m = math.hypot(around_y, around_z)
         if not known:
             # the direction of the force, by its moment: around_z = s f_y, around_y = -s f_z
-            y, z = around_z, -around_y
+            y = around_z
+            z = -around_y
         along_std_n = float(seen.contact_covariance[0, 1, 1]) ** 0.5
         return Contact(
             judgement.segment,

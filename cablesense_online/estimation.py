@@ -316,7 +316,8 @@ class Estimation:
         update = dict(zip(LIVE_SETTINGS, values, strict=True))
         self.settings = self.settings.model_copy(update=update)
         self.contacts.threshold(contact_threshold)
-        self.clock.stale_after_s = self.publisher.stale_after_s = stale_after_s
+        self.clock.stale_after_s = stale_after_s
+        self.publisher.stale_after_s = self.clock.stale_after_s
         self.check.slack_below_n = slack_below_n
 
     def start(self, now_s: float) -> None:

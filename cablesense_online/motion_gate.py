@@ -21,14 +21,17 @@ from cablesense_sim.joint_motion import SHORTEST_MOVE_S, JointMotion
 _POSE_STEP_RAD = 2e-3
 """The pose follows a set-point in motion only beyond this distance: a new pose costs
 milliseconds."""
-_BLIND_S, _SOME_COMMANDS = 3.0, 3
+_BLIND_S = 3.0
+_SOME_COMMANDS = 3
 """A warning is due after this time without an estimate, if this number of commands came."""
-_KEPT, _NOISE = 0.8, 0.5
+_KEPT = 0.8
+_NOISE = 0.5
 """Changes of the command are averaged, and each new average keeps the first share of the last one.
 Changes by noise cancel: their mean is less than the second share of their mean size."""
 _ROUNDING_S = 1e-6
 """Waits that differ by less are the same: stamps are whole nanoseconds."""
-_SETTLED, _SWINGS = 3.0, 2.0
+_SETTLED = 3.0
+_SWINGS = 2.0
 """A swing falls to a twentieth within `settle_s`, and is forgotten after twice that time."""
 _CLOCK_JITTER_S = 0.02
 """Between the stamps' clock and the monotonic one; a larger difference means a clock was set."""
@@ -152,13 +155,15 @@ class MotionGate:
             return False
         if not self.follows(command_rad):
             self._starting = True
-        state, turn_rad = self.state, command_rad - self.command_rad
+        state = self.state
+        turn_rad = command_rad - self.command_rad
         earlier_rad = state.net_turn_rad if state.net_turn_rad.size else np.zeros(len(turn_rad))
         state.net_turn_rad = _KEPT * earlier_rad + (1.0 - _KEPT) * turn_rad
         size_rad = float(np.linalg.norm(turn_rad))
         state.turns_rad = _KEPT * state.turns_rad + (1.0 - _KEPT) * size_rad
         state.command_rad = command_rad.copy()
-        self._heading, self._resting = True, False
+        self._heading = True
+        self._resting = False
         self._commands_since += 1
         return True
 
@@ -179,7 +184,9 @@ class MotionGate:
 
     def wait_anew(self) -> None:
         """Wait, from the next sample on, as after a command to the present pose."""
-        self._starting, self._heading, self._resting = True, True, False
+        self._starting = True
+        self._heading = True
+        self._resting = False
 
     def moving(self, stamp_ns: int, now_ns: int, now_s: float) -> bool:
         """Whether the arm may still move, or swing, at the next sample's stamp.
@@ -189,8 +196,12 @@ class MotionGate:
         if self._resting and stamp_ns >= self._last_ns:
             self._last_ns = stamp_ns
             return False
-        state, course, last_ns = self.state, self._course, self._last_ns
-        self.step, self._resting, self._last_ns = 0, False, stamp_ns
+        state = self.state
+        course = self._course
+        last_ns = self._last_ns
+        self.step = 0
+        self._resting = False
+        self._last_ns = stamp_ns
         if stamp_ns < last_ns:
             state.rest_from_ns -= last_ns - stamp_ns
             state.course_from_ns -= last_ns - stamp_ns
@@ -229,7 +240,8 @@ class MotionGate:
             state.rest_from_ns = latest_ns
         if changed or first:
             self._rest_from_s = sampled_s + (state.rest_from_ns - stamp_ns) * 1e-9
-        self._heading = self._starting = False
+        self._heading = False
+        self._starting = False
 
     def _may_move(self, stamp_ns: int, now_s: float) -> bool:
         state = self.state
@@ -244,15 +256,18 @@ class MotionGate:
             state.course_from_ns += rest_from_ns - state.rest_from_ns
             state.turned_ns += rest_from_ns - state.rest_from_ns
             self._course.at(max(0, stamp_ns - state.course_from_ns) * 1e-9)
-        state.rest_from_ns, self.step = rest_from_ns, 1
+        state.rest_from_ns = rest_from_ns
+        self.step = 1
         return True
 
     def _swing(self, stamp_ns: int) -> None:
         """Note the accelerations of the set-points, or the decayed earlier ones if larger."""
-        state, now_rad_s2 = self.state, np.abs(self._course.state[2])
+        state = self.state
+        now_rad_s2 = np.abs(self._course.state[2])
         if self._swinging:
             now_rad_s2 = np.maximum(now_rad_s2, state.swing_rad_s2 * self._left_of_swing())
-        state.swing_rad_s2, state.swung_ns = now_rad_s2, stamp_ns
+        state.swing_rad_s2 = now_rad_s2
+        state.swung_ns = stamp_ns
 
     @property
     def _swinging(self) -> bool:
@@ -276,7 +291,8 @@ class MotionGate:
     def estimated(self, known: bool) -> None:
         """Note whether the last sample had an estimate; a long time without one is reported."""
         if known:
-            self._blind_since_ns, self._commands_since = None, 0
+            self._blind_since_ns = None
+            self._commands_since = 0
         elif self._blind_since_ns is None:
             self._blind_since_ns = self._last_ns
 
@@ -296,9 +312,11 @@ class MotionGate:
         blind_s = 0.0
         if self._blind_since_ns is not None and self._commands_since >= _SOME_COMMANDS:
             blind_s = (self._last_ns - self._blind_since_ns) * 1e-9
-        level, message = Level.WARN, ""
+        level = Level.WARN
+        message = ""
         if refused:
-            level, message = Level.ERROR, "a command was refused; see the log"
+            level = Level.ERROR
+            message = "a command was refused; see the log"
         elif blind_s > _BLIND_S and (self.shut or self.turning):
             message = (
                 f"moving: no estimate for {blind_s:.0f} s, as commands continue that exceed "
@@ -306,7 +324,8 @@ class MotionGate:
                 "lags behind them"
             )
         elif self.shut or self.turning:
-            level, message = Level.OK, "moving slowly: its set-points are followed"
+            level = Level.OK
+            message = "moving slowly: its set-points are followed"
             if self.shut:
                 message = "moving: no estimate until the arm rests"
         elif max(map(abs, command_deg)) > pose_range_deg + 1e-6:
@@ -314,5 +333,6 @@ class MotionGate:
         elif not received:
             message = "none received: arm assumed to be straight"
         else:
-            level, message = Level.OK, "at rest"
+            level = Level.OK
+            message = "at rest"
         return Status("joint_commands", level, message, values)

@@ -53,7 +53,8 @@ class SampleCheck:
 
     def __init__(self, range_n: tuple[float, float] | None, slack_below_n: float) -> None:
         """`range_n` is the sensors' range, if the arm file gives one."""
-        self._given, self._range_n = range_n is not None, range_n or PLAUSIBLE_N
+        self._given = range_n is not None
+        self._range_n = range_n or PLAUSIBLE_N
         self.slack_below_n = slack_below_n
         self.slack: tuple[int, ...] = ()
 
@@ -85,7 +86,8 @@ class SampleCheck:
         numbered = enumerate(tensions_n, start=1)
         cable, tension = next((n, t) for n, t in numbered if not low < t < high)
         if not isfinite(tension):
-            kind, text = ProblemKind.NOT_FINITE, "; it must be a finite number"
+            kind = ProblemKind.NOT_FINITE
+            text = "; it must be a finite number"
         elif not self._given:
             text = f"; no cable of such an arm is outside {low:g} … {high:g} N"
             kind = ProblemKind.IMPLAUSIBLE
@@ -109,7 +111,8 @@ class SampleClock:
     def __init__(self, stale_after_s: float) -> None:
         self.stale_after_s = stale_after_s
         self.largest_age_s = 0.0
-        self._last_ns = self._last_now_ns = 0
+        self._last_ns = 0
+        self._last_now_ns = 0
 
     def accept(self, stamp_ns: int, now_ns: int) -> None:
         """Accept the stamp of a sample that comes at `now_ns`.
@@ -117,7 +120,8 @@ class SampleClock:
         Raises:
             SampleError: the stamp cannot be that of a present sample.
         """
-        age_s, problem = (now_ns - stamp_ns) * 1e-9, ""
+        age_s = (now_ns - stamp_ns) * 1e-9
+        problem = ""
         behind_ns = self._last_ns - stamp_ns
         stepped_back = now_ns < self._last_now_ns and behind_ns >= self.stale_after_s * 1e9
         if stamp_ns == 0:
@@ -140,7 +144,8 @@ class SampleClock:
             )
         if problem:
             raise SampleError(ProblemKind.CLOCK, f"header.stamp {problem}")
-        self._last_ns, self._last_now_ns = stamp_ns, now_ns
+        self._last_ns = stamp_ns
+        self._last_now_ns = now_ns
         self.largest_age_s = max(self.largest_age_s, age_s)
 
 
@@ -170,11 +175,13 @@ class FollowedPublisher:
     def __init__(self, stale_after_s: float = 0.2) -> None:
         self.stale_after_s = stale_after_s
         self.refused_s = float("-inf")
-        self.lost = self._publishers = 0
+        self.lost = 0
+        self._publishers = 0
         self._last: int | None = None
         self._others: deque[int] = deque(maxlen=_OTHERS_KEPT)
         self._others_since_s: float | None = None
-        self._one_was_followed = self._in_doubt = False
+        self._one_was_followed = False
+        self._in_doubt = False
 
     def matched(self, publishers: int) -> None:
         """Set the number of publishers that are present now."""
@@ -196,10 +203,12 @@ class FollowedPublisher:
         if self._others or self._publishers > 1:
             if number != last + 1 or last in self._others:
                 return self._other(number, last, now_s)
-            self._last, self._others_since_s = number, None
+            self._last = number
+            self._others_since_s = None
             if self._publishers < 2:
                 self._others.clear()
-            in_doubt, self._in_doubt = self._in_doubt, False
+            in_doubt = self._in_doubt
+            self._in_doubt = False
             return in_doubt
         if number != _UNNUMBERED:
             if not last < number <= last + _MOST_LOST:
@@ -230,8 +239,10 @@ class FollowedPublisher:
 
     def _follow(self, number: int) -> bool:
         another = self._one_was_followed or self._publishers > 1
-        self._one_was_followed, self._in_doubt = True, False
-        self._last, self._others_since_s = number, None
+        self._one_was_followed = True
+        self._in_doubt = False
+        self._last = number
+        self._others_since_s = None
         self._others.clear()
         return another
 
@@ -241,17 +252,23 @@ class InputHealth:
 
     def __init__(self, clock: SampleClock, publisher: FollowedPublisher, now_s: float) -> None:
         """Counts from monotonic time `now_s` on; ages and lost samples are those of the others."""
-        self._clock, self._publisher = clock, publisher
+        self._clock = clock
+        self._publisher = publisher
         clock.largest_age_s = 0.0
-        self._report_s = self._last_arrival_s = now_s
-        self._received, self._last_problem = False, ""
-        self._arrived = self._total_missing = self._total_refused = 0
+        self._report_s = now_s
+        self._last_arrival_s = self._report_s
+        self._received = False
+        self._last_problem = ""
+        self._arrived = 0
+        self._total_missing = 0
+        self._total_refused = 0
         self._refused: Counter[ProblemKind] = Counter()
 
     def arrived(self, now_s: float) -> None:
         """Count a message, whatever its content."""
         self._arrived += 1
-        self._received, self._last_arrival_s = True, now_s
+        self._received = True
+        self._last_arrival_s = now_s
 
     def refused(self, problem: SampleError) -> None:
         """Count a sample that could not be used."""
@@ -269,7 +286,8 @@ class InputHealth:
         `lost` samples were reported by the middleware since then; `publisher_count` publishers are
         on the topic.
         """
-        missing, self._publisher.lost = max(lost, self._publisher.lost), 0
+        missing = max(lost, self._publisher.lost)
+        self._publisher.lost = 0
         self._total_missing += missing
         rate = self._arrived / max(now_s - self._report_s, 1e-9)
         level, message = self._verdict(now_s, missing, publisher_count)
@@ -285,7 +303,9 @@ class InputHealth:
         values |= {f"refused: {kind.value}": str(count) for kind, count in self._refused.items()}
         if self._last_problem:
             values["last refusal"] = self._last_problem
-        self._report_s, self._arrived, self._clock.largest_age_s = now_s, 0, 0.0
+        self._report_s = now_s
+        self._arrived = 0
+        self._clock.largest_age_s = 0.0
         self._refused.clear()
         return Status("cable_tensions", level, message, values)
 

@@ -148,7 +148,9 @@ def raw_reading(load: KnownLoad, as_recorded: ChannelMap, recording: Recording |
         raise CommissioningError(
             f"{where} gives start_s and end_s; give the recording as well, or the reading as raw"
         )
-    time_s, start_s, end_s = recording.time_s, load.start_s or 0.0, load.end_s or 0.0
+    time_s = recording.time_s
+    start_s = load.start_s or 0.0
+    end_s = load.end_s or 0.0
     rows = (time_s >= start_s) & (time_s <= end_s)
     if rows.sum() < FEWEST_SAMPLES:
         raise CommissioningError(
@@ -181,7 +183,9 @@ def calibrate_sensor(
             do not follow the loads.
     """
     _require_enough(cable, force_n)
-    low_n, high_n, freedom = float(force_n.min()), float(force_n.max()), len(force_n) - 2
+    low_n = float(force_n.min())
+    high_n = float(force_n.max())
+    freedom = len(force_n) - 2
     line = linregress(force_n, raw)
     coverage = float(student_t.ppf(0.975, freedom))
     moves = abs(line.slope) * (high_n - low_n) > LEAST_CHANGE * np.abs(raw).max()
@@ -231,7 +235,9 @@ def calibrate_sensor(
 
 
 def _require_enough(cable: str, force_n: Array) -> None:
-    low_n, high_n, sizes = float(force_n.min()), float(force_n.max()), len(np.unique(force_n))
+    low_n = float(force_n.min())
+    high_n = float(force_n.max())
+    sizes = len(np.unique(force_n))
     text = ""
     if len(force_n) < FEWEST_POINTS:
         text = f"only {len(force_n)} loads; at least {FEWEST_POINTS} are needed, better ten: up "
@@ -252,7 +258,8 @@ def characteristics(force_n: Array, residual_n: Array) -> tuple[float, float | N
     largest load ends the rising side and starts the falling side, so it shows no hysteresis.
     """
     groups: dict[tuple[float, bool], list[float]] = {}
-    rising, before_n = True, -1.0
+    rising = True
+    before_n = -1.0
     for load_n, off_n in zip(force_n.tolist(), residual_n.tolist(), strict=True):
         rising = rising if load_n == before_n else load_n > before_n
         groups.setdefault((load_n, rising), []).append(off_n)

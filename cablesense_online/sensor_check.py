@@ -55,7 +55,8 @@ class CommissioningError(CableSenseError):
 
 def rows_at_rest(recording: Recording) -> NDArray[np.bool_]:
     """(R,) the rows of the most frequent pose without load, after settling."""
-    at_rest, time_s = recording.load_segment == 0, recording.time_s
+    at_rest = recording.load_segment == 0
+    time_s = recording.time_s
     if at_rest.any():
         _, pose = np.unique(recording.command_rad, axis=0, return_inverse=True)
         pose = pose.reshape(-1)
@@ -90,10 +91,13 @@ def channel_statistics(
     recording: Recording, cable_names: Sequence[str], at_rest: NDArray[np.bool_], rate_hz: float
 ) -> tuple[ChannelStatistics, ...]:
     """Statistics of every sensor; `at_rest` (R,) marks the readings at rest."""
-    read_n, rest_s = recording.tensions_n, recording.time_s[at_rest]
+    read_n = recording.tensions_n
+    rest_s = recording.time_s[at_rest]
     rest_n = read_n[at_rest]
     enough = len(rest_n) >= WINDOW_SAMPLES
-    noise_n = drift_n = mean_n = read_n.mean(axis=0)
+    noise_n = read_n.mean(axis=0)
+    drift_n = noise_n
+    mean_n = noise_n
     if enough:
         size = min(max(WINDOW_SAMPLES, round(WINDOW_S * rate_hz)), len(rest_n))
         windows = rest_n[: len(rest_n) // size * size].reshape(-1, size, rest_n.shape[1])
@@ -216,7 +220,8 @@ def judge_pull(
     Raises:
         CommissioningError: too few readings before or during the pull.
     """
-    time_s, read_n = recording.time_s, recording.tensions_n
+    time_s = recording.time_s
+    read_n = recording.tensions_n
     before = (time_s >= pull.start_s - BEFORE_S) & (time_s < pull.start_s)
     during = (time_s >= pull.start_s) & (time_s <= pull.end_s)
     if min(before.sum(), during.sum()) < FEWEST_SAMPLES:
@@ -320,7 +325,8 @@ def check_sensors(
     pulls: Sequence[Pull] = (),
 ) -> SensorReport:
     """Check readings of these cables; pulls, and the settling after them, do not count as rest."""
-    timing, time_s = timing_statistics(recording), recording.time_s
+    timing = timing_statistics(recording)
+    time_s = recording.time_s
     results = tuple(judge_pull(recording, cable_names, pull, expected.floor_n) for pull in pulls)
     at_rest = rows_at_rest(recording)
     for pull in pulls:
@@ -390,7 +396,8 @@ def _channel_findings(
         yield SensorFinding(True, "range", cable, text)
     if channel.lowest_n == channel.highest_n:
         text = f"stands at {channel.mean_n:.2f} N to the last bit"
-        moving, resting = " while others move; check plug and sensor", "; pull it to see it move"
+        moving = " while others move; check plug and sensor"
+        resting = "; pull it to see it move"
         yield SensorFinding(
             others_move, "stuck", cable, text + (moving if others_move else resting)
         )

@@ -23,9 +23,12 @@ class RealTimePacer:
     """
 
     def __init__(self, timestep_s: float, longest_lag_s: float, now_s: float) -> None:
-        self._timestep_s, self._longest_lag_s = timestep_s, longest_lag_s
-        self._start_s = self._report_s = now_s
-        self._steps = self._report_steps = 0
+        self._timestep_s = timestep_s
+        self._longest_lag_s = longest_lag_s
+        self._start_s = now_s
+        self._report_s = self._start_s
+        self._steps = 0
+        self._report_steps = 0
         self.skipped_s = 0.0
 
     def steps_due(self, now_s: float) -> int:
@@ -44,7 +47,8 @@ class RealTimePacer:
         """Simulated time over real time since the last call."""
         real_s = now_s - self._report_s
         simulated_s = (self._steps - self._report_steps) * self._timestep_s
-        self._report_s, self._report_steps = now_s, self._steps
+        self._report_s = now_s
+        self._report_steps = self._steps
         return simulated_s / real_s if real_s > 0.0 else 1.0
 
 
@@ -85,7 +89,8 @@ class SimulatedArm:
         self._loads: dict[int, tuple[Load, float]] = {}
         self.pacer = RealTimePacer(timestep_s, longest_lag_s, now_s)
         self._sensings = sensings
-        self._began_s = self._now_s = now_s
+        self._began_s = now_s
+        self._now_s = self._began_s
         self.resets = 0
 
     @property

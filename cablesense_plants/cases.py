@@ -14,7 +14,8 @@ import pandas as pd
 from cablesense_base import CableSenseError
 from cablesense_base.files import written_whole
 
-NONE, UNKNOWN = "none", "unknown"
+NONE = "none"
+UNKNOWN = "unknown"
 """Answers if nothing is hidden, and if verdicts have no name for the change."""
 
 NO_FAULT: Any = np.float64(0.0)

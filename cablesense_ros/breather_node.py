@@ -44,8 +44,10 @@ class BreatherNode(Node):
 
     def __init__(self) -> None:
         super().__init__("breather")
-        self._given = given = declare_parameters(self, parameter_table("breather"))
-        self._arm = arm = open_arm(given["arm"])
+        self._given = declare_parameters(self, parameter_table("breather"))
+        given = self._given
+        self._arm = open_arm(given["arm"])
+        arm = self._arm
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._by_joints = given["over"] == topics.JOINT_COMMANDS
         names = arm.joint_names if self._by_joints else arm.cable_names
@@ -53,9 +55,11 @@ class BreatherNode(Node):
         self._base_rad: Array | None = None
         if not given["await_command"]:
             self._base_rad = np.zeros(arm.joint_count)
-        self._commanded_ns = self._due_ns = 0
+        self._commanded_ns = 0
+        self._due_ns = 0
         self._breath: Breath | None = None
-        self._problem, self._count = "", 0
+        self._problem = ""
+        self._count = 0
         self._tick_ns = round(given["turn_s"] * 1e9 / SET_POINTS_A_TURN)
         self._out = self.create_publisher(JointState, given["over"], qos_profile(COMMAND))
         self._refuse = RefusalLog(self)
@@ -127,12 +131,14 @@ class BreatherNode(Node):
             latest = *self._breath.next(), self._due_ns
             self._due_ns += self._tick_ns
             if self._breath.over:
-                self._breath, self._count = None, self._count + 1
+                self._breath = None
+                self._count = self._count + 1
         if latest is not None:
             self._send(*latest)
 
     def _send(self, deviation_rad: Array, turn: int, stamp_ns: int) -> None:
-        message, base_rad = self._message, self._base_rad
+        message = self._message
+        base_rad = self._base_rad
         assert base_rad is not None  # or there would be no breath
         message.header.frame_id = breath_frame(turn)
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)

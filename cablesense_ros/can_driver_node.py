@@ -105,7 +105,8 @@ class CanDriverNode(ConfiguredNode):
         """In the receiving thread, as a turn through the executor would cost latency."""
         whole_s = int(sample.time_s)
         stamp = self._tensions.header.stamp
-        stamp.sec, stamp.nanosec = whole_s, min(int((sample.time_s - whole_s) * 1e9), 999_999_999)
+        stamp.sec = whole_s
+        stamp.nanosec = min(int((sample.time_s - whole_s) * 1e9), 999_999_999)
         put_tensions(self._tensions, sample.tensions_n)
         self._tensions_out.publish(self._tensions)
 

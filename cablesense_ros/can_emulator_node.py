@@ -41,7 +41,8 @@ class CanEmulatorNode(Node):
     def __init__(self) -> None:
         super().__init__("can_emulator")
         given = declare_parameters(self, parameter_table("can_emulator"))
-        link, bitrate_bit_s = given["channel"], given["bitrate_bit_s"]
+        link = given["channel"]
+        bitrate_bit_s = given["bitrate_bit_s"]
         if bitrate_bit_s and given["interface"] == SLCAN_PORT:
             raise ParameterError(
                 "parameter bitrate_bit_s has no effect on slcan_port: who opens the adapter sets "
@@ -106,12 +107,16 @@ class CanEmulatorNode(Node):
 
     def _statuses(self) -> list[Status]:
         cycles = self._emulator.cycles
-        recent, self._reported_cycles = cycles - self._reported_cycles, cycles
-        level, message = Level.OK, "sending"
+        recent = cycles - self._reported_cycles
+        self._reported_cycles = cycles
+        level = Level.OK
+        message = "sending"
         if self._emulator.fault:
-            level, message = Level.WARN, f"faulty on request: {self._emulator.fault}"
+            level = Level.WARN
+            message = f"faulty on request: {self._emulator.fault}"
         elif not recent:
-            level, message = Level.STALE, f"nothing on {topics.SIMULATED_TENSIONS}"
+            level = Level.STALE
+            message = f"nothing on {topics.SIMULATED_TENSIONS}"
         values = {
             "cycles": str(cycles),
             "frames dropped": str(self._emulator.dropped),

@@ -67,7 +67,8 @@ class CommissionerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("commissioner")
-        self._given = given = declare_parameters(self, parameter_table("commissioner"))
+        self._given = declare_parameters(self, parameter_table("commissioner"))
+        given = self._given
         loaded = load_model(given["arm"], given["model"])
         if not isinstance(loaded.model, LawModel):
             raise ModelFileError(
@@ -75,7 +76,8 @@ class CommissionerNode(Node):
                 "with `cablesense export`"
             )
         self._law = loaded.model
-        self._arm = arm = loaded.arm
+        self._arm = loaded.arm
+        arm = self._arm
         self._settings = CommissioningSettings(
             joint_speed_rad_s=given["joint_speed_rad_s"],
             settle_s=given["settle_s"],

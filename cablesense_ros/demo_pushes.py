@@ -31,11 +31,13 @@ from cablesense_online.page.snapshot import (
 from cablesense_ros.arm_client import ArmClient
 from cablesense_sim.load_capacity import USUAL_CONTACT_N
 
-PUSH_S, SHORTEST_SLOT_S = 3.0, 4.0
+PUSH_S = 3.0
+SHORTEST_SLOT_S = 4.0
 """Each push is held this long. A pause before it fills its slot."""
 MOVE_S = 3.0
 """A move of the joints may take this long until the arm rests again."""
-WEAKEST, STRONGEST = 0.025, 0.6
+WEAKEST = 0.025
+STRONGEST = 0.6
 """Pushes, as shares of the strongest contact that the arm's networks learn."""
 MOST_ALONG = 0.2
 """Largest axial part, as a share of the normal force: below the friction of most surfaces."""
@@ -84,7 +86,8 @@ def make_script(
         raise ScriptError(
             f"duration is {duration_s:g} s; one push takes {SHORTEST_SLOT_S:g} s at least"
         )
-    rng, segment_count = np.random.default_rng(seed), len(reach_m)
+    rng = np.random.default_rng(seed)
+    segment_count = len(reach_m)
     straight_count = max(1, int(0.5 * duration_s / SHORTEST_SLOT_S))
     posed_count = int((duration_s - straight_count * SHORTEST_SLOT_S) / (SHORTEST_SLOT_S + MOVE_S))
     script = []
@@ -134,7 +137,8 @@ def play_script(
             due.append((push.move_s, partial(client.command, push.command_rad)))
         due.append((push.start_s, partial(client.push, push.contact)))
         due.append((push.end_s, partial(client.push, NO_CONTACT)))
-    times_s, snapshots = [], []
+    times_s = []
+    snapshots = []
     start_s = time.monotonic()
     while (now_s := time.monotonic() - start_s) < script[-1].end_s:
         check()
@@ -198,7 +202,8 @@ class PushResult:
 
         If only the moment about the joint is known, its error replaces those of place and force.
         """
-        found, true = self.estimate, self.push.contact
+        found = self.estimate
+        true = self.push.contact
         if found is None or not self.segment_right:
             return {}
         errors = {"direction_deg": angle_error_deg(found.angle_deg, true.angle_deg)}
@@ -343,7 +348,8 @@ def results_table(results: Sequence[PushResult]) -> Table:
         table.add_column(f"{name}\nerror", mean, justify="right")
     straight = sum(not result.push.command_rad.any() for result in results)
     for number, result in enumerate(results, start=1):
-        true, errors = result.push.contact, result.errors
+        true = result.push.contact
+        errors = result.errors
         table.add_row(
             f"{true.segment} {1e3 * true.contact_m:4.0f} mm {true.angle_deg:6.1f}° "
             f"{true.magnitude_n:6.1f} N",

@@ -45,7 +45,8 @@ from cablesense_online.samples import FollowedPublisher, SampleError
 
 def qos_profile(qos: Qos) -> QoSProfile:
     """A new profile: rclpy writes overrides into the one it is given."""
-    durable, reliable = qos.transient_local, qos.reliable
+    durable = qos.transient_local
+    reliable = qos.reliable
     profile = QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
         depth=qos.depth,
@@ -95,9 +96,11 @@ def serve(node: Node, service: str, act: Callable[[], str]) -> None:
 
     def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            response.success, response.message = True, act()
+            response.success = True
+            response.message = act()
         except CableSenseError as error:
-            response.success, response.message = False, str(error)
+            response.success = False
+            response.message = str(error)
             node.get_logger().warning(f"{service.removeprefix('~/')}: {error}")
         return response
 
@@ -200,14 +203,16 @@ class RefusalLog:
     """
 
     def __init__(self, node: Node, what: str = "message refused") -> None:
-        self._node, self._what = node, what
+        self._node = node
+        self._what = what
         self._logged_s: dict[tuple[str, object], float] = {}
         self.count = 0
 
     def __call__(self, topic: str, error: CableSenseError) -> None:
         """Count it, and warn."""
         self.count += 1
-        kind, now_s = (topic, getattr(error, "kind", type(error))), time.monotonic()
+        kind = (topic, getattr(error, "kind", type(error)))
+        now_s = time.monotonic()
         if now_s - self._logged_s.get(kind, -math.inf) >= WARN_EVERY_S:
             self._logged_s[kind] = now_s
             self._node.get_logger().warning(f"{topic}: {self._what}: {error}")
@@ -266,8 +271,11 @@ class CommandInput:
         take: Callable[[JointState], object],
     ) -> None:
         """`take` gets the commands, `present_rad` gives the one in force (2N,)."""
-        self._node, self._refuse, self._take = node, refuse, take
-        self._joint_names, self._present_rad = list(joint_names), present_rad
+        self._node = node
+        self._refuse = refuse
+        self._take = take
+        self._joint_names = list(joint_names)
+        self._present_rad = present_rad
         self._command = JointState()
         self._times_s: Array = np.zeros(0)
         self._positions_rad: Array = np.zeros((0, 0))
@@ -285,7 +293,8 @@ class CommandInput:
         self._node.destroy_timer(self._timer)
 
     def _begin(self, message: JointTrajectory) -> None:
-        names, points = list(message.joint_names), message.points
+        names = list(message.joint_names)
+        points = message.points
         for point in points:
             if len(point.positions) != len(names):
                 raise ContractError(
@@ -301,12 +310,14 @@ class CommandInput:
             first = dict(zip(names, positions_rad[0], strict=True)) | present
             times_s = np.insert(times_s, 0, 0.0)
             positions_rad = np.vstack([[first[name] for name in names], positions_rad])
-        stamp, now_ns = message.header.stamp, self._node.get_clock().now().nanoseconds
+        stamp = message.header.stamp
+        now_ns = self._node.get_clock().now().nanoseconds
         stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
         late_s = (now_ns - stamp_ns) * 1e-9 if stamp_ns else 0.0
         self._start_s = time.monotonic() - late_s
         self._command.name = names
-        self._times_s, self._positions_rad = times_s, positions_rad
+        self._times_s = times_s
+        self._positions_rad = positions_rad
 
     def _follow(self) -> None:
         passed_s = time.monotonic() - self._start_s

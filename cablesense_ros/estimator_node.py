@@ -68,7 +68,8 @@ class EstimatorNode(ConfiguredNode):
             message_lost=self._on_lost,
         )
         at_end(self.destroy_subscription, samples)
-        refuse, arm = self._refuse_command, self._loaded.arm
+        refuse = self._refuse_command
+        arm = self._loaded.arm
         offset = self._estimation.offset
         offsets = refuse.subscribe(JointState, topics.CABLE_OFFSETS, COMMAND, offset)
         at_end(self.destroy_subscription, offsets)
@@ -88,7 +89,8 @@ class EstimatorNode(ConfiguredNode):
         at_end(self._publish_zero)  # none is left standing
 
     def _configure(self, given: dict[str, Any]) -> None:
-        self._loaded = loaded = load_model(given["arm"], given["model"])
+        self._loaded = load_model(given["arm"], given["model"])
+        loaded = self._loaded
         arm = loaded.arm
         settings = EstimationSettings.model_validate(given)
         calibration = loaded.calibration(given["calibration_file"])
@@ -117,7 +119,8 @@ class EstimatorNode(ConfiguredNode):
         self.get_logger().info(f"arm {arm.identity}, model {loaded.path}, {known}: configured")
 
     def _on_sample(self, raw: bytes) -> None:
-        now_ns, now_s = self._now_ns(), time.monotonic()
+        now_ns = self._now_ns()
+        now_s = time.monotonic()
         answer = self._estimation.sample(raw, now_ns, now_s)
         self._outputs.publish(answer, answer.stamp_ns or now_ns, now_s)
         if answer.problem is not None:
@@ -230,7 +233,8 @@ class EstimatorNode(ConfiguredNode):
         ]
         if breathing is not None:
             statuses.append(breathing)
-        self._lost = self._refuse_command.count = 0
+        self._lost = 0
+        self._refuse_command.count = 0
         return statuses
 
 

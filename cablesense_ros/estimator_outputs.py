@@ -47,7 +47,9 @@ ARROW_M_PER_N = 0.004
 """Length of the arrow per newton: 50 N are 0.2 m."""
 _SPHERE_DIAMETER_M = 0.03
 _ARROW_DIAMETERS_M = (0.012, 0.024, 0.03)  # shaft, head and head length
-_BAND_WIDTH_M, _SHORTEST_BAND_M, _BAND_OPACITY = 0.04, 0.002, 0.4
+_BAND_WIDTH_M = 0.04
+_SHORTEST_BAND_M = 0.002
+_BAND_OPACITY = 0.4
 _COLOUR = (0.95, 0.35, 0.1, 1.0)
 
 
@@ -66,14 +68,16 @@ class EstimatorOutputs:
         joint_names: Sequence[str],
     ) -> None:
         """`identity` is the arm's, `unknown_force` as in `EstimationSettings`."""
-        self._estimation, self._frames = estimation, frames
+        self._estimation = estimation
+        self._frames = frames
         self._unknown_force = unknown_force
         self._provenance = provenance
         self._next_display_s = float("-inf")
         self._writers = wrench_writers(frames)
         self._wrench_out = outputs.make(WrenchStamped, topics.WRENCH, WRENCH)
         self._status_out = outputs.make(DiagnosticArray, topics.STATUS)
-        self._node, self._identity = outputs.node, identity
+        self._node = outputs.node
+        self._identity = identity
         self._statuses = {state: self._status(state) for state in ForceState}
         estimate = message_class("cablesense_msgs/msg/ForceEstimate")
         self._estimate: Any = estimate and estimate()
@@ -113,7 +117,8 @@ class EstimatorOutputs:
 
     def publish(self, answer: Answer, stamp_ns: int, now_s: float) -> None:
         """Publish the answer to a sample, stamped `stamp_ns`, at monotonic time `now_s`."""
-        contact, wrench = answer.contact, answer.wrench(self._unknown_force)
+        contact = answer.contact
+        wrench = answer.wrench(self._unknown_force)
         if wrench is not None:
             self._wrench_out.publish(self._writers[contact.segment].write(stamp_ns, wrench))
         if self._status_out.subscribed:
@@ -163,7 +168,8 @@ class EstimatorOutputs:
 
     def _publish_whole(self, answer: Answer, wrench: Sequence[float], stamp_ns: int) -> None:
         """The force in base axes, at the joints and, of several contacts, on each segment."""
-        contacts, pose = answer.contacts, self._estimation.at_pose
+        contacts = answer.contacts
+        pose = self._estimation.at_pose
         if self._base_out.subscribed:
             in_base = self._in_base(answer, self._unknown_force)
             self._base_out.publish(self._writers[0].write(stamp_ns, in_base))
@@ -189,7 +195,9 @@ class EstimatorOutputs:
         return self._estimation.at_pose.base_wrench(answer.contacts)
 
     def _publish_contact(self, answer: Answer, stamp_ns: int) -> None:
-        contact, region_m, estimate = answer.contact, answer.region_m, answer.estimate
+        contact = answer.contact
+        region_m = answer.region_m
+        estimate = answer.estimate
         stamp = _time(stamp_ns)
         header = Header(frame_id=self._frames.segment(contact.segment), stamp=stamp)
         if self._point_out.subscribed:
@@ -202,7 +210,8 @@ class EstimatorOutputs:
             statics = self._estimation.at_pose
             at = statics.contact_pose(contact, std_m, estimate.angle_std_deg)
             message = PoseWithCovarianceStamped()
-            message.header.frame_id, message.header.stamp = self._frames.base, stamp
+            message.header.frame_id = self._frames.base
+            message.header.stamp = stamp
             pose = message.pose.pose
             pose.position = Point(**dict(zip("xyz", at.point_m, strict=True)))
             pose.orientation = Quaternion(**dict(zip("xyzw", at.quaternion, strict=True)))
@@ -228,11 +237,13 @@ def put_estimate(
     message: Any, answer: Answer, in_base: Sequence[float], frames: Frames, stamp: Time
 ) -> None:
     """Put an answer and its wrench (6,) about the base into a `cablesense_msgs/ForceEstimate`."""
-    contact, segment = answer.contact, answer.contact.segment
+    contact = answer.contact
+    segment = answer.contact.segment
     message.header.frame_id = frames.segment(segment) if segment else frames.base
     message.header.stamp = stamp
     message.state = getattr(message, answer.force.name)
-    message.segment, message.moment_only = segment, bool(segment and not contact.magnitude_n)
+    message.segment = segment
+    message.moment_only = bool(segment and not contact.magnitude_n)
     message.probability = float(answer.probabilities[segment]) if answer.probabilities else nan
     for numbers, put in (
         (answer.wrench("nan") or UNKNOWN_WRENCH, message.wrench),
@@ -265,9 +276,11 @@ def contact_markers(
     def marker(
         namespace: str, number: int, kind: int, contact: Contact, size_m: Sequence[float]
     ) -> Marker:
-        one, shown = Marker(ns=namespace, id=number, type=kind), contact.segment > 0
+        one = Marker(ns=namespace, id=number, type=kind)
+        shown = contact.segment > 0
         one.header.frame_id = frames.segment(contact.segment) if shown else frames.base
-        one.header.stamp, one.action = stamp, Marker.ADD if shown else Marker.DELETE
+        one.header.stamp = stamp
+        one.action = Marker.ADD if shown else Marker.DELETE
         one.pose.orientation.w = 1.0
         one.color.r, one.color.g, one.color.b, one.color.a = _COLOUR
         one.scale.x, one.scale.y, one.scale.z = size_m
@@ -278,8 +291,10 @@ def contact_markers(
         contact = contacts[n] if n < len(contacts) else NO_CONTACT
         arrow = marker("contact", 2 * n, Marker.ARROW, contact, _ARROW_DIAMETERS_M)
         sphere = marker("contact", 2 * n + 1, Marker.SPHERE, contact, [_SPHERE_DIAMETER_M] * 3)
-        (y, z), length_m = contact.direction, ARROW_M_PER_N * contact.magnitude_n
-        tip = sphere.pose.position = Point(x=contact.contact_m)
+        (y, z) = contact.direction
+        length_m = ARROW_M_PER_N * contact.magnitude_n
+        tip = Point(x=contact.contact_m)
+        sphere.pose.position = tip
         arrow.points = [Point(x=tip.x, y=-length_m * y, z=-length_m * z), tip]
         markers += [arrow, sphere]
     of_region = contacts[0] if contacts and region_m is not None else NO_CONTACT

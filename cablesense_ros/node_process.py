@@ -274,7 +274,8 @@ def parameter_values(node: Node) -> dict[str, Any]:
     }
 
 
-SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+SUCCESS = TransitionCallbackReturn.SUCCESS
+FAILURE = TransitionCallbackReturn.FAILURE
 
 
 class ConfiguredNode(LifecycleNode, ABC):
@@ -287,7 +288,8 @@ class ConfiguredNode(LifecycleNode, ABC):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self._entities, self._while_active = ExitStack(), ExitStack()
+        self._entities = ExitStack()
+        self._while_active = ExitStack()
         self._topics = Outputs(self)
         self._active = False
         self._identity = ""
@@ -370,7 +372,8 @@ class ConfiguredNode(LifecycleNode, ABC):
         """The node's diagnostics at present."""
 
 
-_PERIOD_S, _CLOCK_LOGGED_EVERY_S = 1.0, 10.0
+_PERIOD_S = 1.0
+_CLOCK_LOGGED_EVERY_S = 10.0
 
 
 def publish_diagnostics(
@@ -385,7 +388,8 @@ def publish_diagnostics(
 
     def publish() -> None:
         nonlocal last_ns
-        now, statuses = node.get_clock().now(), list(report())
+        now = node.get_clock().now()
+        statuses = list(report())
         if node.get_clock().ros_time_is_active and now.nanoseconds == last_ns:
             stands = f"stands at {last_ns * 1e-9:.3f} s" if last_ns else "has not begun"
             text = f"use_sim_time is set, and {CLOCK_TOPIC} {stands}: is its publisher running?"

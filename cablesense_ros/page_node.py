@@ -34,7 +34,9 @@ class PageNode(Node):
     def __init__(self) -> None:
         super().__init__("page")
         given = declare_parameters(self, parameter_table("page"))
-        arm, host, port = open_arm(given["arm"]), given["host"], given["port"]
+        arm = open_arm(given["arm"])
+        host = given["host"]
+        port = given["port"]
         estimator = given["estimator"]
         self._home_due = given["home_at_start"]
         self._commission_due = given["commission_at_start"]

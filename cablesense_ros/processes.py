@@ -95,7 +95,8 @@ class Process:
     ) -> None:
         """Start it; its log is continued where the file exists."""
         self.name = name
-        self._command, self._log = list(command), log
+        self._command = list(command)
+        self._log = log
         self._environment = None if environment is None else dict(environment)
         self.start()
 
@@ -190,7 +191,9 @@ class Processes(dict[str, Process]):
     ) -> None:
         """`commands` by the children's names; each log is `<name>.log` in `log_dir`, new."""
         super().__init__()
-        self._commands, self._log_dir, self._environment = commands, log_dir, environment
+        self._commands = commands
+        self._log_dir = log_dir
+        self._environment = environment
 
     def __enter__(self) -> Processes:
         self._log_dir.mkdir(parents=True, exist_ok=True)

@@ -57,11 +57,13 @@ class Recorder:
                 be written.
         """
         self._file = TopicFile(path, force)
-        self._node, self._wanted = node, wanted
+        self._node = node
+        self._wanted = wanted
         self._contract = None if arm is None else BagRows(arm, keep=False)
         self._channels: dict[str, Any] = {}
         self._names: set[str] = set()
-        self._started_s = self._flushed_s = time.monotonic()
+        self._started_s = time.monotonic()
+        self._flushed_s = self._started_s
         self._failure: RecordingError | None = None
         self.counts: Counter[str] = Counter()
         self._left_out: Counter[str] = Counter()
@@ -119,7 +121,8 @@ class Recorder:
 
     def _subscribe(self, topic: str, name: str) -> None:
         """To a topic of the contract by its full name, where its message type is installed."""
-        of, node = self._wanted[topic], self._node
+        of = self._wanted[topic]
+        node = self._node
         kind = message_class(of.kind)
         self._names.add(name)
         if kind is None:
@@ -195,7 +198,8 @@ def record_topics(
 _FIRST_SAMPLE_S = 5.0
 _JOINING_S = 0.5
 """After the first sample. Some are lost while subscriber and publisher discover each other."""
-_PULLING_S, _RELEASED_S = 3.0, 3.0
+_PULLING_S = 3.0
+_RELEASED_S = 3.0
 _LISTEN_S = 0.1
 """Ctrl-C takes effect within this time."""
 
@@ -272,13 +276,15 @@ def capture_tensions(
             say("let go")
             wait(_RELEASED_S)
         latest_s()
-    time_s, read_n = np.array(times_s), np.array(tensions_n)
+    time_s = np.array(times_s)
+    read_n = np.array(tensions_n)
     if not np.isfinite(read_n).all() or (np.diff(time_s) <= 0.0).any():
         raise CommissioningError(
             f"{topics.CABLE_TENSIONS} has readings that are not finite, or stamps that do not "
             "ascend; its driver's diagnostics give the cause"
         )
-    none, nowhere = np.zeros(len(time_s), dtype=np.int64), np.zeros((len(time_s), 3))
+    none = np.zeros(len(time_s), dtype=np.int64)
+    nowhere = np.zeros((len(time_s), 3))
     name = topics.CABLE_TENSIONS
     return Recording(name, time_s - time_s[0], none, nowhere, none, nowhere, read_n), pulls
 

@@ -62,7 +62,8 @@ class SimNode(Node):
         given = declare_parameters(self, parameter_table("sim"))
         if given["seed"] and not given["noise"]:
             raise ParameterError("parameter seed has no effect without noise; leave it 0")
-        self._arm = arm = open_arm(given["arm"])
+        self._arm = open_arm(given["arm"])
+        arm = self._arm
         frames = Frames(arm.segment_count, given["frame_prefix"])
         joints = NamedOrder(arm.joint_names, "joints")
         cables = NamedOrder(arm.cable_names, "cables")
@@ -82,7 +83,8 @@ class SimNode(Node):
         )
         self._tensions = JointState(name=list(arm.cable_names))
         self._joint_states = JointState(name=list(arm.joint_names))
-        self._tensions.header.frame_id = self._joint_states.header.frame_id = frames.base
+        self._tensions.header.frame_id = frames.base
+        self._joint_states.header.frame_id = self._tensions.header.frame_id
         self._tick_count = 0
         self._ticks_per_joint_state = max(1, math.ceil(self._rate_hz / JOINT_STATES_HZ))
         self._tensions_out, self._joint_states_out = (
@@ -143,11 +145,14 @@ class SimNode(Node):
     def _statuses(self) -> list[Status]:
         simulated = self._simulated
         factor = simulated.pacer.real_time_factor(time.monotonic())
-        level, message = Level.OK, "at real time"
+        level = Level.OK
+        message = "at real time"
         if factor < _SLOWEST_FACTOR:
-            level, message = Level.WARN, f"at {factor:.2f} of real time: the machine is too busy"
+            level = Level.WARN
+            message = f"at {factor:.2f} of real time: the machine is too busy"
         if simulated.resets:
-            level, message = Level.ERROR, "the simulation diverged; it was restarted without loads"
+            level = Level.ERROR
+            message = "the simulation diverged; it was restarted without loads"
         loads = map(_shown, simulated.loads)
         values = {
             "real time factor": f"{factor:.3f}",

@@ -220,7 +220,8 @@ class Arm(FilePart):
         apart = np.linalg.norm(places[:, None] - places, axis=-1)
         near = np.argwhere(np.triu(apart < LEAST_HOLE_DISTANCE_M, 1))
         if len(near):
-            (i, j), each = near[0], self.cables.per_segment
+            (i, j) = near[0]
+            each = self.cables.per_segment
             raise ValueError(
                 f"cables.angle_deg puts cable_{i + 1} and cable_{j + 1} into one hole, "
                 f"{radius[i]:g} m from the axis at {np.rad2deg(angle[i]) % 360.0:g} "

@@ -11,12 +11,15 @@ from cablesense_sim.mechanism import Mechanism
 
 def mechanism_of(arm: Arm) -> Mechanism:
     """The mechanism that an arm file describes, as it was drawn: without the effects it lists."""
-    count, each = arm.segment_count, arm.cables.per_segment
+    count = arm.segment_count
+    each = arm.cables.per_segment
     segment = np.repeat(np.arange(1, count + 1), each)
     radius, angle = arm.holes
-    y, z = radius * np.sin(angle), radius * np.cos(angle)
+    y = radius * np.sin(angle)
+    z = radius * np.cos(angle)
     length = np.asarray(per_segment(arm.segments.length_m, count))
-    offset, kp = arm.segments.plate_offset_m, arm.actuators.kp_n_m
+    offset = arm.segments.plate_offset_m
+    kp = arm.actuators.kp_n_m
     joint_x = offset + np.concatenate([[0.0], np.cumsum(length)[:-1]])
     straight = arm.cables.run_m + joint_x[segment - 1] + offset
     if arm.cables.stiffness_n_m is not None:

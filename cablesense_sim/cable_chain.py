@@ -29,8 +29,10 @@ from cablesense_sim.compiled import compiled
 from cablesense_sim.effects.effect import CablePull
 
 _LEAST_GIVE_M = 1e-8
-_MOST_STEPS, _CIRCLES_AFTER = 40, 10
-_SWEEPS, _HALVINGS = 30, 40
+_MOST_STEPS = 40
+_CIRCLES_AFTER = 10
+_SWEEPS = 30
+_HALVINGS = 40
 _ROUNDING = 1e-12
 
 
@@ -75,9 +77,14 @@ class CableChains:
     """Cables side by side, of up to K pieces; holds how their material lies in the pieces."""
 
     def __init__(
-        self, compliance_m_n: Array, lengths_m: Array, limit: Array, share: Array,
-        give_m: Array | float = 0.0, rounding: Array | float = 0.0,
-    ) -> None:  # fmt: skip
+        self,
+        compliance_m_n: Array,
+        lengths_m: Array,
+        limit: Array,
+        share: Array,
+        give_m: Array | float = 0.0,
+        rounding: Array | float = 0.0,
+    ) -> None:
         """Cables (...) whose nodes carry a share of their limit, from -1 to 1.
 
         Args:
@@ -95,7 +102,8 @@ class CableChains:
         nodes = (*self._shape[:-1], self._shape[-1] - 1)
         compliance = np.broadcast_to(compliance_m_n, self._shape)
         exists = compliance > 0.0
-        share, give = np.broadcast_to(share, nodes), np.broadcast_to(give_m, nodes)
+        share = np.broadcast_to(share, nodes)
+        give = np.broadcast_to(give_m, nodes)
         left = kept(share, limit)
         parts = compliance * np.concatenate([np.ones_like(left[..., :1]), left], axis=-1)
         whole = lengths_m.sum(-1, keepdims=True)
@@ -148,7 +156,8 @@ def kept(share: Array, limit: Array) -> Array:
 def _pull(cables: _Cables, lengths_m: Array, limit: Array) -> None:
     """Pull at lengths (C, K) and limits (C, K - 1), as far as that is not the last pull."""
     count, pieces = lengths_m.shape
-    rows, held = _empty_rows(pieces - 1), np.empty(pieces)
+    rows = _empty_rows(pieces - 1)
+    held = np.empty(pieces)
     right = np.empty((pieces - 1, pieces))
     for c in range(count):
         pulled = cables.pulled
@@ -159,8 +168,10 @@ def _pull(cables: _Cables, lengths_m: Array, limit: Array) -> None:
             same = same and pulled.limit[c, k] == limit[c, k]
         if same:
             continue
-        pulled.lengths_m[c], pulled.limit[c] = lengths_m[c], limit[c]
-        tensions, slope = pulled.tensions_n[c], pulled.slope_n_m[c]
+        pulled.lengths_m[c] = lengths_m[c]
+        pulled.limit[c] = limit[c]
+        tensions = pulled.tensions_n[c]
+        slope = pulled.slope_n_m[c]
         if not _hold(cables, c, lengths_m[c], held):
             tensions[:] = slope[:] = 0.0
             continue
@@ -179,10 +190,12 @@ def _pull(cables: _Cables, lengths_m: Array, limit: Array) -> None:
 def _settle(cables: _Cables, lengths_m: Array, limit: Array) -> None:
     """Stay at lengths (C, K). In a slack cable the material comes to lie evenly."""
     count, pieces = lengths_m.shape
-    rows, held = _empty_rows(pieces - 1), np.empty(pieces)
+    rows = _empty_rows(pieces - 1)
+    held = np.empty(pieces)
     cables.pulled.lengths_m[:] = np.nan
     for c in range(count):
-        natural, passed = cables.natural_m[c], cables.passed_m[c]
+        natural = cables.natural_m[c]
+        passed = cables.passed_m[c]
         if _hold(cables, c, lengths_m[c], held):
             _pass(cables, c, held, limit[c], rows)
             for k in range(pieces):
@@ -230,12 +243,15 @@ def _bent(cables: _Cables, c: int, k: int, passed: float) -> tuple[float, float]
     model, Aerospace Corp. TOR-0158, 1968); a bristle at rest is taken to be as stiff as it is on
     its way back.
     """
-    give, share, rounding = cables.give_m[c, k], cables.share[c, k], cables.rounding[c, k]
+    give = cables.give_m[c, k]
+    share = cables.share[c, k]
+    rounding = cables.rounding[c, k]
     if rounding == 0.0:
         return share + passed / give, 1.0 / give
     if passed == 0.0:
         return share, (1.0 + abs(share)) ** rounding / give
-    way, evenly = np.sign(passed), 1.0 - rounding
+    way = np.sign(passed)
+    evenly = 1.0 - rounding
     far = max(max(1.0 - way * share, 0.0) ** evenly - evenly * abs(passed) / give, -1.0)
     left = np.sign(far) * abs(far) ** (1.0 / evenly)
     return way * (1.0 - left), max(left, 0.0) ** rounding / give
@@ -258,8 +274,11 @@ def _pass(cables: _Cables, c: int, held: Array, limit: Array, rows: _Rows) -> No
     before it slips the other way. One cable in some thousands alternates; it is relaxed
     before it continues.
     """
-    stiffness, give, passed = cables.stiffness_n_m[c], cables.give_m[c], cables.passed_m[c]
-    tensions, last = np.empty(len(held)), np.empty(len(passed))
+    stiffness = cables.stiffness_n_m[c]
+    give = cables.give_m[c]
+    passed = cables.passed_m[c]
+    tensions = np.empty(len(held))
+    last = np.empty(len(passed))
     _stretched(stiffness, held, passed, tensions)
     room = _ROUNDING * np.abs(held).max()
     for step in range(1, _MOST_STEPS + 1):
@@ -306,10 +325,16 @@ def _slip(
         slips = cables.slips[c, k]
         if cables.give_m[c, k] > 0.0:
             bent = _bent(cables, c, k, passed[k])[0]
-            beyond, below, ahead = bent > 1.0 + _ROUNDING, bent < -1.0 - _ROUNDING, bent - slips
+            beyond = bent > 1.0 + _ROUNDING
+            below = bent < -1.0 - _ROUNDING
+            ahead = bent - slips
         else:
-            near, far, over = tensions[k], tensions[k + 1], np.exp(limit[k])
-            beyond, below, ahead = near > far * over + room, near * over < far - room, passed[k]
+            near = tensions[k]
+            far = tensions[k + 1]
+            over = np.exp(limit[k])
+            beyond = near > far * over + room
+            below = near * over < far - room
+            ahead = passed[k]
         if slips == 0.0:
             cables.slips[c, k] = 1.0 if beyond else -1.0 if below else 0.0
         elif not slips * ahead >= 0.0:
@@ -329,15 +354,18 @@ def _set_rows(
         if cables.stiffness_n_m[c, k + 1] == 0.0:
             continue
         if cables.slips[c, k] != 0.0:
-            rows.moves[k], rows.ratio[k] = 1.0, np.exp(cables.slips[c, k] * limit[k])
+            rows.moves[k] = 1.0
+            rows.ratio[k] = np.exp(cables.slips[c, k] * limit[k])
         elif cables.give_m[c, k] > 0.0:
             bent, stiffer = _bent(cables, c, k, passed[k])
             share = min(max(bent, -1.0), 1.0)
             ratio = np.exp(share * limit[k])
             steeper = stiffer * ratio * limit[k] * max(tensions[k + 1], 0.0)
             at = _slip_m(cables, c, k, share) if abs(bent) > 1.0 else passed[k]
-            rows.moves[k], rows.ratio[k] = 1.0, ratio
-            rows.steeper_n_m[k], rows.offset_n[k] = steeper, steeper * at
+            rows.moves[k] = 1.0
+            rows.ratio[k] = ratio
+            rows.steeper_n_m[k] = steeper
+            rows.offset_n[k] = steeper * at
 
 
 @compiled
@@ -352,7 +380,9 @@ def _by_stretch(stiffness: Array, rows: _Rows, right: Array) -> None:
 @compiled
 def _eliminate(stiffness: Array, rows: _Rows, right: Array) -> None:
     """Thomas's algorithm for several right-hand sides (K - 1, any), in place."""
-    diagonal, last, columns = rows.diagonal_n_m, len(right) - 1, range(right.shape[1])
+    diagonal = rows.diagonal_n_m
+    last = len(right) - 1
+    columns = range(right.shape[1])
     for k in range(last + 1):
         if rows.moves[k] == 0.0:
             diagonal[k] = 1.0
@@ -380,7 +410,8 @@ def _relax(cables: _Cables, c: int, held: Array, limit: Array) -> None:
 
     This converges from any start, as the matrix is an M-matrix, but slowly.
     """
-    stiffness, passed = cables.stiffness_n_m[c], cables.passed_m[c]
+    stiffness = cables.stiffness_n_m[c]
+    passed = cables.passed_m[c]
     for _ in range(_SWEEPS):
         for k in range(len(passed)):
             passed[k] = 0.0
@@ -388,7 +419,8 @@ def _relax(cables: _Cables, c: int, held: Array, limit: Array) -> None:
                 continue
             near = held[k] + stiffness[k] * _gained(passed, k)
             far = held[k + 1] + stiffness[k + 1] * _gained(passed, k + 1)
-            low, high = _slip_m(cables, c, k, -1.0), _slip_m(cables, c, k, 1.0)
+            low = _slip_m(cables, c, k, -1.0)
+            high = _slip_m(cables, c, k, 1.0)
             moved = 0.0
             if cables.give_m[c, k] > 0.0:
                 for _ in range(_HALVINGS):  # what passes if the node does not slip

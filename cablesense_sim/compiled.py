@@ -61,7 +61,8 @@ def solve(root: Array, rows: Array) -> None:
 @compiled
 def eliminate(matrix: Array, right: Array) -> Array:
     """The solution (K,) for any matrix (K, K): Gauss's elimination with partial pivoting."""
-    rows, found = matrix.copy(), right.copy()
+    rows = matrix.copy()
+    found = right.copy()
     count = len(found)
     for k in range(count):
         pivot = k + int(np.argmax(np.abs(rows[k:, k])))

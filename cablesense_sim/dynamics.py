@@ -135,7 +135,8 @@ class _CommandedArm(ABC):
         if force.shape != (3,) or not np.isfinite(force).all():
             raise LoadError(f"a load is three finite force components in N, not {force!r}")
         n = segment - 1
-        stated_m, length_m = self._nominal.contact_m[n], self._nominal.segment_length_m[n]
+        stated_m = self._nominal.contact_m[n]
+        length_m = self._nominal.segment_length_m[n]
         further_m = 0.0 if contact_m is None else contact_m - stated_m
         if not 0.0 <= stated_m + further_m <= length_m:
             raise LoadError(
@@ -285,10 +286,14 @@ class RestToRestArm(_CommandedArm):
         held = self._actuated_m(command, actuating, 0.0)
         resting = QuasiStaticArm([self.mechanism], [self._entries])
         tensions = resting.step(0.0, held[None], np.zeros_like(self._forces_n))[0]
-        self._actuations, self._resting = actuating, resting
-        self._command_rad, self._held_m, self._tensions_n = command, held, tensions
+        self._actuations = actuating
+        self._resting = resting
+        self._command_rad = command
+        self._held_m = held
+        self._tensions_n = tensions
         self._forces_n[:] = 0.0
-        self._time_s = self._rested_s = 0.0
+        self._time_s = 0.0
+        self._rested_s = 0.0
 
     def _hold(self, held_m: Array) -> None:
         self._held_m = held_m

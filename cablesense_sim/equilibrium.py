@@ -103,7 +103,8 @@ def solve_equilibrium(
     arms = kinematics.load_arms(mechanism, forces)
     # contiguous, so that one kind of array is compiled for
     given = (np.array(each, order="C") for each in (rest, arms, start))
-    springs, rounding_m = springs_of(mechanism), _rounding_m(mechanism)
+    springs = springs_of(mechanism)
+    rounding_m = _rounding_m(mechanism)
     angles, tensions, residual, iterations = search_rest(springs, enough, rounding_m, *given)
     _require_rest(mechanism, command, forces, angles, residual)
     return Equilibrium(
@@ -137,7 +138,8 @@ def checked_command(mechanism: Mechanism, joint_angles_rad: ArrayLike) -> Array:
             f"a command is {mechanism.joint_count} finite joint angles in rad, not {command!r}"
         )
     turns = np.abs(command).reshape(-1, 2).max(axis=1)  # no axis goes round to where it was
-    bend, limit = np.maximum(kinematics.bend_rad(command), turns), mechanism.bend_limit_rad
+    bend = np.maximum(kinematics.bend_rad(command), turns)
+    limit = mechanism.bend_limit_rad
     if (bend >= limit).any():
         joint = int(np.argmax(bend - limit))
         raise EquilibriumError(
@@ -206,7 +208,8 @@ def _checked(
     mechanism: Mechanism, command_rad: ArrayLike, forces_n: ArrayLike | None
 ) -> tuple[Array, Array]:
     """Commands (..., 2N) and forces (..., N, 3) of one batch."""
-    joints, loads = mechanism.joint_count, (mechanism.segment_count, 3)
+    joints = mechanism.joint_count
+    loads = (mechanism.segment_count, 3)
     command = np.asarray(command_rad, dtype=float)
     forces = np.zeros(loads) if forces_n is None else np.asarray(forces_n, dtype=float)
     if command.shape[-1:] != (joints,) or forces.shape[-2:] != loads:
@@ -243,7 +246,8 @@ def _require_rest(
     mechanism: Mechanism, command: Array, forces: Array, angles: Array, residual: Array
 ) -> None:
     """Require that every case is at rest, at bends at which no guide plates touch."""
-    bend, limit = kinematics.bend_rad(angles), mechanism.bend_limit_rad
+    bend = kinematics.bend_rad(angles)
+    limit = mechanism.bend_limit_rad
     unbalanced = ~(residual <= max(RESIDUAL_LIMIT_N_M, _rounding_n_m(mechanism)))
     failed = np.flatnonzero(unbalanced | ~(bend < limit).all(-1))
     if not failed.size:

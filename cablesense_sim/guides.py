@@ -37,7 +37,8 @@ def along_guides(
         guide_wrap_rad: (P,) wrap angle at the guides between two joints with the arm straight.
     """
     arms, cables, joints = spans_m.shape
-    lengths, limit = np.zeros(evenly.shape), np.empty((arms, cables, 2 * joints))
+    lengths = np.zeros(evenly.shape)
+    limit = np.empty((arms, cables, 2 * joints))
     for p in range(arms):
         half = 0.5 * guide_wrap_rad[p]
         for m in range(cables):

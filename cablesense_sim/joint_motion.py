@@ -53,16 +53,20 @@ class JointMotion:
         acceleration = np.clip(acceleration, -hardest, hardest)
         t = duration
         rest = target_rad - angle - speed * t - 0.5 * acceleration * t**2
-        to_lose, to_ease = -speed - acceleration * t, -acceleration
-        self._coefficients = np.stack([
-            angle,
-            speed,
-            0.5 * acceleration,
-            (10 * rest - 4 * to_lose * t + 0.5 * to_ease * t**2) / t**3,
-            (-15 * rest + 7 * to_lose * t - to_ease * t**2) / t**4,
-            (6 * rest - 3 * to_lose * t + 0.5 * to_ease * t**2) / t**5,
-        ])  # fmt: skip
-        self._elapsed_s, self._duration_s = 0.0, duration
+        to_lose = -speed - acceleration * t
+        to_ease = -acceleration
+        self._coefficients = np.stack(
+            [
+                angle,
+                speed,
+                0.5 * acceleration,
+                (10 * rest - 4 * to_lose * t + 0.5 * to_ease * t**2) / t**3,
+                (-15 * rest + 7 * to_lose * t - to_ease * t**2) / t**4,
+                (6 * rest - 3 * to_lose * t + 0.5 * to_ease * t**2) / t**5,
+            ]
+        )
+        self._elapsed_s = 0.0
+        self._duration_s = duration
         self._target_rad = np.array(target_rad, dtype=np.float64)
 
     def advance(self, step_s: float) -> Array:
@@ -85,7 +89,8 @@ class JointMotion:
         if not self.moving:
             still = np.zeros_like(self._target_rad)
             return self._target_rad, still, still
-        t, c = self._elapsed_s, self._coefficients
+        t = self._elapsed_s
+        c = self._coefficients
         angle = c[0] + t * (c[1] + t * (c[2] + t * (c[3] + t * (c[4] + t * c[5]))))
         speed = c[1] + t * (2 * c[2] + t * (3 * c[3] + t * (4 * c[4] + t * 5 * c[5])))
         acceleration = 2 * c[2] + t * (6 * c[3] + t * (12 * c[4] + t * 20 * c[5]))

@@ -43,13 +43,19 @@ class SegmentChain(NamedTuple):
 def spans(mechanism: Mechanism, joint_angles_rad: Array) -> CableSpans:
     """Spans and their derivatives at joint angles (..., 2N)."""
     q = joint_angles_rad
-    pitch, yaw = q[..., None, 0::2], q[..., None, 1::2]
+    pitch = q[..., None, 0::2]
+    yaw = q[..., None, 1::2]
     (y, z), (v, w) = mechanism.plate_holes_m
     passes = mechanism.passes_joint
     o = mechanism.plate_offset_m
-    cos_a, sin_a, cos_b, sin_b = np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
-    x1, y1 = o * cos_b - v * sin_b, o * sin_b + v * cos_b
-    p, q_ = o * cos_a + z * sin_a, o * sin_a - z * cos_a
+    cos_a = np.cos(pitch)
+    sin_a = np.sin(pitch)
+    cos_b = np.cos(yaw)
+    sin_b = np.sin(yaw)
+    x1 = o * cos_b - v * sin_b
+    y1 = o * sin_b + v * cos_b
+    p = o * cos_a + z * sin_a
+    q_ = o * sin_a - z * cos_a
     squared = 2.0 * o * o + (y * y + z * z + v * v + w * w)
     squared = squared + 2.0 * (x1 * p + w * q_ - y * y1)
     length = np.sqrt(np.maximum(squared, _TOUCHING_M**2))
@@ -85,21 +91,29 @@ def bend_rad(joint_angles_rad: Array) -> Array:
 def chain(mechanism: Mechanism, joint_angles_rad: Array) -> SegmentChain:
     """Pose of every segment at joint angles (..., 2N): each joint turns by `Ry(pitch) Rz(yaw)`."""
     q = joint_angles_rad
-    cos, sin = np.cos(q), np.sin(q)
-    zero, one = np.zeros_like(cos[..., 0]), np.ones_like(cos[..., 0])
+    cos = np.cos(q)
+    sin = np.sin(q)
+    zero = np.zeros_like(cos[..., 0])
+    one = np.ones_like(cos[..., 0])
     ex = np.stack([one, zero, zero], axis=-1)
     ey = np.stack([zero, one, zero], axis=-1)
     ez = np.stack([zero, zero, one], axis=-1)
     joint = mechanism.plate_offset_m * ex
-    rotations, joints, axes = [], [], []
+    rotations = []
+    joints = []
+    axes = []
     for n in range(mechanism.segment_count):
-        cos_a, sin_a = cos[..., 2 * n, None], sin[..., 2 * n, None]
-        cos_b, sin_b = cos[..., 2 * n + 1, None], sin[..., 2 * n + 1, None]
+        cos_a = cos[..., 2 * n, None]
+        sin_a = sin[..., 2 * n, None]
+        cos_b = cos[..., 2 * n + 1, None]
+        sin_b = sin[..., 2 * n + 1, None]
         joints.append(joint)
         axes.append(ey)
-        pitched_x, ez = cos_a * ex - sin_a * ez, sin_a * ex + cos_a * ez
+        pitched_x = cos_a * ex - sin_a * ez
+        ez = sin_a * ex + cos_a * ez
         axes.append(ez)
-        ex, ey = cos_b * pitched_x + sin_b * ey, cos_b * ey - sin_b * pitched_x
+        ex = cos_b * pitched_x + sin_b * ey
+        ey = cos_b * ey - sin_b * pitched_x
         rotations.append(np.stack([ex, ey, ez], axis=-1))
         joint = joint + float(mechanism.segment_length_m[n]) * ex
     return SegmentChain(
@@ -132,7 +146,8 @@ def load_arms(mechanism: Mechanism, forces_n: Array) -> Array:
     Weights and contact forces act on the axes, so their potential is `-sum_n A_n · x_n` with x_n
     the unit axis of segment n; this gives A_n for contact forces (..., N, 3) in base axes.
     """
-    reach, centre = mechanism.contact_m, mechanism.centre_of_mass_m
+    reach = mechanism.contact_m
+    centre = mechanism.centre_of_mass_m
     length = mechanism.segment_length_m
     weight = mechanism.mass_kg[..., None] * mechanism.gravity_m_s2[..., None, :]
     total = weight + forces_n

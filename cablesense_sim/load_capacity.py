@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 USUAL_CONTACT_N = 200.0
 """The strongest contact that networks learn unless the arm bears less: a person's firm push."""
 
-_POSES, _FAILING_SHARE = 500, 0.01
+_POSES = 500
+_FAILING_SHARE = 0.01
 """Random poses that judge a range, and the share of them that may find no rest."""
 
 SEARCHED_UP_TO_N = 2000.0
@@ -123,10 +124,12 @@ def pose_range_deg(arm: Arm, usual_deg: float, force_n: float) -> float:
     Less where its own weight, or contacts of up to `force_n`, bend it too far in more than one of
     a hundred poses. Not below a tenth of the usual range.
     """
-    mechanism, rng = amended(mechanism_of(arm), entries_of(arm)), np.random.default_rng(0)
+    mechanism = amended(mechanism_of(arm), entries_of(arm))
+    rng = np.random.default_rng(0)
     shares = rng.uniform(-1.0, 1.0, (_POSES, arm.joint_count))
     segments = rng.integers(1, arm.segment_count + 1, _POSES)
-    angles_deg, sizes_n = rng.uniform(0.0, 360.0, _POSES), rng.uniform(0.0, force_n, _POSES)
+    angles_deg = rng.uniform(0.0, 360.0, _POSES)
+    sizes_n = rng.uniform(0.0, force_n, _POSES)
     range_deg = usual_deg
     while range_deg > 0.1 * usual_deg:
         command = np.deg2rad(range_deg) * shares
@@ -201,7 +204,8 @@ def _greatest_n(arm: Arm, mechanism: Mechanism, most_n: float) -> Array:
     for _ in range(_HALVINGS):
         middle = np.sqrt(low * high)
         enough = borne(middle, weak)
-        low, high = np.where(enough, middle, low), np.where(weak & ~enough, middle, high)
+        low = np.where(enough, middle, low)
+        high = np.where(weak & ~enough, middle, high)
     return low
 
 
@@ -235,7 +239,8 @@ def hidden_force(arm: Arm, commands_rad: ArrayLike, load_n: float) -> HiddenForc
     """
     if not (np.isfinite(load_n) and load_n > 0.0):
         raise LoadError(f"load_n = {load_n:g}: must be a finite force above 0 N")
-    nominal, entries = mechanism_of(arm), entries_of(arm)
+    nominal = mechanism_of(arm)
+    entries = entries_of(arm)
     poses = [np.zeros(arm.joint_count)]
     for command in np.atleast_2d(np.asarray(commands_rad, dtype=float)):
         wanted = checked_command(nominal, command)
@@ -272,17 +277,20 @@ def hidden_force(arm: Arm, commands_rad: ArrayLike, load_n: float) -> HiddenForc
             return np.asarray(np.linalg.norm(after - before, axis=-1) >= shows_n)
 
         high = np.full(len(pushes), load_n)
-        low, found = np.zeros_like(high), shown(high)
+        low = np.zeros_like(high)
+        found = shown(high)
         for _ in range(_HALVINGS_OF_HIDDEN):
             middle = 0.5 * (low + high)
             enough = shown(middle)
-            low, high = np.where(enough, low, middle), np.where(enough, middle, high)
+            low = np.where(enough, low, middle)
+            high = np.where(enough, middle, high)
         return np.where(found, high, np.inf).reshape(shape)
 
     touching = smallest_n(0.0, 1.0)
     for share in np.arange(1, _RESTS_ON_THE_WAY + 1) / _RESTS_ON_THE_WAY:
         rested_n(arms, share * load_n)
-    rising, falling = smallest_n(load_n, 1.0), smallest_n(load_n, -1.0)
+    rising = smallest_n(load_n, 1.0)
+    falling = smallest_n(load_n, -1.0)
     for share in np.arange(_RESTS_ON_THE_WAY)[::-1] / _RESTS_ON_THE_WAY:
         rested_n(arms, share * load_n)
     return HiddenForce(touching, rising, falling, smallest_n(0.0, 1.0))

@@ -10,7 +10,8 @@ from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
 
 _OFF_LINE_M = 0.03  # an arm under load is elsewhere than where it is commanded, by less than this
-_AS_NEAR, _AS_NEAR_M = 3.0, 1e-3
+_AS_NEAR = 3.0
+_AS_NEAR_M = 1e-3
 """A second segment is as near to a line if it is so many times as far, or as close as this."""
 
 
@@ -34,7 +35,8 @@ def normal_force_n(
         LoadError: a segment outside 0..N, a negative or non-finite magnitude, a non-finite angle.
     """
     command = np.asarray(command_rad, dtype=float)
-    angle, magnitude = np.asarray(angle_deg, dtype=float), np.asarray(magnitude_n, dtype=float)
+    angle = np.asarray(angle_deg, dtype=float)
+    magnitude = np.asarray(magnitude_n, dtype=float)
     number, angle, magnitude = np.broadcast_arrays(np.asarray(segment), angle, magnitude)
     count = mechanism.segment_count
     if not np.issubdtype(number.dtype, np.integer) or (number < 0).any() or (number > count).any():

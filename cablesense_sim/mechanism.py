@@ -89,7 +89,8 @@ class Mechanism:
     @property
     def plate_holes_m(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         """Holes (y, z) in the plates before and after each joint, each (M, N)."""
-        y, z = self.segment_hole_y_m, self.segment_hole_z_m
+        y = self.segment_hole_y_m
+        z = self.segment_hole_z_m
         before_y = np.concatenate([self.hole_y_m[..., None], y[..., :-1]], axis=-1)
         before_z = np.concatenate([self.hole_z_m[..., None], z[..., :-1]], axis=-1)
         return (before_y, before_z), (y, z)
@@ -123,10 +124,19 @@ class Mechanism:
 
 
 _STACKED = (
-    "gravity_m_s2", "mass_kg", "centre_of_mass_m", "contact_m", "hole_y_m", "hole_z_m",
-    "segment_hole_y_m", "segment_hole_z_m", "stiffness_n_m", "pretension_n",
-    "joint_stiffness_n_m_rad", "relative_friction",
-)  # fmt: skip
+    "gravity_m_s2",
+    "mass_kg",
+    "centre_of_mass_m",
+    "contact_m",
+    "hole_y_m",
+    "hole_z_m",
+    "segment_hole_y_m",
+    "segment_hole_z_m",
+    "stiffness_n_m",
+    "pretension_n",
+    "joint_stiffness_n_m_rad",
+    "relative_friction",
+)
 
 
 def stack(mechanisms: Sequence[Mechanism]) -> Mechanism:
@@ -149,7 +159,8 @@ def with_cables_moved(mechanism: Mechanism, outward_m: Numbers, turned_rad: Numb
 
 def with_plates_moved(mechanism: Mechanism, outward_m: Numbers, turned_rad: Numbers) -> Mechanism:
     """Every hole in the plates that a segment carries further out and turned, each (N,)."""
-    y, z = mechanism.segment_hole_y_m, mechanism.segment_hole_z_m
+    y = mechanism.segment_hole_y_m
+    z = mechanism.segment_hole_z_m
     y, z = _moved_m(y, z, outward_m, turned_rad)
     return replace(mechanism, segment_hole_y_m=y, segment_hole_z_m=z)
 

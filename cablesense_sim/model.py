@@ -61,7 +61,8 @@ def _add_chain(spec: mujoco.MjSpec, mechanism: Mechanism) -> list[mujoco.MjsBody
     _add_plate(spec.worldbody, 0.0, radius)
     position = mechanism.plate_offset_m
     for n in range(mechanism.segment_count):
-        length, mass = mechanism.segment_length_m[n], mechanism.mass_kg[n]
+        length = mechanism.segment_length_m[n]
+        mass = mechanism.mass_kg[n]
         body = bodies[-1].add_body(name=f"segment_{n + 1}", pos=[position, 0.0, 0.0])
         damping = [mechanism.joint_damping_n_m_s, 0.0, 0.0]
         stiffness = [mechanism.joint_stiffness_n_m_rad[n], 0.0, 0.0]
@@ -95,16 +96,23 @@ def _add_shape(
 ) -> None:
     """Seen along the axis: without mass and without contacts."""
     body.add_geom(
-        type=kind, fromto=[from_m, 0.0, 0.0, to_m, 0.0, 0.0], size=[radius_m, 0.0, 0.0],
-        rgba=rgba, contype=0, conaffinity=0, mass=0.0,
-    )  # fmt: skip
+        type=kind,
+        fromto=[from_m, 0.0, 0.0, to_m, 0.0, 0.0],
+        size=[radius_m, 0.0, 0.0],
+        rgba=rgba,
+        contype=0,
+        conaffinity=0,
+        mass=0.0,
+    )
 
 
 def _add_cable(
     spec: mujoco.MjSpec, bodies: list[mujoco.MjsBody], mechanism: Mechanism, i: int
 ) -> None:
-    name, o = f"cable_{i + 1}", mechanism.plate_offset_m
-    y, z = mechanism.hole_y_m[i], mechanism.hole_z_m[i]
+    name = f"cable_{i + 1}"
+    o = mechanism.plate_offset_m
+    y = mechanism.hole_y_m[i]
+    z = mechanism.hole_z_m[i]
     actuator = spec.worldbody.add_body(name=f"actuator_{i + 1}", pos=[-mechanism.run_m, y, z])
     rigid = not np.isfinite(mechanism.actuator_stiffness_n_m)
     actuator.mocap = rigid
@@ -153,12 +161,16 @@ def urdf_xml(arm: Arm) -> str:
     """
     mechanism = mechanism_of(arm)
     radius = float(np.hypot(mechanism.hole_y_m, mechanism.hole_z_m).max())
-    parent, position, offset = "base_link", mechanism.plate_offset_m, mechanism.plate_offset_m
+    parent = "base_link"
+    position = mechanism.plate_offset_m
+    offset = mechanism.plate_offset_m
     parts = [f'<link name="base_link">{_disc(0.0, radius)}</link>']
     for n in range(arm.segment_count):
-        middle, child = f"segment_{n + 1}_pitched", f"segment_{n + 1}"
+        middle = f"segment_{n + 1}_pitched"
+        child = f"segment_{n + 1}"
         limit = float(mechanism.bend_limit_rad[n])
-        length, mass = float(mechanism.segment_length_m[n]), float(mechanism.mass_kg[n])
+        length = float(mechanism.segment_length_m[n])
+        mass = float(mechanism.mass_kg[n])
         centre = float(mechanism.centre_of_mass_m[n])
         across = mass * (3.0 * radius**2 + length**2) / 12.0
         inertial = _inertial(mass, centre, 0.5 * mass * radius**2, across)
@@ -171,7 +183,8 @@ def urdf_xml(arm: Arm) -> str:
             "</link>",
             _joint(f"joint_{n + 1}_yaw", middle, child, 0.0, "0 0 1", limit),
         ]
-        parent, position = child, length
+        parent = child
+        position = length
     robot = ElementTree.fromstring(f'<robot name="{arm.name}">{"".join(parts)}</robot>')
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True)

@@ -78,7 +78,8 @@ class QuasiStaticArm:
         self._angles_rad = np.zeros((len(self._each), self._mechanism.joint_count))
         spans = kinematics.spans(self._mechanism, self._angles_rad).length_m.sum(-1)
         self._straight_m = spans - self._mechanism.pretension_n / self._mechanism.stiffness_n_m
-        self._some_may_fail, self._lost = some_may_fail, np.zeros(len(self._each), dtype=bool)
+        self._some_may_fail = some_may_fail
+        self._lost = np.zeros(len(self._each), dtype=bool)
         self._begun = False
         self._last: tuple[Array, Array, _TrialPose] | None = None
 
@@ -113,7 +114,8 @@ class QuasiStaticArm:
         Raises:
             EquilibriumError: an arm finds no rest; its `failed` names them all.
         """
-        rest_m, longer_m = self._straight_m + held_m, np.zeros_like(held_m)
+        rest_m = self._straight_m + held_m
+        longer_m = np.zeros_like(held_m)
         forces = np.broadcast_to(forces_n, (len(self._each), *forces_n.shape[-2:]))
         places = self._mechanism.contact_m if contact_m is None else contact_m
         places = np.broadcast_to(places, forces.shape[:-1])
@@ -208,14 +210,17 @@ class QuasiStaticArm:
         alike = all(mechanism is self._each[0] for mechanism in self._each)
         sets = [slice(None)] if alike else [slice(arm, arm + 1) for arm in range(len(self._each))]
         for arms in sets:
-            start, forces, held = self._angles_rad[arms], forces_n[arms], held_m[arms]
+            start = self._angles_rad[arms]
+            forces = forces_n[arms]
+            held = held_m[arms]
             try:
                 touched = replace(self._each[arms][0], contact_m=contact_m[arms])
                 rest = solve_equilibrium(touched, start, forces, held_m=held)
             except EquilibriumError as error:
                 self._lose(EquilibriumError(str(error), np.arange(len(self._each))[arms]))
                 continue
-            self._angles_rad[arms], tensions[arms] = rest.joint_angles_rad, rest.tensions_n
+            self._angles_rad[arms] = rest.joint_angles_rad
+            tensions[arms] = rest.tensions_n
         shape = posed(self._plates, self._angles_rad)
         begun = ArmRest(time_s, self._angles_rad, shape.span_m, shape.bend_rad, tensions)
         for transmission in self._transmissions:
@@ -224,8 +229,11 @@ class QuasiStaticArm:
 
     def _search(self, start: Array, rest_m: Array, arms: Array) -> _TrialPose:
         pose = self._pose(start, rest_m, arms)
-        count, none = len(start), np.zeros_like(start)
-        fraction, near, far = np.ones(count), np.zeros(count), np.full(count, np.inf)
+        count = len(start)
+        none = np.zeros_like(start)
+        fraction = np.ones(count)
+        near = np.zeros(count)
+        far = np.full(count, np.inf)
         steps = _Steps(start.copy(), none, np.zeros(count), fraction, near, far)
         for _ in range(_MOST_STEPS):
             if np.abs(pose.balance.torque_n_m).max() <= RESIDUAL_LIMIT_N_M:
@@ -243,7 +251,8 @@ class QuasiStaticArm:
 
     def _require_room(self, angles_rad: Array) -> None:
         """Require that no joint is bent beyond the angle at which guide plates touch."""
-        bend, limit = kinematics.bend_rad(angles_rad), self._bend_limit_rad
+        bend = kinematics.bend_rad(angles_rad)
+        limit = self._bend_limit_rad
         bend = np.where(self._lost[:, None], 0.0, bend)
         if (bend < limit).all():
             return
@@ -258,11 +267,13 @@ class QuasiStaticArm:
     def _pose(self, angles: Array, rest_m: Array, arms: Array) -> _TrialPose:
         shape = posed(self._plates, angles)
         pull = self._pull(shape.span_m, shape.bend_rad, rest_m)
-        resisted, stiffer = self._spring_n_m_rad * angles, self._spring_n_m_rad
+        resisted = self._spring_n_m_rad * angles
+        stiffer = self._spring_n_m_rad
         for transmission in self._transmissions:
             own = transmission.joint_torque_n_m(angles)
             if own is not None:
-                resisted, stiffer = resisted + own[0], stiffer + own[1]
+                resisted = resisted + own[0]
+                stiffer = stiffer + own[1]
         # copies, so that the compiled code is of one kind of array
         along = pull.tensions_n[..., 1:].copy()
         by_span = pull.by_length_n_m[..., 1:, 1:].copy()
@@ -295,7 +306,8 @@ def _step_on(steps: _Steps, angles: Array, torque: Array, slope: Array) -> Array
     falls short of the kink, the next one ends between the two.
     """
     for p in range(len(angles)):
-        driven, fraction = steps.driven[p], steps.fraction[p]
+        driven = steps.driven[p]
+        fraction = steps.fraction[p]
         back = (torque[p] * steps.step[p]).sum()
         over = back > 0.3 * driven
         short = back < -0.7 * driven and steps.far[p] < np.inf
@@ -303,16 +315,20 @@ def _step_on(steps: _Steps, angles: Array, torque: Array, slope: Array) -> Array
             steps.far[p] = fraction
         if short:
             steps.near[p] = fraction
-        near, far = steps.near[p], steps.far[p]
+        near = steps.near[p]
+        far = steps.far[p]
         if (over or short) and far - near > _SHORTEST * far and far > _LEAST_FRACTION:
             shorter = min(max(driven / max(driven + back, 1e-300), 0.05), 0.8)
             steps.fraction[p] = 0.5 * (near + far) if near > 0.0 else shorter * fraction
             continue
-        steps.start[p], steps.step[p] = angles[p], 0.0
+        steps.start[p] = angles[p]
+        steps.step[p] = 0.0
         if np.abs(torque[p]).max() > RESIDUAL_LIMIT_N_M:
             steps.step[p] = _newton_rad(torque[p], slope[p])
         steps.driven[p] = -(torque[p] * steps.step[p]).sum()
-        steps.fraction[p], steps.near[p], steps.far[p] = 1.0, 0.0, np.inf
+        steps.fraction[p] = 1.0
+        steps.near[p] = 0.0
+        steps.far[p] = np.inf
     return steps.start + steps.fraction.reshape(-1, 1) * steps.step
 
 

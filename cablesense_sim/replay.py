@@ -79,7 +79,9 @@ class Replay:
         the recording states it; where it is NaN or None, at the nominal `contact_m`. An effect
         that moves contact points moves the loads by as much, wherever they act.
         """
-        self.time_s, self.command_rad, self.forces_n = time_s, command_rad, forces_n
+        self.time_s = time_s
+        self.command_rad = command_rad
+        self.forces_n = forces_n
         self._nominal = mechanism_of(nominal)
         self._held_m = held_lengths_m(self._nominal, command_rad)
         each_row = [command_rad, forces_n.reshape(len(forces_n), -1)]
@@ -120,9 +122,11 @@ class Replay:
         """
         together = [base, *variants]
         mechanisms, held_m, forces_n = self._moved(together)
-        first, same = self._first, self.alike
+        first = self._first
+        same = self.alike
         if not np.array_equal(held_m, held_m[:, first][:, same]):
-            first = same = np.arange(len(self.time_s))
+            first = np.arange(len(self.time_s))
+            same = first
         rest = self._rest(mechanisms[0], first, held_m[0], forces_n[0])
         touched = [self._touched(mechanism, first) for mechanism in mechanisms]
         loads_n = forces_n[:, first]
@@ -137,8 +141,11 @@ class Replay:
     def begun_at(self, start_rad: Array) -> Replay:
         """The same, but the search for each row's rest begins at joint angles (R, 2N)."""
         other = copy(self)
-        other._start_rad, other.rest_rad, other._latest = start_rad, start_rad, {}
-        other._first = other.alike = np.arange(len(start_rad))
+        other._start_rad = start_rad
+        other.rest_rad = start_rad
+        other._latest = {}
+        other._first = np.arange(len(start_rad))
+        other.alike = other._first
         return other
 
     def _in_turn_n(self, variants: Variants, *, some_may_fail: bool) -> Array:
@@ -270,9 +277,11 @@ class Replay:
         self, mechanism: Mechanism, held_m: Array, forces_n: Array, unborne_n: Array | None
     ) -> Array:
         """Tensions (R, M); rows with equal command and loads are solved once."""
-        first, same = self._first, self.alike
+        first = self._first
+        same = self.alike
         if not np.array_equal(held_m, held_m[first][same]):
-            first = same = np.arange(len(held_m))
+            first = np.arange(len(held_m))
+            same = first
         borne = np.ones(len(first), dtype=bool)
         try:
             rest = self._rest(mechanism, first, held_m, forces_n)
@@ -355,7 +364,8 @@ def mean_variance_n2(sensors: Sensors, count: int) -> float:
     Rounding averages out only as far as noise spreads the readings over steps: the mean of all
     rounded readings is off by a Fourier series in the tension's place between two steps.
     """
-    variance, lasting = reading_variance_n2(sensors), 0.0
+    variance = reading_variance_n2(sensors)
+    lasting = 0.0
     if sensors.step_n > 0.0:
         wave = math.pi * np.arange(1.0, 1.0 + _HARMONICS) / sensors.step_n
         sizes_n = np.exp(-2.0 * (wave * sensors.noise_std_n) ** 2) / wave

@@ -25,7 +25,8 @@ _TOUCHING_M = 1e-9
 _MAX_ITERATIONS = 100
 _ARMIJO = 1e-4
 _SHORTEST_STEP = 1e-9
-_LEAST_CUT, _LARGEST_CUT = 0.01, 0.9
+_LEAST_CUT = 0.01
+_LARGEST_CUT = 0.9
 _LONGEST_TURN_RAD = 0.1
 _LEAST_ESCAPE_RAD = 1e-3
 _ROUNDING = 1e-13
@@ -96,7 +97,8 @@ def posed(plates: Plates, angles_rad: Array) -> Pose:
         np.empty((arms, 2 * joints, 3)),
     )
     for p in range(arms):
-        cos, sin = np.cos(angles_rad[p]), np.sin(angles_rad[p])
+        cos = np.cos(angles_rad[p])
+        sin = np.sin(angles_rad[p])
         turn_axes(cos, sin, pose.axis[p], pose.joint_axis[p])
         for m in range(cables):
             for n in range(plates.passed[m]):
@@ -125,16 +127,21 @@ def span_m(
     These are its components along the axes before and behind the joint. Writes its derivatives,
     (2,) and (3,) as of `Pose`.
     """
-    o, (y, z, v, w) = offset_m, holes_m
+    o = offset_m
+    (y, z, v, w) = holes_m
     cos_a, cos_b = cos
     sin_a, sin_b = sin
-    x1, y1 = o * cos_b - v * sin_b, o * sin_b + v * cos_b
-    along, across = o * cos_a + z * sin_a, o * sin_a - z * cos_a
+    x1 = o * cos_b - v * sin_b
+    y1 = o * sin_b + v * cos_b
+    along = o * cos_a + z * sin_a
+    across = o * sin_a - z * cos_a
     squared = 2.0 * o * o + (y * y + z * z + v * v + w * w)
     squared += 2.0 * (x1 * along + w * across - y * y1)
     span = np.sqrt(max(squared, _TOUCHING_M**2))
-    by_a, by_b = (w * along - x1 * across) / span, -(y1 * along + y * x1) / span
-    by_turn_m[0], by_turn_m[1] = by_a, by_b
+    by_a = (w * along - x1 * across) / span
+    by_b = -(y1 * along + y * x1) / span
+    by_turn_m[0] = by_a
+    by_turn_m[1] = by_b
     by_turns_m[0] = -(x1 * along + w * across + by_a * by_a) / span
     by_turns_m[1] = (y1 * across - by_a * by_b) / span
     by_turns_m[2] = (y * y1 - x1 * along - by_b * by_b) / span
@@ -157,7 +164,8 @@ def stretch_m(
     """
     stretch = -rest_m
     for n in range(plates.passed[m]):
-        both, holes = slice(2 * n, 2 * n + 2), plates.holes_m[0, m, n]
+        both = slice(2 * n, 2 * n + 2)
+        holes = plates.holes_m[0, m, n]
         stretch += span_m(
             plates.offset_m, holes, cos[both], sin[both], lever_m[both], by_turns_m[n]
         )[0]
@@ -182,10 +190,15 @@ def turn_axes(cos: Array, sin: Array, axis: Array, joint_axis: Array) -> None:
 @compiled
 def take_load_torque(axis: Array, joint_axis: Array, arms_n_m: Array, torque_n_m: Array) -> None:
     """Takes the joint torques of loads (N, 3) off those (2N,)."""
-    x = y = z = 0.0
+    x = 0.0
+    y = 0.0
+    z = 0.0
     for n in range(len(axis) - 1, -1, -1):
-        (a, b, c), (f, g, h) = axis[n], arms_n_m[n]
-        x, y, z = x + b * h - c * g, y + c * f - a * h, z + a * g - b * f
+        (a, b, c) = axis[n]
+        (f, g, h) = arms_n_m[n]
+        x = x + b * h - c * g
+        y = y + c * f - a * h
+        z = z + a * g - b * f
         for k in (2 * n, 2 * n + 1):
             torque_n_m[k] -= joint_axis[k, 0] * x + joint_axis[k, 1] * y + joint_axis[k, 2] * z
 
@@ -235,7 +248,8 @@ def take_load_slope(axis: Array, joint_axis: Array, arms_n_m: Array, slope: Arra
 
     For a joint axis k before l it is A_n · (w_k x (w_l x x_n)), summed over the segments beyond.
     """
-    outer, along = np.zeros((3, 3)), 0.0
+    outer = np.zeros((3, 3))
+    along = 0.0
     turned = np.zeros(3)
     for n in range(len(axis) - 1, -1, -1):
         for i in range(3):
@@ -287,8 +301,10 @@ def search_rest(
         arms: (B, N, 3) loads on the segments' axes, N·m, as `kinematics.load_arms` has them.
         angles: (B, 2N) to begin at, rad; they become those of the answer.
     """
-    (count, cables), joints = rest.shape, arms.shape[1]
-    tensions, residual = np.zeros((count, cables)), np.full(count, np.inf)
+    (count, cables) = rest.shape
+    joints = arms.shape[1]
+    tensions = np.zeros((count, cables))
+    residual = np.full(count, np.inf)
     iterations = np.zeros(count, np.int64)
     case = _Case(
         np.zeros(cables),
@@ -306,9 +322,11 @@ def search_rest(
         case.arms_n_m[:] = arms[b]
         potential = _look(springs, angles[b], case)
         for iteration in range(_MAX_ITERATIONS + 1):
-            largest, root = np.abs(case.gradient_n_m).max(), case.hessian_n_m.copy()
+            largest = np.abs(case.gradient_n_m).max()
+            root = case.hessian_n_m.copy()
             stable = factorise(root)
-            tensions[b], iterations[b] = case.tension_n, iteration
+            tensions[b] = case.tension_n
+            iterations[b] = iteration
             # balanced on a saddle of the potential is not at rest
             residual[b] = largest if stable else np.inf
             if stable and largest <= enough:
@@ -338,7 +356,8 @@ def _line_search(
     potential is flat to rounding, full steps pass. The potential is infinite, and the angles are
     unchanged, if no step lowers it.
     """
-    before, slope = angles.copy(), (turn * case.gradient_n_m).sum()
+    before = angles.copy()
+    slope = (turn * case.gradient_n_m).sum()
     fraction = 1.0
     while True:
         angles[:] = before + fraction * turn
@@ -360,9 +379,13 @@ def _line_search(
 @compiled
 def _look(springs: Springs, angles: Array, case: _Case) -> float:
     """The potential at a pose, and everything of the case."""
-    plates, joints, second = springs.plates, len(case.axis), case.second_m
-    gradient, hessian = case.gradient_n_m, case.hessian_n_m
-    cos, sin = np.cos(angles), np.sin(angles)
+    plates = springs.plates
+    joints = len(case.axis)
+    second = case.second_m
+    gradient = case.gradient_n_m
+    hessian = case.hessian_n_m
+    cos = np.cos(angles)
+    sin = np.sin(angles)
     potential = 0.0
     hessian[:] = 0.0
     for k in range(2 * joints):
@@ -370,7 +393,8 @@ def _look(springs: Springs, angles: Array, case: _Case) -> float:
         hessian[k, k] = springs.joint_n_m_rad[k]
         potential += 0.5 * gradient[k] * angles[k]
     for m in range(len(case.tension_n)):
-        passed, lever = plates.passed[m], case.jacobian_m[m]
+        passed = plates.passed[m]
+        lever = case.jacobian_m[m]
         stretch = stretch_m(plates, m, case.rest_m[m], cos, sin, lever, second)
         stiffness = springs.cable_n_m[m]
         tension = stiffness * max(stretch, 0.0)

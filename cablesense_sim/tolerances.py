@@ -235,7 +235,8 @@ class ArmParameters:
         A mechanism has its centres of mass on the axes and holds the lengths of its commands:
         centres across the axis and joint zeros are not in it.
         """
-        at, nominal = self.slices, self._mechanism
+        at = self.slices
+        nominal = self._mechanism
         count = nominal.segment_count
         outward = np.stack([theta[at[f"hole_outward_{n}"]] for n in range(count + 1)], axis=1)
         around = np.stack([theta[at[f"hole_around_{n}"]] for n in range(count + 1)], axis=1)

@@ -52,7 +52,8 @@ class BackOff(ReadTopics):
         command_rad = self._command_rad or [0.0] * len(message.name)
         next_rad = next_command_rad(command_rad, message.effort, self.force_n())
         if next_rad != command_rad:
-            self._command_rad, self._stepped_s = next_rad, time.monotonic()
+            self._command_rad = next_rad
+            self._stepped_s = time.monotonic()
             stamped = JointState(name=message.name, position=next_rad)
             stamped.header.stamp = self.get_clock().now().to_msg()
             self._out.publish(stamped)

@@ -26,7 +26,9 @@ from cablesense_sim import (
 from cablesense_training import LawModel, find_model
 
 CSV = Path("out/estimate_csv/pushes.csv")  # yours, or it is simulated below
-ARM, MODEL = "cdsm", "cdsm_anywhere"  # names, or the paths of your files
+# names, or the paths of your files
+ARM = "cdsm"
+MODEL = "cdsm_anywhere"
 TARE_ROWS = 20  # at the start, where nothing touches the arm
 
 arm = open_arm(ARM)
@@ -37,7 +39,8 @@ arm = open_arm(ARM)
 # %%
 if not CSV.exists():
     CSV.parent.mkdir(parents=True, exist_ok=True)
-    mechanism, pose_rad = mechanism_of(arm), np.deg2rad([4.0, 0.0, -3.0, 5.0, 0.0, 0.0, 2.0, -4.0])
+    mechanism = mechanism_of(arm)
+    pose_rad = np.deg2rad([4.0, 0.0, -3.0, 5.0, 0.0, 0.0, 2.0, -4.0])
     pushed_n = np.concatenate([np.zeros(40), 60.0 * np.hanning(120), np.zeros(40)])
     loads_n = normal_force_n(mechanism, pose_rad, 3, 200.0, pushed_n)
     commands_rad = np.tile(pose_rad, (len(pushed_n), 1))

@@ -20,20 +20,29 @@ from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.recording import read_recording
 from cablesense_gap.robot.system import diagnose
 
-TRIALS, TRIAL_S, PERIOD_S = 6, 4.0, 0.01
+TRIALS = 6
+TRIAL_S = 4.0
+PERIOD_S = 0.01
 FRICTION_N_M = np.array([0.0, 0.2])
-ENCODER_STEP_RAD, NOISE_N_M = 1e-4, 0.01
+ENCODER_STEP_RAD = 1e-4
+NOISE_N_M = 0.01
 
 
 def record(model_file: Path, recording: Path) -> None:
     """Write what a drive with dry friction on its second joint would record of slow sines."""
     model = mujoco.MjModel.from_xml_path(str(model_file))
-    data, rng, rows = mujoco.MjData(model), np.random.default_rng(0), []
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    rows = []
     for trial in range(TRIALS):
-        size, pace = rng.uniform(0.3, 0.8, 2), 2.0 * np.pi * rng.uniform(0.3, 0.9, 2)
+        size = rng.uniform(0.3, 0.8, 2)
+        pace = 2.0 * np.pi * rng.uniform(0.3, 0.9, 2)
         for time_s in np.arange(0.0, TRIAL_S, PERIOD_S):
-            sine, cosine = size * np.sin(pace * time_s), size * np.cos(pace * time_s)
-            data.qpos, data.qvel, data.qacc = sine, pace * cosine, -(pace**2) * sine
+            sine = size * np.sin(pace * time_s)
+            cosine = size * np.cos(pace * time_s)
+            data.qpos = sine
+            data.qvel = pace * cosine
+            data.qacc = -(pace**2) * sine
             mujoco.mj_inverse(model, data)
             torque = data.qfrc_inverse + FRICTION_N_M * np.sign(data.qvel)
             torque += rng.normal(0.0, NOISE_N_M, 2)
@@ -51,14 +60,16 @@ def main(model_file: Path, recording: Path) -> None:
     print("effects:", ", ".join(verdict.effects), f"({verdict.probability:.0%})")
     for parameter, value in verdict.parameters.items():
         print(f"  {parameter}: {value.value:.3g} {value.unit}")
-    removed, gap = verdict.gap.removed_fraction, verdict.gap
+    removed = verdict.gap.removed_fraction
+    gap = verdict.gap
     print(f"gap: {gap.before_n:.1f} to {gap.after_n:.1f} {verdict.unit}, {removed:.0%} removed")
 
 
 def planted(folder: Path = Path("out/own_robot")) -> tuple[Path, Path]:
     """The model file and the recording of the planted case."""
     folder.mkdir(parents=True, exist_ok=True)
-    model_file, recording = config_path("robots/two_links.xml"), folder / "recording.csv"
+    model_file = config_path("robots/two_links.xml")
+    recording = folder / "recording.csv"
     record(model_file, recording)
     return model_file, recording
 

@@ -29,13 +29,17 @@ from cablesense_sim.kinematics import chain
 from cablesense_training import LawModel, find_model
 
 OUT = Path("out/push.gif")
-ARM, MODEL = "cdsm_lab", "cdsm_lab_anywhere"
+ARM = "cdsm_lab"
+MODEL = "cdsm_lab_anywhere"
 COMMAND_RAD = np.zeros(8)
 PUSHES = ((2, 0.02, 0.09, 180.0, 60.0), (4, 0.03, 0.09, 0.0, 35.0), (3, 0.09, 0.02, 180.0, 50.0))
 """Segment, places at the beginning and the end, m, angle, deg, and largest force, N."""
-TRUE, ESTIMATED, ARM_COLOUR = "#E69F00", "#0072B2", "#8A929B"
+TRUE = "#E69F00"
+ESTIMATED = "#0072B2"
+ARM_COLOUR = "#8A929B"
 ARROW_M_N = 0.0013
-FRAMES_A_SECOND, DPI = 10, 90
+FRAMES_A_SECOND = 10
+DPI = 90
 COLOURS = 32
 """Enough for lines, bars and smooth letters; with 256 the file is three times as large."""
 
@@ -55,15 +59,18 @@ class Frame(NamedTuple):
 
 def simulated(frames: int) -> list[Frame]:
     """The pushes frame by frame, and an estimator's answers."""
-    arm, rng = open_arm(ARM), np.random.default_rng(0)
+    arm = open_arm(ARM)
+    rng = np.random.default_rng(0)
     mechanism = mechanism_of(arm)
-    law, judge = LawModel(find_model(MODEL), arm), Judge(arm)
+    law = LawModel(find_model(MODEL), arm)
+    judge = Judge(arm)
     free_n = solve_equilibrium(mechanism, COMMAND_RAD).tensions_n
     calibrator = Calibrator(arm, law)
     tare = Unloaded(free_n, COMMAND_RAD, 50)
     known = calibrator.updated(calibrator.by_tolerances(), tare)
     still = np.zeros((arm.joint_count, arm.joint_count))
-    turn, course = np.linspace(0.0, len(PUSHES), frames, endpoint=False), []
+    turn = np.linspace(0.0, len(PUSHES), frames, endpoint=False)
+    course = []
     for number, within in zip(turn.astype(int), turn % 1.0, strict=True):
         segment, first_m, last_m, angle_deg, largest_n = PUSHES[number]
         place_m = first_m + (last_m - first_m) * within
@@ -76,7 +83,8 @@ def simulated(frames: int) -> list[Frame]:
         reading_n = read_tensions_n(rest.tensions_n, arm.sensors, rng)
         difference_n = reading_n - free_n
         seen = law(reading_n[None], COMMAND_RAD[None], known.mean, known.covariance, still)
-        judgement, estimated = judge(seen, reading_n), None
+        judgement = judge(seen, reading_n)
+        estimated = None
         if judgement.state is not ContactState.FREE:
             across_n = seen.force_n[0] * [0.0, 1.0, 1.0]  # straight, so in base axes too
             estimated = judgement.segment, float(seen.place_m[0]), across_n

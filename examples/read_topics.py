@@ -29,7 +29,8 @@ class ReadTopics(Node):
 
     def __init__(self, name: str = "read_topics") -> None:
         super().__init__(name)
-        self.state, self.wrench = "silent", WrenchStamped()
+        self.state = "silent"
+        self.wrench = WrenchStamped()
         self.listen(WrenchStamped, "estimator/wrench", self._on_wrench)
         self.listen(DiagnosticArray, "estimator/status", self._on_status)
         self.create_timer(PERIOD_S, lambda: print(self.line(), flush=True))

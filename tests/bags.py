@@ -22,7 +22,8 @@ class Bag:
     """A file of a recording's topics; `log_ns` is when a message came, 0 is no stamp."""
 
     def __init__(self, path):
-        self.file, self.channels = TopicFile(path), {}
+        self.file = TopicFile(path)
+        self.channels = {}
 
     def __enter__(self):
         return self
@@ -39,7 +40,8 @@ class Bag:
 
     def load(self, log_ns, stamp_ns, frame_id, force_n, torque_n_m=(0.0, 0.0, 0.0)):
         vector = STORE.types["geometry_msgs/msg/Vector3"]
-        force, torque = vector(*map(float, force_n)), vector(*map(float, torque_n_m))
+        force = vector(*map(float, force_n))
+        torque = vector(*map(float, torque_n_m))
         wrench = STORE.types["geometry_msgs/msg/Wrench"](force, torque)
         message = STORE.types[WRENCH_TYPE](_header(stamp_ns, frame_id), wrench)
         self.put(topics.APPLIED_WRENCH, log_ns, message)
@@ -56,13 +58,15 @@ class Bag:
 
 def write_mcap(path, recording, arm):
     """A recording as the topics of a running arm, every value with each row."""
-    mechanism, places_m = mechanism_of(arm), recording.load_at_m
+    mechanism = mechanism_of(arm)
+    places_m = recording.load_at_m
     places_m = np.full(len(recording), np.nan) if places_m is None else places_m
     with Bag(path) as bag:
         for row in range(len(recording)):
             at = START_NS + round((recording.time_s[row] - recording.time_s[0]) * 1e9)
             bag.trial(at, int(recording.trial[row]))
-            command, tensions_n = recording.command_rad[row], recording.tensions_n[row]
+            command = recording.command_rad[row]
+            tensions_n = recording.tensions_n[row]
             bag.joint_state(topics.JOINT_COMMANDS, at, at, arm.joint_names, position=command)
             for segment in range(1, arm.segment_count + 1):
                 force = (segment == recording.load_segment[row]) * recording.load_n[row]

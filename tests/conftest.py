@@ -101,7 +101,11 @@ def dask_address():
     import distributed
 
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=False, protocol="tcp", host="127.0.0.1",
+        n_workers=2,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp",
+        host="127.0.0.1",
         dashboard_address=":0",
-    ) as cluster:  # fmt: skip
+    ) as cluster:
         yield cluster.scheduler_address

@@ -37,7 +37,8 @@ def bent(seed: int = 0, most_deg: float = 8.0, count: int | None = None) -> np.n
 
 def course(commands: np.ndarray, loads: np.ndarray, period_s: float = 0.2) -> Replay:
     """Commands (R, 8) or (8,) and loads (R, 4, 3) or (4, 3), one every `period_s`."""
-    commands, loads = np.atleast_2d(commands), np.reshape(loads, (-1, *loads.shape[-2:]))
+    commands = np.atleast_2d(commands)
+    loads = np.reshape(loads, (-1, *loads.shape[-2:]))
     rows = max(len(commands), len(loads))
     return Replay(
         ARM,

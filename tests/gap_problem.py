@@ -19,7 +19,9 @@ from cablesense_sim.effects.effect import Parameter
 Change = Callable[[str, dict[str, float]], Array]
 """From a place and the numbers of an effect to what it adds, (R, C)."""
 
-TRIALS, ROWS, CHANNELS = 12, 20, 3
+TRIALS = 12
+ROWS = 20
+CHANNELS = 3
 TRIAL = np.repeat(np.arange(TRIALS), ROWS)
 TIME = np.tile(np.linspace(0.0, 1.0, ROWS), TRIALS)
 FLOOR = 0.1
@@ -58,7 +60,8 @@ class Sums:
         floor: float = FLOOR,
     ) -> None:
         tolerances = scatter() if tolerances is None else tolerances
-        self.candidates, self.tolerances = tuple(candidates), tuple(tolerances)
+        self.candidates = tuple(candidates)
+        self.tolerances = tuple(tolerances)
         self.floor = floor
         self.asked: list[Assignment] = []
         self._changes = {c.effect: change for c, change in (candidates | tolerances).items()}
@@ -109,7 +112,8 @@ def problem_of(
     """Readings of the truth, an assignment or an array (R, C), with the simulator's noise."""
     ideal = truth if isinstance(truth, np.ndarray) else simulator.predict([truth])[0]
     noise = np.random.default_rng(seed).normal(0.0, simulator.floor, ideal.shape)
-    fold, used = np.arange(TRIALS) % folds, np.ones(len(TRIAL), dtype=bool)
+    fold = np.arange(TRIALS) % folds
+    used = np.ones(len(TRIAL), dtype=bool)
     return prepare(simulator, ideal + noise, TRIAL, fold, used)
 
 

@@ -10,7 +10,10 @@ class Page(HTMLParser):
 
     def __init__(self, html):
         super().__init__()
-        self.text, self.sources, self.open, self.h1 = "", [], [], ""
+        self.text = ""
+        self.sources = []
+        self.open = []
+        self.h1 = ""
         self.feed(html)
         assert self.open == []
 

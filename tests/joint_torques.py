@@ -16,5 +16,6 @@ def axis_torques_n_m(pose: kinematics.SegmentChain, load_arms_n_m: np.ndarray) -
 def load_torques_n_m(mechanism: Mechanism, q: np.ndarray, forces_n=0.0) -> np.ndarray:
     """Of gravity and of contact forces (..., N, 3), if any, at joint angles (..., 2N)."""
     forces_n = np.zeros((*q.shape[:-1], mechanism.segment_count, 3)) + forces_n
-    pose, arms = kinematics.chain(mechanism, q), kinematics.load_arms(mechanism, forces_n)
+    pose = kinematics.chain(mechanism, q)
+    arms = kinematics.load_arms(mechanism, forces_n)
     return axis_torques_n_m(pose, arms)

@@ -40,7 +40,9 @@ class Visitor:
             max_size=None,
             max_queue=None,
         )
-        self.controls, self.texts, self.acknowledged = {}, {}, 0
+        self.controls = {}
+        self.texts = {}
+        self.acknowledged = 0
         self.send(LOOK)
 
     def send(self, message):

@@ -12,6 +12,7 @@ BODY = NOMINAL.body
 
 def two_segments(folder: Path) -> Path:
     """The file of an arm of two segments that is read twice a second: quick to simulate."""
-    file, text = folder / "arm.yaml", ARM_FILE.read_text()
+    file = folder / "arm.yaml"
+    text = ARM_FILE.read_text()
     file.write_text(text.replace("count: 4", "count: 2").replace("rate_hz: 5", "rate_hz: 2"))
     return file

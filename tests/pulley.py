@@ -25,7 +25,8 @@ from cablesense_sim.effects.effect import Parameter
 
 G_M_S2 = 9.81
 WEIGHT_KG = 5.0
-NEAR_N_M, FAR_N_M = 20e3, 5e3
+NEAR_N_M = 20e3
+FAR_N_M = 5e3
 SPRING_N_M = 400.0
 WRAP_RAD = np.pi
 NOISE = np.array([0.05, 0.05, 1e-4])
@@ -49,9 +50,16 @@ def _effect(
 
 
 TIME_S = Parameter(
-    "time_s", "s", 0.5, 100.0, 5.0, "until 63 % is there", default=5.0, role="shape",
+    "time_s",
+    "s",
+    0.5,
+    100.0,
+    5.0,
+    "until 63 % is there",
+    default=5.0,
+    role="shape",
     starts=(2.0, 12.0),
-)  # fmt: skip
+)
 CANDIDATES = (
     _effect(
         "pulley_friction", ["pulley"], ("coefficient", "1", 0.0, 0.4, 0.05), history_dependent=True
@@ -85,9 +93,11 @@ def work(seed: int = 0, trials: int = 12) -> Work:
     rng = np.random.default_rng(seed)
     turn = np.sin(np.linspace(0.0, 2.0 * np.pi, ROWS))
     hold = np.repeat([0.0, 1.0, 0.0], [4, 12, ROWS - 16])
-    wound, load = [], []
+    wound = []
+    load = []
     for t in range(trials):
-        size, at = rng.uniform(0.4, 1.0), rng.uniform(-0.02, 0.02)
+        size = rng.uniform(0.4, 1.0)
+        at = rng.uniform(-0.02, 0.02)
         wound.append(0.05 * size * turn if t % 3 == 0 else np.full(ROWS, at))
         push = (0.0 * turn, 25.0 * size * (1.0 + turn), 50.0 * size * hold)[t % 3]
         load.append(push)
@@ -107,7 +117,8 @@ class Pulley:
         candidates: Sequence[Candidate] = CANDIDATES,
         tolerances: Sequence[Candidate] = TOLERANCES,
     ) -> None:
-        self.candidates, self.tolerances = candidates, tolerances
+        self.candidates = candidates
+        self.tolerances = tolerances
         self._done = done
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
@@ -147,7 +158,8 @@ class Pulley:
         return near, far, height
 
 
-SOFT, HEAVY = ("softer_cable", "make"), ("extra_weight", "weighing")
+SOFT = ("softer_cable", "make")
+HEAVY = ("extra_weight", "weighing")
 SHIFTED = ("sensor_offset", "zeros")
 
 
@@ -178,10 +190,14 @@ def problem_of(simulator: Pulley, readings: Array, folds: int = 4) -> Problem:
 class PulleySystem(Pulley, System):
     """The pulley with its readings (R, 3), for the whole pipeline."""
 
-    name, recording_name, unit = "pulley", "work", "floors"
+    name = "pulley"
+    recording_name = "work"
+    unit = "floors"
 
     def __init__(self, done: Work, readings: Array) -> None:
         super().__init__(done)
-        self.readings, self.trial, self.row_count = readings, done.trial, len(readings)
+        self.readings = readings
+        self.trial = done.trial
+        self.row_count = len(readings)
         self.fold = np.arange(done.trial.max() + 1) // 3 % 4
         self.counted = np.ones(len(readings), dtype=bool)

@@ -53,14 +53,17 @@ class MadeRun:
         adjusted: bool = False,
     ) -> None:
         """Of the arm `cdsm_lab`; `adjusted` lowers the threshold of contacts before the push."""
-        self.loaded = loaded = load_model("cdsm_lab", model)
+        self.loaded = load_model("cdsm_lab", model)
+        loaded = self.loaded
         arm = loaded.arm
         settings = SETTINGS.model_copy(update={"unknown_force": unknown_force})
         live = Estimation(arm, loaded.contacts(settings), settings, 0.0)
         provenance = Provenance(loaded.path, loaded.sha256, arm.identity, "", settings)
         writers = wrench_writers(Frames(arm.segment_count))
-        mechanism, rng = mechanism_of(arm), np.random.default_rng(5)
-        angles, force = np.zeros(8), np.zeros((4, 3))
+        mechanism = mechanism_of(arm)
+        rng = np.random.default_rng(5)
+        angles = np.zeros(8)
+        force = np.zeros((4, 3))
         self.records: list[tuple[str, int, bytes]] = []
 
         def note_calibration(now):
@@ -122,7 +125,8 @@ class MadeRun:
 
     def write(self, path, records=None, namespace="/", kinds=()):
         """Put records into a file; `kinds` replaces types of topics."""
-        file, channels = TopicFile(path), {}
+        file = TopicFile(path)
+        channels = {}
         for topic, log_ns, raw in self.records if records is None else records:
             if topic not in channels:
                 of = CONTRACT[of_contract(resolved(topic))]

@@ -29,7 +29,9 @@ class AnyDifference:
     pose_aware = True
 
     def __init__(self, probability=0.9, magnitude_n=40.0, std_n=0.1):
-        self.probability, self.magnitude_n, self.std_n = probability, magnitude_n, std_n
+        self.probability = probability
+        self.magnitude_n = magnitude_n
+        self.std_n = std_n
         self.asked = []
 
     def estimate(self, tension_difference_n, joint_command_rad):

@@ -27,7 +27,8 @@ def series(tensions_n, time_s=None, at_rest=None):
     rows = len(tensions_n)
     time_s = np.arange(rows) / RATE_HZ if time_s is None else time_s
     loaded = np.zeros(rows, dtype=np.int64) if at_rest is None else 1 - at_rest
-    trial, still = np.zeros(rows, dtype=np.int64), np.zeros((rows, ARM.joint_count))
+    trial = np.zeros(rows, dtype=np.int64)
+    still = np.zeros((rows, ARM.joint_count))
     return Recording("run", time_s, trial, still, loaded, np.zeros((rows, 3)), tensions_n)
 
 

@@ -10,7 +10,8 @@ from cablesense_training.errors import ModelFileError
 from cablesense_training.inference.estimator import OUTPUTS, Estimator
 
 CDSM = open_arm("cdsm")
-FLOAT, DOUBLE = TensorProto.FLOAT, TensorProto.DOUBLE
+FLOAT = TensorProto.FLOAT
+DOUBLE = TensorProto.DOUBLE
 RANKS = dict(zip(OUTPUTS, (2, 2, 1, 1, 1), strict=True))
 
 

@@ -41,10 +41,17 @@ def torques(position, speed, acceleration, friction=(0.0, 0.0), armature=(0.0, 0
 
     Spong, Hutchinson and Vidyasagar, Robot Modeling and Control, 2006, section 7.4.
     """
-    m1, m2, l1, c1, i1, i2 = 0.6, 0.5, 0.3, 0.15, 0.005, 0.002
-    first, second = m2 * 0.1 + payload * 0.2, m2 * 0.1**2 + i2 + payload * 0.2**2
+    m1 = 0.6
+    m2 = 0.5
+    l1 = 0.3
+    c1 = 0.15
+    i1 = 0.005
+    i2 = 0.002
+    first = m2 * 0.1 + payload * 0.2
+    second = m2 * 0.1**2 + i2 + payload * 0.2**2
     mass = m2 + payload
-    cos, sin = np.cos(position[:, 1]), np.sin(position[:, 1])
+    cos = np.cos(position[:, 1])
+    sin = np.sin(position[:, 1])
     h = l1 * first * sin
     m11 = m1 * c1**2 + i1 + mass * l1**2 + second + 2.0 * l1 * first * cos
     m12 = second + l1 * first * cos
@@ -69,7 +76,8 @@ def motion(rng, seconds=4.0):
     found = np.zeros((3, len(time_s), 2))
     for joint in range(2):
         for hertz in (0.2, 0.5, 0.9):
-            size, w = rng.uniform(0.1, 0.4) / hertz, 2.0 * np.pi * hertz * rng.uniform(0.8, 1.2)
+            size = rng.uniform(0.1, 0.4) / hertz
+            w = 2.0 * np.pi * hertz * rng.uniform(0.8, 1.2)
             at = w * time_s + rng.uniform(0.0, 6.0)
             found[:, :, joint] += (
                 0.3 * size * np.array([np.sin(at), w * np.cos(at), -w * w * np.sin(at)])
@@ -97,9 +105,12 @@ def recorded(path, seed=0, trials=6, read=lambda torque: torque, noise_n_m=0.01,
 def model_torques(position, speed, acceleration):
     """(T, 2) by MuJoCo, of the nominal model."""
     model = mujoco.MjModel.from_xml_string(XML)
-    data, found = mujoco.MjData(model), np.empty_like(position)
+    data = mujoco.MjData(model)
+    found = np.empty_like(position)
     for k in range(len(position)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = position[k], speed[k], acceleration[k]
+        data.qpos[:] = position[k]
+        data.qvel[:] = speed[k]
+        data.qacc[:] = acceleration[k]
         mujoco.mj_inverse(model, data)
         found[k] = data.qfrc_inverse
     return found

@@ -55,7 +55,8 @@ def _connected(address: str, refusal: type[CableSenseError]) -> Any:
 
         client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
         client.wait_for_workers(1, timeout=PATIENCE_S)
-        versions, here = client.run(package_version), package_version()
+        versions = client.run(package_version)
+        here = package_version()
     except ImportError as error:
         raise refusal(
             f"{error}: a Dask cluster needs `pip install distributed` here and this package there"

@@ -29,12 +29,15 @@ from cablesense_gap.diagnosis.problem import Problem, unit_of
 from cablesense_gap.diagnosis.selection import linear_effects
 from cablesense_gap.simulator import Term
 
-_WAVES, _SLIDING_WAVES = 40, 8
+_WAVES = 40
+_SLIDING_WAVES = 8
 """Half waves over the range of positions, alone and times functions of the speed."""
 _SLOW = (0.05, 0.3, 1.0)
 """Shares of the usual speed at which functions of the speed saturate: friction's direction, its
 rise at rest, and damping."""
-_POWERS, _SLIDING_POWERS, _FARTHEST = 6, 3, 1.6
+_POWERS = 6
+_SLIDING_POWERS = 3
+_FARTHEST = 1.6
 """Number of powers of the position, alone and times the direction of the motion; and the largest
 position, in half ranges from the middle."""
 _MARGIN = 0.1
@@ -232,7 +235,8 @@ class AlongTheWay:
 
     def of(self, conditions: Conditions, channels: NDArray[np.int64]) -> Array:
         """(R, K) at conditions (R, C), in K of the channels."""
-        smooth, own = self.smooth.only(channels), conditions.only(channels)
+        smooth = self.smooth.only(channels)
+        own = conditions.only(channels)
         waves = self.discrepancy.part(smooth.of(own), channels)
         return waves + np.einsum("pc,prc->rc", self.powers[:, channels], smooth.powers(own))
 
@@ -317,11 +321,13 @@ def _fitted(
     precision, scatter = _of_most_evidence(x, y, group)
 
     def posterior(rows: NDArray[np.bool_]) -> tuple[Array, Array]:
-        gram, moment = x[:, rows] @ x[:, rows].T, x[:, rows] @ y[rows]
+        gram = x[:, rows] @ x[:, rows].T
+        moment = x[:, rows] @ y[rows]
         covariance = np.linalg.inv(gram / (_CORRELATED * scatter) + np.diag(precision))
         return covariance @ moment / (_CORRELATED * scatter), covariance
 
-    held_out, spread = np.zeros_like(y), np.zeros_like(y)
+    held_out = np.zeros_like(y)
+    spread = np.zeros_like(y)
     for k in np.unique(fold):
         mean, covariance = posterior(fold != k)
         out = x[:, fold == k]
@@ -348,13 +354,17 @@ def _of_most_evidence(x: Array, y: Array, group: NDArray[np.int64]) -> tuple[Arr
 
     Columns (K, R) and values (R,) have a mean square of one.
     """
-    gram, moment, count = x @ x.T / _CORRELATED, x @ y / _CORRELATED, len(y) / _CORRELATED
-    precision, scatter = np.full(len(x), float(len(x))), 0.1
+    gram = x @ x.T / _CORRELATED
+    moment = x @ y / _CORRELATED
+    count = len(y) / _CORRELATED
+    precision = np.full(len(x), float(len(x)))
+    scatter = 0.1
     for _ in range(_ITERATIONS):
         covariance = np.linalg.inv(gram / scatter + np.diag(precision))
         mean = covariance @ moment / scatter
         known = 1.0 - precision * covariance.diagonal()
-        found, size = np.bincount(group, known), np.bincount(group, mean**2)
+        found = np.bincount(group, known)
+        size = np.bincount(group, mean**2)
         precision = np.clip(found / np.maximum(size, 1e-12), 1e-3, 1e9)[group]
         left = count - 2.0 * moment @ mean + mean @ gram @ mean
         scatter = float(max(left / max(count - known.sum(), 0.1 * count), 1e-8))

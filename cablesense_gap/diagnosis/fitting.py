@@ -31,7 +31,9 @@ from cablesense_sim.effects.effect import Parameter
 MOST_STEPS = 8
 """Of Gauss-Newton; a fit that has not converged by then is no better than its rivals."""
 
-_STEP, _NEAR, _CONVERGED = 0.03, 0.25, 5e-3
+_STEP = 0.03
+_NEAR = 0.25
+_CONVERGED = 5e-3
 """Scaled steps: for derivatives, far above the rounding of the simulator and small enough to be
 linear; to where derivatives still serve; and too small to continue."""
 _GAIN = 1.0
@@ -94,7 +96,8 @@ def joint_step(problem: Problem, explanation: Explanation) -> Explanation | None
 class _Fit:
     def __init__(self, problem: Problem, parameters: Mapping[Term, Parameter]) -> None:
         self._problem = problem
-        self._terms, self._parameters = tuple(parameters), tuple(parameters.values())
+        self._terms = tuple(parameters)
+        self._parameters = tuple(parameters.values())
         self._tolerances = len(problem.tolerance_columns)
         self._prior = np.array([prior_precision(p) for p in self._parameters])
         self._precision = np.concatenate([np.ones(self._tolerances), self._prior])
@@ -122,7 +125,8 @@ class _Fit:
         predicted, columns = start_at or self._linear(point)
         if not np.isfinite(predicted).all():
             return None
-        damping, mean_square = 1e-3, self._cost(point, predicted, None)[1]
+        damping = 1e-3
+        mean_square = self._cost(point, predicted, None)[1]
         linear_at = point
         for _ in range(most_steps):
             step = self._step(point, predicted, columns, mean_square, damping)
@@ -139,7 +143,9 @@ class _Fit:
                     break
                 damping *= 30.0
                 continue
-            point, predicted, mean_square = tried, ahead, after[1]
+            point = tried
+            predicted = ahead
+            mean_square = after[1]
             damping = max(damping / 10.0, 1e-6)
             if far:
                 columns = self._linear(tried, columns)[1] if there is None else there[1]
@@ -150,16 +156,21 @@ class _Fit:
 
     def joint_step(self, explanation: Explanation) -> Explanation | None:
         """As the function of this name."""
-        problem, none = self._problem, self._tolerances
+        problem = self._problem
+        none = self._tolerances
         values = zip(self._parameters, explanation.values.values(), strict=True)
         point = np.array([to_scaled(parameter, value) for parameter, value in values])
         self._expected = np.where(self._shape, point, 0.0)
         predicted = explanation.without_tolerances
         every = np.concatenate([problem.tolerance_columns, explanation.columns])
-        data, offset = self._products(predicted, every), self._offset(point)
+        data = self._products(predicted, every)
+        offset = self._offset(point)
         weight_ = weight(self._cost(point, predicted, None)[1], problem.floor)
-        gram, moment, precision = data.gram.sum(0), data.moment.sum(0), self._precision
-        found, t = solve(gram, moment, precision, offset, weight_), slice(None, none)
+        gram = data.gram.sum(0)
+        moment = data.moment.sum(0)
+        precision = self._precision
+        found = solve(gram, moment, precision, offset, weight_)
+        t = slice(None, none)
         step = found.copy()
         step[t] -= solve(gram[t, t], moment[t], precision[t], offset[t], weight_)
         if step @ (weight_ * gram + np.diag(precision)) @ step < _GAIN:
@@ -217,9 +228,12 @@ class _Fit:
         self, point: Array, predicted: Array, columns: Array, mean_square: float, damping: float
     ) -> Array:
         every = np.concatenate([self._problem.tolerance_columns, columns])
-        data, none = self._products(predicted, every), self._tolerances
-        weight_, offset = weight(mean_square, self._problem.floor), self._offset(point)
-        gram, moment = data.gram.sum(0), data.moment.sum(0)
+        data = self._products(predicted, every)
+        none = self._tolerances
+        weight_ = weight(mean_square, self._problem.floor)
+        offset = self._offset(point)
+        gram = data.gram.sum(0)
+        moment = data.moment.sum(0)
         # damped by the part that tolerances do not imitate: else an effect like one hardly moves
         of_tolerances = weight_ * gram[:none, :none] + np.diag(self._precision[:none])
         imitated = np.linalg.solve(of_tolerances, gram[:none, none:])
@@ -229,7 +243,8 @@ class _Fit:
         damped = gram + damping * np.diag(own)
         free = np.ones(len(gram), dtype=bool)
         for _ in range(3):  # values that leave their range stay at its end, the others continue
-            step, at = np.zeros(len(gram)), np.flatnonzero(free)
+            step = np.zeros(len(gram))
+            at = np.flatnonzero(free)
             step[at] = solve(
                 damped[np.ix_(at, at)], moment[at], self._precision[at], offset[at], weight_
             )
@@ -243,7 +258,8 @@ class _Fit:
 
     def _products(self, predicted: Array, columns: Array) -> Products:
         """Products of columns (K, R, C), tolerances first, and the residual of a prediction."""
-        problem, residual = self._problem, self._residual(predicted)
+        problem = self._problem
+        residual = self._residual(predicted)
         known = problem.tolerance_gram
         return products(columns, residual, problem.trial, problem.used, known)
 
@@ -259,9 +275,11 @@ class _Fit:
             return np.inf, np.inf
         residual = self._residual(prediction)
         residual[~problem.used] = 0.0
-        gram, count = problem.tolerance_gram.sum(0), residual[problem.used].size
+        gram = problem.tolerance_gram.sum(0)
+        count = residual[problem.used].size
         moment = np.tensordot(problem.tolerance_columns, residual, axes=2)
-        square, none = float((residual**2).sum()), np.zeros(len(moment))
+        square = float((residual**2).sum())
+        none = np.zeros(len(moment))
         used = square / count if mean_square is None else mean_square
         for _ in range(2):
             weight_ = weight(used, problem.floor)
@@ -275,21 +293,27 @@ class _Fit:
     def _explanation(
         self, point: Array, predicted: Array, columns: Array, mean_square: float
     ) -> Explanation:
-        problem, none = self._problem, self._tolerances
+        problem = self._problem
+        none = self._tolerances
         every = np.concatenate([problem.tolerance_columns, columns])
-        data, weight_ = self._products(predicted, every), weight(mean_square, problem.floor)
+        data = self._products(predicted, every)
+        weight_ = weight(mean_square, problem.floor)
         off = self._offset(point)
         # at a bound the one-step refits of the folds may not move either
         inside = (point > self._low) & (point < self._high)
         at = np.flatnonzero(np.concatenate([np.ones(none, dtype=bool), inside]))
-        part, precision, offset = data.columns(at), self._precision[at], off[at]
-        gram, moment = part.gram.sum(0), part.moment.sum(0)
+        part = data.columns(at)
+        precision = self._precision[at]
+        offset = off[at]
+        gram = part.gram.sum(0)
+        moment = part.moment.sum(0)
         found = solve(gram, moment, precision, offset, weight_)
         # of the values as they are: the effects' part of `found` is a step that is not made
         t = slice(None, none)
         tolerances = solve(gram[t, t], moment[t], precision[t], offset[t], weight_)
         every = every[at]
-        held_out_effects, tolerated = predicted.copy(), np.zeros_like(predicted)
+        held_out_effects = predicted.copy()
+        tolerated = np.zeros_like(predicted)
         without = fold_solutions(part, none, precision, offset, weight_, problem.fold)
         for k, coefficients in enumerate(without):
             rows = problem.fold[problem.trial] == k
@@ -348,7 +372,8 @@ def fit(problem: Problem, proposal: Proposal) -> list[Explanation]:
     Nothing if the simulator cannot follow. A history-dependent effect starts with smaller and
     larger sizes too, and with every combination of the shapes that its columns do not distinguish.
     """
-    ranges, known = problem.parameters, proposal.beside.values
+    ranges = problem.parameters
+    known = proposal.beside.values
     start, impossible = _start(problem, proposal)
     before = [to_scaled(ranges[term], value) for term, value in known.items()]
     names = {term.effect for term in (*known, *start)}
@@ -426,7 +451,8 @@ def _elsewhere(
     problem: Problem, start: Mapping[Term, float], slow: Sequence[Candidate]
 ) -> Iterator[dict[Term, float]]:
     """The start with other sizes of the effects `slow`, and with every combination of shapes."""
-    ranges, own = problem.parameters, {c.effect for c in slow}
+    ranges = problem.parameters
+    own = {c.effect for c in slow}
     shapes: list[dict[tuple[str, str], float]] = []
     for candidate in slow:
         free = [p for p in candidate.parameters if p.role == "shape" and p.trials]

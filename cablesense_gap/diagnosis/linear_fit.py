@@ -65,7 +65,8 @@ def products(
 
     `known` is the Gram matrix (T, J, J) of the first J columns, if they had their products before.
     """
-    parts, before = [], 0 if known is None else known.shape[1]
+    parts = []
+    before = 0 if known is None else known.shape[1]
     for t in range(int(trial.max()) + 1):
         rows = (trial == t) & used
         y = residual[rows].ravel()
@@ -99,11 +100,14 @@ def fold_solutions(
     The first `tolerances` coefficients are then fitted to all trials, with the others as they are:
     often one trial alone shows a tolerance, and then no fit to the rest predicts it.
     """
-    gram, moment = data.gram.sum(0), data.moment.sum(0)
-    t, e = slice(None, tolerances), slice(tolerances, None)
+    gram = data.gram.sum(0)
+    moment = data.moment.sum(0)
+    t = slice(None, tolerances)
+    e = slice(tolerances, None)
     found = []
     for k in range(int(fold.max()) + 1):
-        own, own_moment = data.gram[fold == k].sum(0), data.moment[fold == k].sum(0)
+        own = data.gram[fold == k].sum(0)
+        own_moment = data.moment[fold == k].sum(0)
         each = solve(gram - own, moment - own_moment, precision, offset, weight_)
         beside = moment[t] - gram[t, e] @ each[e]
         each[t] = solve(gram[t, t], beside, precision[t], offset[t], weight_)
@@ -138,9 +142,16 @@ class Reduced:
         """
         self._tolerances = tolerances
         self._count = data.count.sum()
-        system, moment, form, slope, constant = [], [], [], [], 0.0
-        gram, product = data.gram.sum(0), data.moment.sum(0)
-        t, b, c = slice(None, tolerances), slice(None, base), slice(base, None)
+        system = []
+        moment = []
+        form = []
+        slope = []
+        constant = 0.0
+        gram = data.gram.sum(0)
+        product = data.moment.sum(0)
+        t = slice(None, tolerances)
+        b = slice(None, base)
+        c = slice(base, None)
         of_tolerances = weight_ * gram[t, t] + np.diag(precision[t])
 
         def eliminated(g: Array, m: Array) -> tuple[Array, Array]:
@@ -148,13 +159,15 @@ class Reduced:
                 weight_ * g[b, b] + np.diag(precision[b]),
                 weight_ * np.column_stack([m[b], g[b, c]]),
             )
-            first, by = both[:, 0], both[:, 1:]
+            first = both[:, 0]
+            by = both[:, 1:]
             system.append(weight_ * (g[c, c] - g[c, b] @ by) + np.diag(precision[c]))
             moment.append(weight_ * (m[c] - g[c, b] @ first))
             return np.asarray(first), np.asarray(by)
 
         for k in range(int(fold.max()) + 1):
-            own, own_product = data.gram[fold == k].sum(0), data.moment[fold == k].sum(0)
+            own = data.gram[fold == k].sum(0)
+            own_product = data.moment[fold == k].sum(0)
             first, by = eliminated(gram - own, product - own_product)
             across = own[b, b] @ by - own[b, c]
             pull = np.column_stack([own_product[t] - own[t, b] @ first, -across[t]])
@@ -166,8 +179,11 @@ class Reduced:
             constant += data.square[fold == k].sum() - gain[0, 0]
             constant += first @ (own[b, b] @ first - 2.0 * own_product[b])
         self._first, self._by = eliminated(gram, product)
-        self._system, self._moment = np.array(system), np.array(moment)
-        self._form, self._slope, self._constant = np.array(form), np.array(slope), constant
+        self._system = np.array(system)
+        self._moment = np.array(moment)
+        self._form = np.array(form)
+        self._slope = np.array(slope)
+        self._constant = constant
 
     def left(self, sets: NDArray[np.int64]) -> tuple[Array, Array]:
         """(N,) mean squares that N sets (N, K) of columns leave, counted from behind the base.
@@ -176,7 +192,8 @@ class Reduced:
         """
         system = self._system[:, sets[:, :, None], sets[:, None, :]]
         solved = np.linalg.solve(system, self._moment[:, sets][..., None])[..., 0]
-        found, of_all = solved[:-1], solved[-1]
+        found = solved[:-1]
+        of_all = solved[-1]
         form = self._form[:, sets[:, :, None], sets[:, None, :]]
         pulled = (form @ found[..., None])[..., 0] - 2.0 * self._slope[:, sets]
         square = (found * pulled).sum((0, -1)) + self._constant

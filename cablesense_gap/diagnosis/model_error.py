@@ -55,11 +55,13 @@ class TwoParts:
             free += len(own) - large.sum(1)
         deviation = np.clip(np.sqrt(left / free), least, error)
         smooth = np.sqrt(_SMOOTH) * deviation / error
-        basis, rest = [], []
+        basis = []
+        rest = []
         for functions, size in found:
             large = size > deviation[:, None]
             basis.append(functions * large[:, None])
-            count, dimensions = functions.shape[1], large.sum(1)
+            count = functions.shape[1]
+            dimensions = large.sum(1)
             share = np.where(dimensions > 0, 1.0 - _SMOOTH, 1.0)
             rest.append(np.sqrt(share * count / np.maximum(count - dimensions, 1)))
         return TwoParts(rows, basis, smooth, rest), deviation

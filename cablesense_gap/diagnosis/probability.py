@@ -43,7 +43,9 @@ _EQUAL = 0.9
 PARALLEL = 0.75
 """The shapes of two changes do not differ if one is imitated to this share."""
 
-_UNEXPLAINED, _OUTWEIGHED, _SUPPORTED = 0.4, 0.7, 1.6
+_UNEXPLAINED = 0.4
+_OUTWEIGHED = 0.7
+_SUPPORTED = 1.6
 """Effects are named although an unlisted one is more probable in two cases. Three or more leave at
 most the first share of the gap; or one that depends on history leaves at most the second, since no
 static effect makes loading and unloading differ. Leaving one out must cost the last factor."""
@@ -225,7 +227,8 @@ def ambiguity(
     an unlisted effect change nothing that could be compared, so they are in no group of others.
     `unit` is the unit of the channels.
     """
-    best, rivals = ranked[0], rivals_of(ranked)
+    best = ranked[0]
+    rivals = rivals_of(ranked)
     return (
         tuple("+".join(each.effects) for each in (best, *rivals)),
         tuple(_reason(problem, best, rival, unit) for rival in rivals),
@@ -264,7 +267,8 @@ def imitated_share(problem: Problem, one: Explanation, other: Explanation) -> fl
 
 
 def _reason(problem: Problem, best: Ranked, rival: Ranked, unit: str) -> str:
-    one, other = best.explanation, rival.explanation
+    one = best.explanation
+    other = rival.explanation
     assert one is not None
     assert other is not None
     floor = f"{problem.floor:.2g} {unit}"

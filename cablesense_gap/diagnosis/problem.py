@@ -28,7 +28,9 @@ show."""
 _WORTH_MIXING = 0.2
 """Share of the directions to be left out, from which on tolerances are fitted by directions."""
 
-EFFECT_WORTH, PLACE_WORTH, CHOICE_WORTH = 1.08, 1.04, 0.02
+EFFECT_WORTH = 1.08
+PLACE_WORTH = 1.04
+CHOICE_WORTH = 0.02
 """The factors by which an effect and each of its places must make the cost smaller, and the power
 of the number of ways to choose these places: many choices fit chance better."""
 
@@ -261,7 +263,8 @@ class Sketch:
 
     def explanation(self, whole: Explanation) -> Explanation:
         """An explanation of the other problem on these rows."""
-        held_out, problem = whole.held_out[self.rows], self.problem
+        held_out = whole.held_out[self.rows]
+        problem = self.problem
         squares, count = problem.squares_by_trial(held_out)
         return replace(
             whole,
@@ -278,7 +281,8 @@ class Sketch:
         """(K, R, C) columns from (K, rows, C), linear between these rows."""
         every = np.arange(self.rows[-1] + 1)
         after = np.clip(np.searchsorted(self.rows, every), 1, len(self.rows) - 1)
-        begin, end = self.rows[after - 1], self.rows[after]
+        begin = self.rows[after - 1]
+        end = self.rows[after]
         share = ((every - begin) / (end - begin))[:, None]
         return np.asarray(columns[:, after - 1] * (1.0 - share) + columns[:, after] * share)
 

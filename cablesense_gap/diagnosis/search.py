@@ -34,7 +34,8 @@ from cablesense_sim.effects.effect import WHOLE_ARM
 Progress = Callable[[str, float], None]
 """Called with the present step and the share of the whole that is done."""
 
-_MOST_EXPANDED, _MOST_FRUITLESS = 8, 2
+_MOST_EXPANDED = 8
+_MOST_FRUITLESS = 2
 """Explanations that are expanded, at most and in turn without a better one."""
 
 _TRIED = 3
@@ -72,9 +73,14 @@ class _Search:
     def __init__(
         self, problem: Problem, pool: WorkerPool, progress: Progress, none: Explanation
     ) -> None:
-        self._whole, self._problem, self._none = problem, problem, none
-        self._pool, self._progress = pool, progress
-        self._doing, self._done, self._until = "", 0.0, 0.75
+        self._whole = problem
+        self._problem = problem
+        self._none = none
+        self._pool = pool
+        self._progress = progress
+        self._doing = ""
+        self._done = 0.0
+        self._until = 0.75
         candidates = problem.simulator.candidates
         self._cheap = [c for c in candidates if not c.history_dependent]
         self._expensive = [c for c in candidates if c.history_dependent]
@@ -94,11 +100,13 @@ class _Search:
 
         Progress shows the value's `name`, if that is given.
         """
-        sketch, tasks = self._whole.sketch, tuple(values)
+        sketch = self._whole.sketch
+        tasks = tuple(values)
         on_sketch = sketch is not None and self._problem is sketch.problem
         other = None if on_sketch or self._problem is self._whole else self._problem
         results = self._pool.map(partial(_called, function, on_sketch, other), tasks)
-        begun, share = self._done, _OF_THE_REST * (self._until - self._done)
+        begun = self._done
+        share = _OF_THE_REST * (self._until - self._done)
         for k, task in enumerate(tasks, 1):
             self._doing = name(task) if name else self._doing
             self._progress(self._doing, self._done)
@@ -122,12 +130,14 @@ class _Search:
 
     def _climb(self, known: Sequence[LinearEffect]) -> None:
         """Expands the best explanations; `known` columns of effects serve as they are."""
-        judged, fruitless = self._problem.judged, 0
+        judged = self._problem.judged
+        fruitless = 0
         for _ in range(_MOST_EXPANDED):
             if self._best().effects:
                 self._refine([self._best()])
             self._refine_history()
-            best, start = self._best(), self._next(worth_it=not known)
+            best = self._best()
+            start = self._next(worth_it=not known)
             resolved = self._is_resolved()
             if start is None or fruitless == _MOST_FRUITLESS or self._problem.is_explained(best):
                 break
@@ -145,7 +155,8 @@ class _Search:
         `worth_it`: only if it is better than none. Each of four equal effects explains 13 % of the
         residual, less than its penalty: where the past may act, no single effect need be worth it.
         """
-        best, judged = self._best(), self._problem.judged
+        best = self._best()
+        judged = self._problem.judged
         most = min(_RIVAL * judged(best), judged(self._none) if worth_it else np.inf)
         waiting = [
             h
@@ -201,7 +212,8 @@ class _Search:
     def _at_usual_size(self, proposals: Sequence[Proposal], start: Explanation) -> list[Proposal]:
         """Every history-dependent effect that was not fitted: it is far from linear."""
         most_left = (_BETTER * start.held_out_rmse) ** 2
-        ranges, found = self._problem.parameters, []
+        ranges = self._problem.parameters
+        found = []
         for p in proposals:
             new = set(p.effects) - set(start.effects)
             if len(new) == 1 and new <= self._history and p.effects not in self._found:
@@ -291,10 +303,13 @@ class _Search:
             self._climb_with_expensive()
             self._problem = self._whole
             return
-        none, known, nominal = self._none, self._found, self._nominal
+        none = self._none
+        known = self._found
+        nominal = self._nominal
         reduced = {effects: sketch.explanation(h) for effects, h in known.items()}
         self._found = dict(reduced)
-        self._problem, self._none = sketch.problem, sketch.explanation(none)
+        self._problem = sketch.problem
+        self._none = sketch.explanation(none)
         self._climb_with_expensive()
         self._compare()
         self._doing = "judging on all rows"
@@ -306,8 +321,10 @@ class _Search:
             and self._problem.cost_of(h) <= most
             and not self._is_idle(h)
         ]
-        self._found, self._nominal = known, nominal
-        self._problem, self._none = self._whole, none
+        self._found = known
+        self._nominal = nominal
+        self._problem = self._whole
+        self._none = none
         judged = [h for h in self._map(_on_all_rows, new) if h is not None]
         self._keep_all(judged)
         self._refined.update(judged)
@@ -325,7 +342,8 @@ class _Search:
         """Refines the best explanations, and the best without each of its effects."""
         self._until = 0.97
         self._refine_best()
-        best, cost_of = self._best(), self._problem.cost_of
+        best = self._best()
+        cost_of = self._problem.cost_of
         while len(best.effects) > 1:
             if self._problem.sketch and self._history & set(best.effects):
                 break  # this was done on the sketch
@@ -365,7 +383,8 @@ class _Search:
     def _refine(self, rough: Iterable[Explanation]) -> None:
         waiting = dict.fromkeys(one for one in rough if one not in self._refined)
         for fitted, tolerances in self._map(final_refinement, waiting):
-            self._found[fitted.effects], self._fitted_in[fitted] = fitted, tolerances
+            self._found[fitted.effects] = fitted
+            self._fitted_in[fitted] = tolerances
             self._refined.add(fitted)
 
     def _best(self) -> Explanation:
@@ -385,7 +404,8 @@ class _Search:
 
         Residual and past are compared in the rows that show both.
         """
-        past, problem = self._problem.past, self._problem
+        past = self._problem.past
+        problem = self._problem
         if past is None:
             return True
         best = min((self._none, *self._found.values()), key=lambda h: h.held_out_rmse)
@@ -397,7 +417,8 @@ class _Search:
 
         Tolerances alone leave little more than the floor, or an explanation leaves 3 % of the gap.
         """
-        floor, none = self._problem.floor, self._none.held_out_rmse
+        floor = self._problem.floor
+        none = self._none.held_out_rmse
         if none <= 1.1 * floor and self._problem.has_usual_tolerances(self._none):
             return True
         little = 0.03 * excess(none**2, floor)

@@ -134,14 +134,16 @@ def linear_effects(
                     place=place,
                     terms=candidate.terms(place),
                     start=np.array(
-                        [0.0 if p.role == "size" else to_scaled(p, start[p.name])
-                         for p in parameters]
+                        [
+                            0.0 if p.role == "size" else to_scaled(p, start[p.name])
+                            for p in parameters
+                        ]
                     ),
                     columns=_columns(varied, start, changed),
                     precision=np.array([prior_precision(p) for p in varied]),
                     varied=tuple(Term(candidate.effect, place, p.name) for p in varied),
                 )
-            )  # fmt: skip
+            )
     return found
 
 
@@ -201,7 +203,8 @@ def own_columns(problem: Problem, fitted: Explanation) -> tuple[Explanation, lis
         }
         if terms := tuple(own):
             precision = np.array([prior_precision(ranges[term]) for term in terms])
-            columns, none = fitted.columns[list(own.values())], np.zeros(len(own))
+            columns = fitted.columns[list(own.values())]
+            none = np.zeros(len(own))
             sites.append(LinearEffect(site[1], terms, none, columns, precision, terms))
     nothing = replace(
         fitted, effects=(), values={}, columns=fitted.columns[:0], without_tolerances=base
@@ -250,7 +253,9 @@ class Selection:
     def __init__(
         self, problem: Problem, about: Explanation, offered: Sequence[LinearEffect]
     ) -> None:
-        self._problem, self._about, self._offered = problem, about, offered
+        self._problem = problem
+        self._about = about
+        self._offered = offered
         columns = [problem.tolerance_columns, about.columns, *(e.columns for e in offered)]
         self._base = len(problem.tolerance_columns) + len(about.columns)
         ends = self._base + np.cumsum([len(e.columns) for e in offered], dtype=np.int64)
@@ -305,7 +310,8 @@ class Selection:
                 effects = self._effects(chosen)
                 if score < best.get(effects, (np.inf, []))[0]:
                     best[effects] = score, chosen
-            before, least = least, min((s / self._penalty(c) for s, c in level), default=np.inf)
+            before = least
+            least = min((s / self._penalty(c) for s, c in level), default=np.inf)
             # a small gain suffices: many sites alike are worth their penalty only together
             if not level or 1.02 * least > before:
                 break
@@ -315,7 +321,8 @@ class Selection:
 
     def _grown(self, among: Sequence[int], *, strict: bool) -> _Scored | None:
         """One effect's sites added while each, or two at once, is worth its penalty."""
-        score, chosen = np.inf, list[int]()
+        score = np.inf
+        chosen = list[int]()
         while True:
             options = sorted(self._extended(chosen, among))[:4]  # the best of them exactly
             scored = [(self._score(option, strict=strict), option) for _, option in options]
@@ -425,8 +432,12 @@ class Selection:
     def _fitted(self, chosen: Sequence[int]) -> tuple[Array, float, float]:
         """Coefficients, the mean square left on held-out trials, and that of tolerances."""
         at: Indices = np.concatenate([np.arange(self._base), *(self._owned[k] for k in chosen)])
-        part, precision, none = self._data.columns(at), self._precision[at], np.zeros(len(at))
-        count, mean_square, problem = part.count.sum(), self._data.mean_square, self._problem
+        part = self._data.columns(at)
+        precision = self._precision[at]
+        none = np.zeros(len(at))
+        count = part.count.sum()
+        mean_square = self._data.mean_square
+        problem = self._problem
         tolerances = len(problem.tolerance_columns)
         for _ in range(2):  # first at the weight of the whole residual, then of what is left
             weight_ = weight(mean_square, problem.floor)

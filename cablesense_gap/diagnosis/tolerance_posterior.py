@@ -24,7 +24,8 @@ from cablesense_gap.simulator import Term, small_changes
 
 _STEP_OF_STD = 0.1
 """For derivatives, of a standard deviation."""
-_MOST_STEPS, _SMALL_STEP = 4, 0.1
+_MOST_STEPS = 4
+_SMALL_STEP = 0.1
 """Of Gauss-Newton; a step that is too small to continue, in deviations of the posterior."""
 
 
@@ -68,7 +69,8 @@ def tolerance_posterior(problem: Problem, explanation: Explanation) -> Tolerance
         after = fit.cost(ahead, residual)
         if not after < cost:
             break
-        point, cost = ahead, after
+        point = ahead
+        cost = after
         covariance, step = fit.step(point, residual)
         if (step**2 < _SMALL_STEP**2 * covariance.diagonal()).all():
             break

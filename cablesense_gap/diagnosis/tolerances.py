@@ -23,7 +23,9 @@ from cablesense_gap.diagnosis.problem import (
 )
 from cablesense_gap.simulator import Assignment, Term, small_changes
 
-_STEP_OF_STD, _STEP_OF_EFFECT, _STEP_OF_FLOOR = 0.1, 0.03, 0.2
+_STEP_OF_STD = 0.1
+_STEP_OF_EFFECT = 0.03
+_STEP_OF_FLOOR = 0.2
 """For derivatives: of a tolerance's standard deviation, or of an effect's typical size, but no
 more than changes the readings by this share of the floor (RMS). On a stiff arm a larger step takes
 cables slack, and derivatives across such kinks lead fits astray. The rests' rounding is a
@@ -56,7 +58,8 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
     usual or nothing is gained. The best of these fits counts: a step may lead too far.
     Gives the problem with these tolerances too.
     """
-    best = latest = explanation, problem
+    best = explanation, problem
+    latest = best
     done = (_is_usual(explanation) or not explanation.values) and _is_consistent(
         problem, explanation
     )
@@ -165,7 +168,8 @@ def _effect_steps(
 ) -> tuple[Array, list[float]]:
     """Scaled steps (K,) of values, such that readings change as by tolerances; and the values."""
     own = dict(zip(explanation.values, explanation.columns, strict=True))
-    scaled, values = [], []
+    scaled = []
+    values = []
     for term in varied:
         parameter = problem.parameters[term]
         change = float(np.sqrt((own[term][problem.used] ** 2).mean()))

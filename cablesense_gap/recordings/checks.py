@@ -41,18 +41,22 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import reading_variance_n2
 
-FEWEST_ROWS, FEWEST_TRIALS = 6, 2
+FEWEST_ROWS = 6
+FEWEST_TRIALS = 2
 """Below these nothing can be held out."""
-GOOD_ROWS, GOOD_TRIALS = 200, 8
+GOOD_ROWS = 200
+GOOD_TRIALS = 8
 
 _FASTEST_RAD_S = float(np.deg2rad(40.0))
 """Twice the speed at which arms approach a command; a faster command is a jump."""
-_GAP_INTERVALS, _OTHER_RATE = 10.0, 3.0
+_GAP_INTERVALS = 10.0
+_OTHER_RATE = 3.0
 _MILLISECONDS = (700.0, 1400.0)
 """Ratios of the rows' interval to the sensors', where milliseconds are taken for seconds."""
 _MOVED_FLOORS = 50.0
 """A cable whose prediction varies by this many noise floors must show it."""
-_STUCK_TRIALS, _SATURATED_RUNS = 3, 3
+_STUCK_TRIALS = 3
+_SATURATED_RUNS = 3
 _LEAST_CORRELATION = 0.5
 """No effect turns the responses of half the cables further away from the prediction than this."""
 _SCALES = (0.2, 5.0)
@@ -121,7 +125,8 @@ def _shapes(recording: Recording, arm: Arm) -> Iterator[Finding]:
 
 
 def _numbers(recording: Recording, arm: Arm) -> Iterator[Finding]:
-    joints, cables = command_columns(arm.joint_count), tension_columns(arm.cable_count)
+    joints = command_columns(arm.joint_count)
+    cables = tension_columns(arm.cable_count)
     numbers = [recording.time_s, recording.command_rad, recording.load_n, recording.tensions_n]
     columns = np.column_stack(numbers).T
     for name, values in zip([TIME, *joints, *LOAD, *cables], columns, strict=True):
@@ -134,7 +139,8 @@ def _numbers(recording: Recording, arm: Arm) -> Iterator[Finding]:
 
 
 def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
-    steps, same_trial = np.diff(recording.time_s), np.diff(recording.trial) == 0
+    steps = np.diff(recording.time_s)
+    same_trial = np.diff(recording.trial) == 0
     back = np.append(False, steps <= 0.0)
     if back.any():
         yield refuse(
@@ -246,7 +252,8 @@ def _angles(recording: Recording, arm: Arm) -> Iterator[Finding]:
 
 
 def _amount(recording: Recording) -> Iterator[Finding]:
-    rows, trials = len(recording), len(np.unique(recording.trial))
+    rows = len(recording)
+    trials = len(np.unique(recording.trial))
     if rows < FEWEST_ROWS or trials < FEWEST_TRIALS:
         yield refuse(
             "amount",
@@ -391,7 +398,8 @@ def _foreign(responses_n: list[tuple[Array, Array]], arm: Arm) -> list[Finding]:
     """
     found = []
     for read, predicted in responses_n:
-        product, power = (read * predicted).sum(axis=0), (predicted**2).sum(axis=0)
+        product = (read * predicted).sum(axis=0)
+        power = (predicted**2).sum(axis=0)
         correlation = np.median(product / np.sqrt((read**2).sum(axis=0) * power))
         scale = np.median(product / power)
         if correlation < _LEAST_CORRELATION:

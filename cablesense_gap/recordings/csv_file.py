@@ -112,7 +112,8 @@ def read_table(path: str | Path, prefixes: Collection[str]) -> dict[str, Array]:
             wrong = np.isnan(values) & column.notna().to_numpy()
             why = "is no number"
             if name == TIME and not wrong.any():
-                wrong, why = np.abs(values) > LONGEST_S, f"is beyond {LONGEST_S:g} s"
+                wrong = np.abs(values) > LONGEST_S
+                why = f"is beyond {LONGEST_S:g} s"
             if wrong.any():
                 cell = str(column.iloc[wrong.argmax()])[:40]
                 raise RecordingError(

@@ -71,7 +71,8 @@ class BagRows:
         self._offset = False
         self._most_rows = MAX_NUMBERS // (7 + arm.joint_count + arm.cable_count)
         # plain arrays, as objects would take four times the memory
-        self._times_ns, self._numbers = array("q"), array("d")
+        self._times_ns = array("q")
+        self._numbers = array("d")
 
     def take(self, topic: str, log_ns: int, message: Any) -> None:
         """One message of the topics of a recording, `log_ns` when it came.
@@ -115,7 +116,8 @@ class BagRows:
         ends = np.cumsum([1, 1, 1, 3, self._arm.joint_count])
         trial, segment, place, load_n, command, tensions_n = np.split(numbers, ends, axis=1)
         at_m = given_places(np.round(place[:, 0], _PLACE_DECIMALS))
-        segments, named = segment[:, 0].astype(np.int64), np.isfinite(trial[:, 0])
+        segments = segment[:, 0].astype(np.int64)
+        named = np.isfinite(trial[:, 0])
         if named.any():
             trials = np.where(named, trial[:, 0], trial[named][0, 0]).astype(np.int64)
         else:
@@ -176,7 +178,8 @@ def read_mcap(path: str | Path, arm: Arm) -> Recording:
             the contract, loads on two segments at once.
     """
     path = Path(path)
-    rows, taken = BagRows(arm), Counter[str]()
+    rows = BagRows(arm)
+    taken = Counter[str]()
     for topic, log_ns, message in _messages(path):
         taken[topic] += 1
         try:

@@ -111,8 +111,15 @@ class McapMessages:
                         topic, kind = channels[record.channel_id]
                         if kind:
                             yield RawMessage(topic, kind, record.log_time, record.data)
-            except (McapError, ZstdError, struct.error, ValueError, RuntimeError,
-                    EOFError, OverflowError) as error:  # fmt: skip
+            except (
+                McapError,
+                ZstdError,
+                struct.error,
+                ValueError,
+                RuntimeError,
+                EOFError,
+                OverflowError,
+            ) as error:
                 why = str(error) or type(error).__name__
                 raise self._damaged(at, why) from error
 
@@ -305,7 +312,8 @@ class TopicFile:
 def _profile(qos: Qos) -> Any:
     from rosbags import interfaces as bags
 
-    durability, reliability = bags.QosDurability, bags.QosReliability
+    durability = bags.QosDurability
+    reliability = bags.QosReliability
     without_end = bags.QosTime(9_223_372_036, 854_775_807)  # as rmw writes infinity
     return bags.Qos(
         history=bags.QosHistory.KEEP_LAST,

@@ -38,7 +38,8 @@ _LOAD_STEPS = 30
 """Loads are whole multiples of the strongest by this, so that they can be set by hand."""
 _TAUT_SHARE = 0.1
 """Cables keep this share of their pretension, so that manufacturing tolerances leave them taut."""
-_BEYOND_SLACK, _REST_MARGIN = 1.5, 1.3
+_BEYOND_SLACK = 1.5
+_REST_MARGIN = 1.3
 _RANGE_SHARE = 0.9
 _WORTH_FLOORS = 20.0
 _FROM_THE_ENDS = 1.0 / 6.0
@@ -51,7 +52,8 @@ _UP = (0.25, 0.5, 0.75, 1.0)
 _SPEED_RAD_S = float(np.deg2rad(5.0))
 _LARGEST_ANGLE_RAD = float(np.deg2rad(11.0))
 _SMALL_ANGLE_RAD = float(np.deg2rad(1.0))
-_HOLD_S, _RELEASE_S = 40.0, 20.0
+_HOLD_S = 40.0
+_RELEASE_S = 20.0
 _REST_S = 5.0
 
 
@@ -121,8 +123,10 @@ def standard_protocol(arm: Arm) -> tuple[Block, ...]:
     straight = np.zeros(arm.joint_count)
     reach_rad = _reach_rad(arm)
     bent = reach_rad * _pattern(arm.joint_count)
-    tip, segments = arm.segment_count, range(1, arm.segment_count + 1)
-    first, second = "first bent pose", "second bent pose"
+    tip = arm.segment_count
+    segments = range(1, arm.segment_count + 1)
+    first = "first bent pose"
+    second = "second bent pose"
     cycle, slackening, steps, hold = _LEVELS
     places_m = load_places_m(arm)
 
@@ -165,7 +169,8 @@ def load_places_m(arm: Arm) -> Array:
     """
     reach = touched_places(arm).reach_m
     inside = _FROM_THE_ENDS * (reach[:, 1] - reach[:, 0])
-    near, far = reach[:, 0] + inside, reach[:, 1] - inside
+    near = reach[:, 0] + inside
+    far = reach[:, 1] - inside
     middle = np.clip(mechanism_of(arm).contact_m, near, far)
     return np.asarray(np.round(np.stack([near, middle, far], axis=1), 3))
 
@@ -228,7 +233,8 @@ def bearable_load_n(
     wanted = min(int(_BEYOND_SLACK * weakest), most, _last_in_row(readable))
     if slacken and slack.any() and wanted > weakest:
         return float(loads_n[wanted])
-    tensions, readable = tensions[: most + 1], readable[: most + 1]
+    tensions = tensions[: most + 1]
+    readable = readable[: most + 1]
     unloaded = tensions[0]
     least = np.minimum(_TAUT_SHARE * mechanism_of(arm).pretension_n, 0.5 * unloaded)
     taut = _last_in_row((tensions >= least).all(axis=1) & readable)
@@ -249,7 +255,8 @@ def _increasing_loads(
     strongest is at most three times the moment of the pretension about the axis, by the reach.
     It is so weak that the arm bears a third of it.
     """
-    mechanism, (segment, at_m) = mechanism_of(arm), where
+    mechanism = mechanism_of(arm)
+    (segment, at_m) = where
     mechanism = replace(mechanism, contact_m=np.full(mechanism.segment_count, at_m))
     radius_m = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)
     moment_nm = float((mechanism.pretension_n * radius_m).sum())
@@ -307,7 +314,8 @@ def _load(
     arm: Arm, kind: BlockKind, command: Array, where: tuple[int, float], side: str, pose: str
 ) -> Block:
     """A load that holds each level for a while, and steps to the next."""
-    (segment, at_m), direction = where, np.asarray(DIRECTIONS[side])
+    (segment, at_m) = where
+    direction = np.asarray(DIRECTIONS[side])
     slacken = kind is BlockKind.SLACKENING
     peak_n = bearable_load_n(arm, command, segment, direction, at_m, slacken=slacken)
     shares, each_s = _LEVELS[kind]

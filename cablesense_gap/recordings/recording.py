@@ -45,11 +45,13 @@ _LEAST_TURN = 0.01
 _OTHER_SEGMENT = 100.0
 """In the units of a turn: a load that goes to another segment always counts, if anything does."""
 
-_MOVING_STRIDE, _RESTING_STRIDE = 3, 10
+_MOVING_STRIDE = 3
+_RESTING_STRIDE = 10
 _STRAIGHT_ON = 0.9
 """Cosine between two steps of commands and load, from which on they go in the same direction."""
 
-_FEWEST_RETURNS, _RETURNING_SHARE = 100, 0.1
+_FEWEST_RETURNS = 100
+_RETURNING_SHARE = 0.1
 """Differences, and the share of the rows in states that the arm came to from different sides."""
 
 Rows = NDArray[np.int64]
@@ -135,7 +137,8 @@ class Finding:
     text: str
 
 
-refuse, warn = partial(Finding, True), partial(Finding, False)
+refuse = partial(Finding, True)
+warn = partial(Finding, False)
 
 
 def refuse_unusable(
@@ -222,7 +225,9 @@ def rows_to_use(recording: Recording) -> Rows:
     last = len(rows) - 1 - np.unique(recording.trial[::-1], return_index=True)[1]
     if len(numbers) > MOST_TRIALS:
         chosen = np.linspace(0, len(numbers) - 1, MOST_TRIALS).astype(int)
-        rows, first, last = rows[np.isin(inverse, chosen)], first[chosen], last[chosen]
+        rows = rows[np.isin(inverse, chosen)]
+        first = first[chosen]
+        last = last[chosen]
     kept = np.union1d(np.concatenate([first, last]), rows[_turns(recording.rows(rows), most // 2)])
     room = max(most - len(kept), 0)
     even = rows[np.linspace(0, len(rows) - 1, min(room, len(rows))).astype(int)]
@@ -268,10 +273,13 @@ def returns(recording: Recording, floor_n: float) -> tuple[float, NDArray[np.boo
     parts += [] if places is None else [np.nan_to_num(places).reshape(len(recording), -1)]
     state = np.unique(np.concatenate(parts, axis=1), axis=0, return_inverse=True)[1].ravel()
     first = np.flatnonzero(np.diff(state, prepend=-1))
-    visited, count = state[first], np.diff(first, append=len(state))
+    visited = state[first]
+    count = np.diff(first, append=len(state))
     came_from = np.append(-1, visited[:-1])
     mean = np.add.reduceat(recording.tensions_n, first) / count[:, None]
-    square, degrees, visits = 0.0, 0, 0
+    square = 0.0
+    degrees = 0
+    visits = 0
     returning = np.zeros(len(recording), dtype=bool)
     for here in np.unique(visited):
         own = np.flatnonzero(visited == here)
@@ -323,13 +331,20 @@ def _turned(values: Array, rows: Rows, least: float) -> Rows:
     # the last row of each stretch before it turns back, and the last of all
     ends = rows[np.append(moves[1:][np.diff(np.sign(change[moves])) != 0.0], len(rows) - 1)]
     found: list[int] = []
-    way, high, low = 0, (-np.inf, 0), (np.inf, 0)
+    way = 0
+    high = (-np.inf, 0)
+    low = (np.inf, 0)
     for here in zip(values[ends].tolist(), ends.tolist(), strict=True):
-        high, low = max(high, here), min(low, here)
+        high = max(high, here)
+        low = min(low, here)
         if way >= 0 and high[0] - here[0] >= least:
             found.append(high[1])
-            way, high, low = -1, here, here
+            way = -1
+            high = here
+            low = here
         elif way <= 0 and here[0] - low[0] >= least:
             found.append(low[1])
-            way, high, low = 1, here, here
+            way = 1
+            high = here
+            low = here
     return np.array(found, dtype=np.int64)

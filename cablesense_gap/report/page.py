@@ -46,7 +46,8 @@ _WORST = 8
 _WIDTH_IN = 5.1
 _CAUSES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
 """Colours of causes in the picture of the arm; from the sixth on they repeat."""
-_MOST_CABLES, _MOST_COLUMNS = 24, 3
+_MOST_CABLES = 24
+_MOST_COLUMNS = 3
 _ROW_IN = 0.95
 
 
@@ -83,7 +84,8 @@ def report_page(
 
     `models` are errors of estimators by their names, which a picture shows side by side.
     """
-    verdict, recording = found.verdict, found.recording
+    verdict = found.verdict
+    recording = found.recording
     floor_n = verdict.gap.floor_n
     before = decompose(recording, found.before_n, floor_n, found.nominal)
     after = decompose(recording, found.after_n, floor_n, found.nominal)
@@ -160,9 +162,14 @@ def time_picture(found: Diagnosis) -> str:
     cables = sorted(np.argsort(size)[-_MOST_CABLES:].tolist())
     rows = -(-len(cables) // columns)
     figure, axes = plt.subplots(
-        rows, columns, figsize=(_WIDTH_IN, _ROW_IN * rows + 0.9),
-        sharex=True, sharey=True, squeeze=False, layout="constrained",
-    )  # fmt: skip
+        rows,
+        columns,
+        figsize=(_WIDTH_IN, _ROW_IN * rows + 0.9),
+        sharex=True,
+        sharey=True,
+        squeeze=False,
+        layout="constrained",
+    )
     # nearly all, so that one stray row hides nothing
     both = np.abs(np.concatenate([found.before_n, found.after_n]))
     known = both[np.isfinite(both)]
@@ -197,7 +204,8 @@ def overlay_picture(found: Diagnosis) -> str:
         (axes[0], np.ones(len(recording), dtype=bool), f"{name}: the recording"),
         (axes[1], recording.trial == trial, f"{name}: trial {trial}, where its gap is largest"),
     ):
-        time_s, measured_n = recording.time_s[rows], recording.tensions_n[rows, cable]
+        time_s = recording.time_s[rows]
+        measured_n = recording.tensions_n[rows, cable]
         lines: list[Line] = [(measured_n, INK, 2.4, "measured")]
         lines.append((measured_n - found.before_n[rows, cable], BEFORE, 1.3, "nominal arm"))
         if found.after_label:
@@ -218,12 +226,17 @@ def _robot_overlay(found: RobotDiagnosis) -> str:
     worst = int(np.bincount(compared.trial, gap).argmax())
     rows = compared.trial == worst
     figure, axes = plt.subplots(
-        len(compared.names), 1, figsize=(WIDTH_IN, 0.7 + 1.5 * len(compared.names)),
-        sharex=True, squeeze=False, layout="constrained",
-    )  # fmt: skip
+        len(compared.names),
+        1,
+        figsize=(WIDTH_IN, 0.7 + 1.5 * len(compared.names)),
+        sharex=True,
+        squeeze=False,
+        layout="constrained",
+    )
     drawn: list[Line] = [
-        (compared.readings, INK, 1.8, "measured"), (found.before, BEFORE, 1.2, "nominal model"),
-    ]  # fmt: skip
+        (compared.readings, INK, 1.8, "measured"),
+        (found.before, BEFORE, 1.2, "nominal model"),
+    ]
     if not np.allclose(found.before, found.after):
         drawn.append((found.after, AFTER, 1.2, "amended model"))
     for c, name in enumerate(compared.names):
@@ -256,7 +269,8 @@ def arm_picture(arm: Arm, marked: Mapping[str, Sequence[str]]) -> str:
     joint_m = m.plate_offset_m + np.concatenate([[0.0], np.cumsum(m.segment_length_m)])
     for n, (begin, end) in enumerate(pairwise(joint_m), 1):
         fill = of_place.get(f"segment_{n}", LOADED)
-        x, long = begin + m.plate_offset_m, end - begin - 2.0 * m.plate_offset_m
+        x = begin + m.plate_offset_m
+        long = end - begin - 2.0 * m.plate_offset_m
         side.add_patch(Rectangle((x, -reach), long, 2.0 * reach, fc=fill, ec=OTHER, alpha=0.6))
         side.text(x + 0.5 * long, -1.08 * reach, n, ha="center", va="top", size=8)
         ring = of_place.get(f"joint_{n}")
@@ -270,8 +284,15 @@ def arm_picture(arm: Arm, marked: Mapping[str, Sequence[str]]) -> str:
         end = joint_m[n - 1] + m.plate_offset_m
         side.plot([-m.run_m, end], [z, z], lw=2.0 if colour else 0.6, **drawn)
         plate.plot(y, z, "o", ms=8 if colour else 4, **drawn)
-        plate.text(1.24 * y, 1.24 * z, i, ha="center", va="center", size=8,
-                   weight="bold" if colour else "normal")  # fmt: skip
+        plate.text(
+            1.24 * y,
+            1.24 * z,
+            i,
+            ha="center",
+            va="center",
+            size=8,
+            weight="bold" if colour else "normal",
+        )
     side.text(-m.run_m, -1.08 * reach, "actuators     segment", va="top", size=8)
     plate.set_title("cables, from the tip", loc="center", size=8)
     plate.set(xlim=(1.2 * reach, -1.2 * reach), ylim=(-1.2 * reach, 1.2 * reach))
@@ -294,12 +315,19 @@ def _legend(figure: Any, axes: Any) -> None:
 def _residual_panel(panel: Any, found: Diagnosis, cable: int) -> None:
     from matplotlib.transforms import blended_transform_factory
 
-    recording, floor_n = found.recording, found.verdict.gap.floor_n
+    recording = found.recording
+    floor_n = found.verdict.gap.floor_n
     panel.fill_between(
-        recording.time_s, 0.0, 1.0, where=recording.load_segment > 0, step="mid",
-        color=LOADED, lw=0, label="a load acts",
+        recording.time_s,
+        0.0,
+        1.0,
+        where=recording.load_segment > 0,
+        step="mid",
+        color=LOADED,
+        lw=0,
+        label="a load acts",
         transform=blended_transform_factory(panel.transData, panel.transAxes),
-    )  # fmt: skip
+    )
     panel.axhspan(-2.0 * floor_n, 2.0 * floor_n, color=FLOOR, alpha=0.28, lw=0, label="±2 floors")
     lines: list[Line] = [(found.before_n[:, cable], BEFORE, 1.4, "nominal arm")]
     if found.after_label:
@@ -329,7 +357,8 @@ def drawn_errors(errors: Mapping[str, RecordedErrors]) -> Any:
             forces = each.truth.force_n, each.answer.force_n
             place.plot(*(f[rows & right] for f in forces), ".", ms=4, c=colour, label=label)
             place.plot(*(f[rows & ~right] for f in forces), "x", ms=5, c=colour)
-        accuracy, off_n = each.whole.contact_accuracy, each.whole.errors.magnitude_mae_n
+        accuracy = each.whole.contact_accuracy
+        off_n = each.whole.errors.magnitude_mae_n
         place.set(
             title=f"{name}\nright segment {accuracy:.1%}, force off by {off_n:.2f} N",
             xlabel="true force, N (crosses: another segment, or none)",

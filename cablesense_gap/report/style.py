@@ -20,8 +20,13 @@ import numpy as np
 from cablesense_base import Array, CableSenseError
 from cablesense_gap.verdict import FittedNumber, listed
 
-BEFORE, AFTER, FLOOR = "#E69F00", "#0072B2", "#555555"
-OTHER, INK, GRID, LOADED = "#9AA3AD", "#1C2126", "#DDE1E6", "#EEF1F4"
+BEFORE = "#E69F00"
+AFTER = "#0072B2"
+FLOOR = "#555555"
+OTHER = "#9AA3AD"
+INK = "#1C2126"
+GRID = "#DDE1E6"
+LOADED = "#EEF1F4"
 WIDTH_IN = 10.2
 PNG_DPI = 130
 _MOST_POINTS = 3000
@@ -72,7 +77,8 @@ def _envelope(time_s: Array, values: Array) -> tuple[Array, Array]:
     if len(time_s) <= _MOST_POINTS:
         return time_s, values
     edges = np.linspace(0, len(time_s), _MOST_POINTS // 2 + 1).astype(int)[:-1]
-    low, high = np.fmin.reduceat(values, edges), np.fmax.reduceat(values, edges)
+    low = np.fmin.reduceat(values, edges)
+    high = np.fmax.reduceat(values, edges)
     return np.repeat(time_s[edges], 2), np.stack([low, high], axis=-1).ravel()
 
 

@@ -41,7 +41,8 @@ _PLACE = re.compile(r"(cable|segment|joint)_(\d+)")
 
 def headline(verdict: Verdict) -> str:
     """The first line: what, where, how sure."""
-    sure, gap = _how_sure(verdict), size_text(verdict.gap.before_n, verdict.unit)
+    sure = _how_sure(verdict)
+    gap = size_text(verdict.gap.before_n, verdict.unit)
     since = " since the reference" if verdict.reference else ""
     if verdict.effects == (NONE,):
         if since:
@@ -194,7 +195,8 @@ def numbers(verdict: Verdict, arm: Arm) -> list[ExplainedNumber]:
         verdict.parameters.items(), key=lambda item: item[0].partition(".")[0]
     ):
         effect_name, *place, parameter_name = name.split(".")
-        effect, known = known_effects().get(effect_name), None
+        effect = known_effects().get(effect_name)
+        known = None
         if effect:
             every = [*effect.parameters, *effect.history(arm.segment_count, arm.cable_count)]
             every += [effect.product] if effect.product else []
@@ -285,7 +287,9 @@ def steps(verdict: Verdict) -> list[Bar]:
     """Steps from the nominal gap down to the floor, one for each of several effects."""
     if len(verdict.shares) < 2:
         return []
-    gap, unit, level = verdict.gap, verdict.unit, verdict.gap.before_n
+    gap = verdict.gap
+    unit = verdict.unit
+    level = verdict.gap.before_n
     bars = [Bar("nominal", 0.0, level, "before", size_text(level, unit))]
     ends: list[tuple[str, float, _Kind]] = [
         (candidate_name((name,)), share.left_n, "after") for name, share in verdict.shares.items()

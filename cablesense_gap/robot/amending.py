@@ -24,7 +24,8 @@ from cablesense_gap.simulator import Assignment, Term
 from cablesense_sim.arm import ListedEffect
 from cablesense_sim.effects.registry import effects_in
 
-AMENDED_MODEL, BESIDE_MODEL = "amended_model.xml", "amended_model.json"
+AMENDED_MODEL = "amended_model.xml"
+BESIDE_MODEL = "amended_model.json"
 ROBOT_FILES = ("verdict.json", AMENDED_MODEL, BESIDE_MODEL, "report.html")
 """In the folder of a diagnosis."""
 _MAX_BYTES = 10_000_000
@@ -91,7 +92,8 @@ def write_amended(folder: Path, robot: Robot, values: Assignment, beside: Assign
 
 def amended_xml(robot: Robot, values: Assignment) -> str:
     """The model as MJCF with the changes that it can say."""
-    change, nominal = changed(robot, [values]), robot.nominal()
+    change = changed(robot, [values])
+    nominal = robot.nominal()
     model = robot.varied(change)
     spec = read_spec(robot.path)
     folder = robot.path.parent.resolve()
@@ -106,12 +108,16 @@ def amended_xml(robot: Robot, values: Assignment) -> str:
         )
         if moved:
             body = bodies[model.body(b).name]
-            body.explicitinertial, body.fullinertia = True, [np.nan, 0.0, 0.0, 0.0, 0.0, 0.0]
-            body.mass, body.ipos = model.body_mass[b], model.body_ipos[b]
-            body.iquat, body.inertia = model.body_iquat[b], model.body_inertia[b]
+            body.explicitinertial = True
+            body.fullinertia = [np.nan, 0.0, 0.0, 0.0, 0.0, 0.0]
+            body.mass = model.body_mass[b]
+            body.ipos = model.body_ipos[b]
+            body.iquat = model.body_iquat[b]
+            body.inertia = model.body_inertia[b]
     for j in range(model.njnt):
         joint = spec.joint(model.joint(j).name)
-        joint.armature, joint.frictionloss = change.armature[j], change.friction[j]
+        joint.armature = change.armature[j]
+        joint.frictionloss = change.friction[j]
         for name in ("damping", "stiffness"):
             own = np.array(getattr(joint, name), dtype=float)
             own[0] = getattr(change, name)[j]

@@ -18,16 +18,19 @@ from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import Gap
 from cablesense_sim.effects.effect import Parameter
 
-_LEAVES, _GAIN = 0.6, 0.5
+_LEAVES = 0.6
+_GAIN = 0.5
 """Columns are tried where the model's residual is more than the first share of a measured channel.
 Changed columns are believed if it is then at most the second share of the former."""
-_TOUCHED, _MOST = 0.02, 2.0
+_TOUCHED = 0.02
+_MOST = 2.0
 """By how much changed columns alter the share of a channel that they touch; no share is larger."""
 _AT_ZERO = 0.002
 """Share of a joint's span within which its position counts as zero."""
 _FURTHER = 0.5
 """Each number in a further place of an effect costs this, natural logarithm."""
-_FAR_BEYOND, _LITTLE = 10.0, 0.5
+_FAR_BEYOND = 10.0
+_LITTLE = 0.5
 """Times the model's own value, and removed share of the gap, that make a verdict doubtful."""
 
 Left = Callable[[RobotRecording], Mapping[str, float]]
@@ -55,7 +58,8 @@ def _gain(before: Mapping[str, float], after: Mapping[str, float]) -> float:
     """By how much the channels that a change of columns touches are better, if that is plain."""
     pairs = np.array([(before[c], after.get(c, np.inf)) for c in before])
     one, other = np.minimum(pairs[np.abs(np.diff(pairs)[:, 0]) > _TOUCHED], _MOST).T
-    was, left = float(one @ one), float(other @ other)
+    was = float(one @ one)
+    left = float(other @ other)
     return was - left if was >= len(one) * _LEAVES**2 and left <= _GAIN**2 * was else 0.0
 
 
@@ -92,7 +96,8 @@ def beyond_range(recording: RobotRecording, robot: Robot) -> list[str]:
     if np.isfinite(recording.torque).any():
         return []
     low, high = robot.model.actuator_ctrlrange.T
-    most, least = recording.command.max(0), recording.command.min(0)
+    most = recording.command.max(0)
+    least = recording.command.min(0)
     clipped = robot.model.actuator_ctrllimited.astype(bool) & ((most > high) | (least < low))
     return [
         f"command.{robot.actuators[a]} goes from {least[a]:.3g} to {most[a]:.3g}, which the model "
@@ -168,11 +173,13 @@ def of_verdict(
     placeholders, so these may be far off.
     """
     for term, value in values.items():
-        bounds, name = (ranges[term].low, ranges[term].high), f"{term.effect} at {term.place}"
+        bounds = (ranges[term].low, ranges[term].high)
+        name = f"{term.effect} at {term.place}"
         if ranges[term].role == "size" and value and value in bounds:
             yield f"{name}: {term.parameter} ends at its bound of {value:.3g}."
     nominal = robot.nominal()
-    mass, rotor = change.mass_kg - nominal.mass_kg, change.armature - nominal.armature
+    mass = change.mass_kg - nominal.mass_kg
+    rotor = change.armature - nominal.armature
     for name, places, more, own in (
         ("mass", robot.bodies, mass, nominal.mass_kg),
         ("inertia", robot.joints, rotor, inertia),

@@ -29,17 +29,18 @@ from cablesense_gap.robot.motion import (
 )
 from cablesense_gap.robot.transmission import BacklashMotion, GuidedTendons
 
-_OF_MOTION, _OF_COMPARISON = 1.0, 0.5
+_OF_MOTION = 1.0
+_OF_COMPARISON = 0.5
 """Periods of these bandwidths, that a window takes at least and at most: shorter ones show what
 smoothing took of the motion, in longer ones what comes and goes averages out."""
 _MOST_STEPS = 8_000
 """In all windows together; a longer recording has gaps between its windows."""
-_FEWEST, _KEPT = 15, 30
+_FEWEST = 15
+_KEPT = 30
 """Windows that a recording has at least, and that remain of many, however many steps they take."""
 _OF_READING = ("zero", "encoder_scale", "coupling")
-_STATE, _CONTROL = mujoco.mjtState.mjSTATE_FULLPHYSICS, (
-    mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
-)  # fmt: skip
+_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+_CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED
 
 
 class ForwardComparison(MotionComparison):
@@ -47,10 +48,13 @@ class ForwardComparison(MotionComparison):
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
         """`motion` is what was measured."""
-        self._robot, self._smoothed_hz, rate_hz = robot, motion.smoothed_hz, motion.rate_hz
+        self._robot = robot
+        self._smoothed_hz = motion.smoothed_hz
+        rate_hz = motion.rate_hz
         span = _span(motion)
         self._substeps = int(np.ceil(1.0 / (rate_hz * robot.model.opt.timestep) - 1e-6))
-        self._step_s, self._rate_hz = 1.0 / (rate_hz * self._substeps), rate_hz
+        self._step_s = 1.0 / (rate_hz * self._substeps)
+        self._rate_hz = rate_hz
         self.span_s = span / rate_hz
         begins, self._ends, self.trial = _windows(motion, span, self._substeps)
         moved = [derivatives(path, rate_hz) for path in motion.paths]
@@ -60,20 +64,24 @@ class ForwardComparison(MotionComparison):
         inside = (np.arange(span * self._substeps) + 0.5) / self._substeps
         self._at = begins[:, None] + inside
         self._path = tuple(_at(each, self._at) for each in (position, speed, acceleration))
-        self._gaps, self._tendons = BacklashMotion(robot, motion), GuidedTendons(robot, motion)
+        self._gaps = BacklashMotion(robot, motion)
+        self._tendons = GuidedTendons(robot, motion)
         self._motion = motion
         torques = [self._smoothed(np.nan_to_num(each.torque)) for each in motion.trials]
-        self._torque, self._command = np.concatenate(torques), None
+        self._torque = np.concatenate(torques)
+        self._command = None
         if motion.by_command:
             commands = [self._smoothed(each.command) for each in motion.trials]
             self._command = np.concatenate(commands)
         self.time_s = np.concatenate([each.time_s for each in motion.trials])[begins + span]
         kinds = ("position", "velocity")
-        self.names = self.columns = tuple(f"{k}.{j}" for k in kinds for j in robot.joints)
+        self.names = tuple(f"{k}.{j}" for k in kinds for j in robot.joints)
+        self.columns = self.names
         self.units = (*robot.position_units, *(f"{unit}/s" for unit in robot.position_units))
         self.readings = self._beyond_coasting(position[begins + span], speed[begins + span])
         noise, least = _noise_and_least(motion, self.span_s)
-        self.floor = self.noise = np.maximum(noise, np.fmin(least, self._by_torque(motion)))
+        self.floor = np.maximum(noise, np.fmin(least, self._by_torque(motion)))
+        self.noise = self.floor
         driven = "measured torques" if self._command is None else "recorded commands"
         self.description = (
             f"Compared forward in time: from measured states, smoothed to "
@@ -89,14 +97,16 @@ class ForwardComparison(MotionComparison):
         """(Q, C) by a variant of the robot."""
         robot = self._robot
         moved = np.eye(len(robot.joints)) + change.coupling
-        back, true = np.linalg.inv(moved), 1.0 + change.encoder_scale
+        back = np.linalg.inv(moved)
+        true = 1.0 + change.encoder_scale
 
         def joints(position: Array, speed: Array) -> tuple[Array, Array]:
             return (position - change.zero) / true @ moved.T, speed / true @ moved.T
 
         at = self._at + change.delay_s * self._rate_hz
         at = np.clip(at, self._ends[:, :1], self._ends[:, 1:])
-        torque, command = _at(self._torque, at), None
+        torque = _at(self._torque, at)
+        command = None
         applied = (torque - change.torque_offset) / (1.0 + change.torque_scale) @ back
         load = np.abs(applied).mean(1)
         if change.play.any():
@@ -106,7 +116,8 @@ class ForwardComparison(MotionComparison):
         if change.coupling.any():  # rotors and dampers are the drives'
             _, speed, acceleration = self._path
             at_drive = change.armature * acceleration + change.damping * speed
-            speed, acceleration = speed @ moved.T, acceleration @ moved.T
+            speed = speed @ moved.T
+            acceleration = acceleration @ moved.T
             at_joint = change.armature * acceleration + change.damping * speed
             applied = applied + at_joint - at_drive @ back
         if self._command is not None:  # the model's actuators act as well
@@ -129,7 +140,8 @@ class ForwardComparison(MotionComparison):
     def _by_torque(self, motion: Motion) -> Array:
         """(C,) what the least error of torques makes, where servos or springs hold against it."""
         robot = self._robot
-        nominal, square = self.predicted(robot.nominal()), np.zeros(len(self.names))
+        nominal = self.predicted(robot.nominal())
+        square = np.zeros(len(self.names))
         for joint, torque in enumerate(LEAST_FLOOR * motion.scale.torque):
             change = robot.nominal()
             change.torque_offset[joint] = torque
@@ -140,7 +152,8 @@ class ForwardComparison(MotionComparison):
         """(Q, S, J) torques that links need in addition, because backlash changes their motion."""
         behind = [_at(each, self._at) for each in self._gaps.moved(change.play)]
         model = self._robot.varied(change)
-        model.dof_armature[:], model.dof_damping[:] = 0.0, 0.0
+        model.dof_armature[:] = 0.0
+        model.dof_damping[:] = 0.0
         needed = [
             inverse_dynamics(model, *(each.reshape(-1, model.nv) for each in moved))
             for moved in (
@@ -189,7 +202,8 @@ class ForwardComparison(MotionComparison):
         control = np.concatenate([command, applied], 2)
         found, _ = rollout(models, data, states, control, control_spec=_CONTROL)
         last = found[:, -1, 1 : 1 + 2 * joints]
-        position, speed = last[:, :joints], last[:, joints:]
+        position = last[:, :joints]
+        speed = last[:, joints:]
         if model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4:
             # a step goes on with its last speed, which over a window is half a step too far
             position = position - 0.5 * self._step_s * (speed - begin[1])
@@ -209,7 +223,9 @@ def _windows(
     Raises:
         RecordingError: there are too few.
     """
-    begins, ends, numbers = [], [], []
+    begins = []
+    ends = []
+    numbers = []
     first = 0
     for number, path in enumerate(motion.paths):
         inner = inner_rows(len(path), motion.rate_hz, motion.smoothed_hz)

@@ -46,15 +46,19 @@ class InverseDynamics:
 
     def __init__(self, robot: Robot, motion: Trajectory) -> None:
         """`motion` is a measured or a planned one."""
-        self._robot, self._motion = robot, motion
+        self._robot = robot
+        self._motion = motion
         self._nominal = robot.nominal()
         self._gaps = BacklashMotion(robot, motion) if isinstance(motion, Motion) else None
         self._tendons = GuidedTendons(robot, motion)
-        self._cached, self._slides, self._columns = Recent(), Recent(), Recent()
+        self._cached = Recent()
+        self._slides = Recent()
+        self._columns = Recent()
 
     def moved(self, change: Change) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
         """Position, speed and acceleration (R, J) of the drives, and those of the joints."""
-        motion, true = self._motion, 1.0 + change.encoder_scale
+        motion = self._motion
+        true = 1.0 + change.encoder_scale
         drive = (
             (motion.position - change.zero) / true,
             motion.speed / true,
@@ -68,7 +72,8 @@ class InverseDynamics:
 
     def torques(self, change: Change) -> Array:
         """(R, J) as the drives' torques would be read."""
-        motion, nominal = self._motion, self._nominal
+        motion = self._motion
+        nominal = self._nominal
         drive, (position, speed, acceleration) = self.moved(change)
         transmitted = (
             self._rigid(change, (position, speed, acceleration))
@@ -132,16 +137,19 @@ class InverseDynamics:
 
     def _regressor(self, b: int) -> Array:
         """(R, J, 10) torques by a body's inertial parameters, from ten point masses on it."""
-        robot, motion = self._robot, self._motion
+        robot = self._robot
+        motion = self._motion
         light = copy.copy(robot.model)
         light.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SPRING
         light.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_DAMPER
         light.dof_armature[:] = 0.0
         bare = replace(robot, model=light).nominal()
-        bare.mass_kg[:], bare.inertia_kg_m2[:] = _LEAST_KG, _LEAST_KG * np.eye(3)
+        bare.mass_kg[:] = _LEAST_KG
+        bare.inertia_kg_m2[:] = _LEAST_KG * np.eye(3)
         own = replace(robot, model=light)
         moved = motion.position, motion.speed, motion.acceleration
-        torques, parameters = [], []
+        torques = []
+        parameters = []
         for place in _PLACES:
             with_mass = bare.copied()
             with_mass.centre_m[b] = place
@@ -151,7 +159,8 @@ class InverseDynamics:
         return np.einsum("kri,pk->rip", torques, np.linalg.inv(np.array(parameters)))
 
     def _later(self, torque: Array, delay_s: float) -> Array:
-        motion, found = self._motion, np.empty_like(torque)
+        motion = self._motion
+        found = np.empty_like(torque)
         for t in np.unique(motion.trial):
             rows = motion.trial == t
             time_s = motion.time_s[rows]
@@ -172,8 +181,10 @@ class InverseComparison(MotionComparison):
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
         """`motion` is what was measured."""
-        self._motion, self._dynamics = motion, InverseDynamics(robot, motion)
-        self._joints = joints = np.flatnonzero(motion.counts.any(0))
+        self._motion = motion
+        self._dynamics = InverseDynamics(robot, motion)
+        self._joints = np.flatnonzero(motion.counts.any(0))
+        joints = self._joints
         self.names = tuple(robot.joints[j] for j in joints)
         self.columns = tuple(f"torque.{name}" for name in self.names)
         self.units = tuple(robot.torque_units[j] for j in joints)
@@ -181,7 +192,8 @@ class InverseComparison(MotionComparison):
         counted = motion.compared(np.ones_like(motion.torque))[:, joints]
         self.noise = self.floor * np.sqrt((counted**2).mean(0))
         self.readings = self._compared(motion.torque)
-        self.trial, self.time_s = motion.compared_trial, motion.compared_time_s
+        self.trial = motion.compared_trial
+        self.time_s = motion.compared_time_s
         self.description = (
             f"Compared by inverse dynamics: measured motion, smoothed to {motion.smoothed_hz:.3g} "
             f"Hz, in, torques out, with a bandwidth of {motion.compared_hz:.3g} Hz at "
@@ -194,7 +206,8 @@ class InverseComparison(MotionComparison):
 
     def conditions(self, change: Change) -> Conditions:
         """At the motion's rows, before the low-pass."""
-        motion, load = self._motion, self._dynamics.torques(change)
+        motion = self._motion
+        load = self._dynamics.torques(change)
         return Conditions(motion.position, motion.speed, load).only(self._joints)
 
     def moved(self, change: Change) -> tuple[Array, Array]:
@@ -236,7 +249,8 @@ class Servos(NamedTuple):
         Raises:
             RecordingError: a joint has no position servo.
         """
-        model, servo = robot.model, robot.servos
+        model = robot.model
+        servo = robot.servos
         if (servo < 0).any():
             lacking = [robot.joints[j] for j in np.flatnonzero(servo < 0)]
             raise RecordingError(
@@ -244,7 +258,8 @@ class Servos(NamedTuple):
                 "measured outside are compared with the commands of an actuator `position` at "
                 "every joint"
             )
-        gear, bias = model.actuator_gear[servo, 0], model.actuator_biasprm[servo]
+        gear = model.actuator_gear[servo, 0]
+        bias = model.actuator_biasprm[servo]
         by_position = -bias[:, 1] * gear
         return Servos(
             per_command=model.actuator_gainprm[servo, 0] / by_position,
@@ -268,17 +283,21 @@ class ServoComparison(MotionComparison):
         Raises:
             RecordingError: a joint has no position servo.
         """
-        self._motion, self._servos = motion, Servos.of(robot)
+        self._motion = motion
+        self._servos = Servos.of(robot)
         self._dynamics = InverseDynamics(robot, motion)
         own = motion.command[:, robot.servos]
         self._target = own * self._servos.per_command + self._servos.offset
         self._gaps = BacklashMotion(robot, self._of_drives(robot))
-        self.names = self.columns = tuple(f"position.{joint}" for joint in robot.joints)
+        self.names = tuple(f"position.{joint}" for joint in robot.joints)
+        self.columns = self.names
         self.units = robot.position_units
         noise = noise_of_smoothed(motion.noise.position, motion.compared_hz)
-        self.floor = self.noise = np.hypot(noise, _LEAST_OF_RANGE * motion.scale.position)
+        self.floor = np.hypot(noise, _LEAST_OF_RANGE * motion.scale.position)
+        self.noise = self.floor
         self.readings = motion.passed(motion.position - self._target)
-        self.trial, self.time_s = motion.compared_trial, motion.compared_time_s
+        self.trial = motion.compared_trial
+        self.time_s = motion.compared_time_s
         self.description = (
             "Positions measured outside the drives are compared with those that the servos' "
             "commands and the torques they bear make, with a bandwidth of "
@@ -287,7 +306,8 @@ class ServoComparison(MotionComparison):
 
     def predicted(self, change: Change) -> Array:
         """(Q, C) by a variant of the robot."""
-        motion, servos = self._motion, self._servos
+        motion = self._motion
+        servos = self._servos
         target = self._target
         if change.delay_s:
             trials = [motion.trial == t for t in np.unique(motion.trial)]
@@ -309,7 +329,9 @@ class ServoComparison(MotionComparison):
 
     def _of_drives(self, robot: Robot) -> Motion:
         """The motion of the drives: the measured one has crossed the gaps already."""
-        motion, servos, trials = self._motion, self._servos, []
+        motion = self._motion
+        servos = self._servos
+        trials = []
         for trial in motion.trials:
             command = smoothed(trial.command, motion.rate_hz, motion.smoothed_hz)
             target = command[:, robot.servos] * servos.per_command + servos.offset
@@ -321,7 +343,8 @@ class ServoComparison(MotionComparison):
 
     def _torque(self, change: Change) -> Array:
         """(R, J) of the drives, with the joints where they were measured."""
-        none, still = np.zeros_like(change.zero), np.zeros_like(change.coupling)
+        none = np.zeros_like(change.zero)
+        still = np.zeros_like(change.coupling)
         at_joint = replace(
             change, coupling=still, play=none, torque_scale=none, torque_offset=none, delay_s=0.0
         )

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from cablesense_base import Array, CableSenseError, some_of
 from cablesense_base.files import read_bounded_text
 
-_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
+_SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 _GUIDES = {
     int(getattr(mujoco.mjtWrap, f"mjWRAP_{kind}")) for kind in ("SITE", "CYLINDER", "SPHERE")
 }
@@ -27,9 +28,17 @@ _MAX_BYTES = 50_000_000
 _URDF = re.compile(r"<robot[\s>]")
 _SHAPES = re.compile(r"<(visual|collision)\b(?:[^>]*/>|.*?</\1>)", re.DOTALL)
 _ZERO_BY_JOINT = (
-    "play", "load_friction", "presliding", "load_presliding", "load_side", "zero",
-    "encoder_scale", "torque_scale", "torque_offset", "servo_gain",
-)  # fmt: skip
+    "play",
+    "load_friction",
+    "presliding",
+    "load_presliding",
+    "load_side",
+    "zero",
+    "encoder_scale",
+    "torque_scale",
+    "torque_offset",
+    "servo_gain",
+)
 """Arrays of `Change` that are zero for the robot as the model has it."""
 _FOR_PLACES = re.compile(r"[^A-Za-z0-9_\-/]")
 
@@ -79,7 +88,8 @@ class Robot:
     @property
     def servos(self) -> NDArray[np.int64]:
         """(J,) number of the actuator that is a joint's position servo, -1 where none is."""
-        model, found = self.model, np.full(len(self.joints), -1)
+        model = self.model
+        found = np.full(len(self.joints), -1)
         for a in range(model.nu):
             at_joint = model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
             if at_joint and model.actuator_biasprm[a, 1] < 0.0:
@@ -94,7 +104,9 @@ class Robot:
 
     def nominal(self) -> Change:
         """The robot as the model has it, for effects to change."""
-        model, own, count = self.model, self.body_ids, len(self.joints)
+        model = self.model
+        own = self.body_ids
+        count = len(self.joints)
         axes = np.array([_rotation(model.body_iquat[b]) for b in own])
         zeros: dict[str, Any] = {name: np.zeros(count) for name in _ZERO_BY_JOINT}
         return Change(
@@ -135,7 +147,8 @@ class Robot:
         model.jnt_stiffness[:] = change.stiffness
         model.dof_frictionloss[:] = change.friction
         for joint in np.flatnonzero(change.servo_gain):
-            servo, times = self.servos[joint], 1.0 + change.servo_gain[joint]
+            servo = self.servos[joint]
+            times = 1.0 + change.servo_gain[joint]
             model.actuator_gainprm[servo, 0] *= times
             model.actuator_biasprm[servo, :2] *= times
         mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -214,7 +227,8 @@ class Change:
             self.centre_m[body] - centre
         )
         self.inertia_kg_m2[body] = inertia + mass_kg * _about(place_m - centre)
-        self.mass_kg[body], self.centre_m[body] = whole, centre
+        self.mass_kg[body] = whole
+        self.centre_m[body] = centre
 
 
 def load_robot(path: str | Path) -> Robot:
@@ -276,10 +290,15 @@ def inverse_dynamics(
     free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
     data = mujoco.MjData(free)
     found = np.empty_like(position)
-    qpos, qvel, qacc, forces = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
+    qpos = data.qpos
+    qvel = data.qvel
+    qacc = data.qacc
+    forces = data.qfrc_inverse
     inverse = mujoco.mj_inverse
     for row in range(len(position)):
-        qpos[:], qvel[:], qacc[:] = position[row], speed[row], acceleration[row]
+        qpos[:] = position[row]
+        qvel[:] = speed[row]
+        qacc[:] = acceleration[row]
         inverse(free, data)
         found[row] = forces
     return found
@@ -287,10 +306,13 @@ def inverse_dynamics(
 
 def actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Array:
     """(T, J) what the model's actuators make of commands."""
-    model, data = robot.model, mujoco.MjData(robot.model)
+    model = robot.model
+    data = mujoco.MjData(robot.model)
     found = np.empty_like(position)
     for row in range(len(position)):
-        data.qpos[:], data.qvel[:], data.ctrl[:] = position[row], speed[row], command[row]
+        data.qpos[:] = position[row]
+        data.qvel[:] = speed[row]
+        data.ctrl[:] = command[row]
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fwdActuation(model, data)
@@ -325,9 +347,12 @@ def _unreadable(path: Path, error: ValueError) -> RobotError:
 
 def _geared(model: mujoco.MjModel) -> tuple[Array, tuple[str, ...]]:
     """Ratios of joints that are tied to others, and what of the equalities is left out."""
-    geared, others = np.zeros((model.njnt, model.njnt)), 0
+    geared = np.zeros((model.njnt, model.njnt))
+    others = 0
     for e in range(model.neq):
-        joint, of, curve = model.eq_obj1id[e], model.eq_obj2id[e], model.eq_data[e, 1:5]
+        joint = model.eq_obj1id[e]
+        of = model.eq_obj2id[e]
+        curve = model.eq_data[e, 1:5]
         if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and of >= 0 and not curve[1:].any():
             geared[joint, of] = curve[0]
         else:

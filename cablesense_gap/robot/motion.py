@@ -265,7 +265,8 @@ def _dahl(position: Array, presliding: float) -> Array:
     """Shares (T,) of dry friction along a path (T,), from none at its beginning."""
     moved = np.diff(position, prepend=position[0])
     stays = np.exp(-np.abs(moved) / presliding)
-    share, found = 0.0, []
+    share = 0.0
+    found = []
     for way, stay in zip(np.sign(moved).tolist(), stays.tolist(), strict=True):
         share = way + (share - way) * stay
         found.append(share)

@@ -38,23 +38,29 @@ from cablesense_gap.robot.recording import RobotRecording
 MOST_ROWS = 5000
 """Rows at which a model is evaluated; a longer recording has them at longer intervals."""
 
-_LEAST_HZ, _MOST_HZ = 1.0, 20.0
+_LEAST_HZ = 1.0
+_MOST_HZ = 20.0
 """Arms and their controllers are slower than this; faster ones state a bandwidth."""
 _SAMPLES = 8.0
 """Least number in a period at the bandwidth: derivatives are then good to 1 %."""
 _ROWS_A_PERIOD = 3.0
 _LIGHTER = 4.0
 """Times the bandwidth of the comparison, at most, motion is smoothed with."""
-_POWER_SHARE, _MOTION_SHARE, _HARMONICS = 0.95, 0.9, 2.0
+_POWER_SHARE = 0.95
+_MOTION_SHARE = 0.9
+_HARMONICS = 2.0
 """Shares of the power of torques and of speeds; friction has harmonics of the motion."""
 _SLOW_SHARE = 0.02
 """Share of a joint's usual speed below which it stands still, as friction sees it."""
 _NOISE_DEVIATIONS = 3.0
 _LEAST_MOVING = 0.05
 _REST_S = 0.4
-_FEWEST_ROWS, _FEWEST_SAMPLES = 30, 16
-_GLITCH_SAMPLES, _GLITCH_DEVIATIONS = 5, 6.0
-_SHARES, _SPECTRUM_S = 40, 10.0
+_FEWEST_ROWS = 30
+_FEWEST_SAMPLES = 16
+_GLITCH_SAMPLES = 5
+_GLITCH_DEVIATIONS = 6.0
+_SHARES = 40
+_SPECTRUM_S = 10.0
 
 
 def prepared(
@@ -103,7 +109,8 @@ def prepared(
     step = max(1, round(rate_hz / (_ROWS_A_PERIOD * smoothed_hz)), -(-sample_count // MOST_ROWS))
     parts, smooth = _smoothed(trials, rate_hz, smoothed_hz, noise, robot)
     joined = {name: np.concatenate([part[name][::step] for part in parts]) for name in parts[0]}
-    moving, torque = joined.pop("moving"), joined["torque"]
+    moving = joined.pop("moving")
+    torque = joined["torque"]
     tied = robot.geared.any(axis=1)
     counts = (moving | (moving.mean(0) < _LEAST_MOVING)) & np.isfinite(torque) & ~tied
     rows_hz = rate_hz / step
@@ -269,7 +276,8 @@ def _noise(trials: Sequence[Trial], rate_hz: float) -> Noise:
 
 def _inertia(robot: Robot, position: Array) -> Array:
     """(J,) that each joint feels alone, at some of the poses."""
-    model, data = robot.model, mujoco.MjData(robot.model)
+    model = robot.model
+    data = mujoco.MjData(robot.model)
     whole = np.zeros((model.nv, model.nv))
     found = []
     for row in np.linspace(0, len(position) - 1, 20).astype(int):
@@ -340,7 +348,9 @@ def _low_passes(
     """The low-pass of each trial as a matrix, without its ends, and which rows it leads to."""
     step = max(1, round(rows_hz / (_ROWS_A_PERIOD * compared_hz)))
     edge = round(0.5 * rows_hz / compared_hz)
-    passes, kept, begin = [], [], 0
+    passes = []
+    kept = []
+    begin = 0
     for count in counts:
         own = np.arange(min(edge, count // 2), count - edge, step)
         whole = np.eye(count)
@@ -377,7 +387,8 @@ def _noise_at_rest(
     Filtered noise is larger there than at high frequencies. The torque of a joint that sticks
     changes more slowly, and differs from rest to rest.
     """
-    least, found = int(_REST_S * rate_hz), []
+    least = int(_REST_S * rate_hz)
+    found = []
     low_hz = max(compared_hz, 1.0 / _REST_S)
     for trial, part in zip(trials, parts, strict=True):
         still = part["moving"].max(1) == 0

@@ -19,13 +19,17 @@ from cablesense_gap.robot.motion import Trajectory, derivatives
 from cablesense_gap.simulator import Assignment
 
 RATE_HZ = 100.0
-_RANGE_SHARE, _MOST_RAD = 0.8, 1.6
-_FREE_RAD, _FREE_M = 1.2, 0.1
+_RANGE_SHARE = 0.8
+_MOST_RAD = 1.6
+_FREE_RAD = 1.2
+_FREE_M = 0.1
 """To either side, where the model has no range of a hinge or a slide."""
 _LEAST_PERIOD_S = 4.0
-_RAD_S, _M_S = 0.5, 0.1
+_RAD_S = 0.5
+_M_S = 0.1
 """Peak speeds of a slow sweep of a hinge and of a slide."""
-_FAST, _LONG = 2.0, 20.0
+_FAST = 2.0
+_LONG = 20.0
 _TOGETHER = 4
 _SLOW_SPEED = 0.02
 _EVERY = 10
@@ -57,7 +61,8 @@ def standard_protocol(robot: Robot) -> list[RobotBlock]:
             time_s = np.arange(0.0, max(2.0 * own_s, 6.0), 1.0 / RATE_HZ)
             position = np.tile(middle, (len(time_s), 1))
             position[:, j] += reach[j] * np.sin(2.0 * np.pi * time_s / own_s)
-            low, high = middle[j] - reach[j], middle[j] + reach[j]
+            low = middle[j] - reach[j]
+            high = middle[j] + reach[j]
             unit = robot.position_units[j]
             free = "" if robot.model.jnt_limited[j] else " (the model has no range of it)"
             does = (

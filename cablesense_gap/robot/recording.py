@@ -29,9 +29,11 @@ _STILL_SHARE = 0.01
 """A joint slower than this share of its largest speed is standing still."""
 _MOST_STRETCH_S = 20.0
 _LEAST_STRETCH_S = 1.0
-_MOST_RAD, _MOST_RAD_S = 4.0 * np.pi, 30.0
+_MOST_RAD = 4.0 * np.pi
+_MOST_RAD_S = 30.0
 """No joint with a range goes farther; one without, as a drum, goes farther, but not faster."""
-_MOST_INTERVAL_S, _LEAST_SPEED = 0.5, 0.005
+_MOST_INTERVAL_S = 0.5
+_LEAST_SPEED = 0.005
 """At longer intervals a joint that is never faster, in rad/s or m/s, has another unit of time."""
 
 
@@ -112,9 +114,14 @@ def bag_table(path: Path, robot: Robot) -> dict[str, Array]:
     def wanted(raw: RawMessage) -> bool:
         return raw.kind in (JOINT_STATE_TYPE, NUMBER_TYPE, _NUMBERS_TYPE)
 
-    joints, actuators = robot.joints, robot.actuators
-    values, names = array("d"), set[str]()  # a plain array, as objects take four times the memory
-    states, trial, command = "", np.nan, np.full(len(actuators), np.nan)
+    joints = robot.joints
+    actuators = robot.actuators
+    # a plain array, as objects take four times the memory
+    values = array("d")
+    names = set[str]()
+    states = ""
+    trial = np.nan
+    command = np.full(len(actuators), np.nan)
     for raw, message in decoded(path, wanted):
         commands = "command" in raw.topic
         if hasattr(message, "data"):
@@ -261,7 +268,8 @@ def _cut(time_s: Array, trial: NDArray[np.int64]) -> NDArray[np.int64]:
     """Trials cut into stretches, ten in all where they are long enough."""
     spans = [np.ptp(time_s[trial == t]) for t in np.unique(trial)]
     stretch_s = max(_LEAST_STRETCH_S, min(sum(spans) / (2 * FEWEST_TRIALS), _MOST_STRETCH_S))
-    cut, begin = np.zeros_like(trial), 0
+    cut = np.zeros_like(trial)
+    begin = 0
     for t, span in zip(np.unique(trial), spans, strict=True):
         rows = trial == t
         pieces = max(1, int(span / stretch_s))
@@ -272,7 +280,8 @@ def _cut(time_s: Array, trial: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _check(path: Path, robot: Robot, every: dict[str, Array], trial: NDArray[np.int64]) -> None:
-    interval, within = np.diff(every["time_s"]), np.diff(trial) == 0
+    interval = np.diff(every["time_s"])
+    within = np.diff(trial) == 0
     back = np.flatnonzero((interval <= 0.0) & within)
     if back.size:
         raise RecordingError(

@@ -35,16 +35,20 @@ from cablesense_gap.verdict import ChannelGap, Gap, Verdict, Where
 
 UNIT = "floors"
 """Each channel is given in units of its floor."""
-_AGAINST, _JUDGED = 0.7, 0.1
+_AGAINST = 0.7
+_JUDGED = 0.1
 """Correlation with the negative of the model's torque above which a channel counts as reversed: an
 imperfect model's may be somewhat negative. A channel is judged if at least the second share of the
 model's torque is left beyond an offset and friction."""
-_FOLLOWS, _OTHER_UNIT = 0.8, 5.0
+_FOLLOWS = 0.8
+_OTHER_UNIT = 5.0
 """Least correlation of a channel with the model's, and the ratio of both that is doubtful."""
-_PROBED, _USUAL = 0.01, 0.1
+_PROBED = 0.01
+_USUAL = 0.1
 """Error of a zero in rad or m: to find its influence, and as usual in a trial."""
 
-_FITS, _MODEL_ERROR = 2.0, 0.1
+_FITS = 2.0
+_MODEL_ERROR = 0.1
 """Floors that an explanation leaves at a joint where the model is exact; and share of the torque
 that models of real machines leave, the middle of the usual 5 to 15 %."""
 
@@ -60,13 +64,18 @@ class RobotSystem(System):
         comparison: the channels in rad, N·m and so on; `readings` are in units of their noise.
     """
 
-    unit, floor, recording_name = UNIT, 1.0, ""
+    unit = UNIT
+    floor = 1.0
+    recording_name = ""
     far_off = 3.0
     """A robot has dozens of tolerances."""
 
     def __init__(self, robot: Robot, motion: Motion, listed: Assignment) -> None:
         """`motion` is the measured one, `listed` are effects that the nominal robot has."""
-        self.robot, self.name, self.listed, self.motion = robot, robot.name, dict(listed), motion
+        self.robot = robot
+        self.name = robot.name
+        self.listed = dict(listed)
+        self.motion = motion
         compare: type[ServoComparison | ForwardComparison | InverseComparison] = (
             ServoComparison
             if motion.external
@@ -88,7 +97,8 @@ class RobotSystem(System):
         self.tolerances = tuple(self._candidate(e, motion) for e in offered if e.tolerance)
         self.readings = self.comparison.readings / self.comparison.noise
         self.scale = self.comparison.noise
-        self.trial, self.compared = self.comparison.trial, self.comparison.description
+        self.trial = self.comparison.trial
+        self.compared = self.comparison.description
         self.row_count, count = len(self.trial), int(self.trial.max()) + 1
         self.fold = np.arange(count) % min(FOLDS, count)
         self.counted = np.ones(self.row_count, dtype=bool)
@@ -137,7 +147,8 @@ class RobotSystem(System):
 
     def _of_zeros(self) -> tuple[_Zeros, ...]:
         """By trial its rows, what zeros (J,) make of them, and the zeros that fit a residual."""
-        trial, joints = self.comparison.trial, self.robot.joints
+        trial = self.comparison.trial
+        joints = self.robot.joints
 
         def read(joint: int, off: float) -> Array:
             change = changed(self.robot, [self.listed])
@@ -156,7 +167,8 @@ class RobotSystem(System):
     def with_listed(self, values: Assignment) -> RobotSystem:
         """Values of the same number are added."""
         system = RobotSystem(self.robot, self.motion, added(self.listed, values))
-        system.recording_name, system.row_count = self.recording_name, self.row_count
+        system.recording_name = self.recording_name
+        system.row_count = self.row_count
         return system
 
     def conditions(self) -> Conditions:
@@ -173,7 +185,8 @@ class RobotSystem(System):
 
     def altered(self, variant: Assignment) -> Altered | None:
         """Zeros and encoder scales move an unmodelled torque, torque scales multiply it."""
-        comparison, usual = self.comparison, self._conditions
+        comparison = self.comparison
+        usual = self._conditions
         if not isinstance(comparison, InverseComparison):
             return None
         change, own = (changed(self.robot, [self.listed, v]) for v in (variant, {}))
@@ -215,7 +228,8 @@ class RobotSystem(System):
     def unlisted(self, problem: Problem, residual: Array) -> Unlisted:
         """The channel and the trial with the largest residual."""
         left = np.sqrt((residual**2).mean(0))
-        worst, by_trial = int(left.argmax()), np.bincount(self.trial, (residual**2).mean(1))
+        worst = int(left.argmax())
+        by_trial = np.bincount(self.trial, (residual**2).mean(1))
         size = np.sqrt(by_trial / np.bincount(self.trial))
         most = f"Most is left at {self.comparison.names[worst]}: {left[worst]:.3g} floors."
         again = (
@@ -228,7 +242,8 @@ class RobotSystem(System):
 
     def doubts(self, values: Mapping[Term, float], gap: Gap) -> tuple[str, ...]:
         """Numbers that end at their bounds or far beyond the model's own; a gap that stays."""
-        change, ranges = changed(self.robot, [self.listed, values]), parameters_of(self.candidates)
+        change = changed(self.robot, [self.listed, values])
+        ranges = parameters_of(self.candidates)
         inertia = self.motion.inertia
         return tuple(doubts.of_verdict(self.robot, change, inertia, ranges, values, gap))
 
@@ -255,7 +270,8 @@ class RobotSystem(System):
         Offset and friction are fitted to both first: they may dominate a torque, and the model
         need not have them.
         """
-        motion, predicted = self.motion, self.predict([{}])[0]
+        motion = self.motion
+        predicted = self.predict([{}])[0]
         nuisances = np.ones_like(motion.speed), motion.speed, motion.direction
         of_joints = np.stack([motion.compared(each) for each in nuisances], axis=-1)
         found = []
@@ -366,8 +382,10 @@ def diagnose(
             f"{recording.name}: {', '.join(suspect)}: correct the recording, or continue with "
             "--force"
         )
-    system, healthy = RobotSystem(robot, motion, beside), None
-    system.recording_name, system.row_count = recording.name, len(recording)
+    system = RobotSystem(robot, motion, beside)
+    healthy = None
+    system.recording_name = recording.name
+    system.row_count = len(recording)
     if reference is not None:
         progress("fitting the reference", 0.0)
         healthy = _healthy(reference, system)
@@ -427,7 +445,8 @@ def write_prediction(path: Path, system: RobotSystem) -> None:
     Raises:
         RecordingError: the place cannot be written to.
     """
-    compared, predicted = system.comparison, system.nominal
+    compared = system.comparison
+    predicted = system.nominal
     columns = {"time_s": compared.time_s, "trial": compared.trial}
     for c, (name, column) in enumerate(zip(compared.names, compared.columns, strict=True)):
         columns[column] = compared.readings[:, c]

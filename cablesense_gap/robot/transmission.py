@@ -16,7 +16,9 @@ from cablesense_gap.robot.motion import Motion, Recent, Trajectory, derivatives,
 _LEAST_KG_M2 = 1e-9
 _LEAST_GIVE = 1e-4
 """Cable gives at least this share of the length that passes a guide."""
-_LEAST_M, _RIDGE, _LEAST_SHARE = 1e-9, 1e-9, 1e-6
+_LEAST_M = 1e-9
+_RIDGE = 1e-9
+_LEAST_SHARE = 1e-6
 _SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
 
 
@@ -30,7 +32,9 @@ class BacklashMotion:
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
         """`motion` is what was measured."""
-        self._robot, self._motion, self.rows = robot, motion, motion.rows
+        self._robot = robot
+        self._motion = motion
+        self.rows = motion.rows
         self._known = Recent()
 
     @cached_property
@@ -38,7 +42,8 @@ class BacklashMotion:
         """By trial, accelerations (T, J) of freely moving joints relative to their drives."""
         model = copy.copy(self._robot.model)
         inertia = np.maximum(self._motion.inertia - model.dof_armature, _LEAST_KG_M2)
-        model.dof_armature[:], model.dof_damping[:] = 0.0, 0.0
+        model.dof_armature[:] = 0.0
+        model.dof_damping[:] = 0.0
         rate_hz = self._motion.rate_hz
         return tuple(
             -inverse_dynamics(model, path, *derivatives(path, rate_hz)) / inertia
@@ -54,7 +59,8 @@ class BacklashMotion:
         return found
 
     def _of_joint(self, joint: int, play: float) -> Array:
-        motion, found = self._motion, []
+        motion = self._motion
+        found = []
         for free in self._free_acceleration:
             gap = _place_in_gap(free[:, joint], 0.5 * play, 1.0 / motion.rate_hz)[:, None]
             smooth = smoothed(gap, motion.rate_hz, motion.smoothed_hz)
@@ -65,12 +71,15 @@ class BacklashMotion:
 
 def _place_in_gap(acceleration: Array, reach: float, interval_s: float) -> Array:
     """(T,) positions within ±`reach` of a joint that moves freely with an acceleration (T,)."""
-    place, speed, found = float(np.sign(acceleration[0])) * reach, 0.0, []
+    place = float(np.sign(acceleration[0])) * reach
+    speed = 0.0
+    found = []
     for each in acceleration.tolist():
         speed += each * interval_s
         place += speed * interval_s
         if abs(place) >= reach:
-            place, speed = (reach if place > 0.0 else -reach), 0.0
+            place = reach if place > 0.0 else -reach
+            speed = 0.0
         found.append(place)
     return np.array(found)
 
@@ -86,7 +95,9 @@ class GuidedTendons:
 
     def __init__(self, robot: Robot, motion: Trajectory) -> None:
         """Tensions are those that the actuators make of recorded commands, where there are any."""
-        self._motion, self._robot, self._shares = motion, robot, Recent()
+        self._motion = motion
+        self._robot = robot
+        self._shares = Recent()
         model = robot.model
         of_tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
         pulls = of_tendon & (model.actuator_trnid[:, 0] == robot.tendon_ids[:, None])
@@ -95,13 +106,17 @@ class GuidedTendons:
     @cached_property
     def _along(self) -> tuple[Array, Array | None, list[list[Array]]]:
         """Moments (R, A, J) of actuators, tensions (R, K) if known, levers and wrap angles."""
-        model, motion = self._robot.model, self._motion
-        data, rows = mujoco.MjData(model), len(motion.position)
-        moments, force = np.zeros((rows, model.nu, model.nv)), np.empty((rows, model.nu))
+        model = self._robot.model
+        motion = self._motion
+        data = mujoco.MjData(model)
+        rows = len(motion.position)
+        moments = np.zeros((rows, model.nu, model.nv))
+        force = np.empty((rows, model.nu))
         guides = {t: _guides(model, t) for t in self._robot.tendon_ids.tolist()}
         paths: dict[int, list[tuple[Array, Array]]] = {t: [] for t in guides}
         for row, command in enumerate(np.nan_to_num(motion.command)):
-            data.qpos[:], data.qvel[:] = motion.position[row], motion.speed[row]
+            data.qpos[:] = motion.position[row]
+            data.qvel[:] = motion.speed[row]
             data.ctrl[:] = command
             mujoco.mj_fwdPosition(model, data)
             mujoco.mj_fwdVelocity(model, data)
@@ -168,10 +183,12 @@ class GuidedTendons:
         """
         from cablesense_sim.guides import pulled_over_guides_n  # slow to compile
 
-        position, trial = self._motion.position, self._motion.trial
+        position = self._motion.position
+        trial = self._motion.trial
         near_n = np.abs(known_n)
         near_n = np.maximum(near_n, _LEAST_SHARE * near_n.max() + _LEAST_M)
-        between, moved = 0.5 * (beyond[1:] + beyond[:-1]), np.diff(position, axis=0)
+        between = 0.5 * (beyond[1:] + beyond[:-1])
+        moved = np.diff(position, axis=0)
         longer = np.vstack([0.0 * limit[:1], np.einsum("rpj,rj->rp", between, moved)])
         pulled_n = limit.mean() * near_n.mean() / give_m * sign[:, None] * longer
         begins = (np.diff(trial, prepend=trial[0] - 1) != 0).astype(float)
@@ -216,20 +233,26 @@ def _followed(
     data. A piece has the number of the guide where it begins. A guide that the tendon does not
     touch has zeros.
     """
-    place, met = data.wrap_xpos.reshape(-1, 3), data.wrap_obj.ravel()
-    lever, turn = np.zeros((len(guides) - 1, model.nv)), np.zeros(len(guides) - 1)
-    here, there = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-    last, way = 0, np.zeros(3)
+    place = data.wrap_xpos.reshape(-1, 3)
+    met = data.wrap_obj.ravel()
+    lever = np.zeros((len(guides) - 1, model.nv))
+    turn = np.zeros(len(guides) - 1)
+    here = np.zeros((3, model.nv))
+    there = np.zeros((3, model.nv))
+    last = 0
+    way = np.zeros(3)
     for n, (geom, body) in enumerate(guides):
         if geom >= 0 and met[at] != geom:
             continue
         if n:
             mujoco.mj_jac(model, data, there, None, place[at], body)
             straight = place[at] - place[at - 1]
-            before, way = way, straight / max(math.sqrt(straight @ straight), _LEAST_M)
+            before = way
+            way = straight / max(math.sqrt(straight @ straight), _LEAST_M)
             lever[last] = way @ (there - here)
             turn[last] = math.acos(min(max(before @ way, -1.0), 1.0))
-        last, at = n, at + (1 if geom < 0 else 2)
+        last = n
+        at = at + (1 if geom < 0 else 2)
         mujoco.mj_jac(model, data, here, None, place[at - 1], body)
     towards = slice(None, None, -1 if guides[0][1] > guides[-1][1] else 1)
     return lever[towards], turn[1:][towards]

@@ -24,11 +24,13 @@ does so if another node saw an error in the last bits of a frame that this one h
 THREE_CYCLES = 1.3
 """Three frames of one id take two cycles, or 1.4 in the least favourable order of twelve; with a
 second sender they take one."""
-EARLY_CYCLES, HELD_UP_CYCLES = 1.0, 1000.0
+EARLY_CYCLES = 1.0
+HELD_UP_CYCLES = 1000.0
 """Jitter by which a counter may be ahead of time, and the longest time that a reader makes up."""
 SLOWER = 0.01
 """Share by which an amplifier may be slower than the map says, so that it gains no time."""
-CUT_SAMPLES, WIDER = 8, 2.0
+CUT_SAMPLES = 8
+WIDER = 2.0
 """Number of successive samples, each with a pause inside that is this many times the pause before
 it, which show that samples begin in mid-cycle. Bus traffic delays single frames only."""
 
@@ -72,11 +74,15 @@ class _Senders:
     def __init__(
         self, cycle_time_s: float, counter_modulo: int, stamped: bool, ledger: FaultLedger
     ) -> None:
-        self._cycle_s, self._modulo = cycle_time_s, counter_modulo
-        self._stamped, self._ledger = stamped, ledger
-        self._last, self._last_s = Decoded(), -np.inf
+        self._cycle_s = cycle_time_s
+        self._modulo = counter_modulo
+        self._stamped = stamped
+        self._ledger = ledger
+        self._last = Decoded()
+        self._last_s = -np.inf
         self._count: int | None = None
-        self._count_s = self._spare_cycles = 0.0
+        self._count_s = 0.0
+        self._spare_cycles = 0.0
         self._times_s: dict[str, deque[float]] = {}
         self._faults: dict[str, tuple[float, str]] = {}
         self.frames: Counter[str] = Counter()
@@ -85,7 +91,8 @@ class _Senders:
         """Whether the frame is the one before it once more, and has no effect."""
         soon = time_s - self._last_s < AGAIN_CYCLES * self._cycle_s
         again = soon and decoded == self._last
-        self._last, self._last_s = decoded, time_s
+        self._last = decoded
+        self._last_s = time_s
         if again:
             detail = f"{decoded.message} came twice with the same content; the second is not used"
             self._ledger.note(FaultKind.DUPLICATE_ID, decoded.message, detail)
@@ -112,7 +119,8 @@ class _Senders:
         that is ahead must then also have gone back. Frames around a lost counter frame are then
         of one cycle if none of them was lost.
         """
-        last, self._count = self._count, count
+        last = self._count
+        self._count = count
         steps = 1 if last is None else (count - last) % self._modulo
         passed = max(0.0, time_s - self._count_s) / self._cycle_s if last is not None else 1.0
         self._count_s = time_s
@@ -188,8 +196,11 @@ class SampleAssembler:
         self._open_s: float | None = None
         self._held: Sample | None = None
         self._valid = True
-        self._pause_before_s = self._widest_pause_s = self._awaited_pause_s = 0.0
-        self._cut = self.dropped = 0
+        self._pause_before_s = 0.0
+        self._widest_pause_s = 0.0
+        self._awaited_pause_s = 0.0
+        self._cut = 0
+        self.dropped = 0
         self.frame_s = -np.inf
 
     def take(self, decoded: Decoded, time_s: float) -> Sample | None:
@@ -216,12 +227,14 @@ class SampleAssembler:
     def _add(self, decoded: Decoded, time_s: float) -> Sample | None:
         released = None
         channels = [channel for channel, _ in decoded.readings]
-        pause_s, self.frame_s = time_s - self.frame_s, time_s
+        pause_s = time_s - self.frame_s
+        self.frame_s = time_s
         if pause_s < self._awaited_pause_s:
             return None
         self._awaited_pause_s = 0.0
         if self._open_s is None:
-            self._pause_before_s, self._widest_pause_s = pause_s, 0.0
+            self._pause_before_s = pause_s
+            self._widest_pause_s = 0.0
             if self._modulo:
                 return None  # the rest of a cycle whose counter did not come, or a second frame
             self._open(time_s)
@@ -252,7 +265,8 @@ class SampleAssembler:
 
     def _release(self, time_s: float, trusted: bool = True) -> Sample | None:
         """The held sample, unless its senders are not trusted."""
-        held, self._held = self._held, None
+        held = self._held
+        self._held = None
         if held is not None and (self._senders.distrusted(time_s) or not trusted):
             self.dropped += 1
             return None
@@ -264,7 +278,8 @@ class SampleAssembler:
             for channel in sorted(self._missing):
                 self._ledger.note(FaultKind.MISSING_CHANNEL, self._names[channel])
             self.dropped += 1
-        self._open_s, self._valid = time_s, True
+        self._open_s = time_s
+        self._valid = True
         self._missing = set(range(len(self._names)))
 
     def _begins_in_mid_cycle(self) -> bool:
@@ -273,7 +288,8 @@ class SampleAssembler:
         self._cut = self._cut + 1 if cut else 0
         if self._cut < CUT_SAMPLES:
             return False
-        self._cut, self._awaited_pause_s = 0, self._widest_pause_s / WIDER
+        self._cut = 0
+        self._awaited_pause_s = self._widest_pause_s / WIDER
         detail = (
             "samples held readings of two cycles; they begin at the pause between cycles again"
         )

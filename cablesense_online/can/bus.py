@@ -23,7 +23,10 @@ INTERFACES = ("socketcan", "slcan", "pcan", "kvaser", "virtual", "udp_multicast"
 NMT_ID = 0x000
 START_REMOTE_NODE = 0x01
 HEARTBEAT_ID = 0x700
-CONTROLLER_CLASS, BUS_OFF_CLASS, BUS_ERROR_CLASS, RESTARTED_CLASS = 0x04, 0x40, 0x80, 0x100
+CONTROLLER_CLASS = 0x04
+BUS_OFF_CLASS = 0x40
+BUS_ERROR_CLASS = 0x80
+RESTARTED_CLASS = 0x100
 _CLASSES = {
     0x01: "transmit timeout",
     0x02: "lost arbitration",
@@ -111,7 +114,9 @@ class _InLines:
     """A serial port read in blocks and lines: python-can makes a system call for each byte."""
 
     def __init__(self, port: Any) -> None:
-        self._port, self._lines, self._at = port, b"", 0
+        self._port = port
+        self._lines = b""
+        self._at = 0
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._port, name)
@@ -137,7 +142,8 @@ class _InLines:
         python-can asks for one byte, appends the answer, and compares it with the two ends.
         """
         if self._at == len(self._lines):
-            self._lines, self._at = self._port.read(1) + self._port.read(self._port.in_waiting), 0
+            self._lines = self._port.read(1) + self._port.read(self._port.in_waiting)
+            self._at = 0
         line = _LINE.match(self._lines, self._at)
         if line is None:
             return b""
@@ -213,7 +219,8 @@ class FaultLedger:
             return FaultReport(recent, total, last)
 
 
-ERROR_ACTIVE, BUS_OFF = "error active", "bus off"
+ERROR_ACTIVE = "error active"
+BUS_OFF = "bus off"
 _CONDITIONS = {0x30: "error passive", 0x0C: "error warning", 0x40: ERROR_ACTIVE}
 """Error state (ISO 11898-1) by the bits of a controller frame; the first that applies counts."""
 
@@ -227,7 +234,8 @@ class BusState:
     """
 
     def __init__(self, interface: CanInterface, ledger: FaultLedger) -> None:
-        self._interface, self._ledger = interface, ledger
+        self._interface = interface
+        self._ledger = ledger
         self.condition = ERROR_ACTIVE
         self.recoveries = 0
 

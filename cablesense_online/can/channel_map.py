@@ -397,7 +397,8 @@ def calibration_status(calibration: Calibration | None) -> Status:
         cable: f"{sensor.scale_n_per_unit:.6g} N per unit from zero {sensor.zero:.6g}"
         for cable, sensor in calibration.cables.items()
     }
-    message, left = f"calibration of {calibration.made:%Y-%m-%d %H:%M}", calibration.uncalibrated
+    message = f"calibration of {calibration.made:%Y-%m-%d %H:%M}"
+    left = calibration.uncalibrated
     if left:
         message += f", but the map's for {', '.join(left)}"
     return Status("calibration", Level.WARN if left else Level.OK, message, values)

@@ -62,13 +62,17 @@ class CanDriver:
         self._reader = TensionReader(channel_map, database, interface, self.ledger)
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
-        self._connected, self._openings, self._last_problem = False, 0, ""
-        self._last_sample_s = self._report_s = monotonic()
+        self._connected = False
+        self._openings = 0
+        self._last_problem = ""
+        self._last_sample_s = monotonic()
+        self._report_s = self._last_sample_s
         self._reported = np.zeros(3, dtype=int)
 
     def start(self) -> None:
         """Begin to receive, as soon as the interface exists."""
-        self._last_sample_s = self._report_s = monotonic()
+        self._last_sample_s = monotonic()
+        self._report_s = self._last_sample_s
         self._ended.clear()
         name = f"receive {self._interface.name}"
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -86,11 +90,13 @@ class CanDriver:
 
         Samples are stale after this time without one. Totals are since the driver was made.
         """
-        now_s, reader = monotonic(), self._reader
+        now_s = monotonic()
+        reader = self._reader
         counts = np.array([reader.frames, reader.samples, reader.withheld])
         frames, samples, withheld = (counts - self._reported).tolist()
         period_s = max(now_s - self._report_s, 1e-9)
-        self._reported, self._report_s = counts, now_s
+        self._reported = counts
+        self._report_s = now_s
         if frames > self._map.flood_frames_s * max(1.0, period_s):
             detail = f"{frames} frames in {period_s:.1f} s; the map allows "
             detail += f"{self._map.flood_frames_s:g} a second"
@@ -123,7 +129,8 @@ class CanDriver:
         ], faults
 
     def _interface_verdict(self, frames: int) -> tuple[Level, str]:
-        name, condition = self._interface.name, self._reader.bus.condition
+        name = self._interface.name
+        condition = self._reader.bus.condition
         if not self._connected:
             return Level.ERROR, f"{name} is not open: {self._last_problem}"
         if condition == BUS_OFF:
@@ -166,7 +173,8 @@ class CanDriver:
                 bus.shutdown()
 
     def _receive(self, bus: can.BusABC) -> None:
-        name, last_s = self._interface.name, monotonic()
+        name = self._interface.name
+        last_s = monotonic()
         hold_s = self._reader.hold_s
         while not self._ended.is_set():
             frame = None

@@ -64,7 +64,8 @@ class Emulator:
 
         `channel_map` must fit `database` (`channel_map.check_fit`).
         """
-        self._map, self._open_bus = channel_map, open_bus
+        self._map = channel_map
+        self._open_bus = open_bus
         opens = channel_map.counter.message if channel_map.counter else None
         self._messages = sorted(
             map(database.get_message_by_name, channel_map.message_names),
@@ -72,7 +73,9 @@ class Emulator:
         )
         described = {message.frame_id for message in database.messages}
         self._unknown_id = next(n for n in range(0x7FF, -1, -1) if n not in described)
-        self._count = self.cycles = self.dropped = 0
+        self._count = 0
+        self.cycles = 0
+        self.dropped = 0
         self._frozen_n: float | None = None
         self._off = False
         self._started: set[int] = set()
@@ -108,7 +111,8 @@ class Emulator:
     def request(self, fault: str) -> None:
         """Start a fault with the next cycle; an empty text ends it."""
         kind, _ = self.check_fault(fault)
-        self.fault, self._frozen_n = fault.strip(), None
+        self.fault = fault.strip()
+        self._frozen_n = None
         if kind == "interface_lost":
             self.close()
         elif self._bus is None:
@@ -133,7 +137,8 @@ class Emulator:
 
     def close(self) -> None:
         """Pull the interface; safe to call twice."""
-        bus, self._bus = self._bus, None
+        bus = self._bus
+        self._bus = None
         if bus is not None:
             bus.shutdown()
 
@@ -148,7 +153,8 @@ class Emulator:
         """
         kind, cable = self.check_fault(self.fault)
         self._count += 1
-        was_off, self._off = self._off, kind == "bus_off"
+        was_off = self._off
+        self._off = kind == "bus_off"
         if self._off:
             return [] if was_off else [_frame(BUS_OFF_CLASS, is_error_frame=True)]
         first = [_frame(RESTARTED_CLASS, is_error_frame=True)] if was_off else []
@@ -240,7 +246,8 @@ def frame_line(frame: can.Message) -> bytes | None:
     letter, digits = ("T", 8) if frame.is_extended_id else ("t", 3)
     data = bytes(frame.data).hex().upper()
     if frame.is_remote_frame:
-        letter, data = ("R" if frame.is_extended_id else "r"), ""
+        letter = "R" if frame.is_extended_id else "r"
+        data = ""
     return f"{letter}{frame.arbitration_id:0{digits}X}{frame.dlc:d}{data}".encode()
 
 
@@ -291,7 +298,8 @@ class SlcanPort(can.BusABC):
         self.path = link or self._terminal
         self.channel_open = False
         self._received: deque[can.Message] = deque(maxlen=1000)
-        self._from_host = self._unfinished = b""
+        self._from_host = b""
+        self._unfinished = b""
         if link:
             self._make_link(Path(link))
         super().__init__(channel=self.path)
@@ -336,7 +344,8 @@ class SlcanPort(can.BusABC):
             ) from error
 
     def _close(self) -> None:
-        self._is_shutdown, self.channel_open = True, False
+        self._is_shutdown = True
+        self.channel_open = False
         os.close(self._slave)
         os.close(self._master)
 

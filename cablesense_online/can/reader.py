@@ -49,13 +49,15 @@ class FrameDecoder:
 
     def __init__(self, channel_map: ChannelMap, database: Database, ledger: FaultLedger) -> None:
         """`channel_map` must fit `database` (`channel_map.check_fit`)."""
-        self._map, self._ledger = channel_map, ledger
+        self._map = channel_map
+        self._ledger = ledger
         self._described = {(m.frame_id, m.is_extended_frame) for m in database.messages}
         self._plans: dict[tuple[int, bool], _Plan] = {}
         self.counter_modulo = 0
         numbered = [(n, *item) for n, item in enumerate(channel_map.channels.items())]
         for name in channel_map.message_names:
-            message, counter = database.get_message_by_name(name), None
+            message = database.get_message_by_name(name)
+            counter = None
             if channel_map.counter and channel_map.counter.message == name:
                 counter = channel_map.counter.signal
                 self.counter_modulo = 1 << message.get_signal_by_name(counter).length
@@ -75,7 +77,8 @@ class FrameDecoder:
             if key not in self._described:
                 self._ledger.note(FaultKind.UNKNOWN_ID, f"0x{frame.arbitration_id:X}")
             return None
-        name, length = plan.message.name, plan.message.length
+        name = plan.message.name
+        length = plan.message.length
         if frame.is_remote_frame or frame.is_fd or len(frame.data) != length:
             kind = "remote" if frame.is_remote_frame else "CAN FD" if frame.is_fd else "data"
             detail = f"{name} came as a {kind} frame with {len(frame.data)} bytes"
@@ -87,7 +90,8 @@ class FrameDecoder:
 
     def _readings(self, plan: _Plan, values: dict[str, float]) -> Decoded:
         low, high = self._map.range_n
-        readings, valid = [], True
+        readings = []
+        valid = True
         for number, cable, channel in plan.channels:
             tension_n = channel.tension_n(values[channel.signal])
             status = int(values[channel.status]) if channel.status is not None else 0
@@ -103,7 +107,8 @@ class FrameDecoder:
         return Decoded(readings, valid, counter, plan.label)
 
     def _fault(self, tension_n: float, status: int) -> FaultKind | None:
-        (low, high), masks = self._map.range_n, self._map.status_masks
+        (low, high) = self._map.range_n
+        masks = self._map.status_masks
         if status & masks.over_range or (tension_n >= high and isfinite(tension_n)):
             return FaultKind.OVER_RANGE
         if status & masks.under_range or (tension_n <= low and isfinite(tension_n)):
@@ -159,10 +164,12 @@ class BusClock:
         """Time of a frame from its stamp and its arrival `now_s`, s since the epoch."""
         if not isfinite(stamp_s) or stamp_s <= 0.0:
             return now_s
-        lag_s, known_s = now_s - stamp_s, self._lag_s
+        lag_s = now_s - stamp_s
+        known_s = self._lag_s
         if known_s is not None and lag_s - known_s <= JUMP_S:
             lag_s = min(lag_s, known_s + DRIFT * max(0.0, now_s - self._last_now_s))
-        self._lag_s, self._last_now_s = lag_s, now_s
+        self._lag_s = lag_s
+        self._last_now_s = now_s
         return stamp_s if 0.0 <= lag_s <= SAME_CLOCK_S else stamp_s + lag_s
 
 
@@ -184,7 +191,8 @@ class TensionReader:
         ledger: FaultLedger,
     ) -> None:
         """`interface` is the source of the frames; it is not opened here."""
-        self._map, self._ledger = channel_map, ledger
+        self._map = channel_map
+        self._ledger = ledger
         self._decoder = FrameDecoder(channel_map, database, ledger)
         self._skew_limit_s = channel_map.skew_limit_s
         self._stamped = interface.stamps_frames
@@ -192,7 +200,9 @@ class TensionReader:
             self._skew_limit_s = max(self._skew_limit_s, SCATTER_OF_READING_S)
         self.hold_s = HOLD_CYCLES * channel_map.cycle_time_s
         self.bus = BusState(interface, ledger)
-        self.frames = self.samples = self._withheld = 0
+        self.frames = 0
+        self.samples = 0
+        self._withheld = 0
         self.largest_skew_s = 0.0
         self._restart()
 

@@ -40,7 +40,8 @@ MOST_CLIENTS = 10
 """Browsers that are served at a time, the one that commands among them."""
 MOST_MESSAGE_BYTES = 16_384
 """Camera and values of controls take some hundred."""
-PING_EVERY_S, SILENT_S = 5.0, 10.0
+PING_EVERY_S = 5.0
+SILENT_S = 10.0
 """A browser that does not answer for so long has left: its force is taken off."""
 _PORT_TRIES = 20
 _TITLE = b"<title>Viser</title>"
@@ -154,7 +155,8 @@ def _checked(answer: Answer | None, host: str, token: str) -> Answer:
 
 def _from_the_page(headers: Headers, host: str) -> bool:
     """Whether a browser that sends these headers shows this page, or is about to open it."""
-    asked, origins = headers.get_all("Host"), headers.get_all("Origin")
+    asked = headers.get_all("Host")
+    origins = headers.get_all("Origin")
     if len(asked) != 1 or not _is_here(asked[0], host):
         return False
     if not origins:

@@ -54,7 +54,8 @@ _HARMLESS = ("cables", "cable_tensions")
 """Parts whose warnings lessen no trust: statics holds with slack cables, a lost sample is lost."""
 _MOST_NOTES = 3
 _LAST_REFUSAL = "last refusal"
-_HOLDS, _LEFT = "holds", "left (s)"
+_HOLDS = "holds"
+_LEFT = "left (s)"
 """Figures of the commissioner's status: all of them while it is at work."""
 
 
@@ -392,7 +393,8 @@ def _strongest_first(contacts: list[Contact]) -> tuple[Contact, ...]:
 
 def _place_m(force_n: Array, torque_n_m: Array) -> float:
     """Where on the axis a force acts, by its torque about the segment's origin."""
-    (_, y, z), (_, torque_y, torque_z) = force_n, torque_n_m
+    (_, y, z) = force_n
+    (_, torque_y, torque_z) = torque_n_m
     return float((y * torque_z - z * torque_y) / (y * y + z * z))
 
 

@@ -38,11 +38,14 @@ class Page:
         self, arm: Arm, actions: Actions | None, host: str = "127.0.0.1", port: int = 8080
     ) -> None:
         """Starts serving; without `actions` the page only shows."""
-        self._mechanism = mechanism = mechanism_of(arm)
-        self._actions, self._force_limit_n = actions, contact_range_n(arm)
+        self._mechanism = mechanism_of(arm)
+        mechanism = self._mechanism
+        self._actions = actions
+        self._force_limit_n = contact_range_n(arm)
         self._reach_m = touched_places(arm).reach_m
         token = secrets.token_urlsafe(16)  # for nobody to guess
-        self._server = server = guarded_server(host, free_port(host, port), token)
+        self._server = guarded_server(host, free_port(host, port), token)
+        server = self._server
         self.port = server.get_port()
         shown = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
         self.url = f"http://{f'[{shown}]' if ':' in shown else shown}:{self.port}/{token}/"
@@ -64,7 +67,8 @@ class Page:
 
     def _lay_out(self) -> None:
         """The figures on the left, the controls on the right; on a phone all in one sheet."""
-        gui, mechanism = self._server.gui, self._mechanism
+        gui = self._server.gui
+        mechanism = self._mechanism
         gui.configure_theme(
             dark_mode=True, show_logo=False, show_share_button=False, brand_color=(86, 180, 233)
         )
@@ -88,7 +92,8 @@ class Page:
 
     def _follow_view(self, reach_m: float, client: viser.ClientHandle) -> None:
         """Shows the whole arm in a window of any shape, and again where the shape changes."""
-        camera, fitted = client.camera, 0.0
+        camera = client.camera
+        fitted = 0.0
 
         def fit(_: viser.CameraHandle) -> None:
             nonlocal fitted
@@ -96,7 +101,8 @@ class Page:
                 return
             fitted = camera.aspect
             with client.atomic():
-                camera.near, camera.fov = 0.02 * reach_m, VIEW_ANGLE_RAD
+                camera.near = 0.02 * reach_m
+                camera.fov = VIEW_ANGLE_RAD
                 camera.position, camera.look_at = view(reach_m, fitted)
 
         fit(camera)
@@ -163,7 +169,8 @@ class Page:
         estimate = html("estimate", snapshot)
         self._summary.content = f"<div class='cablesense-narrow'>{estimate}</div>"
         self._estimate.content = estimate
-        probabilities, segment_count = snapshot.probabilities, self._mechanism.segment_count
+        probabilities = snapshot.probabilities
+        segment_count = self._mechanism.segment_count
         self._figures.content = html("figures", probabilities, errors, segment_count)
         self._legend.content = html("legend", scale_n, snapshot.tensions_n)
         self._forces.draw()

@@ -76,14 +76,18 @@ class Controls:
 
         `reach_m` (N, 2) is where each segment can be touched, from its joint centre.
         """
-        self._actions, self._joints_deg, self._reach_m = actions, joints_deg, reach_m
-        self._pushing = self._closed = False
+        self._actions = actions
+        self._joints_deg = joints_deg
+        self._reach_m = reach_m
+        self._pushing = False
+        self._closed = False
         self._lock = threading.RLock()
         segments = [str(n) for n in range(1, mechanism.segment_count + 1)]
         limit_deg = joint_limit_deg(mechanism)
         with gui.add_folder("Push the arm"):
             self._segment = gui.add_dropdown("segment", segments, initial_value=segments[-1])
-            nearest_mm, farthest_mm = 1e3 * reach_m.min(), 1e3 * reach_m.max()
+            nearest_mm = 1e3 * reach_m.min()
+            farthest_mm = 1e3 * reach_m.max()
             self._place = gui.add_slider(
                 "place, mm",
                 *(nearest_mm, farthest_mm, 1.0),
@@ -190,7 +194,8 @@ class Controls:
         if (self._pushing or released) and self._segment.value in self._segment.options:
             segment = int(self._segment.value)
             place_m = float(np.clip(1e-3 * _within(self._place), *self._reach_m[segment - 1]))
-            force_n, along_n = _within(self._newtons), _within(self._along)
+            force_n = _within(self._newtons)
+            along_n = _within(self._along)
             contact = Contact(segment, _within(self._angle), force_n, place_m, along_n)
             beside = not released and bool(self._beside.value)
             self._actions.push(NO_CONTACT if released else contact, beside)
@@ -275,7 +280,8 @@ def places_text(region: Sequence[PlaceInterval]) -> str:
     high_mm = 1e3 * region[-1].high_m
     if len(region) == 1:
         return f"{interval_text(low_mm, high_mm)} mm"
-    first, last = region[0].segment, region[-1].segment
+    first = region[0].segment
+    last = region[-1].segment
     return f"{low_mm:.0f} mm of {first} to {high_mm:.0f} mm of {last}"
 
 
@@ -302,14 +308,16 @@ def html(what: str, *values: Any) -> str:
 
 _DASHES: tuple[list[int], ...] = ([], [6, 3], [2, 3])
 _UNKNOWN_N = -3.0
-_WINDOW_S, _SAMPLES = 12.0, 240
+_WINDOW_S = 12.0
+_SAMPLES = 240
 
 
 class TraceBuffer:
     """A ring of the last samples of some columns, thinned to an even spacing in time."""
 
     def __init__(self, columns: int, window_s: float = _WINDOW_S, samples: int = _SAMPLES) -> None:
-        self._step_s, self._window_s = window_s / samples, window_s
+        self._step_s = window_s / samples
+        self._window_s = window_s
         self._rows: deque[Array] = deque(maxlen=samples)  # time, then the columns
         self._empty = (np.array([-window_s, 0.0]), *np.zeros((columns, 2)))
 

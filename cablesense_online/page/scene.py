@@ -30,8 +30,13 @@ from cablesense_online.page.snapshot import (
 from cablesense_sim.kinematics import chain, joint_positions_m, segment_rotations
 from cablesense_sim.mechanism import Mechanism
 
-_CABLE_WIDTH, _INTERVAL_WIDTH, _PLATE_THICKNESS, _THINNEST_REGION = 0.008, 0.006, 0.0075, 0.006
-_SHAFT_RADIUS, _HEAD_RADIUS, _HEAD_LENGTH = 0.0071, 0.018, 0.056
+_CABLE_WIDTH = 0.008
+_INTERVAL_WIDTH = 0.006
+_PLATE_THICKNESS = 0.0075
+_THINNEST_REGION = 0.006
+_SHAFT_RADIUS = 0.0071
+_HEAD_RADIUS = 0.018
+_HEAD_LENGTH = 0.056
 """Shares of the arm's length."""
 _SQUARES_M = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 """Sides that the squares of the ground may have."""
@@ -44,7 +49,8 @@ _POSE_DIGITS = 5
 """Joint angles, rad, are rounded to this many digits: smaller changes are not drawn."""
 _ALONG_X = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
 """Quaternion, w x y z, that lays a cylinder, which stands on z, along x."""
-_REGION_SHARE, _REGION_OPACITY = 1.35, 0.5
+_REGION_SHARE = 1.35
+_REGION_OPACITY = 0.5
 """Radius of the band over that of the body."""
 Touched = Callable[[int, int, float], None]
 """Takes a client, the segment, from 1, and the place on its axis, m from its joint centre."""
@@ -97,7 +103,8 @@ def cable_pieces(mechanism: Mechanism, joint_angles_rad: Array) -> tuple[Array, 
     rotations = segment_rotations(mechanism, joint_angles_rad)
     ends: list[tuple[Array, Array]] = []
     for cable, last_segment in enumerate(mechanism.cable_segment):
-        y, z = mechanism.hole_y_m[cable], mechanism.hole_z_m[cable]
+        y = mechanism.hole_y_m[cable]
+        z = mechanism.hole_z_m[cable]
         points = [np.array([-mechanism.run_m, y, z]), np.array([0.0, y, z])]
         for n in range(1, last_segment + 1):
             plates_m = plate_positions_m(mechanism, n)
@@ -198,8 +205,11 @@ class ArmScene:
         touched: Touched | None = None,
     ) -> None:
         """`touched` is called by a click on a segment."""
-        self._arrows, reach_m = arrows, arrows.reach_m
-        self._scene, self._mechanism, self._touched = scene, mechanism, touched
+        self._arrows = arrows
+        reach_m = arrows.reach_m
+        self._scene = scene
+        self._mechanism = mechanism
+        self._touched = touched
         self._pose_rad = np.zeros(mechanism.joint_count)
         self._radius_m = routing_radius_m(mechanism)
         self._clearance_m = 1.1 * _BODY_SHARE * self._radius_m
@@ -217,7 +227,8 @@ class ArmScene:
             fade_distance=5.0 * reach_m,
             position=(0.5 * reach_m, 0.0, -0.6 * reach_m),
         )
-        scale, at = f"squares of {100.0 * square_m:g} cm", (0.65 * reach_m, -0.55 * reach_m, 0.0)
+        scale = f"squares of {100.0 * square_m:g} cm"
+        at = (0.65 * reach_m, -0.55 * reach_m, 0.0)
         self._add_label("/ground/scale", scale, at, "center-center")
         self._add_plates("/base", 0)
         self._add_label("/base/label", "base", (0.0, 0.0, 1.5 * self._radius_m), "bottom-center")
@@ -258,14 +269,16 @@ class ArmScene:
         turns = Rotation.from_matrix(rotations).as_quat(scalar_first=True)
         joints_m = joint_positions_m(self._mechanism, pose)
         for frame, joint_m, turn in zip(self._segments, joints_m, turns, strict=True):
-            frame.position, frame.wxyz = joint_m, turn
+            frame.position = joint_m
+            frame.wxyz = turn
         ends_m, _ = cable_pieces(self._mechanism, pose)
         self._cables.points = ends_m.astype(np.float32)
         if snapshot.tensions_n is not None:
             rgb = linear_rgb(tension_rgb(snapshot.tensions_n, full_scale_n))
             self._cables.colors = np.repeat(rgb[self._piece_cable][:, None], 2, axis=1)
         self._pose_rad = pose
-        axes, aside_m = rotations[:, :, 0], 0.5 * self._arrows.apart_m
+        axes = rotations[:, :, 0]
+        aside_m = 0.5 * self._arrows.apart_m
         at_command = segment_rotations(self._mechanism, snapshot.command_rad)
 
         def forces(contacts: Sequence[Contact], further_m: float) -> list[tuple[Array, Array]]:
@@ -280,11 +293,14 @@ class ArmScene:
         behind = forces(snapshot.estimated, aside_m)
         self._true.show(snapshot.true, forces(snapshot.true, -aside_m), self._clearance_m)
         self._estimated.show(snapshot.estimated, behind, self._clearance_m)
-        strongest, bounds = next(iter(snapshot.estimated), None), snapshot.bounds
+        strongest = next(iter(snapshot.estimated), None)
+        bounds = snapshot.bounds
         self._interval.visible = bool(strongest and strongest.magnitude_n and bounds)
         if self._interval.visible and strongest and bounds:
-            (point_m, force_n), axis = behind[0], axes[strongest.segment - 1]
-            angle_deg, clearance_m = strongest.angle_deg, self._clearance_m
+            (point_m, force_n) = behind[0]
+            axis = axes[strongest.segment - 1]
+            angle_deg = strongest.angle_deg
+            clearance_m = self._clearance_m
             lines_m = interval_m(
                 point_m, axis, force_n, angle_deg, bounds, clearance_m, self._arrows
             )
@@ -310,7 +326,8 @@ class ArmScene:
             band.scale = (1.0, 1.0, max(part.high_m - part.low_m, thinnest_m))
 
     def _add_segment(self, segment: int) -> viser.FrameHandle:
-        name, radius_m = f"/arm/segment_{segment}", _BODY_SHARE * self._radius_m
+        name = f"/arm/segment_{segment}"
+        radius_m = _BODY_SHARE * self._radius_m
         frame = self._scene.add_frame(name, show_axes=False)
         self._scene.add_icosphere(f"{name}/joint", 0.62 * radius_m, _JOINT_RGB)
         length_m = float(self._mechanism.segment_length_m[segment - 1])
@@ -326,7 +343,8 @@ class ArmScene:
         return frame
 
     def _on_click(self, touched: Touched, segment: int, event: Any) -> None:
-        pose, n = chain(self._mechanism, self._pose_rad), segment - 1
+        pose = chain(self._mechanism, self._pose_rad)
+        n = segment - 1
         ray = np.array(event.ray_origin), np.array(event.ray_direction)
         at_m = place_m(pose.joint_m[n], pose.rotation[n, :, 0], *ray)
         if math.isfinite(at_m):
@@ -369,7 +387,8 @@ class _Forces:
         rgb: Rgb,
         anchor: _Anchor,
     ) -> None:
-        self._name, self._sizes = name, sizes
+        self._name = name
+        self._sizes = sizes
         self._arrows = scene.add_arrows(
             f"/forces/{name}",
             np.zeros((1, 2, 3)),

@@ -137,7 +137,9 @@ def headline(
 
 SETTLING_S = 1.0
 """A comparison waits this long after a change: the arm swings and the estimate follows."""
-_STILL_N, _STILL_M, _STILL_RAD = 0.01, 0.001, 0.003
+_STILL_N = 0.01
+_STILL_M = 0.001
+_STILL_RAD = 0.003
 """Load, its place and pose that change by less stand still."""
 GUESS_DEG = 90.0
 """Direction error of a contact that was missed, or found on another segment: a guess's mean."""
@@ -181,9 +183,13 @@ class Score:
 
     def reset(self) -> None:
         """Discards every comparison."""
-        self._count = self._right = self._unanswered = 0
+        self._count = 0
+        self._right = 0
+        self._unanswered = 0
         # number and sum of errors
-        self._aside, self._turned, self._off = np.zeros(2), np.zeros(2), np.zeros(2)
+        self._aside = np.zeros(2)
+        self._turned = np.zeros(2)
+        self._off = np.zeros(2)
 
     def add(self, snapshot: Snapshot) -> None:
         """Takes one moment, which counts if load and pose have stood still."""
@@ -199,7 +205,8 @@ class Score:
         found = {each.segment: each for each in snapshot.estimated}
         both = true.keys() & found.keys()
         angles_deg = [(true[n].angle_deg, found[n].angle_deg) for n in both]
-        seen, moment = set(found), snapshot.moment
+        seen = set(found)
+        moment = snapshot.moment
         if moment is not None:
             seen.add(moment.segment)
         self._right += true.keys() == seen
@@ -225,7 +232,8 @@ class Score:
             loads[contact.segment - 1] = *force, contact.contact_m / _STILL_M
         now = np.append(loads, snapshot.joint_angles_rad / _STILL_RAD)
         if self._still is None or np.abs(now - self._still).max() >= 1.0:
-            self._still, self._still_since_s = now, snapshot.time_s
+            self._still = now
+            self._still_since_s = snapshot.time_s
 
     @property
     def errors(self) -> Errors:

@@ -23,21 +23,33 @@ SCALED, LIMITED, LEAKED, LATE, ADDED, REPEATED = range(6)
 PAID, TAKEN_UP, UNEVEN = range(3)
 """The order of those of actuators."""
 
-_MARGIN, _HALVINGS = 1.5, 6
+_MARGIN = 1.5
+_HALVINGS = 6
 """By how much an arm as drawn bears more than a load of a recording, so that a changed arm bears
 it too; how often the angles of poses are halved until it rests in all of them."""
-_MASS_SHARE, _PRETENSION_N, _CONTACT_M, _HOLE_DEG, _ZERO_N = 0.005, 0.15, 0.0003, 0.05, 0.05
+_MASS_SHARE = 0.005
+_PRETENSION_N = 0.15
+_CONTACT_M = 0.0003
+_HOLE_DEG = 0.05
+_ZERO_N = 0.05
 """Standard deviations of manufacturing."""
 _ROWS_HZ = 5.0
 """Rate at which trials are laid out, below."""
 _UP = np.linspace(0.0, 1.0, 12)[1:-1]
 _CYCLE = np.concatenate([_UP, np.ones(9), _UP[::-1], np.zeros(4)])
 _HOLD = np.concatenate([np.linspace(0.0, 1.0, 6)[1:], np.ones(120), np.zeros(80)])
-_REST_ROWS, _SWEEP_ROWS, _MOVE_ROWS, _STAY_ROWS = 20, 440, 20, 5
-_STRAIGHT_N, _POSED_N = (30.0, 75.0), (20.0, 60.0)
+_REST_ROWS = 20
+_SWEEP_ROWS = 440
+_MOVE_ROWS = 20
+_STAY_ROWS = 5
+_STRAIGHT_N = (30.0, 75.0)
+_POSED_N = (20.0, 60.0)
 """Peak loads on the laboratory arm; another one bears more or less, see `_schedule`."""
-_SWEEP_DEG, _POSE_DEG = (6.0, 9.5), (3.0, 9.0)
-_HISTORY_KNOTS, _HISTORY_ROWS, _HISTORY_DEG = 6, 8, 6.0
+_SWEEP_DEG = (6.0, 9.5)
+_POSE_DEG = (3.0, 9.0)
+_HISTORY_KNOTS = 6
+_HISTORY_ROWS = 8
+_HISTORY_DEG = 6.0
 
 Faults = tuple[tuple[int, Callable[..., Array]], ...]
 
@@ -122,7 +134,8 @@ class RealArm:
         time_s = np.concatenate([history.time_s, schedule.time_s])
         drawn = [self.point_loads_n(each) for each in (history, schedule)]
         loads = np.concatenate(drawn) @ self.load_turn.T
-        paid_out = held = self.held_m(command)
+        paid_out = self.held_m(command)
+        held = paid_out
         for fault in _in_order(self.actuation):
             paid_out = fault(paid_out, held, time_s)
         if self.history_dependent:
@@ -218,25 +231,32 @@ def with_tolerances(arm: RealArm, rng: np.random.Generator) -> RealArm:
 
     The holes of one cable share their error, as those of a drilling template do.
     """
-    body, cables = arm.body, arm.body.cable_count
+    body = arm.body
+    cables = arm.body.cable_count
     masses = body.mass_kg * (1.0 + _MASS_SHARE * rng.standard_normal(len(body.mass_kg)))
     contact = body.contact_at_m.copy()
     contact[..., 0] += _CONTACT_M * rng.standard_normal(contact.shape[1])
     pretension = body.pretension_n + _PRETENSION_N * rng.standard_normal(cables)
     by_rad = np.deg2rad(_HOLE_DEG) * rng.standard_normal(cables)
     zeros = _ZERO_N * rng.standard_normal(cables)
-    before, after = turned(body.before_m, by_rad), turned(body.after_m, by_rad)
+    before = turned(body.before_m, by_rad)
+    after = turned(body.after_m, by_rad)
     body = replace(
-        body, mass_kg=masses, pretension_n=pretension, contact_at_m=contact,
-        before_m=before, after_m=after,
-    )  # fmt: skip
+        body,
+        mass_kg=masses,
+        pretension_n=pretension,
+        contact_at_m=contact,
+        before_m=before,
+        after_m=after,
+    )
     wrong_zeros = (ADDED, lambda signal_n, _time_s: signal_n + zeros)
     return replace(arm, body=body, sensing=(*arm.sensing, wrong_zeros))
 
 
 def turned(points_m: Array, by_rad: Array) -> Array:
     """Points (..., 3) turned about x, from +z towards +y."""
-    sine, cosine = np.sin(by_rad), np.cos(by_rad)
+    sine = np.sin(by_rad)
+    cosine = np.cos(by_rad)
     x, y, z = np.moveaxis(points_m, -1, 0)
     return np.stack([x, cosine * y + sine * z, cosine * z - sine * y], axis=-1)
 
@@ -248,7 +268,8 @@ def draw_schedule(nominal: Nominal, rng: np.random.Generator) -> Schedule:
     order of their own.
     """
     count = nominal.segment_count
-    angles, segments = 2 * count, range(1, count + 1)
+    angles = 2 * count
+    segments = range(1, count + 1)
     straight = np.zeros(angles)
     trials = [_still(straight, 0, np.zeros(3), np.zeros(_REST_ROWS))]
     sides = np.array([[0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)

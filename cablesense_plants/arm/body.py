@@ -186,10 +186,13 @@ def read_nominal(path: str | Path) -> Nominal:
 
 
 def _nominal(text: Any) -> Nominal:
-    segments, cables, sensors = text["segments"], text["cables"], text["sensors"]
+    segments = text["segments"]
+    cables = text["cables"]
+    sensors = text["sensors"]
     if text.get("effects"):
         raise ValueError("effects are listed, and the plant draws its own from a nominal arm")
-    count, per_segment = int(segments["count"]), int(cables["per_segment"])
+    count = int(segments["count"])
+    per_segment = int(cables["per_segment"])
     if count < 1 or per_segment < 3:
         raise ValueError("no segment, or fewer than 3 cables each")
 
@@ -199,9 +202,12 @@ def _nominal(text: Any) -> Nominal:
             raise ValueError(f"{given} is not one number, nor {count}, one for each segment")
         return np.broadcast_to(values, count)
 
-    joints, segment = np.arange(count), np.repeat(np.arange(count), per_segment)
-    offset_m, run_m = float(segments["plate_offset_m"]), float(cables["run_m"])
-    length_m, contact_m = by_segment(segments["length_m"]), by_segment(segments["contact_m"])
+    joints = np.arange(count)
+    segment = np.repeat(np.arange(count), per_segment)
+    offset_m = float(segments["plate_offset_m"])
+    run_m = float(cables["run_m"])
+    length_m = by_segment(segments["length_m"])
+    contact_m = by_segment(segments["contact_m"])
     radius_m = by_segment(cables["routing_radius_m"])[segment]
     pretension_n = float(cables["pretension_n"])
     if (stiffness_n_m := cables.get("stiffness_n_m")) is None:
@@ -211,7 +217,8 @@ def _nominal(text: Any) -> Nominal:
     reach_m = (text.get("touch") or {}).get("reach_m")
     if reach_m is None:
         reach_m = np.stack([np.full(count, offset_m), length_m], axis=1)
-    turn, cable = cables["angle_deg"], np.tile(np.arange(per_segment), count)
+    turn = cables["angle_deg"]
+    cable = np.tile(np.arange(per_segment), count)
     angle_deg = turn.get("first", 0.0) + turn["per_segment"] * segment + turn["per_cable"] * cable
     angle = np.deg2rad(angle_deg.astype(float))  # from +z towards +y
     holes_m = radius_m[:, None] * np.stack([0.0 * angle, np.sin(angle), np.cos(angle)], axis=-1)

@@ -24,9 +24,13 @@ from cablesense_plants.arm.body import Body
 from cablesense_plants.arm.statics import SpanGeometry, spans, turns
 from cablesense_plants.cases import NO_FAULT, PlantError
 
-_ENOUGH_N, _ENOUGH_NM, _GUIDE_ENOUGH_N = 1e-6, 1e-7, 1e-7
-_MOST_STEPS, _MOST_HALVINGS = 400, 4
-_BLOCK_SWEEPS, _MOST_SWEEPS = 15, 80
+_ENOUGH_N = 1e-6
+_ENOUGH_NM = 1e-7
+_GUIDE_ENOUGH_N = 1e-7
+_MOST_STEPS = 400
+_MOST_HALVINGS = 4
+_BLOCK_SWEEPS = 15
+_MOST_SWEEPS = 80
 _LONGEST_RAD = 0.03
 _STRIBECK_RAD_S = 0.02
 """Over which the friction of joints falls to that of turning ones."""
@@ -169,7 +173,9 @@ class QuasiStaticPath:
             raise PlantError("hardening cables have no friction or creep here; use exponent 1")
         joints = body.joint_count
         pieces = 2 * joints + 2
-        self.body, self.friction, self.creep = body, friction, creep
+        self.body = body
+        self.friction = friction
+        self.creep = creep
         self._compliance_m_n = piece_compliance_m_n(
             body, run_m, friction.actuator_share, friction.same_before
         )
@@ -187,7 +193,8 @@ class QuasiStaticPath:
         """First row (2N,), (M,), (L, 3), before any sliding or after that under its weight."""
         body = self.body
         if self.friction.weightless:
-            angles, tensions = np.zeros((1, 2 * body.joint_count)), body.pretension_n[None]
+            angles = np.zeros((1, 2 * body.joint_count))
+            tensions = body.pretension_n[None]
             actuated = np.zeros_like(paid_out_m), np.zeros_like(loads_n)
         else:
             guess = statics.commanded_angles_rad(body, command_rad[None])
@@ -197,11 +204,20 @@ class QuasiStaticPath:
         crept = self.creep.settled * self._creep_m_n * np.maximum(tension, 0.0)
         length = spans(body, angles, turns(body, angles)).length_m[0]
         fed = self._fed_m(length, tension, crept.sum(axis=0))
-        zero, still = np.zeros_like(fed), np.zeros_like(angles[0])
+        zero = np.zeros_like(fed)
+        still = np.zeros_like(angles[0])
         begun = PathState(
-            angles[0], tension, fed, zero, zero, still, still, crept, crept.sum(axis=(0, 2)),
+            angles[0],
+            tension,
+            fed,
+            zero,
+            zero,
+            still,
+            still,
+            crept,
+            crept.sum(axis=(0, 2)),
             *actuated,
-        )  # fmt: skip
+        )
         return self._settle(begun, paid_out_m, loads_n, 0) if self.friction.weightless else begun
 
     def advance(
@@ -228,7 +244,8 @@ class QuasiStaticPath:
     ) -> PathState:
         """By Newton's steps, else halfway first."""
         asked = state._replace(paid_out_m=paid_out_m, loads_n=loads_n)
-        at, damping = self.balance(asked, state.angles_rad, None), np.zeros(1)
+        at = self.balance(asked, state.angles_rad, None)
+        damping = np.zeros(1)
         for _ in range(_MOST_STEPS):
             if at.settled:
                 break
@@ -257,7 +274,8 @@ class QuasiStaticPath:
 
         `guess` has tensions and sliding nearby.
         """
-        body, friction = self.body, self.friction
+        body = self.body
+        friction = self.friction
         turning = turns(body, angles_rad[None])
         across = spans(body, angles_rad[None], turning, with_bends=True)
         pull = self._pull(before, across)
@@ -272,17 +290,23 @@ class QuasiStaticPath:
         stiffness = slope @ np.swapaxes(by_angle[:, self._across] * taut, 0, 1)
         matrix = matrix - stiffness.reshape(matrix.shape)
         joint_state, joint_slope = _friction_state(
-            friction.joint_rounded, before.joint_state, angles_rad - before.angles_rad,
+            friction.joint_rounded,
+            before.joint_state,
+            angles_rad - before.angles_rad,
             friction.joint_reach_rad,
-        )  # fmt: skip
+        )
         speed = before.speed_rad_s / _STRIBECK_RAD_S
         stribeck = 1.0 + (friction.joint_breakaway - 1.0) * np.exp(-(speed**2))
         level = np.ravel(friction.joint_nm) * stribeck
         matrix -= np.diag(level * joint_slope)
         state = before._replace(
-            angles_rad=angles_rad, tension_n=tension, fed_m=law.fed_m, bristle=law.bristle,
-            sliding=np.where(pull.grip > 0.0, sliding, 0.0), joint_state=joint_state,
-        )  # fmt: skip
+            angles_rad=angles_rad,
+            tension_n=tension,
+            fed_m=law.fed_m,
+            bristle=law.bristle,
+            sliding=np.where(pull.grip > 0.0, sliding, 0.0),
+            joint_state=joint_state,
+        )
         misfit_n = float(np.abs(law.misfit_n).max())
         return PathBalance(torque - level * joint_state, matrix, by_angle, misfit_n, state)
 
@@ -292,7 +316,8 @@ class QuasiStaticPath:
         return np.asarray((self._distal[1:] @ length_m).T - stretched)
 
     def _pull(self, before: PathState, across: SpanGeometry) -> _Pull:
-        body, length = self.body, across.length_m[0]
+        body = self.body
+        length = across.length_m[0]
         crept = before.crept_m.sum(axis=0)
         given = self._straight_m + before.paid_out_m - before.retensioned_m
         longer = length.sum(axis=0) - given - crept.sum(axis=-1)
@@ -307,10 +332,12 @@ class QuasiStaticPath:
         self, before: PathState, pull: _Pull, guess: PathState, *, even: bool
     ) -> tuple[Array, Array, _Law]:
         """Tensions (M, P) and sliding of cables at rest, from a guess of both or even tensions."""
-        tension, sliding = guess.tension_n.copy(), guess.sliding
+        tension = guess.tension_n.copy()
+        sliding = guess.sliding
         if even:
             tension[:] = pull.even_n[:, None]
-        rigid, left = not self.friction.reach_m, np.ones((len(tension), 1), dtype=bool)
+        rigid = not self.friction.reach_m
+        left = np.ones((len(tension), 1), dtype=bool)
         law = self._law(before, pull, tension, sliding)
         for sweep in range(_MOST_SWEEPS):
             step = np.linalg.solve(law.matrix, law.misfit_n[..., None])[..., 0]
@@ -326,7 +353,8 @@ class QuasiStaticPath:
 
     def _law(self, before: PathState, pull: _Pull, tension: Array, sliding: Array) -> _Law:
         """First that the pieces' stretch adds up, then at each guide that it sticks or slides."""
-        stiff, c = self.body.stiffness_n_m[:, None], self._compliance_m_n
+        stiff = self.body.stiffness_n_m[:, None]
+        c = self._compliance_m_n
         fed = pull.slack_fed_m - (c * tension) @ self._beyond.T
         moved = fed - before.fed_m
         if self.friction.reach_m:
@@ -334,12 +362,15 @@ class QuasiStaticPath:
                 self.friction.rounded, before.bristle, moved, self.friction.reach_m
             )
             state = np.where(pull.grip > 0.0, state, 0.0)
-            ratio, slips = np.exp(pull.grip * state), np.ones_like(fed)
+            ratio = np.exp(pull.grip * state)
+            slips = np.ones_like(fed)
             hold = np.maximum(ratio * tension[:, :-1], 0.0) * pull.grip * slope
             left = tension[:, 1:] - ratio * tension[:, :-1]
         else:
-            state, stuck = np.zeros_like(fed), (sliding == 0.0) & (pull.grip > 0.0)
-            ratio, slips = np.exp(pull.grip * sliding), np.where(stuck, 0.0, 1.0)
+            state = np.zeros_like(fed)
+            stuck = (sliding == 0.0) & (pull.grip > 0.0)
+            ratio = np.exp(pull.grip * sliding)
+            slips = np.where(stuck, 0.0, 1.0)
             hold = np.where(stuck, stiff, 0.0)
             left = np.where(stuck, -stiff * moved, tension[:, 1:] - ratio * tension[:, :-1])
         total = (stiff * c * tension).sum(axis=-1) - pull.even_n
@@ -356,14 +387,16 @@ class QuasiStaticPath:
         self, before: PathState, pull: _Pull, tension: Array, sliding: Array, sweep: int
     ) -> Array:
         """New sliding of the guides: some break loose; those that would slide uphill stop."""
-        nearer, farther = tension[:, :-1], tension[:, 1:]
+        nearer = tension[:, :-1]
+        farther = tension[:, 1:]
 
         def excess(high: Array, low: Array, sign: float) -> Array:
             """Tension over the bound, which is higher where cable does not slide that way yet."""
             level = np.where(before.sliding == sign, 1.0, self.friction.breakaway)
             return np.asarray(high - low * np.exp(pull.grip * level))
 
-        outwards, inwards = excess(farther, nearer, 1.0), excess(nearer, farther, -1.0)
+        outwards = excess(farther, nearer, 1.0)
+        inwards = excess(nearer, farther, -1.0)
         loose = np.where(outwards > inwards, 1.0, -1.0)
         loose = np.where(np.maximum(outwards, inwards) > _GUIDE_ENOUGH_N, loose, 0.0)
         fed = pull.slack_fed_m - (self._compliance_m_n * tension) @ self._beyond.T

@@ -95,7 +95,8 @@ def actuator_backlash(draw: ArmDraw) -> ArmChange:
 
 def with_play_m(given_m: Array, play_m: Array, start: Array) -> Array:
     """(R, M) lengths behind play (M,), from end to end, that begins at `start`, -1 to 1, in it."""
-    half, moved = 0.5 * play_m, given_m.copy()
+    half = 0.5 * play_m
+    moved = given_m.copy()
     at = given_m[0] + half * start
     for row in moved:
         row[:] = at = np.clip(at, row - half, row + half)
@@ -109,7 +110,8 @@ def base_tilt(draw: ArmDraw) -> ArmChange:
     angle = draw.uniform(0.0, 2.0 * np.pi)
     axis = {"roll": (1.0, 0.0), "pitch": (0.0, 1.0)}.get(form, (np.cos(angle), np.sin(angle)))
     sign = draw.sign()
-    x, y = sign * float(axis[0]), sign * float(axis[1])
+    x = sign * float(axis[0])
+    y = sign * float(axis[1])
 
     def tilted(gravity: Array, size: float) -> Array:
         return np.asarray(rotation(size, np.array((x, y, 0.0))).inv().apply(gravity))
@@ -162,8 +164,10 @@ def capstan_friction(draw: ArmDraw) -> ArmChange:
     has moved before, or was just tensioned without its weight.
     """
     onset = draw.one_of(["rigid", "breakaway", "bristles", "rounded bristles"])
-    uneven, pulley = draw.chance(0.4), draw.chance(0.5)
-    weightless, same_before = draw.chance(0.5), draw.chance(0.5)
+    uneven = draw.chance(0.4)
+    pulley = draw.chance(0.5)
+    weightless = draw.chance(0.5)
+    same_before = draw.chance(0.5)
     count = draw.nominal.cable_count
     share = draw.rng.uniform(0.8, 1.2, count) if uneven else np.ones(count)
     numbers = {
@@ -187,7 +191,8 @@ def contact_offset(draw: ArmDraw) -> ArmChange:
     segment = draw.segment()
     shift = marked(segment if one else slice(None), draw.nominal.segment_count, draw.sign())
     moved = sets("body", contact_at_m=added(np.outer(shift, [1.0, 0.0, 0.0])))
-    form, toward_tip = "one segment" if one else "all segments", float(shift[segment])
+    form = "one segment" if one else "all segments"
+    toward_tip = float(shift[segment])
     return ArmChange(moved, form, places("segment", shift), {"toward_tip": toward_tip})
 
 
@@ -213,9 +218,12 @@ def joint_friction(draw: ArmDraw) -> ArmChange:
     reach_rad = draw.uniform(5e-4, 3e-3) if rounded else 1e-4
     breakaway = draw.uniform(1.2, 1.8) if form == "Stribeck" else 1.0
     rough = sets(
-        "friction", joint_nm=scaled(share), joint_rounded=rounded, joint_reach_rad=reach_rad,
+        "friction",
+        joint_nm=scaled(share),
+        joint_rounded=rounded,
+        joint_reach_rad=reach_rad,
         joint_breakaway=breakaway,
-    )  # fmt: skip
+    )
     return ArmChange(rough, form, places("joint", share[:, 0]))
 
 
@@ -234,7 +242,8 @@ def load_cell(draw: ArmDraw) -> ArmChange:
     def turned_cell(old: Array, size: float) -> Array:
         return np.asarray((1.0 + size * per_deg) * rotation(size, axis).as_matrix() @ old)
 
-    wrong, details = sets(load_turn=turned_cell), {"scale_per_deg": per_deg}
+    wrong = sets(load_turn=turned_cell)
+    details = {"scale_per_deg": per_deg}
     return ArmChange(wrong, form, details=details, least=0.3, most=25.0)
 
 
@@ -279,7 +288,8 @@ def routing_geometry(draw: ArmDraw) -> ArmChange:
     the two plates that a segment carries.
     """
     segment = draw.segment()
-    radius, carried = draw.chance(0.5), draw.chance(0.4)
+    radius = draw.chance(0.5)
+    carried = draw.chance(0.4)
     sign = draw.sign()
     before, after = np.zeros((2, draw.nominal.segment_count, draw.nominal.cable_count))
     if carried:
@@ -424,7 +434,8 @@ def _log_uniform(draw: ArmDraw, low: float, high: float) -> float:
 
 def _all_or_segment(draw: ArmDraw) -> tuple[Array, tuple[str, ...]]:
     """(M,) of 0 and 1 for all cables or those of a segment, and their place."""
-    count, per_segment = draw.nominal.cable_count, draw.nominal.per_segment
+    count = draw.nominal.cable_count
+    per_segment = draw.nominal.per_segment
     if draw.chance(0.5):
         return np.ones(count), ()
     segment = draw.segment()

@@ -18,18 +18,22 @@ from cablesense_base import Array
 from cablesense_plants.arm.body import Body, CableContact, Ints, TipSpring
 from cablesense_plants.cases import PlantError
 
-_LEFT, _RIGHT = [0, 0, 1], [0, 1, 1]
-_PITCH_ORDER, _YAW_ORDER = np.array([0, 1, 0, 2, 1, 0]), np.array([0, 0, 1, 0, 1, 2])
+_LEFT = [0, 0, 1]
+_RIGHT = [0, 1, 1]
+_PITCH_ORDER = np.array([0, 1, 0, 2, 1, 0])
+_YAW_ORDER = np.array([0, 0, 1, 0, 1, 2])
 _ENOUGH_NM = 1e-9
 _LEAST_SPAN_M = 1e-9
 """Holes of a joint can meet where a step of the search folds it."""
 _LONGEST_STEP_RAD = 0.5
-_MOST_STEPS, _LOAD_STEPS = 500, 13
+_MOST_STEPS = 500
+_LOAD_STEPS = 13
 """Stiff arms whose weight leaves cables slack take hundreds of steps."""
 _LEAST_DAMPING = 0.02
 _ROOM = 0.75
 """Share of the bend at which plates touch that a load which the arm bears may use."""
-_SOFTEST_NM_RAD, _LEAST_NM_RAD = 10.0, 1e-3
+_SOFTEST_NM_RAD = 10.0
+_LEAST_NM_RAD = 1e-3
 
 
 class SpanGeometry(NamedTuple):
@@ -77,7 +81,8 @@ class BodyRest(NamedTuple):
 
 def turns(body: Body, angles_rad: Array) -> Array:
     """(6, B, J, 3, 3) rotations over joints at angles (B, 2J), derivatives p, y, pp, py, yy."""
-    by_pitch, by_yaw = _about(angles_rad[:, ::2], 2, 0), _about(angles_rad[:, 1::2], 0, 1)
+    by_pitch = _about(angles_rad[:, ::2], 2, 0)
+    by_yaw = _about(angles_rad[:, 1::2], 0, 1)
     level = np.swapaxes(body.skew, -1, -2)
     return body.skew @ by_pitch[_PITCH_ORDER] @ by_yaw[_YAW_ORDER] @ level
 
@@ -85,7 +90,8 @@ def turns(body: Body, angles_rad: Array) -> Array:
 def _about(angle: Array, first: int, second: int) -> Array:
     """(3, ..., 3, 3) turns from axis `first` to axis `second`, first and second derivatives."""
     result = np.zeros((3, *angle.shape, 3, 3))
-    sine, cosine = np.sin(angle), np.cos(angle)
+    sine = np.sin(angle)
+    cosine = np.cos(angle)
     for order, (along, across) in enumerate(((cosine, sine), (-sine, cosine), (-cosine, -sine))):
         result[order, ..., first, first] = result[order, ..., second, second] = along
         result[order, ..., second, first] = across
@@ -99,7 +105,8 @@ def spans(body: Body, angles_rad: Array, turning: Array, with_bends: bool = Fals
     """Cable spans at joint angles (B, 2J), of which `turning` are the `turns`."""
     turned = turning @ np.swapaxes(body.after_m, -1, -2)
     v = turned[0] - np.swapaxes(body.before_m, -1, -2)
-    first, second = turned[1:3], turned[3:6]
+    first = turned[1:3]
+    second = turned[3:6]
     length = np.maximum(np.sqrt((v * v).sum(-2)), _LEAST_SPAN_M)
     slope = (first * v).sum(-2) / length
     pairs = (first[_LEFT] * first[_RIGHT] + second * v).sum(-2)
@@ -116,7 +123,9 @@ def _push_aside(
     contact: CableContact, angles_rad: Array, length: Array, slope: Array, curve: Array
 ) -> None:
     """Add to lengths, slopes and curves what a contact of cables does beyond its angle."""
-    j, cables, (p, y) = contact.joint, list(contact.cables), contact.toward
+    j = contact.joint
+    cables = list(contact.cables)
+    (p, y) = contact.toward
     beyond = p * angles_rad[:, 2 * j] + y * angles_rad[:, 2 * j + 1] - contact.from_rad
     beyond = np.maximum(beyond, 0.0)[:, None]
     touching = (beyond > 0.0) * 2.0 * contact.depth_m_rad2
@@ -148,9 +157,12 @@ def cable_lengths_m(body: Body, angles_rad: Array) -> Array:
 
 def frames(body: Body, angles_rad: Array, turning: Array) -> JointFrames:
     """Frames of the joints in base axes at angles (B, 2J), of which `turning` are the `turns`."""
-    rows, joints = angles_rad.shape[0], body.joint_count
-    sine, cosine = np.sin(angles_rad[:, ::2]), np.cos(angles_rad[:, ::2])
-    rotation, centre = np.empty((rows, joints, 3, 3)), np.empty((rows, joints, 3))
+    rows = angles_rad.shape[0]
+    joints = body.joint_count
+    sine = np.sin(angles_rad[:, ::2])
+    cosine = np.cos(angles_rad[:, ::2])
+    rotation = np.empty((rows, joints, 3, 3))
+    centre = np.empty((rows, joints, 3))
     axis = np.empty((rows, 2 * joints, 3))
     before: Array = np.tile(np.eye(3), (rows, 1, 1))
     at: Array = np.zeros((rows, 3))
@@ -179,9 +191,12 @@ def torques(body: Body, angles_rad: Array, turning: Array, loads_n: Array) -> tu
     torque, slope = _constant_forces(placed, joint, placed.points_m(joint, at), force)
     for spring in body.tip_springs:
         pulled = _tip_spring(body, placed, spring)
-        torque, slope = torque + pulled[0], slope + pulled[1]
-    linear, cubic = body.spring_nm_rad.ravel(), body.hardening_nm_rad3.ravel()
-    height, per = body.cogging_nm.ravel(), body.cogging_per_turn
+        torque = torque + pulled[0]
+        slope = slope + pulled[1]
+    linear = body.spring_nm_rad.ravel()
+    cubic = body.hardening_nm_rad3.ravel()
+    height = body.cogging_nm.ravel()
+    per = body.cogging_per_turn
     back = -(linear + cubic * angles_rad**2) * angles_rad - height * np.sin(per * angles_rad)
     stiffness = -linear - 3.0 * cubic * angles_rad**2 - per * height * np.cos(per * angles_rad)
     diagonal = np.arange(angles_rad.shape[1])
@@ -202,7 +217,8 @@ def _constant_forces(
     arm = point_m[:, :, None, :] - placed.centre_m[:, None]
     pushed = force_n[:, :, None, :] * beyond[..., None]
     moment = np.swapaxes(np.moveaxis(arm, 2, 1), -1, -2) @ np.moveaxis(pushed, 2, 1)
-    first, second = [1, 2, 0], [2, 0, 1]
+    first = [1, 2, 0]
+    second = [2, 0, 1]
     turning = moment[..., first, second] - moment[..., second, first]
     axis = placed.axis
     torque = (axis * np.repeat(turning, 2, axis=1)).sum(-1)
@@ -291,7 +307,9 @@ def find_rest(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array) -
     angles, tensions, lost = _search(body, start_rad, paid_out_m, loads_n)
     lost = np.union1d(lost, np.flatnonzero(~_has_room(body, angles)))
     if len(lost):  # weights and loads little by little, each from the rest under the last
-        paid, loads, start = paid_out_m[lost], loads_n[lost], start_rad[lost]
+        paid = paid_out_m[lost]
+        loads = loads_n[lost]
+        start = start_rad[lost]
         for share in np.linspace(0.0, 1.0, _LOAD_STEPS):
             lighter = replace(body, gravity_m_s2=share * body.gravity_m_s2)
             start, tension, still = _search(lighter, start, paid, share * loads)
@@ -300,7 +318,8 @@ def find_rest(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array) -
                     f"no rest found in {len(still)} rows, the first is {lost[still[0]] + 1}; "
                     "smaller loads or angles leave the arm stable"
                 )
-        angles[lost], tensions[lost] = start, tension
+        angles[lost] = start
+        tensions[lost] = tension
     require_room(body, angles)
     return BodyRest(angles, tensions)
 
@@ -312,14 +331,16 @@ def borne_shares(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array
     the unloaded arm has no rest with that room.
     """
     shares = np.linspace(0.0, 1.0, _LOAD_STEPS)
-    angles, borne = np.array(start_rad), np.full(len(start_rad), -1.0)
+    angles = np.array(start_rad)
+    borne = np.full(len(start_rad), -1.0)
     rows = np.arange(len(borne))
     for weight, load in [
         *((each, 0.0) for each in shares[:-1]),
         *((1.0, each) for each in shares),
     ]:
         lighter = replace(body, gravity_m_s2=weight * body.gravity_m_s2)
-        paid, loads = paid_out_m[rows], load * loads_n[rows]
+        paid = paid_out_m[rows]
+        loads = load * loads_n[rows]
         angles[rows], _, lost = _search(lighter, angles[rows], paid, loads)
         held = _has_room(body, angles[rows], _ROOM)
         held[lost] = False

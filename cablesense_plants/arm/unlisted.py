@@ -91,7 +91,8 @@ def _with_middles(body: Body, stiffness_nm_rad: float) -> Body:
     half = 0.5 * np.append(body.spacing_m[1:], body.tip_at_m[0])
     spacing = np.repeat(half, 2)
     spacing[0::2] = np.append(body.spacing_m[0], half[:-1])
-    before, after = np.repeat(body.before_m, 2, axis=0), np.repeat(body.after_m, 2, axis=0)
+    before = np.repeat(body.before_m, 2, axis=0)
+    after = np.repeat(body.after_m, 2, axis=0)
     before[1::2] = body.after_m
     before[1::2, :, 0] -= half[:, None]
     after[1:-1:2] = body.before_m[1:]
@@ -151,7 +152,8 @@ def cogging(draw: ArmDraw) -> ArmChange:
 @UNLISTED.of_size("N/m", 0.3, 300.0)
 def tether(draw: ArmDraw) -> ArmChange:
     """A hose or a band from the arm's end to a point near the arm."""
-    angle, away_m = draw.uniform(0.0, 2.0 * np.pi), draw.uniform(0.1, 0.4)
+    angle = draw.uniform(0.0, 2.0 * np.pi)
+    away_m = draw.uniform(0.1, 0.4)
     x = _reach_m(draw) + draw.uniform(-0.2, 0.1)
     anchor_m = (x, float(away_m * np.sin(angle)), float(away_m * np.cos(angle)))
     return ArmChange(sets("body", tip_springs=lambda _old, size: (TipSpring(anchor_m, size),)))
@@ -160,7 +162,8 @@ def tether(draw: ArmDraw) -> ArmChange:
 @UNLISTED.of_size("N/m", 5.0, 2e4)
 def wall(draw: ArmDraw) -> ArmChange:
     """An elastic wall that the arm's end touches on one side."""
-    angle, away_m = draw.uniform(0.0, 2.0 * np.pi), draw.uniform(0.003, 0.03)
+    angle = draw.uniform(0.0, 2.0 * np.pi)
+    away_m = draw.uniform(0.003, 0.03)
     normal = (0.0, float(np.sin(angle)), float(np.cos(angle)))
     at_m = (_reach_m(draw), away_m * normal[1], away_m * normal[2])
     return ArmChange(sets("body", tip_springs=lambda _old, size: (TipSpring(at_m, size, normal),)))
@@ -185,7 +188,8 @@ def sensor_bow(draw: ArmDraw) -> ArmChange:
 @UNLISTED.of_size("N")
 def sensor_ceiling(draw: ArmDraw) -> ArmChange:
     """Sensors that softly saturate; the size is how far below five times the pretension."""
-    full_n, sensors = 5.0 * draw.nominal.pretension_n, _all_or_some(draw)
+    full_n = 5.0 * draw.nominal.pretension_n
+    sensors = _all_or_some(draw)
 
     def limited(size: float, signal_n: Array, _time_s: Array) -> Array:
         ceiling_n = np.where(sensors > 0.0, full_n - size, np.inf)
@@ -206,10 +210,12 @@ def _all_or_some(draw: ArmDraw) -> Array:
 def sensor_dropouts(draw: ArmDraw) -> ArmChange:
     """Channels that now and then repeat their last value for a while."""
     share = draw.weights(draw.cables(1, 6))
-    mean_rows, seed = draw.uniform(8.0, 40.0), int(draw.rng.integers(2**31))
+    mean_rows = draw.uniform(8.0, 40.0)
+    seed = int(draw.rng.integers(2**31))
 
     def repeated(size: float, signal_n: Array, _time_s: Array) -> Array:
-        rng, rows = np.random.default_rng(seed), len(signal_n)
+        rng = np.random.default_rng(seed)
+        rows = len(signal_n)
         last = np.tile(np.arange(rows)[:, None], (1, len(share)))
         for channel in np.flatnonzero(share):
             gap = mean_rows * (1.0 / (size * share[channel]) - 1.0)

@@ -45,7 +45,8 @@ _SHARES = (0.1, 0.78, 0.12)
 """Size of a change as the gap it makes, by the error of one reading."""
 _PLAIN = (8.0, 60.0)
 """The same of changes that are not in the list, or one of two."""
-_VISIBLE_FLOORS, _WANTED_SHARE = 5.0, 0.1
+_VISIBLE_FLOORS = 5.0
+_WANTED_SHARE = 0.1
 """The least gap of such a change, and of one alone as a share of the gap that it was to make."""
 _CHANGE_REDRAWS = 8
 
@@ -58,9 +59,12 @@ _LACKED = (4.0, 16.0)
 
 _TRIES = 6
 _NEAR = 1.25
-_TRIED_HZ, _STRIDE = 5.0, 6
+_TRIED_HZ = 5.0
+_STRIDE = 6
 _RETREAT = 0.4
-_NONE_SHARE, _UNKNOWN_SHARE, _DOUBLE_SHARE = 0.2, 0.2, 0.12
+_NONE_SHARE = 0.2
+_UNKNOWN_SHARE = 0.2
+_DOUBLE_SHARE = 0.12
 _REDRAWS = 5
 
 
@@ -122,8 +126,10 @@ def draw_kinds(rng: np.random.Generator, count: int, only: Sequence[str] = ()) -
     """
     if only:
         return [only[i % len(only)] for i in range(count)]
-    listed, unlisted = in_turn(rng, list(LISTED)), in_turn(rng, list(UNLISTED))
-    none, unknown = ceil(_NONE_SHARE * count), ceil(_UNKNOWN_SHARE * count)
+    listed = in_turn(rng, list(LISTED))
+    unlisted = in_turn(rng, list(UNLISTED))
+    none = ceil(_NONE_SHARE * count)
+    unknown = ceil(_UNKNOWN_SHARE * count)
     doubles = round(_DOUBLE_SHARE * count)
     singles = max(0, count - none - unknown - doubles)
     kinds = [NONE] * none
@@ -160,7 +166,8 @@ def make_case(
 
 def _write_recording(path: Path, rate_hz: float, done: Schedule, tensions_n: Array) -> None:
     """One row a sample, columns named with their units; a cell without a number is empty."""
-    angles, cables = done.command_rad.shape[1], tensions_n.shape[1]
+    angles = done.command_rad.shape[1]
+    cables = tensions_n.shape[1]
     header = ["time_s", "trial", *(f"q{i + 1}_cmd_rad" for i in range(angles)), "load_segment"]
     header += ["load_x_n", "load_y_n", "load_z_n", "load_at_m"]
     header += [f"tension_{i + 1}_n" for i in range(cables)]
@@ -262,7 +269,8 @@ def _recorded(
     arm = plain_arm
     for change, size, _ in changes:
         arm = change.apply(arm, size)
-    signals, plain_n = arm.signals_n(*done), plain_arm.signals_n(*done)
+    signals = arm.signals_n(*done)
+    plain_n = plain_arm.signals_n(*done)
     gap = gap_n(signals, plain_n)
     each = [alone_n for *_, alone_n in changes] if len(changes) > 1 else [gap]
     sizes = [
@@ -305,7 +313,8 @@ def _sized(
     By secants in the logarithms, to within some percent; a history-dependent arm is tried on every
     sixth row. A size that leaves no rest lowers the upper bound.
     """
-    low, high = np.log(change.least), np.log(change.most)
+    low = np.log(change.least)
+    high = np.log(change.most)
     rows_hz = len(schedule.time_s) / (schedule.time_s[-1] - schedule.time_s[0])
     slow = change.apply(arm, change.least).history_dependent
     stride = max(1, round(rows_hz / _TRIED_HZ)) * (_STRIDE if slow else 1)
@@ -315,8 +324,11 @@ def _sized(
     def gap_of(size: float) -> float:
         return gap_n(change.apply(arm, size).signals_n(rows, history), without)
 
-    at, best, nearest = 0.5 * (low + high), low, np.inf
-    steepness, last = 1.0, None
+    at = 0.5 * (low + high)
+    best = low
+    nearest = np.inf
+    steepness = 1.0
+    last = None
     for _ in range(_TRIES):
         try:
             gap = gap_of(float(np.exp(at)))
@@ -326,7 +338,8 @@ def _sized(
             continue
         off = np.log(max(gap, 1e-6) / wanted_n)
         if abs(off) < nearest:
-            best, nearest = float(np.clip(at - off, low, high)), abs(off)
+            best = float(np.clip(at - off, low, high))
+            nearest = abs(off)
         if nearest < np.log(_NEAR):
             break
         if last is not None and abs(at - last[0]) > 1e-6:

@@ -42,7 +42,9 @@ from cablesense_plants.robot.motion import (
 from cablesense_plants.robot.robots import RealRobot, RobotKind, stacked
 
 _OF_LINKS = ("link_centre", "link_mass", "payload")
-_NONE_SHARE, _UNKNOWN_SHARE, _SEVERAL_SHARE = 0.2, 0.2, 0.2
+_NONE_SHARE = 0.2
+_UNKNOWN_SHARE = 0.2
+_SEVERAL_SHARE = 0.2
 _FLOORS = (6.0, 40.0)
 """Gap of a cause in the torques, by the noise of one sample."""
 _TOLERANCES = 3.0
@@ -50,10 +52,15 @@ _TOLERANCES = 3.0
 _VISIBLE = 0.8
 """If the gap is below this share of the wanted one, the cause is drawn again."""
 _FREE_RAD = (-np.pi, np.pi)
-_REACH_SHARE, _MOST_REACH_RAD, _SPEEDS_HZ = 0.35, 1.2, (0.5, 1.0)
-_NOISE_SHARE, _LEAST_SHARE = 0.005, 1e-3
+_REACH_SHARE = 0.35
+_MOST_REACH_RAD = 1.2
+_SPEEDS_HZ = (0.5, 1.0)
+_NOISE_SHARE = 0.005
+_LEAST_SHARE = 1e-3
 """Noise of one sample as a share of a joint's torque, RMS, and that as one of the largest."""
-_TRIES, _REDRAWS, _OF_ONE_NAME = 5, 60, 6
+_TRIES = 5
+_REDRAWS = 60
+_OF_ONE_NAME = 6
 
 
 Lacking = Callable[[RealRobot, RobotKind, np.random.Generator, ReferenceMotion], RealRobot]
@@ -116,7 +123,8 @@ def withhold(
         PlantError: the robot is no row of hinges, a name in `only` is unknown, or a place cannot
             be written to.
     """
-    kind, known = usual_kind(path, model), (LISTED, UNLISTED)
+    kind = usual_kind(path, model)
+    known = (LISTED, UNLISTED)
     rng = np.random.default_rng([seed])
     sets = sets_of_names(rng, count, known)
     if only:
@@ -142,7 +150,8 @@ def withhold(
 
 def usual_kind(path: Path, model: mujoco.MjModel) -> RobotKind:
     """A robot as laboratories run one: sines over a part of its range, and good sensors."""
-    count, limited = model.njnt, model.jnt_limited.astype(bool)[:, None]
+    count = model.njnt
+    limited = model.jnt_limited.astype(bool)[:, None]
     low, high = np.where(limited, model.jnt_range, _FREE_RAD).T
     kind = RobotKind(
         path=path,
@@ -167,7 +176,8 @@ def sets_of_names(
 ) -> list[list[str]]:
     """Names of each case's causes, in random order: none, unlisted ones, several, and one."""
     listed, unlisted = (in_turn(rng, list(pool)) for pool in known)
-    none, unknown = round(_NONE_SHARE * count), round(_UNKNOWN_SHARE * count)
+    none = round(_NONE_SHARE * count)
+    unknown = round(_UNKNOWN_SHARE * count)
     several = round(_SEVERAL_SHARE * count)
     sets: list[list[str]] = [[]] * none + [[next(unlisted)] for _ in range(unknown)]
     sets += [different(listed, 2 + int(rng.random() < 0.4)) for _ in range(several)]
@@ -208,7 +218,8 @@ def draw_case(
     scatter = gap_of(nominal)
     if lacking:
         own = np.random.default_rng([seed, index, 1])
-        plain, asked = lacking(plain, kind, own, asked[0]), (*asked, reference(kind, own))
+        plain = lacking(plain, kind, own, asked[0])
+        asked = (*asked, reference(kind, own))
         without = prescribed_n_m(kind, plain, asked[0])
     draw = RobotDraw(rng, kind, nominal, joints, links)
     causes: list[tuple[RobotChange, float, float]] = []
@@ -292,11 +303,14 @@ def _size_for(
     cause: RobotChange, wanted: float, gap_of: Callable[[RobotChange, float], float]
 ) -> tuple[float, float]:
     """Scales the size by the ratio of wanted to actual gap, within the cause's bounds."""
-    size, best, found = 0.1 * cause.most, 0.0, 0.0
+    size = 0.1 * cause.most
+    best = 0.0
+    found = 0.0
     for _ in range(_TRIES):
         gap = max(gap_of(cause, size), 1e-9)
         if not best or abs(np.log(gap / wanted)) < abs(np.log(found / wanted)):
-            best, found = size, gap
+            best = size
+            found = gap
         if abs(np.log(gap / wanted)) < 0.1:
             break
         size = float(np.clip(size * wanted / gap, size / 20.0, cause.most))

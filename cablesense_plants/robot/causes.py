@@ -65,7 +65,8 @@ class RobotDraw(Draw):
     def weighted_joints(self, by: Array | None = None, *, one: bool = False) -> Array:
         """(N,) of one joint, sometimes two; `by` makes them alike in noise of torque."""
         count = len(self.joints)
-        chosen, weight = self.some(count, one=one), np.zeros(count)
+        chosen = self.some(count, one=one)
+        weight = np.zeros(count)
         size = np.ones(count) if by is None else self.kind.noise_n_m / by
         weight[chosen] = size[chosen] / size[chosen].max()
         return weight
@@ -83,7 +84,8 @@ class RobotDraw(Draw):
 
 
 Drawing = Callable[[RobotDraw], RobotChange]
-LISTED, UNLISTED = Draws(), Draws(UNKNOWN)
+LISTED = Draws()
+UNLISTED = Draws(UNKNOWN)
 
 
 def at_joints(
@@ -153,7 +155,8 @@ LISTED.of_size("rad", most=0.35)(at_joints("zero", signed=True), "joint_zero")
 @LISTED.of_size("m")
 def link_centre(draw: RobotDraw) -> RobotChange:
     """A centre of mass elsewhere."""
-    link, way = int(draw.rng.integers(len(draw.links))), draw.direction()
+    link = int(draw.rng.integers(len(draw.links)))
+    way = draw.direction()
     shifted = sets("chain", centre_m=at_index(link, added(way)))
     return RobotChange(shifted, "shifted", (draw.links[link],), most=0.6 * draw.reach_m)
 
@@ -161,7 +164,8 @@ def link_centre(draw: RobotDraw) -> RobotChange:
 @LISTED.of_size("1", most=2.0)
 def link_mass(draw: RobotDraw) -> RobotChange:
     """A link that is heavier or lighter, of the same shape."""
-    link, lighter = int(draw.rng.integers(len(draw.links))), draw.chance(0.3)
+    link = int(draw.rng.integers(len(draw.links)))
+    lighter = draw.chance(0.3)
 
     def law(old: Any, size: float) -> Any:
         return old * (1.0 / (1.0 + size) if lighter else 1.0 + size)
@@ -244,8 +248,10 @@ def warming(draw: RobotDraw) -> RobotChange:
 @UNLISTED.of_size("1", most=2.2)
 def torque_ceiling(draw: RobotDraw) -> RobotChange:
     """Currents clipped at one joint, at what its weight and motion often need."""
-    joint, kind = int(draw.rng.integers(len(draw.joints))), draw.kind
-    home, reach = kind.home_rad, kind.reach_rad
+    joint = int(draw.rng.integers(len(draw.joints)))
+    kind = draw.kind
+    home = kind.home_rad
+    reach = kind.reach_rad
     pose = np.stack([home, home + reach, home - reach])
     still = np.zeros_like(pose)
     held = np.abs(draw.robot.chain.torques_n_m(pose, still, still))[:, joint].max()
@@ -277,7 +283,8 @@ def push(draw: RobotDraw) -> RobotChange:
 
 def with_tolerances(robot: RealRobot, kind: RobotKind, rng: np.random.Generator) -> RealRobot:
     """Manufacturing tolerances: masses and torques to 1 %, centres to 1 mm, zeros to 0.1°."""
-    chain, count = robot.chain, len(robot.damping)
+    chain = robot.chain
+    count = len(robot.damping)
     mass = 1.0 + 0.01 * rng.standard_normal(count)
     small_m = min(1e-3, 0.01 * float(np.abs(chain.origin_m).max()))
     chain = replace(

@@ -19,7 +19,8 @@ _STEPS_OF_PLAY = 5
 """Within one step, where teeth touch and part."""
 _TAPER = 0.16
 """Share of a trial at both ends: how long sines take to come and to go."""
-_MOVE_S, _HOLD_S = 0.9, 0.5
+_MOVE_S = 0.9
+_HOLD_S = 0.5
 _CURRENT_S = 0.002
 """Lag of a drive's current."""
 _FILTER_S = 0.0016
@@ -57,7 +58,8 @@ def _sines(kind: RobotKind, rng: np.random.Generator, time_s: Array) -> Array:
     """Four sines by joint, as identification of robots takes them."""
     count = len(kind.home_rad)
     frequency = kind.speed_hz * rng.uniform(0.15, 1.0, (4, count))
-    phase, share = rng.uniform(0.0, 2.0 * np.pi, (4, count)), rng.uniform(0.3, 1.0, (4, count))
+    phase = rng.uniform(0.0, 2.0 * np.pi, (4, count))
+    share = rng.uniform(0.3, 1.0, (4, count))
     waves = np.sin(2.0 * np.pi * frequency * time_s[:, None, None] + phase)
     whole = (share * waves).sum(1) / share.sum(0) * 1.4
     edge = np.minimum(time_s, time_s[-1] - time_s) / (_TAPER * time_s[-1])
@@ -105,7 +107,8 @@ def prescribed_n_m(kind: RobotKind, robot: RealRobot, asked: ReferenceMotion) ->
     without its past.
     """
     asked = ReferenceMotion(*(part[::_STRIDE, None, :] for part in asked))
-    time_s, step_s = _times_s(len(asked.angle), _STRIDE), STEP_S * _STRIDE
+    time_s = _times_s(len(asked.angle), _STRIDE)
+    step_s = STEP_S * _STRIDE
     robots: RealRobot = stacked([robot])
     gain = 1.0 + robots.encoder_scale
     motor = [(asked.angle - robots.zero) / gain, asked.speed / gain, asked.acceleration / gain]
@@ -125,7 +128,8 @@ def prescribed_n_m(kind: RobotKind, robot: RealRobot, asked: ReferenceMotion) ->
     drive = drive + robots.armature * motor[2] + robots.motor_n_m(motor[0], motor[1])
     drive = drive - _push(robots, time_s, kind.trial_s)
     if kind.rubbing and robots.capstan.any():
-        lost_n_m, lost = kind.rubbing(robots.capstan, joint[0][0]), np.zeros_like(drive)
+        lost_n_m = kind.rubbing(robots.capstan, joint[0][0])
+        lost = np.zeros_like(drive)
         for k in range(1, len(drive)):
             lost[k] = lost_n_m(joint[0][k], drive[k] + lost[k - 1])
         drive = drive + lost
@@ -172,9 +176,11 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
     stiff, damp = kind.gains()
     stiff = (1.0 + robots.servo_scale) * stiff
     back = np.asarray(np.linalg.inv(robots.moved), dtype=float)
-    gain, zero = 1.0 + robots.encoder_scale, robots.zero
+    gain = 1.0 + robots.encoder_scale
+    zero = robots.zero
     if kind.servos:  # zero and scale are the camera's
-        gain, zero = np.ones_like(gain), np.zeros_like(zero)
+        gain = np.ones_like(gain)
+        zero = np.zeros_like(zero)
     count = asked.angle.shape[1]
     home = times(robots.moved, (asked.angle[0] - zero) / gain)
     angle = np.concatenate([np.zeros((count, 1)), home], 1)
@@ -186,10 +192,12 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
     carried = chain.mass_matrix(angle)[:, 0, 0]
     base_own, base_damping = robots.base(carried)
     extra = np.zeros((count, links, links))
-    extra[:, 0, 0], extra[:, 1:, 1:] = base_own, inertia
+    extra[:, 0, 0] = base_own
+    extra[:, 1:, 1:] = inertia
     push = _push(robots, _times_s(len(asked.angle)), kind.trial_s)
     lost_n_m = kind.rubbing and kind.rubbing(robots.capstan, home)
-    bristle, drive = np.zeros_like(home), forward[0].copy()
+    bristle = np.zeros_like(home)
+    drive = forward[0].copy()
     kept = np.empty((5, *asked.angle.shape))
     steps = _STEPS_OF_PLAY if loose.any() else 1
     step_s = STEP_S / steps
@@ -201,8 +209,10 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
 
     def accelerations(angle: Array, speed: Array, held: Array) -> Array:
         """(B, 1 + 2N) of the base, the joints, and rotors with play."""
-        motor, motor_speed = at_motors(angle), at_motors(speed)
-        linked, rate = angle[:, :links], speed[:, :links]
+        motor = at_motors(angle)
+        motor_speed = at_motors(speed)
+        linked = angle[:, :links]
+        rate = speed[:, :links]
         torque = held - robots.motor_n_m(motor, motor_speed)
         passed = robots.flank_n_m(motor - linked[:, 1:], motor_speed - rate[:, 1:])
         free = np.where(loose, torque - passed, 0.0) / np.where(loose, robots.armature, 1.0)
@@ -213,7 +223,8 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
         return np.concatenate([chain.accelerations(linked, rate, whole, extra), free], 1)
 
     for k in range(len(asked.angle)):
-        motor, motor_speed = at_motors(angle), at_motors(speed)
+        motor = at_motors(angle)
+        motor_speed = at_motors(speed)
         error = asked.angle[k] - gain * motor - zero
         if kind.servos:
             command = stiff * error - damp * motor_speed
@@ -234,7 +245,8 @@ def simulate(kind: RobotKind, robots: RealRobot, asked: ReferenceMotion) -> Driv
         for _ in range(steps):
             middle = speed + 0.5 * step_s * accelerations(angle, speed, held)
             then = accelerations(angle + 0.5 * step_s * speed, middle, held)
-            angle, speed = angle + step_s * middle, speed + step_s * then
+            angle = angle + step_s * middle
+            speed = speed + step_s * then
     if not np.isfinite(angle).all():
         raise PlantError(f"{kind.name}: a controlled robot flew away; draw with another seed")
     return DrivenMotion(*kept)
@@ -244,7 +256,8 @@ def written(
     kind: RobotKind, robots: RealRobot, motion: DrivenMotion, seeds: Sequence[int]
 ) -> list[pd.DataFrame]:
     """The recording of each robot."""
-    time_s, (_, joints, _) = _times_s(len(motion.motor)), kind.nominal()
+    time_s = _times_s(len(motion.motor))
+    (_, joints, _) = kind.nominal()
     read = robots.read_n_m(motion.drive_n_m, time_s)
     seen = motion.joint if kind.servos else motion.motor
     angle = (1.0 + robots.encoder_scale) * seen + robots.zero

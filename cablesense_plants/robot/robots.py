@@ -87,7 +87,8 @@ class _ChainPose:
 
     def __init__(self, chain: LinkChain, angle: Array) -> None:
         turned = _rotations(chain.axis, angle)
-        frames, origins = [turned[..., 0, :, :]], [chain.origin_m[..., 0, :]]
+        frames = [turned[..., 0, :, :]]
+        origins = [chain.origin_m[..., 0, :]]
         origins[0] = np.broadcast_to(origins[0], (*angle.shape[:-1], 3))
         for n in range(1, angle.shape[-1]):
             offset = times(frames[-1], chain.origin_m[..., n, :])
@@ -117,16 +118,19 @@ class _ChainPose:
         momentum = times(self.inertia, turning)
         moment = times(self.inertia, spin_up) + _cross(turning, momentum)
         moment += _cross(self.centre_m, force)
-        forces, moments = _from_tip(force), _from_tip(moment)
+        forces = _from_tip(force)
+        moments = _from_tip(moment)
         return np.asarray((self.axis * (moments - _cross(self.origin_m, forces))).sum(-1))
 
     def mass_matrix(self) -> Array:
         """By the inertia, about the base's origin, of all that each hinge carries."""
-        mass, moment = self.mass_kg[..., None], self.mass_kg[..., None] * self.centre_m
+        mass = self.mass_kg[..., None]
+        moment = self.mass_kg[..., None] * self.centre_m
         across = moment[..., :, None] * self.centre_m[..., None, :]
         about = self.inertia - across
         about += np.trace(across, axis1=-2, axis2=-1)[..., None, None] * np.eye(3)
-        mass, moment = _from_tip(mass), _from_tip(moment)
+        mass = _from_tip(mass)
+        moment = _from_tip(moment)
         about = np.cumsum(about[..., ::-1, :, :], -3)[..., ::-1, :, :]
         drift = _cross(self.origin_m, self.axis)  # of the point at the base's origin
         force = mass * drift + _cross(self.axis, moment)
@@ -144,11 +148,13 @@ def read_chain(model: mujoco.MjModel) -> tuple[LinkChain, dict[str, Array], list
     Raises:
         PlantError: its joints are no hinges one after the other, or a spring rests elsewhere.
     """
-    count, data = model.njnt, mujoco.MjData(model)
+    count = model.njnt
+    data = mujoco.MjData(model)
     joints = [model.joint(n).name for n in range(count)]
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)
-    link_of, bodies = {0: -1}, model.jnt_bodyid.tolist()
+    link_of = {0: -1}
+    bodies = model.jnt_bodyid.tolist()
     for body in range(1, model.nbody):
         link_of[body] = carrier = link_of[int(model.body_parentid[body])]
         if body in bodies:
@@ -161,14 +167,17 @@ def read_chain(model: mujoco.MjModel) -> tuple[LinkChain, dict[str, Array], list
     if (model.jnt_stiffness * model.qpos_spring).any():
         raise PlantError("springs of a plant's robot are at rest at zero; set springref to 0")
     owner = np.array([link_of[body] for body in range(model.nbody)])
-    mass, centre, inertia = np.zeros(count), np.zeros((count, 3)), np.zeros((count, 3, 3))
+    mass = np.zeros(count)
+    centre = np.zeros((count, 3))
+    inertia = np.zeros((count, 3, 3))
     for n in range(count):
         own = np.flatnonzero(owner == n)
         mass[n] = model.body_mass[own].sum()
         middle = model.body_mass[own] @ data.xipos[own] / max(mass[n], _LEAST_KG)
         centre[n] = middle - data.xanchor[n]
         for body in own.tolist():
-            turned, arm = data.ximat[body].reshape(3, 3), data.xipos[body] - middle
+            turned = data.ximat[body].reshape(3, 3)
+            arm = data.xipos[body] - middle
             inertia[n] += turned * model.body_inertia[body] @ turned.T
             inertia[n] += model.body_mass[body] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     chain = LinkChain(
@@ -190,7 +199,8 @@ def read_chain(model: mujoco.MjModel) -> tuple[LinkChain, dict[str, Array], list
 
 def _rotations(axis: Array, angle: Array) -> Array:
     """Rodrigues' formula: (..., N, 3, 3) of unit axes (..., N, 3) and angles (..., N)."""
-    cos, sin = np.cos(angle)[..., None, None], np.sin(angle)[..., None, None]
+    cos = np.cos(angle)[..., None, None]
+    sin = np.sin(angle)[..., None, None]
     x, y, z = np.moveaxis(axis, -1, 0)
     zero = np.zeros_like(x)
     skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*x.shape, 3, 3)
@@ -204,8 +214,12 @@ def times(matrix: Array, vector: Array) -> Array:
 
 def _cross(a: Array, b: Array) -> Array:
     """`numpy.cross` of many short arrays, several times as fast."""
-    a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
-    b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
+    a0 = a[..., 0]
+    a1 = a[..., 1]
+    a2 = a[..., 2]
+    b0 = b[..., 0]
+    b1 = b[..., 1]
+    b2 = b[..., 2]
     return np.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], -1)
 
 
@@ -258,7 +272,8 @@ class RobotKind:
         """The robot without anything hidden; names of its joints and links."""
         model = self.model or mujoco.MjModel.from_xml_path(str(self.path))
         chain, sizes, joints, links = read_chain(model)
-        moved, capstan = np.eye(len(joints)), np.zeros(len(self.drives))
+        moved = np.eye(len(joints))
+        capstan = np.zeros(len(self.drives))
         return RealRobot(chain, moved=moved, capstan=capstan, **sizes), joints, links
 
     def gains(self) -> tuple[Array, Array]:

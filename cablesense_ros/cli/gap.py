@@ -127,9 +127,18 @@ def diagnose(
         healthy = None if reference is None else read_recording(reference, robot)
         with diagnosis_progress(console) as (show, _):
             found = make(
-                recorded, robot, beside, bandwidth, show, workers, forward,
-                zeroed=zeroed, external=positions == "external", force=force, reference=healthy,
-            )  # fmt: skip
+                recorded,
+                robot,
+                beside,
+                bandwidth,
+                show,
+                workers,
+                forward,
+                zeroed=zeroed,
+                external=positions == "external",
+                force=force,
+                reference=healthy,
+            )
         write_robot_diagnosis(out, found)
         verdict = found.verdict
         lines = [*found.findings, headline(verdict), *verdict.doubts]

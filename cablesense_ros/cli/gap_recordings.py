@@ -190,7 +190,8 @@ def watch(
     first, *later = series(folder)
     output_folder(out, WATCH_FILES, force=force, inputs=(first, *later))
     read, diagnosed, machine = _of_arm(arm) if model is None else _of_robot(model)
-    recordings, shared = map(read, later), (machine, read(first))
+    recordings = map(read, later)
+    shared = (machine, read(first))
     found: Iterator[Verdict] = (diagnosed(*shared, each, workers) for each in recordings)
     if dask_scheduler is not None:
         from cablesense_training.cluster import map_on_cluster
@@ -208,7 +209,8 @@ def watch(
     headings = ("recording", "what changed", "sure", "gap by the floor")
     table = titled_table(f"Since {first.name}", *headings, right=headings[2:])
     for path, verdict in zip(later, verdicts, strict=True):
-        gap, what = verdict.gap, " + ".join(verdict.effects).replace("_", " ")
+        gap = verdict.gap
+        what = " + ".join(verdict.effects).replace("_", " ")
         sure = f"{verdict.probability:.0%}"
         table.add_row(path.name, what, sure, f"{gap.before_n / gap.floor_n:.1f}")
     console.print(table)
@@ -315,7 +317,8 @@ def withhold(
 
     if model is not None:
         refuse_given(context, ["arm", "workers"], "with --model")
-    answers_file, kinds = answers or out / "answers" / "answers.csv", tuple(only or ())
+    answers_file = answers or out / "answers" / "answers.csv"
+    kinds = tuple(only or ())
     names = "case_*.csv" if model is None else "case_*.csv.gz"
     written = (names, f"second/{names}") if second else (names,)
     source = find_arm(arm) if model is None else model

@@ -124,7 +124,8 @@ def info(
         why = "with --effects, which are the same for every arm"
         refuse_given(context, ["file", "blind", "observability"], why)
         known = {name: _effect(effect) for name, effect in known_effects().items()}
-        title, description = "Effects that an arm file can list", {"effects": known}
+        title = "Effects that an arm file can list"
+        description = {"effects": known}
     elif observability:
         refuse_given(context, ["blind"], "with --observability")
         title = "Cramér-Rao bound of a contact"
@@ -136,12 +137,14 @@ def info(
         title = "Smallest change of a contact force that the readings show, by segment, N"
         description = _hidden_force(file, load_n, bend_deg)
     elif file.endswith(".onnx"):
-        title, description = "Model", _model(file)
+        title = "Model"
+        description = _model(file)
     elif (content := _calibration_content(file)) is not None:
         _show_calibration(content, file, json_output)
         return
     else:
-        title, description = "Arm", _arm(file)
+        title = "Arm"
+        description = _arm(file)
     print_result(title, description, json_output)
 
 
@@ -176,7 +179,8 @@ def _arm(name: str) -> Description:
     """Identity, geometry, cables and sensors as drawn, effects, and what the arm bears; SI."""
     path = find_arm(name)
     arm = load_arm(path)
-    mechanism, bears = mechanism_of(arm), load_capacity(arm)
+    mechanism = mechanism_of(arm)
+    bears = load_capacity(arm)
     angle_deg = np.rad2deg(np.arctan2(mechanism.hole_y_m, mechanism.hole_z_m)) % 360.0
     description: Description = {
         "kind": "arm",
@@ -345,9 +349,11 @@ def _effect(effect: Effect) -> Description:
 
 _TARE_SAMPLES = 50
 """The node averages as many for a tare by default."""
-_AXIAL_STD_N, _LARGEST_N = 100.0, 200.0
+_AXIAL_STD_N = 100.0
+_LARGEST_N = 200.0
 """Of the prior: deviation of the axial force, and the largest lateral one."""
-_DRAWS, _PLACES = 100, 12
+_DRAWS = 100
+_PLACES = 12
 _DETERMINED = 0.5
 """A number is called undetermined if the bound exceeds this share of its prior's deviation."""
 
@@ -388,7 +394,8 @@ def _contact_bound(
 
     They act in random directions, joints within `bend_deg`: at `at_m`, or anywhere on the segment.
     """
-    rng, mechanism = np.random.default_rng(n), mechanism_of(arm)
+    rng = np.random.default_rng(n)
+    mechanism = mechanism_of(arm)
     low, high = touched_places(arm).reach_m[n]
     place_m = rng.uniform(low, high, _DRAWS) if at_m is None else np.full(_DRAWS, at_m)
     bend = np.deg2rad(bend_deg)

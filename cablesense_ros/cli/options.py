@@ -123,7 +123,8 @@ def titled_table(
 def _tables(title: str, content: Mapping[Any, Any]) -> Iterator[Table]:
     plain, nested = _parted(content)
     if plain and all(isinstance(value, Mapping) for value in content.values()):
-        plain, nested = {}, dict(content)
+        plain = {}
+        nested = dict(content)
     if plain:
         table = Table(title=title, title_justify="left", show_header=False)
         table.add_column(style="bold")

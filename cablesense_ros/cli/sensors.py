@@ -80,7 +80,8 @@ def calibrate(
 
     output_file(out, force=force, inputs=(loads, channel_map, recording, recorded_with, arm))
     described, database = maps.open_channel_map(channel_map)
-    as_recorded, recorded = described, None
+    as_recorded = described
+    recorded = None
     if recorded_with is not None:
         earlier = maps.load_calibration(recorded_with)
         as_recorded = maps.calibrated(described, database, earlier, str(recorded_with))
@@ -94,7 +95,8 @@ def calibrate(
     weighed = any(load.mass_kg is not None for of_cable in known.values() for load in of_cable)
     if not weighed:
         refuse_given(context, ["gravity"], "on loads that are all given as forces")
-    gravity_m_s2, common_relative_u = gravity or sensor_calibration.STANDARD_GRAVITY_M_S2, 0.0
+    gravity_m_s2 = gravity or sensor_calibration.STANDARD_GRAVITY_M_S2
+    common_relative_u = 0.0
     if weighed and gravity is None:
         common_relative_u = sensor_calibration.GRAVITY_RELATIVE_U
     cables = {}

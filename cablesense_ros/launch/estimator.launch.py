@@ -26,8 +26,11 @@ SWITCH = ("true", "false")
 EMULATED_BIT_S = 1_000_000
 ARGUMENTS = {
     # name: default, choices, description
-    "source": ("sim", ("sim", "can", "emulated_can"),
-               "where cable_tensions come from: the sim, a CAN bus, or the sim through one"),
+    "source": (
+        "sim",
+        ("sim", "can", "emulated_can"),
+        "where cable_tensions come from: the sim, a CAN bus, or the sim through one",
+    ),
     "arm": ("cdsm", None, "arm file: the name of a bundled one, or a path"),
     "model": ("", None, "model file: the name of a bundled one, or a path; empty: the arm's own"),
     "params_file": ("", None, "parameters of the nodes, YAML; arguments take precedence"),
@@ -39,16 +42,22 @@ ARGUMENTS = {
     "interface": ("socketcan", None, "python-can's name of the adapter's kind"),
     "channel": ("can0", None, "what that kind calls its channels"),
     "bitrate_bit_s": ("0", None, "bit rate of the bus, bit/s; 0 where the system sets it"),
-    "breathe": ("none", ("none", "on_request", "continuous"),
-                "the breather: a breath on ~/breathe, or all the time"),
-    "commission_to": ("", None,
-                      "the commissioner, and the file that its calibration is written to"),
+    "breathe": (
+        "none",
+        ("none", "on_request", "continuous"),
+        "the breather: a breath on ~/breathe, or all the time",
+    ),
+    "commission_to": (
+        "",
+        None,
+        "the commissioner, and the file that its calibration is written to",
+    ),
     "description": ("true", SWITCH, "robot_state_publisher: robot_description and tf"),
     "page": ("false", SWITCH, "the page in the browser"),
     "rviz": ("false", SWITCH, "rviz2"),
     "namespace": ("", None, "of all nodes; two arms have two"),
     "frame_prefix": ("", None, "goes before every frame name; two arms have two"),
-}  # fmt: skip
+}
 BUS = ("interface", "channel", "bitrate_bit_s", "calibration")
 SOURCES = {**dict.fromkeys(BUS, ("can",)), "map": ("can", "emulated_can")}
 """With which sources an argument has an effect, where not with all."""
@@ -126,7 +135,8 @@ def start(context: LaunchContext) -> list:
     def some(*names: str) -> dict:
         return {name: changed[name] for name in names if name in changed}
 
-    source, breathe = given["source"], given["breathe"]
+    source = given["source"]
+    breathe = given["breathe"]
     started: list = [] if respawn else [RegisterEventHandler(OnProcessExit(on_exit=on_exit))]
     if source != "can":
         remappings = [("cable_tensions", "simulated_tensions")] * (source != "sim")

@@ -42,9 +42,10 @@ class CableStiffness(Effect):
         "kind or length of cable, and for a soft anchor."
     )
     parameters = (
-        Parameter("change", "1", -0.8, 3.0, 0.2, "share by which the stiffness is higher",
-                  relative=True),
-    )  # fmt: skip
+        Parameter(
+            "change", "1", -0.8, 3.0, 0.2, "share by which the stiffness is higher", relative=True
+        ),
+    )
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         scale = np.where(own_cables(place, mechanism), 1.0 + values["change"], 1.0)
@@ -100,13 +101,23 @@ class Payload(Effect):
     advice = "Weigh what was added there: tools, hoses, covers."
     parameters = (
         Parameter("mass_kg", "kg", -0.5, 10.0, 0.3, "of what the segment carries besides"),
-        shape("beyond_middle", "1", -0.5, 0.5, 0.3,
-              "its distance beyond the segment's middle, as a share of the segment's length"),
-    )  # fmt: skip
+        shape(
+            "beyond_middle",
+            "1",
+            -0.5,
+            0.5,
+            0.3,
+            "its distance beyond the segment's middle, as a share of the segment's length",
+        ),
+    )
     product = Parameter(
-        "moment_kg_m", "kg·m", -np.inf, np.inf, 0.03,
+        "moment_kg_m",
+        "kg·m",
+        -np.inf,
+        np.inf,
+        0.03,
         "mass times distance from the segment's joint; of a mass on segment 1, all that shows",
-    )  # fmt: skip
+    )
 
     def lever(self, mechanism: Mechanism, place: str, values: OneArm) -> float:
         length_m = mechanism.segment_length_m[chosen(place, mechanism.segment_count)]

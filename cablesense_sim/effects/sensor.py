@@ -77,7 +77,8 @@ class SensorCrosstalk(Effect):
 
     def sensing(self, place: str, values: Values) -> Sensing:
         def leaking(_: float | Array, tensions_n: Array) -> Array:
-            readings, share = tensions_n.copy(), values["share"]
+            readings = tensions_n.copy()
+            share = values["share"]
             if place == WHOLE_ARM:
                 readings[..., 1:] += share[:, None] * tensions_n[..., :-1]
                 readings[..., :-1] += share[:, None] * tensions_n[..., 1:]
@@ -112,11 +113,15 @@ class SensorDrift(Effect):
     version = 2  # before, it had a zero error at the beginning, and imitated an offset
     parameters = tuple(
         Parameter(
-            f"rise_{k + 1}_n", "N", -20.0, 20.0, 0.7,
+            f"rise_{k + 1}_n",
+            "N",
+            -20.0,
+            20.0,
+            0.7,
             f"movement of the zero from {k * INTERVAL_S:g} to {(k + 1) * INTERVAL_S:g} s",
         )
         for k in range(_INTERVALS)
-    )  # fmt: skip
+    )
 
     def sensing(self, place: str, values: Values) -> Sensing:
         rises_n = np.stack([values[p.name] for p in self.parameters], axis=-1)
@@ -149,10 +154,16 @@ class SensorLag(Effect):
     needs_time = True
     parameters = (
         Parameter("time_constant_s", "s", 0.0, 20.0, 0.3, "until 63 % of a step is through"),
-        shape("second_share", "1", 0.0, 1.0, 0.5,
-              "time constant of a second lag behind the first, of the first one's",
-              starts=(0.0, 1.0)),
-    )  # fmt: skip
+        shape(
+            "second_share",
+            "1",
+            0.0,
+            1.0,
+            0.5,
+            "time constant of a second lag behind the first, of the first one's",
+            starts=(0.0, 1.0),
+        ),
+    )
 
     def sensing(self, place: str, values: Values) -> Sensing:
         first_s = np.maximum(values["time_constant_s"], 1e-6)
@@ -172,7 +183,9 @@ class _Lagging(Sensing):
 
     def along(self, time_s: Array, values: Array) -> Array:
         if self._tension_n is None:
-            self._tension_n = self._filtered_n = self._reading_n = values[:, 0]
+            self._tension_n = values[:, 0]
+            self._filtered_n = self._tension_n
+            self._reading_n = self._tension_n
         passed_s = np.maximum(np.diff(time_s, prepend=self._time_s), 1e-9)
         first, late, second, across, both_late = _lag_shares(passed_s, *self._lags)
         begin = np.concatenate([self._tension_n[:, None], values[:, :-1]], axis=1)
@@ -181,8 +194,10 @@ class _Lagging(Sensing):
         before = np.concatenate([self._filtered_n[:, None], filtered[:, :-1]], axis=1)
         added = (both_late - second) * begin + (1.0 - both_late) * values
         reading = _low_passed(second, added + across * (before - begin), self._reading_n)
-        self._tension_n, self._filtered_n = values[:, -1], filtered[:, -1]
-        self._reading_n, self._time_s = reading[:, -1], float(time_s[-1])
+        self._tension_n = values[:, -1]
+        self._filtered_n = filtered[:, -1]
+        self._reading_n = reading[:, -1]
+        self._time_s = float(time_s[-1])
         return np.where(chosen(self._place, values.shape[-1]), reading, values)
 
 
@@ -194,7 +209,8 @@ def _lag_shares(passed_s: Array, first_s: Array, second_share: Array) -> list[Ar
     error; its share of the first lag's error; and the share of the change by which it is late.
     """
     second_s = second_share * first_s
-    first, second = np.exp(-passed_s / first_s), np.exp(-passed_s / second_s)
+    first = np.exp(-passed_s / first_s)
+    second = np.exp(-passed_s / second_s)
     across = (first - second) / (1.0 - second_share)
     late = first_s * (1.0 - first) / passed_s
     both_late = ((first_s + second_s) * (1.0 - second) - first_s * across) / passed_s
@@ -206,7 +222,8 @@ def _low_passed(kept: Array, added: Array, start: Array) -> Array:
 
     Rows of twice as many steps at a time: Hillis and Steele, Data parallel algorithms, CACM 1986.
     """
-    kept, found = np.broadcast_to(kept, added.shape).copy(), added.copy()
+    kept = np.broadcast_to(kept, added.shape).copy()
+    found = added.copy()
     found[:, 0] += kept[:, 0] * start
     step = 1
     while step < found.shape[1]:
@@ -235,14 +252,19 @@ class LoadCell(Effect):
     )
     parameters = (
         Parameter(
-            "scale", "1", -0.6, 1.0, 0.02, "share by which the acting load is larger",
+            "scale",
+            "1",
+            -0.6,
+            1.0,
+            0.02,
+            "share by which the acting load is larger",
             relative=True,
         ),
         *(
             Parameter(f"turn_{axis}_rad", "rad", -0.8, 0.8, 0.03, _TURN.format(axis))
             for axis in "xyz"
         ),
-    )  # fmt: skip
+    )
 
     def loading(self, place: str, values: Values) -> Array:
         turn = Rotation.from_rotvec(np.stack([values[f"turn_{a}_rad"] for a in "xyz"], axis=-1))

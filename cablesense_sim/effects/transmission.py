@@ -25,10 +25,17 @@ from cablesense_sim.mechanism import Mechanism
 _start_share = partial(shape, unit="1", low=-1.0, high=1.0, typical=0.5, fades=True, past=True)
 """A share of its limit that friction carries before the first sample."""
 _WEIGHT_BORNE = shape(
-    "weight_borne", "1", 0.0, 1.0, 0.5,
-    "share of its weight that the arm bore when the tensions along a cable were equal", 1.0,
-    trials=(0.0, 1.0), fades=True, past=True,
-)  # fmt: skip
+    "weight_borne",
+    "1",
+    0.0,
+    1.0,
+    0.5,
+    "share of its weight that the arm bore when the tensions along a cable were equal",
+    1.0,
+    trials=(0.0, 1.0),
+    fades=True,
+    past=True,
+)
 
 
 class ActuatorBacklash(Effect):
@@ -41,11 +48,19 @@ class ActuatorBacklash(Effect):
     sites = ("cable",)
     advice = "Check couplings and nuts of these actuators, or approach poses from one side."
     parameters = (
-        Parameter("play_m", "m", 0.0, 0.005, 5e-5, "between the two flanks",
-                  starts=(5e-5, 2.5e-4)),
-        shape("start", "1", -1.0, 1.0, 1.0,
-              "where in the play it begins, from the short to the long side", past=True),
-    )  # fmt: skip
+        Parameter(
+            "play_m", "m", 0.0, 0.005, 5e-5, "between the two flanks", starts=(5e-5, 2.5e-4)
+        ),
+        shape(
+            "start",
+            "1",
+            -1.0,
+            1.0,
+            1.0,
+            "where in the play it begins, from the short to the long side",
+            past=True,
+        ),
+    )
 
     def actuation(self, place: str, values: Values) -> Actuation:
         return _Play(place, values["play_m"], values["start"])
@@ -53,7 +68,9 @@ class ActuatorBacklash(Effect):
 
 class _Play(Actuation):
     def __init__(self, place: str, play_m: Array, start: Array) -> None:
-        self._place, self._half_m, self._start = place, 0.5 * play_m[:, None], start[:, None]
+        self._place = place
+        self._half_m = 0.5 * play_m[:, None]
+        self._start = start[:, None]
         self._held_m: Array | None = None
 
     def step(self, time_s: float, values: Array) -> Array:
@@ -81,24 +98,63 @@ class CapstanFriction(Effect):
     version = 3  # before, the two guides of a segment were one
     parameters = (
         Parameter("coefficient", "1", 0.0, 1.5, 0.1, "of friction between cable and guide"),
-        shape("pulley_wrap_rad", "rad", 0.0, 20.0, 1.0, "wrap angle at the actuator's pulley",
-              starts=(0.5,), trials=(0.0, 1.0)),
-        shape("guide_wrap_rad", "rad", 0.0, 20.0, 1.0,
-              "wrap angle at the guides between two joints with the arm straight",
-              trials=(0.0, 1.0)),
-        shape("run_compliance", "1", 0.01, 100.0, 1.0,
-              "compliance of a cable before the pulley, over that behind it", 0.5,
-              starts=(0.5,)),
-        shape("run_by_length", "1", 0.0, 1.0, 0.5,
-              "0: it is the same for every cable; 1: the longer the cable in the arm, the less",
-              starts=(0.5,)),
-        shape("give_m", "m", 0.0, 2e-3, 2e-5,
-              "of cable that passes a guide from rest to slip; zero sticks rigidly",
-              trials=(0.0, 3e-5)),
-        shape("rounding", "1", 0.0, 0.95, 0.5,
-              "of the way from rest to slip: Dahl's exponent; at zero it slips at once",
-              trials=(0.5,)),
-    )  # fmt: skip
+        shape(
+            "pulley_wrap_rad",
+            "rad",
+            0.0,
+            20.0,
+            1.0,
+            "wrap angle at the actuator's pulley",
+            starts=(0.5,),
+            trials=(0.0, 1.0),
+        ),
+        shape(
+            "guide_wrap_rad",
+            "rad",
+            0.0,
+            20.0,
+            1.0,
+            "wrap angle at the guides between two joints with the arm straight",
+            trials=(0.0, 1.0),
+        ),
+        shape(
+            "run_compliance",
+            "1",
+            0.01,
+            100.0,
+            1.0,
+            "compliance of a cable before the pulley, over that behind it",
+            0.5,
+            starts=(0.5,),
+        ),
+        shape(
+            "run_by_length",
+            "1",
+            0.0,
+            1.0,
+            0.5,
+            "0: it is the same for every cable; 1: the longer the cable in the arm, the less",
+            starts=(0.5,),
+        ),
+        shape(
+            "give_m",
+            "m",
+            0.0,
+            2e-3,
+            2e-5,
+            "of cable that passes a guide from rest to slip; zero sticks rigidly",
+            trials=(0.0, 3e-5),
+        ),
+        shape(
+            "rounding",
+            "1",
+            0.0,
+            0.95,
+            0.5,
+            "of the way from rest to slip: Dahl's exponent; at zero it slips at once",
+            trials=(0.5,),
+        ),
+    )
 
     def history(self, segment_count: int, cable_count: int) -> tuple[Parameter, ...]:
         share = "share of what its guides hold that the past left on"
@@ -151,7 +207,8 @@ class _Guides(Transmission):
         return lengths_m
 
     def hold(self, rest_m: Array, longer_m: Array) -> None:
-        self._rest_m, self._longer_m = rest_m, longer_m
+        self._rest_m = rest_m
+        self._longer_m = longer_m
 
     def pull(self, spans_m: Array, bends_rad: Array) -> CablePull:
         tensions, slope = self._chains.pull(*self._at(spans_m, bends_rad))
@@ -208,13 +265,29 @@ class JointFriction(Effect):
     advice = "Move the joint by hand with slack cables; look for dry or jammed bearings."
     parameters = (
         Parameter("torque_n_m", "N·m", 0.0, 20.0, 0.1, "at which an axis breaks away"),
-        shape("give_rad", "rad", 1e-5, 0.05, 1e-3, "turn from rest to breaking away", 3e-4,
-              starts=(3e-4,), trials=(1e-4, 1e-3)),
-        shape("rounded", "1", 0.0, 1.0, 0.5, "share of the contact that slips little by little",
-              trials=(0.0, 1.0)),
+        shape(
+            "give_rad",
+            "rad",
+            1e-5,
+            0.05,
+            1e-3,
+            "turn from rest to breaking away",
+            3e-4,
+            starts=(3e-4,),
+            trials=(1e-4, 1e-3),
+        ),
+        shape(
+            "rounded",
+            "1",
+            0.0,
+            1.0,
+            0.5,
+            "share of the contact that slips little by little",
+            trials=(0.0, 1.0),
+        ),
         _start_share("start_pitch", about="share of the torque at first, about y"),
         _start_share("start_yaw", about="share of the torque at first, about z"),
-    )  # fmt: skip
+    )
 
     def transmission(self, place: str, values: Values) -> Transmission:
         return _DryJoints(place, values)
@@ -229,15 +302,18 @@ class _DryJoints(Transmission):
     """
 
     def __init__(self, place: str, values: Values) -> None:
-        self._place, self._values = place, values
-        self._give, self._rounded = values["give_rad"][:, None], values["rounded"][:, None]
+        self._place = place
+        self._values = values
+        self._give = values["give_rad"][:, None]
+        self._rounded = values["rounded"][:, None]
         self._at: Array | None = None
 
     def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
         here = np.repeat(chosen(self._place, mechanism.segment_count), 2)
         self._limit_n_m = self._values["torque_n_m"][:, None] * here
         start = np.stack([self._values["start_pitch"], self._values["start_yaw"]], axis=-1)
-        self._sharp = self._round = np.tile(start, mechanism.segment_count)
+        self._sharp = np.tile(start, mechanism.segment_count)
+        self._round = self._sharp
 
     def joint_torque_n_m(self, angles_rad: Array) -> tuple[Array, Array]:
         if self._at is None:  # it yields nothing until the first rest is found
@@ -256,7 +332,8 @@ class _DryJoints(Transmission):
 
     def _moved(self, by_rad: Array) -> tuple[Array, Array, Array, Array]:
         moved = by_rad / self._give
-        free, full = self._sharp + moved, np.sign(moved)
+        free = self._sharp + moved
+        full = np.sign(moved)
         round_ = full - (full - self._round) * np.exp(-np.abs(moved))
         return np.clip(free, -1.0, 1.0), np.where(moved == 0.0, self._round, round_), free, full
 
@@ -280,16 +357,30 @@ class CableCreep(Effect):
     needs_time = True
     parameters = (
         Parameter("share", "1", 0.0, 5.0, 0.1, "of the elastic stretch that creep adds"),
-        shape("time_s", "s", 0.5, 3000.0, 20.0, "retardation time", 20.0,
-              starts=(5.0, 20.0, 80.0)),
+        shape(
+            "time_s", "s", 0.5, 3000.0, 20.0, "retardation time", 20.0, starts=(5.0, 20.0, 80.0)
+        ),
         shape("spread", "1", 1.0, 30.0, 3.0, "between neighbouring times", 1.0, starts=(1.0,)),
-        shape("settled", "1", -1.0, 1.0, 0.5,
-              "share of the creep under the first tensions that was over before the tensioning",
-              starts=(0.5,)),
-        shape("begun", "1", 0.0, 1.0, 0.5,
-              "share of the creep to come that was over before the first sample", starts=(0.5,),
-              past=True),
-    )  # fmt: skip
+        shape(
+            "settled",
+            "1",
+            -1.0,
+            1.0,
+            0.5,
+            "share of the creep under the first tensions that was over before the tensioning",
+            starts=(0.5,),
+        ),
+        shape(
+            "begun",
+            "1",
+            0.0,
+            1.0,
+            0.5,
+            "share of the creep to come that was over before the first sample",
+            starts=(0.5,),
+            past=True,
+        ),
+    )
 
     def transmission(self, place: str, values: Values) -> Transmission:
         return _Creep(place, values)
@@ -301,7 +392,8 @@ class _Creep(Transmission):
         self._share = values["share"][:, None]
         spread = values["spread"][:, None] ** np.array([-1.0, 0.0, 1.0])
         self._times_s = (values["time_s"][:, None] * spread)[:, None, :]
-        self._settled, self._begun = values["settled"][:, None], values["begun"][:, None]
+        self._settled = values["settled"][:, None]
+        self._begun = values["begun"][:, None]
 
     def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
         here = own_cables(self._place, mechanism)

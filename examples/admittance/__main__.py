@@ -32,7 +32,9 @@ from examples.admittance.wall import Obstacle
 ARM = "cdsm"
 SEGMENT = 3
 STIFFNESS_N_M = 10_000.0
-PRESS_M, CLEAR_M = 0.003, -0.005  # where the wall presses, and where it is clear of the arm
+# where the wall presses, and where it is clear of the arm
+PRESS_M = 0.003
+CLEAR_M = -0.005
 PRESS_AT_S = 1.0
 STEADY_S = 2.0  # the settled force is averaged over the end of the contact
 START_S = 60.0
@@ -45,7 +47,8 @@ def play(duration_s: float, logs: Path, page: bool = False) -> dict[str, Any]:
     Raises:
         CableSenseError: a node ended, or the controller did not trust the estimator.
     """
-    arm, parameters = open_arm(ARM), {"arm": ARM}
+    arm = open_arm(ARM)
+    parameters = {"arm": ARM}
     commands = {name: node_command(name, parameters) for name in ("sim", "estimator")}
     commands["admittance"] = node_command("examples.admittance.controller_node", parameters)
     if page:
@@ -67,7 +70,8 @@ def play(duration_s: float, logs: Path, page: bool = False) -> dict[str, Any]:
         processes.wait_until(
             lambda: "estimates are trusted" in processes["admittance"].log, START_S, trusted
         )
-        start_s, moments = time.monotonic(), []
+        start_s = time.monotonic()
+        moments = []
         leaves_s = 0.5 * duration_s
         while (now_s := time.monotonic() - start_s) < duration_s:
             processes.check()

@@ -29,7 +29,8 @@ class AdmittanceController:
     """
 
     def __init__(self, mechanism: Mechanism, settings: AdmittanceSettings, now_s: float) -> None:
-        self._mechanism, self._settings = mechanism, settings
+        self._mechanism = mechanism
+        self._settings = settings
         self.law = AdmittanceLaw(mechanism, settings)
         self.watch = EstimateWatch(settings, now_s)
         self.command_rad = np.zeros(mechanism.joint_count)
@@ -38,8 +39,10 @@ class AdmittanceController:
         self._samples: list[tuple[int, int, Array]] = []
         self._confirmation = Confirmation(settings)
         self._own: deque[Array] = deque(maxlen=OWN_COMMANDS_KEPT)
-        self._arrived_s = self._stepped_s = now_s
-        self._yield_until_s = self._repeated_s = float("-inf")
+        self._arrived_s = now_s
+        self._stepped_s = self._arrived_s
+        self._yield_until_s = float("-inf")
+        self._repeated_s = self._yield_until_s
         self._commanded = False
 
     def received_command(self, command_rad: Array, now_s: float) -> bool:
@@ -128,7 +131,8 @@ class AdmittanceController:
         return ContactForce(segment, np.asarray(rotation @ sum_n) / len(self._samples))
 
     def _step(self, now_s: float) -> Array | None:
-        self.contact, elapsed_s = self._measured(), now_s - self._stepped_s
+        self.contact = self._measured()
+        elapsed_s = now_s - self._stepped_s
         self._samples.clear()
         self._confirmation.seen(self.contact, self.command_rad)
         target = self.law.step(self.command_rad, self.home_rad, self.contact, elapsed_s)

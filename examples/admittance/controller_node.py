@@ -58,7 +58,8 @@ class AdmittanceNode(Node):
         given = {name: self.declare_parameter(name, of).value for name, of in defaults.items()}
         arm = open_arm(given.pop("arm"))
         self._frames = Frames(arm.segment_count, given.pop("frame_prefix"))
-        estimator, settings = given.pop("estimator"), AdmittanceSettings(**given)
+        estimator = given.pop("estimator")
+        settings = AdmittanceSettings(**given)
         self._mechanism = mechanism_of(arm)
         self._controller = AdmittanceController(self._mechanism, settings, time.monotonic())
         self._joints = NamedOrder(arm.joint_names, "joints")
@@ -120,7 +121,8 @@ class AdmittanceNode(Node):
             del self._halves[next(iter(self._halves))]
 
     def _estimated(self, stamp_ns: int, **estimate: Any) -> None:
-        now_ns, now_s = self.get_clock().now().nanoseconds, time.monotonic()
+        now_ns = self.get_clock().now().nanoseconds
+        now_s = time.monotonic()
         times = {"stamp_ns": stamp_ns, "clock_ns": now_ns, "now_s": now_s}
         self._send(self._controller.received(**estimate, **times))
 

@@ -77,7 +77,8 @@ class AdmittanceLaw:
     """Steps for one arm; `radius_rad` (N,) is how far each joint may be commanded to bend."""
 
     def __init__(self, mechanism: Mechanism, settings: AdmittanceSettings) -> None:
-        self._mechanism, self.settings = mechanism, settings
+        self._mechanism = mechanism
+        self.settings = settings
         limit_rad = np.deg2rad(settings.joint_limit_deg)
         self.radius_rad = np.minimum(limit_rad, mechanism.bend_limit_rad - PLATE_MARGIN_RAD)
 
@@ -88,7 +89,8 @@ class AdmittanceLaw:
 
         Without a contact the arm returns towards `home_rad` (2N,).
         """
-        period_s, away_rad = min(elapsed_s, LONGEST_STEP_S), command_rad - home_rad
+        period_s = min(elapsed_s, LONGEST_STEP_S)
+        away_rad = command_rad - home_rad
         if contact is None:
             step_rad = self._homeward(command_rad, away_rad, period_s)
         else:
@@ -122,15 +124,18 @@ class AdmittanceLaw:
     def _yielding(
         self, command_rad: Array, away_rad: Array, contact: ContactForce, period_s: float
     ) -> Array:
-        given, force_n = self.settings, contact.force_base_n
+        given = self.settings
+        force_n = contact.force_base_n
         magnitude_n = max(float(np.linalg.norm(force_n)), 1e-12)
         lever_m = self._jacobian(command_rad, contact.segment).T @ (force_n / magnitude_n)
         torque = lever_m * magnitude_n - given.return_stiffness_n_m_rad * away_rad
-        size, friction = np.linalg.norm(torque), given.deadband_n * np.linalg.norm(lever_m)
+        size = np.linalg.norm(torque)
+        friction = given.deadband_n * np.linalg.norm(lever_m)
         if size <= friction:
             return np.zeros_like(command_rad)
         torque = torque * (1.0 - friction / size)
-        diagonal, stiffness_n_m = self._diagonal(period_s), given.worst_stiffness_n_m
+        diagonal = self._diagonal(period_s)
+        stiffness_n_m = given.worst_stiffness_n_m
         implicit = stiffness_n_m * float(lever_m @ torque)
         implicit /= diagonal + stiffness_n_m * float(lever_m @ lever_m)
         return (torque - lever_m * implicit) / diagonal

@@ -36,16 +36,19 @@ class EstimateWatch:
         self._stale_after_s = settings.stale_after_s
         self._resume_after_s = settings.resume_after_s
         self._force = ForceState.SILENT
-        self._fresh_s, self._sound_s = float("-inf"), now_s
+        self._fresh_s = float("-inf")
+        self._sound_s = now_s
         self._back_since_s: float | None = None
         self._refusal = ""
-        self.state, self.reason = ContactState.STOPPED, "no estimate yet"
+        self.state = ContactState.STOPPED
+        self.reason = "no estimate yet"
 
     def received(self, force: ForceState, age_s: float, now_s: float) -> bool:
         """A state came, of a sample that is `age_s` old; returns whether it is fresh."""
         if abs(age_s) > self._stale_after_s:
             return False
-        self._force, self._fresh_s = force, now_s
+        self._force = force
+        self._fresh_s = now_s
         if force in FORCE_KNOWN or force in NO_FAULT:
             self._sound_s = now_s
         return True
@@ -60,16 +63,20 @@ class EstimateWatch:
 
     def update(self, now_s: float) -> ContactState:
         """Decide the state now; call it at least every 20 ms."""
-        fault, self._refusal = self._refusal or self._fault(now_s), ""
+        fault = self._refusal or self._fault(now_s)
+        self._refusal = ""
         if fault:
-            self.state, self.reason, self._back_since_s = ContactState.STOPPED, fault, None
+            self.state = ContactState.STOPPED
+            self.reason = fault
+            self._back_since_s = None
         elif self.state is ContactState.STOPPED:
             if self._force not in (*FORCE_KNOWN, ForceState.HIDDEN, ForceState.MOMENT):
                 self._back_since_s = None
             elif self._back_since_s is None:
                 self._back_since_s = now_s
             elif now_s - self._back_since_s >= self._resume_after_s:
-                self.state, self.reason = ContactState.UNKNOWN, ""
+                self.state = ContactState.UNKNOWN
+                self.reason = ""
         if self.state is not ContactState.STOPPED:
             known = self._force in FORCE_KNOWN
             self.state = ContactState(self._force.value) if known else ContactState.UNKNOWN
@@ -104,11 +111,13 @@ class Confirmation:
     def seen(self, contact: ContactForce | None, command_rad: Array) -> None:
         """A contact, or none, was measured at a command (2N,)."""
         if contact is None:
-            self._contact, self.confirmed = None, True
+            self._contact = None
+            self.confirmed = True
         elif not self._is_same(contact):
             if self.confirmed:
                 self._from_rad = command_rad
-            self._contact, self.confirmed = contact, False
+            self._contact = contact
+            self.confirmed = False
         elif not self.confirmed:
             self.confirmed = self._has_turned(command_rad)
 

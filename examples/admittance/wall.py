@@ -43,7 +43,8 @@ class ElasticWall:
     def __init__(
         self, point_m: Array, normal: Array, stiffness_n_m: float, compliance_m_n: float
     ) -> None:
-        self.point_m, self.normal = point_m, normal
+        self.point_m = point_m
+        self.normal = normal
         self.compliance_m_n = compliance_m_n
         self._stiffness_n_m = stiffness_n_m
         self.force_n = 0.0
@@ -107,11 +108,14 @@ class Obstacle:
         speed_m_s: float = 0.05,
     ) -> None:
         """The wall begins at `start_m` and presses to the left, +y."""
-        self._node, self._segment, self._speed_m_s = node, segment, speed_m_s
+        self._node = node
+        self._segment = segment
+        self._speed_m_s = speed_m_s
         self._mechanism = mechanism_of(arm)
         straight = np.zeros(arm.joint_count)
         self.wall = wall_beside(self._mechanism, straight, segment, 90.0, stiffness_n_m)
-        self.target_m = self.advance_m = start_m
+        self.target_m = start_m
+        self.advance_m = self.target_m
         self._updated_s = time.monotonic()
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._load = WrenchStamped()

@@ -22,10 +22,12 @@ def main(arm: str, out: str, calibration: str = "") -> None:
     description = open_arm(arm)
     if calibration:
         known = read_calibration(calibration, description)
-        mean, covariance = known.mean, known.covariance
+        mean = known.mean
+        covariance = known.covariance
     else:
         parameters = parameters_of(description)
-        mean, covariance = parameters.prior_mean, np.diag(parameters.prior_std**2)
+        mean = parameters.prior_mean
+        covariance = np.diag(parameters.prior_std**2)
     Path(out).write_bytes(mean.tobytes() + covariance.tobytes())
 
 

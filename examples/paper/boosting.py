@@ -18,7 +18,8 @@ from cablesense_contact.estimate import NORMAL_95
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.evaluation.metrics import ContactAnswer, angle_difference_deg
 
-_SEED, _HELD_OUT = 0, 0.1
+_SEED = 0
+_HELD_OUT = 0.1
 """The share of the samples that the stated deviations are taken from."""
 
 
@@ -61,16 +62,19 @@ class BoostingBaseline:
         self._pose_aware = settings.pose_aware
         order = np.random.default_rng(_SEED).permutation(len(dataset))
         held_out = max(1, round(_HELD_OUT * len(dataset)))
-        validation, training = dataset.select(order[:held_out]), dataset.select(order[held_out:])
+        validation = dataset.select(order[:held_out])
+        training = dataset.select(order[held_out:])
         touched = training.segment > 0
-        x, options = self._inputs(training), settings.options
+        x = self._inputs(training)
+        options = settings.options
         angle = np.deg2rad(training.angle_deg[touched])
         self._contact = HistGradientBoostingClassifier(**options).fit(x, training.segment)
         self._sine, self._cosine, self._magnitude = (
             HistGradientBoostingRegressor(**options).fit(x[touched], label)
             for label in (np.sin(angle), np.cos(angle), training.magnitude_n[touched])
         )
-        self._magnitude_std_n, self._angle_std_deg = 1.0, 1.0
+        self._magnitude_std_n = 1.0
+        self._angle_std_deg = 1.0
         answer = self.answer(validation)
         found = (validation.segment > 0) & (answer.segment > 0)
         if found.any():
@@ -103,7 +107,8 @@ class MultiBoostingBaseline:
     def __init__(self, dataset: Dataset, settings: BoostingSettings | None = None) -> None:
         """Fit to a multi-contact dataset."""
         options = (settings or BoostingSettings()).options
-        self._contacts, self._forces = [], []
+        self._contacts = []
+        self._forces = []
         x = dataset.tension_difference_n
         for touched, force in zip(dataset.contacts.T, dataset.magnitudes_n.T, strict=True):
             self._contacts.append(HistGradientBoostingClassifier(**options).fit(x, touched))

@@ -70,7 +70,8 @@ def around_a_cylinder(wrap_rad: float) -> mujoco.MjSpec:
     cable that lies there. Friction on the cylinder holds the ring, whose inertia has no part in
     slow motion. `wrap_rad` is the wrap angle.
     """
-    radius_m, half_m = CYLINDER_RADIUS_M, 0.5 * LENGTH_M
+    radius_m = CYLINDER_RADIUS_M
+    half_m = 0.5 * LENGTH_M
     spring_m = (0.0, half_m - PRETENSION_N * half_m / AXIAL_RIGIDITY_N)
     inertia = 1e-3 * radius_m**2
     bodies = f"""

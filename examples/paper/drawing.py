@@ -16,8 +16,14 @@ from numpy.typing import ArrayLike
 from cablesense_base import Array
 from cablesense_gap.report.style import WIDTH_IN
 
-BLUE, ORANGE, GREEN, VERMILION = "#0072B2", "#E69F00", "#009E73", "#D55E00"
-PURPLE, SKY, BLACK, GREY = "#CC79A7", "#56B4E9", "#1C2126", "#9AA3AD"
+BLUE = "#0072B2"
+ORANGE = "#E69F00"
+GREEN = "#009E73"
+VERMILION = "#D55E00"
+PURPLE = "#CC79A7"
+SKY = "#56B4E9"
+BLACK = "#1C2126"
+GREY = "#9AA3AD"
 SERIES = (BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY)
 DASHES = ("-", "--", "-.", ":")
 DOTTED: Any = (0, (1, 1))
@@ -25,14 +31,23 @@ DOTTED: Any = (0, (1, 1))
 
 
 def panels(
-    rows: int, columns: int, height_in: float, *, width: float = 1.0, grid: str = "both",
+    rows: int,
+    columns: int,
+    height_in: float,
+    *,
+    width: float = 1.0,
+    grid: str = "both",
     **options: Any,
-) -> tuple[Any, Any]:  # fmt: skip
+) -> tuple[Any, Any]:
     """A figure and its axes (rows, columns); `width` is the share of the page's."""
     figure, every = plt.subplots(
-        rows, columns, figsize=(width * WIDTH_IN, height_in), layout="constrained",
-        squeeze=False, **options,
-    )  # fmt: skip
+        rows,
+        columns,
+        figsize=(width * WIDTH_IN, height_in),
+        layout="constrained",
+        squeeze=False,
+        **options,
+    )
     if grid:
         for axes in every.ravel():
             axes.grid(axis=grid)
@@ -86,9 +101,14 @@ def confusion_grid(
             for row, column in np.argwhere(table > 0):
                 value = share[row, column]
                 axes.text(
-                    column, row, shown_share(value), ha="center", va="center", fontsize=7.6,
+                    column,
+                    row,
+                    shown_share(value),
+                    ha="center",
+                    va="center",
+                    fontsize=7.6,
                     color="white" if value > 60.0 else BLACK,
-                )  # fmt: skip
+                )
             axes.set_xticks(range(len(names)), names)
             axes.set_yticks(range(len(names)), names)
             axes.tick_params(length=0)

@@ -55,7 +55,8 @@ def write_report(folder: Path, outcomes: Sequence[StudyOutcome], quick: bool) ->
 
 def _as_json(outcome: StudyOutcome, quick: bool) -> dict[str, Any]:
     """The content of a study's page, pictures by file name."""
-    study, result = outcome.study, outcome.result
+    study = outcome.study
+    result = outcome.result
     about: dict[str, Any] = {
         "name": study.name,
         "title": study.title,

@@ -88,7 +88,8 @@ def positions_at_rest_m(kp_n_m: float, commands_m: Array) -> Array:
 def stays_bounded(kp_n_m: float, timestep_s: float, integrator: str) -> bool:
     """Whether a small push dies out, or at least does not grow, within 400 steps."""
     model = copy(_compiled(kp_n_m))  # to compile anew costs more than to step
-    model.opt.timestep, model.opt.integrator = timestep_s, INTEGRATORS[integrator]
+    model.opt.timestep = timestep_s
+    model.opt.integrator = INTEGRATORS[integrator]
     model.tendon_lengthspring[:] = 1.0  # no pretension: rest is at zero
     data = mujoco.MjData(model)
     data.qpos[:] = 1e-7, 0.3e-7

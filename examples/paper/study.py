@@ -36,7 +36,8 @@ from cablesense_base import CableSenseError
 from cablesense_base.plain_yaml import parse_plain_mapping
 from cablesense_gap.report.style import image_bytes, style
 
-PAPER, CLOSED_FORM = "the paper", "closed form"
+PAPER = "the paper"
+CLOSED_FORM = "closed form"
 """Sources of references; a comparison that names none has the paper."""
 
 PRINT_DPI = 200
@@ -186,7 +187,8 @@ def _load_and_run(name: str, quick: bool, progress: Progress) -> StudyResult:
 def run_study(study: Study, quick: bool, progress: Progress) -> StudyOutcome:
     """Run one study; whatever it raises is part of the outcome, Ctrl-C aside."""
     began = time.perf_counter()
-    result, failure = None, ""
+    result = None
+    failure = ""
     try:
         with style():
             result = study.run(quick, progress)
@@ -266,7 +268,8 @@ def _each(
 
 
 def _agreement(entry: Mapping[str, Any], numbers: Numbers) -> Agreement:
-    ours, theirs = filled(entry["ours"], numbers), filled(entry["theirs"], numbers)
+    ours = filled(entry["ours"], numbers)
+    theirs = filled(entry["theirs"], numbers)
     if "agrees" in entry:
         met = filled(entry["agrees"], numbers)
         if isinstance(met, str):

@@ -93,7 +93,8 @@ def diagnose_table(progress: Callable[[float], None] = lambda done: None) -> Tab
         PaperError: a listed effect leaves less than the law of proportion, so that the text of the
             report does not hold.
     """
-    arm, physical = open_arm(ARM), table("physical")
+    arm = open_arm(ARM)
+    physical = table("physical")
     everything = ChangeSimulator(arm, physical)
     nominal = everything.predict([{}])[0]
     scans, blind = _scans(everything, nominal)

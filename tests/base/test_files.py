@@ -44,7 +44,8 @@ def test_what_is_no_file_is_refused(tmp_path):
 
 @pytest.mark.parametrize("content", ["<p>µ</p>", b"\xff\x00"])
 def test_a_file_is_replaced_and_never_written_over(tmp_path, content):
-    path, former = tmp_path / "page.html", tmp_path / "former"
+    path = tmp_path / "page.html"
+    former = tmp_path / "former"
     write_atomically(path, "former", RefusedError)
     os.link(path, former)
     write_atomically(str(path), content, RefusedError)
@@ -90,7 +91,8 @@ def test_only_a_regular_file_that_may_be_written_is_replaced(tmp_path):
 
 
 def test_a_link_to_a_file_stays_one(tmp_path):
-    link, file = tmp_path / "link", tmp_path / "file"
+    link = tmp_path / "link"
+    file = tmp_path / "file"
     link.symlink_to(file)
     for content in ("new", "replaced"):
         write_atomically(link, content, RefusedError)

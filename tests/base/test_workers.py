@@ -26,7 +26,8 @@ def scaled(shared: list[float], factor: float, power: int) -> tuple[float, int]:
 @pytest.mark.slow  # processes start
 @pytest.mark.parametrize(("workers", "most_pending"), [(1, None), (2, 3)])
 def test_results_come_in_the_order_of_the_tasks(workers, most_pending):
-    factors, powers = [float(k) for k in range(12)], [1, 2] * 6
+    factors = [float(k) for k in range(12)]
+    powers = [1, 2] * 6
     with WorkerPool(workers, [1.0, 2.0]) as pool:
         done = list(pool.map(scaled, factors, powers, most_pending=most_pending))
     assert [value for value, _ in done] == [

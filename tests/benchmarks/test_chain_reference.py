@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 
 def test_one_guide_holds_back_e_to_the_grip_either_way() -> None:
-    stiffness_n_m, pulled_m = np.array([2e5, 5e5]), np.array([0.0, 2e-4, 0.0])
+    stiffness_n_m = np.array([2e5, 5e5])
+    pulled_m = np.array([0.0, 2e-4, 0.0])
     stretch_m = 50.0 / stiffness_n_m + np.outer(pulled_m, [1.0, 0.0])
     _, out, back = searched(stiffness_n_m, np.array([0.3]), stretch_m)
     np.testing.assert_allclose(out[0] / out[1], np.exp(0.3), rtol=1e-9)

@@ -53,7 +53,8 @@ def test_a_refusal_of_two_lines_is_a_finding():
 @pytest.mark.parametrize("name", fuzz.TARGETS)
 def test_some_examples_of_every_target_find_nothing(name, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    check, outcomes = fuzz.TARGETS[name].check, []
+    check = fuzz.TARGETS[name].check
+    outcomes = []
 
     @hypothesis.settings(max_examples=8, deadline=None, database=None)
     @hypothesis.given(st.data())

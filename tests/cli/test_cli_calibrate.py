@@ -90,7 +90,7 @@ def test_info_shows_a_calibration_file_as_calibrate_does(calibrated, command):
     assert "with unloaded readings in 12 poses" in text
     assert "cable stiffness" in text
     assert "as its file's tolerances describe it" in text
-    assert "contact of 20 N is known to" in text
+    assert "push of 20 N is known to" in text
 
 
 def test_a_touched_arm_that_no_label_tells_of_is_not_as_described(command, tmp_path):

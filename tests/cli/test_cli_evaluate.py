@@ -68,7 +68,8 @@ def test_a_recording_is_judged_by_segment_and_force_with_several_models(tmp_path
     recorded = small_recording()
     true_n = replay_arm(LAB, *recorded.inputs)
     read_n = read_tensions_n(true_n, LAB.sensors, np.random.default_rng(0))
-    file, picture = tmp_path / "loads.csv", tmp_path / "errors.png"
+    file = tmp_path / "loads.csv"
+    picture = tmp_path / "errors.png"
     write_csv(file, replace(recorded, tensions_n=read_n))
     model = find_model("cdsm_lab_anywhere")
     content = json.loads(

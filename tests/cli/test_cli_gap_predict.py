@@ -38,7 +38,8 @@ def recording(tmp_path):
 
 
 def test_an_amended_file_predicts_what_was_never_diagnosed(recording, tmp_path):
-    arm, out = tmp_path / "arm.yaml", tmp_path / "predicted.csv"
+    arm = tmp_path / "arm.yaml"
+    out = tmp_path / "predicted.csv"
     amended = amended_arm(LAB, FOUND, {})
     write_arm(arm, amended, "made for this test")
     result = run(recording, "--arm", arm, "--out", out)
@@ -48,7 +49,9 @@ def test_an_amended_file_predicts_what_was_never_diagnosed(recording, tmp_path):
 
 
 def test_the_folder_of_a_diagnosis_gives_its_amended_arm(recording, tmp_path):
-    folder, named, out = tmp_path / "found", tmp_path / "named.csv", tmp_path / "predicted.csv"
+    folder = tmp_path / "found"
+    named = tmp_path / "named.csv"
+    out = tmp_path / "predicted.csv"
     folder.mkdir()
     strange = run(recording, "--arm", folder, "--out", out).exception
     assert "found: has no amended_arm.yaml; give the folder" in str(strange)
@@ -76,7 +79,8 @@ def test_what_cannot_be_is_one_line(recording, tmp_path, arm, out, text):
 
 
 def test_the_state_is_settled_on_the_first_rows_and_never_on_all(recording, tmp_path):
-    arm, out = tmp_path / "arm.yaml", tmp_path / "predicted.csv"
+    arm = tmp_path / "arm.yaml"
+    out = tmp_path / "predicted.csv"
     play = {
         Term("actuator_backlash", "cable_5", "play_m"): 2e-4,
         Term("actuator_backlash", "cable_5", "start"): 1.0,

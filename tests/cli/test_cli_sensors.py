@@ -52,7 +52,8 @@ def test_json_has_the_figures_and_what_was_expected(tmp_path):
     assert content["findings"][0]["kind"] == "drift"
 
 
-SCALE, ZERO = 0.125, 40.0
+SCALE = 0.125
+ZERO = 40.0
 MASSES_KG = (0.0, 2.0, 4.0, 8.0, 4.0, 2.0, 0.0)
 
 

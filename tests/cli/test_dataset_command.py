@@ -38,7 +38,8 @@ def test_figures_agree_with_the_file(tmp_path):
 
 
 def test_the_command_in_the_file_makes_the_same_file(tmp_path):
-    first, second = tmp_path / "first", tmp_path / "second"
+    first = tmp_path / "first"
+    second = tmp_path / "second"
     options = ["--protocol", "multi", "--max-contacts", "2", "--no-noise", "--seed", "9"]
     assert run(first, *options).exit_code == 0
     stored = pq.read_schema(first).metadata[b"cablesense.command"].decode()

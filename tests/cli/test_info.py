@@ -92,7 +92,8 @@ def test_what_tensions_tell_of_a_contact_depends_on_pose_segment_and_force(tmp_p
         described("cdsm", "--observability", "--load-n", load_n, *more)
         for load_n, more in (("10", ("--picture", str(picture))), ("40", ()))
     )
-    straight, bent = ten["straight"], ten["joints within 5 degrees"]
+    straight = ten["straight"]
+    bent = ten["joints within 5 degrees"]
     assert straight["segment 1"]["place_mm"] is None
     assert straight["segment 4"]["axial_n"] is None
     assert 0.0 < bent["segment 4"]["axial_n"] < 1.0

@@ -98,7 +98,8 @@ def test_slides_are_those_of_the_plant():
     right = []
     moved = []
     for _ in range(4):
-        before, command = command, rng.uniform(-0.17, 0.17, 8)
+        before = command
+        command = rng.uniform(-0.17, 0.17, 8)
         untouched_n = walk.go(command).copy()
         arrived = SLIDES.after_motion(before, command)
         sure = np.abs(arrived.mean[0]) > 0.9

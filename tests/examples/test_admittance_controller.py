@@ -22,7 +22,9 @@ class Played:
     """Estimates at 100 Hz; every command comes back, as on a topic, and mutes the estimator."""
 
     def __init__(self, mute_s=0.6, **settings):
-        self.now_s, self.mute_s, self.mute_until_s = 50.0, mute_s, 0.0
+        self.now_s = 50.0
+        self.mute_s = mute_s
+        self.mute_until_s = 0.0
         given = AdmittanceSettings(**{"resume_after_s": 0.3, **settings})
         self.controller = AdmittanceController(ARM, given, self.now_s)
         self.sent = []

@@ -80,7 +80,8 @@ def test_a_force_within_the_deadband_moves_nothing_at_home(magnitude):
 
 def test_a_step_solves_the_law():
     """The linear system of the module's docstring, solved by a library."""
-    command, home = np.deg2rad(np.linspace(-3, 4, 8)), np.full(8, 0.01)
+    command = np.deg2rad(np.linspace(-3, 4, 8))
+    home = np.full(8, 0.01)
     contact = contact_force(command, 3, 77.0, 30.0)
     j = contact_jacobian(command, 3).T @ (contact.force_base_n / 30.0)
     tau = 30.0 * j - (command - home)
@@ -103,7 +104,8 @@ def test_the_wall_finds_the_equilibrium_with_an_elastic_arm_and_never_pulls(
     stiffness, compliance, advance
 ):
     """Springs in series: F = advance / (1/k + c), whatever the wall pressed with before."""
-    normal, point = np.array([0.0, 0.6, 0.8]), np.array([0.3, 0.0, 0.0])
+    normal = np.array([0.0, 0.6, 0.8])
+    point = np.array([0.3, 0.0, 0.0])
     wall = ElasticWall(point, normal, stiffness, compliance)
     assert not wall.update(point, -advance).any()
     for _ in range(3):

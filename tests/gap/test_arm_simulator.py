@@ -83,7 +83,8 @@ def test_crosstalk_gain_and_offset_act_in_this_order_whatever_the_order_of_the_t
     """The zero of a tolerance is not scaled; the amended arm replays the same."""
     found = [(OFFSET_N, 3.0), (GAIN, 0.1), (SHARE, 0.2)]
     values = dict(found[k] for k in order)
-    ideal, read = simulator().predict([{}])[0], simulator().predict([values])[0]
+    ideal = simulator().predict([{}])[0]
+    read = simulator().predict([values])[0]
     assert_allclose(read[:, 1], 1.1 * (ideal[:, 1] + 0.2 * ideal[:, 0]) + 3.0, atol=1e-6)
     assert_allclose(read[:, 2:], ideal[:, 2:], atol=1e-6)
     assert_allclose(replayed(amended_arm(LAB, values, {})), read, rtol=0.0, atol=1e-9)
@@ -258,12 +259,15 @@ def test_rows_in_which_a_little_more_load_would_turn_a_segment_do_not_count():
     assert np.abs(np.diff(tensions_n[[steepest, steepest + 1]], axis=0)).max() > 10.0
     assert not counted[steepest : steepest + 2].all()
     assert counted[np.abs(loads_n - loads_n[steepest]) > 0.3].all()
-    start_rad, kept = recording.command_rad[:1], np.zeros(len(loads_n), dtype=bool)
+    start_rad = recording.command_rad[:1]
+    kept = np.zeros(len(loads_n), dtype=bool)
     for row in reversed(range(len(loads_n))):  # the load falls, the arm stays turned for a while
         rest = solve_equilibrium(
-            mechanism_of(soft), recording.command_rad[row:][:1], recording.inputs[2][row:][:1],
+            mechanism_of(soft),
+            recording.command_rad[row:][:1],
+            recording.inputs[2][row:][:1],
             start_rad=start_rad,
-        )  # fmt: skip
+        )
         start_rad = rest.joint_angles_rad
         kept[row] = np.abs(rest.tensions_n - tensions_n[row]).max() > 1e-3
     assert kept.any()

@@ -15,7 +15,8 @@ from cablesense_gap.recordings.csv_file import all_columns, read_csv, write_csv
 from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_sim.arm import open_arm
 
-LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")
+LAB = open_arm("cdsm_lab")
+NINE = open_arm("cdsm_table2")
 
 
 def recording(arm=LAB, rows=5, seed=0):

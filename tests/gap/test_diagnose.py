@@ -29,7 +29,8 @@ MASS_KG = 0.5
 
 def made(truth: Assignment, seed: int = 0, course: Recording = PROTOCOL) -> Recording:
     """The course as recorded on an arm with these effects and manufacturing tolerances."""
-    simulator, rng = ArmSimulator(LAB, course), np.random.default_rng(seed)
+    simulator = ArmSimulator(LAB, course)
+    rng = np.random.default_rng(seed)
     tolerances = parameters_of(simulator.tolerances)
     left = {term: float(rng.normal(0.0, each.typical)) for term, each in tolerances.items()}
     ideal = simulator.predict([{**left, **truth}])[0]
@@ -92,7 +93,8 @@ def test_where_tensions_show_the_moment_alone_it_is_stated_and_no_mass_below_zer
     )
     found = ArmSystem(LAB, PROTOCOL).numbers(known, values)
     length_m = mechanism_of(LAB).segment_length_m[0]
-    moment, stated = found["payload.moment_kg_m"], found["payload.mass_kg"]
+    moment = found["payload.moment_kg_m"]
+    stated = found["payload.mass_kg"]
     assert moment.value == pytest.approx(0.2 * 0.5 * length_m)
     np.testing.assert_allclose(moment.ci95, moment.value, rtol=1e-6)
     low, high = stated.ci95
@@ -147,7 +149,8 @@ def test_a_reference_with_exchanged_plugs_is_refused():
 @pytest.mark.slow
 def test_an_offset_of_loads_at_three_places_is_recovered():
     """Twelve millimetres on every segment."""
-    placed, offset = placed_recording(peak_n=25.0), Term("contact_offset", "arm", "offset_m")
+    placed = placed_recording(peak_n=25.0)
+    offset = Term("contact_offset", "arm", "offset_m")
     verdict = diagnose(made({offset: 0.012}, course=placed), LAB).verdict
     assert verdict.effects == ("contact_offset",)
     found = verdict.parameters["contact_offset.offset_m"]

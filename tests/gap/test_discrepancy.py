@@ -11,16 +11,21 @@ from cablesense_gap.diagnosis.discrepancy import (
     flexible_model,
 )
 
-TRIALS, ROWS, NOISE = 6, 150, 0.05
+TRIALS = 6
+ROWS = 150
+NOISE = 0.05
 FOLD = np.repeat(np.arange(TRIALS), ROWS)
 
 
 def moved(seed, reach=1.0):
     """Conditions of two channels in trials of their own sines."""
-    rng, at = np.random.default_rng(seed), np.linspace(0.0, 1.0, ROWS)[:, None]
-    position, speed = [], []
+    rng = np.random.default_rng(seed)
+    at = np.linspace(0.0, 1.0, ROWS)[:, None]
+    position = []
+    speed = []
     for _ in range(TRIALS):
-        turns, phase = rng.uniform(2.0, 12.0, 2), rng.uniform(0.0, 6.0, 2)
+        turns = rng.uniform(2.0, 12.0, 2)
+        phase = rng.uniform(0.0, 6.0, 2)
         position.append(reach * np.sin(turns * at + phase))
         speed.append(reach * turns * np.cos(turns * at + phase))
     place = np.concatenate(position)

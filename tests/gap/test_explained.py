@@ -24,7 +24,8 @@ def problem():
 
 
 def test_a_share_is_the_change_of_predictions_without_the_effect(problem):
-    best, rival = refit(problem, TRUTH, 4), refit(problem, {amount("gain", "b"): 2.0}, 4)
+    best = refit(problem, TRUTH, 4)
+    rival = refit(problem, {amount("gain", "b"): 2.0}, 4)
     ranked = [Ranked(best.effects, 0.8, best), Ranked(rival.effects, 0.15, rival)]
     budget = shares(problem, ranked, best.values)
     assert list(budget) == ["gain", "other"]
@@ -76,7 +77,9 @@ def test_effects_that_one_recording_hardly_distinguishes_are_one_item():
     assert trades(*fitted_together(SIGNALS[5])) == []
 
 
-CABLES, ROWS, TRIALS = 3, 40, 20
+CABLES = 3
+ROWS = 40
+TRIALS = 20
 TRIALS_OF = np.repeat(np.arange(TRIALS), ROWS)
 RNG = np.random.default_rng(3)
 WHITE = RNG.normal(size=(len(TRIALS_OF), CABLES))

@@ -25,8 +25,10 @@ from cablesense_gap.diagnosis.tolerances import final_refinement, with_fitted_to
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
-GAIN, OTHER_GAIN = amount("gain", "a"), amount("gain", "b")
-AMOUNT, RATE = amount("fading", "x"), Term("fading", "x", "rate")
+GAIN = amount("gain", "a")
+OTHER_GAIN = amount("gain", "b")
+AMOUNT = amount("fading", "x")
+RATE = Term("fading", "x", "rate")
 
 
 SIZE = size("amount", typical=4.0, most=100.0)
@@ -106,9 +108,11 @@ def test_held_out_trials_are_predicted_by_fits_that_have_not_seen_them():
     found = fitted(problem, {GAIN: 1.0})
     strong = 1.0 / FLOOR**2
     for k in range(4):
-        rows, others = problem.fold[problem.trial] == k, problem.fold[problem.trial] != k
+        rows = problem.fold[problem.trial] == k
+        others = problem.fold[problem.trial] != k
         columns = np.concatenate([problem.tolerance_columns, SIGNALS[:1]])
-        x, y = columns[:, others].reshape(3, -1), problem.readings[others].ravel()
+        x = columns[:, others].reshape(3, -1)
+        y = problem.readings[others].ravel()
         best = np.linalg.solve(strong * x @ x.T + np.diag([1, 1, 1 / 9]), strong * x @ y)
         t = problem.tolerance_columns.reshape(2, -1)
         beside = (problem.readings - best[2] * columns[2]).ravel()
@@ -160,7 +164,8 @@ class Curved(Sums):
     """The change by a tolerance grows with its square too, and with the effect."""
 
     def _one(self, variant):
-        gain, off = variant.get(GAIN, 0.0), variant.get(OFF, 0.0)
+        gain = variant.get(GAIN, 0.0)
+        off = variant.get(OFF, 0.0)
         return super()._one(variant) + off * (gain * 20.0 + off * 900.0) * SIGNALS[3]
 
 

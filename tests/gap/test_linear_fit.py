@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 
 from cablesense_gap.diagnosis.linear_fit import Reduced, held_out_squares, products
 
-ROWS, CHANNELS, TRIALS = 60, 2, 6
+ROWS = 60
+CHANNELS = 2
+TRIALS = 6
 
 
 def drawn(seed: int, columns: int = 4):
@@ -35,8 +37,10 @@ def directly(x, y, precision, offset, weight_):
 def test_held_out_squares_are_those_of_fits_without_the_fold(seed, weight_, folds, tolerances):
     x, y, trial, used = drawn(seed)
     rng = np.random.default_rng(seed + 1)
-    precision, offset = rng.uniform(0.1, 3.0, 4), rng.normal(size=4)
-    fold, t = np.arange(TRIALS) % folds, slice(tolerances)
+    precision = rng.uniform(0.1, 3.0, 4)
+    offset = rng.normal(size=4)
+    fold = np.arange(TRIALS) % folds
+    t = slice(tolerances)
     data = products(x, y, trial, used)
     found = held_out_squares(data, tolerances, precision, offset, weight_, fold)
     for k in range(TRIALS):
@@ -47,7 +51,8 @@ def test_held_out_squares_are_those_of_fits_without_the_fold(seed, weight_, fold
         fitted[t] = directly(x[t, used], beside[used], precision[t], offset[t], weight_)
         left = y[here] - np.tensordot(fitted, x[:, here], axes=1)
         assert found[k] == pytest.approx((left**2).sum(), rel=1e-6, abs=1e-9)
-    at, none = [*range(tolerances), 3], np.zeros(4)
+    at = [*range(tolerances), 3]
+    none = np.zeros(4)
     reduced = Reduced(data, tolerances, tolerances, precision, weight_, fold)
     squares = held_out_squares(
         data.columns(at), tolerances, precision[at], none[at], weight_, fold

@@ -18,7 +18,8 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import chain as chain_of
 
-LAB, NINE = open_arm("cdsm_lab"), open_arm("cdsm_table2")
+LAB = open_arm("cdsm_lab")
+NINE = open_arm("cdsm_table2")
 S = 1_000_000_000
 
 
@@ -46,7 +47,8 @@ STATES = {
 
 def put(writer, what, log_ns, *arguments):
     if what in STATES:
-        (topic, field), (stamp_ns, names, values) = STATES[what], arguments
+        (topic, field) = STATES[what]
+        (stamp_ns, names, values) = arguments
         writer.joint_state(topic, log_ns, stamp_ns, names, **{field: values})
     else:
         getattr(writer, what)(log_ns, *arguments)
@@ -103,16 +105,27 @@ def test_command_and_load_hold_until_the_next_and_rows_before_a_command_are_left
 
 def test_a_load_at_another_place_begins_a_trial(tmp_path):
     """Near the contact point it is taken for one there, as a loaded arm is not where commanded."""
-    force, chain = np.array([0.0, 5.0, 3.0]), chain_of(mechanism_of(LAB), np.array(COMMAND[2]))
+    force = np.array([0.0, 5.0, 3.0])
+    chain = chain_of(mechanism_of(LAB), np.array(COMMAND[2]))
 
     def put_at(place_m):
         point_m = chain.joint_m[1] + place_m * chain.rotation[1, :, 0]
         return "load", "base_link", force, np.cross(point_m, force)
 
     path = bag(
-        tmp_path / "a.mcap", COMMAND, TENSIONS, put_at(0.04), TENSIONS, TENSIONS, put_at(0.11),
-        TENSIONS, put_at(0.07), TENSIONS, ("load", "segment_2", 0.0 * force), TENSIONS,
-    )  # fmt: skip
+        tmp_path / "a.mcap",
+        COMMAND,
+        TENSIONS,
+        put_at(0.04),
+        TENSIONS,
+        TENSIONS,
+        put_at(0.11),
+        TENSIONS,
+        put_at(0.07),
+        TENSIONS,
+        ("load", "segment_2", 0.0 * force),
+        TENSIONS,
+    )
     got = read_mcap(path, LAB)
     np.testing.assert_array_equal(got.load_at_m, [np.nan, 0.04, 0.04, 0.11, np.nan, np.nan])
     assert got.trial.tolist() == [0, 1, 1, 2, 3, 3]
@@ -155,7 +168,8 @@ def test_a_folder_with_metadata_is_read_too(tmp_path):
             connection = known.get(name) or out.add_connection(name, kind, typestore=store)
             # publishers leave bytes behind a message's end
             out.write(connection, log_ns, bytes(store.serialize_cdr(message, kind)) + bytes(9))
-    a, b = read_recording(folder, LAB), read_recording(path, LAB)
+    a = read_recording(folder, LAB)
+    b = read_recording(path, LAB)
     np.testing.assert_array_equal(a.tensions_n, b.tensions_n)
     assert a.name == "folder"
 

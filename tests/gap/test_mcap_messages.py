@@ -21,7 +21,8 @@ from cablesense_msgs_py.qos import LATCHED, PUBLISHER
 
 ROOT = Path(__file__).parents[2]
 S = 1_000_000_000
-STATE, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/String"
+STATE = "sensor_msgs/msg/JointState"
+TEXT = "std_msgs/msg/String"
 
 
 def written(path, count=2000, step_ns=S // 1000):
@@ -103,7 +104,8 @@ def test_a_file_cut_anywhere_gives_all_but_its_last_chunk(whole, share, tmp_path
 
 def _layout(content):
     """Where chunks end, and where the data do."""
-    ends, at = [], 8
+    ends = []
+    at = 8
     while content[at] != 15:
         length = int.from_bytes(content[at + 1 : at + 9], "little")
         if content[at] == 6:

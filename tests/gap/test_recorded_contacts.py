@@ -154,7 +154,8 @@ def test_a_network_gets_differences_to_tares_at_contact_points(
     assert found.whole.contact_accuracy == 1.0
     assert found.whole.errors.magnitude_mae_n == 0.0
     assert np.isnan(found.confirmed)
-    loaded, first = recording.load_segment > 0, recording.trial == 1
+    loaded = recording.load_segment > 0
+    first = recording.trial == 1
     far = replace(recording, load_at_m=np.where(first & loaded, 0.11, np.nan))
     with pytest.raises(RecordingError, match="no load at a contact point"):
         recorded_errors(far, network, [1])

@@ -10,9 +10,11 @@ from cablesense_gap.recordings.recording import derive_trials
 
 def trials(loads=(), commands=None, time_s=None, rows=60):
     """At 5 Hz; `loads` as (first row, last row, segment, force)."""
-    segment, force = np.zeros(rows, dtype=np.int64), np.zeros((rows, 3))
+    segment = np.zeros(rows, dtype=np.int64)
+    force = np.zeros((rows, 3))
     for first, last, number, push in loads:
-        segment[first:last], force[first:last] = number, push
+        segment[first:last] = number
+        force[first:last] = push
     command = np.zeros((rows, 8)) if commands is None else commands
     time_s = 0.2 * np.arange(rows) if time_s is None else time_s
     return derive_trials(time_s, command, segment, force)

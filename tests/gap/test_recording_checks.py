@@ -167,7 +167,8 @@ def test_saturation_is_found_with_and_without_a_stated_range():
 
 def test_another_arm_and_other_units_are_refused():
     rng = np.random.default_rng(1)
-    still, half_a_turn = np.zeros(MECHANISM.cable_count), np.full(MECHANISM.cable_count, np.pi)
+    still = np.zeros(MECHANISM.cable_count)
+    half_a_turn = np.full(MECHANISM.cable_count, np.pi)
     mirrored = with_cables_moved(MECHANISM, still, half_a_turn)
     for tensions, kind in (
         (tensions_of(mirrored, BARE), "arm"),

@@ -42,7 +42,8 @@ def found(
     verdict, recording=SMALL, before_n=NOISE - 3.0, after_n=NOISE, findings=(), counted=True
 ):
     """A diagnosis with such residuals before and after, negated."""
-    before_n, after_n = recording.tensions_n + before_n, recording.tensions_n + after_n
+    before_n = recording.tensions_n + before_n
+    after_n = recording.tensions_n + after_n
     rows = np.broadcast_to(counted, len(recording))
     known = expected_parameters(LAB)
     return Diagnosis(recording, LAB, verdict, LAB, before_n, after_n, rows, known, findings)

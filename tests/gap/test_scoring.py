@@ -133,10 +133,18 @@ def test_every_count_is_the_one_done_by_hand():
     counts = {
         name: (getattr(found, name).hits, getattr(found, name).count)
         for name in (
-            "exact", "top2", "truth_in_group", "singles_exact", "clear_singles_exact",
-            "doubles_both", "doubles_one", "false_alarms", "unknown_recall", "where",
+            "exact",
+            "top2",
+            "truth_in_group",
+            "singles_exact",
+            "clear_singles_exact",
+            "doubles_both",
+            "doubles_one",
+            "false_alarms",
+            "unknown_recall",
+            "where",
         )
-    }  # fmt: skip
+    }
     assert counts == {
         "exact": (5, 8),  # a, c, e, f, h
         "top2": (6, 8),  # b too
@@ -169,11 +177,13 @@ def test_budgets_count_effects_names_and_shares():
         for name, n in (("payload", 2.0), ("sensor_gain", 3.0))
     }
     cases = [
-        (verdict_of("payload+sensor_gain", shares=shares),
-         Truth("a", ("base_tilt", "payload", "sensor_lag"), each_gap_n=(0.1, 2.5, 1.0))),
+        (
+            verdict_of("payload+sensor_gain", shares=shares),
+            Truth("a", ("base_tilt", "payload", "sensor_lag"), each_gap_n=(0.1, 2.5, 1.0)),
+        ),
         (verdict_of("unknown"), Truth("b", ("sensor_gain",), each_gap_n=(3.0,))),
         (verdict_of("payload"), Truth("c", ("unknown",), each_gap_n=(3.0,))),
-    ]  # fmt: skip
+    ]
     found = budget_score(cases)
     assert (found.named.hits, found.named.count) == (1, 3)  # the tilt is below five floors
     assert (found.false_names.hits, found.false_names.count) == (1, 2)

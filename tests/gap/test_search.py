@@ -26,7 +26,8 @@ from cablesense_gap.simulator import Candidate, Term
 
 PLAIN = linear("gain", "abc")
 ((FADING, FADES),) = fading("fading", "xy", history_dependent=True).items()
-AMOUNT, RATE = amount("fading", "x"), Term("fading", "x", "rate")
+AMOUNT = amount("fading", "x")
+RATE = Term("fading", "x", "rate")
 
 
 LIBRARY = {

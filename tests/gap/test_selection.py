@@ -16,7 +16,8 @@ from cablesense_gap.simulator import Candidate
 
 PLACES = tuple("abcdefgh")
 SPREAD = linear("gain", PLACES)
-GAINS, ZEROS = linear("gain", "abcd"), linear("zero", "abcd", SIGNALS[4:])
+GAINS = linear("gain", "abcd")
+ZEROS = linear("zero", "abcd", SIGNALS[4:])
 EVERYWHERE = linear("gain", ("arm", "a", "b", "c", "d"))
 SIZES = st.sampled_from([-1.5, -0.4, 0.4, 2.0])
 

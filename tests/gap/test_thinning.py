@@ -56,7 +56,8 @@ def test_there_are_never_too_many_and_of_each_trial_the_ends(blocks, seed, noise
         rows = rows_to_use(made)
     assert (np.diff(rows) > 0).all()
     assert len(rows) <= 300 or len(rows) == len(trial)
-    used, present = made.rows(rows), np.unique(trial)
+    used = made.rows(rows)
+    present = np.unique(trial)
     kept = np.unique(used.trial)
     assert len(kept) == min(len(present), 30)
     for number in kept:

@@ -22,7 +22,8 @@ SMALL = small_recording()
 FLOOR_N = 0.1
 ROWS = len(SMALL)
 LOAD = np.linalg.norm(SMALL.load_n, axis=1)
-ALL, CABLES = np.ones(12), np.eye(12)
+ALL = np.ones(12)
+CABLES = np.eye(12)
 
 
 @pytest.mark.slow

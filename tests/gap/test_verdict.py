@@ -88,7 +88,7 @@ def none_with(probability: float) -> dict[str, Any]:
         ({"candidates": [none_with(0.6)] * 2}, "add up"),
         ({"candidates": [none_with(0.2)] * 2}, "twice"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_is_refused_in_one_line(
     tmp_path: Path, changes: dict[str, Any], says: str
 ) -> None:

@@ -137,7 +137,8 @@ def message_wrenches(force=(0.0, 0.0, 0.0), torque=(0.0, 0.0, 0.0), frame="segme
 
 
 def test_a_wrench_in_the_base_frame_acts_where_its_line_meets_the_arm():
-    force, torque = np.array([3.0, 20.0, -35.0]), np.array([0.0, 1.0, 2.0])
+    force = np.array([3.0, 20.0, -35.0])
+    torque = np.array([0.0, 1.0, 2.0])
     asked = []
     wrench = message_wrenches(force, torque, "base_link")
     load = read_load(wrench, FRAMES, lambda *given: (asked.append(given), (3, 0.08))[1])

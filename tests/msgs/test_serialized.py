@@ -99,7 +99,8 @@ VECTOR = st.tuples(*[st.floats(allow_nan=False)] * 3)
 def test_rclpy_reads_the_same(frame, force, torque, written_ns):
     raw = WrenchWriter(frame).write(written_ns, force + torque)
     message = serialization.deserialize_message(raw, geometry_msgs.WrenchStamped)
-    wrench, stamp = message.wrench, message.header.stamp
+    wrench = message.wrench
+    stamp = message.header.stamp
     assert message.header.frame_id == frame
     assert stamp.sec * 10**9 + stamp.nanosec == written_ns == stamp_ns(raw)
     assert (wrench.force.x, wrench.force.y, wrench.force.z) == force

@@ -50,7 +50,8 @@ def circle_of(arm_of, points):
 def test_every_cable_moves_in_and_out_at_every_guide_it_passes(command, count):
     angles = {"first": 0, "per_segment": 120 / count, "per_cable": -120}
     some = arm(**{"segments.count": count, "cables.angle_deg": angles})
-    mechanism, command = mechanism_of(some), np.resize(command, 2 * count)
+    mechanism = mechanism_of(some)
+    command = np.resize(command, 2 * count)
     circle = breath_circle(some, command)
     beyond_m = [
         kinematics.spans(mechanism, command + deviation).length_m[..., ::-1].cumsum(-1)[..., ::-1]
@@ -64,7 +65,9 @@ def test_every_cable_moves_in_and_out_at_every_guide_it_passes(command, count):
 
 def test_set_points_begin_and_end_at_the_command_and_never_jump():
     circle = breath_circle(arm(), BENT)
-    breath, points, marks = Breath(circle, 2), [STRAIGHT], []
+    breath = Breath(circle, 2)
+    points = [STRAIGHT]
+    marks = []
     while not breath.over:
         point, turn = breath.next()
         points.append(point)
@@ -104,8 +107,10 @@ class StickingCables:
     """Cables that slide in and out, one after the other; readings are off by exp(± grip)."""
 
     def __init__(self, period_ms=10, first_ms=0, true_n=TRUE_N):
-        self.readings, self.now_ns = BreathReadings(settle_s=0.1), 10**18 + first_ms * MS
-        self.period_ms, self.true_n = period_ms, true_n
+        self.readings = BreathReadings(settle_s=0.1)
+        self.now_ns = 10**18 + first_ms * MS
+        self.period_ms = period_ms
+        self.true_n = true_n
         self.begun_ns = self.now_ns
 
     def read(self, until_ms, inwards=None):
@@ -233,7 +238,9 @@ class BreathingArm:
         loaded = load_model("cdsm_friction", "")
         self.estimation = Estimation(loaded.arm, loaded.contacts(settings), settings, 0.0)
         self.arm = SimulatedArm(moving_arm(FRICTION, 1e-3), 1e-3, np.radians(20.0), 0.0, 0.0)
-        self.over, self.rng, self.tick = over, np.random.default_rng(0), 0
+        self.over = over
+        self.rng = np.random.default_rng(0)
+        self.tick = 0
 
     def go_on(self, seconds):
         for _ in range(round(100 * seconds)):

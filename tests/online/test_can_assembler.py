@@ -27,7 +27,8 @@ class Assembly:
     def __init__(self, modulo, skew_s=SKEW_S, stamped=True):
         self.ledger = FaultLedger()
         self.assembler = SampleAssembler(NAMES, CYCLE_S, skew_s, modulo, self.ledger, stamped)
-        self.given, self.counted = [], modulo > 0
+        self.given = []
+        self.counted = modulo > 0
 
     def take(self, decoded, time_s):
         self.given.append(self.assembler.take(decoded, time_s))
@@ -164,7 +165,8 @@ def test_cycles_that_are_sent_again_are_withheld(back, stamped):
 def test_a_restarted_amplifier_is_believed_after_a_pause_or_after_a_while(counted, pause, at_once):
     for number in range(100):
         counted.cycle(number)
-    begun, given = 100 + pause, []
+    begun = 100 + pause
+    given = []
     for number in range(round(DISTRUST_S / CYCLE_S) + 10):
         before = len(counted.given)
         counted.cycle(begun + number, count=number)
@@ -190,7 +192,10 @@ def test_a_counter_that_stands_still_means_old_values(counted):
 )
 @settings(max_examples=100, deadline=None)
 def test_any_sequence_of_frames_gives_only_whole_samples_within_the_limit(modulo, sequence):
-    bench, time_s, marks, invalid_marks = Assembly(modulo), 0.0, {}, set()
+    bench = Assembly(modulo)
+    time_s = 0.0
+    marks = {}
+    invalid_marks = set()
     for mark, (kind, wait_s, valid, count) in enumerate(sequence, start=1):
         time_s += wait_s
         marks[float(mark)] = time_s

@@ -25,7 +25,8 @@ class Bench:
 
     def __init__(self, channel_map, database):
         interface = CanInterface("virtual", f"test_can_driver_{next(_numbers)}")
-        self.map, self.samples = channel_map, []
+        self.map = channel_map
+        self.samples = []
         self.emulator = Emulator(channel_map, database, interface.open)
         self.driver = CanDriver(channel_map, database, interface, self.samples.append)
         self.driver.start()
@@ -73,7 +74,8 @@ def test_canopen_nodes_are_started_and_started_again_after_a_loss_of_power(singl
 
 def test_an_adapter_that_is_pulled_and_plugged_in_again(tmp_path):
     link = str(tmp_path / "adapter")
-    samples, emulator = [], None
+    samples = []
+    emulator = None
     driver = CanDriver(
         PACKED, PACKED_DATABASE, CanInterface("slcan", link, 1_000_000), samples.append
     )
@@ -111,7 +113,8 @@ class FakeBus:
     """Gives what is put into it; an exception put in is raised."""
 
     def __init__(self):
-        self.coming, self.closed = Queue(), False
+        self.coming = Queue()
+        self.closed = False
 
     def put(self, *items):
         for item in items:
@@ -132,10 +135,13 @@ class FakeBus:
 
 
 class FakeInterface:
-    name, stamps_frames, classes_errors = "fake", True, True
+    name = "fake"
+    stamps_frames = True
+    classes_errors = True
 
     def __init__(self):
-        self.buses, self.away = [], False
+        self.buses = []
+        self.away = False
 
     def open(self):
         if self.away:
@@ -146,7 +152,8 @@ class FakeInterface:
 
 class FakeBench:
     def __init__(self):
-        self.interface, self.samples = FakeInterface(), []
+        self.interface = FakeInterface()
+        self.samples = []
         self.driver = CanDriver(PACKED, PACKED_DATABASE, self.interface, self.samples.append)
 
     def report(self, stale_after_s=60.0):

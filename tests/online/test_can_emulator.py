@@ -19,7 +19,10 @@ class Sink:
     """A bus that keeps what is sent, or does not take it."""
 
     def __init__(self):
-        self.sent, self.coming, self.closed, self.full = [], [], False, False
+        self.sent = []
+        self.coming = []
+        self.closed = False
+        self.full = False
 
     def send(self, frame):
         if self.full:

@@ -130,7 +130,9 @@ def test_any_frame_gives_readings_within_the_range_or_is_invalid_or_none(number,
 
 
 def test_an_adapters_own_clock_is_carried_over_and_its_drift_followed():
-    rng, clock, error_s = np.random.default_rng(0), BusClock(), []
+    rng = np.random.default_rng(0)
+    clock = BusClock()
+    error_s = []
     for number in range(5_000):
         true_s = number * 1e-2
         stamp_s = 12.0 + true_s * (1.0 + 100e-6)

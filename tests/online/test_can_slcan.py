@@ -107,7 +107,9 @@ def test_a_host_that_falls_behind_loses_whole_frames_and_leaves_nothing_to_the_n
         for number in range(2000)
     ]
     with host_of(port) as host:
-        began_s, dropped = time.monotonic(), send(port, frames)  # more than the terminal holds
+        # more than the terminal holds
+        began_s = time.monotonic()
+        dropped = send(port, frames)
         assert time.monotonic() - began_s < 5.0
         got = receive(host)
         assert send(port, frames[:1]) == 0

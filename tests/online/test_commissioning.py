@@ -115,7 +115,7 @@ def test_chosen_poses_teach_more_than_random_ones(lab):
         force_known_n(arm, law, rng.uniform(-0.1745, 0.1745, poses.shape)) for _ in range(3)
     ]
     assert chosen_n < 0.98 * min(random_n)
-    assert chosen_n < 0.1
+    assert chosen_n < 0.2
 
 
 def test_chosen_poses_are_within_the_range_taut_and_near_one_another(lab):

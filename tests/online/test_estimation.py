@@ -104,7 +104,8 @@ def test_of_two_publishers_one_is_used_until_it_is_silent():
             feed.estimation.follow(number - 8990, feed.now_s)
         assert refused.value.kind is ProblemKind.PUBLISHER
     assert feed.sample(PUSHED).contact.segment == 3
-    silent_since_s, number = feed.now_s, 111
+    silent_since_s = feed.now_s
+    number = 111
     while not followed(feed, number):
         feed.now_ns += 10_000_000
         number += 1
@@ -196,7 +197,9 @@ def test_a_push_is_stated_while_all_joints_turn_slowly(lab_law):
     limits = {"still_rad": np.deg2rad(0.02), "follow_rad_s": np.deg2rad(4.0)}
     beside = Beside(lab_law, **limits)
     mechanism = mechanism_of(LAB)
-    forces, covered, angles = [], [], np.zeros(8)
+    forces = []
+    covered = []
+    angles = np.zeros(8)
     for tick in range(1, 401):
         if tick == 50:
             beside.push(3, [0.0, 20.0, 0.0])
@@ -228,7 +231,8 @@ def test_a_push_is_unconfirmed_until_the_arm_cannot_swing_any_more(lab_law):
 
 def test_commands_with_the_noise_of_an_encoder_leave_an_arm_at_rest_its_estimate(lab_law):
     beside = Beside(lab_law, still_rad=3e-4, follow_rad_s=0.07, tare_samples=10)
-    answers, rng = [], np.random.default_rng(5)
+    answers = []
+    rng = np.random.default_rng(5)
     for tick in range(300):
         if tick == 50:
             beside.push(3, [0.0, 30.0, 0.0])
@@ -246,7 +250,8 @@ def test_commands_with_the_noise_of_an_encoder_leave_an_arm_at_rest_its_estimate
 def test_the_bounds_hold_magnitude_and_direction_of_the_estimate():
     feed = Feed().tared()
     answer = feed.sample(PUSHED)
-    contact, (lower, upper) = answer.contact, answer.bounds
+    contact = answer.contact
+    (lower, upper) = answer.bounds
     assert lower.segment == upper.segment == contact.segment == 3
     assert lower.magnitude_n < contact.magnitude_n < upper.magnitude_n
     assert upper.magnitude_n - lower.magnitude_n == pytest.approx(4 * 0.1, rel=0.03)

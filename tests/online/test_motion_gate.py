@@ -8,7 +8,8 @@ from cablesense_msgs_py.messages import Level
 from cablesense_online.motion_gate import MotionGate
 from cablesense_sim.joint_motion import JointMotion
 
-SPEED, SETTLE = 0.5, 0.2
+SPEED = 0.5
+SETTLE = 0.2
 S = 1_000_000_000
 MS = 1_000_000
 
@@ -35,7 +36,8 @@ def gate():
 
 def test_never_opens_before_the_arm_has_arrived_whatever_the_commands():
     rng = np.random.default_rng(0)
-    watched, motion = gate(), JointMotion(np.zeros(2), SPEED)
+    watched = gate()
+    motion = JointMotion(np.zeros(2), SPEED)
     for step in range(4000):
         if rng.random() < 0.02:
             target = rng.uniform(-0.3, 0.3, 2)
@@ -69,11 +71,13 @@ def test_stamps_that_step_forward_do_not_end_the_wait():
     assert not watched.moving(round((3600.0 + wait_s - 0.5) * S), now_s=100.0 + wait_s)
 
 
-STILL, FOLLOW = 1e-4, 0.05
+STILL = 1e-4
+FOLLOW = 0.05
 
 
 def test_noise_of_a_stream_of_commands_is_no_motion():
-    rng, watched = np.random.default_rng(0), Gate(STILL)
+    rng = np.random.default_rng(0)
+    watched = Gate(STILL)
     for step in range(200):
         watched.command(rng.uniform(-STILL, STILL, 2))
         assert not watched.moving(10 * MS * step)
@@ -83,7 +87,8 @@ def test_noise_of_a_stream_of_commands_is_no_motion():
 
 
 def test_a_slow_motion_is_followed_along_the_set_points_and_ends_at_the_command():
-    watched, motion = Gate(STILL, FOLLOW), JointMotion(np.zeros(2), SPEED)
+    watched = Gate(STILL, FOLLOW)
+    motion = JointMotion(np.zeros(2), SPEED)
     for step in range(400):
         target = np.array([0.0, min(0.8 * FOLLOW * 0.01 * step, 0.1)])
         changed = watched.command(target)

@@ -25,7 +25,8 @@ ARROWS = Arrows(reach_m=0.5, strongest_n=200.0)
 
 @pytest.mark.parametrize("name", ["cdsm", "cdsm_table2"])
 def test_drawn_cables_have_no_gap_the_right_length_and_end_on_their_segment(name):
-    mechanism, rng = mechanism_of(open_arm(name)), np.random.default_rng(4)
+    mechanism = mechanism_of(open_arm(name))
+    rng = np.random.default_rng(4)
     for _ in range(5):
         q = rng.uniform(-0.35, 0.35, mechanism.joint_count)
         ends_m, of_cable = cable_pieces(mechanism, q)
@@ -47,7 +48,8 @@ forces = arrays(float, 3, elements=st.floats(-300.0, 300.0)).filter(
 @given(force=forces)
 def test_an_arrow_pushes_towards_the_contact_and_is_as_long_as_its_force(force):
     tail, tip = arrow_m(CONTACT, force, 0.02, ARROWS)
-    newtons, length = np.linalg.norm(force), np.linalg.norm(tip - tail)
+    newtons = np.linalg.norm(force)
+    length = np.linalg.norm(tip - tail)
     np.testing.assert_allclose((tip - tail) / length, force / newtons, atol=1e-9)
     np.testing.assert_allclose(CONTACT - tip, 0.02 * force / newtons, atol=1e-12)
     if 30.0 < newtons < 200.0:

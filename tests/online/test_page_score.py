@@ -15,7 +15,9 @@ def contact(segment=2, angle=350.0, newtons=40.0, place_m=0.08):
 
 def moment(time_s, true, estimated, pose=0.0, state=None):
     state = state or (ForceState.CONTACT if estimated else ForceState.FREE)
-    pose, tensions, fine = np.full(8, pose), np.full(12, 50.0), ShownStatus(Level.OK, "fine")
+    pose = np.full(8, pose)
+    tensions = np.full(12, 50.0)
+    fine = ShownStatus(Level.OK, "fine")
     contacts = tuple(true), state, tuple(estimated)
     return Snapshot(time_s, pose, pose, tensions, *contacts, None, None, fine)
 
@@ -29,7 +31,8 @@ def scored(*moments):
 
 def test_errors_are_means_over_steady_moments():
     score = Score(settling_s=1.0)
-    true, estimate = [contact(angle=350.0)], [contact(angle=4.0, newtons=41.0, place_m=0.083)]
+    true = [contact(angle=350.0)]
+    estimate = [contact(angle=4.0, newtons=41.0, place_m=0.083)]
     for time_s in np.arange(0.0, 3.0, 0.1):
         score.add(moment(time_s, true, estimate))
     assert score.errors == pytest.approx((20, 0.0, 1.0, 0.003, 14.0, 1.0))
@@ -55,7 +58,8 @@ def test_misses_and_wrong_segments_count_with_all_of_their_force(
 
 
 def test_of_a_known_moment_segment_and_direction_count_and_neither_place_nor_force():
-    state, seen = ForceState.MOMENT, Contact(2, 352.0, moment_n_m=3.2)
+    state = ForceState.MOMENT
+    seen = Contact(2, 352.0, moment_n_m=3.2)
     now = dataclasses.replace(moment(0.0, [contact(2)], [], state=state), moment=seen)
     assert scored(now) == pytest.approx((1, 0.0, 1.0, None, 2.0, None))
     elsewhere = dataclasses.replace(now, moment=seen._replace(segment=1))

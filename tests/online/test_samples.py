@@ -126,7 +126,8 @@ def heard(samples, publishers=2, period_s=0.01):
     """Accepted samples (publisher, number), and those with which another was followed."""
     watched = FollowedPublisher(0.2)
     watched.matched(publishers)
-    accepted, changes = [], []
+    accepted = []
+    changes = []
     for at, sample in enumerate(samples):
         with suppress(SampleError):
             if watched.accept(sample[1], period_s * at):
@@ -157,7 +158,8 @@ def test_two_publishers_with_the_same_numbers_are_not_used(lead):
 @given(st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 3)), min_size=5, max_size=300))
 def test_samples_accepted_between_two_changes_are_of_one_publisher(turns):
     """Whatever the turns and the losses of both."""
-    numbers, samples = {"a": 5000, "b": 1}, []
+    numbers = {"a": 5000, "b": 1}
+    samples = []
     for name, lost in turns:
         numbers[name] += 1 + lost
         samples.append((name, numbers[name]))

@@ -18,12 +18,14 @@ from cablesense_online.sensor_calibration import (
 from cablesense_online.sensor_check import CommissioningError
 
 UP_AND_DOWN_N = (0.0, 20.0, 40.0, 60.0, 80.0, 60.0, 40.0, 20.0, 0.0)
-SCALE, ZERO = 0.0125, -310.0
+SCALE = 0.0125
+ZERO = -310.0
 DRAWS = 600
 
 
 def calibrate(force_n, raw, common_relative_u=0.0, cable="cable_2"):
-    forces_n, channel = np.array(force_n), PACKED.channels[cable]
+    forces_n = np.array(force_n)
+    channel = PACKED.channels[cable]
     return calibrate_sensor(
         cable, channel, PACKED_DATABASE, forces_n, np.array(raw), common_relative_u
     )

@@ -135,7 +135,8 @@ def test_dynamics_that_diverge_restart_without_loads():
 @pytest.mark.parametrize("effects", [[], [FRICTION]])
 def test_loads_anywhere_turn_the_arm_as_on_an_arm_that_is_touched_there(effects):
     """With friction too: its arm is compared with another one of other contact points."""
-    forces_n, places_m = np.array([[8.0, 20.0, -5.0], [-6.0, 0.0, 25.0]]), [0.03, 0.12]
+    forces_n = np.array([[8.0, 20.0, -5.0], [-6.0, 0.0, 25.0]])
+    places_m = [0.03, 0.12]
     touched = {"effects": effects, "segments.contact_m": [0.065, places_m[0], 0.065, places_m[1]]}
     there, anywhere = (
         SimulatedArm(moving_arm(variant(given), 1e-3), 1e-3, np.radians(20.0), 0.0, now_s=0.0)
@@ -158,7 +159,9 @@ def test_loads_anywhere_turn_the_arm_as_on_an_arm_that_is_touched_there(effects)
 
 @given(st.lists(st.floats(0.0, 10.0), max_size=50))
 def test_the_pacer_keeps_pace_and_skips_beyond_the_longest_lag(waits):
-    pacer, now, steps = RealTimePacer(1e-3, 0.1, 0.0), 0.0, 0
+    pacer = RealTimePacer(1e-3, 0.1, 0.0)
+    now = 0.0
+    steps = 0
     for wait in waits:
         now += wait
         due = pacer.steps_due(now)
@@ -193,7 +196,8 @@ def test_at_rest_the_node_reads_what_the_replay_reads(name):
     """Bent, then pushed: times, set-points, loads and readings, now and then."""
     plain = variant({"segments.joint_damping_n_m_s": 3.0}, "cdsm_lab")
     arm = variant({"effects": [listed(name)], "segments.joint_damping_n_m_s": 3.0}, "cdsm_lab")
-    moving, effects = moving_arm(arm, 1e-3), sensings([entries_of(arm)])
+    moving = moving_arm(arm, 1e-3)
+    effects = sensings([entries_of(arm)])
     simulated = SimulatedArm(
         moving, 1e-3, np.radians(20.0), 0.0, 0.0, sensings=effects, longest_lag_s=1.0
     )

@@ -48,7 +48,8 @@ def build(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 
 def test_every_file_lies_where_ros_seeks_it(build: tuple[Path, str]) -> None:
-    share, programs = build[0] / "share/cablesense_ros", build[0] / "lib/cablesense_ros"
+    share = build[0] / "share/cablesense_ros"
+    programs = build[0] / "lib/cablesense_ros"
     assert (share / "package.xml").is_file()
     assert (share.parent / "ament_index/resource_index/packages/cablesense_ros").is_file()
     assert {"cablesense", "estimator", "page", "sim"} <= {path.name for path in programs.iterdir()}

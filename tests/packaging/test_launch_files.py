@@ -36,7 +36,9 @@ class Described:
     """Anything of the launch API: its kind and what it was given."""
 
     def __init__(self, kind, args, given):
-        self.kind, self.args, self.given = kind, args, given
+        self.kind = kind
+        self.args = args
+        self.given = given
 
     def perform(self, context):
         return context[self.args[0]]
@@ -178,7 +180,8 @@ def test_arguments_reach_the_node_that_they_are_of(start, tmp_path):
     started = nodes(
         start(source="can", params_file=str(file), auto_tare="false", model="mine.onnx", **bus)
     )
-    driver, estimator = started["can_driver"], started["estimator"]
+    driver = started["can_driver"]
+    estimator = started["estimator"]
     assert {name: str(driver.parameter(name)) for name in bus} == bus
     assert estimator.parameter("auto_tare") is False
     assert estimator.parameter("model") == "mine.onnx"

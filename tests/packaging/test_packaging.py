@@ -172,7 +172,8 @@ def test_a_wheel_carries_all_rooms_and_the_config(wheel: Path) -> None:
 def test_a_set_up_without_a_fitting_python_says_what_to_do(
     tmp_path: Path, python: str, remedy: str
 ) -> None:
-    venv, script = tmp_path / "venv", tmp_path / "no_ensurepip"
+    venv = tmp_path / "venv"
+    script = tmp_path / "no_ensurepip"
     script.write_text('#!/bin/sh\ncase "$2" in *ensurepip*) exit 1 ;; esac\n')
     script.chmod(0o755)
     python = str(script) if python == script.name else python

@@ -13,9 +13,16 @@ from packaging.utils import canonicalize_name
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 PACKAGES = [
-    "cablesense_base", "cablesense_msgs_py", "cablesense_sim", "training", "cablesense_gap",
-    "examples", "cablesense_online", "cablesense_plants", "cablesense_ros",
-]  # fmt: skip
+    "cablesense_base",
+    "cablesense_msgs_py",
+    "cablesense_sim",
+    "training",
+    "cablesense_gap",
+    "examples",
+    "cablesense_online",
+    "cablesense_plants",
+    "cablesense_ros",
+]
 _BROUGHT_BY = packages_distributions()
 
 

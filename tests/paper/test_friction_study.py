@@ -15,7 +15,8 @@ from examples.paper.studies.friction import (
 )
 from examples.paper.study import PAPER, Agreement
 
-MU, WRAP_RAD = 0.2, np.pi
+MU = 0.2
+WRAP_RAD = np.pi
 
 
 @given(st.floats(1.0, 1e3), st.floats(0.0, 6.0))

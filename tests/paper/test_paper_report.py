@@ -78,8 +78,10 @@ def test_a_place_that_cannot_be_a_folder_is_refused(tmp_path):
 def test_the_folder_holds_page_pictures_and_numbers(tmp_path):
     write_report(tmp_path, outcomes(), quick=True)
     assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "dot.png", "report.html", "results.json",
-    ]  # fmt: skip
+        "dot.png",
+        "report.html",
+        "results.json",
+    ]
     assert (tmp_path / "dot.png").read_bytes() == DOT
     results = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
     first, second = results["studies"]

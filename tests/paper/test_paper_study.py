@@ -22,15 +22,28 @@ TEXT = {
         {"each": "arms", "caption": "{arm}", "head": ["cable", "at {arm}"], "rows": "{rows}"}
     ],
     "comparisons": [
-        {"what": "tension", "ours": "{tension_n}", "theirs": 50.0, "unit": "N", "within": 0.1,
-         "why": "k s"},
-        {"what": "error", "ours": "{tension_n}", "theirs": 9.0, "unit": "N", "at_most": 9.0,
-         "why": "it is large", "source": "closed form"},
+        {
+            "what": "tension",
+            "ours": "{tension_n}",
+            "theirs": 50.0,
+            "unit": "N",
+            "within": 0.1,
+            "why": "k s",
+        },
+        {
+            "what": "error",
+            "ours": "{tension_n}",
+            "theirs": 9.0,
+            "unit": "N",
+            "at_most": 9.0,
+            "why": "it is large",
+            "source": "closed form",
+        },
         {"what": "share", "ours": "{tension_n}", "theirs": "over 9", "above": 9.0, "why": ""},
         {"what": "trend", "ours": "grows", "theirs": "grows", "agrees": "{trend}", "why": ""},
     ],
     "notes": ["One.", "{more}"],
-}  # fmt: skip
+}
 NUMBERS = {
     "tension_n": 50.04,
     "arms": [{"arm": "left", "rows": [("a", 1.0)]}, {"arm": "right", "rows": [("b", 2.0)]}],

@@ -24,7 +24,8 @@ def plant_n(friction: PlantFriction) -> np.ndarray:
     arm = replace(ideal_arm(NOMINAL), friction=friction)
     loads = arm.point_loads_n(SCHEDULE)
     held = arm.held_m(SCHEDULE.command_rad)
-    path, sensed = arm.path(), []
+    path = arm.path()
+    sensed = []
     state = path.start(SCHEDULE.command_rad[0], held[0], loads[0])
     for i in range(1, len(held)):
         state = path.advance(state, held[i], loads[i], 1.0)

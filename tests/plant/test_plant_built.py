@@ -78,7 +78,8 @@ def test_tensions_balance_weights_and_pushes_at_every_joint() -> None:
     rest = arm.rests(POSE[None], [PUSHES])
     body = arm.body
     placed = frames(body, rest.angles_rad, turns(body, rest.angles_rad))
-    rotation, centre_m = placed.rotation[0], placed.centre_m[0]
+    rotation = placed.rotation[0]
+    centre_m = placed.centre_m[0]
     acting = [
         (joint, at_m, mass_kg * body.gravity_m_s2)
         for joint, at_m, mass_kg in zip(body.mass_joint, body.mass_at_m, body.mass_kg, strict=True)
@@ -159,7 +160,8 @@ def test_errors_have_the_stated_deviations() -> None:
     gravity = np.array([body.gravity_m_s2 for body in bodies])
     level = np.linalg.norm(np.cross(gravity, BODY.gravity_m_s2), axis=1)
     tilt_deg = np.rad2deg(level / GRAVITY_M_S2**2)
-    before, after = polar("before_m"), polar("after_m")
+    before = polar("before_m")
+    after = polar("after_m")
     for errors, stated in [
         (differences("stiffness_n_m") / BODY.stiffness_n_m, FINE.cable_stiffness_share),
         (differences("pretension_n"), FINE.pretension_n),
@@ -189,7 +191,8 @@ def test_errors_have_the_stated_deviations() -> None:
 
 
 def test_the_same_seed_with_other_workmanship_draws_the_same_errors_at_another_scale() -> None:
-    once, thrice = arm_of(), arm_of(FINE.scaled(3.0))
+    once = arm_of()
+    thrice = arm_of(FINE.scaled(3.0))
     grown_n = thrice.body.pretension_n - BODY.pretension_n
     np.testing.assert_allclose(grown_n, 3.0 * (once.body.pretension_n - BODY.pretension_n))
     np.testing.assert_allclose(thrice.joint_zero_rad, 3.0 * once.joint_zero_rad)

@@ -74,7 +74,8 @@ def test_every_change_shows_and_grows_with_its_size(name: str) -> None:
 
 
 def test_two_hidden_changes_are_visible_and_in_the_answer(tmp_path: Path) -> None:
-    kind, nominal = "payload+sensor_gain", read_nominal(two_segments(tmp_path))
+    kind = "payload+sensor_gain"
+    nominal = read_nominal(two_segments(tmp_path))
     recorded = make_case(nominal, 4, 1, kind)
     answer = recorded.answer
     assert answer.effects == kind
@@ -105,14 +106,17 @@ def test_a_fifth_hides_nothing_and_a_fifth_something_unlisted(count: int) -> Non
 def test_an_arm_of_five_segments_with_four_cables_is_recorded(tmp_path: Path) -> None:
     arm_file = tmp_path / "arm.yaml"
     arm_file.write_text(five_by_four_text("cdsm_lab"))
-    nominal, rng = read_nominal(arm_file), np.random.default_rng(3)
-    schedule, history = draw_schedule(nominal, rng), draw_history(nominal, rng)
+    nominal = read_nominal(arm_file)
+    rng = np.random.default_rng(3)
+    schedule = draw_schedule(nominal, rng)
+    history = draw_history(nominal, rng)
     assert set(schedule.load_segment) == set(range(6))
     # as much more as 20 cables on 0.65 m bear than 12 on 0.52 m
     assert np.linalg.norm(schedule.load_n, axis=1).max() < 75.0 * 4 / 3
     change = LISTED["sensor_crosstalk"](ArmDraw(rng, nominal))
     assert all(1 <= int(place.split("_")[1]) <= 20 for place in change.where)
-    rows, arm = schedule.rows(slice(None, None, 40)), ideal_arm(nominal)
+    rows = schedule.rows(slice(None, None, 40))
+    arm = ideal_arm(nominal)
     changed = change.apply(arm, float(np.sqrt(change.least * change.most)))
     gap = gap_n(changed.signals_n(rows, history), arm.signals_n(rows, history))
     assert gap > 0.1

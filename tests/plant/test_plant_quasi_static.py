@@ -114,7 +114,8 @@ def test_cables_do_what_a_search_over_all_patterns_finds() -> None:
 def test_a_run_that_sticks_keeps_its_tension_while_the_load_comes_off() -> None:
     """Nothing passes the pulley at first, and the actuators stand: no reading changes at all."""
     states = states_along(friction(pulley_rad=np.pi / 2), Creep(), UP_DOWN)
-    tension, far = sensed_n(states), np.array([state.tension_n[:, 2] for state in states])
+    tension = sensed_n(states)
+    far = np.array([state.tension_n[:, 2] for state in states])
     falling = slice(8, 11)
     assert np.ptp(far[falling], axis=0).max() > 3.0
     assert np.ptp(tension[falling], axis=0).max() < 1e-8

@@ -58,7 +58,8 @@ def test_a_span_in_the_plane_of_bending_has_its_closed_form(angle: float) -> Non
     """The hole at +z when a joint pitches: the law of cosines about the joint's centre."""
     angles = np.zeros((1, JOINTS))
     angles[0, 0] = angle
-    offset, radius = 0.015, 0.05
+    offset = 0.015
+    radius = 0.05
     half = np.arctan2(offset, radius)
     # the plates open by the pitch on the side of +z when the arm pitches down, and close above
     expected = 2.0 * np.hypot(offset, radius) * np.sin(half + 0.5 * angle)
@@ -71,7 +72,8 @@ def energy_j(body: Body, angles: np.ndarray, loads: np.ndarray) -> np.ndarray:
     points = placed.points_m(body.contact_joint.ravel(), body.contact_at_m.reshape(-1, 3))
     contacts = points[:, : loads.shape[1]]
     total = -(masses @ body.gravity_m_s2) @ body.mass_kg - (contacts * loads).sum((1, 2))
-    linear, cubic = body.spring_nm_rad.ravel(), body.hardening_nm_rad3.ravel()
+    linear = body.spring_nm_rad.ravel()
+    cubic = body.hardening_nm_rad3.ravel()
     total += (0.5 * linear * angles**2 + 0.25 * cubic * angles**4).sum(1)
     per = body.cogging_per_turn
     total += (body.cogging_nm.ravel() * (1.0 - np.cos(per * angles)) / per).sum(1)

@@ -49,7 +49,8 @@ def test_torques_are_those_of_mujoco_without_effects(kind):
     model = mujoco.MjModel.from_xml_string(file)
     chain, sizes, _, _ = read_chain(model)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    data, rng = mujoco.MjData(model), np.random.default_rng(1)
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(1)
     for _ in range(5):
         motion = rng.normal(size=(3, model.nv))
         data.qpos[:], data.qvel[:], data.qacc[:] = motion
@@ -100,7 +101,9 @@ def test_a_model_or_an_effect_that_cannot_be_withheld_is_one_line(words, fault, 
 
 
 def test_a_pendulum_swings_with_its_period_and_keeps_its_energy():
-    mass, length, angle = 2.0, 0.4, 0.05
+    mass = 2.0
+    length = 0.4
+    angle = 0.05
     chain = LinkChain(
         axis=np.array([[0.0, 1.0, 0.0]]),
         origin_m=np.zeros((1, 3)),
@@ -145,7 +148,8 @@ def test_position_servos_move_a_robot_as_those_of_mujoco(tmp_path):
     model = mujoco.MjModel.from_xml_path(str(servo_file(kind, tmp_path)))
     model.opt.timestep = 1e-3
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    data, found = mujoco.MjData(model), []
+    data = mujoco.MjData(model)
+    found = []
     data.qpos[:] = asked.angle[0, 0]
     for data.ctrl[:] in asked.angle[:, 0]:
         found.append(data.qpos.copy())
@@ -157,9 +161,11 @@ def test_position_servos_move_a_robot_as_those_of_mujoco(tmp_path):
 
 def test_tendons_pull_as_those_of_mujoco():
     model = mujoco.MjModel.from_xml_path(str(GUIDED.path))
-    data, angles = mujoco.MjData(model), np.random.default_rng(2).uniform(-0.2, 1.2, (5, 2))
+    data = mujoco.MjData(model)
+    angles = np.random.default_rng(2).uniform(-0.2, 1.2, (5, 2))
     for angle, moment in zip(angles, GUIDES.moments_m(angles), strict=True):
-        data.qpos[:], data.ctrl[:] = angle, [3.0, 1.0, 2.0, 5.0]
+        data.qpos[:] = angle
+        data.ctrl[:] = [3.0, 1.0, 2.0, 5.0]
         mujoco.mj_forward(model, data)
         assert data.ctrl @ moment == pytest.approx(data.qfrc_actuator, rel=1e-9)
         torque = np.array([0.02, -0.01])
@@ -169,7 +175,8 @@ def test_tendons_pull_as_those_of_mujoco():
 
 
 def test_a_tendon_that_is_drawn_over_its_guides_loses_by_their_angles():
-    friction, guides = np.array([[0.4, 0.0, 0.0, 0.0]]), GUIDES
+    friction = np.array([[0.4, 0.0, 0.0, 0.0]])
+    guides = GUIDES
     torque = np.array([[0.05, 0.0]])
     for turned, way in ((0.2, 1.0), (-0.2, -1.0)):
         rubbing = Rubbing(guides, friction, np.array([[0.5, 0.5]]))
@@ -185,7 +192,8 @@ def test_a_tendon_that_is_drawn_over_its_guides_loses_by_their_angles():
 
 
 def test_cases_are_the_same_again_and_hide_what_they_say():
-    cases, again = drawn(2, 7), drawn(2, 7)
+    cases = drawn(2, 7)
+    again = drawn(2, 7)
     assert [c.answer for c in cases] == [c.answer for c in again]
     for case in cases:
         hides = case.answer.effects != "none"

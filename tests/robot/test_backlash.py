@@ -11,8 +11,12 @@ from cablesense_gap.robot.recording import read_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Term
 
-ROTOR, INERTIA, WEIGHT = 0.005, 0.05, 1.2  # kg·m², kg·m², N·m
-PLAY_RAD, ARM_M = 0.02, WEIGHT / 9.81
+# kg·m², kg·m², N·m
+ROTOR = 0.005
+INERTIA = 0.05
+WEIGHT = 1.2
+PLAY_RAD = 0.02
+ARM_M = WEIGHT / 9.81
 OWN = INERTIA - ARM_M**2  # of one kilogram
 XML = f"""
 <mujoco><compiler angle="radian"/><worldbody><body>
@@ -24,8 +28,12 @@ XML = f"""
 
 def run(play_rad):
     """Times, angles and torques of a controlled drive, at 200 Hz; teeth as dead-zone springs."""
-    step_s, stiffness = 2e-4, ROTOR * 1000.0**2
-    drive = joint = drive_speed = joint_speed = 0.0
+    step_s = 2e-4
+    stiffness = ROTOR * 1000.0**2
+    drive = 0.0
+    joint = 0.0
+    drive_speed = 0.0
+    joint_speed = 0.0
     found = []
     for k in range(round(24.0 / step_s)):
         t = k * step_s
@@ -46,9 +54,11 @@ def run(play_rad):
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    folder, rng = tmp_path_factory.mktemp("backlash"), np.random.default_rng(0)
+    folder = tmp_path_factory.mktemp("backlash")
+    rng = np.random.default_rng(0)
     (folder / "hinge.xml").write_text(XML)
-    robot, table = load_robot(folder / "hinge.xml"), run(PLAY_RAD)
+    robot = load_robot(folder / "hinge.xml")
+    table = run(PLAY_RAD)
     columns = {
         "time_s": table[:, 0],
         "position.hinge": table[:, 1] + rng.normal(0.0, 2e-5, len(table)),
@@ -63,7 +73,8 @@ def recording(tmp_path_factory):
 def test_play_shows_in_torques_and_in_motion(recording, forward):
     read, robot = recording
     simulator = RobotSystem(robot, prepared(read, robot, forward=forward), {})
-    compared, left = simulator.comparison, []
+    compared = simulator.comparison
+    left = []
     for play in (0.0, 0.5 * PLAY_RAD, PLAY_RAD, 2.0 * PLAY_RAD):
         change = changed(robot, [{Term("backlash", "hinge", "play_rad"): play}])
         off = (compared.readings - compared.predicted(change)) / compared.noise

@@ -68,9 +68,11 @@ def test_from_nothing_to_a_report_in_two_commands(tmp_path, model):
 
 
 def test_losses_count_by_the_drives_torque_or_by_the_joints(tmp_path, model):
-    robot, part = load_robot(model), 0.2
+    robot = load_robot(model)
+    part = 0.2
     motion = prepared(read_recording(recorded(tmp_path / "recording.csv"), robot), robot)
-    dynamics, place = InverseDynamics(robot, motion), ("load_friction", "elbow")
+    dynamics = InverseDynamics(robot, motion)
+    place = ("load_friction", "elbow")
     needed = dynamics.torques(robot.nominal())[:, 1]
     slides = np.abs(np.abs(motion.direction[:, 1]) - 1.0) < 1e-3
     way = np.sign(motion.direction[:, 1] * needed)[slides]
@@ -91,11 +93,13 @@ def test_torques_in_another_unit_are_told(tmp_path, model):
 
 def test_encoders_that_are_zeroed_where_trials_begin_give_each_its_own_zeros(tmp_path, model):
     path = recorded(tmp_path / "recording.csv", trials=3, friction=(0.1, 0.08))
-    table, joints = pd.read_csv(path), ["position.shoulder", "position.elbow"]
+    table = pd.read_csv(path)
+    joints = ["position.shoulder", "position.elbow"]
     hung = 0.05 * np.random.default_rng(2).standard_normal((3, 2))
     table[joints] -= hung[table["trial"]]
     table.to_csv(path, index=False)
-    robot, found = load_robot(model), {}
+    robot = load_robot(model)
+    found = {}
     sizes = zip(("shoulder", "elbow"), (0.1, 0.08), strict=True)
     friction = {Term("joint_friction", joint, "torque_n_m"): size for joint, size in sizes}
     for zeroed in (False, True):
@@ -110,7 +114,8 @@ def test_trials_that_begin_at_zero_are_told(tmp_path, model):
     robot = load_robot(model)
     path = recorded(tmp_path / "recording.csv")
     assert not starts_at_zero(read_recording(path, robot))
-    table, joints = pd.read_csv(path), ["position.shoulder", "position.elbow"]
+    table = pd.read_csv(path)
+    joints = ["position.shoulder", "position.elbow"]
     table[joints] -= table.groupby("trial")[joints].transform("first")
     table.to_csv(path, index=False)
     (said,) = starts_at_zero(read_recording(path, robot))

@@ -23,7 +23,8 @@ def robot(tmp_path_factory):
 
 def bent(read=lambda torque: torque, **planted):
     """The pendulum about poses at which the sign of a position matters."""
-    rng, parts = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    parts = []
     for trial in range(4):
         time_s, position, speed, acceleration = motion(rng)
         position += [0.6, 0.9]

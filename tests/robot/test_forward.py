@@ -39,21 +39,27 @@ def test_without_torques_the_way_is_forward_and_the_closed_form_moves_alike(tmp_
     found = compared(commanded(tmp_path, robot), robot)
     assert "forward in time" in found.description
     assert found.names == (
-        "position.shoulder", "position.elbow", "velocity.shoulder", "velocity.elbow",
-    )  # fmt: skip
+        "position.shoulder",
+        "position.elbow",
+        "velocity.shoulder",
+        "velocity.elbow",
+    )
     left = (found.readings - found.predicted(robot.nominal())) / found.floor
     assert np.sqrt((left**2).mean()) < 2.0
     assert (np.sqrt((found.readings**2).mean(0)) > 4.0 * found.floor).all()
 
 
 def test_a_window_adds_to_coasting_what_force_by_mass_makes_of_it(tmp_path):
-    path, mass, force = tmp_path / "slide.xml", 2.0, 0.5
+    path = tmp_path / "slide.xml"
+    mass = 2.0
+    force = 0.5
     path.write_text(
         "<mujoco><worldbody><body><joint name='x' type='slide' axis='1 0 0'/>"
         f"<geom size='0.1' mass='{mass}'/></body></worldbody>"
         "<actuator><motor name='pull' joint='x'/></actuator></mujoco>"
     )
-    slide, time_s = load_robot(path), np.arange(0.0, 12.0, 0.01)
+    slide = load_robot(path)
+    time_s = np.arange(0.0, 12.0, 0.01)
     wave = np.sin(2.0 * np.pi * 0.5 * time_s)
     table = {"time_s": time_s, "position.x": wave, "command.pull": -mass * np.pi**2 * wave}
     pd.DataFrame(table).to_csv(tmp_path / "slide.csv", index=False)
@@ -69,13 +75,15 @@ def test_a_window_adds_to_coasting_what_force_by_mass_makes_of_it(tmp_path):
 
 def servo(tmp_path, kp):
     """A slide whose servo follows a slow wave, at 4 Hz, and its recording."""
-    path, time_s = tmp_path / "servo.xml", np.arange(0.0, 200.0, 0.25)
+    path = tmp_path / "servo.xml"
+    time_s = np.arange(0.0, 200.0, 0.25)
     path.write_text(
         "<mujoco><worldbody><body><joint name='x' type='slide' axis='1 0 0' damping='200'/>"
         "<geom size='0.1' mass='2'/></body></worldbody>"
         f"<actuator><position name='servo' joint='x' kp='{kp}'/></actuator></mujoco>"
     )
-    slide, wave = load_robot(path), 0.2 * np.sin(0.4 * time_s)
+    slide = load_robot(path)
+    wave = 0.2 * np.sin(0.4 * time_s)
     table = {
         "time_s": time_s,
         "position.x": wave,

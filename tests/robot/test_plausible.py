@@ -55,9 +55,13 @@ def test_a_verdict_is_doubtful_at_bounds_far_from_the_model_and_if_much_is_left(
     system, values, removed, says
 ):
     gap = Gap(
-        before_n=10.0, after_n=2.0, floor_n=1.0, removed_fraction=removed, ci95=(0.0, 1.0),
+        before_n=10.0,
+        after_n=2.0,
+        floor_n=1.0,
+        removed_fraction=removed,
+        ci95=(0.0, 1.0),
         by_cable_n=(),
-    )  # fmt: skip
+    )
     doubts = system.doubts({Term(*term): value for term, value in values.items()}, gap)
     assert len(doubts) == (says is not None)
     assert says is None or says in doubts[0]

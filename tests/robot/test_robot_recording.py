@@ -96,7 +96,8 @@ def test_files_of_a_folder_are_trials_and_time_may_begin_anew(tmp_path, table, r
 
 @pytest.mark.slow  # loads the message types
 def test_a_bag_of_joint_states_is_read_as_its_csv(tmp_path, table, robot):
-    path, table = tmp_path / "run.mcap", table[::4]
+    path = tmp_path / "run.mcap"
+    table = table[::4]
     names = ["elbow", "shoulder", "gripper"]  # of any order, and more than the model's
     with Bag(path) as bag:
         for k, row in enumerate(table.to_dict("records")):
@@ -109,7 +110,8 @@ def test_a_bag_of_joint_states_is_read_as_its_csv(tmp_path, table, robot):
             bag.joint_state(
                 CABLE_TENSIONS, 2 * k + 2, stamp_ns, names, position=position, effort=effort
             )
-    by_csv, by_bag = read(tmp_path, table, robot), read_recording(path, robot)
+    by_csv = read(tmp_path, table, robot)
+    by_bag = read_recording(path, robot)
     assert by_bag.time_s == pytest.approx(by_csv.time_s)
     assert by_bag.position == pytest.approx(by_csv.position)
     assert by_bag.torque == pytest.approx(by_csv.torque)
@@ -142,7 +144,8 @@ def test_a_recording_that_is_too_large_or_not_there_is_refused_in_one_line(
 
 @pytest.mark.slow  # loads the message types
 def test_a_bag_without_torques_begins_with_its_first_command_and_any_trial(tmp_path, table, robot):
-    path, names = tmp_path / "run.mcap", list(robot.joints)
+    path = tmp_path / "run.mcap"
+    names = list(robot.joints)
     with Bag(path) as bag:
         for k, row in enumerate(table[:60].to_dict("records")):
             if k == 30:
@@ -161,7 +164,8 @@ def test_a_bag_without_torques_begins_with_its_first_command_and_any_trial(tmp_p
 
 def test_trials_are_parted_by_pauses(tmp_path, table, robot):
     moving = table[table.trial == 0]
-    parts, begin = [], 0.0
+    parts = []
+    begin = 0.0
     for _ in range(6):
         for own in (moving, moving.tail(1).loc[moving.index[-1:].repeat(100)]):
             time_s = begin + 0.01 * np.arange(len(own))
@@ -240,7 +244,9 @@ def test_a_drive_that_moves_two_joints_keeps_its_rotor_and_gives_the_power(robot
     position, speed, acceleration = rng.normal(size=(3, 40, 2))
     coupling = np.array([[0.0, 0.0], [0.3, 0.0]])
     change = robot.nominal()
-    change.coupling[:], change.armature[:], change.damping[:] = coupling, [0.01, 0.02], 0.1
+    change.coupling[:] = coupling
+    change.armature[:] = [0.01, 0.02]
+    change.damping[:] = 0.1
     drive = InverseDynamics(robot, course(position, speed, acceleration)).torques(change)
     joint = [each + each @ coupling.T for each in (position, speed, acceleration)]
     bodies = InverseDynamics(robot, course(*joint)).torques(robot.nominal())

@@ -27,7 +27,8 @@ def worn(path, seed, zero_rad=0.0, gain=1.0, **planted):
     recorded(path, seed=seed, **planted)
     table = pd.read_csv(path)
     for joint, size in zip(JOINTS, (0.3, 0.1), strict=True):
-        at, speed = table[f"position.{joint}"], table[f"velocity.{joint}"]
+        at = table[f"position.{joint}"]
+        speed = table[f"velocity.{joint}"]
         harness = 2.0 * (at - 0.1) + 6.0 * (at - 0.1) ** 3 + np.sin(11.0 * at)
         rough = (1.0 + np.sin(5.0 * at)) * np.sign(speed)
         table[f"torque.{joint}"] += size * (harness + 0.5 * rough)
@@ -104,7 +105,8 @@ def test_unmodelled_torques_move_with_a_zero_and_are_read_with_a_torque_s_scale(
 
 @pytest.mark.slow
 def test_a_series_of_recordings_shows_what_drifts(dask_address, tmp_path):
-    dated, out = tmp_path / "dated", tmp_path / "drift"
+    dated = tmp_path / "dated"
+    out = tmp_path / "drift"
     dated.mkdir()
     for month, size in enumerate((0.0, 0.0, 0.3), start=1):
         worn(dated / f"2031-0{month}.csv", month, friction=(size, 0.0))

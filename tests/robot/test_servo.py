@@ -30,7 +30,8 @@ def model(tmp_path):
 
 def seen(path, zero=(0.0, 0.0), into_elbow=0.0, play=(0.0, 0.0), payload=0.0, gain=1.0, seed=1):
     """A recording by a camera that is good to half a milliradian; torques by the textbook."""
-    rng, tables = np.random.default_rng(seed), []
+    rng = np.random.default_rng(seed)
+    tables = []
     for trial in range(6):
         time_s, joint, speed, acceleration = motion(rng)
         joint[:, 0] += 0.5 * np.pi  # about hanging, so that torques change their signs
@@ -53,7 +54,8 @@ def test_a_servo_yields_as_mujoco_lets_it(tmp_path):
     path = tmp_path / "geared.xml"
     position = '<position kp="30" kv="0.3" gear="1.5" '
     path.write_text(XML.replace("<motor ", position))
-    robot, commands = load_robot(path), np.array([0.6, -0.4])
+    robot = load_robot(path)
+    commands = np.array([0.6, -0.4])
     data = mujoco.MjData(robot.model)
     data.ctrl[:] = commands
     for _ in range(20_000):

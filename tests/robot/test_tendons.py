@@ -10,7 +10,8 @@ from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.motion import Trajectory
 from cablesense_gap.simulator import Term
 
-MU, TURN = 0.3, np.deg2rad(70.0)
+MU = 0.3
+TURN = np.deg2rad(70.0)
 SLIDE = f"""
 <mujoco><option gravity="9.81 0 0"/><worldbody>
   <site name="motor" pos="{-0.2 * np.cos(TURN)} 0 {-0.2 * np.sin(TURN)}"/><site name="guide"/>
@@ -82,13 +83,16 @@ def test_one_guide_parts_tensions_by_its_angle(tmp_path):
 
 
 def test_a_tendon_takes_of_every_joint_beyond_its_guides_by_virtual_work(tmp_path):
-    robot, pulls = written(tmp_path, FINGER), np.array([7.0, 3.0, -2.0])
+    robot = written(tmp_path, FINGER)
+    pulls = np.array([7.0, 3.0, -2.0])
     assert robot.tendons == ("long", "back")
     motion = waves(robot, np.array([0.3, 0.35]), pulls)
     lost = torques(robot, motion, long=MU) - torques(robot, motion)
-    model, data = robot.model, mujoco.MjData(robot.model)
+    model = robot.model
+    data = mujoco.MjData(robot.model)
     for row in range(40, len(lost), 97):
-        pieces, turns = [], []
+        pieces = []
+        turns = []
         for j, off in ((0, 0.0), (0, 1e-6), (0, -1e-6), (1, 1e-6), (1, -1e-6)):
             data.qpos[:] = motion.position[row]
             data.qpos[j] += off
@@ -101,7 +105,8 @@ def test_a_tendon_takes_of_every_joint_beyond_its_guides_by_virtual_work(tmp_pat
         if len(pieces[0]) != 5:  # the roll is not met
             continue
         # the roll is of the first link: what lies on it and beyond it grows with the tip
-        own, lengths = turns[0], np.array(pieces)
+        own = turns[0]
+        lengths = np.array(pieces)
         angles = [own[0], own[1], own[2] + own[3]]
         grouped = np.stack([lengths[:, 0], lengths[:, 1], lengths[:, 2], lengths[:, 4]], axis=1)
         grouped[:, 3] += 0.006 * (np.array([t[2] + t[3] for t in turns]))
@@ -116,12 +121,15 @@ def test_a_tendon_takes_of_every_joint_beyond_its_guides_by_virtual_work(tmp_pat
 
 def test_tensions_that_are_commanded_and_those_that_torques_need_lose_alike(tmp_path):
     robot = written(tmp_path, FINGER.replace('<motor name="free" tendon="free"/>', ""))
-    sizes, coefficients = np.array([0.3, 0.35]), {"long": MU, "back": 0.5}
+    sizes = np.array([0.3, 0.35])
+    coefficients = {"long": MU, "back": 0.5}
     motion = waves(robot, sizes)
     read = torques(robot, motion, **coefficients)
-    data, pulled = mujoco.MjData(robot.model), np.empty_like(read)
+    data = mujoco.MjData(robot.model)
+    pulled = np.empty_like(read)
     for row, position in enumerate(motion.position):
-        data.qpos[:], columns = position, []
+        data.qpos[:] = position
+        columns = []
         for data.ctrl[:] in np.eye(2):
             mujoco.mj_forward(robot.model, data)
             columns.append(data.qfrc_actuator.copy())

@@ -79,7 +79,8 @@ def test_a_push_and_a_death_of_one_arm_are_of_that_arm_alone(graph, start):
     push = graph.node.create_publisher(WrenchStamped, "/left/applied_wrench", 10)
     graph.until(push.get_subscription_count, "the left sim")
     load = WrenchStamped()
-    load.header.frame_id, load.wrench.force.y = "left_segment_3", 40.0
+    load.header.frame_id = "left_segment_3"
+    load.wrench.force.y = 40.0
     push.publish(load)
     graph.until(
         lambda: wrenches["left"] and wrenches["left"][-1].header.frame_id == "left_segment_3",

@@ -22,7 +22,8 @@ from cablesense_sim.arm import open_arm
 
 ARM = open_arm("cdsm")
 TENSIONS_N = np.linspace(40.0, 62.0, 12)
-SCALE, ZERO = 2.0, 10.0
+SCALE = 2.0
+ZERO = 10.0
 """Of cable_2's calibration, in place of those of the map."""
 
 
@@ -58,7 +59,8 @@ def driver(link, emulator, start_for_all):
         zero=ZERO,
     )
     others = [cable for cable in PACKED.channels if cable != "cable_2"]
-    made, path = datetime(2026, 3, 1, tzinfo=UTC), link.with_name("calibration.yaml")
+    made = datetime(2026, 3, 1, tzinfo=UTC)
+    path = link.with_name("calibration.yaml")
     sensors = {"cable_2": sensor}
     write_calibration(
         path, Calibration(map=PACKED.name, made=made, uncalibrated=others, cables=sensors)
@@ -127,7 +129,8 @@ def test_an_arm_without_sensors_in_its_joints_is_shown_where_it_was_commanded(gr
 
 
 def test_diagnostics_give_the_state_and_the_arm(graph, driver):
-    samples, interface = "can_driver: samples", "can_driver: interface"
+    samples = "can_driver: samples"
+    interface = "can_driver: interface"
     feed(graph, lambda: reported(graph, samples) == "every sample whole", "a good report")
     assert graph.statuses[interface].hardware_id == ARM.identity
     assert "receiving on slcan" in reported(graph, interface)

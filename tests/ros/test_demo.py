@@ -135,7 +135,8 @@ def test_a_minute_visits_every_segment_straight_and_bent():
     assert {bool(push.command_rad.any()) for push in script} == {True, False}
     assert all(a.end_s < b.start_s for a, b in pairwise(script))
     assert all(push.move_s < push.start_s < push.end_s for push in script)
-    again, other = make_script(REACH_M, 60.0, seed=0), make_script(REACH_M, 60.0, seed=8)
+    again = make_script(REACH_M, 60.0, seed=0)
+    other = make_script(REACH_M, 60.0, seed=8)
     assert [p.contact for p in again] == [p.contact for p in script]
     assert [p.contact for p in other] != [p.contact for p in script]
     for push, gentle in zip(script, make_script(REACH_M, 60.0, seed=0, range_n=2.0), strict=True):
@@ -171,7 +172,9 @@ def results_of(script, estimate_of, unknown=None):
         moment = estimate if estimate and estimate.moment_n_m else None
         contacts = () if estimate is None or moment else (estimate,)
         state = unknown or (ForceState.CONTACT if estimate else ForceState.FREE)
-        fine, pose, tensions = ShownStatus(Level.OK, "fine"), np.zeros(8), np.full(12, 50.0)
+        fine = ShownStatus(Level.OK, "fine")
+        pose = np.zeros(8)
+        tensions = np.full(12, 50.0)
         shown = contacts, state, contacts, None, None, fine, moment
         snapshots.append(Snapshot(time_s, pose, pose, tensions, *shown))
     played = PushRecord(times, snapshots)
@@ -252,7 +255,8 @@ def with_intervals(played, force_n, place_m):
             snapshots.append(now)
             continue
         true = now.true[0]
-        low_m, high_m = true.contact_m - place_m, true.contact_m + place_m
+        low_m = true.contact_m - place_m
+        high_m = true.contact_m + place_m
         snapshots.append(
             replace(
                 now,

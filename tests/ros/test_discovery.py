@@ -23,7 +23,8 @@ from cablesense_ros.processes import (
 
 FAST_DDS = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp"}
 NAMESPACE = {"dds": "http://www.eprosima.com"}
-FIRST_DDS_PORT, PORTS_OF_A_DOMAIN = 7400, 250
+FIRST_DDS_PORT = 7400
+PORTS_OF_A_DOMAIN = 250
 
 
 def profile_of(environment):

@@ -64,7 +64,8 @@ def test_what_is_not_known_is_no_number(described):
     message = filled(described, Answer(force=ForceState.MOVING))
     assert (message.header.frame_id, message.header.stamp.sec) == ("base_link", 7)
     assert (message.segment, message.moment_only) == (0, False)
-    point, wrench = message.contact_point, message.wrench
+    point = message.contact_point
+    wrench = message.wrench
     unknown = [message.force_low, message.force_high, message.place_low, message.place_high]
     unknown += [message.probability, point.x, point.y, wrench.force.x, wrench.torque.z]
     assert all(map(math.isnan, [*unknown, *message.covariance]))

@@ -29,7 +29,8 @@ def test_a_reader_prints_the_force_and_a_controller_backs_off_above_its_threshol
     graph.node.create_subscription(JointState, "/joint_commands", commands.append, 100)
     start("sim")
     start("estimator")
-    reader, controller = start("examples.read_topics"), start("examples.back_off")
+    reader = start("examples.read_topics")
+    controller = start("examples.back_off")
     graph.until(lambda: "free" in reader.log, "a free arm")
     straight = JointState(name=list(open_arm("cdsm").joint_names), position=[0.0] * 8)
     graph.command.publish(straight)  # or the first step drops the tare
@@ -63,7 +64,8 @@ def test_metrics_are_those_of_the_contact():
 @pytest.mark.timeout(180)
 def test_a_failing_channel_moves_no_arm_and_a_killed_estimator_stops_it(graph, start):
     """The sim's tensions pass through this process, where a channel fails."""
-    exchanged, commands = False, []
+    exchanged = False
+    commands = []
 
     def pass_on(message):
         if exchanged:

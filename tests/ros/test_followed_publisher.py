@@ -60,7 +60,8 @@ def graph():
 def test_the_page_shows_one_and_says_that_there_is_another(graph):
     live = LiveArm(ARM, joint_speed_rad_s=1.0)
     ArmClient(graph.node, ARM, live, "estimator")
-    first, second = Source(graph, UNLOADED), Source(graph, PUSHED)
+    first = Source(graph, UNLOADED)
+    second = Source(graph, PUSHED)
     until(graph, [first], lambda: live.snapshot(0.0).tensions_n is not None, "tensions")
     assert live.snapshot(time.monotonic()).status.level is Level.STALE  # no estimator
     shown = set()
@@ -78,7 +79,8 @@ def test_the_page_shows_one_and_says_that_there_is_another(graph):
 def test_one_is_recorded(graph, tmp_path):
     out = tmp_path / "made.mcap"
     recorder = Recorder(graph.node, out, INPUTS, ARM)
-    first, second = Source(graph, UNLOADED), Source(graph, PUSHED)
+    first = Source(graph, UNLOADED)
+    second = Source(graph, PUSHED)
     graph.until(graph.command.get_subscription_count, "the recorder")
     graph.command.publish(JointState(name=list(ARM.joint_names), position=[0.0] * 8))
     until(graph, [first], lambda: recorder.counts["cable_tensions"], "a row")

@@ -24,7 +24,8 @@ def prefix(tmp_path_factory):
     """This checkout laid out as an installed package."""
     root = tmp_path_factory.mktemp("prefix")
     index = root / "share/ament_index/resource_index/packages"
-    programs, share = root / "lib" / PACKAGE, root / "share" / PACKAGE
+    programs = root / "lib" / PACKAGE
+    share = root / "share" / PACKAGE
     for folder in (index, programs, share):
         folder.mkdir(parents=True)
     (index / PACKAGE).touch()

@@ -98,7 +98,8 @@ def test_a_wrong_value_later_is_refused(make_node, name, value):
 
 
 def test_what_is_read_once_is_refused_from_then_on_with_the_reason(make_node):
-    node, configured = make_node(), []
+    node = make_node()
+    configured = []
     gain = NodeParameter("gain", 1.0, "A gain.", (0.0, 9.0), live=True)
     declare_parameters(node, [RATE, gain], configured=lambda: bool(configured))
     faster = Parameter("rate_hz", value=20.0)
@@ -276,7 +277,8 @@ def test_without_a_clock_zero_wrenches_come_and_diagnostics_say_why(graph, start
 @contextmanager
 def subscribers_that_come_and_go(kind, topics):
     """Another participant, whose thread subscribes and unsubscribes all the time."""
-    context, end = rclpy.Context(), threading.Event()
+    context = rclpy.Context()
+    end = threading.Event()
     context.init()
     node = Node("restless", context=context)
 

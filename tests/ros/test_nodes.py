@@ -138,7 +138,8 @@ def test_a_load_about_the_base_is_stated_as_the_estimator_states_it(tared):
     stated = tared.listen(WrenchStamped, "/estimator/wrench_base")
     load = WrenchStamped()
     load.header.frame_id = "base_link"
-    load.wrench.force.y, load.wrench.torque.z = 40.0, 40.0 * (0.015 + 2 * 0.13 + 0.065)
+    load.wrench.force.y = 40.0
+    load.wrench.torque.z = 40.0 * (0.015 + 2 * 0.13 + 0.065)
     tared.load.publish(load)
     tared.until(
         lambda: stated and abs(stated[-1].wrench.force.y - 40.0) < 0.5, "the force in base axes"
@@ -150,9 +151,11 @@ def test_a_load_about_the_base_is_stated_as_the_estimator_states_it(tared):
 def test_a_load_beside_the_contact_point_turns_the_arm_as_one_there(tared):
     load = WrenchStamped()
     load.header.frame_id = "base_link"
-    load.wrench.force.y, load.wrench.torque.z = 40.0, 40.0 * (0.015 + 2 * 0.13 + 0.11)
+    load.wrench.force.y = 40.0
+    load.wrench.torque.z = 40.0 * (0.015 + 2 * 0.13 + 0.11)
     tared.load.publish(load)
-    mechanism, forces_n = mechanism_of(ARM), np.zeros((4, 3))
+    mechanism = mechanism_of(ARM)
+    forces_n = np.zeros((4, 3))
     forces_n[2, 1] = 40.0
     there = replace(mechanism, contact_m=np.full(4, 0.11))
     expected_n = solve_equilibrium(there, np.zeros(8), forces_n).tensions_n
@@ -289,7 +292,8 @@ def test_bad_samples_and_silence_give_zero_wrenches_and_diagnostics(tared, sim, 
     source = tared.node.create_publisher(JointState, "/cable_tensions", 10)
     tared.until(lambda: source.get_subscription_count() == 2, "estimator and test")
     tared.spin(0.5)  # that they know of the publisher as well
-    nan, names = [*UNLOADED[:4], math.nan, *UNLOADED[5:]], list(ARM.cable_names)
+    nan = [*UNLOADED[:4], math.nan, *UNLOADED[5:]]
+    names = list(ARM.cable_names)
     pushed = (UNLOADED + np.linspace(-20.0, 20.0, 12)).tolist()
 
     def publish(name, effort):

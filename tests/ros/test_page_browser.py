@@ -49,7 +49,8 @@ FLAGS = (
     "about:blank",
 )
 PATIENCE_S = 150.0
-WIDTH, HEIGHT = 960, 480
+WIDTH = 960
+HEIGHT = 480
 """Small: Chromium renders in software, which costs by the pixel."""
 
 
@@ -322,10 +323,21 @@ def test_another_website_gets_no_websocket_of_the_page(page_url, browser, websit
 def test_a_push_on_the_page_moves_arm_wrench_and_estimate(page_url, browser, at_rest):
     assert page_url.startswith("http://127.0.0.1:")
     text = browser.evaluate("document.body.innerText")
-    for label in ("Push the arm", "place, mm", "angle, °", "force, N", "along, N",
-                  "joint 4 yaw, °", "Undo the tare",
-                  "contact probability", "cable tension", "direction error",
-                  "place error", "95 % of the place", "95 % of the force"):  # fmt: skip
+    for label in (
+        "Push the arm",
+        "place, mm",
+        "angle, °",
+        "force, N",
+        "along, N",
+        "joint 4 yaw, °",
+        "Undo the tare",
+        "contact probability",
+        "cable tension",
+        "direction error",
+        "place error",
+        "95 % of the place",
+        "95 % of the force",
+    ):
         assert label in text
     assert browser.evaluate("document.title") == "CableSense"
     assert "Breathe" not in text  # nothing here breathes

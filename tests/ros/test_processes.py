@@ -116,6 +116,17 @@ def test_parameters_keep_their_kind_on_the_command_line():
         "sim", {"noise": True, "rate_hz": 100.0, "arm": "1", "out": Path("x")}, namespace="/left"
     )
     assert command[1:] == [
-        "-m", "cablesense_ros.sim_node", "--ros-args", "-r", "__ns:=/left",
-        "-p", "noise:=true", "-p", "rate_hz:=100.0", "-p", 'arm:="1"', "-p", 'out:="x"',
-    ]  # fmt: skip
+        "-m",
+        "cablesense_ros.sim_node",
+        "--ros-args",
+        "-r",
+        "__ns:=/left",
+        "-p",
+        "noise:=true",
+        "-p",
+        "rate_hz:=100.0",
+        "-p",
+        'arm:="1"',
+        "-p",
+        'out:="x"',
+    ]

@@ -123,7 +123,8 @@ def test_recorded_whole_and_killed_late(graph, start, tmp_path):
     """A whole recording, and one that joins late and is killed."""
     whole, late = (tmp_path / f"{name}.mcap" for name in ("whole", "late"))
     start("sim")
-    recording, joins = record("record", "--out", whole), None
+    recording = record("record", "--out", whole)
+    joins = None
     try:
         graph.until(
             lambda: whole.exists() and whole.stat().st_size > 1000, "the recording to grow"

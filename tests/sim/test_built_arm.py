@@ -17,7 +17,9 @@ BENT = np.deg2rad([4.0, -5.0, 3.0, 6.0, -4.0, 2.0, 5.0, -3.0])
 
 
 def test_a_seed_always_builds_the_same_arm_and_another_seed_another():
-    first, again, other = built_arm(ARM, 7), built_arm(ARM, 7), built_arm(ARM, 8)
+    first = built_arm(ARM, 7)
+    again = built_arm(ARM, 7)
+    other = built_arm(ARM, 8)
     np.testing.assert_array_equal(first.mechanism.mass_kg, again.mechanism.mass_kg)
     np.testing.assert_array_equal(first.sensor_gain, again.sensor_gain)
     assert (first.mechanism.mass_kg != other.mechanism.mass_kg).all()
@@ -38,7 +40,8 @@ def test_deviations_are_as_large_as_the_tolerances():
 
 def test_an_arm_without_tolerances_equals_its_file():
     exact = variant({"tolerances": Tolerances().scaled(0.0).model_dump()}, "cdsm_lab")
-    built, drawn = built_arm(exact, 3), as_described(exact)
+    built = built_arm(exact, 3)
+    drawn = as_described(exact)
     np.testing.assert_allclose(built.mechanism.stiffness_n_m, drawn.mechanism.stiffness_n_m)
     np.testing.assert_allclose(built.mechanism.hole_y_m, drawn.mechanism.hole_y_m)
     tensions_n = np.linspace(10.0, 90.0, 12)

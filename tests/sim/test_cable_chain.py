@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 
 from cablesense_sim.cable_chain import CableChains
 
-RUN_N_M, SPAN_N_M, PHI = 2e5, 5e5, 0.3
+RUN_N_M = 2e5
+SPAN_N_M = 5e5
+PHI = 0.3
 
 
 def chains(
@@ -47,7 +49,8 @@ def test_over_one_guide_the_tensions_are_apart_by_the_capstan_equation(sign: flo
 def test_a_run_that_sticks_keeps_its_tension_to_the_last_digit() -> None:
     """The load that drew the cable out is taken off: the run does not notice."""
     cable, lengths, phi = chains(pieces=(RUN_N_M, SPAN_N_M), limit=[PHI])
-    on, off = np.array([[0.0, 3e-4]]), np.array([[0.0, -2e-5]])
+    on = np.array([[0.0, 3e-4]])
+    off = np.array([[0.0, -2e-5]])
     tensions = walked(cable, lengths, phi, [on, off, off])
     assert tensions[0, 1] / tensions[0, 0] == pytest.approx(np.exp(PHI))
     assert (tensions[1:, 0] == tensions[0, 0]).all()
@@ -79,13 +82,15 @@ def test_every_step_is_admissible_and_keeps_the_material(history) -> None:
     """Within the bounds, slip only at them and only with them, no cable gained, no energy won."""
     cable, compliance, lengths, limit, steps, give = history
     joined = compliance[:, 1:] > 0.0
-    stretch, was_taut = None, joined
+    stretch = None
+    was_taut = joined
     for step in steps:
         lengths = lengths + step
         tensions = cable.pull(lengths, limit).tensions_n
         whole = lengths.sum(-1)
-        np.testing.assert_allclose((tensions * compliance).sum(-1), np.maximum(whole, 0.0),
-                                   atol=1e-12)  # fmt: skip
+        np.testing.assert_allclose(
+            (tensions * compliance).sum(-1), np.maximum(whole, 0.0), atol=1e-12
+        )
         taut = joined & (whole > 0.0)[:, None]
         apart = np.log(
             np.where(taut, tensions[:, :-1], 1.0) / np.where(taut, tensions[:, 1:], 1.0)
@@ -99,7 +104,8 @@ def test_every_step_is_admissible_and_keeps_the_material(history) -> None:
             lost = (tensions[:, :-1] - tensions[:, 1:]) * passed
             assert (lost[slips] >= -1e-9).all()
         cable.settle(lengths, limit)
-        stretch, was_taut = tensions * compliance, taut
+        stretch = tensions * compliance
+        was_taut = taut
 
 
 @given(histories())
@@ -130,7 +136,8 @@ def test_slopes_are_the_derivatives_by_the_lengths(history) -> None:
 @pytest.mark.parametrize("start", [0.0, -0.6])
 def test_bristles_near_their_limit_as_dahl_has_it(rounding: float, start: float) -> None:
     """What is left to it, u = 1 - share, falls as du/dx = -u^rounding / give, x passed."""
-    give, reached = 3e-5, 4e-5
+    give = 3e-5
+    reached = 4e-5
     cable, lengths, phi = chains(
         pieces=(RUN_N_M, SPAN_N_M), limit=[PHI], start=start, give=give, rounding=rounding
     )

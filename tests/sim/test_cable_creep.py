@@ -48,7 +48,8 @@ def test_under_a_constant_load_it_grows_exponentially_to_its_share_of_the_stretc
 def test_a_held_cable_relaxes_to_one_part_in_one_and_its_share() -> None:
     """Weightless and straight nothing turns: T = T0 (1 + s exp(-(1 + s) t / tau)) / (1 + s)."""
     weightless = replace(MECHANISM, gravity_m_s2=np.zeros(3))
-    period, share = 0.05, 0.2
+    period = 0.05
+    share = 0.2
     arm = QuasiStaticArm([weightless], [[CREEP]])
     times = period * np.arange(301)
     found = np.stack([arm.step(t, np.zeros((1, 12)), np.zeros((4, 3)))[0] for t in times])

@@ -33,7 +33,8 @@ def unbalanced_n_m(mechanism: Mechanism, rest, forces: np.ndarray) -> np.ndarray
 
 def test_a_payload_is_its_weight_at_its_place() -> None:
     """J'T of the loaded arm balances the nominal weight and a point weight at that place."""
-    mass, beyond = 0.7, 0.15
+    mass = 0.7
+    beyond = 0.15
     _, rest = rest_of(entry("payload", "segment_3", mass_kg=mass, beyond_middle=beyond))
     missing = unbalanced_n_m(MECHANISM, rest, PUSH)
     pose = kinematics.chain(MECHANISM, rest.joint_angles_rad)
@@ -177,7 +178,8 @@ def test_a_lag_follows_a_step_as_one_lag_or_two_in_a_row(share: float) -> None:
 @given(st.integers(0, 9999), st.floats(0.0, 20.0), st.floats(0.0, 1.0))
 def test_rows_on_a_straight_line_add_nothing_to_a_lag(seed: int, tau: float, share: float) -> None:
     rng = np.random.default_rng(seed)
-    at_s, tension_n = np.cumsum(rng.uniform(0.05, 5.0, 6)), rng.uniform(-50.0, 50.0, 6)
+    at_s = np.cumsum(rng.uniform(0.05, 5.0, 6))
+    tension_n = rng.uniform(-50.0, 50.0, 6)
     every_s = np.union1d(at_s, np.linspace(at_s[0], at_s[-1], 40))
     every_n = np.interp(every_s, at_s, tension_n)[:, None] * np.ones(12)
     kept = np.isin(every_s, at_s)

@@ -58,7 +58,8 @@ def test_the_stiffness_matrix_is_the_slope_of_the_torques() -> None:
         cables = np.einsum("bij,bi->bj", kinematics.cable_jacobian_m(SOFT, q), tensions)
         return cables - load_torques_n_m(SOFT, q, cases.forces_n)
 
-    q, h = rest.joint_angles_rad, 1e-7
+    q = rest.joint_angles_rad
+    h = 1e-7
     slope = np.stack([(torques(q + d) - torques(q - d)) / (2 * h) for d in h * np.eye(8)], -1)
     matrix = stiffness_matrix_n_m(SOFT, q, rest.tensions_n, cases.forces_n)
     np.testing.assert_allclose(matrix, slope, atol=1e-4 * np.abs(slope).max())

@@ -52,7 +52,8 @@ def test_mujoco_agrees(arm: Arm) -> None:
     model = build_spec(mechanism).compile()
     data = mujoco.MjData(model)
     joints = [model.joint(name).id for name in arm.joint_names]
-    at, dofs = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+    at = model.jnt_qposadr[joints]
+    dofs = model.jnt_dofadr[joints]
     cables = [model.tendon(name).id for name in arm.cable_names]
     segments = range(1, arm.segment_count + 1)
     bodies = [model.body(f"segment_{n}").id for n in segments]
@@ -107,7 +108,8 @@ def test_the_compiled_pose_is_the_same(arm: Arm) -> None:
     angles = rng.uniform(-0.2, 0.2, (4, mechanism.joint_count))
     loads = rng.normal(size=(4, mechanism.segment_count, 3))
     stacked = stack([mechanism] * 4)
-    span, chain = kinematics.spans(stacked, angles), kinematics.chain(stacked, angles)
+    span = kinematics.spans(stacked, angles)
+    chain = kinematics.chain(stacked, angles)
     pose = rest.posed(rest.plates_of(stacked, 4), angles)
     by_turn = np.stack([span.by_pitch, span.by_yaw], axis=-1)
     same = partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-12)
@@ -115,7 +117,8 @@ def test_the_compiled_pose_is_the_same(arm: Arm) -> None:
     same(pose.by_turn_m, by_turn)
     second = difference(lambda x: kinematics.cable_jacobian_m(stacked, x), angles)
     for n in range(arm.segment_count):
-        a, b = 2 * n, 2 * n + 1
+        a = 2 * n
+        b = 2 * n + 1
         by_turns = np.stack([second[..., i, j] for i, j in ((a, a), (a, b), (b, b))], axis=-1)
         np.testing.assert_allclose(pose.by_turns_m[:, :, n], by_turns, atol=1e-8)
     same(pose.axis, chain.rotation[..., 0])

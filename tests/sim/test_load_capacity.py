@@ -115,9 +115,11 @@ def test_without_friction_the_noise_alone_hides() -> None:
 @pytest.mark.slow
 def test_a_slow_push_is_seen_where_it_says() -> None:
     """One arm, pushed up and down again by steps of 20 mN: when does it read anything?"""
-    arm, step_n = rubbing(0.13), 0.02
+    arm = rubbing(0.13)
+    step_n = 0.02
     found = hidden_force(arm, BENT, LOAD_N)
-    mechanism, entries = mechanism_of(arm), entries_of(arm)
+    mechanism = mechanism_of(arm)
+    entries = entries_of(arm)
     push = normal_force_n(mechanism, BENT, 3, 0.0, 1.0)[None]
     one = QuasiStaticArm([mechanism], [entries])
     for share in (0.0, 0.2, 0.4, 0.6, 0.8, 1.0):

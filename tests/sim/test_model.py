@@ -64,7 +64,8 @@ def arm(request: pytest.FixtureRequest) -> Arm:
 
 def test_mujoco_reads_the_urdf_and_finds_the_same_names_places_and_weight(arm: Arm) -> None:
     """Another reader's forward kinematics and statics."""
-    mechanism, text = mechanism_of(arm), urdf_xml(arm)
+    mechanism = mechanism_of(arm)
+    text = urdf_xml(arm)
     robot = ElementTree.fromstring(text)
     links = [link.attrib["name"] for link in robot.iter("link")]
     assert links[0] == "base_link"
@@ -78,6 +79,7 @@ def test_mujoco_reads_the_urdf_and_finds_the_same_names_places_and_weight(arm: A
     mujoco.mj_forward(model, data)
     gravity = load_torques_n_m(mechanism, q)
     np.testing.assert_allclose(-data.qfrc_bias, gravity, atol=1e-4)
-    last, pose = data.body(f"segment_{arm.segment_count}"), kinematics.chain(mechanism, q)
+    last = data.body(f"segment_{arm.segment_count}")
+    pose = kinematics.chain(mechanism, q)
     np.testing.assert_allclose(last.xpos, pose.joint_m[-1], atol=1e-6)
     np.testing.assert_allclose(last.xmat.reshape(3, 3), pose.rotation[-1], atol=1e-9)

@@ -35,7 +35,8 @@ def tensions(
 @settings(max_examples=5, deadline=None)
 def test_memoryless_it_is_the_static_solver(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    commands, loads = bent(seed, count=6), rng.uniform(-8.0, 8.0, (6, 4, 3))
+    commands = bent(seed, count=6)
+    loads = rng.uniform(-8.0, 8.0, (6, 4, 3))
     odd = amended(
         MECHANISM,
         [
@@ -92,7 +93,8 @@ def test_what_an_actuator_reads_while_the_pulley_holds(by_length, ratios) -> Non
     """The pretension, whatever the arm weighs, and the stretch of the piece before the pulley."""
     held = {"coefficient": 0.5, "pulley_wrap_rad": 4.0, "weight_borne": 0.0}
     friction = entry("capstan_friction", run_compliance=0.5, run_by_length=by_length, **held)
-    arm, none = QuasiStaticArm([MECHANISM], [[friction]]), np.zeros((4, 3))
+    arm = QuasiStaticArm([MECHANISM], [[friction]])
+    none = np.zeros((4, 3))
     tensions_n = [arm.step(0.0, np.full((1, 12), drawn), none)[0] for drawn in (0.0, -1e-4)]
     np.testing.assert_allclose(tensions_n[0], MECHANISM.pretension_n)
     stiffness = MECHANISM.stiffness_n_m * np.repeat(1.0 + 1.0 / (ratios + np.zeros(4)), 3)

@@ -43,7 +43,8 @@ def test_without_effects_it_is_the_static_solver() -> None:
 @pytest.mark.parametrize("name", list(known_effects()))
 def test_every_effect_is_seen_none_of_size_zero_and_side_by_side_as_alone(name: str) -> None:
     """A lag is seen after a step, a play after a reversal, a drift after a while."""
-    effect, seen_n = known_effects()[name], []
+    effect = known_effects()[name]
+    seen_n = []
     for period_s in (0.2, 3.0) if effect.needs_time else (0.2,):
         replay = course(COMMANDS, LOADS, period_s=period_s)
         ideal = readings(replay)
@@ -57,7 +58,8 @@ def test_every_effect_is_seen_none_of_size_zero_and_side_by_side_as_alone(name: 
 @pytest.mark.parametrize("name", ["capstan_friction", "joint_friction"])
 def test_friction_states_at_the_start_are_read_side_by_side_as_alone(name: str) -> None:
     """They are simulated together and only for a while, as their influence fades."""
-    effect, sized = known_effects()[name], any_entry(known_effects()[name])
+    effect = known_effects()[name]
+    sized = any_entry(known_effects()[name])
     none = {p.name: p.default for p in (*effect.parameters, *effect.history(4, 12)) if p.fades}
     changes = [none, *(none | {each: 0.8} for each in none)]
     every = [replace(sized, values=sized.values | each) for each in changes]
@@ -169,7 +171,8 @@ def test_readings_are_multiples_of_the_step_and_saturate_at_the_ends_of_the_rang
 def test_a_load_cell_changes_the_loads_that_act(beside) -> None:
     """A fifth more, turned by half a radian about the base's x axis."""
     cell = entry("load_cell", scale=0.2, turn_x_rad=0.5)
-    y, z = LOADS[..., 1], LOADS[..., 2]
+    y = LOADS[..., 1]
+    z = LOADS[..., 2]
     acting = 1.2 * np.stack(
         [LOADS[..., 0], np.cos(0.5) * y - np.sin(0.5) * z, np.sin(0.5) * y + np.cos(0.5) * z], -1
     )

@@ -47,7 +47,8 @@ def test_the_place_of_a_push_anywhere_is_found_whatever_its_axial_part(
 
 
 def test_a_line_beside_the_axis_acts_at_the_nearest_point_up_to_a_limit():
-    pose, aside_m = np.zeros(8), np.array([0.0, 0.02, 0.0])
+    pose = np.zeros(8)
+    aside_m = np.array([0.0, 0.02, 0.0])
     at_m = point_m(pose, 3, 0.065)
     assert found(pose, np.array([0.0, 0.0, 30.0]), at_m + aside_m) == (3, pytest.approx(0.065))
     with pytest.raises(LoadError, match="40, 76 mm away"):

@@ -19,9 +19,14 @@ from cablesense_training.evaluation.comparison import (
 from cablesense_training.inference.metadata import find_model
 
 METRICS = {
-    "contact_accuracy", "direction_mae_deg", "magnitude_mae_n", "magnitude_rmse_n", "macro_f1",
-    "coverage95", "by_force",
-}  # fmt: skip
+    "contact_accuracy",
+    "direction_mae_deg",
+    "magnitude_mae_n",
+    "magnitude_rmse_n",
+    "macro_f1",
+    "coverage95",
+    "by_force",
+}
 
 
 @pytest.mark.slow

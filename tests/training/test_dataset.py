@@ -81,7 +81,8 @@ def test_unloaded_cables_carry_the_weight(arm):
 def test_labels_and_forces_say_the_same(arm):
     dataset = ideal(arm, pose="random")
     touched = dataset.segment > 0
-    segment, command = dataset.segment[touched], dataset.command_rad[touched]
+    segment = dataset.segment[touched]
+    command = dataset.command_rad[touched]
     forces = dataset.forces_n[touched]
     own = forces[np.arange(len(forces)), segment - 1]
     assert np.linalg.norm(own, axis=1) == pytest.approx(dataset.magnitude_n[touched])

@@ -181,7 +181,8 @@ def test_refuses_altered_files(path, message):
 
 
 def test_refuses_a_contact_beyond_the_reach(arm, tmp_path):
-    path, protocol = tmp_path / "data.parquet", AnywhereContact(samples=50)
+    path = tmp_path / "data.parquet"
+    protocol = AnywhereContact(samples=50)
     write_dataset(path, draw_dataset(arm, protocol, seed=5))
     row = int(np.flatnonzero(pq.read_table(path).column("contact_segment_2"))[0])
     altered(path, lambda table: with_value(table, "place_segment_2_m", row, 0.2))

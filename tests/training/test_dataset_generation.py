@@ -115,9 +115,11 @@ def test_contacts_anywhere_are_where_they_are_on_an_arm_with_effects(name, value
 @pytest.mark.parametrize("randomise", ["payload,sensor_gain", "joint_friction"])
 def test_blocks_are_drawn_on_arms_of_their_own(randomise: str) -> None:
     arm = open_arm("cdsm_lab")
-    plain, marked = drawn(arm), drawn(arm, randomise=randomise)
+    plain = drawn(arm)
+    marked = drawn(arm, randomise=randomise)
     off = np.abs(marked.tension_difference_n - plain.tension_difference_n)
-    first, second = off[:64].max(axis=0), off[64:].max(axis=0)
+    first = off[:64].max(axis=0)
+    second = off[64:].max(axis=0)
     assert first.max() > 1e-3
     assert second.max() > 1e-3
     assert np.abs(first - second).max() > 1e-3

@@ -39,7 +39,9 @@ def _two_stage(seed=0):
 
 @pytest.mark.slow
 def test_same_seed_same_weights(single):
-    first, second, third = _two_stage(), _two_stage(), _two_stage()
+    first = _two_stage()
+    second = _two_stage()
+    third = _two_stage()
     fit(first, single, QUICK)
     torch.rand(100)  # what else draws random numbers must not matter
     fit(second, single, QUICK)

@@ -44,7 +44,8 @@ def small_test_set(monkeypatch):
 
 @pytest.mark.slow
 def test_a_network_is_trained_on_its_dataset_and_evaluated(arm_file, tmp_path):
-    data, model = tmp_path / "data.parquet", tmp_path / "model.onnx"
+    data = tmp_path / "data.parquet"
+    model = tmp_path / "model.onnx"
     run("dataset", "--arm", arm_file, "--samples", 600, "--pose", "random", "--out", data)
     dataset = read_dataset(data, five_by_four("cdsm_lab"))
     assert dataset.tension_difference_n.shape == (600, 20)

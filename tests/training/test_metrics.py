@@ -67,7 +67,8 @@ def test_a_missed_contact_counts_as_zero_newtons_and_has_no_direction():
 
 def test_coverage_of_honest_gaussian_errors_is_95_percent():
     rng = np.random.default_rng(0)
-    n, std = 20_000, 3.0
+    n = 20_000
+    std = 3.0
     truth = _truth(np.ones(n, int), np.full(n, 359.0), np.full(n, 50.0))
     answer = _answer(
         np.ones(n, int),

@@ -58,7 +58,8 @@ def test_a_model_of_another_arm_names_both(tmp_path):
 
 def test_a_model_of_the_arm_without_its_effects_fits_one_with_them(tmp_path):
     gain = {"effect": "sensor_gain", "at": "cable_1", "parameters": {"gain": 0.1}}
-    path, odd = written(tmp_path, small_model()), variant({"effects": [gain]})
+    path = written(tmp_path, small_model())
+    odd = variant({"effects": [gain]})
     assert odd.identity != CDSM.identity
     assert Estimator.load(path, odd).metadata.arm_identity == CDSM.identity
     assert CDSM.identity in refused(path, arm=variant({"effects": [gain]}, "cdsm_lab"))

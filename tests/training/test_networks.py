@@ -47,7 +47,8 @@ def test_the_seed_fixes_the_initial_weights_and_nothing_else(name):
     torch.manual_seed(5)
     expected_draw = torch.rand(3)
     torch.manual_seed(5)
-    first, second = build_network(name, ARM, seed=3), build_network(name, ARM, seed=3)
+    first = build_network(name, ARM, seed=3)
+    second = build_network(name, ARM, seed=3)
     torch.testing.assert_close(torch.rand(3), expected_draw, atol=0.0, rtol=0.0)
     other = build_network(name, ARM, seed=4)
     weights = [network.state_dict() for network in (first, second, other)]

@@ -38,7 +38,8 @@ def test_one_segment_of_equal_cables_has_an_analytic_bound():
     arm = Arm.model_validate(content)
     dataset = _dataset(arm, samples=30, force_high_n=10.0)
     mechanism = mechanism_of(arm)
-    radius, contact = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)[0], mechanism.contact_m[0]
+    radius = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)[0]
+    contact = mechanism.contact_m[0]
     variance = difference_variance_n2(arm.sensors, dataset.protocol.tare_samples)
     expected = 1.5 * variance * (radius / contact) ** 2 * np.eye(2)
     found = force_covariance_n2(dataset)[:, 0]
@@ -70,7 +71,8 @@ def test_the_law_attains_the_bound_while_all_cables_are_taut(name):
 
 
 def test_errors_without_a_bound_are_not_compared_with_it():
-    error, bound = np.array([1.0, -5.0, 3.0]), np.array([0.5, 0.0, 1.0])
+    error = np.array([1.0, -5.0, 3.0])
+    bound = np.array([0.5, 0.0, 1.0])
     known = bound > 0.0
     assert BoundedErrors.of(error, bound) == BoundedErrors.of(error[known], bound[known])
     assert np.isnan(BoundedErrors.of(error[~known], bound[~known]).rms)

@@ -48,7 +48,8 @@ def test_single_contact_touches_every_segment_equally_often():
 def test_single_contact_leaves_no_direction_or_magnitude_out(segment):
     cases = cases_of(SingleContact())
     touched = cases.contacts[:, segment]
-    angle, magnitude = cases.angles_deg[touched, segment], cases.magnitudes_n[touched, segment]
+    angle = cases.angles_deg[touched, segment]
+    magnitude = cases.magnitudes_n[touched, segment]
     in_angle, _ = np.histogram(angle, bins=36, range=(0.0, 360.0))
     in_magnitude, _ = np.histogram(magnitude, bins=20, range=(0.0, 200.0))
     for counts in (in_angle, in_magnitude):

@@ -100,7 +100,9 @@ class Dataset(RunRows):
     redrawn: NDArray[np.int64]
 
     def __post_init__(self) -> None:
-        rows, n, m = len(self.sample_id), self.arm.segment_count, self.arm.cable_count
+        rows = len(self.sample_id)
+        n = self.arm.segment_count
+        m = self.arm.cable_count
         widths = {"command_rad": 2 * n, "tension_difference_n": m, "unloaded_n": m}
         labels = ("contacts", "angles_deg", "magnitudes_n", "places_m", "along_n")
         widths |= dict.fromkeys(labels, n)
@@ -125,7 +127,8 @@ class Dataset(RunRows):
     def local_forces_n(self) -> Array:
         """(B, N, 3) the same along the axes that each segment has at the commanded angles."""
         theta = np.deg2rad(self.angles_deg)
-        y, z = self.magnitudes_n * np.sin(theta), self.magnitudes_n * np.cos(theta)
+        y = self.magnitudes_n * np.sin(theta)
+        z = self.magnitudes_n * np.cos(theta)
         return np.stack([self.along_n, y, z], axis=-1)
 
     @cached_property
@@ -177,7 +180,9 @@ class Summary:
 
 def summarise(parts: Iterable[Dataset]) -> Summary:
     """The summary of all parts of a run; there must be at least one."""
-    counts, forces, most_along_n = [], [], 0.0
+    counts = []
+    forces = []
+    most_along_n = 0.0
     for part in parts:
         number = part.contacts.sum(axis=1)
         kinds = [number == 0, number > 1, part.slack_cables > 0, part.redrawn > 0]

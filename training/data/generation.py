@@ -130,7 +130,8 @@ def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Datas
         # anew, but for the first coordinate: which segment, or how many, is touched
         points[open_rows, 1:] = stream.random((len(open_rows), points.shape[1] - 1))
 
-    reading, tare = loaded, unloaded
+    reading = loaded
+    tare = unloaded
     if protocol.noise:
         noise = random_stream(NOISE, seed, chunk)
         reading = read_tensions_n(loaded, arm.sensors, noise)
@@ -180,14 +181,16 @@ class _Resting:
 
     def _block(self, block: int, members: NDArray[np.int64], cases: Cases, allowed: int) -> Array:
         """Some `members` of a block, on the arm that was drawn for it or is now."""
-        mechanism, randomise = self._mechanism, self._protocol.randomise
+        mechanism = self._mechanism
+        randomise = self._protocol.randomise
         command, _, angles, magnitudes, places_m, along = cases
         forces = contact_forces_n(mechanism, command, angles, magnitudes, along)
 
         def readings(rows: NDArray[np.int64]) -> Array:
             entries, whole = self._arms[block]
             history = whole.select(members[rows])
-            commands, loads = history.commands_rad(command[rows]), history.loads_n(forces[rows])
+            commands = history.commands_rad(command[rows])
+            loads = history.loads_n(forces[rows])
             at_m = places_m[rows] if self._protocol.anywhere else None
             true = tensions_along_n(mechanism, entries, history.time_s, commands, loads, at_m)
             sensed = sensed_along_n(entries, history.time_s, true.swapaxes(0, 1))
@@ -322,7 +325,8 @@ def tensions_along_n(
     tensions are zero but at the tare and at the last rest. An `EquilibriumError` says which arms
     find no rest.
     """
-    held, arms = held_lengths_m(nominal, commands_rad), [entries] * commands_rad.shape[1]
+    held = held_lengths_m(nominal, commands_rad)
+    arms = [entries] * commands_rad.shape[1]
     for actuation in actuations(arms):
         held = actuation.along(time_s, held.swapaxes(0, 1)).swapaxes(0, 1)
     mechanism = amended(nominal, entries)

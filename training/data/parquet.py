@@ -36,7 +36,8 @@ _FORMAT = "1"
 _PREFIX = "cablesense."
 _CHUNKS_PER_GROUP = 32
 
-_LARGEST_UNPACKED_B, _MAX_UNPACKING = 2**26, 100
+_LARGEST_UNPACKED_B = 2**26
+_MAX_UNPACKING = 100
 """Largest unpacked size in bytes, and the largest number for each byte of the file."""
 
 
@@ -136,7 +137,8 @@ def _read_table(path: Path) -> pa.Table:
         if path.exists() and not path.is_file():  # a pipe would keep an open waiting
             raise DatasetError(f"{path}: not a Parquet file, nor a file at all")
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            rows, width = file.metadata.num_rows, file.metadata.num_columns
+            rows = file.metadata.num_rows
+            width = file.metadata.num_columns
             # a few bytes of Parquet can stand for any number of equal rows; no measured ones do
             packed = path.stat().st_size
             if 8 * rows * width > _LARGEST_UNPACKED_B + _MAX_UNPACKING * packed:
@@ -201,9 +203,13 @@ def _shown(field: pa.Field | None) -> str:
 
 
 def _require_possible_labels(path: Path, dataset: Dataset) -> None:
-    contacts, force, angle = dataset.contacts, dataset.magnitudes_n, dataset.angles_deg
-    place, along = dataset.places_m, dataset.along_n
-    low, high = dataset.protocol.force_low_n, dataset.protocol.force_high_n
+    contacts = dataset.contacts
+    force = dataset.magnitudes_n
+    angle = dataset.angles_deg
+    place = dataset.places_m
+    along = dataset.along_n
+    low = dataset.protocol.force_low_n
+    high = dataset.protocol.force_high_n
     possible = (force >= low) & (force <= high) & (angle >= 0.0) & (angle < 360.0)
     none = (force == 0.0) & (angle == 0.0) & (place == 0.0) & (along == 0.0)
     wrong = np.argwhere(~np.where(contacts, possible, none))

@@ -36,7 +36,10 @@ from cablesense_training.errors import DatasetError
 CHUNK_SAMPLES = 2048
 """A power of two, so that every chunk is a balanced block of the Sobol sequence."""
 
-DESIGN, NOISE, REDRAW, ARM = 0, 1, 2, 3
+DESIGN = 0
+NOISE = 1
+REDRAW = 2
+ARM = 3
 """Purposes of random streams: points, sensor noise, points drawn again, arms with effects."""
 
 
@@ -389,7 +392,8 @@ def borne_by(arm: Arm, protocol: Any, given: dict[str, Any], contacts: int = 1) 
     if "force_high_n" not in options:
         options["force_high_n"] = contact_range_n(arm, protocol.force_high_n, contacts)
     if "pose_range_deg" not in options and options.get("pose", protocol.pose) == "random":
-        usual_deg, force_n = protocol.pose_range_deg, options["force_high_n"]
+        usual_deg = protocol.pose_range_deg
+        force_n = options["force_high_n"]
         options["pose_range_deg"] = pose_range_deg(arm, usual_deg, force_n)
     return options
 

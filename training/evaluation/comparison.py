@@ -245,7 +245,9 @@ def compare(
     for models in (*(setting.models for setting in SETTINGS), MULTI_MODELS):
         for model in models.values():
             find_model(model)
-    single, bounds, found = {}, {}, []
+    single = {}
+    bounds = {}
+    found = []
     peers: dict[str, dict[str, Any]] = {}
     for setting in SETTINGS:
         on_setting(setting.name)

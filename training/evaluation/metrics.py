@@ -208,7 +208,8 @@ def multi_contact_metrics(
     Touched segments whose true magnitude is below `smallest_force_n` are left out; untouched ones
     always count.
     """
-    true, found = np.asarray(touched, dtype=bool), np.asarray(answered, dtype=bool)
+    true = np.asarray(touched, dtype=bool)
+    found = np.asarray(answered, dtype=bool)
     force = np.where(true, np.asarray(magnitude_n, dtype=float), 0.0)
     estimate = np.where(found, np.asarray(answered_magnitude_n, dtype=float), 0.0)
     counted = ~true | (force >= smallest_force_n)
@@ -247,7 +248,8 @@ def _errors(truth: ContactTruth, answer: ContactAnswer, chosen: NDArray[np.bool_
 def _mean_f1(hits: Integers, invented: Integers, missed: Integers) -> float:
     """Mean F1 of the classes that occur; NaN where none does."""
     with np.errstate(invalid="ignore"):
-        precision, recall = hits / (hits + invented), hits / (hits + missed)
+        precision = hits / (hits + invented)
+        recall = hits / (hits + missed)
         scores = 2.0 * precision * recall / (precision + recall)
     return mean_or_nan(np.where(hits > 0, scores, 0.0)[hits + invented + missed > 0])
 
@@ -327,8 +329,10 @@ def noise_bound(dataset: Dataset) -> NoiseBound:
     dataset = dataset.select(dataset.segment > 0)
     covariance = force_covariance_n2(dataset)[dataset.contacts]
     known = covariance.any(axis=(1, 2))
-    dataset, covariance = dataset.select(known), covariance[known]
-    magnitude, angle_deg = dataset.magnitude_n, dataset.angle_deg
+    dataset = dataset.select(known)
+    covariance = covariance[known]
+    magnitude = dataset.magnitude_n
+    angle_deg = dataset.angle_deg
     theta = np.deg2rad(angle_deg)
     force = magnitude[:, None] * np.stack([np.sin(theta), np.cos(theta)], axis=-1)
     root = np.linalg.cholesky(covariance)

@@ -137,7 +137,8 @@ class ModelMetadata(BaseModel):
             )
         versions = effect_versions(metadata.arm)
         for name in sorted({*versions, *metadata.effect_versions}):
-            trained_on, version = metadata.effect_versions.get(name, 1), versions.get(name, 1)
+            trained_on = metadata.effect_versions.get(name, 1)
+            version = versions.get(name, 1)
             if trained_on != version:
                 raise ModelFileError(
                     f"{source}: trained on version {trained_on} of the law of {name}, which is "

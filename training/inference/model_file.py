@@ -161,7 +161,8 @@ def _shapes_of_one_sample(model: ModelProto) -> _Shapes:
                 dim.dim_value = 1
     for node in one.graph.node:
         if node.domain == "com.microsoft":  # onnx does not know Inverse, which keeps the shape
-            node.domain, node.op_type = "", "Identity"
+            node.domain = ""
+            node.op_type = "Identity"
     found = onnx.shape_inference.infer_shapes(one, strict_mode=True, data_prop=True).graph
     shapes = {entry.name: list(entry.dims) for entry in one.graph.initializer}
     for value in (*found.input, *found.value_info, *found.output):

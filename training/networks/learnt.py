@@ -146,7 +146,8 @@ class DecoupledNetwork(LearntNetwork):
 
     def _answer(self, tension_difference_n: Tensor) -> _Answer:
         x = self.tension(tension_difference_n)
-        for_direction, for_magnitude = self.direction_trunk(x), self.magnitude_trunk(x)
+        for_direction = self.direction_trunk(x)
+        for_magnitude = self.magnitude_trunk(x)
         return (
             self.contact_head(self.contact_trunk(x)),
             self.direction_head(for_direction),
@@ -169,5 +170,6 @@ class SharedBackboneNetwork(LearntNetwork):
 
     def _answer(self, tension_difference_n: Tensor) -> _Answer:
         hidden = self.trunk(self.tension(tension_difference_n))
-        logits, direction = self.contact_head(hidden), self.direction_head(hidden)
+        logits = self.contact_head(hidden)
+        direction = self.direction_head(hidden)
         return logits, direction, self.magnitude.undo(self.magnitude_head(hidden)), hidden

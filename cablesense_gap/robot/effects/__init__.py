@@ -13,7 +13,8 @@ from cablesense_sim.effects.effect import EffectDescription
 from cablesense_sim.effects.effect import Parameter as Parameter
 
 Values = Mapping[str, float]
-PRESLIDING, SIDE = "presliding", "side"
+PRESLIDING = "presliding"
+SIDE = "side"
 """Parameters of friction that MJCF cannot express; the first has the unit of its place."""
 
 
@@ -45,8 +46,10 @@ class RobotEffect(EffectDescription):
     def places(self, robot: Robot) -> tuple[str, ...]:
         """Where it can be."""
         names: dict[str, tuple[str, ...]] = {
-            "joints": robot.joints, "bodies": robot.bodies, "tendons": robot.tendons,
-        }  # fmt: skip
+            "joints": robot.joints,
+            "bodies": robot.bodies,
+            "tendons": robot.tendons,
+        }
         return names.get(self.at, (WHOLE_ARM,))
 
     def usual(self, robot: Robot, scale: Scale) -> float:

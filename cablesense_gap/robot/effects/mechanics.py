@@ -68,7 +68,8 @@ class LoadFriction(RobotEffect):
 
     def act(self, change: Change, at: int, values: Values) -> None:
         change.load_friction[at] += values["share"]
-        change.load_presliding[at], change.load_side[at] = values[PRESLIDING], values[SIDE]
+        change.load_presliding[at] = values[PRESLIDING]
+        change.load_side[at] = values[SIDE]
 
 
 class TendonFriction(RobotEffect):
@@ -241,14 +242,16 @@ class AddedMass(RobotEffect):
         The typical mass loads a joint by a tenth of its torque. The largest takes all of it, by
         acceleration alone.
         """
-        own, hinge = robot.model.body_mass[robot.body_ids], np.array(robot.position_units) == "rad"
+        own = robot.model.body_mass[robot.body_ids]
+        hinge = np.array(robot.position_units) == "rad"
         lever_m = np.where(hinge, robot.reach_m, 1.0)
         weight = lever_m * float(np.linalg.norm(robot.model.opt.gravity))
         by_motion = lever_m**2 * scale.acceleration
         least = 0.1 * float((scale.torque / np.maximum(weight + by_motion, 1e-9)).min())
         most = float((scale.torque / np.maximum(by_motion, 0.01 * weight + 1e-9)).max())
         typical = max(least, 0.02 * float(own.min()))
-        most, moment = max(most, 10.0 * float(own.max())), 0.3 * typical * robot.reach_m
+        most = max(most, 10.0 * float(own.max()))
+        moment = 0.3 * typical * robot.reach_m
         spread = most / typical
         about = "first moment about the body's centre of mass: over the mass it gives the place"
         mass = size("mass_kg", "kg", 10.0 * most, typical, "of what was added", 0.0, spread)
@@ -304,5 +307,6 @@ def _presliding(robot: Robot, scale: Scale) -> Parameter:
 
 
 def _elastic(unit: str, typical: float, about: str) -> Parameter:
-    low, high = 0.02 * typical, 50.0 * typical
+    low = 0.02 * typical
+    high = 50.0 * typical
     return Parameter(PRESLIDING, unit, low, high, typical, about, typical, role="shape")

@@ -121,7 +121,8 @@ def trajectory(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
     progress(0.4)
     with_weight = _moved(1.0, size["periods"])
     progress(0.8)
-    light, heavy = without_weight.statistics, with_weight.statistics
+    light = without_weight.statistics
+    heavy = with_weight.statistics
     most_n = max(-light["low_n"], light["high_n"])
     numbers = {
         "light": light,
@@ -131,7 +132,8 @@ def trajectory(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
         "lag_um": 1e6 * light["lag_m"],
         "period_s": PERIOD_S,
     }
-    time_s, short_um = without_weight.time_s, 1e6 * without_weight.short_m
+    time_s = without_weight.time_s
+    short_um = 1e6 * without_weight.short_m
     return numbers, {
         "fig_9a_joints": _joint_figure(without_weight),
         "fig_9a_tensions": _cable_figure(time_s, without_weight.tension_n, "cable tension, N"),
@@ -144,26 +146,32 @@ def _moved(weight: float, periods: int) -> _Motion:
     arm = open_arm("cdsm")
     gravity = tuple(weight * g for g in arm.gravity_m_s2)
     dynamics = ArmDynamics(arm.model_copy(update={"gravity_m_s2": gravity}), _STEP_S)
-    model, data = dynamics.model, dynamics.data
+    model = dynamics.model
+    data = dynamics.data
     time_s = _STEP_S * np.arange(1.0, 1.0 + round((periods + 1) * PERIOD_S / _STEP_S))
     commands = trajectory_rad(time_s, arm.joint_count)
     drawn_m = -held_lengths_m(dynamics.mechanism, commands)  # all at once, for speed
     screws = [model.joint(f"screw_{i + 1}").qposadr[0] for i in range(arm.cable_count)]
-    angles, tensions = np.empty_like(commands), np.empty_like(drawn_m)
+    angles = np.empty_like(commands)
+    tensions = np.empty_like(drawn_m)
     short = np.empty_like(drawn_m)
     for row, drawn in enumerate(drawn_m):
         data.ctrl[:] = drawn
         mujoco.mj_step(model, data)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_tendon(model, data)
-        angles[row], tensions[row] = dynamics.joint_angles_rad, dynamics.tensions_n
+        angles[row] = dynamics.joint_angles_rad
+        tensions[row] = dynamics.tensions_n
         short[row] = drawn - data.qpos[screws]
-    kp, kv = -model.actuator_biasprm[0, 1], -model.actuator_biasprm[0, 2]
+    kp = -model.actuator_biasprm[0, 1]
+    kv = -model.actuator_biasprm[0, 2]
     expected = (tensions + kv * np.gradient(drawn_m, _STEP_S, axis=0)) / kp
     at_rest = solve_equilibrium(dynamics.mechanism, commands).tensions_n
     after = time_s >= PERIOD_S
-    error_deg, short_um = np.rad2deg(angles - commands)[after], 1e6 * short[after]
-    lowest_n, highest_n = float(tensions[after].min()), float(tensions[after].max())
+    error_deg = np.rad2deg(angles - commands)[after]
+    short_um = 1e6 * short[after]
+    lowest_n = float(tensions[after].min())
+    highest_n = float(tensions[after].max())
     statistics = {
         "worst_deg": _largest(error_deg),
         "rms_deg": _rms(error_deg),
@@ -181,7 +189,8 @@ def _moved(weight: float, periods: int) -> _Motion:
 
 def _joint_figure(motion: _Motion) -> Any:
     figure, ((above,), (below,)) = panels(2, 1, 4.2, sharex=True, height_ratios=(1.4, 1.0))
-    time_s, command_deg = motion.time_s, np.rad2deg(motion.command_rad[:, ::2])
+    time_s = motion.time_s
+    command_deg = np.rad2deg(motion.command_rad[:, ::2])
     above.plot(time_s, command_deg[:, 0], color=BLACK, lw=1.0, label="command")
     for n, angle_deg in enumerate(np.rad2deg(motion.angle_rad[:, ::2]).T):
         style: dict[str, Any] = {"color": SERIES[n], "ls": DASHES[n], "lw": 1.8}
@@ -309,7 +318,8 @@ def _load_figure(names: list[str], three_n: tuple[Array, ...]) -> Any:
     figure, every = panels(2, 3, 5.2, grid="y", sharex=True, sharey=True)
     for row, axes in enumerate(every.ravel()):
         for n, (label, mark, colour) in enumerate(_SOURCES):
-            x, changes_n = _CABLES + 0.22 * (n - 1), three_n[n][row]
+            x = _CABLES + 0.22 * (n - 1)
+            changes_n = three_n[n][row]
             axes.vlines(x, 0.0, changes_n, color=colour, lw=1.1, alpha=0.55)
             axes.plot(x, changes_n, mark, color=colour, ms=5, label="" if row else label)
         axes.axhline(0.0, color=BLACK, lw=0.7)

@@ -127,12 +127,16 @@ def quasi_static_tensions_n(path_m: Array, coefficient: float, wrap_rad: float) 
     return tensions
 
 
-_COEFFICIENT, _WRAP_RAD = 0.2, float(np.pi)
-_HIGH_M, _LOW_M = 8e-6, -2e-6
+_COEFFICIENT = 0.2
+_WRAP_RAD = float(np.pi)
+_HIGH_M = 8e-6
+_LOW_M = -2e-6
 """The drive's stroke; both halves of the cable stay taut."""
 
-_STEP_S, _FINE_STEP_S = 1e-3, 5e-4
-_PULL_S, _SETTLE_S = 1.0, 0.3
+_STEP_S = 1e-3
+_FINE_STEP_S = 5e-4
+_PULL_S = 1.0
+_SETTLE_S = 0.3
 _LAWS = tuple(Friction)[1:]
 
 
@@ -184,7 +188,8 @@ def _path_m(cycle_s: float) -> Array:
     time_s = np.arange(0.0, 1.5 * cycle_s, _FINE_STEP_S)
     phase = 2.0 * np.pi * time_s / cycle_s
     up = 0.5 * _HIGH_M * (1.0 - np.cos(phase))
-    mean, half = 0.5 * (_HIGH_M + _LOW_M), 0.5 * (_HIGH_M - _LOW_M)
+    mean = 0.5 * (_HIGH_M + _LOW_M)
+    half = 0.5 * (_HIGH_M - _LOW_M)
     return np.where(time_s < 0.5 * cycle_s, up, mean - half * np.cos(phase))
 
 
@@ -211,7 +216,8 @@ def _left_of_held(law: Friction, rest_s: float) -> float:
 def _loop_width_n(path_m: Array, tension_n: Array) -> float:
     """Drawing less letting out, where that is most, in the closed cycle."""
     third = len(path_m) // 3
-    out, back = slice(third, 2 * third), slice(2 * third, None)
+    out = slice(third, 2 * third)
+    back = slice(2 * third, None)
     at_m = np.linspace(_LOW_M, _HIGH_M, 400)
     letting = np.interp(-at_m, -path_m[out], tension_n[out])
     drawing = np.interp(at_m, path_m[back], tension_n[back])
@@ -220,7 +226,8 @@ def _loop_width_n(path_m: Array, tension_n: Array) -> float:
 
 def _loop_figure(path_m: Array, loops: dict[Friction, Array], own_n: Array) -> Any:
     figure, every = panels(1, 4, 3.5, sharex=True, sharey=True)
-    cycle, path_um = slice(len(path_m) // 3, None), 1e6 * path_m
+    cycle = slice(len(path_m) // 3, None)
+    path_um = 1e6 * path_m
     free_n = loops[Friction.NONE][cycle, 0]
     for axes, law in zip(every[0], _LAWS, strict=True):
         near_n, far_n = loops[law].T
@@ -229,9 +236,13 @@ def _loop_figure(path_m: Array, loops: dict[Friction, Array], own_n: Array) -> A
         axes.plot(path_um, far_n, color=ORANGE, ls="-.", lw=1.8, label="beyond the cylinder, T2")
         axes.set(title=law, xlabel="drive position, µm")
     axes.plot(
-        path_um, own_n[:, 0], color=BLACK, ls=":", lw=1.4,
+        path_um,
+        own_n[:, 0],
+        color=BLACK,
+        ls=":",
+        lw=1.4,
         label="T1 by the effect capstan_friction",
-    )  # fmt: skip
+    )
     every[0, 0].set(ylabel="tension, N", ylim=(0.0, None))
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=4)
     return figure
@@ -244,9 +255,14 @@ def _sweep_figure(sweep: Array) -> Any:
     for n, mu in enumerate(np.unique(sweep[:, 0])):
         _, wrap_rad, ratio = sweep[sweep[:, 0] == mu].T
         axes.plot(
-            mu * wrap_rad, ratio, "os^vDP"[n], color=SERIES[n], ms=6, ls="none",
+            mu * wrap_rad,
+            ratio,
+            "os^vDP"[n],
+            color=SERIES[n],
+            ms=6,
+            ls="none",
             label=f"MuJoCo, μ = {mu:g}",
-        )  # fmt: skip
+        )
     axes.set(xlabel="μ θ", ylabel="T_out / T_in in slip", ylim=(0.0, 1.03), xlim=(0.0, None))
     axes.legend()
     return figure

@@ -44,11 +44,17 @@ from examples.paper.drawing import (
 )
 from examples.paper.study import Figures, Numbers, Progress
 
-DECOUPLED, SHARED_TRUNK, TWO_STAGE = "decoupled", "shared trunk", "two-stage"
+DECOUPLED = "decoupled"
+SHARED_TRUNK = "shared trunk"
+TWO_STAGE = "two-stage"
 """By the paper: three separate networks, one trunk for all, contact first and force given it."""
-PAPER_SAMPLES, PAPER_BATCH_SIZE = 5_000, 64
-WRONG, DIRECTION, FORCE = "wrong, %", "direction MAE, °", "force MAE, N"
-FORCE_RMSE, PARAMETERS = "force RMSE, N", "parameters"
+PAPER_SAMPLES = 5_000
+PAPER_BATCH_SIZE = 64
+WRONG = "wrong, %"
+DIRECTION = "direction MAE, °"
+FORCE = "force MAE, N"
+FORCE_RMSE = "force RMSE, N"
+PARAMETERS = "parameters"
 PAPER_ERRORS = {WRONG: 2.0, DIRECTION: 5.96, FORCE: 9.97}
 """The errors of the paper's single-contact network, by their names in tables and axes."""
 
@@ -208,7 +214,8 @@ def trial(
 
 def _built(shape: Shape, arm: Arm, seed: int) -> ContactNetwork:
     """A network of that shape, with the initial weights that the seed gives."""
-    inputs, widths = (arm.cable_count, arm.segment_count), [shape.width] * shape.depth
+    inputs = (arm.cable_count, arm.segment_count)
+    widths = [shape.width] * shape.depth
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         if shape.architecture == TWO_STAGE:
@@ -219,7 +226,8 @@ def _built(shape: Shape, arm: Arm, seed: int) -> ContactNetwork:
 
 def numbers_of(results: TrialResults) -> Numbers:
     """All that the text of the study names, from trials of any plan's size."""
-    plan, means = results.plan, results.means
+    plan = results.plan
+    means = results.means
     together = results.ratios(SHARED_TRUNK, DECOUPLED)
     pays = max(together[metric] for metric in PAPER_ERRORS) < 1.0 / together[PARAMETERS]
     stages = results.ratios(TWO_STAGE, SHARED_TRUNK)
@@ -281,16 +289,21 @@ def _ratios(ratios: Mapping[str, float]) -> str:
 def _little_data(results: TrialResults) -> Iterator[dict[str, Any]]:
     for pose, one in results.with_little_data.items():
         for what, metric, unit in (("direction", DIRECTION, "°"), ("force", FORCE, "N")):
-            ours, theirs = one[metric], PAPER_ERRORS[metric]
+            ours = one[metric]
+            theirs = PAPER_ERRORS[metric]
             why = (
                 "Less than the paper’s, so the amount of data alone does not make that error."
                 if ours <= theirs
                 else "More than the paper’s: the error of so little training data."
             )
             yield {
-                "pose": _POSES[pose], "what": what, "ours": ours, "theirs": theirs, "unit": unit,
+                "pose": _POSES[pose],
+                "what": what,
+                "ours": ours,
+                "theirs": theirs,
+                "unit": unit,
                 "little_why": why,
-            }  # fmt: skip
+            }
 
 
 def figures_of(results: TrialResults) -> Figures:
@@ -333,9 +346,13 @@ def _metric_panels() -> tuple[Any, Any]:
 
 
 def _curve(
-    axes: Any, x: Sequence[float], shapes: Sequence[Shape], results: TrialResults, metric: str,
+    axes: Any,
+    x: Sequence[float],
+    shapes: Sequence[Shape],
+    results: TrialResults,
+    metric: str,
     **style: Any,
-) -> None:  # fmt: skip
+) -> None:
     """Means over the seeds as a line, each seed as a faint dot."""
     axes.plot(x, [results.means.loc[shape, metric] for shape in shapes], lw=1.6, ms=6, **style)
     for at, shape in zip(x, shapes, strict=True):

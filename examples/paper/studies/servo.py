@@ -29,13 +29,16 @@ from examples.paper.servo_cable import (
 )
 from examples.paper.study import Figures, Numbers, Progress
 
-_PULL_M, _PERIOD_S = 10e-6, 1.0
+_PULL_M = 10e-6
+_PERIOD_S = 1.0
 """As the paper is silent on its drive signal: twice the pretension's stretch, out and back."""
 _KP_N_M = 10.0 * STIFFNESS_N_M
 """An order of magnitude above the cable, section II-D."""
 _DAMPING_RATIO = 0.03
 """Of the start; low, so that it swings as the paper's does."""
-_START_S, _START_STEP_S, _STEP_S = 4e-3, 1e-6, 1e-3
+_START_S = 4e-3
+_START_STEP_S = 1e-6
+_STEP_S = 1e-3
 _NOISE_N = 0.05
 """Of the arm's sensors: what gives the fitted slope an error."""
 
@@ -50,7 +53,8 @@ def pretension(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
     rest_n = _tension_at_rest_n(model, data, steps=1000)
     time_s = _STEP_S * np.arange(float(round(size["periods"] * _PERIOD_S / _STEP_S)))
     command_m = 0.5 * _PULL_M * (1.0 - np.cos(2.0 * np.pi * time_s / _PERIOD_S))
-    position_m, tension_n = np.empty_like(time_s), np.empty_like(time_s)
+    position_m = np.empty_like(time_s)
+    tension_n = np.empty_like(time_s)
     for row, drawn in enumerate(command_m):
         data.ctrl[0] = drawn
         tension_n[row] = _tension_at_rest_n(model, data, steps=1)
@@ -88,7 +92,8 @@ def pretension(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
     c.plot(np.zeros(2), [servo_n.min(), servo_n.max()], color=ORANGE, lw=1.6)
     c.plot(1e6 * position_m, tension_n, color=BLUE)
     ends = np.array([position_m.min(), position_m.max()])
-    fitted_n, label = by_position.intercept + by_position.slope * ends, "fit"
+    fitted_n = by_position.intercept + by_position.slope * ends
+    label = "fit"
     c.plot(1e6 * ends, fitted_n, color=BLACK, ls=":", lw=2.0, label=label)
     c.set(title="(c)", xlabel="actuator position, µm", ylabel="tension, N", ylim=(0.0, None))
     c.legend(loc="lower right")
@@ -98,9 +103,11 @@ def pretension(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
 def _started(kv: float) -> tuple[Array, Array, Array]:
     """Times (T,) after the start at a command of zero, forces of servo and cable."""
     model, data = _model(_KP_N_M, kv)
-    model.opt.timestep, model.opt.integrator = _START_STEP_S, mujoco.mjtIntegrator.mjINT_EULER
+    model.opt.timestep = _START_STEP_S
+    model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
     count = round(_START_S / _START_STEP_S)
-    servo_n, cable_n = np.empty(count), np.empty(count)
+    servo_n = np.empty(count)
+    cable_n = np.empty(count)
     for row in range(count):
         mujoco.mj_forward(model, data)
         servo_n[row] = data.actuator_force[0]
@@ -172,8 +179,10 @@ def self_locking(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
     )
     progress(0.2)
     side = size["side"]
-    gains, steps_s = np.geomspace(0.1, 100.0, side), np.geomspace(1e-6, 1e-2, side)
-    limits_s, bounded = {}, {}
+    gains = np.geomspace(0.1, 100.0, side)
+    steps_s = np.geomspace(1e-6, 1e-2, side)
+    limits_s = {}
+    bounded = {}
     for done, name in enumerate(INTEGRATORS, start=1):
         limits_s[name] = np.asarray(longest_bounded_step_s(gains * STIFFNESS_N_M, name))
         bounded[name] = np.array(
@@ -214,7 +223,8 @@ def self_locking(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
 
 def _closed_error_m(times: Any) -> Any:
     """How far servo 2 rests short of its command, T / kp, with kp in cable stiffnesses."""
-    unyielding_n, kp = PRETENSION_N + STIFFNESS_N_M * _DRAWN_M, times * STIFFNESS_N_M
+    unyielding_n = PRETENSION_N + STIFFNESS_N_M * _DRAWN_M
+    kp = times * STIFFNESS_N_M
     return tension_at_rest_n(unyielding_n, STIFFNESS_N_M, kp, 2) / kp
 
 

@@ -47,7 +47,8 @@ def several_contacts(size: Numbers, progress: Progress) -> tuple[Numbers, Figure
     setting = SETTINGS[0]
     alone = draw_dataset(setting.arm, setting.protocol(len(test)), TEST_SEED)
     of_one = evaluate_models({TWO_STAGE: setting.models[TWO_STAGE]}, alone)[TWO_STAGE]
-    mean_n, alone_n = float(errors_n.mean()), of_one.metrics.errors.magnitude_mae_n
+    mean_n = float(errors_n.mean())
+    alone_n = of_one.metrics.errors.magnitude_mae_n
     metrics = {name: one.metrics for name, one in answers.items()}
     numbers = {
         "weakest_n": WEAKEST_MULTI_N,
@@ -64,15 +65,18 @@ def several_contacts(size: Numbers, progress: Progress) -> tuple[Numbers, Figure
         "rows": [
             *(
                 (
-                    LABELS[name], 100.0 * one.recognition_accuracy,
-                    100.0 * one.all_segments_right, one.macro_f1, *one.magnitude_mae_n,
+                    LABELS[name],
+                    100.0 * one.recognition_accuracy,
+                    100.0 * one.all_segments_right,
+                    one.macro_f1,
+                    *one.magnitude_mae_n,
                 )
                 for name, one in metrics.items()
             ),
             ("noise bound", "–", "–", "–", *map(float, bound_n)),
             ("the paper", "over 99", "–", "–", *("–" for _ in bound_n)),
         ],
-    }  # fmt: skip
+    }
     return numbers, {
         "fig_13_confusion": _confusion_figure(test, answers),
         "fig_14_error_by_point": _error_figure(answers, bound_n),
@@ -101,9 +105,11 @@ def _error_figure(answers: dict[str, MultiEvaluation], bound_n: Array) -> Any:
         axes.plot(points, one.metrics.magnitude_mae_n, **STYLES[name], lw=1.6, label=LABELS[name])
     axes.plot(points, bound_n, color=BLACK, ls=DOTTED, lw=2.0, label="noise bound")
     axes.set(
-        xlabel="contact point, 4 is the tip", ylabel="mean absolute error, N (logarithmic)",
-        yscale="log", xticks=points,
-    )  # fmt: skip
+        xlabel="contact point, 4 is the tip",
+        ylabel="mean absolute error, N (logarithmic)",
+        yscale="log",
+        xticks=points,
+    )
     plain_log_ticks(axes.yaxis)
     figure.legend(loc="outside right center")
     return figure

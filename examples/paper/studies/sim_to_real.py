@@ -22,16 +22,21 @@ from examples.paper.tension_changes import Explained, OneNumber
 _ALIKE = 1.05
 """Numbers that leave this much more than the best are called no worse."""
 
-_SLACK_ROW, _SLACK_SET, _SLACK_CABLE = 5, slice(3, 6), 5
+_SLACK_ROW = 5
+_SLACK_SET = slice(3, 6)
+_SLACK_CABLE = 5
 """2 kg on segment 3, the cables that end on segment 2, cable 6."""
 
 _SETS = {"cables 1 to 3": BEFORE, "cables 4 to 6": AFTER, "cables 7 to 9": GREEN}
 _MOST = 12
 """Candidates that are listed."""
 _UNITS = (
-    ("_n_m", 1.0, "N·m"), ("_m", 1e3, "mm"), ("_rad", 57.2958, "°"), ("_n", 1.0, "N"),
+    ("_n_m", 1.0, "N·m"),
+    ("_m", 1e3, "mm"),
+    ("_rad", 57.2958, "°"),
+    ("_n", 1.0, "N"),
     ("_kg", 1.0, "kg"),
-)  # fmt: skip
+)
 """End of a parameter's name, scale and unit in a report; the first that fits counts."""
 
 
@@ -51,8 +56,10 @@ def figures_of(found: TableDiagnosis) -> Figures:
 
 def numbers_of(found: TableDiagnosis) -> Numbers:
     """All that the text of the study names."""
-    measured, gap_n = found.changes.changes_n, found.gap_n
-    paper_gap_n, apart_n = measured - found.paper_n, found.paper_n - found.nominal_n
+    measured = found.changes.changes_n
+    gap_n = found.gap_n
+    paper_gap_n = measured - found.paper_n
+    apart_n = found.paper_n - found.nominal_n
     largest_n = float(np.abs(gap_n).max())
     disproportion_n = measured[3:] - 2.0 * measured[:3]
     steps = measured / STEP_N
@@ -82,9 +89,7 @@ def numbers_of(found: TableDiagnosis) -> Numbers:
         "blind": listed([_spaced(name) for name in found.blind]),
         "timed": listed([_spaced(n) for n, e in known_effects().items() if e.needs_time]),
         "disproportion": newtons(rms(np.delete(disproportion_n.ravel(), [21, 22, 23]))),
-        "slack_off": listed(
-            [f"{v:+.2f}" for v in disproportion_n[_SLACK_ROW - 3, _SLACK_SET]]
-        ),
+        "slack_off": listed([f"{v:+.2f}" for v in disproportion_n[_SLACK_ROW - 3, _SLACK_SET]]),
         "slack_n": -measured[_SLACK_ROW, _SLACK_CABLE],
         "slack_needs": value_of(slack),
         "slack_left": newtons(slack.rmse),
@@ -107,7 +112,7 @@ def numbers_of(found: TableDiagnosis) -> Numbers:
             *((candidate_name(effects), n) for effects, n in found.held_out_n.items()),
         ][:_MOST],
         "share_rows": [(what, 100.0 * share) for what, share in shares(found).items()],
-    }  # fmt: skip
+    }
 
 
 def rms(values: Array) -> float:
@@ -126,7 +131,8 @@ def shares(found: TableDiagnosis) -> dict[str, float]:
     """Parts of the gap by their share of its squares; they add up to 1."""
     whole = (found.gap_n**2).sum()
     inner = found.internal_n**2
-    last, row = inner[:, 6:].sum(), inner[_SLACK_ROW, _SLACK_SET].sum()
+    last = inner[:, 6:].sum()
+    row = inner[_SLACK_ROW, _SLACK_SET].sum()
     parts = {
         "cables 7 to 9 all tighter, the more where segment 1 or 2 is loaded": last,
         "cables 4 to 6 all tighter, under 2 kg on segment 3 alone": row,
@@ -151,7 +157,8 @@ def number_name(number: OneNumber) -> str:
 
 def value_of(explained: Explained) -> str:
     """The fitted value with its unit, as far as the name has it."""
-    value, name = explained.value, explained.number.terms[0].parameter
+    value = explained.value
+    name = explained.number.terms[0].parameter
     if name in ("gain", "share", "change"):
         return f"{100 * value:+.1f} %"
     for end, scale, unit in _UNITS:
@@ -207,7 +214,8 @@ def gap_figure(found: TableDiagnosis) -> Any:
 def proportion_figure(found: TableDiagnosis) -> Any:
     """Gap under 2 kg against gap under 1 kg, with the line of proportion."""
     figure, axes = one_panel(4.2)
-    one, two = found.gap_n[:3], found.gap_n[3:]
+    one = found.gap_n[:3]
+    two = found.gap_n[3:]
     along = np.array([one.min() - 0.2, one.max() + 0.2])
     # 95 % of a difference between one number and two others
     band = 1.96 * np.sqrt(5.0) * found.floor_n
@@ -217,9 +225,14 @@ def proportion_figure(found: TableDiagnosis) -> Any:
         of_set = slice(3 * k, 3 * k + 3)
         for point, mark in enumerate("osD"):
             axes.scatter(
-                one[point, of_set], two[point, of_set], s=36, color=colour, marker=mark, zorder=3,
+                one[point, of_set],
+                two[point, of_set],
+                s=36,
+                color=colour,
+                marker=mark,
+                zorder=3,
                 label=name if point == 0 else None,
-            )  # fmt: skip
+            )
     for point, mark in enumerate("osD"):
         axes.scatter([], [], s=36, color=OTHER, marker=mark, label=f"load on segment {point + 1}")
     axes.set(xlabel="gap under 1 kg, N", ylabel="gap under 2 kg, N")

@@ -42,7 +42,8 @@ from examples.paper.drawing import (
 )
 from examples.paper.study import Figures, Numbers, Progress
 
-TEST_SEED, TRAIN_SEED = 20_260_002, 0
+TEST_SEED = 20_260_002
+TRAIN_SEED = 0
 TREES = "gradient_boosting"
 LABELS = {
     SHIPPED: "shipped estimator",
@@ -68,7 +69,9 @@ ALL_SETTINGS = (*SETTINGS, Setting("table2", "cdsm_table2", "straight", TABLE2_M
 
 _KNOWN_POSES = ("random_pose", "compliant")
 FORCE_EDGES_N = np.array([0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 70.0, 100.0, 150.0, 200.0])
-PAPER_DIRECTION_DEG, PAPER_MAE_N, PAPER_RMSE_N = 5.96, 9.97, 14.26
+PAPER_DIRECTION_DEG = 5.96
+PAPER_MAE_N = 9.97
+PAPER_RMSE_N = 14.26
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,14 +90,16 @@ class SettingTest:
 
     def error_by_force_n(self, estimator: str) -> Array:
         """(bins,) mean absolute magnitude error; an answer of no contact counts as 0 N."""
-        touched, answer = self.truth.segment > 0, self.tested[estimator].answer
+        touched = self.truth.segment > 0
+        answer = self.tested[estimator].answer
         true_n = self.truth.magnitude_n[touched]
         error_n = np.abs(np.where(answer.segment > 0, answer.magnitude_n, 0.0)[touched] - true_n)
         return np.asarray(binned_statistic(true_n, error_n, "mean", FORCE_EDGES_N).statistic)
 
     def direction_error_deg(self, estimator: str) -> Array:
         """Absolute, of the contacts found."""
-        truth, answer = self.truth, self.tested[estimator].answer
+        truth = self.truth
+        answer = self.tested[estimator].answer
         found = (truth.segment > 0) & (answer.segment > 0)
         return np.abs(angle_difference_deg(answer.angle_deg[found], truth.angle_deg[found]))
 
@@ -138,7 +143,8 @@ def single_contact(
     progress(0.9)
     first = tests[0]
     off_deg = first.direction_error_deg(TWO_STAGE)
-    within_deg, most_deg = float(np.quantile(off_deg, 0.95)), float(off_deg.max())
+    within_deg = float(np.quantile(off_deg, 0.95))
+    most_deg = float(off_deg.max())
     by_force_n = [test.error_by_force_n(TWO_STAGE) for test in tests[:2]]
     growth = [float(error_n[-1] / error_n[3]) for error_n in by_force_n]
     numbers = {
@@ -171,7 +177,8 @@ def single_contact(
 
 
 def _errors(tested: Evaluation) -> dict[str, float]:
-    metrics, errors = tested.metrics, tested.metrics.errors
+    metrics = tested.metrics
+    errors = tested.metrics.errors
     return {
         "accuracy": 100.0 * metrics.contact_accuracy,
         "direction_deg": errors.direction_mae_deg,
@@ -218,11 +225,14 @@ def _misclassified(tested: Evaluation) -> dict[str, Any]:
     next_to = int(np.trace(on_arm, 1) + np.trace(on_arm, -1))
     other = int(on_arm.sum() - np.trace(on_arm))
     if other == 0:
-        agreement, why = "partly", "No contact is mistaken for one on another segment."
+        agreement = "partly"
+        why = "No contact is mistaken for one on another segment."
     elif next_to > 0.5 * other:
-        agreement, why = "yes", "Of those on another segment, most are on the next one."
+        agreement = "yes"
+        why = "Of those on another segment, most are on the next one."
     else:
-        agreement, why = "no", "Wrong segments are not mostly the next ones."
+        agreement = "no"
+        why = "Wrong segments are not mostly the next ones."
     return {
         "between": int(counts[1:, 0].sum() + counts[0, 1:].sum()),
         "next_to": next_to,
@@ -240,16 +250,22 @@ def direction_figure(tests: Sequence[SettingTest]) -> Any:
         for name, tested in test.tested.items():
             error = test.direction_error_deg(name)
             share = np.histogram(np.maximum(error, edges[0]), edges)[0] / len(error)
-            mean, style = tested.metrics.errors.direction_mae_deg, STYLES[name]
+            mean = tested.metrics.errors.direction_mae_deg
+            style = STYLES[name]
             axes.stairs(
-                100.0 * share, edges, color=style["color"], ls=style["ls"], lw=1.7,
+                100.0 * share,
+                edges,
+                color=style["color"],
+                ls=style["ls"],
+                lw=1.7,
                 label=LABELS[name] if test is tests[0] else "",
-            )  # fmt: skip
+            )
             axes.plot(mean, 0.0, **style, ms=7, clip_on=False, zorder=4)
         axes.axvline(test.bound.direction_mae_deg, color=BLACK, ls=DOTTED, lw=1.4)
         axes.axvline(PAPER_DIRECTION_DEG, color=BLACK, ls="--", lw=1.2)
         axes.set(title=TITLES[test.name], ylabel="contacts, %", xscale="log", ylim=(0.0, None))
-    first, lowest = every[0, 0], every[-1, 0]
+    first = every[0, 0]
+    lowest = every[-1, 0]
     plain_ticks(lowest.xaxis)
     lowest.set(xlabel="absolute direction error, ° (logarithmic)", xlim=(edges[0], edges[-1]))
     first.plot([], [], color=BLACK, ls=DOTTED, label="mean, noise bound")
