@@ -56,7 +56,7 @@ def test_a_commissioning_ends_in_a_calibration_that_is_saved_and_published(graph
     assert not refused.success
     assert "under way" in refused.message
     commands = commands_of(graph)
-    graph.until(lambda: "holds" in status(graph) and "force is known" in status(graph), "progress")
+    graph.until(lambda: "holds" in status(graph) and "is known to" in status(graph), "progress")
     graph.until(lambda: status(graph).startswith("done"), "the end")
     assert status(graph) == "done: a commissioning in 4 poses"
     assert np.abs(commands[-1].position).max() == 0.0  # back where it began
