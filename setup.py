@@ -109,12 +109,7 @@ def data_files() -> list[tuple[str, list[str]]]:
     share = Path("share", NAME)
     placed = {Path("share/ament_index/resource_index/packages"): [f"resource/{NAME}"]}
     placed[share] = ["package.xml"]
-    placed[share / "examples"] = ["examples/__init__.py"]
-    sources = (
-        ("config", "config"),
-        ("cablesense_ros/launch", "launch"),
-        ("examples/paper", "examples/paper"),
-    )
+    sources = (("config", "config"), ("cablesense_ros/launch", "launch"))
     for source, target in sources:
         for file in sorted(Path(source).rglob("*")):
             if file.is_file() and "__pycache__" not in file.parts:

@@ -31,15 +31,6 @@ def config_path(name: str) -> Path:
     return _installed(PurePosixPath("config", name))
 
 
-def examples_parent() -> Path:
-    """The folder that holds `examples/`; on `sys.path` it makes the examples importable.
-
-    Raises:
-        CableSenseError: the installation does not have it.
-    """
-    return _installed(PurePosixPath("examples/__init__.py")).parents[1]
-
-
 def _installed(name: PurePosixPath) -> Path:
     packages = Path(__file__).resolve().parents[1]
     roots = [packages] if (packages / "package.xml").is_file() else []

@@ -25,8 +25,8 @@ from typing import NamedTuple
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_sim.cable_pull import CablePull
 from cablesense_sim.compiled import compiled
-from cablesense_sim.effects.effect import CablePull
 
 _LEAST_GIVE_M = 1e-8
 _MOST_STEPS = 40

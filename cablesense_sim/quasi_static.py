@@ -20,8 +20,9 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_sim import kinematics
+from cablesense_sim.cable_pull import CablePull
 from cablesense_sim.compiled import compiled, eliminate
-from cablesense_sim.effects.effect import ArmRest, CablePull
+from cablesense_sim.effects.effect import ArmRest
 from cablesense_sim.effects.registry import Variants, transmissions
 from cablesense_sim.equilibrium import RESIDUAL_LIMIT_N_M, EquilibriumError, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism, stack

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 
 from cablesense_gap.report.style import style
-from examples.paper.study import (
+from paper.study import (
     CLOSED_FORM,
     PAPER,
     Agreement,

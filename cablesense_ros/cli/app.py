@@ -15,7 +15,7 @@ import typer
 
 from cablesense_base import CableSenseError
 from cablesense_ros.cli.calibrate import calibrate
-from cablesense_ros.cli.evaluate import evaluate, paper
+from cablesense_ros.cli.evaluate import evaluate
 from cablesense_ros.cli.export import export
 from cablesense_ros.cli.gap import gap
 from cablesense_ros.cli.info import info, urdf
@@ -33,7 +33,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for verb in (demo, export, dataset, train, evaluate, info, urdf, calibrate, record, replay, paper):
+for verb in (demo, export, dataset, train, evaluate, info, urdf, calibrate, record, replay):
     app.command()(verb)
 app.add_typer(gap)
 app.add_typer(sensors)
@@ -58,23 +58,28 @@ def options(
 
 
 def main() -> None:
-    """Runs the command and ends the process with its exit code.
+    """Runs `cablesense`."""
+    run_app(app, "cablesense")
+
+
+def run_app(command: typer.Typer, name: str) -> None:
+    """Runs a command of this name and ends the process with its exit code.
 
     A signal leaves through the `with` statements: workers end, and no part of a file stays.
     """
     handle_end_signals(_on_end_signal)
-    line, code = _run()
+    line, code = _run(command)
     # generators that frames of the error held end here, and with them pools and part files
     gc.collect()
     if line:
-        print(f"cablesense: {' '.join(line.split())}", file=sys.stderr)
+        print(f"{name}: {' '.join(line.split())}", file=sys.stderr)
     sys.exit(code)
 
 
-def _run() -> tuple[str, int]:
+def _run(command: typer.Typer) -> tuple[str, int]:
     """Runs the command; gives the line for standard error, and the exit code."""
     try:
-        app()
+        command()
     except CableSenseError as error:
         return str(error), getattr(error, "exit_code", 2)
     except ModuleNotFoundError as error:

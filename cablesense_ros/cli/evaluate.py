@@ -1,29 +1,22 @@
-"""`cablesense evaluate` and `paper`: how good the estimators are, and the paper's studies."""
+"""`cablesense evaluate`: how good the estimators are."""
 
 from __future__ import annotations
 
-import os
-import sys
 from dataclasses import asdict
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import TaskID
 
 from cablesense_base.files import output_file, write_atomically
-from cablesense_base.installation import examples_parent
 from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
     OptionError,
     WorkersOption,
-    print_json,
     print_result,
     refuse_given,
-    task_bars,
 )
 
 if TYPE_CHECKING:
@@ -227,76 +220,3 @@ def _comparison(samples: int, seed: int, workers: int) -> Result:
             seed, samples, workers, lambda name: status.update(f"Evaluating {name} …")
         )
     return "The estimator, the paper's networks, and the noise bound", content
-
-
-def _study_names() -> str:
-    """Names of the studies, read from the files of their texts: loads no code."""
-    texts = (examples_parent() / "examples" / "paper" / "studies").glob("*.yaml")
-    return ", ".join(sorted(text.stem for text in texts))
-
-
-def paper(
-    out: Annotated[
-        Path,
-        typer.Option(
-            metavar="DIR",
-            help="Folder for report.html, results.json and pictures; without --force a new or "
-            "empty one.",
-        ),
-    ],
-    quick: Annotated[
-        bool,
-        typer.Option(
-            "--quick", help="Fewer samples and coarser sweeps: under two minutes on two cores."
-        ),
-    ] = False,
-    only: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME", help=f"Only this study; repeatable. Names: {_study_names()}."
-        ),
-    ] = None,
-    force: ForceOption = False,
-    json_output: JsonOption = False,
-) -> None:
-    """Repeat the paper's experiments here, and compare each result with the paper's.
-
-    Every study runs on this project's own simulation. The report states for each number that the
-    paper gives whether ours agrees, and why it does or does not. Open DIR/report.html in any
-    browser; it needs no other file. The report lists a study that fails, the others still
-    run, and the command ends with 1.
-
-    Examples: [bold]cablesense paper --out paper --quick[/bold],
-    [bold]cablesense paper --out friction --only friction[/bold]
-    """
-    if (parent := str(examples_parent())) not in sys.path:
-        sys.path.insert(0, parent)
-    from examples.paper.report import claim_folder, write_report
-    from examples.paper.study import FailedStudyError, chosen_studies, run_study
-
-    for package in ("jinja2", "matplotlib"):  # missing ones are found now, not after minutes
-        import_module(package)
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each other cost minutes
-    studies = chosen_studies(only or ())
-    claim_folder(out, force)
-    console = Console(stderr=json_output)
-    outcomes = []
-    with task_bars(console) as progress:
-        for study in studies:
-            task = progress.add_task(study.title, total=1.0)
-
-            def show(done: float, task: TaskID = task) -> None:
-                progress.update(task, completed=done)
-
-            outcomes.append(run_study(study, quick, show))
-            show(1.0)
-    results = write_report(out, outcomes, quick)
-    if json_output:
-        print_json(results)
-    console.print(f"Report: {out / 'report.html'}", soft_wrap=True)
-    failed = [outcome.study.name for outcome in outcomes if outcome.failure]
-    if failed:
-        raise FailedStudyError(
-            f"{len(failed)} of {len(studies)} studies failed: {', '.join(failed)}; "
-            f"{out / 'report.html'} states why"
-        )

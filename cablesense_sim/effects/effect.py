@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_sim.cable_pull import CablePull
 
 if TYPE_CHECKING:
     from cablesense_sim.mechanism import Mechanism
@@ -233,18 +234,6 @@ class ArmRest(NamedTuple):
     spans_m: Array
     bends_rad: Array
     tensions_n: Array
-
-
-class CablePull(NamedTuple):
-    """Tensions of cables in K = 1 + N pieces: at the actuator, and across each joint.
-
-    Attributes:
-        tensions_n: (..., K) of each piece, the actuator's first; zero in a slack cable.
-        by_length_n_m: (..., K, K) derivative by the pieces' lengths.
-    """
-
-    tensions_n: Array
-    by_length_n_m: Array
 
 
 class Transmission:

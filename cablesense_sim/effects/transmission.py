@@ -7,10 +7,10 @@ from functools import partial
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_sim.cable_pull import CablePull
 from cablesense_sim.effects.effect import (
     Actuation,
     ArmRest,
-    CablePull,
     Effect,
     Parameter,
     Transmission,

@@ -17,7 +17,7 @@ from cablesense_ros.cli.app import app
 from cablesense_sim.arm import open_arm
 
 COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
-VERBS = ("demo", "export", "dataset", "train", "evaluate", "info", "paper", "gap", "sensors")
+VERBS = ("demo", "export", "dataset", "train", "evaluate", "info", "gap", "sensors")
 GAP_VERBS = ("diagnose", "predict", "protocol", "record", "score", "watch", "withhold")
 
 
@@ -68,8 +68,6 @@ def test_help_loads_neither_ros_nor_torch_nor_the_page():
         (["gap", "predict", "missing.mcap", "--out", "p.csv"], "missing.mcap"),
         (["gap", "score", "missing", "--answers", "missing.csv"], "missing.csv"),
         (["gap", "withhold", "--count", "1", "--only", "rust", "--out", "w"], "no effect 'rust'"),
-        (["paper", "--out", "p", "--only", "fig99"], "no study 'fig99'; there are"),
-        (["paper", "--out", "/proc/none"], "give another --out"),
         (["sensors", "check", "none.csv"], "none.csv: no such file"),
         (["sensors", "check", "--pull", "cable_99"], "no cable 'cable_99'"),
         (["sensors", "calibrate", "none.csv", "--out", "c.yaml"], "none.csv: cannot be read"),

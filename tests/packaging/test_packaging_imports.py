@@ -19,6 +19,7 @@ PACKAGES = [
     "training",
     "cablesense_gap",
     "examples",
+    "paper",
     "cablesense_online",
     "cablesense_plants",
     "cablesense_ros",
@@ -42,7 +43,7 @@ def imported(*folders: str) -> set[str]:
     """Name the top-level modules that the files under `folders` import."""
     files = [file for folder in folders for file in (CHECKOUT / folder).rglob("*.py")]
     names = set[str]().union(*map(imports_of, files))
-    own = ("cablesense_", "examples")
+    own = ("cablesense_", "examples", "paper")
     return {n for n in names - sys.stdlib_module_names if not n.startswith(own)}
 
 
@@ -78,7 +79,7 @@ def ros_modules() -> set[str]:
         (["training"], ["", "train"]),
         (["cablesense_gap"], ["", "gap"]),
         (["cablesense_plants"], ["", "gap"]),
-        (["examples"], ["", "gap", "train", "ros"]),
+        (["examples", "paper"], ["", "gap", "train", "ros"]),
         (["cablesense_online"], ["", "page", "can", "gap"]),
         (["cablesense_ros"], ["", "page", "ros", "can", "gap", "train"]),
         (["tests", "benchmarks"], ["", "page", "ros", "can", "train", "gap", "dev"]),

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from paper_studies import compared, disagreeing, quick_result
 
-from examples.paper.studies.arm import PERIOD_S, trajectory_rad
-from examples.paper.study import PAPER, Agreement
+from paper.studies.arm import PERIOD_S, trajectory_rad
+from paper.study import PAPER, Agreement
 
 QUARTER_S = 0.25 * PERIOD_S
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from paper_studies import compared, disagreeing, quick_result, result_of
 
-from examples.paper.cables import (
+from paper.cables import (
     LENGTH_M,
     PRETENSION_N,
     STIFFNESS_N_M,
@@ -16,9 +16,9 @@ from examples.paper.cables import (
     driven_at_both_ends,
     fixed_and_driven,
 )
-from examples.paper.servo_cable import positions_at_rest_m, tension_at_rest_n
-from examples.paper.studies import servo
-from examples.paper.study import CLOSED_FORM, PAPER, Agreement
+from paper.servo_cable import positions_at_rest_m, tension_at_rest_n
+from paper.studies import servo
+from paper.study import CLOSED_FORM, PAPER, Agreement
 
 GAINS = (1e6, 1e7, 1e8, 1e9)
 stiffnesses = st.floats(1e3, 1e9)

@@ -5,16 +5,16 @@ import pytest
 from paper_studies import compared, result_of
 
 from cablesense_training.evaluation.comparison import SHIPPED
-from examples.paper.boosting import BoostingSettings
-from examples.paper.studies.several_contacts import several_contacts
-from examples.paper.studies.single_contact import (
+from paper.boosting import BoostingSettings
+from paper.studies.several_contacts import several_contacts
+from paper.studies.single_contact import (
     ALL_SETTINGS,
     FORCE_EDGES_N,
     TREES,
     answered_setting,
     single_contact,
 )
-from examples.paper.study import PAPER, Agreement
+from paper.study import PAPER, Agreement
 
 pytestmark = pytest.mark.slow
 

@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from paper_studies import compared, disagreeing, result_of
 
-from examples.paper.studies.friction import (
+from paper.studies.friction import (
     Friction,
     capstan_limit_n,
     friction,
     quasi_static_tensions_n,
     stepped_tensions_n,
 )
-from examples.paper.study import PAPER, Agreement
+from paper.study import PAPER, Agreement
 
 MU = 0.2
 WRAP_RAD = np.pi

@@ -2,7 +2,7 @@
 
 import pytest
 
-from examples.paper.studies import networks
+from paper.studies import networks
 
 PLAN = networks.Plan(
     depths=(1, 2),

@@ -1,4 +1,4 @@
-"""`cablesense paper`: one line and an exit code for what is wrong, a report for what runs."""
+"""`python -m paper`: one line and an exit code for what is wrong, a report for what runs."""
 
 import json
 
@@ -6,12 +6,13 @@ import pytest
 from paper_studies import failing, study
 from typer.testing import CliRunner
 
-from cablesense_ros.cli.app import app
-from examples.paper.study import FailedStudyError, StudyResult
+from cablesense_base import CableSenseError
+from paper.__main__ import app
+from paper.study import FailedStudyError, StudyResult
 
 
 def invoke(*arguments):
-    return CliRunner().invoke(app, ["paper", *arguments])
+    return CliRunner().invoke(app, [*arguments])
 
 
 def test_a_study_alone_makes_a_report(tmp_path):
@@ -30,7 +31,7 @@ def test_after_a_failure_the_others_run_and_the_command_fails(tmp_path, monkeypa
         return StudyResult("It ran.")
 
     chosen = (failing(ZeroDivisionError()), study(work, name="second"))
-    monkeypatch.setattr("examples.paper.study.chosen_studies", lambda only: chosen)
+    monkeypatch.setattr("paper.study.chosen_studies", lambda only: chosen)
     result = invoke("--out", str(tmp_path / "report"))
     assert isinstance(result.exception, FailedStudyError)
     assert result.exception.exit_code == 1
@@ -47,8 +48,22 @@ def test_a_missing_package_is_named_before_anything_is_made(missing, tmp_path, m
         if name == missing:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-    monkeypatch.setattr("cablesense_ros.cli.evaluate.import_module", import_module)
+    monkeypatch.setattr("paper.__main__.import_module", import_module)
     result = invoke("--out", str(tmp_path / "report"))
     assert isinstance(result.exception, ModuleNotFoundError)
     assert result.exception.name == missing
     assert not (tmp_path / "report").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "remedy"),
+    [
+        (["--out", "p", "--only", "fig99"], "no study 'fig99'; there are"),
+        (["--out", "/proc/none"], "give another --out"),
+    ],
+)
+def test_wrong_input_is_refused_with_a_remedy(arguments, remedy, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused = invoke(*arguments).exception
+    assert isinstance(refused, CableSenseError)
+    assert remedy in str(refused)

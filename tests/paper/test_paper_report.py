@@ -7,8 +7,8 @@ import pytest
 from html_page import Page
 from paper_studies import DOT, RESULT, failing, ignore, study
 
-from examples.paper.report import claim_folder, paper_page, write_report
-from examples.paper.study import PaperError, run_study
+from paper.report import claim_folder, paper_page, write_report
+from paper.study import PaperError, run_study
 
 BROKEN = ZeroDivisionError("the <cable> broke")
 
@@ -32,7 +32,7 @@ def test_the_page_shows_the_result_in_full(page):
         "about 100",
         "It is the stiffness.",
         "The paper is silent on the amplitude.",
-        "cablesense paper --only cable",
+        "python -m paper --only cable",
     ):
         assert text in page.text, text
 

@@ -5,15 +5,8 @@ import pytest
 from paper_studies import failing, ignore
 
 from cablesense_gap.report.style import style
-from examples.paper import study as studies
-from examples.paper.study import (
-    PRINT_DPI,
-    PaperError,
-    chosen_studies,
-    run_study,
-    study_names,
-    study_result,
-)
+from paper import study as studies
+from paper.study import PRINT_DPI, PaperError, chosen_studies, run_study, study_names, study_result
 
 TEXT = {
     "lead": "It pulls {tension_n:.1f} N.",

@@ -7,11 +7,11 @@ from paper_studies import compared, result_of
 from cablesense_gap.simulator import Term
 from cablesense_sim.arm import open_arm
 from cablesense_training.evaluation.comparison import read_table2
-from examples.paper import tension_changes
-from examples.paper.studies.sim_to_real import figures_of, numbers_of
-from examples.paper.study import PAPER, Agreement
-from examples.paper.table_2_gap import diagnose_table
-from examples.paper.tension_changes import ChangeSimulator, TensionChanges, internal_n
+from paper import tension_changes
+from paper.studies.sim_to_real import figures_of, numbers_of
+from paper.study import PAPER, Agreement
+from paper.table_2_gap import diagnose_table
+from paper.tension_changes import ChangeSimulator, TensionChanges, internal_n
 
 ARM = open_arm("cdsm_table2")
 WEIGHT_N = np.array([9.81, 9.81, 9.81, 19.62, 19.62, 19.62])

@@ -16,7 +16,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_sim.model import ACTUATOR_MASS_KG
-from examples.paper.cables import STIFFNESS_N_M, driven_at_both_ends
+from paper.cables import STIFFNESS_N_M, driven_at_both_ends
 
 
 def tension_at_rest_n(unyielding_n: Any, stiffness_n_m: float, kp_n_m: Any, servos: int) -> Any:

@@ -14,10 +14,10 @@ from cablesense_gap.report.text import candidate_name
 from cablesense_gap.verdict import listed
 from cablesense_sim.effects.registry import known_effects
 from cablesense_training.evaluation.comparison import STANDARD_GRAVITY_M_S2
-from examples.paper.drawing import GREEN, one_panel, panels
-from examples.paper.study import Figures, Numbers, Progress
-from examples.paper.table_2_gap import STEP_N, TableDiagnosis, best_of_each, diagnose_table
-from examples.paper.tension_changes import Explained, OneNumber
+from paper.drawing import GREEN, one_panel, panels
+from paper.study import Figures, Numbers, Progress
+from paper.table_2_gap import STEP_N, TableDiagnosis, best_of_each, diagnose_table
+from paper.tension_changes import Explained, OneNumber
 
 _ALIKE = 1.05
 """Numbers that leave this much more than the best are called no worse."""

@@ -3,7 +3,7 @@
 A study is a function that gives numbers and figures, and a text with templates of `str.format`
 that the numbers are put into, `studies/<name>.yaml`. The keys of a text:
 
-    function  module and name of the function in `examples.paper.studies`
+    function  module and name of the function in `paper.studies`
     title, place, order, quick   of the study
     sizes     {full, quick}: what the function is given in either mode; `quick` may name them
     lead      the result in one to three sentences
@@ -41,7 +41,7 @@ CLOSED_FORM = "closed form"
 """Sources of references; a comparison that names none has the paper."""
 
 PRINT_DPI = 200
-_STUDIES = "examples.paper.studies"
+_STUDIES = "paper.studies"
 
 Numbers = Mapping[str, Any]
 """By the names of the templates."""

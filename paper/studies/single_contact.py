@@ -28,8 +28,8 @@ from cablesense_training.evaluation.metrics import (
     angle_difference_deg,
     noise_bound,
 )
-from examples.paper.boosting import BoostingBaseline, BoostingSettings
-from examples.paper.drawing import (
+from paper.boosting import BoostingBaseline, BoostingSettings
+from paper.drawing import (
     BLACK,
     BLUE,
     DASHES,
@@ -40,7 +40,7 @@ from examples.paper.drawing import (
     panels,
     plain_ticks,
 )
-from examples.paper.study import Figures, Numbers, Progress
+from paper.study import Figures, Numbers, Progress
 
 TEST_SEED = 20_260_002
 TRAIN_SEED = 0

@@ -22,10 +22,10 @@ from cablesense_training.evaluation.comparison import (
     multi_protocol,
 )
 from cablesense_training.evaluation.metrics import confusion_matrix, multi_contact_bound_n
-from examples.paper.boosting import BoostingSettings, MultiBoostingBaseline
-from examples.paper.drawing import BLACK, DOTTED, confusion_grid, one_panel, plain_log_ticks
-from examples.paper.studies.single_contact import LABELS, STYLES, TEST_SEED, TRAIN_SEED, TREES
-from examples.paper.study import Figures, Numbers, Progress
+from paper.boosting import BoostingSettings, MultiBoostingBaseline
+from paper.drawing import BLACK, DOTTED, confusion_grid, one_panel, plain_log_ticks
+from paper.studies.single_contact import LABELS, STYLES, TEST_SEED, TRAIN_SEED, TREES
+from paper.study import Figures, Numbers, Progress
 
 
 def several_contacts(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:

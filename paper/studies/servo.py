@@ -17,9 +17,9 @@ from scipy.stats import linregress
 from cablesense_base import Array
 from cablesense_gap.report.style import FLOOR
 from cablesense_sim.model import ACTUATOR_MASS_KG
-from examples.paper.cables import PRETENSION_N, STIFFNESS_N_M, fixed_and_driven
-from examples.paper.drawing import BLACK, BLUE, DASHES, ORANGE, SERIES, one_panel, panels
-from examples.paper.servo_cable import (
+from paper.cables import PRETENSION_N, STIFFNESS_N_M, fixed_and_driven
+from paper.drawing import BLACK, BLUE, DASHES, ORANGE, SERIES, one_panel, panels
+from paper.servo_cable import (
     INTEGRATORS,
     longest_bounded_step_s,
     positions_at_rest_m,
@@ -27,7 +27,7 @@ from examples.paper.servo_cable import (
     stays_bounded,
     tension_at_rest_n,
 )
-from examples.paper.study import Figures, Numbers, Progress
+from paper.study import Figures, Numbers, Progress
 
 _PULL_M = 10e-6
 _PERIOD_S = 1.0

@@ -18,17 +18,8 @@ from cablesense_sim.kinematics import cable_jacobian_m, cable_lengths_m
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.model import build_spec
 from cablesense_training.evaluation.comparison import STANDARD_GRAVITY_M_S2, read_table2
-from examples.paper.drawing import (
-    BLACK,
-    BLUE,
-    DASHES,
-    ORANGE,
-    SERIES,
-    one_panel,
-    panels,
-    plot_by_cable,
-)
-from examples.paper.study import Figures, Numbers, Progress
+from paper.drawing import BLACK, BLUE, DASHES, ORANGE, SERIES, one_panel, panels, plot_by_cable
+from paper.study import Figures, Numbers, Progress
 
 AMPLITUDE_RAD = float(np.deg2rad(10.0))
 PERIOD_S = 4.0

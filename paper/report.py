@@ -11,7 +11,7 @@ from typing import Any
 
 from cablesense_base.files import output_folder, write_atomically
 from cablesense_gap.report.style import WIDTH_IN, ReportError, image_uri, rendered
-from examples.paper.study import PAPER, PRINT_DPI, Agreement, PaperError, Picture, StudyOutcome
+from paper.study import PAPER, PRINT_DPI, Agreement, PaperError, Picture, StudyOutcome
 
 
 def claim_folder(folder: Path, force: bool = False) -> None:
@@ -86,7 +86,7 @@ def paper_page(outcomes: Sequence[StudyOutcome], quick: bool) -> str:
         "with_paper": Counter(c.agreement for c in comparisons if c.source == PAPER),
         "otherwise": Counter(c.agreement for c in comparisons if c.source != PAPER),
     }
-    return rendered("examples.paper", "paper.html", content, {"figure": shown})
+    return rendered("paper", "paper.html", content, {"figure": shown})
 
 
 def shown(value: float | str) -> str:

@@ -10,14 +10,14 @@ import mujoco
 import numpy as np
 
 from cablesense_gap.report.style import WIDTH_IN
-from examples.paper.cables import (
+from paper.cables import (
     CYLINDER_RADIUS_M,
     around_a_cylinder,
     driven_at_both_ends,
     fixed_and_driven,
 )
-from examples.paper.drawing import BLACK, BLUE, VERMILION
-from examples.paper.study import Figures, Numbers, Progress
+from paper.drawing import BLACK, BLUE, VERMILION
+from paper.study import Figures, Numbers, Progress
 
 _SCENES = {
     "fixed and driven": (fixed_and_driven(1e8, 1e4), "stiffness and pretension"),

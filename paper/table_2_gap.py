@@ -21,8 +21,8 @@ from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import NONE
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_training.evaluation.comparison import read_table2
-from examples.paper.study import PaperError
-from examples.paper.tension_changes import (
+from paper.study import PaperError
+from paper.tension_changes import (
     ChangeSimulator,
     Explained,
     OneNumber,

@@ -14,7 +14,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_sim.cable_chain import CableChains
-from examples.paper.cables import (
+from paper.cables import (
     AXIAL_RIGIDITY_N,
     CYLINDER_RADIUS_M,
     LENGTH_M,
@@ -23,8 +23,8 @@ from examples.paper.cables import (
     around_a_cylinder,
     drive_direction,
 )
-from examples.paper.drawing import BLACK, BLUE, GREY, ORANGE, SERIES, one_panel, panels
-from examples.paper.study import Figures, Numbers, Progress
+from paper.drawing import BLACK, BLUE, GREY, ORANGE, SERIES, one_panel, panels
+from paper.study import Figures, Numbers, Progress
 
 _STICK_STIFFNESS_N_M = 5e8
 """With which friction gives before it slips: fifty times the cable's own."""

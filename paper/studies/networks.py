@@ -31,7 +31,7 @@ from cablesense_training.networks.learnt import (
     SharedBackboneNetwork,
     TwoStageNetwork,
 )
-from examples.paper.drawing import (
+from paper.drawing import (
     BLACK,
     BLUE,
     DASHES,
@@ -42,7 +42,7 @@ from examples.paper.drawing import (
     plain_log_ticks,
     plain_ticks,
 )
-from examples.paper.study import Figures, Numbers, Progress
+from paper.study import Figures, Numbers, Progress
 
 DECOUPLED = "decoupled"
 SHARED_TRUNK = "shared trunk"
