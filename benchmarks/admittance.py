@@ -140,10 +140,10 @@ def _faults(workers: int) -> dict[str, Any]:
     """Every kind of fault of every cable in all its sizes, untouched and in contact."""
     cases = []
     for arm, touched in product(ARMS, (False, True)):
-        every = [Fault("none", 0.0, 0)]
+        faults = [Fault("none", 0.0, 0)]
         for cable in range(open_arm(arm).cable_count):
-            every += [Fault(kind, size, cable) for kind in KINDS for size in KINDS[kind]]
-        cases += [(arm, touched, fault, seed) for seed, fault in enumerate(every)]
+            faults += [Fault(kind, size, cable) for kind in KINDS for size in KINDS[kind]]
+        cases += [(arm, touched, fault, seed) for seed, fault in enumerate(faults)]
     with WorkerPool(workers) as pool:
         turns_deg = list(pool.map(turned_deg, *zip(*cases, strict=True)))
     table = pd.DataFrame(cases, columns=["arm", "in_contact", "fault", "seed"])
@@ -206,24 +206,24 @@ class Fault:
 
     def change(self, reading_n: Array, since_s: float) -> None:
         """Change readings (M,) in place, so long after the fault began, s."""
-        at = self.cable
+        cable = self.cable
         size = self.size
         match self.kind:
             case "zero":
-                reading_n[at] = 0.0
+                reading_n[cable] = 0.0
             case "scale":
-                reading_n[at] *= size
+                reading_n[cable] *= size
             case "offset":
-                reading_n[at] += size
+                reading_n[cable] += size
             case "drift":
-                reading_n[at] += size * since_s
+                reading_n[cable] += size * since_s
             case "stuck":
                 if self.stuck_at_n is None:
-                    self.stuck_at_n = reading_n[at] + size
-                reading_n[at] = self.stuck_at_n
+                    self.stuck_at_n = reading_n[cable] + size
+                reading_n[cable] = self.stuck_at_n
             case "exchanged":
-                other = (at + round(size)) % len(reading_n)
-                reading_n[[at, other]] = reading_n[[other, at]]
+                other = (cable + round(size)) % len(reading_n)
+                reading_n[[cable, other]] = reading_n[[other, cable]]
 
 
 class Run(EstimatedArm):
@@ -263,8 +263,10 @@ class Run(EstimatedArm):
         controller = self.controller
         force_n = np.array(contact.wrench[:3])
         now_ns = START_NS + round(now_s * 1e9)
-        given = controller.received(answer.force, contact.segment, force_n, now_ns, now_ns, now_s)
-        for command in (given, controller.repeated(now_s)):
+        response = controller.received(
+            answer.force, contact.segment, force_n, now_ns, now_ns, now_s
+        )
+        for command in (response, controller.repeated(now_s)):
             if command is not None:
                 self.commanded(command, now_s)
 

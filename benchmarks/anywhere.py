@@ -126,8 +126,8 @@ def picture(
     bins = np.digitize(lateral_n, edges[1:-1])
     for n in range(2, arm.segment_count + 1):
         rows = [(truth.segment == n) & (bins == k) for k in range(FORCE_BINS)]
-        errors_mm = [np.median(off_mm[at]) for at in rows]
-        bounds_mm = [HALF_NORMAL_MEDIAN * np.median(bound[at, 0]) for at in rows]
+        errors_mm = [np.median(off_mm[in_bin]) for in_bin in rows]
+        bounds_mm = [HALF_NORMAL_MEDIAN * np.median(bound[in_bin, 0]) for in_bin in rows]
         axes.loglog(middle, errors_mm, "o", color=f"C{n}", label=f"segment {n}")
         axes.loglog(middle, bounds_mm, color=f"C{n}")
     axes.set(title=title, xlabel="lateral force, N", ylabel="median error of the place, mm")

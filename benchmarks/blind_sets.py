@@ -82,8 +82,8 @@ def parser(doc: str | None, writes: str, seed: int) -> argparse.ArgumentParser:
 
 def folder_of(options: argparse.Namespace) -> Path:
     """The folder of the set, a new one unless one is given."""
-    given: Path | None = options.folder
-    return given or Path(tempfile.mkdtemp(prefix="blind_"))
+    chosen: Path | None = options.folder
+    return chosen or Path(tempfile.mkdtemp(prefix="blind_"))
 
 
 def in_pool(work: Callable[[Path], Any], paths: Sequence[Path], workers: int) -> list[Any]:
@@ -104,8 +104,8 @@ def removed_on(recording: Recording, nominal: Arm, amended: Arm, floor_n: float)
     judged = counted_rows(nominal, recording, nominal_n)
     judged[:SETTLED_ROWS] = False
     before_n, after_n = (
-        float(np.sqrt(((recording.tensions_n - each)[judged] ** 2).mean()))
-        for each in (nominal_n, amended_n)
+        float(np.sqrt(((recording.tensions_n - replayed_n)[judged] ** 2).mean()))
+        for replayed_n in (nominal_n, amended_n)
     )
     return removed_fraction(before_n, after_n, floor_n)
 

@@ -62,8 +62,8 @@ class Course:
     def __init__(self, name: str, coefficient: float, arms: int) -> None:
         self.arm = open_arm(name)
         drawn = ideal_arm(read_nominal(find_arm(name)))
-        each = np.full(self.arm.cable_count, coefficient)
-        self._plant = replace(drawn, friction=PlantFriction(each, pulley_rad=_PULLEY_RAD))
+        coefficients = np.full(self.arm.cable_count, coefficient)
+        self._plant = replace(drawn, friction=PlantFriction(coefficients, pulley_rad=_PULLEY_RAD))
         self.rng = np.random.default_rng(SEED)
         self.base_rad = np.radians(_BENT_DEG) * self.rng.uniform(-1.0, 1.0, (arms, 8))
         self.base_rad[: arms // 2] = 0.0
@@ -79,8 +79,8 @@ class Course:
     def step(self, command_rad: Array) -> None:
         """Go to commands (B, 8) at once."""
         self._command_rad = command_rad
-        there = self._states, self._plant.held_m(command_rad), self._forces_n
-        self._states = [self._path.advance(*each, 1.0) for each in zip(*there, strict=True)]
+        moves = self._states, self._plant.held_m(command_rad), self._forces_n
+        self._states = [self._path.advance(*each, 1.0) for each in zip(*moves, strict=True)]
 
     def load(self, forces_n: Array) -> None:
         """Come to loads (B, 4, 3) step by step."""

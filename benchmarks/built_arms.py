@@ -260,7 +260,7 @@ class Bench:
                 touched = k < CONTACTS_AT_A_POSE
                 drawn.append(self.drawn(built, command, rng) if touched else self.nothing)
                 commands.append(command)
-        tensions, kept = borne(built, np.array(commands), [one.pushes for one in drawn])
+        tensions, kept = borne(built, np.array(commands), [sample.pushes for sample in drawn])
         readings = built.read(tensions, rng)
         if self.case.fault is not None:
             readings = np.array([self.case.fault(reading, rng) for reading in readings])

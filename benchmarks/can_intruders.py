@@ -82,10 +82,10 @@ class Line:
     def play(self, cycles: list[Frames]) -> None:
         """Read frames in the order of their stamps, until the bus falls silent."""
         frames = [frame for cycle in cycles for frame in cycle]
-        frames.sort(key=lambda one: one.timestamp)
-        given = [self.reader.take(frame, frame.timestamp + LATENCY_S) for frame in frames]
-        given.append(self.reader.lapse())
-        self.samples += [sample for sample in given if sample is not None]
+        frames.sort(key=lambda frame: frame.timestamp)
+        samples = [self.reader.take(frame, frame.timestamp + LATENCY_S) for frame in frames]
+        samples.append(self.reader.lapse())
+        self.samples += [sample for sample in samples if sample is not None]
 
     def false_samples(self) -> int:
         """How many samples hold a reading that the amplifiers did not send a moment before."""
@@ -129,10 +129,10 @@ def spoofed_last_frame(line: Line) -> list[Frames]:
 def duplicate_id(line: Line, forged_cycles: int = ATTACKED_CYCLES) -> list[Frames]:
     """A second device sends one id once in each cycle, at any time of it."""
     cycles = line.cycles(ATTACKED_CYCLES)
-    at = line.rng.randrange(-3 if line.map.counter else -12, 0)
+    index = line.rng.randrange(-3 if line.map.counter else -12, 0)
     later_s = line.rng.random() * line.map.cycle_time_s
     for frames in cycles[:forged_cycles]:
-        frames.append(_forged(line, frames[at], later_s + line.rng.uniform(0.0, 2e-5)))
+        frames.append(_forged(line, frames[index], later_s + line.rng.uniform(0.0, 2e-5)))
     return cycles
 
 
@@ -146,8 +146,8 @@ def forged_cycle(line: Line) -> list[Frames]:
     cycles = line.cycles(ATTACKED_CYCLES)
     earlier_s = -line.rng.uniform(0.05, 0.95) * line.map.cycle_time_s
     for frames in cycles:
-        early = [_again(one, earlier_s) for one in frames if len(one.data) == 1]
-        early += [_forged(line, one, earlier_s) for one in frames if len(one.data) > 1]
+        early = [_again(frame, earlier_s) for frame in frames if len(frame.data) == 1]
+        early += [_forged(line, frame, earlier_s) for frame in frames if len(frame.data) > 1]
         frames += early
     return cycles
 
@@ -156,7 +156,7 @@ def replay(line: Line) -> list[Frames]:
     """Cycles of before are sent again among the present ones."""
     recorded = line.cycles(line.rng.randrange(5, HEALTHY_CYCLES))
     later_s = (len(recorded) + line.rng.random()) * line.map.cycle_time_s
-    again = [[_again(one, later_s) for one in old] for old in recorded[:ATTACKED_CYCLES]]
+    again = [[_again(frame, later_s) for frame in old] for old in recorded[:ATTACKED_CYCLES]]
     return [*recorded, *line.cycles(ATTACKED_CYCLES), *again]
 
 
@@ -190,11 +190,11 @@ def another_order(line: Line) -> list[Frames]:
     for frames in cycles:
         waiting = frames[1:] if line.map.counter else frames[:]
         free_s = waiting[0].timestamp
-        ready_s = {one.arbitration_id: free_s + line.rng.uniform(0.0, 3e-4) for one in waiting}
+        ready_s = {frame.arbitration_id: free_s + line.rng.uniform(0.0, 3e-4) for frame in waiting}
         while waiting:
-            free_s = max(free_s, min(ready_s[one.arbitration_id] for one in waiting))
-            ready = [one for one in waiting if ready_s[one.arbitration_id] <= free_s]
-            sent = min(ready, key=lambda one: one.arbitration_id)
+            free_s = max(free_s, min(ready_s[frame.arbitration_id] for frame in waiting))
+            ready = [frame for frame in waiting if ready_s[frame.arbitration_id] <= free_s]
+            sent = min(ready, key=lambda frame: frame.arbitration_id)
             sent.timestamp = free_s
             free_s += FRAME_S
             waiting.remove(sent)
@@ -243,9 +243,9 @@ def main() -> int:
         for name in (PACKED, CIA404)
         for scenario in (*ATTACKS, *HEALTHY)
     ]
-    bars = {"no false sample": not any(one["false samples"] for one in figures)}
-    found = {"figures": figures, "bars": bars}
-    return harness.publish("can_intruders.json", found, given, "python-can")
+    bars = {"no false sample": not any(run_figures["false samples"] for run_figures in figures)}
+    result = {"figures": figures, "bars": bars}
+    return harness.publish("can_intruders.json", result, given, "python-can")
 
 
 if __name__ == "__main__":

@@ -110,14 +110,14 @@ def _measure(pool: WorkerPool, name: str, cases: int) -> dict[str, Any]:
     shares = np.array_split(good, len(parts))
     tasks = [(name, command[share], forces[share]) for share in shares]
     start = time.perf_counter()
-    found = list(pool.map(_solve, *zip(*tasks, strict=True)))
+    solved = list(pool.map(_solve, *zip(*tasks, strict=True)))
     seconds = time.perf_counter() - start
     ((stepping_s, difference_n),) = pool.map(_step_to_rest, [name])
     return {
         "cases": len(good),
         "per_second": len(good) / seconds,
         "without_rest": cases - len(good),
-        "largest_residual_n_m": float(max(residual.max() for _, residual in found)),
+        "largest_residual_n_m": float(max(residual.max() for _, residual in solved)),
         "stepped_cases": STEPPED_CASES,
         "stepping_ms": 1e3 * stepping_s,
         "largest_tension_difference_n": difference_n,

@@ -42,9 +42,9 @@ def main() -> None:
     errors = []
     for i in range(options.count):
         case = random_history(rng, 1 + i % MOST_GUIDES, ROWS)
-        found = tensions_by_law(*case)
+        tensions = tensions_by_law(*case)
         expected = searched(*case)
-        errors.append(float(np.abs(found - expected).max() / np.ptp(expected)))
+        errors.append(float(np.abs(tensions - expected).max() / np.ptp(expected)))
     result: dict[str, Any] = {
         "cables": options.count,
         "of_the_range_from_the_search": harness.percentiles(
@@ -81,7 +81,7 @@ def searched(stiffness_n_m: Array, grip: Array, stretch_m: Array) -> Array:
     passes = np.eye(guides + 1, guides) - np.eye(guides + 1, guides, k=-1)
     patterns = np.array(list(product((0, 1, -1), repeat=guides)))
     passed = np.zeros(guides)
-    found = []
+    tensions = []
     for stretch, bound in zip(
         stretch_m, np.broadcast_to(grip, (len(stretch_m), guides)), strict=True
     ):
@@ -91,8 +91,8 @@ def searched(stiffness_n_m: Array, grip: Array, stretch_m: Array) -> Array:
             even = stretch.sum() / stiffness_n_m / (1.0 / stiffness_n_m).sum()
             passed = np.cumsum(even - stretch)[:-1]
             tension = np.zeros(guides + 1)
-        found.append(tension)
-    return np.array(found)
+        tensions.append(tension)
+    return np.array(tensions)
 
 
 def _admissible(
@@ -131,8 +131,8 @@ def random_history(rng: np.random.Generator, guides: int, rows: int) -> tuple[Ar
     stiffness = np.exp(rng.uniform(np.log(1e5), np.log(1e6), guides + 1))
     grip = rng.uniform(0.0, 0.5, guides) * rng.choice([1.0, 0.0], guides, p=[0.9, 0.1])
     knots = rng.normal(size=(max(2, rows // 4), guides + 1))
-    at = np.linspace(0.0, len(knots) - 1.0, rows)
-    course = interp1d(np.arange(len(knots)), knots, axis=0)(at)
+    moments = np.linspace(0.0, len(knots) - 1.0, rows)
+    course = interp1d(np.arange(len(knots)), knots, axis=0)(moments)
     course -= course[0]
     lowest = -course.sum(axis=1).min()
     least = rng.choice([0.8, 1.6], p=[0.67, 0.33])

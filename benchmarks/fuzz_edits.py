@@ -65,13 +65,13 @@ def edited(
     """A sequence after up to `most` changes of spans, some exchanged with `others`."""
     items = list(content)
     for _ in range(draw(st.integers(1, most))):
-        at = draw(st.integers(0, len(items)))
-        end = at + draw(st.sampled_from(_SPANS))
-        piece = items[at:end]
+        begin = draw(st.integers(0, len(items)))
+        end = begin + draw(st.sampled_from(_SPANS))
+        piece = items[begin:end]
         match draw(st.sampled_from(_EDITS)):
             case "left out":
                 piece = []
-            case "cut off" if at > len(items) // 2:
+            case "cut off" if begin > len(items) // 2:
                 piece = []
                 end = len(items)
             case "repeated":
@@ -79,10 +79,10 @@ def edited(
             case "exchanged" if others is not None:
                 piece = list(draw(others))
             case _:  # moved
-                del items[at:end]
-                at = draw(st.integers(0, len(items)))
-                end = at
-        items[at:end] = piece
+                del items[begin:end]
+                begin = draw(st.integers(0, len(items)))
+                end = begin
+        items[begin:end] = piece
     return items
 
 

@@ -150,8 +150,10 @@ def _use_map(path: Path) -> None:
 
 
 def _use_calibration(path: Path) -> None:
-    found = calibrated(*open_channel_map(MAPS[0]), load_calibration(path), str(path))
-    numbers = [(channel.scale_n_per_unit, channel.zero) for channel in found.channels.values()]
+    channel_map = calibrated(*open_channel_map(MAPS[0]), load_calibration(path), str(path))
+    numbers = [
+        (channel.scale_n_per_unit, channel.zero) for channel in channel_map.channels.values()
+    ]
     require(np.isfinite(numbers).all(), f"a calibration of {numbers}")
 
 
@@ -195,10 +197,10 @@ def _use_recording(path: Path) -> None:
 
 
 def _edited_dataset(draw: Draw, content: bytes) -> bytes:
-    at = 0
+    kept = 0
     if draw(st.booleans()):  # offsets and sizes stand at the end
-        at = draw(st.integers(max(0, len(content) - 12_000), len(content)))
-    return content[:at] + edited_bytes(draw, content[at:], most=2)
+        kept = draw(st.integers(max(0, len(content) - 12_000), len(content)))
+    return content[:kept] + edited_bytes(draw, content[kept:], most=2)
 
 
 def _use_dataset(path: Path) -> None:
@@ -257,8 +259,8 @@ def _edited_array(draw: Draw, array: Array) -> Array:
             return array.astype(draw(st.sampled_from(("U8", "i1", "f4", "c16", "?"))))
     flat = array.flatten()
     for _ in range(draw(st.integers(1, 3))):
-        at = draw(st.integers(0, len(flat) - 1))
-        flat[at] = draw(st.sampled_from(_NUMBERS)) if flat.dtype.kind == "f" else -1
+        index = draw(st.integers(0, len(flat) - 1))
+        flat[index] = draw(st.sampled_from(_NUMBERS)) if flat.dtype.kind == "f" else -1
     return flat.reshape(array.shape)
 
 

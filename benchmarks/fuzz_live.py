@@ -121,7 +121,7 @@ def check_frames(draw: Draw) -> Tally:
     skew_s = SCATTER_OF_READING_S if interface == "slcan" else 0.0
     skew_limit_s = max(amplifier.map.skew_limit_s, skew_s)
     rng = draw(st.randoms(use_true_random=True))
-    frames = [one for n in range(CYCLES) for one in amplifier.cycle(rng, n)]
+    frames = [message for n in range(CYCLES) for message in amplifier.cycle(rng, n)]
     taken = 0
     arrival_s = START_S
     gap_s = CYCLES * amplifier.map.cycle_time_s / len(frames)
@@ -145,8 +145,8 @@ def _changed(draw: Draw, frames: list[can.Message]) -> list[can.Message]:
     rows = st.sampled_from((1, 1, 4, 30))
     for _ in range(draw(st.integers(0, 6)) if frames else 0):
         first = draw(st.integers(0, len(frames) - 1))
-        for at in range(first, min(len(frames), first + draw(rows))):
-            frames[at] = _changed_frame(draw, frames[at])
+        for index in range(first, min(len(frames), first + draw(rows))):
+            frames[index] = _changed_frame(draw, frames[index])
     return frames
 
 
@@ -218,11 +218,11 @@ def content_of(raw: bytes) -> tuple[int, Array]:
     """
     message = deserialize_message(raw, JointState)
     by_name = dict(zip(message.name, message.effort, strict=True))
-    every = len(message.name) == len(by_name) and set(by_name) == set(ARM.cable_names)
+    complete = len(message.name) == len(by_name) and set(by_name) == set(ARM.cable_names)
     low_n, high_n = PLAUSIBLE_N
     plausible = all(low_n < tension_n < high_n for tension_n in by_name.values())
     stamp = message.header.stamp
-    require(every and plausible and stamp.nanosec < 10**9, f"no message of this arm: {message}")
+    require(complete and plausible and stamp.nanosec < 10**9, f"no message of this arm: {message}")
     tensions_n = np.array([by_name[name] for name in ARM.cable_names])
     return stamp.sec * 10**9 + stamp.nanosec, tensions_n
 
@@ -316,8 +316,8 @@ def check_messages(draw: Draw) -> Tally:
         raw = edited_joint_state(draw, tared.next_ns, tensions_n)
         refused += tared.take(raw).problem is not None
     tared.now_ns += 10**9
-    found = tared.take_tensions(tared.pushed_n[0]).contact
-    require(found.segment == 1, f"a good message after bad ones gives {found}")
+    contact = tared.take_tensions(tared.pushed_n[0]).contact
+    require(contact.segment == 1, f"a good message after bad ones gives {contact}")
     return Tally(inputs=MESSAGES, refused=refused, taken=MESSAGES - refused)
 
 

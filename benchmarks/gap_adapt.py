@@ -63,9 +63,9 @@ def main() -> None:
         if sum("before" in case for case in cases) == options.count:
             break
         if not HURTING.isdisjoint(kind.split("+")):
-            own = options.folder / f"arm_{index:03d}"
-            work = partial(_case, own, kind, index, options)
-            cases.append(harness.kept(own.with_suffix(".json"), work))
+            arm_folder = options.folder / f"arm_{index:03d}"
+            work = partial(_case, arm_folder, kind, index, options)
+            cases.append(harness.kept(arm_folder.with_suffix(".json"), work))
     harness.publish("gap_adapt.json", {"arm": ARM, **_summary(cases)}, options)
 
 
@@ -86,9 +86,9 @@ def _case(folder: Path, kind: str, index: int, options: Any) -> dict[str, Any]:
     if misled_n < _LEAST_N:
         return case
     unseen = withheld_trials(recording, arm)
-    found = diagnose(recording, arm, unseen=unseen)
+    diagnosis = diagnose(recording, arm, unseen=unseen)
     began = time.monotonic()
-    adapted = adapt_to(found, recording, unseen, law)
+    adapted = adapt_to(diagnosis, recording, unseen, law)
     case["judging_seconds"] = round(time.monotonic() - began, 1)
     began = time.monotonic()
     if adapted.adapted is not None:
@@ -97,9 +97,9 @@ def _case(folder: Path, kind: str, index: int, options: Any) -> dict[str, Any]:
     estimator = adapted.diagnosis.verdict.estimator
     assert estimator is not None
     case |= {
-        "named": list(found.verdict.effects),
-        "unexplained_share": found.verdict.unexplained_share,
-        "diagnosis_seconds": found.verdict.seconds,
+        "named": list(diagnosis.verdict.effects),
+        "unexplained_share": diagnosis.verdict.unexplained_share,
+        "diagnosis_seconds": diagnosis.verdict.seconds,
         "export_seconds": round(time.monotonic() - began, 1),
         **estimator.model_dump(mode="json"),
     }
@@ -113,21 +113,21 @@ def _error_at_peaks_n(recording: Recording, law: TorchLaw) -> float:
     near = size >= _NEAR_PEAK * size.groupby(recording.trial).transform("max")
     judged = tares_of(recording).of_row >= 0
     known = Calibrator(law.arm, law).by_tolerances()
-    found = recorded_errors(recording, law, calibration=known)
-    peaks = near.to_numpy()[judged] & (found.truth.segment > 0)
-    return float(np.abs(found.answer.force_n - found.truth.magnitude_n)[peaks].mean())
+    errors = recorded_errors(recording, law, calibration=known)
+    peaks = near.to_numpy()[judged] & (errors.truth.segment > 0)
+    return float(np.abs(errors.answer.force_n - errors.truth.magnitude_n)[peaks].mean())
 
 
 def _summary(cases: list[dict[str, Any]]) -> dict[str, Any]:
     misled = [case for case in cases if "before" in case]
     used = [case[case["use"]] for case in misled]
     before_n = np.array([case["before"]["force_mae_n"] for case in misled])
-    left = np.array([errors["force_mae_n"] for errors in used]) / before_n
+    remaining = np.array([errors["force_mae_n"] for errors in used]) / before_n
     return {
         "drawn": len(cases),
         "misled": len(misled),
-        "halved": asdict(proportion(share <= 0.5 for share in left)),
-        "force_error_left": harness.percentiles(left, ("median", "worst")),
+        "halved": asdict(proportion(share <= 0.5 for share in remaining)),
+        "force_error_left": harness.percentiles(remaining, ("median", "worst")),
         "mean_interval_coverage": np.mean([e.get("interval_coverage", 0.0) for e in used]),
         **{
             name: harness.percentiles([case[name] for case in misled], ("median", "worst"))

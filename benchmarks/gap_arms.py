@@ -54,9 +54,11 @@ def main() -> None:
     cases = []
     for index in range(1, options.count + 1):
         kind = next(kinds)
-        own = folder / f"arm_{index:03d}"
-        if time.time() < until or (own / "diagnosis").exists():
-            cases.append(_case(own, np.random.default_rng([options.seed, index]), index, kind))
+        arm_folder = folder / f"arm_{index:03d}"
+        if time.time() < until or (arm_folder / "diagnosis").exists():
+            cases.append(
+                _case(arm_folder, np.random.default_rng([options.seed, index]), index, kind)
+            )
             print(cases[-1], flush=True)
     ran = {name: sum(name not in case["failed"] for case in cases) for name in COMMANDS}
     counts = {"arms": len(cases), "ran": ran, "right": sum(case["right"] for case in cases)}
@@ -68,7 +70,7 @@ def draw_arm(rng: np.random.Generator) -> Arm:
     """An arm that stands and bears contacts, its holes evenly around the axis."""
     while True:
         count = int(rng.integers(2, 7))
-        each = int(rng.integers(3, 5))
+        per_segment = int(rng.integers(3, 5))
         length_m = rng.uniform(0.06, 0.25, count).round(3) * np.ones(count)
         offset_m = round(float(rng.uniform(0.1, 0.2) * length_m.min()), 3)
         arm = {
@@ -82,9 +84,12 @@ def draw_arm(rng: np.random.Generator) -> Arm:
                 "contact_m": (0.5 * length_m).round(3).tolist(),
             },
             "cables": {
-                "per_segment": each,
+                "per_segment": per_segment,
                 "routing_radius_m": round(float(rng.uniform(0.02, 0.07)), 3),
-                "angle_deg": {"per_segment": 360.0 / each / count, "per_cable": -360.0 / each},
+                "angle_deg": {
+                    "per_segment": 360.0 / per_segment / count,
+                    "per_cable": -360.0 / per_segment,
+                },
                 "stiffness_n_m": _log_uniform(rng, 5e3, 1e7),
                 "pretension_n": _log_uniform(rng, 10.0, 200.0),
                 "run_m": 0.2,
@@ -125,9 +130,9 @@ def _case(folder: Path, rng: np.random.Generator, index: int, kind: str) -> dict
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if done.returncode or "Warning" in done.stderr:
             failed[name] = done.stderr.strip()[-300:]
-    found = folder / "diagnosis" / "verdict.json"
+    verdict_file = folder / "diagnosis" / "verdict.json"
     answers = folder / "cases/answers/answers.csv"
-    named = "+".join(read_verdict(found).effects) if found.exists() else ""
+    named = "+".join(read_verdict(verdict_file).effects) if verdict_file.exists() else ""
     return {
         "case": f"{index:03d}, {arm.segment_count} x {arm.cables.per_segment}",
         "stiffness_n_m": arm.cables.stiffness_n_m,

@@ -76,20 +76,20 @@ def main() -> None:
     options = parser.parse_args()
     if options.exchanged:
         name = "gap_exchanged.json"
-        found = _exchanged(options.exchanged, options.seed)
+        figures = _exchanged(options.exchanged, options.seed)
     elif options.speed:
-        each = [_speed(effect, options.seed) for effect in options.speed.split(",")]
+        diagnoses = [_speed(effect, options.seed) for effect in options.speed.split(",")]
         name = "gap_speed.json"
-        found = {"diagnoses": each}
+        figures = {"diagnoses": diagnoses}
     elif options.recordings:
         name = f"{options.recordings.resolve().name}.json"
-        found = {"each_case": _without_answers(options)}
+        figures = {"each_case": _without_answers(options)}
     else:
         kind = "_several" if options.effects else "_friction" if options.friction else ""
         kind += "_imperfect" * options.imperfect + "_reference" * options.reference
         name = f"gap_blind{kind}.json"
-        found = _blind(options)
-    harness.publish(name, {"arm": ARM, **found}, options)
+        figures = _blind(options)
+    harness.publish(name, {"arm": ARM, **figures}, options)
 
 
 def _blind(options: Any) -> dict[str, Any]:
@@ -110,8 +110,10 @@ def _blind(options: Any) -> dict[str, Any]:
     recordings = [folder / f"{a.recording}.csv" for a in reversed(everything)]
     since = "reference" if options.reference else ""
     work = partial(_finished, until_s=began + 60.0 * options.minutes, since=since)
-    found = blind_sets.in_pool(work, recordings, options.workers)
-    done = {path.stem: one for path, one in zip(recordings, found, strict=True) if one}
+    outcomes = blind_sets.in_pool(work, recordings, options.workers)
+    done = {
+        path.stem: outcome for path, outcome in zip(recordings, outcomes, strict=True) if outcome
+    }
     result = {"seed": options.seed, **blind_sets.scored(everything[: options.count], done)}
     if options.friction:
         result["friction"] = blind_sets.scored(everything[options.count :], done)
@@ -175,22 +177,22 @@ def _exchanged(count: int, seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as name:
         drawn(Path(name), draw_kinds(rng, count), seed)
         for path in sorted(Path(name).glob("*.csv")):
-            one, other = sorted(rng.choice(arm.cable_count, 2, replace=False).tolist())
+            first, second = sorted(rng.choice(arm.cable_count, 2, replace=False).tolist())
             order = np.arange(arm.cable_count)
-            order[[one, other]] = other, one
+            order[[first, second]] = second, first
             began = time.monotonic()
             read = read_recording(path, arm)
             try:
                 diagnose(replace(read, tensions_n=read.tensions_n[:, order]), arm)
             except RecordingError as error:
-                named += f"tension_{one + 1}_n reads cable_{other + 1}, " in str(error)
+                named += f"tension_{first + 1}_n reads cable_{second + 1}, " in str(error)
             seconds.append(time.monotonic() - began)
             rows = rows_to_use(read)
             nominal_n = replay_arm(arm, *read.rows(rows).inputs)
-            found = check_recording(read, arm, nominal_n, rows)
-            false += any(finding.kind == EXCHANGED for finding in found)
+            findings = check_recording(read, arm, nominal_n, rows)
+            false += any(finding.kind == EXCHANGED for finding in findings)
             resting_n = read.tensions_n[read.trial == read.trial[0]]
-            pair = f"{arm.cable_names[one]} and {arm.cable_names[other]} are exchanged"
+            pair = f"{arm.cable_names[first]} and {arm.cable_names[second]} are exchanged"
             tared += pair in _refused_tare(arm, law, resting_n[:, order])
             false_tares += EXCHANGED_PLUGS in _refused_tare(arm, law, resting_n)
     return {
@@ -218,9 +220,9 @@ def _refused_tare(arm: Arm, law: Law, readings_n: Array) -> str:
 def _without_answers(options: Any) -> list[dict[str, Any]]:
     paths = sorted(options.recordings.rglob("*.csv"))
     paths = [path for path in paths if path.name != "answers.csv"]
-    found = blind_sets.in_pool(_verdict, paths, options.workers)
+    verdicts = blind_sets.in_pool(_verdict, paths, options.workers)
     hidden = [Truth(path.stem, ()) for path in paths]
-    return [blind_sets.case(*one, None) for one in zip(hidden, found, strict=True)]
+    return [blind_sets.case(*each, None) for each in zip(hidden, verdicts, strict=True)]
 
 
 def _verdict(path: Path) -> Verdict:

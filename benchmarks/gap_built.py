@@ -66,8 +66,8 @@ def main() -> None:
         list(track(made, "Recording", total=len(kinds)))
     answers = read_answers(answers_file)
     paths = [folder / f"{answer.recording}.csv" for answer in answers]
-    found = in_pool(_finished, paths, options.workers)
-    done = {path.stem: one for path, one in zip(paths, found, strict=True)}
+    outcomes = in_pool(_finished, paths, options.workers)
+    done = {path.stem: outcome for path, outcome in zip(paths, outcomes, strict=True)}
     result = {"arm": ARM, "seed": options.seed, "scale": options.scale}
     harness.publish("gap_built.json", {**result, **blind_sets.scored(answers, done)}, options)
 

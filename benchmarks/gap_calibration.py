@@ -46,8 +46,8 @@ def main() -> None:
     for folder in options.folders:
         truth = {a.recording: a.effects for a in read_answers(folder / "answers" / "answers.csv")}
         paths = sorted(folder.glob("case_???.csv"))
-        found = in_pool(_searched, paths, options.workers)
-        cases += [(case, tuple(truth[p.stem])) for case, p in zip(found, paths, strict=True)]
+        searched = in_pool(_searched, paths, options.workers)
+        cases += [(case, tuple(truth[p.stem])) for case, p in zip(searched, paths, strict=True)]
     best = minimize(
         _cost,
         np.zeros(len(WIDTHS)),
@@ -110,8 +110,13 @@ def _cost(offsets: np.ndarray, cases: list[tuple[dict[str, Any], tuple[str, ...]
     calibration = _calibration(offsets)
     if min(calibration.power, calibration.size, calibration.tolerance_chi2) < 0.0:
         return 1e6
-    given = [_probabilities(case, calibration).get(truth, 0.0) for case, truth in cases]
-    return float(-np.log(np.maximum(given, 0.005)).mean() + 0.5 * (offsets**2).sum() / len(cases))
+    true_probabilities = [
+        _probabilities(case, calibration).get(truth, 0.0) for case, truth in cases
+    ]
+    return float(
+        -np.log(np.maximum(true_probabilities, 0.005)).mean()
+        + 0.5 * (offsets**2).sum() / len(cases)
+    )
 
 
 if __name__ == "__main__":

@@ -91,8 +91,8 @@ def _case(
     candidate, place, multiple = planted
     kept = folder / f"{candidate.effect}.{place}.{multiple:g}.json"
     work = partial(_planted, *planted, asked, [seed, *kept.name.encode()])
-    found: dict[str, Any] = harness.kept(kept, work)
-    return found
+    judgement: dict[str, Any] = harness.kept(kept, work)
+    return judgement
 
 
 def _planted(
@@ -105,8 +105,8 @@ def _planted(
     off = {
         term: float(rng.normal(0.0, parameter.typical))
         for tolerance in simulator.tolerances
-        for at in tolerance.places
-        for term, parameter in zip(tolerance.terms(at), tolerance.parameters, strict=True)
+        for toleranced in tolerance.places
+        for term, parameter in zip(tolerance.terms(toleranced), tolerance.parameters, strict=True)
     }
     truth = _truth(candidate, place, multiple, rng)
     ideal, without = (simulator.predict([{**off, **v}])[0] for v in (truth, {}))
@@ -147,12 +147,12 @@ def _judged(
     """Whether the verdict has the effect, in its place alone, and how many sizes are right."""
     sizes = {p.name for p in candidate.parameters if p.role == "size"}
     wanted = {term: value for term, value in truth.items() if term.parameter in sizes}
-    found = False
+    named = False
     in_place = False
     right = 0
     if verdict and verdict.effects == (candidate.effect,):
         expected = set() if place == WHOLE_ARM else {place.split("_into_")[0]}
-        found = True
+        named = True
         in_place = set(verdict.where.places) == expected
         several = any(key.count(".") > 1 for key in verdict.parameters)
         for term, value in wanted.items():
@@ -161,7 +161,7 @@ def _judged(
                 low, high = estimate.ci95
                 near = abs(estimate.value - value) <= WITHIN * abs(value)
                 right += near or low <= value <= high
-    return {"found": found, "in_place": in_place, "sizes": len(wanted), "sizes_right": right}
+    return {"found": named, "in_place": in_place, "sizes": len(wanted), "sizes_right": right}
 
 
 if __name__ == "__main__":

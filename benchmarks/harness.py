@@ -52,10 +52,10 @@ def origin(*libraries: str) -> dict[str, Any]:
 
     Without the places of files, which change no figure.
     """
-    given = " ".join([f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
-    given = re.sub(r" --folder \S+", "", given)
+    command = " ".join([f"benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]])
+    command = re.sub(r" --folder \S+", "", command)
     return {
-        "command": "python " + re.sub(r"(--data|--recordings) \S+", r"\1 DIR", given),
+        "command": "python " + re.sub(r"(--data|--recordings) \S+", r"\1 DIR", command),
         "made": datetime.now(UTC).isoformat(timespec="seconds"),
         "machine": f"{platform.machine()}, {os.cpu_count()} CPUs",
         "python": platform.python_version(),
@@ -105,8 +105,10 @@ def percentiles(values: Any, names: Sequence[str], digits: int = 3) -> dict[str,
     if not np.size(values):
         return {}
     named = {"median": "50", "worst": "100"}
-    at = {name: float(named.get(name, name.removesuffix(" %"))) for name in names}
-    return {name: round(float(np.percentile(values, share)), digits) for name, share in at.items()}
+    shares = {name: float(named.get(name, name.removesuffix(" %"))) for name in names}
+    return {
+        name: round(float(np.percentile(values, share)), digits) for name, share in shares.items()
+    }
 
 
 def rss_mb(pid: int) -> float:

@@ -193,7 +193,7 @@ class KillTrials(Operator):
         if self.rng.random() < 0.5:
             self._push()  # the process must not come back to the old load
         self.spin(float(self.rng.uniform(*DEAD_S)))
-        stale_s = [one.arrived_s for one in self._wrenches if not one.segment]
+        stale_s = [received.arrived_s for received in self._wrenches if not received.segment]
         if victim == "estimator":
             stale_s = self._gone_s.copy()
         started_epoch_s = time.time()
@@ -205,8 +205,8 @@ class KillTrials(Operator):
         right_s = self._until_right(f"a right wrench after {victim} came back", since_s=started_s)
         set_up_s = self._set_up_epoch_s(victim)[-1] - started_epoch_s
         return {
-            "others_lived": all(one.alive for one in self._chain.values()),
-            "stale_s": min((at for at in stale_s if at >= killed_s), default=nan) - killed_s,
+            "others_lived": all(each.alive for each in self._chain.values()),
+            "stale_s": min((at_s for at_s in stale_s if at_s >= killed_s), default=nan) - killed_s,
             "right_after_set_up_s": right_s - started_s - set_up_s,
             "wrong": self._wrong(victim, started_s),
         }
@@ -241,19 +241,19 @@ class KillTrials(Operator):
 
     def _set_up_epoch_s(self, victim: str) -> list[float]:
         """The times at which a victim logged that it was set up, s since the epoch."""
-        return [float(at) for at in re.findall(_SET_UP[victim], self._chain[victim].log)]
+        return [float(epoch_s) for epoch_s in re.findall(_SET_UP[victim], self._chain[victim].log)]
 
     def _wrong(self, victim: str, started_s: float) -> int:
         """Number of wrenches with a force that is not the load.
 
         A sim that comes back is unloaded, and swings when it takes the load again.
         """
-        forces = [one for one in self._wrenches if one.moment_n_m.any()]
+        forces = [wrench for wrench in self._wrenches if wrench.moment_n_m.any()]
         settled_s = self._load_since_s + SETTLED_S
-        back = [one.arrived_s for one in forces if one.arrived_s > started_s]
+        back = [wrench.arrived_s for wrench in forces if wrench.arrived_s > started_s]
         if victim == "sim" and back:
             settled_s = max(settled_s, back[0] + SWING_S)
-        return sum(one.arrived_s > settled_s and not self._right(one) for one in forces)
+        return sum(wrench.arrived_s > settled_s and not self._right(wrench) for wrench in forces)
 
     def _until_right(self, what: str, since_s: float = 0.0) -> float:
         """When the first of `STEADY` right wrenches in a row came, of those that stay right."""
@@ -379,8 +379,8 @@ def main() -> int:
     parser.add_argument("--lifecycle", type=int, metavar="LOOPS", help="loops, and no kills")
     given = parser.parse_args()
     if given.lifecycle:
-        found = measure_lifecycle(given.lifecycle)
-        return harness.publish("lifecycle.json", found, given, "rclpy")
+        figures = measure_lifecycle(given.lifecycle)
+        return harness.publish("lifecycle.json", figures, given, "rclpy")
     return harness.publish("kill.json", measure(given.times), given, "rclpy")
 
 

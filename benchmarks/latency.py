@@ -73,7 +73,7 @@ def publish_all(blocks: int, file: Path) -> None:
         for path in PATHS
     }
     wait_until(
-        lambda: all(one.get_subscription_count() for one in publishers.values()),
+        lambda: all(publisher.get_subscription_count() for publisher in publishers.values()),
         PATIENCE_S,
         "the nodes under test are not up",
     )
@@ -194,10 +194,14 @@ def measure(seconds: float) -> dict[str, Any]:
 
 def _latencies(sent_ns: Integers, arrived: Arrivals) -> dict[str, Any]:
     """One path's counts and latencies, µs."""
-    _, _, at = np.intersect1d(sent_ns, arrived.stamps_ns, return_indices=True)
-    latency_us = (arrived.arrived_ns[at] - arrived.stamps_ns[at]) * 1e-3
+    _, _, received = np.intersect1d(sent_ns, arrived.stamps_ns, return_indices=True)
+    latency_us = (arrived.arrived_ns[received] - arrived.stamps_ns[received]) * 1e-3
     median, p99, worst = np.percentile(latency_us, [50.0, 99.0, 100.0]).round(1).tolist()
-    counts = {"sent": len(sent_ns), "received": len(at), "lost": len(sent_ns) - len(at)}
+    counts = {
+        "sent": len(sent_ns),
+        "received": len(received),
+        "lost": len(sent_ns) - len(received),
+    }
     return counts | {"median_us": median, "p99_us": p99, "worst_us": worst}
 
 

@@ -149,7 +149,7 @@ class Operator(SpunNode):
     def publish_load(self) -> None:
         """State the force on every segment: zero on all others, and then the pushed one's."""
         segments = range(1, self.arm.segment_count + 1)
-        for segment in sorted(segments, key=lambda one: one == self.segment):
+        for segment in sorted(segments, key=lambda number: number == self.segment):
             message = WrenchStamped()
             message.header.frame_id = f"segment_{segment}"
             if segment == self.segment:

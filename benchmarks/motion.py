@@ -162,8 +162,8 @@ def noisy_n(bench: Bench, here_rad: Array, pushed_n: float) -> float:
     for _ in range(SINGLE_POSES):
         stated_rad = here_rad + bench.rng.normal(0.0, NOISE_RAD, len(here_rad))
         reading_n = bench.reading_n() + here_n - unloaded_n(bench.mechanism, stated_rad)
-        found = bench.estimation.contacts.find(reading_n, Situation(here_rad, START_NS))
-        sizes_n = [contact.magnitude_n for contact in found.contacts] if found else []
+        estimate = bench.estimation.contacts.find(reading_n, Situation(here_rad, START_NS))
+        sizes_n = [contact.magnitude_n for contact in estimate.contacts] if estimate else []
         off_n.append(max(sizes_n, default=0.0) - pushed_n)
     return float(np.sqrt(np.mean(np.square(off_n))))
 
@@ -241,12 +241,12 @@ def main() -> None:
         for name, title in product(("cdsm", "cdsm_lab"), MOVES):
             numbers = range(given.moves)
             runs = pool.map(moved, [name] * given.moves, [title] * given.moves, numbers)
-            found = np.array(list(track(runs, f"{name}, {title}", given.moves)))
-            figures = dict(zip(FIGURES, found.T[:-1], strict=True))
+            moves = np.array(list(track(runs, f"{name}, {title}", given.moves)))
+            figures = dict(zip(FIGURES, moves.T[:-1], strict=True))
             if title == ENCODER:
-                figures["share_beyond_three_noises"] = found[:, -1]
-                answered += (1.0 - found[:, [1, -1]].mean(axis=0)).tolist()
-            in_time.append(float(np.mean(found[:, 0] <= latest_s)))
+                figures["share_beyond_three_noises"] = moves[:, -1]
+                answered += (1.0 - moves[:, [1, -1]].mean(axis=0)).tolist()
+            in_time.append(float(np.mean(moves[:, 0] <= latest_s)))
             of = {what: harness.percentiles(each, PERCENTILES) for what, each in figures.items()}
             short = {what: list(each.values()) for what, each in of.items()}
             result.setdefault(name, {})[title] = {"in_time": in_time[-1], **short}

@@ -42,8 +42,8 @@ def page_answers_s(clone: Path) -> float:
     try:
         assert demo.stdout is not None
         for line in demo.stdout:
-            if found := ADDRESS.search(line):
-                urllib.request.urlopen(found[0]).read()
+            if address := ADDRESS.search(line):
+                urllib.request.urlopen(address[0]).read()
                 return time.monotonic()
         raise SystemExit(f"make demo ended with {demo.wait()}")
     finally:

@@ -78,16 +78,16 @@ def main() -> None:
 def _jaws(data: Path, index: pd.DataFrame) -> dict[str, Any]:
     """The tool with the most levels: its 1st, 3rd … are diagnosed, the others are judged."""
     tool = index.groupby("folder", sort=False)["brake_percent"].nunique().idxmax()
-    own = index[index["folder"] == tool]
-    fitted_levels = sorted(own["brake_percent"].unique())[::2]
+    recordings = index[index["folder"] == tool]
+    fitted_levels = sorted(recordings["brake_percent"].unique())[::2]
     halves: tuple[list[pd.DataFrame], list[pd.DataFrame]] = [], []
-    for row in own.itertuples():
+    for row in recordings.itertuples():
         read = pd.read_csv(data / f"{row.recording}.csv.gz")
         columns = {name: sign * read[source] for name, (source, sign) in _JAW_COLUMNS.items()}
         time_s = _SAMPLE_S * np.arange(len(read))
         table = pd.DataFrame({"time_s": time_s, "trial": 0, **columns})
         halves[row.brake_percent not in fitted_levels].append(table)
-    found: dict[str, Any] = {"trials": [len(half) for half in halves]}
+    figures: dict[str, Any] = {"trials": [len(half) for half in halves]}
     for name in _JAWS:
         robot = load_robot(MODELS / name)
         fitted, unseen = (_recording(half, robot) for half in halves)
@@ -97,14 +97,14 @@ def _jaws(data: Path, index: pd.DataFrame) -> dict[str, Any]:
             1e3 * RobotSystem(robot, motion, effects).gaps()[0][2]  # of the drive
             for effects in ({}, diagnosis.amended)
         )
-        found[name] = {
+        figures[name] = {
             **_stated(diagnosis.verdict),
             "levels not fitted, drive's torque before and after, mN·m": [
                 round(before, 2),
                 round(after, 2),
             ],
         }
-    return found
+    return figures
 
 
 def _pendulum(design: str, data: Path, index: pd.DataFrame) -> dict[str, Any]:

@@ -105,15 +105,15 @@ def measure(seconds: float) -> dict[str, Any]:
         replay = subprocess.run(command, capture_output=True, text=True, check=False)
     if not replay.stdout.startswith("{"):
         raise SystemExit(replay.stdout + replay.stderr)
-    found = json.loads(replay.stdout)
-    same = replay.returncode == 0 and 0 < found["compared"] == found["identical"]
+    compared = json.loads(replay.stdout)
+    same = replay.returncode == 0 and 0 < compared["compared"] == compared["identical"]
     return {
         "arm": ARM,
         "rate_hz": RATE_HZ,
         "seconds": seconds,
         "done to it": operator.done,
         "messages": messages,
-        "in process": {"exit code": replay.returncode, **found},
+        "in process": {"exit code": replay.returncode, **compared},
         "bars": {"all estimates bit-identical: in process": same},
     }
 

@@ -83,12 +83,12 @@ def main() -> None:
     options = parser.parse_args()
     folder = blind_sets.folder_of(options)
     if options.exchanged:
-        found = _exchanged(options.count, options.seed, folder)
-        harness.publish("robot_exchanged.json", found, options, "mujoco")
+        figures = _exchanged(options.count, options.seed, folder)
+        harness.publish("robot_exchanged.json", figures, options, "mujoco")
         return
     if options.payloads:
-        found = _payloads(options.count, options.seed, folder)
-        harness.publish("robot_payloads.json", found, options, "mujoco")
+        figures = _payloads(options.count, options.seed, folder)
+        harness.publish("robot_payloads.json", figures, options, "mujoco")
         return
     usual = partial(drawn, commands=options.commands, imperfect=options.imperfect)
     ways = {"play": with_play, "tendons": with_tendons, "servos": with_servos}
@@ -104,12 +104,12 @@ def main() -> None:
     for case, answer in zip(cases, answers, strict=True):
         diagnosed = partial(_diagnosed, case, folder, since, torques=not options.commands)
         if _second(folder, case).exists() and (
-            one := blind_sets.finished(_place(folder, case, since), until_s, diagnosed)
+            outcome := blind_sets.finished(_place(folder, case, since), until_s, diagnosed)
         ):
-            done[answer.recording] = one
-            print(blind_sets.case(answer, *one), flush=True)
+            done[answer.recording] = outcome
+            print(blind_sets.case(answer, *outcome), flush=True)
     result = {"seed": options.seed, **blind_sets.scored(answers, done)}
-    verdicts = {name: one.verdict for name, one in done.items()}
+    verdicts = {name: outcome.verdict for name, outcome in done.items()}
     several = [a for a in answers if a.recording in done and len(a.effects) > 1]
     result["budgets"] = asdict(score(verdicts, several).budgets) if several else {}
     result["budgets"].pop("shares", None)  # of the verdict's floors; answers count samples' noise
@@ -187,9 +187,10 @@ def _payloads(count: int, seed: int, folder: Path) -> dict[str, Any]:
         if effect == "link_mass":  # of its group
             number = "link_mass.share"
             truth = size
-        found = verdict.parameters.get(number)
-        near = found is not None and (
-            abs(found.value - truth) <= 0.1 * truth or found.ci95[0] <= truth <= found.ci95[1]
+        estimate = verdict.parameters.get(number)
+        near = estimate is not None and (
+            abs(estimate.value - truth) <= 0.1 * truth
+            or estimate.ci95[0] <= truth <= estimate.ci95[1]
         )
         each_case.append(
             {
@@ -198,7 +199,7 @@ def _payloads(count: int, seed: int, folder: Path) -> dict[str, Any]:
                 "named": effect,
                 "probability": round(verdict.probability, 3),
                 "truth": round(truth, 4),
-                "found": None if found is None else round(found.value, 4),
+                "found": None if estimate is None else round(estimate.value, 4),
                 "right": named and verdict.where.bodies == (body,) and near,
             }
         )
@@ -227,11 +228,11 @@ def _wrong_column(
 
 def _record(cases: Sequence[RobotCase], folder: Path, until_s: float) -> None:
     for kind in dict.fromkeys(case.kind.name for case in cases):
-        own = [c for c in cases if c.kind.name == kind and not _second(folder, c).exists()]
-        for begin in range(0, len(own), _TOGETHER):
+        unrecorded = [c for c in cases if c.kind.name == kind and not _second(folder, c).exists()]
+        for begin in range(0, len(unrecorded), _TOGETHER):
             if time.time() > until_s:
                 return
-            record(own[begin : begin + _TOGETHER], folder)
+            record(unrecorded[begin : begin + _TOGETHER], folder)
 
 
 def _diagnosed(
@@ -248,19 +249,19 @@ def _diagnosed(
 
     path = _place(folder, case, "csv.gz")
     healthy = read(path.parent / "reference" / path.name) if since else None
-    found = diagnose(read(path), robot, reference=healthy, external=external)
+    diagnosis = diagnose(read(path), robot, reference=healthy, external=external)
     motion = prepared(read(_second(folder, case)), robot, external=external)
     simulator = RobotSystem(robot, motion, {})
-    variants = (simulator.predict([each])[0] for each in ({}, found.amended))
-    before, after = (rms(simulator.readings - each) for each in variants)
-    return found.verdict, removed_fraction(before, after, simulator.floor)
+    variants = (simulator.predict([variant])[0] for variant in ({}, diagnosis.amended))
+    before, after = (rms(simulator.readings - variant) for variant in variants)
+    return diagnosis.verdict, removed_fraction(before, after, simulator.floor)
 
 
 def _long_s(case: RobotCase, folder: Path) -> float:
     """Seconds from the file to the verdict, for its recording with `_LONG_ROWS` rows."""
     table = pd.read_csv(_place(folder, case, "csv.gz"))
-    at = np.linspace(0.0, len(table) - 1.0, _LONG_ROWS)
-    long = {name: np.interp(at, np.arange(len(table)), table[name]) for name in table}
+    places = np.linspace(0.0, len(table) - 1.0, _LONG_ROWS)
+    long = {name: np.interp(places, np.arange(len(table)), table[name]) for name in table}
     long["trial"] = np.floor(long["trial"])
     with tempfile.TemporaryDirectory() as beside:
         path = Path(beside) / "long.csv"

@@ -142,15 +142,15 @@ def pulls_n(moment_m: Array, torque_n_m: Array) -> Array:
 
     They make torques (…, N) by moments (…, K, N) or (K, N), and none is below the pretension.
     """
-    left = torque_n_m.copy()
-    pulls = np.full((*left.shape[:-1], moment_m.shape[-2]), PRETENSION_N)
-    for joint in reversed(range(left.shape[-1])):
+    remaining_n_m = torque_n_m.copy()
+    pulls = np.full((*remaining_n_m.shape[:-1], moment_m.shape[-2]), PRETENSION_N)
+    for joint in reversed(range(remaining_n_m.shape[-1])):
         pair = slice(2 * joint, 2 * joint + 2)
-        left = left - PRETENSION_N * moment_m[..., pair, :].sum(-2)
+        remaining_n_m = remaining_n_m - PRETENSION_N * moment_m[..., pair, :].sum(-2)
         for tendon in (2 * joint, 2 * joint + 1):
-            more = np.maximum(left[..., joint] / moment_m[..., tendon, joint], 0.0)
+            more = np.maximum(remaining_n_m[..., joint] / moment_m[..., tendon, joint], 0.0)
             pulls[..., tendon] += more
-            left = left - more[..., None] * moment_m[..., tendon, :]
+            remaining_n_m = remaining_n_m - more[..., None] * moment_m[..., tendon, :]
     return pulls
 
 

@@ -140,14 +140,14 @@ def play(map_name: str, link: str, cycles: int, log: Path) -> int:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
     began_s = time.monotonic()
     for cycle in range(cycles):
-        at = cycle % BLOCK
-        if at == 0:
+        row = cycle % BLOCK
+        if row == 0:
             rows = (readings.steps(np.arange(cycle, cycle + BLOCK)) * readings.step_n).tolist()
         wait_s = began_s + cycle / rate_hz - time.monotonic()
         if wait_s > 0.0:
             time.sleep(wait_s)
         before = emulator.dropped
-        emulator.cycle(rows[at])
+        emulator.cycle(rows[row])
         written_ns[cycle] = time.time_ns()
         dropped[cycle] = emulator.dropped - before
     np.savez(log, written_ns=written_ns, dropped=dropped)
@@ -223,7 +223,7 @@ class Sink(SpunNode):
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            self.diagnostics[status.name] = {one.key: one.value for one in status.values}
+            self.diagnostics[status.name] = {entry.key: entry.value for entry in status.values}
 
 
 def measure(map_name: str, minutes: float) -> dict[str, Any]:
@@ -232,8 +232,8 @@ def measure(map_name: str, minutes: float) -> dict[str, Any]:
     with LiveRun() as run:
         link = run.folder / "adapter"
         log = run.folder / "played.npz"
-        given = [map_name, str(link), str(cycles), str(log)]
-        amplifiers = run.start("amplifiers", [sys.executable, __file__, "--play", *given])
+        arguments = [map_name, str(link), str(cycles), str(log)]
+        amplifiers = run.start("amplifiers", [sys.executable, __file__, "--play", *arguments])
         wait_until(lambda: "ready" in amplifiers.log, PATIENCE_S, "not ready", run.check)
         adapter = {"interface": "slcan", "channel": link, "bitrate_bit_s": 1_000_000}
         run.start("driver", node_command("can_driver", {"arm": ARM, "map": map_name, **adapter}))
@@ -283,7 +283,9 @@ def bars(result: dict[str, Any]) -> dict[str, bool]:
     refused = result["estimator says"].get("refused in all", 0)
     return {
         "none lost that the bus delivered": delivered["cycles delivered but not published"] == 0,
-        "every sample sent, once, in order": not any(delivered[f"samples {one}"] for one in wrong),
+        "every sample sent, once, in order": not any(
+            delivered[f"samples {fault}"] for fault in wrong
+        ),
         "every sample answered, or refused as too old": result["samples not answered"] <= refused,
         **memory_bars(result["memory"], ("driver", "estimator")),
     }
@@ -299,8 +301,8 @@ def main() -> int:
         map_name, link, cycles, log = given.play
         return play(map_name, link, int(cycles), Path(log))
     runs = [measure(PACKED, given.minutes), measure(CIA404, min(CIA404_MINUTES, given.minutes))]
-    every = {f"{run['map']}: {bar}": kept for run in runs for bar, kept in bars(run).items()}
-    result = {"arm": ARM, "runs": runs, "bars": every}
+    all_bars = {f"{run['map']}: {bar}": kept for run in runs for bar, kept in bars(run).items()}
+    result = {"arm": ARM, "runs": runs, "bars": all_bars}
     return harness.publish("soak.json", result, given, "rclpy")
 
 

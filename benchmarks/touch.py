@@ -200,10 +200,10 @@ class TouchedArm:
         if data.ncon != len(presses) or np.abs(data.qvel).max() > AT_REST_RAD_S:
             return None
         commanded = kinematics.segment_rotations(mechanism, command_rad)
-        found = sorted(self._contact(k, commanded) for k in range(data.ncon))
-        if len({touch.segment for touch in found}) < len(presses):
+        touches = sorted(self._contact(k, commanded) for k in range(data.ncon))
+        if len({touch.segment for touch in touches}) < len(presses):
             return None
-        return found, self._tensions_n() - before_n
+        return touches, self._tensions_n() - before_n
 
     def _contact(self, k: int, commanded: Array) -> EngineContact:
         data = self.data
@@ -269,11 +269,11 @@ def drawn(arm: Arm, kind: Kind, count: int, rng: np.random.Generator, title: str
             )
             for n in segments
         ]
-        found = touched.touch(command, presses, rng.choice([-1.0, 1.0]) * kind.slide_m)
-        if found and all(np.linalg.norm(touch.force_n) >= LEAST_N for touch in found[0]):
+        outcome = touched.touch(command, presses, rng.choice([-1.0, 1.0]) * kind.slide_m)
+        if outcome and all(np.linalg.norm(touch.force_n) >= LEAST_N for touch in outcome[0]):
             commands.append(command)
-            contacts.append(found[0])
-            changes.append(found[1])
+            contacts.append(outcome[0])
+            changes.append(outcome[1])
     return Drawn(np.array(commands), contacts, np.array(changes))
 
 

@@ -282,14 +282,14 @@ class TestedArm(EstimatedArm):
     def wrong_n(self, touches: Sequence[Touch], contacts: Sequence[Contact]) -> float:
         """The largest error of a normal force, N; a share of the force does not count."""
         worst = 0.0
-        left = {contact.segment: contact for contact in contacts}
+        unmatched = {contact.segment: contact for contact in contacts}
         for touch in touches:
-            contact = left.pop(self._stated_on(touch, left), None)
+            contact = unmatched.pop(self._stated_on(touch, unmatched), None)
             normal_n = float(np.hypot(*touch.force_n[1:]))
             off_n = normal_n if contact is None else self._off_n(touch, contact)
             if contact is None or off_n > WRONG_SHARE * normal_n:
                 worst = max(worst, off_n)
-        for segment, contact in left.items():
+        for segment, contact in unmatched.items():
             moment_n_m = contact.moment_n_m or 0.0
             length_m = float(self.mechanism.segment_length_m[segment - 1])
             worst = max(worst, contact.magnitude_n or moment_n_m / length_m)
@@ -394,7 +394,8 @@ def _described(touches: Sequence[Touch], contacts: Sequence[Contact]) -> dict[st
         for touch in touches
     ]
     stated = [
-        (one.segment, round(one.contact_m, 4), round(one.magnitude_n, 2)) for one in contacts
+        (contact.segment, round(contact.contact_m, 4), round(contact.magnitude_n, 2))
+        for contact in contacts
     ]
     return {"touches": acting, "contacts": stated}
 
@@ -420,9 +421,9 @@ def healthy_samples(name: str, given: argparse.Namespace, largest_n: float) -> d
             tensions_n = arm.tensions_n([Touch(n + 1, rng.uniform(*arm.reach_m[n]), force_n)])
             if tensions_n is None:
                 continue
-            found = [arm.next(arm.read(tensions_n)).force for _ in range(READINGS)]
-            states.update(f"segment {n + 1}: {force.value}" for force in found)
-            withheld.append(found.count(ForceState.IMPLAUSIBLE))
+            force_states = [arm.next(arm.read(tensions_n)).force for _ in range(READINGS)]
+            states.update(f"segment {n + 1}: {force.value}" for force in force_states)
+            withheld.append(force_states.count(ForceState.IMPLAUSIBLE))
             arm.release()
     return {
         "states": dict(sorted(states.items())),

@@ -84,19 +84,19 @@ def output_file(
     try:
         place = Path(os.path.realpath(path))
         try:
-            there = place.stat()
+            existing = place.stat()
         except FileNotFoundError:
-            there = None
+            existing = None
             place.parent.stat()
-        if there is not None:
-            _require_replaceable(place, there.st_mode)
+        if existing is not None:
+            _require_replaceable(place, existing.st_mode)
         if not os.access(place.parent, os.W_OK | os.X_OK):
             raise OSError("Permission denied")
         read = [Path(name).stat() for name in inputs if name and Path(name).exists()]
     except (OSError, ValueError) as error:
         raise _not_written(path, error, refusal) from error
-    if there is not None:
-        if any(os.path.samestat(there, status) for status in read):
+    if existing is not None:
+        if any(os.path.samestat(existing, status) for status in read):
             raise refusal(f"{path}: is an input of this command; give the name of another file")
         if not force:
             raise refusal(f"{path}: exists already; give another name, or replace it with --force")
@@ -145,7 +145,7 @@ def output_folder(
         raise refusal(
             f"{_shown(folder)}: cannot be written to ({_why(error)}); give another --out"
         ) from error
-    for place in sorted(found for pattern in patterns for found in folder.glob(pattern)):
+    for place in sorted(match for pattern in patterns for match in folder.glob(pattern)):
         output_file(place, refusal, force=force, inputs=inputs)
 
 

@@ -116,9 +116,9 @@ def adapt(
     def show(doing: str, done: float) -> None:
         progress(doing, diagnosed * done)
 
-    found = diagnose(recording, arm, show, workers, on_finding, unseen, force=force)
+    diagnosis = diagnose(recording, arm, show, workers, on_finding, unseen, force=force)
     progress("judging the estimators", diagnosed)
-    adapted = adapt_to(found, recording, unseen, first or TorchLaw(arm))
+    adapted = adapt_to(diagnosis, recording, unseen, first or TorchLaw(arm))
     progress("done", 1.0)
     return adapted
 

@@ -44,16 +44,16 @@ def amended_arm(arm: Arm, values: Mapping[Term, float], tolerances: Mapping[Term
 
 def _listed(arm: Arm, values: Mapping[Term, float]) -> list[ListedEffect]:
     """One entry for each effect and place, in the order of the values."""
-    found = []
+    entries = []
     for (name, place), terms in groupby(values, key=lambda term: (term.effect, term.place)):
         effect = known_effects()[name]
-        every = (*effect.parameters, *effect.history(arm.segment_count, arm.cable_count))
-        ranges = {p.name: (p.low, p.high) for p in every}
+        parameters = (*effect.parameters, *effect.history(arm.segment_count, arm.cable_count))
+        ranges = {p.name: (p.low, p.high) for p in parameters}
         numbers = {
             term.parameter: float(np.clip(values[term], *ranges[term.parameter])) for term in terms
         }
-        found.append(ListedEffect(effect=name, at=place, parameters=numbers))
-    return found
+        entries.append(ListedEffect(effect=name, at=place, parameters=numbers))
+    return entries
 
 
 def find_amended(arm: str) -> Path:
@@ -128,8 +128,8 @@ def judged_earlier(problem: Problem, arm: Arm) -> tuple[Arm, tuple[Earlier, ...]
         )
         if not needed:
             kept = {t: v for t, v in kept.items() if t.effect != effect}
-        own = {t: v for t, v in listed.items() if t.effect == effect}
-        earlier.append(_judgement(problem, own, fitted, needed=needed))
+        effect_values = {t: v for t, v in listed.items() if t.effect == effect}
+        earlier.append(_judgement(problem, effect_values, fitted, needed=needed))
     return amended_arm(without_effects(arm), kept, {}), tuple(earlier)
 
 
@@ -146,11 +146,11 @@ def _judgement(
         if parameter.past:
             continue
         name = term.parameter if term.place == WHOLE_ARM else f"{term.place}.{term.parameter}"
-        found = fitted_number(parameter, fitted.values[term], fitted.deviations[term])
+        present = fitted_number(parameter, fitted.values[term], fitted.deviations[term])
         was[name] = value
-        now[name] = found
+        now[name] = present
         if parameter.role == "size":
-            moved |= not found.ci95[0] <= value <= found.ci95[1]
+            moved |= not present.ci95[0] <= value <= present.ci95[1]
     places = dict.fromkeys(term.place for term in listed)
     return Earlier(
         effect=next(iter(listed)).effect,

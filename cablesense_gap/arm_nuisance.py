@@ -89,14 +89,14 @@ def tolerance_candidates(arm: Arm) -> tuple[Candidate, ...]:
     for term, deviation in zip(terms_of(parameters), parameters.prior_std, strict=True):
         if term is not None and deviation > 0.0:
             std[term.parameter] = float(deviation)
-    found = []
+    candidates = []
     for effect in known_effects().values():
         numbers = [p for p in effect.parameters if std.get(p.name, 0.0) > 0.0]
         if effect.tolerance and numbers:
             places = effect.places(arm.segment_count, arm.cable_count)
             scattered = tuple(replace(p, typical=std[p.name]) for p in numbers)
-            found.append(Candidate(effect.name, places, scattered))
-    return tuple(found)
+            candidates.append(Candidate(effect.name, places, scattered))
+    return tuple(candidates)
 
 
 def expected_parameters(arm: Arm) -> FittedParameters:
@@ -116,8 +116,8 @@ def fitted_parameters(nominal: Arm, amended: Arm, known: TolerancePosterior) -> 
     for listed in nominal.effects:
         if known_effects()[listed.effect].tolerance:
             for name, value in listed.parameters.items():
-                own = Term(listed.effect, listed.at, name)
-                off[own] = off.get(own, 0.0) + value
+                listed_term = Term(listed.effect, listed.at, name)
+                off[listed_term] = off.get(listed_term, 0.0) + value
     mean = parameters.prior_mean.copy()
     covariance = np.diag(parameters.prior_std**2)
     fitted = {term: k for k, term in enumerate(known.terms)}

@@ -74,8 +74,8 @@ class ArmSimulator:
 
     def small_changes(self, base: Assignment, variants: Sequence[Assignment]) -> Array:
         """Changes (P, R, M) of the readings by small differences from a base."""
-        every = dict.fromkeys((*base, *(term for variant in variants for term in variant)), 0.0)
-        whole = [{**every, **variant} for variant in (base, *variants)]
+        zeros = dict.fromkeys((*base, *(term for variant in variants for term in variant)), 0.0)
+        whole = [{**zeros, **variant} for variant in (base, *variants)]
         entries = [[*self._listed, *entries_from(variant)] for variant in whole]
         if not transmissions(entries[:1]):
             with suppress(EquilibriumError):
@@ -134,7 +134,7 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
     change the readings far more than elsewhere, and not in proportion.
     """
     replay = Replay(arm, *recording.inputs)
-    (here,) = replay.readings_n([[]], predicted_n)
+    (direct_n,) = replay.readings_n([[]], predicted_n)
     rest_rad = replay.rest_rad
     others: list[Array] = []
     for axis in range(2):
@@ -143,20 +143,20 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
         others.append(replay.begun_at(mirrored_rad).readings_n([[]], predicted_n)[0])
     for step in (1, -1):
         follower = replay.begun_at(rest_rad)
-        found = here
+        followed_n = direct_n
         for _ in range(_FOLLOWED):
-            before = found
+            before_n = followed_n
             begin_rad = np.roll(follower.rest_rad, step, axis=0)
             follower = follower.begun_at(begin_rad)
-            found = follower.readings_n([[]], predicted_n)[0]
-            if np.abs(found - before).max() < _SAME_N:
+            followed_n = follower.readings_n([[]], predicted_n)[0]
+            if np.abs(followed_n - before_n).max() < _SAME_N:
                 break
-        others.append(found)
-    off = np.abs(np.array(others) - here).max(axis=(0, 2)) >= _SAME_N
+        others.append(followed_n)
+    off = np.abs(np.array(others) - direct_n).max(axis=(0, 2)) >= _SAME_N
     off = np.isin(replay.alike, replay.alike[off])
     same = ~(off | np.append(off[1:], False) | np.append(False, off[:-1]))
     similar = replay.readings_n(_similar_arms(arm), predicted_n)
-    scatter_n = np.sqrt((np.subtract(similar, here) ** 2).mean(0)).max(-1)
+    scatter_n = np.sqrt((np.subtract(similar, direct_n) ** 2).mean(0)).max(-1)
     usual_n = np.median(scatter_n[same]) if same.any() else 0.0
     return np.asarray(same & (scatter_n <= _MOST_SCATTER * usual_n))
 
@@ -195,20 +195,20 @@ def settled(arm: Arm, recording: Recording, rows: int) -> Arm:
             [np.nan_to_num(residual, nan=1e3).ravel(), _PRIOR * (scaled - start)]
         )
 
-    found = least_squares(
+    optimum = least_squares(
         residuals, start, bounds=(low, high), x_scale=1.0, diff_step=0.02, max_nfev=_EVALUATIONS
     )
-    return _with_states(arm, states, found.x * typical)
+    return _with_states(arm, states, optimum.x * typical)
 
 
 def _states(arm: Arm) -> list[tuple[int, Parameter]]:
     """Parameters of history-dependent states, with the index of their effect in the arm's list."""
-    found = []
+    states = []
     for k, listed in enumerate(arm.effects):
         effect = known_effects()[listed.effect]
         history = effect.history(arm.segment_count, arm.cable_count)
-        found += [(k, p) for p in (*effect.parameters, *history) if p.past]
-    return found
+        states += [(k, p) for p in (*effect.parameters, *history) if p.past]
+    return states
 
 
 def _with_states(arm: Arm, states: Sequence[tuple[int, Parameter]], values: Array) -> Arm:

@@ -96,11 +96,11 @@ class ArmSystem(ArmSimulator, System):
         """As returning commands and loads show it; None if the nominal arm depends on the past."""
         if transmissions([entries_of(self.arm)]):
             return None
-        if (found := returns(self._counted_recording, self.floor)) is None:
+        if (returned := returns(self._counted_recording, self.floor)) is None:
             return None
         rows = np.zeros(len(self.recording), dtype=bool)
-        rows[self.counted] = found[1]
-        return Past(found[0], rows)
+        rows[self.counted] = returned[1]
+        return Past(returned[0], rows)
 
     def sketch(self) -> tuple[Simulator, NDArray[np.int64]] | None:
         """Rows along the path of commands and loads."""
@@ -118,11 +118,13 @@ class ArmSystem(ArmSimulator, System):
         self, explanation: Explanation, values: Mapping[Term, float]
     ) -> dict[str, FittedNumber]:
         """The values, and products of which readings may show more than of their factors."""
-        found = super().numbers(explanation, values)
+        fitted_numbers = super().numbers(explanation, values)
         for name, place in dict.fromkeys(term[:2] for term in values):
             if known_effects()[name].product is not None:
-                found = with_product(found, explanation, name, place, mechanism_of(self.arm))
-        return found
+                fitted_numbers = with_product(
+                    fitted_numbers, explanation, name, place, mechanism_of(self.arm)
+                )
+        return fitted_numbers
 
     def next_experiment(self, rivals: Sequence[Assignment], question: str) -> str:
         """A block of the standard protocol."""
@@ -153,7 +155,7 @@ def with_product(
     assert effect.product is not None
     size, shape = effect.parameters
     terms = [Term(name, place, p.name) for p in effect.parameters]
-    own = [list(explanation.values).index(term) for term in terms]
+    term_indices = [list(explanation.values).index(term) for term in terms]
     amount, form = (explanation.values[term] for term in terms)
 
     def lever(of_form: float) -> float:
@@ -161,24 +163,24 @@ def with_product(
 
     slope = np.array([lever(form), amount * (lever(form + 1.0) - lever(form))])
     slope *= [unit_of(size, amount), unit_of(shape, form)]
-    variance = float(slope @ explanation.covariance[np.ix_(own, own)] @ slope)
+    variance = float(slope @ explanation.covariance[np.ix_(term_indices, term_indices)] @ slope)
     half = 1.96 * max(variance, 0.0) ** 0.5
     value = amount * lever(form)
-    at = name
-    if f"{at}.{size.name}" not in numbers:
-        at = f"{name}.{place}"
+    prefix = name
+    if f"{prefix}.{size.name}" not in numbers:
+        prefix = f"{name}.{place}"
     product = FittedNumber(
         value=value, unit=effect.product.unit, ci95=(value - half, value + half)
     )
-    found = {f"{at}.{effect.product.name}": product, **numbers}
-    of_size = f"{at}.{size.name}"
+    completed_numbers = {f"{prefix}.{effect.product.name}": product, **numbers}
+    of_size = f"{prefix}.{size.name}"
     low, high = numbers[of_size].ci95
     if high - low > abs(amount):
-        short, long = map(lever, numbers[f"{at}.{shape.name}"].ci95)
+        short, long = map(lever, numbers[f"{prefix}.{shape.name}"].ci95)
         ends = max(abs(value) - half, 0.0) / long, (abs(value) + half) / max(short, 1e-9)
         low, high = np.clip(np.sort(np.sign(value) * np.array(ends)), size.low, size.high).tolist()
-        found[of_size] = numbers[of_size].model_copy(update={"ci95": (low, high)})
-    return found
+        completed_numbers[of_size] = numbers[of_size].model_copy(update={"ci95": (low, high)})
+    return completed_numbers
 
 
 @dataclass(frozen=True)
@@ -274,8 +276,8 @@ def diagnose(
         rows = rows_to_use(recording)
         bare = ArmSystem(without_effects(arm), recording.rows(rows), unseen)
         if np.isfinite(bare.nominal_n).all():  # else the arm needs its effects to be supported
-            found = check_recording(recording, bare.arm, bare.nominal_n, rows)
-            exchanged = [finding for finding in found if finding.kind == EXCHANGED]
+            bare_findings = check_recording(recording, bare.arm, bare.nominal_n, rows)
+            exchanged = [finding for finding in bare_findings if finding.kind == EXCHANGED]
             refuse_unusable(recording, exchanged, force=force)
             arm, earlier = judged_earlier(problem_of(bare), arm)
     healthy = None

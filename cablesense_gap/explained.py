@@ -117,13 +117,13 @@ def shares(
         return {}
     parts = {effect: _part(problem, best, {effect}) for effect in best.effects}
     largest = sorted(best.effects, key=lambda effect: -parts[effect].size)
-    found = {}
+    share_of = {}
     for k, effect in enumerate(largest):
         included = {t: v for t, v in best.values.items() if t.effect in largest[: k + 1]}
         last = k + 1 == len(largest)
         predicted = best.held_out_effects if last else problem.predict([included])[0]
         places = dict.fromkeys(t.place for t in values if t.effect == effect)
-        found[effect] = Share(
+        share_of[effect] = Share(
             share_n=parts[effect].size,
             ci95_n=parts[effect].interval,
             left_n=_rms((problem.readings - predicted)[problem.used]),
@@ -131,7 +131,7 @@ def shares(
             places=tuple(p for p in places if p != WHOLE_ARM),
             alternatives=_alternatives(ranked, effect),
         )
-    return found
+    return share_of
 
 
 def remainder(problem: Problem, explanation: Explanation) -> Remainder:
@@ -154,7 +154,7 @@ def trades(problem: Problem, best: Explanation) -> list[Trade]:
     hardly change. Sizes that need opposite signs for that are such a pair too.
     """
     parts = {effect: _part(problem, best, {effect}) for effect in best.effects}
-    found = []
+    traded_pairs = []
     for pair in combinations(best.effects, 2):
         one, other = (parts[effect] for effect in pair)
         if any(part.deviation <= _UNSURE * part.size for part in (one, other)):
@@ -163,21 +163,21 @@ def trades(problem: Problem, best: Explanation) -> list[Trade]:
         correlation = covariance / (one.deviation * other.deviation)
         if abs(correlation) < TRADING:
             continue
-        both = _part(problem, best, set(pair))
+        joint_part = _part(problem, best, set(pair))
         less = min(one, other, key=lambda part: part.size)
         traded = Traded(
             effects=pair,
-            share_n=both.size,
-            ci95_n=both.interval,
+            share_n=joint_part.size,
+            ci95_n=joint_part.interval,
             correlation=float(np.clip(correlation, -1.0, 1.0)),
         )
         step = -1.96 * (best.covariance @ less.slope) / less.deviation
         elsewhere = {
-            term: from_scaled(problem.parameters[term], own)
-            for term, own in zip(best.values, _scaled(problem, best) + step, strict=True)
+            term: from_scaled(problem.parameters[term], scaled_value)
+            for term, scaled_value in zip(best.values, _scaled(problem, best) + step, strict=True)
         }
-        found.append(Trade(traded, elsewhere))
-    return sorted(found, key=lambda trade: -trade.traded.share_n)
+        traded_pairs.append(Trade(traded, elsewhere))
+    return sorted(traded_pairs, key=lambda trade: -trade.traded.share_n)
 
 
 def _scaled(problem: Problem, fitted: Explanation) -> Array:
@@ -234,7 +234,9 @@ def _rms(values: Array) -> float:
 
 def candidate_results(ranked: Sequence[Ranked]) -> tuple[CandidateResult, ...]:
     """Every explanation with its residual; an unlisted effect has that of tolerances alone."""
-    none = next(r.explanation for r in ranked if r.explanation and not r.explanation.effects)
+    without_effects = next(
+        r.explanation for r in ranked if r.explanation and not r.explanation.effects
+    )
     return tuple(
         CandidateResult(
             effects=each.effects,
@@ -243,7 +245,7 @@ def candidate_results(ranked: Sequence[Ranked]) -> tuple[CandidateResult, ...]:
             held_out_ci95_n=rmse_interval_n(h.squares, h.count),
         )
         for each in ranked
-        for h in (each.explanation or none,)
+        for h in (each.explanation or without_effects,)
     )
 
 

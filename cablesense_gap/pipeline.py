@@ -84,19 +84,19 @@ def diagnose_system(
     if reference is not None:
         usual = reference.expected(system, problem)
         problem = since(problem, usual)
-    found = system.completed(problem, search(problem, progress, workers))
-    error = None if reference is not None else system.model_error(problem, found)
+    explanations = system.completed(problem, search(problem, progress, workers))
+    error = None if reference is not None else system.model_error(problem, explanations)
     if error is not None:
-        usual = imperfect(system, problem, error, found)
+        usual = imperfect(system, problem, error, explanations)
         problem = since(problem, usual)
-        found = system.completed(problem, search(problem, progress, workers))
-    ranked = named(problem, posterior(found, problem.floor, calibration), calibration)
+        explanations = system.completed(problem, search(problem, progress, workers))
+    ranked = named(problem, posterior(explanations, problem.floor, calibration), calibration)
     progress("describing the verdict", 0.98)
     best = ranked[0].explanation
     used = problem.used
     fitted = [r.explanation for r in ranked if r.explanation is not None]
-    none = next(e for e in fitted if not e.effects)
-    explained = best or none
+    without_effects = next(e for e in fitted if not e.effects)
+    explained = best or without_effects
     values = significant_values(explained, system.candidates)
     traded = trades(problem, best) if best else []
     rest = remainder(problem, explained)
@@ -113,17 +113,18 @@ def diagnose_system(
             experiment = system.repetition((system.readings - usual.read(best.held_out))[used])
         experiment = experiment or system.next_experiment([values, *rivals], "")
     else:
-        described = system.unlisted(problem, problem.readings - none.held_out)
+        described = system.unlisted(problem, problem.readings - without_effects.held_out)
         least = min(fitted, key=lambda e: e.held_out_rmse)
         names = " with ".join(least.effects).replace("_", " ") or "none"
-        left = (
-            f"On held-out trials, tolerances alone leave {none.held_out_rmse:.3g} {system.unit}; "
+        comparison = (
+            "On held-out trials, tolerances alone leave "
+            f"{without_effects.held_out_rmse:.3g} {system.unit}; "
             f"the best that listed effects do is {least.held_out_rmse:.3g} {system.unit} "
             f"({names})."
         )
-        reasons = (left, *described.reasons)
+        reasons = (comparison, *described.reasons)
         experiment = described.experiment
-        held_out = none.held_out + described.correction
+        held_out = without_effects.held_out + described.correction
     before, after = ((problem.readings - each)[used] for each in (problem.nominal, held_out))
     nominal, held_out = (usual.read(each) for each in (problem.nominal, held_out))
     measured = [(system.readings - each)[used] for each in (nominal, held_out)]

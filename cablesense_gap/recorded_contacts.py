@@ -140,7 +140,7 @@ def unloaded_poses(recording: Recording, trials: Collection[int] | None = None) 
     begins[1:] |= np.diff(recording.trial) != 0
     begins[1:] |= np.diff(loaded.astype(int)) != 0
     starts = np.flatnonzero(begins)
-    found = []
+    poses = []
     for first, end in zip(starts, np.append(starts[1:], len(recording)), strict=True):
         if loaded[first] or (trials is not None and recording.trial[first] not in trials):
             continue
@@ -152,8 +152,8 @@ def unloaded_poses(recording: Recording, trials: Collection[int] | None = None) 
             # zero would be an unknown time
             taken_ns = 1 + int(1e9 * recording.time_s[end - 1])
             command_rad = recording.command_rad[first]
-            found.append(Unloaded(read_n.mean(axis=0), command_rad, len(read_n), taken_ns))
-    return found
+            poses.append(Unloaded(read_n.mean(axis=0), command_rad, len(read_n), taken_ns))
+    return poses
 
 
 def _moved(recording: Recording) -> Rows:
@@ -343,15 +343,20 @@ class RecordedArm:
         forces = np.zeros((count, 4))
         for chosen, seen in self._seen(rows):
             for k, row in enumerate(chosen):
-                one = seen.row(k)
-                judgement = judge(one, recording.tensions_n[row])
-                here = position[row]
+                row_seen = seen.row(k)
+                judgement = judge(row_seen, recording.tensions_n[row])
+                answer_row = position[row]
                 if judgement.state not in (ContactState.FREE, ContactState.IMPLAUSIBLE):
-                    segment[here] = judgement.segment
-                confirmed[here] = judgement.state in (ContactState.CONTACT, ContactState.MOMENT)
+                    segment[answer_row] = judgement.segment
+                confirmed[answer_row] = judgement.state in (
+                    ContactState.CONTACT,
+                    ContactState.MOMENT,
+                )
                 by_moment = judgement.state is ContactState.MOMENT
                 by_moment &= judgement.segment == recording.load_segment[row]
-                forces[here] = _force_at(one, at_m[row]) if by_moment else _force(one)
+                forces[answer_row] = (
+                    _force_at(row_seen, at_m[row]) if by_moment else _force(row_seen)
+                )
         return ContactAnswer(segment, *forces.T), confirmed
 
     def unexplained_n2(self, rows: Rows) -> float:
@@ -367,13 +372,13 @@ class RecordedArm:
         excess = 0.0
         channels = 0
         for chosen, seen in self._seen(rows):
-            own = segment[chosen]
-            each = np.arange(len(chosen))
+            chosen_segment = segment[chosen]
+            row_index = np.arange(len(chosen))
             axes = kinematics.segment_rotations(mechanism, recording.command_rad[chosen])
             load_n = recording.load_n[chosen] * loaded[chosen, None]
-            force_n = np.einsum("bij,bi->bj", axes[each, own], load_n)
-            lever = seen.at_joint_m[each, own]
-            lever = lever + at_m[chosen, None, None] * seen.by_place[each, own]
+            force_n = np.einsum("bij,bi->bj", axes[row_index, chosen_segment], load_n)
+            lever = seen.at_joint_m[row_index, chosen_segment]
+            lever = lever + at_m[chosen, None, None] * seen.by_place[row_index, chosen_segment]
             torque_n_m = np.einsum("bi,bij->bj", force_n, lever)
             expected_n = np.einsum("bmj,bj->bm", seen.by_torque, torque_n_m)
             residual_n = seen.innovation_n - expected_n

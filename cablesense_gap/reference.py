@@ -51,10 +51,10 @@ class MovingMean:
         altered = self.system.altered(variant)
         if altered is None:
             return 0.0
-        there = altered.conditions
+        altered_conditions = altered.conditions
         change = np.zeros_like(self.here)
-        moves = np.flatnonzero((there.position != self.usual.position).any(0))
-        change[:, moves] = self.along.of(there, moves) - self.here[:, moves]
+        moves = np.flatnonzero((altered_conditions.position != self.usual.position).any(0))
+        change[:, moves] = self.along.of(altered_conditions, moves) - self.here[:, moves]
         at_variant = self.mean + self.system.compared_columns(change) / self.system.scale
         return np.asarray(altered.gain * at_variant - self.mean)
 
@@ -129,11 +129,11 @@ class Reference:
     def __init__(self, system: System) -> None:
         """`system` is the nominal machine with the reference."""
         problem = problem_of(system)
-        none = refine(problem, {}, [[]])
-        assert none is not None
+        without_effects = refine(problem, {}, [[]])
+        assert without_effects is not None
         used = problem.used
         nominal = problem.readings - problem.nominal
-        self.tolerances = dict(none.tolerances)
+        self.tolerances = dict(without_effects.tolerances)
         system = system.with_listed(self.tolerances)
         problem = replace(
             problem,
@@ -145,23 +145,23 @@ class Reference:
         conditions = system.conditions()
         self._smooth = None if conditions is None else SmoothColumns.like(conditions)
         effects = _scaled_effects(system, problem)
-        columns = {name: own[used] for name, own in self._columns(system, effects).items()}
+        columns = {name: column[used] for name, column in self._columns(system, effects).items()}
         residual = (problem.readings - problem.nominal)[used]
         trial = problem.trial[used]
-        found = Discrepancy(columns, residual * system.scale, problem.fold[trial])
-        self._discrepancy = found
+        discrepancy = Discrepancy(columns, residual * system.scale, problem.fold[trial])
+        self._discrepancy = discrepancy
         self._along = None
         if self._smooth is not None and conditions is not None:
             powers = [system.compared_columns(p)[used] for p in self._smooth.powers(conditions)]
-            others = {name: own[used] for name, own in effects.items()}
-            self._along = AlongTheWay.learnt(self._smooth, found, others, np.array(powers))
+            others = {name: column[used] for name, column in effects.items()}
+            self._along = AlongTheWay.learnt(self._smooth, discrepancy, others, np.array(powers))
         before = nominal[used]
-        left = residual - found.held_out / system.scale
+        unexplained = residual - discrepancy.held_out / system.scale
         self.left = ReferenceGap(
             recording=system.recording_name,
             before_n=float(np.sqrt((before**2).mean())),
-            left_n=float(np.sqrt((left**2).mean())),
-            channels=system.channels(before, left),
+            left_n=float(np.sqrt((unexplained**2).mean())),
+            channels=system.channels(before, unexplained),
         )
 
     def expected(self, system: System, problem: Problem) -> Expected:
@@ -177,8 +177,8 @@ class Reference:
         mean = mean / system.scale
         moving = None
         if self._along is not None and conditions is not None:
-            here = self._along.of(conditions, np.arange(mean.shape[1]))
-            moving = MovingMean(system, self._along, mean, conditions, here)
+            mean_here = self._along.of(conditions, np.arange(mean.shape[1]))
+            moving = MovingMean(system, self._along, mean, conditions, mean_here)
         return Expected(mean, floor / deviation, floor, moving)
 
     def _columns(self, system: System, effects: dict[Key, Array]) -> dict[Key, Array]:
@@ -186,11 +186,11 @@ class Reference:
         if self._smooth is None or conditions is None:
             return effects
         smooth = self._smooth.of(conditions)
-        return effects | {key: system.compared_columns(own) for key, own in smooth.items()}
+        return effects | {key: system.compared_columns(column) for key, column in smooth.items()}
 
 
 def _scaled_effects(system: System, problem: Problem) -> dict[Key, Array]:
-    return {key: own * system.scale for key, own in effect_columns(problem).items()}
+    return {key: column * system.scale for key, column in effect_columns(problem).items()}
 
 
 class _Weighted:
@@ -208,8 +208,10 @@ class _Weighted:
         predicted = self._simulator.predict(variants)
         moving = self._expected.moving
         if moving is not None:
-            each = zip(predicted, variants, strict=True)
-            predicted = np.array([own + moving.change(variant) for own, variant in each])
+            by_variant = zip(predicted, variants, strict=True)
+            predicted = np.array(
+                [readings + moving.change(variant) for readings, variant in by_variant]
+            )
         return self._expected.weighted(predicted)
 
     def small_changes(self, base: Assignment, variants: Sequence[Assignment]) -> Array:

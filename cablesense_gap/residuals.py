@@ -197,16 +197,19 @@ def loop_n(recording: Recording, residual_n: Array) -> Array:
     """
     size = np.linalg.norm(recording.load_n, axis=-1)
     branch = load_branch(recording)
-    found = []
+    differences = []
     for trial in np.unique(recording.trial[branch >= 0]):
-        here = recording.trial == trial
-        level = np.round(size / (_LOAD_TOLERANCE * size[here].max())).astype(int)
-        for at in np.unique(level[here]).tolist():
-            ways = [here & (level == at) & np.isin(branch, which) for which in ((0, 1), (2, 3))]
+        of_trial = recording.trial == trial
+        level = np.round(size / (_LOAD_TOLERANCE * size[of_trial].max())).astype(int)
+        for load_level in np.unique(level[of_trial]).tolist():
+            ways = [
+                of_trial & (level == load_level) & np.isin(branch, which)
+                for which in ((0, 1), (2, 3))
+            ]
             if all(way.any() for way in ways):
                 up, down = (residual_n[way].mean(axis=0) for way in ways)
-                found.append((up - down) / 2.0)
-    return np.array(found).reshape(-1, residual_n.shape[1])
+                differences.append((up - down) / 2.0)
+    return np.array(differences).reshape(-1, residual_n.shape[1])
 
 
 def row_groups(recording: Recording, arm: Arm) -> Iterator[tuple[str, str, Rows]]:
@@ -224,10 +227,10 @@ def row_groups(recording: Recording, arm: Arm) -> Iterator[tuple[str, str, Rows]
             yield LEVEL, name, (segment > 0) & (size > low) & (size <= high)
     if recording.load_at_m is not None:
         mechanism = mechanism_of(arm)
-        own = np.maximum(segment, 1) - 1
+        segment_index = np.maximum(segment, 1) - 1
         unstated = np.isnan(recording.load_at_m)
-        at_m = np.where(unstated, mechanism.contact_m[own], recording.load_at_m)
-        third = np.minimum(3.0 * at_m / mechanism.segment_length_m[own], 2.0).astype(int)
+        at_m = np.where(unstated, mechanism.contact_m[segment_index], recording.load_at_m)
+        third = np.minimum(3.0 * at_m / mechanism.segment_length_m[segment_index], 2.0).astype(int)
         for i, name in enumerate(_THIRDS):
             yield LOAD_PLACE, name, (segment > 0) & (third == i)
     bend = np.linalg.norm(recording.command_rad.reshape(len(recording), -1, 2), axis=-1)

@@ -100,15 +100,15 @@ def _answer(at: str, row: dict[str, str | None]) -> Truth:
 def _numbers(at: str, cells: Mapping[str, str], column: str, count: int) -> tuple[float, ...]:
     """The numbers in a cell; none if it is empty or missing."""
     cell = cells.get(column, "")
-    found = list[float]()
+    numbers = list[float]()
     if not cell:
         return ()
     with suppress(ValueError):
-        found = [float(number) for number in cell.split()]
-    if len(found) != count or not all(0.0 <= number < math.inf for number in found):
+        numbers = [float(number) for number in cell.split()]
+    if len(numbers) != count or not all(0.0 <= number < math.inf for number in numbers):
         what = "a number" if count == 1 else f"{count} numbers"
         raise ScoreError(f"{at}: {column} = {cell[:40]!r}; must be {what} from 0 up")
-    return tuple(found)
+    return tuple(numbers)
 
 
 def read_verdicts(folder: str | Path, recordings: Iterable[str]) -> dict[str, Verdict]:
@@ -121,7 +121,7 @@ def read_verdicts(folder: str | Path, recordings: Iterable[str]) -> dict[str, Ve
     folder = Path(folder)
     if not folder.is_dir():
         raise ScoreError(f"{folder}: no such folder; give the one that holds the verdicts")
-    found = {}
+    verdicts = {}
     for name in recordings:
         places = folder / name / "verdict.json", folder / f"{name}.json"
         paths = [path for path in places if path.is_file()]
@@ -132,8 +132,8 @@ def read_verdicts(folder: str | Path, recordings: Iterable[str]) -> dict[str, Ve
                 f"{folder}: no verdict on {name}; every recording of the answers needs its "
                 f"{name}/verdict.json or {name}.json"
             )
-        found[name] = read_verdict(paths[0])
-    return found
+        verdicts[name] = read_verdict(paths[0])
+    return verdicts
 
 
 @dataclass(frozen=True)
@@ -296,7 +296,9 @@ def score(verdicts: Mapping[str, Verdict], answers: Sequence[Truth]) -> ScoreShe
         false_alarms=proportion(~none.exact),
         unknown_recall=proportion(unknown.exact),
         where=proportion(right.places_right.dropna()),
-        by_effect={name: proportion(own.exact) for name, own in singles.groupby("truth")},
+        by_effect={
+            name: proportion(effect_cases.exact) for name, effect_cases in singles.groupby("truth")
+        },
         mean_probability_on_truth=fmean(cases.on_truth),
         budgets=budget_score([(verdicts[a.recording], a) for a in answers]),
         calibration=reliability(cases.probability, cases.exact),

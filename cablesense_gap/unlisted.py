@@ -64,25 +64,25 @@ def describe_unlisted(
     floor_n = problem.floor
     features = residual_features(recording, problem.nominal, arm)
     rows = recording.rows(used)
-    left = residual[used]
-    found = flexible_model(
+    residual_used = residual[used]
+    flexible = flexible_model(
         {
-            group: {name: own[used] for name, own in each.items()}
-            for group, each in features.items()
+            group: {name: column[used] for name, column in group_features.items()}
+            for group, group_features in features.items()
         },
-        Conditions(*(own[used] for own in conditions)),
-        left,
+        Conditions(*(column[used] for column in conditions)),
+        residual_used,
         problem.fold[problem.trial[used]],
         floor_n,
     )
     reasons = (
         "A flexible model of commands, loads, directions and time, without physics, explains "
-        f"{max(found.explained_share, 0.0):.0%} of the residual on held-out trials.",
-        *residual_patterns(rows, left, found, arm, floor_n),
+        f"{max(flexible.explained_share, 0.0):.0%} of the residual on held-out trials.",
+        *residual_patterns(rows, residual_used, flexible, arm, floor_n),
     )
     correction = np.zeros_like(residual)
-    correction[used] = found.held_out
-    return Unlisted(reasons, repeat_largest_trial(rows, left, floor_n), correction)
+    correction[used] = flexible.held_out
+    return Unlisted(reasons, repeat_largest_trial(rows, residual_used, floor_n), correction)
 
 
 def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Features:
@@ -109,7 +109,8 @@ def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Featu
         beyond_m = np.nan_to_num(places_m - mechanism_of(arm).contact_m, nan=0.0)
         moments = (beyond_m[..., None] * forces_n).reshape(len(recording), -1)
         load |= {
-            f"place of the {name}": own for name, own in zip(load_names, moments.T, strict=True)
+            f"place of the {name}": moment
+            for name, moment in zip(load_names, moments.T, strict=True)
         }
     state = np.column_stack([recording.command_rad, *load.values()])
     changed = (np.diff(state, axis=0, prepend=state[:1]) != 0.0).any(axis=1)
@@ -117,12 +118,14 @@ def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Featu
     recent = np.exp(-(recording.time_s - recording.time_s[last]) / 10.0)
 
     def of_cables(text: str, columns: Array) -> dict[str, Array]:
-        return {text.format(c): own for c, own in zip(arm.cable_names, columns.T, strict=True)}
+        return {
+            text.format(c): moment for c, moment in zip(arm.cable_names, columns.T, strict=True)
+        }
 
     narrow, wide = (in_play(nominal_n, share) for share in (0.05, 0.3))
     commands = zip(arm.joint_names, recording.command_rad.T, strict=True)
     return {
-        "pose": {f"{name} commanded": own for name, own in commands},
+        "pose": {f"{name} commanded": moment for name, moment in commands},
         "load": load,
         "tension": of_cables("tension of {}", nominal_n),
         "motion": of_cables("motion of {}", np.sign(np.where(np.abs(step_m) > 1e-9, step_m, 0.0))),
@@ -138,11 +141,11 @@ def in_play(signal: Array, share: float) -> Array:
     """
     half = np.maximum(share * np.ptp(signal, axis=0), 1e-9)
     middle = signal[0].copy()
-    found = np.empty_like(signal)
+    in_widths = np.empty_like(signal)
     for row, value in enumerate(signal):
         middle = np.clip(middle, value - half, value + half)
-        found[row] = (value - middle) / half
-    return found
+        in_widths[row] = (value - middle) / half
+    return in_widths
 
 
 def residual_patterns(
@@ -251,8 +254,8 @@ def _wave(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> 
     moved = command[:, moving]
     products = [one * other for one, other in combinations_with_replacement(moved.T, 2)]
     columns = np.column_stack([np.ones(len(moved)), moved, *products])
-    left, size, _ = np.linalg.svd(columns, full_matrices=False)
-    smooth = left[:, size > 1e-9 * size[0]]
+    directions, size, _ = np.linalg.svd(columns, full_matrices=False)
+    smooth = directions[:, size > 1e-9 * size[0]]
     rest = residual - smooth @ (smooth.T @ residual)
     if np.sqrt((rest**2).mean()) < 1.5 * floor_n:
         return
@@ -303,14 +306,14 @@ def _steps(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) ->
     explained = weight * apart_n**2 / np.maximum((centred**2).sum(0), 1e-12)
     # near either end a step cannot be distinguished from a few unusual rows
     explained[(rows <= 0.05 * count) | (rows >= 0.95 * count)] = 0.0
-    at = explained.argmax(0)
-    size_n = apart_n[at, np.arange(len(at))]
+    step_rows = explained.argmax(0)
+    size_n = apart_n[step_rows, np.arange(len(step_rows))]
     clear = (explained.max(0) >= 0.6) & (np.abs(size_n) >= 4.0 * floor_n)
     cables = [c for c in np.argsort(-np.abs(size_n)) if clear[c]][:3]
     if cables:
         items = [
             f"{_plain(arm.cable_names[c])} by {size_n[c]:+.2g} N "
-            f"at {recording.time_s[at[c] + 1]:.0f} s"
+            f"at {recording.time_s[step_rows[c] + 1]:.0f} s"
             for c in cables
         ]
         yield f"It changes once and stays: {listed(items)}. Check what slipped or was moved then."
@@ -323,11 +326,11 @@ def _jumps(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) ->
     state = np.concatenate([recording.command_rad, *loads], axis=1)
     still = (np.diff(state, axis=0) == 0.0).all(1) & (np.diff(recording.trial) == 0)
     change = np.pad(np.diff(residual_n, axis=0), ((1, 1), (0, 0)))
-    here = change[1:-1]
+    change_here = change[1:-1]
     size = np.abs(change[1:-1])
     beside = np.stack([change[:-2], change[2:]])
     # a change that goes on in the same direction is not a jump: the channel is late
-    late = ((np.sign(beside) == np.sign(here)) & (np.abs(beside) > 0.25 * size)).any(0)
+    late = ((np.sign(beside) == np.sign(change_here)) & (np.abs(beside) > 0.25 * size)).any(0)
     settled = still & np.append(False, still[:-1])
     far = settled[:, None] & (size > 8.0 * floor_n) & ~late
     count = far.sum(0)

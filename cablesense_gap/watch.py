@@ -29,15 +29,15 @@ def series(folder: Path) -> list[Path]:
         SeriesError: there are fewer than two.
     """
     names = folder.iterdir() if folder.is_dir() else []
-    found = sorted(
+    paths = sorted(
         p for p in names if p.name.endswith(_SUFFIXES) or (p / "metadata.yaml").is_file()
     )
-    if len(found) < 2:
+    if len(paths) < 2:
         raise SeriesError(
-            f"{folder}: holds {len(found)} recordings; give a folder of two or more whose names "
+            f"{folder}: holds {len(paths)} recordings; give a folder of two or more whose names "
             "begin with their dates, the healthy machine first"
         )
-    return found
+    return paths
 
 
 def drift_table(verdicts: Sequence[Verdict]) -> pd.DataFrame:
@@ -58,11 +58,11 @@ def drift_table(verdicts: Sequence[Verdict]) -> pd.DataFrame:
 
 def _full_names(verdict: Verdict) -> dict[str, FittedNumber]:
     """Numbers by effect, place and parameter, also where there is one place."""
-    found = {}
-    for name, each in verdict.parameters.items():
+    full_names = {}
+    for name, fitted in verdict.parameters.items():
         effect, *place, parameter = name.split(".")
-        found[".".join((effect, *(place or verdict.where.places[:1]), parameter))] = each
-    return found
+        full_names[".".join((effect, *(place or verdict.where.places[:1]), parameter))] = fitted
+    return full_names
 
 
 def write_drift(folder: Path, verdicts: Sequence[Verdict]) -> None:
@@ -83,7 +83,7 @@ def _picture(table: pd.DataFrame) -> bytes:
     numbers = table.columns[5:]
     often = table[numbers].notna().sum().sort_values(ascending=False, kind="stable")
     shown = list(often.index[:_MOST_NUMBERS])
-    at = range(len(table))
+    positions = range(len(table))
     with style():
         figure, axes = plt.subplots(
             1 + len(shown),
@@ -93,11 +93,11 @@ def _picture(table: pd.DataFrame) -> bytes:
             squeeze=False,
             layout="constrained",
         )
-        axes[0, 0].plot(at, table["gap"] / table["floor"], "o-", color=BEFORE)
+        axes[0, 0].plot(positions, table["gap"] / table["floor"], "o-", color=BEFORE)
         axes[0, 0].axhline(1.0, color=AFTER, lw=1.0)
         axes[0, 0].set_title("gap since the reference, by what the model leaves of it", pad=2)
         for panel, name in zip(axes[1:, 0], shown, strict=True):
-            panel.plot(at, table[name].fillna(0.0), "o-", color=AFTER)
+            panel.plot(positions, table[name].fillna(0.0), "o-", color=AFTER)
             panel.set_title(name, pad=2)
-        axes[-1, 0].set_xticks(at, table["recording"], rotation=30, ha="right")
+        axes[-1, 0].set_xticks(positions, table["recording"], rotation=30, ha="right")
         return image_bytes(figure, "png")

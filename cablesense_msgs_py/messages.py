@@ -47,17 +47,17 @@ class NamedOrder:
             ContractError: a name is missing, unknown or repeated, or there is not one value per
                 name.
         """
-        given = tuple(names)
-        if given != self.names:
-            self._require_same(given)
-        if len(values) != len(given):
+        given_names = tuple(names)
+        if given_names != self.names:
+            self._require_same(given_names)
+        if len(values) != len(given_names):
             raise ContractError(
-                f"{field} holds {len(values)} values for {len(given)} names; "
+                f"{field} holds {len(values)} values for {len(given_names)} names; "
                 f"it must hold one per name ({len(self.names)})"
             )
-        if given == self.names:
+        if given_names == self.names:
             return tuple(values)
-        by_name = dict(zip(given, values, strict=True))
+        by_name = dict(zip(given_names, values, strict=True))
         return tuple(by_name[name] for name in self.names)
 
     def _require_same(self, given: tuple[str, ...]) -> None:
@@ -104,11 +104,11 @@ def joint_command_rad(message: Any, order: NamedOrder, present_rad: Array | None
     if len(angles) != len(names):
         raise ContractError(f"position holds {len(angles)} values for {len(names)} names")
     named = [pair for pair in zip(names, angles, strict=True) if pair[0] in order.names]
-    given = dict(named)
-    if not given or len(given) < len(named):
+    angle_by_name = dict(named)
+    if not angle_by_name or len(angle_by_name) < len(named):
         order.pick(names, angles, "position")  # says what is wrong
     before = np.zeros(len(order.names)) if present_rad is None else present_rad
-    command = np.array([given.get(n, b) for n, b in zip(order.names, before, strict=True)])
+    command = np.array([angle_by_name.get(n, b) for n, b in zip(order.names, before, strict=True)])
     _require_within(order, command, MAX_JOINT_ANGLE_RAD, "rad (a third of pi)")
     return command
 
@@ -345,9 +345,9 @@ def read_force_state(message: Any) -> tuple[ForceState, int]:
         (text,) = texts
         state = ForceState(text)
     except ValueError:
-        given = ", ".join(repr(text[:40]) for text in texts[:4]) or "nothing"
+        quoted = ", ".join(repr(text[:40]) for text in texts[:4]) or "nothing"
         raise ContractError(
-            f"status: its message is {given}; it must be one of "
+            f"status: its message is {quoted}; it must be one of "
             f"{', '.join(known.value for known in ForceState)}"
         ) from None
     stamp = message.header.stamp

@@ -137,9 +137,11 @@ class _Fields:
         return count
 
     def _require_left(self, field: str, count: int, what: str, size: int) -> None:
-        left = max(0, len(self.raw) - self.at) // size
-        if count > left:
-            raise ContractError(f"{field}: {count} {what} announced, {left} left in the message")
+        remaining = max(0, len(self.raw) - self.at) // size
+        if count > remaining:
+            raise ContractError(
+                f"{field}: {count} {what} announced, {remaining} left in the message"
+            )
 
 
 class WrenchWriter:

@@ -179,9 +179,8 @@ def breath_circle(
 def offsets_m(arm: Arm, command_rad: Array, deviation_rad: Array) -> Array:
     """(M,) change of the cable lengths by a deviation (2N,) from a command."""
     mechanism = mechanism_of(arm)
-    there = command_rad + deviation_rad
-    here = command_rad
-    return held_lengths_m(mechanism, there) - held_lengths_m(mechanism, here)
+    displaced_rad = command_rad + deviation_rad
+    return held_lengths_m(mechanism, displaced_rad) - held_lengths_m(mechanism, command_rad)
 
 
 def tip_m(mechanism: Mechanism, angles_rad: Array) -> Array:

@@ -50,9 +50,9 @@ class UnloadedReadings:
     def predicted_n(self, command_rad: Array, calibration: Calibration) -> Array:
         """Readings (K, M) at commands (K, 2N); those of nearly slack cables are too high."""
         reading_n = np.tile(self._start_n, (len(command_rad), 1))
-        given = (calibration.mean, calibration.covariance, self._unrest)
+        belief = (calibration.mean, calibration.covariance, self._unrest)
         for _ in range(_PREDICTION_STEPS):
-            change_n = -self._law(reading_n, command_rad, *given).innovation_n
+            change_n = -self._law(reading_n, command_rad, *belief).innovation_n
             # kept taut: where a cable is slack the law may not be solvable
             reading_n = np.maximum(reading_n + change_n, 0.5 * self._taut_n)
             if np.abs(change_n).max() < _PREDICTED_N:
@@ -96,14 +96,14 @@ def chosen_poses(
         )
     design = _Design(arm, law, calibrator, prior, readings)
     slopes, noise_n2 = design.seen_from(candidates)
-    left = np.arange(len(candidates))
+    remaining = np.arange(len(candidates))
     chosen = []
     for _ in range(count):
-        best = int(design.information(slopes[left], noise_n2[left]).argmax())
-        taken = left[best]
+        best = int(design.information(slopes[remaining], noise_n2[remaining]).argmax())
+        taken = remaining[best]
         design.add(slopes[taken], noise_n2[taken])
         chosen.append(taken)
-        left = np.delete(left, best)
+        remaining = np.delete(remaining, best)
     return _tour(candidates[chosen])
 
 
@@ -151,8 +151,8 @@ class _Design:
     def seen_from(self, candidates: Array) -> tuple[Array, Array]:
         """Slopes (C, M, L) by lasting parameters, and noise (C, M, M), of unloaded readings."""
         reading_n = self._predicted.predicted_n(candidates, self._prior)
-        given = (self._prior.mean, self._prior.covariance, self._unrest)
-        slopes = self._law(reading_n, candidates, *given).by_parameter
+        belief = (self._prior.mean, self._prior.covariance, self._unrest)
+        slopes = self._law(reading_n, candidates, *belief).by_parameter
         return self._parted(slopes, self._mean_variance_n2)
 
     def information(self, slopes: Array, noise_n2: Array) -> Array:
@@ -163,9 +163,9 @@ class _Design:
         innovation = slopes @ self.covariance @ slopes.transpose(0, 2, 1) + noise_n2
         whitened = np.linalg.inv(np.linalg.cholesky(innovation)).transpose(0, 2, 1)
         learnt = crossed @ whitened
-        left = spread[:, None] - learnt @ learnt.transpose(0, 1, 3, 2)
+        spread_after = spread[:, None] - learnt @ learnt.transpose(0, 1, 3, 2)
         by_contact = self._by_contact[:, None]
-        known = by_contact.transpose(0, 1, 3, 2) @ np.linalg.solve(left, by_contact)
+        known = by_contact.transpose(0, 1, 3, 2) @ np.linalg.solve(spread_after, by_contact)
         known = known + self._prior_precision[:, None]
         return np.asarray(np.linalg.slogdet(known)[1].mean(axis=0))
 
@@ -173,8 +173,8 @@ class _Design:
         """Take a reading with this slope (M, L) and noise (M, M)."""
         shown = slope @ self.covariance
         gained = shown.T @ np.linalg.solve(shown @ slope.T + noise_n2, shown)
-        left = self.covariance - gained
-        self.covariance = 0.5 * (left + left.T)
+        covariance = self.covariance - gained
+        self.covariance = 0.5 * (covariance + covariance.T)
 
     def _parted(self, slopes: Array, variance_n2: float) -> tuple[Array, Array]:
         """Slopes by lasting parameters, and the noise of sensors and friction together."""
@@ -185,12 +185,12 @@ class _Design:
 
 def _tour(poses: Array) -> Array:
     """The poses (K, 2N) from the one nearest to straight on, always the nearest one next."""
-    left = list(range(len(poses)))
-    here = np.zeros(poses.shape[1])
+    remaining = list(range(len(poses)))
+    present_pose = np.zeros(poses.shape[1])
     order = []
-    while left:
-        turns = np.abs(poses[left] - here).max(axis=1)
-        nearest = left.pop(int(turns.argmin()))
+    while remaining:
+        turns = np.abs(poses[remaining] - present_pose).max(axis=1)
+        nearest = remaining.pop(int(turns.argmin()))
         order.append(nearest)
-        here = poses[nearest]
+        present_pose = poses[nearest]
     return poses[order]

@@ -128,17 +128,17 @@ class Progress(NamedTuple):
 
 def visits(arm: Arm, poses_rad: Array, settings: CommissioningSettings) -> list[Visit]:
     """What is visited in poses (K, 2N): from two sides in turn, or each from both."""
-    both = settings.both_sides
-    if both is None:
-        both = any(entry.effect.name == "capstan_friction" for entry in entries_of(arm))
+    both_sides = settings.both_sides
+    if both_sides is None:
+        both_sides = any(entry.effect.name == "capstan_friction" for entry in entries_of(arm))
     beside_rad = settings.approach_rad * approach_direction(mechanism_of(arm))
-    found = []
+    stops = []
     for number, pose_rad in enumerate(poses_rad):
         side = -1.0 if number % 2 else 1.0
-        found.append(Visit(pose_rad + side * beside_rad, pose_rad))
-        if both:
-            found.append(Visit(pose_rad - side * beside_rad, pose_rad))
-    return found
+        stops.append(Visit(pose_rad + side * beside_rad, pose_rad))
+        if both_sides:
+            stops.append(Visit(pose_rad - side * beside_rad, pose_rad))
+    return stops
 
 
 def approach_direction(mechanism: Mechanism) -> Array:
@@ -164,8 +164,8 @@ def expected_duration_s(
         way += [visit.beside_rad, visit.pose_rad]
     way.append(start_rad)
     moving_s = sum(
-        move_duration_s(float(np.abs(there - here).max()), settings.joint_speed_rad_s)
-        for here, there in pairwise(way)
+        move_duration_s(float(np.abs(to_rad - from_rad).max()), settings.joint_speed_rad_s)
+        for from_rad, to_rad in pairwise(way)
     )
     return moving_s + len(stops) * settings.hold_s(arm.sensors.rate_hz)
 
@@ -269,14 +269,16 @@ class Commissioning:
     @property
     def progress(self) -> Progress:
         """How far it has come."""
-        left = list(self._left)
+        stops_left = list(self._left)
         if self._hold is not None and not self._added:
-            left.insert(0, self._hold)
+            stops_left.insert(0, self._hold)
         here_rad = self._motion.target_rad
         remaining_s = 0.0
         if not self.over:
-            remaining_s = expected_duration_s(self._arm, left, self._settings, here_rad)
-        return Progress(self._holds - len(left), self._holds, remaining_s, self._force_known_n)
+            remaining_s = expected_duration_s(self._arm, stops_left, self._settings, here_rad)
+        return Progress(
+            self._holds - len(stops_left), self._holds, remaining_s, self._force_known_n
+        )
 
     def advance(self, now_ns: int) -> Array | None:
         """Let time pass; gives a command (2N,) that is to be sent now."""
@@ -425,7 +427,7 @@ class Commissioning:
 
     def _learn(self) -> None:
         """State where the calibration comes from, and what it is worth elsewhere."""
-        poses = {one.command_rad.tobytes() for one in self.calibration.unloaded}
+        poses = {reading.command_rad.tobytes() for reading in self.calibration.unloaded}
         if poses:
             made_from = f"a commissioning in {len(poses)} poses"
             self.calibration = replace(self.calibration, made_from=made_from)

@@ -170,21 +170,21 @@ class Estimation:
             tare = self._tared_by_itself(stamp_ns)
             return Answer(force=ForceState.UNTARED, new_tare=tare)
         situation = Situation(self.gate.pose_rad, stamp_ns, self._unrest(), freed)
-        found = self.contacts.find(np.array(freed_n), situation)
-        if found is None:
+        finding = self.contacts.find(np.array(freed_n), situation)
+        if finding is None:
             return Answer(force=ForceState.UNTARED)
         self.gate.estimated(known=True)
-        force, doubt = self._stated(found, stamp_ns)
+        force, doubt = self._stated(finding, stamp_ns)
         if force is ForceState.IMPLAUSIBLE:
             raise SampleError(ProblemKind.MISFIT, f"readings fit no contact: {doubt}")
-        if found.contacts:
-            self.largest_force_n = max(self.largest_force_n, found.contacts[0].magnitude_n)
+        if finding.contacts:
+            self.largest_force_n = max(self.largest_force_n, finding.contacts[0].magnitude_n)
         return Answer(
             force,
-            found.contacts,
-            found.estimate,
+            finding.contacts,
+            finding.estimate,
             self._contact_m,
-            found.probabilities,
+            finding.probabilities,
             doubt=doubt,
         )
 

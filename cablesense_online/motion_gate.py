@@ -97,10 +97,10 @@ class MotionGate:
 
     def rest_at(self, command_rad: Array) -> None:
         """The arm has been at rest at a command (2N,) for long."""
-        here = command_rad.copy()
-        self.state = GateState(command_rad=here, pose_rad=here, rest_from_ns=LONG_AGO_NS)
-        self.angles_rad = here
-        self._course = JointMotion(here, self._settings.joint_speed_rad_s)
+        rest_rad = command_rad.copy()
+        self.state = GateState(command_rad=rest_rad, pose_rad=rest_rad, rest_from_ns=LONG_AGO_NS)
+        self.angles_rad = rest_rad
+        self._course = JointMotion(rest_rad, self._settings.joint_speed_rad_s)
         self._last_ns = LONG_AGO_NS
         self._heading = False
         self._starting = False

@@ -74,9 +74,9 @@ class RecordedRun:
                 self.answers[_stamp(raw.data)] = raw.data
         for needed in (topics.CABLE_TENSIONS, topics.CALIBRATION_USED):
             if needed not in names:
-                there = ", ".join(sorted(names.values())[:8]) or "nothing"
+                present = ", ".join(sorted(names.values())[:8]) or "nothing"
                 raise RecordingError(
-                    f"{path}: has no {needed}, but {there}; record with cablesense record while "
+                    f"{path}: has no {needed}, but {present}; record with cablesense record while "
                     "an estimator of contacts anywhere runs"
                 )
         self.cut = messages.cut

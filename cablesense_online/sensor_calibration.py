@@ -119,9 +119,9 @@ def read_known_loads(path: str | Path, cable_names: Sequence[str]) -> dict[str, 
         where = f"{path}: line {number}"
         if len(cells) != len(header):
             raise CommissioningError(f"{where} has {len(cells)} cells, the header {len(header)}")
-        given = {column: cell for column, cell in zip(header, cells, strict=True) if cell}
+        named_cells = {column: cell for column, cell in zip(header, cells, strict=True) if cell}
         try:
-            load = KnownLoad.model_validate(given | {"line": number})
+            load = KnownLoad.model_validate(named_cells | {"line": number})
         except ValidationError as error:
             raise CommissioningError(f"{where}: {describe_problem(error, KnownLoad)}") from None
         if load.cable not in cable_names:

@@ -109,14 +109,14 @@ def channel_statistics(
     return tuple(
         ChannelStatistics(
             cable=cable,
-            mean_n=float(mean_n[at]),
-            lowest_n=float(read_n[:, at].min()),
-            highest_n=float(read_n[:, at].max()),
-            noise_n=float(noise_n[at]) if enough else None,
-            step_n=quantisation_step_n(read_n[:, at]),
-            drift_n=float(drift_n[at]) if enough else None,
+            mean_n=float(mean_n[channel]),
+            lowest_n=float(read_n[:, channel].min()),
+            highest_n=float(read_n[:, channel].max()),
+            noise_n=float(noise_n[channel]) if enough else None,
+            step_n=quantisation_step_n(read_n[:, channel]),
+            drift_n=float(drift_n[channel]) if enough else None,
         )
-        for at, cable in enumerate(cable_names)
+        for channel, cable in enumerate(cable_names)
     )
 
 
@@ -234,18 +234,18 @@ def judge_pull(
     # 95 % quantile, so that single outliers do not count
     moved_n = np.quantile(np.abs(read_n[during] - rest_n), 0.95, axis=0)
     second, first = np.argsort(moved_n)[-2:].tolist()
-    own = cable_names.index(pull.cable)
-    rival = second if first == own else own
+    pulled = cable_names.index(pull.cable)
+    rival = second if first == pulled else pulled
     if moved_n[first] < PULLED_FLOORS * floor_n:
         verdict = "too weak"
-    elif first != own and np.ptp(read_n[during, own]) == 0.0:
+    elif first != pulled and np.ptp(read_n[during, pulled]) == 0.0:
         verdict = "dead"
     elif moved_n[rival] > CLEARLY * moved_n[first]:
         verdict = "unclear"
     else:
-        verdict = "right" if first == own else "swapped"
+        verdict = "right" if first == pulled else "swapped"
     return PullResult(
-        pull.cable, float(moved_n[own]), cable_names[first], float(moved_n[first]), verdict
+        pull.cable, float(moved_n[pulled]), cable_names[first], float(moved_n[first]), verdict
     )
 
 

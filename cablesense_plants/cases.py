@@ -154,11 +154,11 @@ def in_turn(rng: np.random.Generator, names: Sequence[str]) -> Iterator[str]:
 
 def different(names: Iterator[str], count: int) -> list[str]:
     """The next `count` names that differ from each other."""
-    found: list[str] = []
-    while len(found) < count:
+    chosen: list[str] = []
+    while len(chosen) < count:
         name = next(names)
-        found += [name] if name not in found else []
-    return found
+        chosen += [name] if name not in chosen else []
+    return chosen
 
 
 def write_answers(path: Path, answers: Sequence[Any], decimals: int | None = None) -> None:

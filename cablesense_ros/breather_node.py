@@ -45,29 +45,29 @@ class BreatherNode(Node):
     def __init__(self) -> None:
         super().__init__("breather")
         self._given = declare_parameters(self, parameter_table("breather"))
-        given = self._given
-        self._arm = open_arm(given["arm"])
+        settings = self._given
+        self._arm = open_arm(settings["arm"])
         arm = self._arm
         self._joints = NamedOrder(arm.joint_names, "joints")
-        self._by_joints = given["over"] == topics.JOINT_COMMANDS
+        self._by_joints = settings["over"] == topics.JOINT_COMMANDS
         names = arm.joint_names if self._by_joints else arm.cable_names
         self._message = JointState(name=list(names))
         self._base_rad: Array | None = None
-        if not given["await_command"]:
+        if not settings["await_command"]:
             self._base_rad = np.zeros(arm.joint_count)
         self._commanded_ns = 0
         self._due_ns = 0
         self._breath: Breath | None = None
         self._problem = ""
         self._count = 0
-        self._tick_ns = round(given["turn_s"] * 1e9 / SET_POINTS_A_TURN)
-        self._out = self.create_publisher(JointState, given["over"], qos_profile(COMMAND))
+        self._tick_ns = round(settings["turn_s"] * 1e9 / SET_POINTS_A_TURN)
+        self._out = self.create_publisher(JointState, settings["over"], qos_profile(COMMAND))
         self._refuse = RefusalLog(self)
         self._refuse.subscribe(JointState, topics.JOINT_COMMANDS, COMMAND, self._on_command)
         serve(self, topics.BREATHE, self._breathe_once)
         self.create_timer(0.5e-9 * self._tick_ns, self._tick)
         publish_diagnostics(self, self._statuses, lambda: arm.identity)
-        self.get_logger().info(f"arm {arm.identity}: breathes over {given['over']}")
+        self.get_logger().info(f"arm {arm.identity}: breathes over {settings['over']}")
 
     def destroy_node(self) -> None:
         """Leaves the arm where it was commanded."""
@@ -98,19 +98,19 @@ class BreatherNode(Node):
         Raises:
             CableSenseError: there is no breath for this arm here, or not now.
         """
-        given = self._given
+        settings = self._given
         if self._base_rad is None:
             raise BreathError(
                 f"no command on {topics.JOINT_COMMANDS} yet, so the pose to breathe about is "
                 "unknown; send the one that the arm is at"
             )
         waited_s = 1e-9 * (self._now_ns() - self._commanded_ns)
-        if waited_s < given["rest_s"]:
+        if waited_s < settings["rest_s"]:
             raise BreathError(
-                f"commanded {waited_s:.1f} s ago; a breath begins {given['rest_s']:g} s after a "
-                "command (rest_s) at the earliest"
+                f"commanded {waited_s:.1f} s ago; a breath begins {settings['rest_s']:g} s after "
+                "a command (rest_s) at the earliest"
             )
-        limits = given["amplitude_rad"], 1e-3 * given["largest_tip_mm"]
+        limits = settings["amplitude_rad"], 1e-3 * settings["largest_tip_mm"]
         circle = breath_circle(self._arm, self._base_rad, *limits)
         self._breath, self._due_ns = Breath(circle, turns), self._now_ns()
         self._problem = ""

@@ -40,27 +40,27 @@ class CanEmulatorNode(Node):
 
     def __init__(self) -> None:
         super().__init__("can_emulator")
-        given = declare_parameters(self, parameter_table("can_emulator"))
-        link = given["channel"]
-        bitrate_bit_s = given["bitrate_bit_s"]
-        if bitrate_bit_s and given["interface"] == SLCAN_PORT:
+        settings = declare_parameters(self, parameter_table("can_emulator"))
+        link = settings["channel"]
+        bitrate_bit_s = settings["bitrate_bit_s"]
+        if bitrate_bit_s and settings["interface"] == SLCAN_PORT:
             raise ParameterError(
                 "parameter bitrate_bit_s has no effect on slcan_port: who opens the adapter sets "
                 "it; leave it 0"
             )
-        arm = open_arm(given["arm"])
-        channel_map, database = open_channel_map(given["map"])
+        arm = open_arm(settings["arm"])
+        channel_map, database = open_channel_map(settings["map"])
         channel_map = channel_map.arranged(arm.cable_names)
 
         def open_bus() -> can.BusABC:
-            if given["interface"] == SLCAN_PORT:
+            if settings["interface"] == SLCAN_PORT:
                 return SlcanPort(link)
-            return CanInterface(given["interface"], link, bitrate_bit_s).open()
+            return CanInterface(settings["interface"], link, bitrate_bit_s).open()
 
         self._reported_cycles = 0
         self._emulator = Emulator(channel_map, database, open_bus)
         try:
-            self._emulator.request(given["fault"])
+            self._emulator.request(settings["fault"])
         except CableSenseError:
             self._emulator.close()
             raise
@@ -77,7 +77,8 @@ class CanEmulatorNode(Node):
         publish_diagnostics(self, self._statuses, lambda: arm.identity)
         steady_timer(self, LISTEN_S, self._emulator.listen)
         self.get_logger().info(
-            f"arm {arm.identity}: map {channel_map.name} as frames on {given['interface']} {link}"
+            f"arm {arm.identity}: map {channel_map.name} as frames on "
+            f"{settings['interface']} {link}"
         )
 
     def destroy_node(self) -> None:

@@ -68,8 +68,8 @@ class CommissionerNode(Node):
     def __init__(self) -> None:
         super().__init__("commissioner")
         self._given = declare_parameters(self, parameter_table("commissioner"))
-        given = self._given
-        loaded = load_model(given["arm"], given["model"])
+        settings = self._given
+        loaded = load_model(settings["arm"], settings["model"])
         if not isinstance(loaded.model, LawModel):
             raise ModelFileError(
                 f"{loaded.path}: a commissioning needs a model of contacts anywhere; make one "
@@ -79,23 +79,23 @@ class CommissionerNode(Node):
         self._arm = loaded.arm
         arm = self._arm
         self._settings = CommissioningSettings(
-            joint_speed_rad_s=given["joint_speed_rad_s"],
-            settle_s=given["settle_s"],
-            readings=given["readings"],
-            approach_rad=given["approach_rad"],
-            both_sides=_SIDES[given["sides"]],
-            silent_after_s=given["stale_after_s"],
+            joint_speed_rad_s=settings["joint_speed_rad_s"],
+            settle_s=settings["settle_s"],
+            readings=settings["readings"],
+            approach_rad=settings["approach_rad"],
+            both_sides=_SIDES[settings["sides"]],
+            silent_after_s=settings["stale_after_s"],
         )
         self._poses_rad = chosen_poses(
-            arm, self._law, given["poses"], given["bend_rad"], given["readings"]
+            arm, self._law, settings["poses"], settings["bend_rad"], settings["readings"]
         )
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._cables = NamedOrder(arm.cable_names, "cables")
         self._reader = EffortReader()
         self._check = SampleCheck(arm.sensors.range_n, slack_below_n=0.0)
-        self._sample_clock = SampleClock(given["stale_after_s"])
+        self._sample_clock = SampleClock(settings["stale_after_s"])
         self._base_rad: Array | None = None
-        if not given["await_command"]:
+        if not settings["await_command"]:
             self._base_rad = np.zeros(arm.joint_count)
         self._commanded_ns = 0
         self._heard_s = -math.inf
@@ -119,7 +119,7 @@ class CommissionerNode(Node):
             JointState,
             topics.CABLE_TENSIONS,
             SENSOR,
-            FollowedPublisher(given["stale_after_s"]),
+            FollowedPublisher(settings["stale_after_s"]),
             self._on_tensions,
             partial(self._refuse, topics.CABLE_TENSIONS),
         )
@@ -143,7 +143,7 @@ class CommissionerNode(Node):
         Raises:
             CableSenseError: not now, or not here.
         """
-        given = self._given
+        settings = self._given
         if self._running is not None:
             raise CommissioningRefusedError(
                 "a commissioning is under way; wait until it has ended"
@@ -155,18 +155,18 @@ class CommissionerNode(Node):
             )
         now_ns = self._now_ns()
         waited_s = 1e-9 * (now_ns - self._commanded_ns)
-        if waited_s < given["rest_s"]:
+        if waited_s < settings["rest_s"]:
             raise CommissioningRefusedError(
-                f"commanded {waited_s:.1f} s ago; a commissioning begins {given['rest_s']:g} s "
+                f"commanded {waited_s:.1f} s ago; a commissioning begins {settings['rest_s']:g} s "
                 "after a command (rest_s) at the earliest"
             )
-        if time.monotonic() - self._heard_s > given["stale_after_s"]:
+        if time.monotonic() - self._heard_s > settings["stale_after_s"]:
             raise CommissioningRefusedError(
                 f"no readings on {topics.CABLE_TENSIONS}; are the sensors' driver and the network "
                 "running?"
             )
-        if given["calibration_file"]:
-            output_file(given["calibration_file"], force=True)
+        if settings["calibration_file"]:
+            output_file(settings["calibration_file"], force=True)
         start_rad = self._base_rad
         running = Commissioning(
             self._arm, self._law, self._poses_rad, start_rad, now_ns, self._settings

@@ -153,8 +153,8 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
     with console.status("Drawing the picture …"):
         demo_pushes.draw_pushes(picture, played, results, arm.segment_count)
     if as_json:
-        found = {"arm": arm.identity, **demo_pushes.metrics(results), "picture": str(picture)}
-        print(json.dumps(found, indent=2))
+        summary = {"arm": arm.identity, **demo_pushes.metrics(results), "picture": str(picture)}
+        print(json.dumps(summary, indent=2))
     else:
         console.print(demo_pushes.results_table(results))
         console.print(demo_pushes.coverage_line(results))

@@ -202,16 +202,16 @@ class PushResult:
 
         If only the moment about the joint is known, its error replaces those of place and force.
         """
-        found = self.estimate
+        estimate = self.estimate
         true = self.push.contact
-        if found is None or not self.segment_right:
+        if estimate is None or not self.segment_right:
             return {}
-        errors = {"direction_deg": angle_error_deg(found.angle_deg, true.angle_deg)}
-        if found.moment_n_m is not None:
-            return errors | {"moment_n_m": found.moment_n_m - true.contact_m * true.magnitude_n}
+        errors = {"direction_deg": angle_error_deg(estimate.angle_deg, true.angle_deg)}
+        if estimate.moment_n_m is not None:
+            return errors | {"moment_n_m": estimate.moment_n_m - true.contact_m * true.magnitude_n}
         return errors | {
-            "place_mm": 1e3 * (found.contact_m - true.contact_m),
-            "magnitude_n": found.magnitude_n - true.magnitude_n,
+            "place_mm": 1e3 * (estimate.contact_m - true.contact_m),
+            "magnitude_n": estimate.magnitude_n - true.magnitude_n,
         }
 
 
@@ -229,9 +229,9 @@ def push_results(script: Sequence[ScriptedPush], played: PushRecord) -> list[Pus
         )
         moments = [played.snapshots[i] for i in np.flatnonzero(steady).tolist()]
         answered = [now for now in moments if now.answered]
-        found = [seen(now) for now in answered]
+        contacts = [seen(now) for now in answered]
         ends = _median_ends(answered)
-        results.append(PushResult(push, _median(found), len(found), *ends))
+        results.append(PushResult(push, _median(contacts), len(contacts), *ends))
     return results
 
 
@@ -330,9 +330,9 @@ def _median_errors(results: Sequence[PushResult]) -> dict[str, str]:
 
 def coverage_line(results: Sequence[PushResult]) -> str:
     """In how many of the stated intervals the truth lies."""
-    found = summary(results)
-    places = f"{found['place_covered']} of {found['place_intervals']} places"
-    forces = f"{found['force_covered']} of {found['force_intervals']} forces"
+    counts = summary(results)
+    places = f"{counts['place_covered']} of {counts['place_intervals']} places"
+    forces = f"{counts['force_covered']} of {counts['force_intervals']} forces"
     return f"Within their stated 95 % intervals: {places}, {forces}"
 
 
@@ -434,7 +434,7 @@ def _draw_time(rows: Sequence[Any], played: PushRecord, segment_count: int) -> N
     for row, ends in ((rows[0], bounds_n), (rows[3], places_mm)):
         low, high = np.array(ends).T
         row.fill_between(played.times_s, low, high, color=css(ESTIMATE_RGB), alpha=0.35, lw=0)
-    for row, name, scale, none, label in zip(
+    for row, name, scale, absent, label in zip(
         rows,
         ("magnitude_n", "angle_deg", "segment", "contact_m"),
         (1.0, 1.0, 1, 1e3),
@@ -447,7 +447,7 @@ def _draw_time(rows: Sequence[Any], played: PushRecord, segment_count: int) -> N
             (estimated, ESTIMATE_RGB, "estimated", 1.6),
         ):
             values = np.array(
-                [none if now is None else scale * _known(now, name) for now in contacts]
+                [absent if now is None else scale * _known(now, name) for now in contacts]
             )
             if contacts is estimated:
                 values = np.where(confirmed, values, np.nan)

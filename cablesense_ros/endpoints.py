@@ -301,7 +301,7 @@ class CommandInput:
                     f"points: {len(point.positions)} positions for {len(names)} joint names"
                 )
         since = [point.time_from_start for point in points]
-        times_s: Array = np.array([one.sec + 1e-9 * one.nanosec for one in since])
+        times_s: Array = np.array([duration.sec + 1e-9 * duration.nanosec for duration in since])
         positions_rad: Array = np.array([point.positions for point in points])
         if len(points) and (times_s[0] < 0.0 or (np.diff(times_s) <= 0.0).any()):
             raise ContractError("points: time_from_start must ascend, from 0 on")
@@ -324,7 +324,7 @@ class CommandInput:
         if not len(self._times_s) or passed_s < 0.0:
             return
         columns = self._positions_rad.T
-        self._command.position = [np.interp(passed_s, self._times_s, one) for one in columns]
+        self._command.position = [np.interp(passed_s, self._times_s, column) for column in columns]
         if passed_s >= self._times_s[-1]:
             self._times_s = np.zeros(0)
         try:

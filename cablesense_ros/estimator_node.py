@@ -206,8 +206,8 @@ class EstimatorNode(ConfiguredNode):
 
     def _on_parameters(self, parameters: list[Parameter]) -> None:
         if self._identity and any(p.name in LIVE_SETTINGS for p in parameters):
-            given = parameter_values(self)
-            self._estimation.adjust(**{name: given[name] for name in LIVE_SETTINGS})
+            values = parameter_values(self)
+            self._estimation.adjust(**{name: values[name] for name in LIVE_SETTINGS})
             self._outputs.publish_calibration(self._estimation, self._now_ns())
 
     def _statuses(self) -> list[Status]:

@@ -190,7 +190,7 @@ class EstimatorOutputs:
         """The wrench (6,) of all contacts about the base; one of known moment only leaves none."""
         if not answer.contacts:
             return answer.wrench(unknown_force) or UNKNOWN_WRENCH
-        if unknown_force == "nan" and not all(one.magnitude_n for one in answer.contacts):
+        if unknown_force == "nan" and not all(contact.magnitude_n for contact in answer.contacts):
             return UNKNOWN_WRENCH
         return self._estimation.at_pose.base_wrench(answer.contacts)
 
@@ -208,14 +208,16 @@ class EstimatorOutputs:
         if region_m and estimate and self._pose_out.subscribed:
             std_m = (region_m[1] - region_m[0]) / (2.0 * NORMAL_95)
             statics = self._estimation.at_pose
-            at = statics.contact_pose(contact, std_m, estimate.angle_std_deg)
+            contact_pose = statics.contact_pose(contact, std_m, estimate.angle_std_deg)
             message = PoseWithCovarianceStamped()
             message.header.frame_id = self._frames.base
             message.header.stamp = stamp
             pose = message.pose.pose
-            pose.position = Point(**dict(zip("xyz", at.point_m, strict=True)))
-            pose.orientation = Quaternion(**dict(zip("xyzw", at.quaternion, strict=True)))
-            message.pose.covariance = at.covariance
+            pose.position = Point(**dict(zip("xyz", contact_pose.point_m, strict=True)))
+            pose.orientation = Quaternion(
+                **dict(zip("xyzw", contact_pose.quaternion, strict=True))
+            )
+            message.pose.covariance = contact_pose.covariance
             self._pose_out.publish(message)
         if estimate and estimate.place and self._covariance_out.subscribed:
             self._covariance.data = array("d", estimate.place.covariance.ravel().tolist())
@@ -276,15 +278,15 @@ def contact_markers(
     def marker(
         namespace: str, number: int, kind: int, contact: Contact, size_m: Sequence[float]
     ) -> Marker:
-        one = Marker(ns=namespace, id=number, type=kind)
+        message = Marker(ns=namespace, id=number, type=kind)
         shown = contact.segment > 0
-        one.header.frame_id = frames.segment(contact.segment) if shown else frames.base
-        one.header.stamp = stamp
-        one.action = Marker.ADD if shown else Marker.DELETE
-        one.pose.orientation.w = 1.0
-        one.color.r, one.color.g, one.color.b, one.color.a = _COLOUR
-        one.scale.x, one.scale.y, one.scale.z = size_m
-        return one
+        message.header.frame_id = frames.segment(contact.segment) if shown else frames.base
+        message.header.stamp = stamp
+        message.action = Marker.ADD if shown else Marker.DELETE
+        message.pose.orientation.w = 1.0
+        message.color.r, message.color.g, message.color.b, message.color.a = _COLOUR
+        message.scale.x, message.scale.y, message.scale.z = size_m
+        return message
 
     markers = []
     for n in range(most):

@@ -245,20 +245,20 @@ def declare_parameters(
     by_name = {parameter.name: parameter for parameter in table}
 
     def check(given: list[Parameter]) -> SetParametersResult:
-        for one in given:
-            parameter = by_name.get(one.name)
-            if parameter is None or one.value == node.get_parameter(one.name).value:
+        for change in given:
+            parameter = by_name.get(change.name)
+            if parameter is None or change.value == node.get_parameter(change.name).value:
                 continue
             reason = ""
-            if not parameter.allows(one.value):
-                reason = f"must be {parameter.valid()}, not {one.value}"
+            if not parameter.allows(change.value):
+                reason = f"must be {parameter.valid()}, not {change.value}"
             elif configured is not None and configured() and not parameter.live:
                 reason = (
                     "is read when the node is configured, so a change now would have no effect; "
                     "deactivate the node and clean it up first"
                 )
             if reason:
-                return SetParametersResult(successful=False, reason=f"{one.name} {reason}")
+                return SetParametersResult(successful=False, reason=f"{change.name} {reason}")
         return SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(check)
@@ -267,9 +267,11 @@ def declare_parameters(
 
 def parameter_values(node: Node) -> dict[str, Any]:
     """Present values by name; those in degrees, `…_deg…`, also in radians, as `…_rad…`."""
-    given = {name: one.value for name, one in node.get_parameters_by_prefix("").items()}
-    degrees = {name: value for name, value in given.items() if re.search(r"_deg(_|$)", name)}
-    return given | {
+    values = {
+        name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()
+    }
+    degrees = {name: value for name, value in values.items() if re.search(r"_deg(_|$)", name)}
+    return values | {
         name.replace("_deg", "_rad"): math.radians(value) for name, value in degrees.items()
     }
 

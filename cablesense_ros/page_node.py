@@ -33,19 +33,19 @@ class PageNode(Node):
 
     def __init__(self) -> None:
         super().__init__("page")
-        given = declare_parameters(self, parameter_table("page"))
-        arm = open_arm(given["arm"])
-        host = given["host"]
-        port = given["port"]
-        estimator = given["estimator"]
-        self._home_due = given["home_at_start"]
-        self._commission_due = given["commission_at_start"]
+        settings = declare_parameters(self, parameter_table("page"))
+        arm = open_arm(settings["arm"])
+        host = settings["host"]
+        port = settings["port"]
+        estimator = settings["estimator"]
+        self._home_due = settings["home_at_start"]
+        self._commission_due = settings["commission_at_start"]
         self._commission_from_s = 0.0
         self._home_rad = np.zeros(arm.joint_count)
         self._live = LiveArm(
             arm,
-            joint_speed_rad_s=given["joint_speed_rad_s"],
-            frame_prefix=given["frame_prefix"],
+            joint_speed_rad_s=settings["joint_speed_rad_s"],
+            frame_prefix=settings["frame_prefix"],
             estimator=full_name(self, estimator),
             commissioner=full_name(self, "commissioner"),
         )
@@ -66,7 +66,7 @@ class PageNode(Node):
             commission=partial(self._ask, commission, "Commissioning", "Not commissioned"),
             can_commission=commission.service_is_ready,
         )
-        controls = given["controls"]
+        controls = settings["controls"]
         self._page = Page(arm, self._actions if controls else None, host=host, port=port)
         if self._page.port != port:
             self.get_logger().warning(f"port {port} is busy; serving on {self._page.port} instead")
@@ -74,7 +74,7 @@ class PageNode(Node):
             self.get_logger().warning(warning)
         self.get_logger().info(f"page of arm {arm.identity} at {self._page.url}")
         print(f"page: {self._page.url}", flush=True)
-        steady_timer(self, 1.0 / given["rate_hz"], self._draw)
+        steady_timer(self, 1.0 / settings["rate_hz"], self._draw)
 
     def destroy_node(self) -> None:
         """Closes the page, too."""

@@ -321,14 +321,14 @@ def own_graph(environment: Mapping[str, str] = os.environ) -> dict[str, str]:
 
     A domain, a discovery range or a profile of Fast DDS that is set already stays.
     """
-    own = dict(environment)
-    own.setdefault(RANGE, "LOCALHOST")
-    prefer_quick_discovery(own)
-    if not own.get(DOMAIN):
-        own[DOMAIN] = str(free_domain())
-    own.setdefault("OMP_NUM_THREADS", "1")
-    own["PYTHONUNBUFFERED"] = "1"
-    return own
+    variables = dict(environment)
+    variables.setdefault(RANGE, "LOCALHOST")
+    prefer_quick_discovery(variables)
+    if not variables.get(DOMAIN):
+        variables[DOMAIN] = str(free_domain())
+    variables.setdefault("OMP_NUM_THREADS", "1")
+    variables["PYTHONUNBUFFERED"] = "1"
+    return variables
 
 
 @functools.cache

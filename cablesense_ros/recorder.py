@@ -283,10 +283,10 @@ def capture_tensions(
             f"{topics.CABLE_TENSIONS} has readings that are not finite, or stamps that do not "
             "ascend; its driver's diagnostics give the cause"
         )
-    none = np.zeros(len(time_s), dtype=np.int64)
+    zeros = np.zeros(len(time_s), dtype=np.int64)
     nowhere = np.zeros((len(time_s), 3))
     name = topics.CABLE_TENSIONS
-    return Recording(name, time_s - time_s[0], none, nowhere, none, nowhere, read_n), pulls
+    return Recording(name, time_s - time_s[0], zeros, nowhere, zeros, nowhere, read_n), pulls
 
 
 def _spin(executor: EventsExecutor, seconds: float) -> None:

@@ -59,24 +59,24 @@ class SimNode(Node):
 
     def __init__(self) -> None:
         super().__init__("sim")
-        given = declare_parameters(self, parameter_table("sim"))
-        if given["seed"] and not given["noise"]:
+        settings = declare_parameters(self, parameter_table("sim"))
+        if settings["seed"] and not settings["noise"]:
             raise ParameterError("parameter seed has no effect without noise; leave it 0")
-        self._arm = open_arm(given["arm"])
+        self._arm = open_arm(settings["arm"])
         arm = self._arm
-        frames = Frames(arm.segment_count, given["frame_prefix"])
+        frames = Frames(arm.segment_count, settings["frame_prefix"])
         joints = NamedOrder(arm.joint_names, "joints")
         cables = NamedOrder(arm.cable_names, "cables")
-        self._rng = np.random.default_rng(given["seed"]) if given["noise"] else None
-        self._rate_hz = given["rate_hz"] or min(arm.sensors.rate_hz, 1000.0)
-        seed = given["built_seed"]
+        self._rng = np.random.default_rng(settings["seed"]) if settings["noise"] else None
+        self._rate_hz = settings["rate_hz"] or min(arm.sensors.rate_hz, 1000.0)
+        seed = settings["built_seed"]
         self._built_by = "its file" if seed < 0 else f"its tolerances, seed {seed}"
         built = as_described(arm) if seed < 0 else built_arm(arm, seed)
         self._simulated = SimulatedArm(
             moving_arm(arm, TIMESTEP_S, built),
             TIMESTEP_S,
-            given["joint_speed_rad_s"],
-            given["load_timeout_s"],
+            settings["joint_speed_rad_s"],
+            settings["load_timeout_s"],
             time.monotonic(),
             sensings=sensings([built.entries]),
             longest_lag_s=max(LONGEST_LAG_S, _PERIODS_OF_LAG / self._rate_hz),
@@ -91,7 +91,7 @@ class SimNode(Node):
             self.create_publisher(JointState, topic, **overridable(topic, PUBLISHER))
             for topic in (topics.CABLE_TENSIONS, topics.JOINT_STATES)
         )
-        if given["description"]:
+        if settings["description"]:
             described = self.create_publisher(
                 String, topics.ROBOT_DESCRIPTION, qos_profile(LATCHED)
             )
@@ -168,8 +168,8 @@ class SimNode(Node):
 
 
 def _shown(load: Load) -> str:
-    at = "" if load.contact_m is None else f" at {load.contact_m:.3f} m"
-    return f"segment_{load.segment}: {np.linalg.norm(load.force_base_n):.1f}{at}"
+    place = "" if load.contact_m is None else f" at {load.contact_m:.3f} m"
+    return f"segment_{load.segment}: {np.linalg.norm(load.force_base_n):.1f}{place}"
 
 
 main = partial(run_node, SimNode)

@@ -221,12 +221,12 @@ class Arm(FilePart):
         near = np.argwhere(np.triu(apart < LEAST_HOLE_DISTANCE_M, 1))
         if len(near):
             (i, j) = near[0]
-            each = self.cables.per_segment
+            segment_cables = self.cables.per_segment
             raise ValueError(
                 f"cables.angle_deg puts cable_{i + 1} and cable_{j + 1} into one hole, "
                 f"{radius[i]:g} m from the axis at {np.rad2deg(angle[i]) % 360.0:g} "
-                f"degrees; {each} cables on each of {self.segments.count} segments are apart, for "
-                f"example, with per_cable = {-360.0 / each:g}, per_segment = "
+                f"degrees; {segment_cables} cables on each of {self.segments.count} segments are "
+                f"apart, for example, with per_cable = {-360.0 / segment_cables:g}, per_segment = "
                 f"{360.0 / len(places):g}"
             )
 

@@ -12,8 +12,8 @@ from cablesense_sim.mechanism import Mechanism
 def mechanism_of(arm: Arm) -> Mechanism:
     """The mechanism that an arm file describes, as it was drawn: without the effects it lists."""
     count = arm.segment_count
-    each = arm.cables.per_segment
-    segment = np.repeat(np.arange(1, count + 1), each)
+    segment_cables = arm.cables.per_segment
+    segment = np.repeat(np.arange(1, count + 1), segment_cables)
     radius, angle = arm.holes
     y = radius * np.sin(angle)
     z = radius * np.cos(angle)

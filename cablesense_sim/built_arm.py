@@ -61,9 +61,9 @@ def built_arm(arm: Arm, seed: int) -> BuiltArm:
     coefficient = friction[0].values["coefficient"] if friction else 0.0
     parameters = ArmParameters(mechanism_of(arm), arm.tolerances, coefficient)
     theta = parameters.drawn(np.random.default_rng(seed))
-    at = parameters.slices
+    slices = parameters.slices
     if friction:
-        drawn = float(theta[at["friction"]][0])
+        drawn = float(theta[slices["friction"]][0])
         entries = [
             replace(entry, values=entry.values | {"coefficient": drawn})
             if entry.effect.name == _FRICTION
@@ -79,6 +79,6 @@ def built_arm(arm: Arm, seed: int) -> BuiltArm:
         replace(mechanism, cable_stiffness_n_m=cable_alone),
         entries,
         parameters.joint_zeros_rad(theta),
-        theta[at["sensor_gain"]],
-        theta[at["sensor_zero"]],
+        theta[slices["sensor_gain"]],
+        theta[slices["sensor_zero"]],
     )

@@ -104,8 +104,8 @@ class CableChains:
         exists = compliance > 0.0
         share = np.broadcast_to(share, nodes)
         give = np.broadcast_to(give_m, nodes)
-        left = kept(share, limit)
-        parts = compliance * np.concatenate([np.ones_like(left[..., :1]), left], axis=-1)
+        passed_on = kept(share, limit)
+        parts = compliance * np.concatenate([np.ones_like(passed_on[..., :1]), passed_on], axis=-1)
         whole = lengths_m.sum(-1, keepdims=True)
         parts = np.where(whole > 0.0, parts, compliance)
         natural = lengths_m - parts / parts.sum(-1, keepdims=True) * whole
@@ -217,8 +217,8 @@ def _settle(cables: _Cables, lengths_m: Array, limit: Array) -> None:
 
 @compiled
 def _empty_rows(nodes: int) -> _Rows:
-    every = np.empty((5, nodes))
-    return _Rows(every[0], every[1], every[2], every[3], every[4])
+    values = np.empty((5, nodes))
+    return _Rows(values[0], values[1], values[2], values[3], values[4])
 
 
 @compiled
@@ -253,16 +253,16 @@ def _bent(cables: _Cables, c: int, k: int, passed: float) -> tuple[float, float]
     way = np.sign(passed)
     evenly = 1.0 - rounding
     far = max(max(1.0 - way * share, 0.0) ** evenly - evenly * abs(passed) / give, -1.0)
-    left = np.sign(far) * abs(far) ** (1.0 / evenly)
-    return way * (1.0 - left), max(left, 0.0) ** rounding / give
+    remainder = np.sign(far) * abs(far) ** (1.0 / evenly)
+    return way * (1.0 - remainder), max(remainder, 0.0) ** rounding / give
 
 
 @compiled
 def _slip_m(cables: _Cables, c: int, k: int, way: float) -> float:
     """Cable that passes a node until its bristles slip a way; none where it sticks rigidly."""
     evenly = 1.0 - cables.rounding[c, k]
-    left = max(1.0 - way * cables.share[c, k], 0.0)
-    return way * cables.give_m[c, k] * left**evenly / evenly
+    remainder = max(1.0 - way * cables.share[c, k], 0.0)
+    return way * cables.give_m[c, k] * remainder**evenly / evenly
 
 
 @compiled
@@ -361,11 +361,11 @@ def _set_rows(
             share = min(max(bent, -1.0), 1.0)
             ratio = np.exp(share * limit[k])
             steeper = stiffer * ratio * limit[k] * max(tensions[k + 1], 0.0)
-            at = _slip_m(cables, c, k, share) if abs(bent) > 1.0 else passed[k]
+            bristle_m = _slip_m(cables, c, k, share) if abs(bent) > 1.0 else passed[k]
             rows.moves[k] = 1.0
             rows.ratio[k] = ratio
             rows.steeper_n_m[k] = steeper
-            rows.offset_n[k] = steeper * at
+            rows.offset_n[k] = steeper * bristle_m
 
 
 @compiled

@@ -62,20 +62,20 @@ def solve(root: Array, rows: Array) -> None:
 def eliminate(matrix: Array, right: Array) -> Array:
     """The solution (K,) for any matrix (K, K): Gauss's elimination with partial pivoting."""
     rows = matrix.copy()
-    found = right.copy()
-    count = len(found)
+    solution = right.copy()
+    count = len(solution)
     for k in range(count):
         pivot = k + int(np.argmax(np.abs(rows[k:, k])))
         for j in range(count):
             rows[k, j], rows[pivot, j] = rows[pivot, j], rows[k, j]
-        found[k], found[pivot] = found[pivot], found[k]
+        solution[k], solution[pivot] = solution[pivot], solution[k]
         for i in range(k + 1, count):
             part = rows[i, k] / rows[k, k]
             for j in range(k + 1, count):
                 rows[i, j] -= part * rows[k, j]
-            found[i] -= part * found[k]
+            solution[i] -= part * solution[k]
     for k in range(count - 1, -1, -1):
         for j in range(k + 1, count):
-            found[k] -= rows[k, j] * found[j]
-        found[k] /= rows[k, k]
-    return found
+            solution[k] -= rows[k, j] * solution[j]
+        solution[k] /= rows[k, k]
+    return solution

@@ -102,10 +102,10 @@ def solve_equilibrium(
     start = command if start_rad is None else np.asarray(start_rad, float).reshape(command.shape)
     arms = kinematics.load_arms(mechanism, forces)
     # contiguous, so that one kind of array is compiled for
-    given = (np.array(each, order="C") for each in (rest, arms, start))
+    contiguous = (np.array(each, order="C") for each in (rest, arms, start))
     springs = springs_of(mechanism)
     rounding_m = _rounding_m(mechanism)
-    angles, tensions, residual, iterations = search_rest(springs, enough, rounding_m, *given)
+    angles, tensions, residual, iterations = search_rest(springs, enough, rounding_m, *contiguous)
     _require_rest(mechanism, command, forces, angles, residual)
     return Equilibrium(
         joint_angles_rad=angles.reshape(*leading, mechanism.joint_count),
@@ -164,8 +164,8 @@ def balance_at(
         joint_angles_rad.shape[:-1], tensions_n.shape[:-1], arms.shape[:-2]
     )
     angles, tensions, arms = (
-        np.array(np.broadcast_to(each, (*leading, *last)), float).reshape(-1, *last)
-        for each, last in (
+        np.array(np.broadcast_to(values, (*leading, *last)), float).reshape(-1, *last)
+        for values, last in (
             (joint_angles_rad, joint_angles_rad.shape[-1:]),
             (tensions_n, tensions_n.shape[-1:]),
             (arms, arms.shape[-2:]),
@@ -177,8 +177,8 @@ def balance_at(
     joints = np.ones(mechanism.segment_count)
     along = tensions[..., None] * joints
     by_span = stiffness[..., None, None] * np.ones((joints.size, joints.size))
-    found = balanced(pose, along, by_span, arms, spring * angles, spring)
-    return type(found)(*(part.reshape(*leading, *part.shape[1:]) for part in found))
+    imbalance = balanced(pose, along, by_span, arms, spring * angles, spring)
+    return type(imbalance)(*(part.reshape(*leading, *part.shape[1:]) for part in imbalance))
 
 
 def stiffness_matrix_n_m(

@@ -71,12 +71,12 @@ def pulled_over_guides_n(near_n: Array, pulled_n: Array, ratio: Array, begins: A
         ratio: (R, G) exp(φ) of each guide.
         begins: (R,) 1 where a course begins, without friction, else 0.
     """
-    found = np.empty(pulled_n.shape)
+    tensions_n = np.empty(pulled_n.shape)
     for row in range(len(near_n)):
         near = near_n[row]
         for k in range(pulled_n.shape[1]):
             if begins[row] == 0.0:
-                free = found[row - 1, k] + pulled_n[row, k]
+                free = tensions_n[row - 1, k] + pulled_n[row, k]
                 near = min(max(free, near / ratio[row, k]), near * ratio[row, k])
-            found[row, k] = near
-    return found
+            tensions_n[row, k] = near
+    return tensions_n

@@ -77,8 +77,8 @@ def cable_lengths_m(mechanism: Mechanism, joint_angles_rad: Array) -> Array:
 def cable_jacobian_m(mechanism: Mechanism, joint_angles_rad: Array) -> Array:
     """Derivative (..., M, 2N) of the cable lengths by the joint angles, m/rad."""
     span = spans(mechanism, joint_angles_rad)
-    both = np.stack([span.by_pitch, span.by_yaw], axis=-1)
-    return np.reshape(both, (*both.shape[:-2], 2 * both.shape[-2]))
+    by_angle = np.stack([span.by_pitch, span.by_yaw], axis=-1)
+    return np.reshape(by_angle, (*by_angle.shape[:-2], 2 * by_angle.shape[-2]))
 
 
 def bend_rad(joint_angles_rad: Array) -> Array:

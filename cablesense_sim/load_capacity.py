@@ -170,11 +170,11 @@ def _greatest_n(arm: Arm, mechanism: Mechanism, most_n: float) -> Array:
 
     def borne(size_n: Array, which: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether (N,) segments, of those in `which`, bear a force from every side."""
-        found = which.copy()
+        bearing = which.copy()
         for side in range(_SIDES):  # a force that is not borne costs a hundred that are
             forces = size_n[:, None, None, None] * unit[:, side::_SIDES]
-            found[found] = rests(forces[found]).all(axis=1)
-        return found
+            bearing[bearing] = rests(forces[bearing]).all(axis=1)
+        return bearing
 
     def rests(forces: Array) -> NDArray[np.bool_]:
         command = np.zeros((*forces.shape[:2], arm.joint_count))
@@ -278,13 +278,13 @@ def hidden_force(arm: Arm, commands_rad: ArrayLike, load_n: float) -> HiddenForc
 
         high = np.full(len(pushes), load_n)
         low = np.zeros_like(high)
-        found = shown(high)
+        visible = shown(high)
         for _ in range(_HALVINGS_OF_HIDDEN):
             middle = 0.5 * (low + high)
             enough = shown(middle)
             low = np.where(enough, low, middle)
             high = np.where(enough, middle, high)
-        return np.where(found, high, np.inf).reshape(shape)
+        return np.where(visible, high, np.inf).reshape(shape)
 
     touching = smallest_n(0.0, 1.0)
     for share in np.arange(1, _RESTS_ON_THE_WAY + 1) / _RESTS_ON_THE_WAY:

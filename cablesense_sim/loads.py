@@ -69,8 +69,8 @@ def normal_components_n(
         raise LoadError(f"segment must be from 1 to {mechanism.segment_count}")
     shape = np.broadcast_shapes(rotation.shape[:-3], position.shape[:-3])
     rotation = np.broadcast_to(rotation, (*shape, *rotation.shape[-3:]))
-    own = np.take_along_axis(rotation, np.broadcast_to(position, (*shape, 1, 1, 1)), axis=-3)
-    local = (np.asarray(force_base_n, dtype=float)[..., None, :] @ own[..., 0, :, :])[..., 0, :]
+    axes = np.take_along_axis(rotation, np.broadcast_to(position, (*shape, 1, 1, 1)), axis=-3)
+    local = (np.asarray(force_base_n, dtype=float)[..., None, :] @ axes[..., 0, :, :])[..., 0, :]
     return local[..., 1], local[..., 2]
 
 

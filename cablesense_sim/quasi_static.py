@@ -187,8 +187,8 @@ class QuasiStaticArm:
         for _ in range(_FOLLOWING_STEPS):
             shape = posed(self._plates, angles)
             jacobian = shape.by_turn_m.reshape(*wanted.shape, -1)
-            every = np.broadcast_to(stiffness, wanted.shape)[..., None, :]
-            pull = np.swapaxes(jacobian, -1, -2) * every
+            cable_stiffness = np.broadcast_to(stiffness, wanted.shape)[..., None, :]
+            pull = np.swapaxes(jacobian, -1, -2) * cable_stiffness
             missing = (wanted - shape.span_m.sum(-1))[..., None]
             angles = angles + np.linalg.solve(pull @ jacobian, pull @ missing)[..., 0]
         return np.asarray(angles)
@@ -231,11 +231,11 @@ class QuasiStaticArm:
     def _search(self, start: Array, rest_m: Array, arms: Array) -> _TrialPose:
         pose = self._pose(start, rest_m, arms)
         count = len(start)
-        none = np.zeros_like(start)
+        no_step = np.zeros_like(start)
         fraction = np.ones(count)
         near = np.zeros(count)
         far = np.full(count, np.inf)
-        steps = _Steps(start.copy(), none, np.zeros(count), fraction, near, far)
+        steps = _Steps(start.copy(), no_step, np.zeros(count), fraction, near, far)
         for _ in range(_MOST_STEPS):
             if np.abs(pose.balance.torque_n_m).max() <= RESIDUAL_LIMIT_N_M:
                 return pose
@@ -271,10 +271,10 @@ class QuasiStaticArm:
         resisted = self._spring_n_m_rad * angles
         stiffer = self._spring_n_m_rad
         for transmission in self._transmissions:
-            own = transmission.joint_torque_n_m(angles)
-            if own is not None:
-                resisted = resisted + own[0]
-                stiffer = stiffer + own[1]
+            resistance = transmission.joint_torque_n_m(angles)
+            if resistance is not None:
+                resisted = resisted + resistance[0]
+                stiffer = stiffer + resistance[1]
         # copies, so that the compiled code is of one kind of array
         along = pull.tensions_n[..., 1:].copy()
         by_span = pull.by_length_n_m[..., 1:, 1:].copy()

@@ -170,13 +170,13 @@ class Replay:
             replace(entry, values=dict(ChainMap(*(c[k] for c in fading if c), entry.values)))
             for k, entry in enumerate(first)
         ]
-        found = self._rests_n([*lasting, together], course, some_may_fail=some_may_fail)
-        tensions[1:][~brief] = found[:-1]
-        differs = ~(np.abs(found[-1] - course.tensions_n).max(axis=1) < _FADED_N)
+        rests_n = self._rests_n([*lasting, together], course, some_may_fail=some_may_fail)
+        tensions[1:][~brief] = rests_n[:-1]
+        differs = ~(np.abs(rests_n[-1] - course.tensions_n).max(axis=1) < _FADED_N)
         rows = int(np.flatnonzero(differs).max(initial=-1)) + 1
-        own = [each for each, is_brief in zip(others, brief, strict=True) if is_brief]
+        fading_arms = [each for each, is_brief in zip(others, brief, strict=True) if is_brief]
         begin = _Course(*(each[:rows] for each in course))
-        tensions[1:][brief, :rows] = self._rests_n(own, begin, some_may_fail=some_may_fail)
+        tensions[1:][brief, :rows] = self._rests_n(fading_arms, begin, some_may_fail=some_may_fail)
         return tensions
 
     def _fading_changes(
@@ -184,14 +184,14 @@ class Replay:
     ) -> list[dict[str, float]]:
         """The numbers of each entry that differ from the first's; none unless all of them fade."""
         sizes = self._nominal.segment_count, self._nominal.cable_count
-        found = []
+        all_changes = []
         for before, after in zip(first, other, strict=True):
             changes = {n: v for n, v in after.values.items() if v != before.values[n]}
-            every = (*after.effect.parameters, *after.effect.history(*sizes))
-            if not changes.keys() <= {p.name for p in every if p.fades}:
+            parameters = (*after.effect.parameters, *after.effect.history(*sizes))
+            if not changes.keys() <= {p.name for p in parameters if p.fades}:
                 return []
-            found.append(changes)
-        return found if any(found) else []
+            all_changes.append(changes)
+        return all_changes if any(all_changes) else []
 
     def _course(self, entries: Sequence[EffectEntry], *, some_may_fail: bool) -> _Course:
         """The course of one arm, found again if it is one of the last few."""
@@ -206,12 +206,12 @@ class Replay:
 
     def _rests_n(self, variants: Variants, along: _Course, *, some_may_fail: bool) -> Array:
         """Tensions (P, rows, M), with turns like those of another arm."""
-        found = np.empty((len(variants), *along.tensions_n.shape))
+        tensions_n = np.empty((len(variants), *along.tensions_n.shape))
         if variants:
             rests = self._rests(variants, along.turn_rad, some_may_fail=some_may_fail)
             for row, (tensions, _) in enumerate(rests):
-                found[:, row] = tensions
-        return found
+                tensions_n[:, row] = tensions
+        return tensions_n
 
     def _rests(
         self, variants: Variants, turn_rad: Array | None, *, some_may_fail: bool
@@ -256,8 +256,8 @@ class Replay:
         if zeros_rad is None:
             held = np.repeat(self._held_m[None], len(variants), axis=0)
         else:
-            each_rad, own = np.unique(zeros_rad, axis=0, return_inverse=True)
-            held = held_lengths_m(self._nominal, self.command_rad + each_rad[:, None])[own]
+            each_rad, row_of_arm = np.unique(zeros_rad, axis=0, return_inverse=True)
+            held = held_lengths_m(self._nominal, self.command_rad + each_rad[:, None])[row_of_arm]
         forces = np.broadcast_to(self.forces_n, (len(variants), *self.forces_n.shape))
         for matrix in loadings(variants):
             forces = forces @ matrix.swapaxes(1, 2)[:, None]
@@ -269,8 +269,8 @@ class Replay:
 
     def _through(self, chain: Sequence[Actuation | Sensing], values: Array) -> Array:
         """Values (P, R, M) after actuators or sensors have acted on them in turn."""
-        for each in chain:
-            values = each.along(self.time_s, values)
+        for stage in chain:
+            values = stage.along(self.time_s, values)
         return values
 
     def _at_rest_n(

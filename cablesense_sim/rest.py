@@ -164,10 +164,10 @@ def stretch_m(
     """
     stretch = -rest_m
     for n in range(plates.passed[m]):
-        both = slice(2 * n, 2 * n + 2)
+        turns = slice(2 * n, 2 * n + 2)
         holes = plates.holes_m[0, m, n]
         stretch += span_m(
-            plates.offset_m, holes, cos[both], sin[both], lever_m[both], by_turns_m[n]
+            plates.offset_m, holes, cos[turns], sin[turns], lever_m[turns], by_turns_m[n]
         )[0]
     return stretch
 
@@ -222,23 +222,23 @@ def balanced(
     slope = np.zeros((arms, 2 * joints, 2 * joints))
     for p in range(arms):
         take_load_torque(pose.axis[p], pose.joint_axis[p], arms_n_m[p], torque[p])
-        own = slope[p]
+        arm_slope = slope[p]
         for k in range(2 * joints):
-            own[k, k] = resisted_slope_n_m[p, k]
+            arm_slope[k, k] = resisted_slope_n_m[p, k]
         for m in range(cables):
             for n in range(joints):
-                pitch, both, yaw = along_n[p, m, n] * pose.by_turns_m[p, m, n]
-                own[2 * n, 2 * n] += pitch
-                own[2 * n, 2 * n + 1] += both
-                own[2 * n + 1, 2 * n] += both
-                own[2 * n + 1, 2 * n + 1] += yaw
+                pitch, crossed, yaw = along_n[p, m, n] * pose.by_turns_m[p, m, n]
+                arm_slope[2 * n, 2 * n] += pitch
+                arm_slope[2 * n, 2 * n + 1] += crossed
+                arm_slope[2 * n + 1, 2 * n] += crossed
+                arm_slope[2 * n + 1, 2 * n + 1] += yaw
             for i in range(2 * joints):
                 lever = pose.by_turn_m[p, m, i // 2, i % 2]
                 torque[p, i] += along_n[p, m, i // 2] * lever
                 for j in range(2 * joints):
                     stiffness = by_span_n_m[p, m, i // 2, j // 2]
-                    own[i, j] += lever * stiffness * pose.by_turn_m[p, m, j // 2, j % 2]
-        take_load_slope(pose.axis[p], pose.joint_axis[p], arms_n_m[p], own)
+                    arm_slope[i, j] += lever * stiffness * pose.by_turn_m[p, m, j // 2, j % 2]
+        take_load_slope(pose.axis[p], pose.joint_axis[p], arms_n_m[p], arm_slope)
     return Imbalance(torque, slope)
 
 
@@ -262,12 +262,12 @@ def take_load_slope(axis: Array, joint_axis: Array, arms_n_m: Array, slope: Arra
                 for j in range(3):
                     turned[i] += outer[i, j] * joint_axis[later, j]
             for k in range(later + 1):
-                found = 0.0
+                steeper = 0.0
                 for i in range(3):
-                    found += joint_axis[k, i] * turned[i]
-                slope[k, later] -= found
+                    steeper += joint_axis[k, i] * turned[i]
+                slope[k, later] -= steeper
                 if k < later:
-                    slope[later, k] -= found
+                    slope[later, k] -= steeper
 
 
 class _Case(NamedTuple):

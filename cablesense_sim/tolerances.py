@@ -138,45 +138,44 @@ class ArmParameters:
         across = tuple(f"segment_{n + 1} along {axis}" for axis in "yz" for n in range(count))
         joints = tuple(f"joint_{n + 1}_{axis}" for n in range(count) for axis in ("pitch", "yaw"))
         plates = [tuple(f"{cable} at plate {n}" for cable in cables) for n in range(count + 1)]
-        given = tolerances
         outward = [
-            ParameterGroup(f"hole_outward_{n}", "m", places, given.hole_radial_m)
+            ParameterGroup(f"hole_outward_{n}", "m", places, tolerances.hole_radial_m)
             for n, places in enumerate(plates)
         ]
         around = [
-            ParameterGroup(f"hole_around_{n}", "m", places, given.hole_around_m)
+            ParameterGroup(f"hole_around_{n}", "m", places, tolerances.hole_around_m)
             for n, places in enumerate(plates)
         ]
         guides = [tuple(f"{cable} at guide {n}" for cable in cables) for n in range(count + 1)]
-        tilt_rad = float(np.deg2rad(given.base_tilt_deg))
-        zero_rad = float(np.deg2rad(given.joint_zero_deg))
+        tilt_rad = float(np.deg2rad(tolerances.base_tilt_deg))
+        zero_rad = float(np.deg2rad(tolerances.joint_zero_deg))
         if friction:
             coefficient = ParameterGroup(
-                "friction", "1", ("arm",), given.friction_share * friction, friction
+                "friction", "1", ("arm",), tolerances.friction_share * friction, friction
             )
         else:
-            half = 0.5 * given.friction_coefficient
+            half = 0.5 * tolerances.friction_coefficient
             coefficient = ParameterGroup("friction", "1", ("arm",), half, half)
         rubs = coefficient.mean > 0.0 or coefficient.std > 0.0
-        run_log = given.run_compliance_log if rubs else 0.0
+        run_log = tolerances.run_compliance_log if rubs else 0.0
         carried_std = math.hypot(coefficient.mean, coefficient.std)
         carried = [
             ParameterGroup(f"{CARRIED_FRICTION}_{n}", "1", places, carried_std)
             for n, places in enumerate(guides)
         ]
         self.groups: tuple[ParameterGroup, ...] = (
-            ParameterGroup("cable_stiffness", "1", cables, given.cable_stiffness_share),
-            ParameterGroup("pretension", "N", cables, given.pretension_n),
+            ParameterGroup("cable_stiffness", "1", cables, tolerances.cable_stiffness_share),
+            ParameterGroup("pretension", "N", cables, tolerances.pretension_n),
             ParameterGroup("run_compliance", "1", cables, run_log),
             *outward,
             *around,
             *carried,
-            ParameterGroup("sensor_gain", "1", cables, given.sensor_gain_share),
-            ParameterGroup("sensor_zero", "N", cables, given.sensor_zero_n),
-            ParameterGroup("segment_mass", "1", segments, given.segment_mass_share),
-            ParameterGroup("centre_of_mass", "m", segments, given.centre_of_mass_m),
-            ParameterGroup("segment_length", "m", segments, given.segment_length_m),
-            ParameterGroup("centre_across", "m", across, given.centre_of_mass_m),
+            ParameterGroup("sensor_gain", "1", cables, tolerances.sensor_gain_share),
+            ParameterGroup("sensor_zero", "N", cables, tolerances.sensor_zero_n),
+            ParameterGroup("segment_mass", "1", segments, tolerances.segment_mass_share),
+            ParameterGroup("centre_of_mass", "m", segments, tolerances.centre_of_mass_m),
+            ParameterGroup("segment_length", "m", segments, tolerances.segment_length_m),
+            ParameterGroup("centre_across", "m", across, tolerances.centre_of_mass_m),
             ParameterGroup("base_tilt", "rad", ("about y", "about x"), tilt_rad),
             ParameterGroup("joint_zero", "rad", joints, zero_rad),
             coefficient,
@@ -235,32 +234,32 @@ class ArmParameters:
         A mechanism has its centres of mass on the axes and holds the lengths of its commands:
         centres across the axis and joint zeros are not in it.
         """
-        at = self.slices
+        slices = self.slices
         nominal = self._mechanism
         count = nominal.segment_count
-        outward = np.stack([theta[at[f"hole_outward_{n}"]] for n in range(count + 1)], axis=1)
-        around = np.stack([theta[at[f"hole_around_{n}"]] for n in range(count + 1)], axis=1)
+        outward = np.stack([theta[slices[f"hole_outward_{n}"]] for n in range(count + 1)], axis=1)
+        around = np.stack([theta[slices[f"hole_around_{n}"]] for n in range(count + 1)], axis=1)
         base_y, base_z = displaced_m(
             nominal.hole_y_m, nominal.hole_z_m, outward[:, 0], around[:, 0]
         )
         plate_y, plate_z = displaced_m(
             nominal.segment_hole_y_m, nominal.segment_hole_z_m, outward[:, 1:], around[:, 1:]
         )
-        about_y, about_x = theta[at["base_tilt"]]
+        about_y, about_x = theta[slices["base_tilt"]]
         turn = np.array([about_x, about_y, 0.0])
-        stiffness_share = np.exp(theta[at["cable_stiffness"]])
+        stiffness_share = np.exp(theta[slices["cable_stiffness"]])
         return replace(
             nominal,
             gravity_m_s2=nominal.gravity_m_s2 + np.cross(turn, nominal.gravity_m_s2),
-            segment_length_m=nominal.segment_length_m + theta[at["segment_length"]],
-            mass_kg=nominal.mass_kg * (1.0 + theta[at["segment_mass"]]),
-            centre_of_mass_m=nominal.centre_of_mass_m + theta[at["centre_of_mass"]],
+            segment_length_m=nominal.segment_length_m + theta[slices["segment_length"]],
+            mass_kg=nominal.mass_kg * (1.0 + theta[slices["segment_mass"]]),
+            centre_of_mass_m=nominal.centre_of_mass_m + theta[slices["centre_of_mass"]],
             hole_y_m=base_y,
             hole_z_m=base_z,
             segment_hole_y_m=plate_y,
             segment_hole_z_m=plate_z,
             stiffness_n_m=nominal.stiffness_n_m * stiffness_share,
-            pretension_n=nominal.pretension_n + theta[at["pretension"]],
+            pretension_n=nominal.pretension_n + theta[slices["pretension"]],
         )
 
     def joint_zeros_rad(self, theta: Array) -> Array:

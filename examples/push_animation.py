@@ -140,8 +140,8 @@ def main(out: Path = OUT, frames: int = 60) -> None:
         1, 2, figsize=(8.4, 3.2), width_ratios=(2.4, 1.0), layout="constrained"
     )
     pictures = []
-    for at in range(frames):
-        draw(course, at, side, bars)
+    for index in range(frames):
+        draw(course, index, side, bars)
         figure.savefig(drawn := BytesIO(), dpi=DPI)
         pictures.append(Image.open(drawn).convert("RGB"))
     palette = pictures[len(pictures) // 2].quantize(COLOURS)

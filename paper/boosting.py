@@ -76,10 +76,10 @@ class BoostingBaseline:
         self._magnitude_std_n = 1.0
         self._angle_std_deg = 1.0
         answer = self.answer(validation)
-        found = (validation.segment > 0) & (answer.segment > 0)
-        if found.any():
-            force = np.abs(answer.magnitude_n - validation.magnitude_n)[found]
-            off_deg = np.abs(angle_difference_deg(answer.angle_deg, validation.angle_deg))[found]
+        hits = (validation.segment > 0) & (answer.segment > 0)
+        if hits.any():
+            force = np.abs(answer.magnitude_n - validation.magnitude_n)[hits]
+            off_deg = np.abs(angle_difference_deg(answer.angle_deg, validation.angle_deg))[hits]
             self._magnitude_std_n = float(np.quantile(force, 0.95)) / NORMAL_95
             self._angle_std_deg = float(np.quantile(off_deg, 0.95)) / NORMAL_95
 

@@ -40,7 +40,7 @@ def panels(
     **options: Any,
 ) -> tuple[Any, Any]:
     """A figure and its axes (rows, columns); `width` is the share of the page's."""
-    figure, every = plt.subplots(
+    figure, grid_axes = plt.subplots(
         rows,
         columns,
         figsize=(width * WIDTH_IN, height_in),
@@ -49,15 +49,15 @@ def panels(
         **options,
     )
     if grid:
-        for axes in every.ravel():
+        for axes in grid_axes.ravel():
             axes.grid(axis=grid)
-    return figure, every
+    return figure, grid_axes
 
 
 def one_panel(height_in: float, *, width: float = 1.0, grid: str = "both") -> tuple[Any, Any]:
     """A figure and its only axes."""
-    figure, every = panels(1, 1, height_in, width=width, grid=grid)
-    return figure, every[0, 0]
+    figure, grid_axes = panels(1, 1, height_in, width=width, grid=grid)
+    return figure, grid_axes[0, 0]
 
 
 def plot_by_cable(axes: Any, time_s: Array, values: Array, **style: Any) -> None:
@@ -92,8 +92,8 @@ def confusion_grid(
     Counts of true classes stand down, of answered ones across, in percent of each row. A cell that
     never occurred stays empty; one that did has its share to two digits.
     """
-    figure, every = panels(len(rows), len(columns), row_in * len(rows) + 0.3, grid="")
-    for line, (label, matrices) in zip(every, rows.items(), strict=True):
+    figure, grid_axes = panels(len(rows), len(columns), row_in * len(rows) + 0.3, grid="")
+    for line, (label, matrices) in zip(grid_axes, rows.items(), strict=True):
         for axes, counts in zip(line, matrices, strict=True):
             table = np.asarray(counts, dtype=float)
             share = 100.0 * table / np.maximum(table.sum(axis=1, keepdims=True), 1.0)
@@ -114,7 +114,7 @@ def confusion_grid(
             axes.tick_params(length=0)
             axes.spines[:].set_visible(False)
         line[0].set_ylabel(f"{label}\ntrue")
-    for top, bottom, column in zip(every[0], every[-1], columns, strict=True):
+    for top, bottom, column in zip(grid_axes[0], grid_axes[-1], columns, strict=True):
         top.set_title(column)
         bottom.set_xlabel("answered")
     return figure

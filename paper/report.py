@@ -67,18 +67,20 @@ def _as_json(outcome: StudyOutcome, quick: bool) -> dict[str, Any]:
     }
     if result is None:
         return about
-    pictures = [{"file": f"{one.name}.png", "caption": one.caption} for one in result.pictures]
+    pictures = [
+        {"file": f"{picture.name}.png", "caption": picture.caption} for picture in result.pictures
+    ]
     return about | asdict(result) | {"pictures": pictures}
 
 
 def paper_page(outcomes: Sequence[StudyOutcome], quick: bool) -> str:
     """The report as a self-contained HTML page."""
-    comparisons = [c for one in outcomes if one.result for c in one.result.comparisons]
+    comparisons = [c for outcome in outcomes if outcome.result for c in outcome.result.comparisons]
     content = {
         "quick": quick,
         "outcomes": [
-            (one, [_embedded(picture) for picture in one.result.pictures] if one.result else [])
-            for one in outcomes
+            (outcome, [_embedded(p) for p in outcome.result.pictures] if outcome.result else [])
+            for outcome in outcomes
         ],
         "failed": [outcome.study for outcome in outcomes if outcome.failure],
         "seconds": sum(outcome.seconds for outcome in outcomes),

@@ -263,8 +263,8 @@ def _each(
     entries: Sequence[dict[str, Any]], numbers: Numbers
 ) -> Iterator[tuple[dict[str, Any], Numbers]]:
     for entry in entries:
-        for own in numbers[entry["each"]] if "each" in entry else ({},):
-            yield entry, {**numbers, **own}
+        for values in numbers[entry["each"]] if "each" in entry else ({},):
+            yield entry, {**numbers, **values}
 
 
 def _agreement(entry: Mapping[str, Any], numbers: Numbers) -> Agreement:

@@ -79,11 +79,14 @@ class TableDiagnosis:
     @property
     def held_out_n(self) -> dict[tuple[str, ...], float]:
         """RMS that listed effects leave of rows that they were not fitted to, N, least first."""
-        left = {found.effects or (NONE,): found.held_out_rmse for found in self.explanations}
+        left_n = {
+            explanation.effects or (NONE,): explanation.held_out_rmse
+            for explanation in self.explanations
+        }
         for single in self.singles:
             effects = (single.number.effect,)
-            left[effects] = min(left.get(effects, np.inf), single.held_out_rmse)
-        return dict(sorted(left.items(), key=lambda each: each[1]))
+            left_n[effects] = min(left_n.get(effects, np.inf), single.held_out_rmse)
+        return dict(sorted(left_n.items(), key=lambda each: each[1]))
 
 
 def diagnose_table(progress: Callable[[float], None] = lambda done: None) -> TableDiagnosis:
@@ -99,10 +102,10 @@ def diagnose_table(progress: Callable[[float], None] = lambda done: None) -> Tab
     nominal = everything.predict([{}])[0]
     scans, blind = _scans(everything, nominal)
     progress(0.5)
-    simulator = ChangeSimulator(arm, physical, {found.number.effect for found in scans})
+    simulator = ChangeSimulator(arm, physical, {scanned.number.effect for scanned in scans})
     rows = np.arange(len(physical.changes_n))
-    every = np.ones(len(rows), dtype=bool)
-    found = TableDiagnosis(
+    all_rows = np.ones(len(rows), dtype=bool)
+    diagnosis = TableDiagnosis(
         arm=arm,
         changes=physical,
         nominal_n=nominal,
@@ -110,15 +113,15 @@ def diagnose_table(progress: Callable[[float], None] = lambda done: None) -> Tab
         blind=blind,
         floor_n=simulator.floor,
         singles=tuple(explain(each, physical.changes_n) for each in scans),
-        explanations=tuple(search(prepare(simulator, physical.changes_n, rows, rows, every))),
+        explanations=tuple(search(prepare(simulator, physical.changes_n, rows, rows, all_rows))),
     )
-    best, left_n = next(iter(found.held_out_n.items()))
-    if left_n <= found.proportional_n:
+    best, left_n = next(iter(diagnosis.held_out_n.items()))
+    if left_n <= diagnosis.proportional_n:
         raise PaperError(
             f"{' and '.join(best)} leaves {left_n:.2f} N of the gap, the law of proportion "
-            f"{found.proportional_n:.2f} N: the text of the report no longer holds"
+            f"{diagnosis.proportional_n:.2f} N: the text of the report no longer holds"
         )
-    return found
+    return diagnosis
 
 
 def table(source: str) -> TensionChanges:
@@ -139,7 +142,7 @@ def _scans(simulator: ChangeSimulator, nominal: Array) -> tuple[list[Scan], dict
     blind = {}
     for candidate in simulator.candidates:
         scans = [scan(simulator, number) for number in numbers_of(candidate)]
-        most = max(float(found.rms_n(nominal).max(initial=0.0)) for found in scans)
+        most = max(float(scanned.rms_n(nominal).max(initial=0.0)) for scanned in scans)
         if most <= simulator.floor:
             blind[candidate.effect] = most
             continue
@@ -153,8 +156,8 @@ def _scans(simulator: ChangeSimulator, nominal: Array) -> tuple[list[Scan], dict
 
 def best_of_each(singles: Sequence[Explained]) -> list[Explained]:
     """The best number of each effect, best first; one value at all cables counts separately."""
-    every = defaultdict(list)
+    by_effect = defaultdict(list)
     for single in singles:
-        every[single.number.effect, len(single.number.terms) > 1].append(single)
-    best = [min(group, key=lambda e: round(e.held_out_rmse, 3)) for group in every.values()]
+        by_effect[single.number.effect, len(single.number.terms) > 1].append(single)
+    best = [min(group, key=lambda e: round(e.held_out_rmse, 3)) for group in by_effect.values()]
     return sorted(best, key=lambda e: e.held_out_rmse)

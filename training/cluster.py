@@ -56,19 +56,19 @@ def _connected(address: str, refusal: type[CableSenseError]) -> Any:
         client = distributed.Client(address, timeout=PATIENCE_S, set_as_default=False)
         client.wait_for_workers(1, timeout=PATIENCE_S)
         versions = client.run(package_version)
-        here = package_version()
+        own_version = package_version()
     except ImportError as error:
         raise refusal(
             f"{error}: a Dask cluster needs `pip install distributed` here and this package there"
         ) from error
     except (OSError, ValueError, TypeError) as error:
         raise _out_of_reach(address, error, refusal) from error
-    for worker, there in sorted(versions.items()):
-        if there != here:
+    for worker, worker_version in sorted(versions.items()):
+        if worker_version != own_version:
             client.close()
             raise refusal(
-                f"Dask worker {worker} runs version {there} of this package and this machine "
-                f"{here}; install the same version on both"
+                f"Dask worker {worker} runs version {worker_version} of this package and this "
+                f"machine {own_version}; install the same version on both"
             )
     return client
 

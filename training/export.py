@@ -173,15 +173,15 @@ def _require_agreement(
     answers: nn.Module, model: onnx.ModelProto, inputs: dict[str, Tensor]
 ) -> None:
     session = open_session(model)
-    found = session.run(None, {name: value.numpy() for name, value in inputs.items()})
+    computed = session.run(None, {name: value.numpy() for name, value in inputs.items()})
     with torch.no_grad():
         expected = answers(*inputs.values())
-    for entry, there, here in zip(session.get_outputs(), found, expected, strict=True):
-        if not np.isfinite(there).all():
+    for entry, by_runtime, by_torch in zip(session.get_outputs(), computed, expected, strict=True):
+        if not np.isfinite(by_runtime).all():
             raise TrainingError(f"output {entry.name} is not finite in ONNX Runtime")
         # at rest, in the first row, the direction is that of a rounding error
-        off = np.abs(there - here.numpy()).reshape(len(there), -1).max(axis=1)
-        scale = np.maximum(1.0, np.abs(there).reshape(len(there), -1).max(axis=1))
+        off = np.abs(by_runtime - by_torch.numpy()).reshape(len(by_runtime), -1).max(axis=1)
+        scale = np.maximum(1.0, np.abs(by_runtime).reshape(len(by_runtime), -1).max(axis=1))
         difference = float((off / scale)[1:].max())
         if not difference <= AGREEMENT:
             raise TrainingError(

@@ -62,14 +62,14 @@ def _trial(arm: Arm) -> list[Tensor]:
     pushed = rng.integers(0, arm.segment_count, _TRIAL_ROWS)
     forces_n[rows, pushed] = rng.normal(0.0, _PUSH_N, (_TRIAL_ROWS, 3))
     rest = solve_equilibrium(mechanism_of(arm), commands, forces_n)
-    given = [
+    inputs = [
         read_tensions_n(rest.tensions_n, arm.sensors, rng),
         commands,
         parameters.prior_mean,
         np.diag(parameters.prior_std**2),
         np.zeros((joints, joints)),
     ]
-    return [torch.as_tensor(each) for each in given]
+    return [torch.as_tensor(values) for values in inputs]
 
 
 def _to_onnx(estimator: nn.Module, trial: list[Tensor]) -> onnx.ModelProto:
@@ -100,15 +100,15 @@ def _metadata(arm: Arm, command: str) -> ModelMetadata:
 
 def _require_agreement(estimator: nn.Module, model: onnx.ModelProto, trial: list[Tensor]) -> None:
     session = open_session(model)
-    given = {name: value.numpy() for name, value in zip(INPUTS, trial, strict=True)}
-    there = session.run(None, given)
+    inputs = {name: value.numpy() for name, value in zip(INPUTS, trial, strict=True)}
+    by_runtime = session.run(None, inputs)
     with torch.no_grad():
-        here = estimator(*trial)
-    for name, one, other in zip(LawOutput._fields, there, here, strict=True):
-        if not np.isfinite(one).all():
+        by_torch = estimator(*trial)
+    for name, computed, expected in zip(LawOutput._fields, by_runtime, by_torch, strict=True):
+        if not np.isfinite(computed).all():
             raise TrainingError(f"output {name} is not finite in ONNX Runtime")
-        scale = max(1.0, float(np.abs(one).max()))
-        difference = float(np.abs(one - other.numpy()).max()) / scale
+        scale = max(1.0, float(np.abs(computed).max()))
+        difference = float(np.abs(computed - expected.numpy()).max()) / scale
         if not difference <= AGREEMENT:
             raise TrainingError(
                 f"output {name} differs by {difference:.2g} between PyTorch and ONNX Runtime; at "

@@ -148,8 +148,8 @@ def draw_training_data(
         WeakArmError: the arm cannot stand.
     """
     recipe = recipe_for(network)
-    given = {name: value for name, value in options.items() if value is not None}
-    protocol = protocol_from_options({"kind": recipe.learns_from, **given}, arm)
+    chosen = {name: value for name, value in options.items() if value is not None}
+    protocol = protocol_from_options({"kind": recipe.learns_from, **chosen}, arm)
     parts = []
     with progress_bar(protocol.samples, shown=show_progress) as advance:
         for part in generate(arm, protocol, seed):
@@ -210,8 +210,10 @@ def _sample_errors(path: Path, kind: ModelKind, test: Dataset) -> dict[str, Any]
     if kind == SINGLE_CONTACT:
         metrics = evaluate_estimator(Estimator.load(path), test).metrics
         return {"single": asdict(metrics) | {"coverage95": metrics.coverage95}}
-    found = MultiEstimator.load(path).estimate_batch(test.tension_difference_n, test.command_rad)
-    judged = test.contacts, test.magnitudes_n, found.probabilities > 0.5, found.magnitude_n
+    estimates = MultiEstimator.load(path).estimate_batch(
+        test.tension_difference_n, test.command_rad
+    )
+    judged = test.contacts, test.magnitudes_n, estimates.probabilities > 0.5, estimates.magnitude_n
     return {
         "multi": asdict(multi_contact_metrics(*judged)),
         "multi_firm": asdict(multi_contact_metrics(*judged, WEAKEST_MULTI_N)),

@@ -60,7 +60,7 @@ class Conditions(NamedTuple):
 
     def only(self, channels: NDArray[np.int64]) -> Conditions:
         """Those of some channels."""
-        return Conditions(*(own[:, channels] for own in self))
+        return Conditions(*(quantity[:, channels] for quantity in self))
 
 
 def effect_columns(problem: Problem) -> dict[Key, Array]:
@@ -68,16 +68,16 @@ def effect_columns(problem: Problem) -> dict[Key, Array]:
 
     The last part of a name counts the shapes from which a candidate starts.
     """
-    found: dict[Key, Array] = {}
+    columns: dict[Key, Array] = {}
     for candidate in problem.simulator.candidates:
-        each = [] if candidate.history_dependent else linear_effects(problem, candidate)
+        effects = [] if candidate.history_dependent else linear_effects(problem, candidate)
         numbers: Counter[Term] = Counter()
-        for term, column in chain(*(zip(e.varied, e.columns, strict=True) for e in each)):
+        for term, column in chain(*(zip(e.varied, e.columns, strict=True) for e in effects)):
             if problem.parameters[term].role == "size":
                 unit = unit_of(problem.parameters[term], 0.0)
-                found[(*term, str(numbers[term]))] = column / unit
+                columns[(*term, str(numbers[term]))] = column / unit
                 numbers[term] += 1
-    return found
+    return columns
 
 
 @dataclass(frozen=True)
@@ -97,9 +97,9 @@ class SmoothColumns:
 
     def powers(self, conditions: Conditions) -> Array:
         """(K, R, C) powers of the position, alone and times the direction of the motion."""
-        at = np.clip(2.0 * self._place(conditions) - 1.0, -_FARTHEST, _FARTHEST)
+        position = np.clip(2.0 * self._place(conditions) - 1.0, -_FARTHEST, _FARTHEST)
         way = np.tanh(conditions.speed / (_SLOW[1] * self.speed))
-        alone = [at**k for k in range(_POWERS)]
+        alone = [position**k for k in range(_POWERS)]
         return np.array([*alone, *(way * power for power in alone[:_SLIDING_POWERS])])
 
     def _place(self, conditions: Conditions) -> Array:
@@ -120,28 +120,28 @@ class SmoothColumns:
 
     def waves(self, conditions: Conditions) -> list[tuple[int, Key, Array]]:
         """Half waves over the range, name and column (R, C); alone and times speed functions."""
-        at = np.clip(self._place(conditions), -_MARGIN, 1.0 + _MARGIN) + _MARGIN
-        at *= np.pi / (1.0 + 2.0 * _MARGIN)
-        waves = [(k, wave) for k in range(_WAVES) for wave in _wave(k, at)]
-        found: list[tuple[int, Key, Array]] = [
+        phase = np.clip(self._place(conditions), -_MARGIN, 1.0 + _MARGIN) + _MARGIN
+        phase *= np.pi / (1.0 + 2.0 * _MARGIN)
+        waves = [(k, wave) for k in range(_WAVES) for wave in _wave(k, phase)]
+        named_waves: list[tuple[int, Key, Array]] = [
             (k, (f"wave {k}", str(n)), wave) for n, (k, wave) in enumerate(waves)
         ]
         for share in _SLOW:
             way = np.tanh(conditions.speed / (share * self.speed))
             for n, (k, wave) in enumerate(waves[: 2 * _SLIDING_WAVES + 1]):
-                found.append((k, (f"wave {k} times speed", f"{share}", str(n)), wave * way))
-        return found
+                named_waves.append((k, (f"wave {k} times speed", f"{share}", str(n)), wave * way))
+        return named_waves
 
     def of(self, conditions: Conditions) -> dict[Key, Array]:
         """(R, C) by name: waves, and functions of the load."""
-        found = {key: column for _, key, column in self.waves(conditions)}
+        columns = {key: column for _, key, column in self.waves(conditions)}
         load = conditions.load / self.load
         size = np.abs(load)
         for share in _SLOW:
             way = np.tanh(conditions.speed / (share * self.speed))
-            found["load times speed", f"{share}"] = size * way
-        found |= {("load", "size"): size, ("load", "square"): load * size, ("load", ""): load}
-        return found
+            columns["load times speed", f"{share}"] = size * way
+        columns |= {("load", "size"): size, ("load", "square"): load * size, ("load", ""): load}
+        return columns
 
 
 def _wave(k: int, at: Array) -> Sequence[Array]:
@@ -169,8 +169,8 @@ class _Channel:
 
     def of(self, columns: Mapping[Key, Array], c: int, beyond: Array) -> tuple[Array, Array]:
         """Mean and variance (R,) of its readings; `beyond` (R,) as of `SmoothColumns`."""
-        none = np.zeros_like(beyond)
-        x = np.array([columns[k][:, c] if k in columns else none for k in self.keys])
+        absent = np.zeros_like(beyond)
+        x = np.array([columns[k][:, c] if k in columns else absent for k in self.keys])
         x = x.reshape(len(self.keys), len(beyond))
         spread = (x * (self.covariance @ x)).sum(0) + self.scatter
         return self.mean @ x, self.factor * spread + self.square * beyond**2
@@ -196,16 +196,18 @@ class Discrepancy:
 
     def of(self, columns: Mapping[Key, Array], beyond: Array) -> tuple[Array, Array]:
         """Mean and standard deviation (R, C) of another recording's residuals."""
-        each = [channel.of(columns, c, beyond[:, c]) for c, channel in enumerate(self._channels)]
-        mean, variance = (np.stack(part, axis=1) for part in zip(*each, strict=True))
+        channel_moments = [
+            channel.of(columns, c, beyond[:, c]) for c, channel in enumerate(self._channels)
+        ]
+        mean, variance = (np.stack(part, axis=1) for part in zip(*channel_moments, strict=True))
         return mean, np.sqrt(variance)
 
     def part(self, columns: Mapping[Key, Array], channels: NDArray[np.int64]) -> Array:
         """(R, K) contributions of some columns (R, K) to the mean of K channels."""
-        found = np.zeros_like(next(iter(columns.values())))
+        contributions = np.zeros_like(next(iter(columns.values())))
         for k, c in enumerate(channels):
-            found[:, k] = self._channels[c].part(columns, k)
-        return found
+            contributions[:, k] = self._channels[c].part(columns, k)
+        return contributions
 
 
 @dataclass(frozen=True)
@@ -228,17 +230,19 @@ class AlongTheWay:
     ) -> AlongTheWay:
         """Fit the powers (K, R, C) of one recording to the other columns (R, C) of it."""
         rest = found.part(others, np.arange(powers.shape[2]))
-        each = zip(powers.transpose(2, 1, 0), rest.T, strict=True)
+        by_channel = zip(powers.transpose(2, 1, 0), rest.T, strict=True)
         return AlongTheWay(
-            smooth, found, np.stack([np.linalg.lstsq(x, y)[0] for x, y in each], axis=1)
+            smooth, found, np.stack([np.linalg.lstsq(x, y)[0] for x, y in by_channel], axis=1)
         )
 
     def of(self, conditions: Conditions, channels: NDArray[np.int64]) -> Array:
         """(R, K) at conditions (R, C), in K of the channels."""
         smooth = self.smooth.only(channels)
-        own = conditions.only(channels)
-        waves = self.discrepancy.part(smooth.of(own), channels)
-        return waves + np.einsum("pc,prc->rc", self.powers[:, channels], smooth.powers(own))
+        channel_conditions = conditions.only(channels)
+        waves = self.discrepancy.part(smooth.of(channel_conditions), channels)
+        return waves + np.einsum(
+            "pc,prc->rc", self.powers[:, channels], smooth.powers(channel_conditions)
+        )
 
 
 Features = Mapping[str, Mapping[str, Array]]
@@ -276,11 +280,13 @@ def flexible_model(
     """
     columns: dict[str, dict[Key, Array]] = {group: {} for group in features}
     strength: dict[str, float] = {}
-    for group, each in features.items():
-        for name, values in each.items():
-            own = values - values.mean()
-            columns[group][group, name] = np.broadcast_to(own[:, None], residual.shape)
-            strength[name] = float(((own @ residual) ** 2).sum() / max(own @ own, _LEAST))
+    for group, group_features in features.items():
+        for name, values in group_features.items():
+            centred = values - values.mean()
+            columns[group][group, name] = np.broadcast_to(centred[:, None], residual.shape)
+            strength[name] = float(
+                ((centred @ residual) ** 2).sum() / max(centred @ centred, _LEAST)
+            )
     for key, smooth in SmoothColumns.like(conditions).of(conditions).items():
         group = "motion" if "speed" in key[0] else "tension" if key[0] == "load" else "pose"
         columns.setdefault(group, {})[key] = smooth
@@ -288,8 +294,8 @@ def flexible_model(
     def share(prediction: Array) -> float:
         """Share of the mean square beyond the floor."""
         removable = float((residual**2).mean()) - floor**2
-        left = max(float(((residual - prediction) ** 2).mean()) - floor**2, 0.0)
-        return 1.0 - left / removable if removable > 0.0 else 0.0
+        remaining = max(float(((residual - prediction) ** 2).mean()) - floor**2, 0.0)
+        return 1.0 - remaining / removable if removable > 0.0 else 0.0
 
     held_out = Discrepancy(dict(ChainMap(*columns.values())), residual, fold).held_out
     return FlexibleModel(
@@ -310,12 +316,12 @@ def _fitted(
     square = float((residual[:, c] ** 2).mean())
     sizes = {key: float(np.sqrt((column[:, c] ** 2).mean())) for key, column in columns.items()}
     keys = tuple(key for key, size in sizes.items() if size > _LEAST * max(sizes.values()))
-    none = np.zeros(len(residual))
-    nothing = _Channel((), none[:0], np.zeros((0, 0)), square, square), none
+    zeros = np.zeros(len(residual))
+    nothing = _Channel((), zeros[:0], np.zeros((0, 0)), square, square), zeros
     if not keys or not square > 0.0:
         return nothing
-    own = np.array([sizes[key] for key in keys])
-    x = np.array([columns[key][:, c] for key in keys]) / own[:, None]
+    key_sizes = np.array([sizes[key] for key in keys])
+    x = np.array([columns[key][:, c] for key in keys]) / key_sizes[:, None]
     y = residual[:, c] / np.sqrt(square)
     group = np.unique([key[0] for key in keys], return_inverse=True)[1]
     precision, scatter = _of_most_evidence(x, y, group)
@@ -333,18 +339,18 @@ def _fitted(
         out = x[:, fold == k]
         held_out[fold == k] = mean @ out
         spread[fold == k] = (out * (covariance @ out)).sum(0) + scatter
-    left = (y - held_out) ** 2
-    if left.mean() >= 1.0:
+    squares_left = (y - held_out) ** 2
+    if squares_left.mean() >= 1.0:
         return nothing
     mean, covariance = posterior(np.ones(len(y), dtype=bool))
-    unit = own / np.sqrt(square)
+    unit = key_sizes / np.sqrt(square)
     channel = _Channel(
         keys,
         mean / unit,
         covariance / np.outer(unit, unit),
         square,
         scatter * square,
-        max(float((left / spread).mean()), 1.0),
+        max(float((squares_left / spread).mean()), 1.0),
     )
     return channel, held_out * np.sqrt(square)
 
@@ -363,9 +369,9 @@ def _of_most_evidence(x: Array, y: Array, group: NDArray[np.int64]) -> tuple[Arr
         covariance = np.linalg.inv(gram / scatter + np.diag(precision))
         mean = covariance @ moment / scatter
         known = 1.0 - precision * covariance.diagonal()
-        found = np.bincount(group, known)
+        known_by_group = np.bincount(group, known)
         size = np.bincount(group, mean**2)
-        precision = np.clip(found / np.maximum(size, 1e-12), 1e-3, 1e9)[group]
-        left = count - 2.0 * moment @ mean + mean @ gram @ mean
-        scatter = float(max(left / max(count - known.sum(), 0.1 * count), 1e-8))
+        precision = np.clip(known_by_group / np.maximum(size, 1e-12), 1e-3, 1e9)[group]
+        square_left = count - 2.0 * moment @ mean + mean @ gram @ mean
+        scatter = float(max(square_left / max(count - known.sum(), 0.1 * count), 1e-8))
     return precision, scatter

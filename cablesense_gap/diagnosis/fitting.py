@@ -77,9 +77,9 @@ def refit_part(
     problem: Problem, explanation: Explanation, values: Mapping[Term, float], most_steps: int
 ) -> Explanation | None:
     """As `refit`, from some values of an explanation and its sensitivities to them."""
-    own = [k for k, term in enumerate(explanation.values) if term in values]
+    kept_indices = [k for k, term in enumerate(explanation.values) if term in values]
     predicted = problem.predict([values])[0]
-    return refit(problem, values, most_steps, (predicted, explanation.columns[own]))
+    return refit(problem, values, most_steps, (predicted, explanation.columns[kept_indices]))
 
 
 def joint_step(problem: Problem, explanation: Explanation) -> Explanation | None:
@@ -118,8 +118,8 @@ class _Fit:
         most_left: float,
         start_at: tuple[Array, Array] | None,
     ) -> Explanation | None:
-        point, left = self._best(np.clip(starts, self._low, self._high))
-        if left > most_left:
+        point, start_square = self._best(np.clip(starts, self._low, self._high))
+        if start_square > most_left:
             return None
         self._expected = np.where(self._shape, point, 0.0)
         predicted, columns = start_at or self._linear(point)
@@ -134,8 +134,8 @@ class _Fit:
             if np.abs(tried - point).max(initial=0.0) < _CONVERGED:
                 break
             far = bool(np.abs(tried - linear_at).max() > _NEAR)
-            there = self._linear(tried, columns) if far and self._slow else None
-            ahead = self._predicted(tried) if there is None else there[0]
+            linear_model = self._linear(tried, columns) if far and self._slow else None
+            ahead = self._predicted(tried) if linear_model is None else linear_model[0]
             before = self._cost(point, predicted, mean_square)
             after = self._cost(tried, ahead, mean_square)
             if not after[0] < before[0]:
@@ -148,7 +148,9 @@ class _Fit:
             mean_square = after[1]
             damping = max(damping / 10.0, 1e-6)
             if far:
-                columns = self._linear(tried, columns)[1] if there is None else there[1]
+                columns = (
+                    self._linear(tried, columns)[1] if linear_model is None else linear_model[1]
+                )
                 linear_at = tried
             if before[0] - after[0] < (_CONVERGED * before[0] if self._slow else _GAIN):
                 break
@@ -157,26 +159,26 @@ class _Fit:
     def joint_step(self, explanation: Explanation) -> Explanation | None:
         """As the function of this name."""
         problem = self._problem
-        none = self._tolerances
+        tolerance_end = self._tolerances
         values = zip(self._parameters, explanation.values.values(), strict=True)
         point = np.array([to_scaled(parameter, value) for parameter, value in values])
         self._expected = np.where(self._shape, point, 0.0)
         predicted = explanation.without_tolerances
-        every = np.concatenate([problem.tolerance_columns, explanation.columns])
-        data = self._products(predicted, every)
+        all_columns = np.concatenate([problem.tolerance_columns, explanation.columns])
+        data = self._products(predicted, all_columns)
         offset = self._offset(point)
         weight_ = weight(self._cost(point, predicted, None)[1], problem.floor)
         gram = data.gram.sum(0)
         moment = data.moment.sum(0)
         precision = self._precision
-        found = solve(gram, moment, precision, offset, weight_)
-        t = slice(None, none)
-        step = found.copy()
+        solution = solve(gram, moment, precision, offset, weight_)
+        t = slice(None, tolerance_end)
+        step = solution.copy()
         step[t] -= solve(gram[t, t], moment[t], precision[t], offset[t], weight_)
         if step @ (weight_ * gram + np.diag(precision)) @ step < _GAIN:
             return None
-        ahead = np.clip(point + found[none:], self._low, self._high)
-        tolerances = problem.tolerances_of(found[t])
+        ahead = np.clip(point + solution[tolerance_end:], self._low, self._high)
+        tolerances = problem.tolerances_of(solution[t])
         return replace(explanation, values=self._assignment(ahead), tolerances=tolerances)
 
     def _best(self, starts: Array) -> tuple[Array, float]:
@@ -185,9 +187,9 @@ class _Fit:
             return starts[0], 0.0
         self._expected = starts[0]
         predicted = self._problem.predict([self._assignment(s) for s in starts])
-        left = [self._cost(starts[0], prediction, None)[1] for prediction in predicted]
-        best = int(np.argmin(left))
-        return starts[best], left[best]
+        mean_squares = [self._cost(starts[0], prediction, None)[1] for prediction in predicted]
+        best = int(np.argmin(mean_squares))
+        return starts[best], mean_squares[best]
 
     def _predicted(self, point: Array) -> Array:
         return self._problem.predict([self._assignment(point)])[0]
@@ -206,15 +208,19 @@ class _Fit:
             columns[:] = known
         about: Array = np.empty(0)
         for static in (True, False) if self._static.any() else (False,):
-            own = varied[self._static[varied] == static]
-            variants = [self._assignment(p) for p in (point, *(point + np.diag(steps)[own]))]
+            varied_part = varied[self._static[varied] == static]
+            variants = [
+                self._assignment(p) for p in (point, *(point + np.diag(steps)[varied_part]))
+            ]
             if static:
                 kept = {self._terms[k] for k in np.flatnonzero(self._static)}
-                variants = [{t: v for t, v in each.items() if t in kept} for each in variants]
+                variants = [
+                    {t: v for t, v in assignment.items() if t in kept} for assignment in variants
+                ]
             about, *moved = self._problem.predict(variants)
-            change = np.array(moved).reshape(len(own), *about.shape) - about
+            change = np.array(moved).reshape(len(varied_part), *about.shape) - about
             change[~np.isfinite(change).all(axis=(1, 2))] = 0.0
-            columns[own] = change / steps[own].reshape(-1, 1, 1)
+            columns[varied_part] = change / steps[varied_part].reshape(-1, 1, 1)
         return about, columns
 
     def _assignment(self, point: Array) -> dict[Term, float]:
@@ -227,34 +233,43 @@ class _Fit:
     def _step(
         self, point: Array, predicted: Array, columns: Array, mean_square: float, damping: float
     ) -> Array:
-        every = np.concatenate([self._problem.tolerance_columns, columns])
-        data = self._products(predicted, every)
-        none = self._tolerances
+        all_columns = np.concatenate([self._problem.tolerance_columns, columns])
+        data = self._products(predicted, all_columns)
+        tolerance_end = self._tolerances
         weight_ = weight(mean_square, self._problem.floor)
         offset = self._offset(point)
         gram = data.gram.sum(0)
         moment = data.moment.sum(0)
         # damped by the part that tolerances do not imitate: else an effect like one hardly moves
-        of_tolerances = weight_ * gram[:none, :none] + np.diag(self._precision[:none])
-        imitated = np.linalg.solve(of_tolerances, gram[:none, none:])
-        own = np.zeros(len(gram))
-        own[none:] = (gram[none:, none:] - weight_ * gram[none:, :none] @ imitated).diagonal()
-        own[none:] += self._prior / weight_
-        damped = gram + damping * np.diag(own)
+        of_tolerances = weight_ * gram[:tolerance_end, :tolerance_end] + np.diag(
+            self._precision[:tolerance_end]
+        )
+        imitated = np.linalg.solve(of_tolerances, gram[:tolerance_end, tolerance_end:])
+        unimitated = np.zeros(len(gram))
+        unimitated[tolerance_end:] = (
+            gram[tolerance_end:, tolerance_end:]
+            - weight_ * gram[tolerance_end:, :tolerance_end] @ imitated
+        ).diagonal()
+        unimitated[tolerance_end:] += self._prior / weight_
+        damped = gram + damping * np.diag(unimitated)
         free = np.ones(len(gram), dtype=bool)
         for _ in range(3):  # values that leave their range stay at its end, the others continue
             step = np.zeros(len(gram))
-            at = np.flatnonzero(free)
-            step[at] = solve(
-                damped[np.ix_(at, at)], moment[at], self._precision[at], offset[at], weight_
+            free_indices = np.flatnonzero(free)
+            step[free_indices] = solve(
+                damped[np.ix_(free_indices, free_indices)],
+                moment[free_indices],
+                self._precision[free_indices],
+                offset[free_indices],
+                weight_,
             )
-            ahead = point + step[none:]
+            ahead = point + step[tolerance_end:]
             below = (ahead < self._low) & (point <= self._low)
             stuck = below | ((ahead > self._high) & (point >= self._high))
-            if not (stuck & free[none:]).any():
+            if not (stuck & free[tolerance_end:]).any():
                 break
-            free[none:] &= ~stuck
-        return step[none:]
+            free[tolerance_end:] &= ~stuck
+        return step[tolerance_end:]
 
     def _products(self, predicted: Array, columns: Array) -> Products:
         """Products of columns (K, R, C), tolerances first, and the residual of a prediction."""
@@ -279,66 +294,72 @@ class _Fit:
         count = residual[problem.used].size
         moment = np.tensordot(problem.tolerance_columns, residual, axes=2)
         square = float((residual**2).sum())
-        none = np.zeros(len(moment))
+        zero_offset = np.zeros(len(moment))
         used = square / count if mean_square is None else mean_square
         for _ in range(2):
             weight_ = weight(used, problem.floor)
-            found = solve(gram, moment, np.ones(len(moment)), none, weight_)
-            left = square - 2.0 * moment @ found + found @ gram @ found
+            tolerances = solve(gram, moment, np.ones(len(moment)), zero_offset, weight_)
+            square_left = square - 2.0 * moment @ tolerances + tolerances @ gram @ tolerances
             if mean_square is None:
-                used = float(left / count)
-        prior = found @ found + self._prior @ (point - self._expected) ** 2
-        return float(weight_ * left + prior), float(left / count)
+                used = float(square_left / count)
+        prior = tolerances @ tolerances + self._prior @ (point - self._expected) ** 2
+        return float(weight_ * square_left + prior), float(square_left / count)
 
     def _explanation(
         self, point: Array, predicted: Array, columns: Array, mean_square: float
     ) -> Explanation:
         problem = self._problem
-        none = self._tolerances
-        every = np.concatenate([problem.tolerance_columns, columns])
-        data = self._products(predicted, every)
+        tolerance_end = self._tolerances
+        all_columns = np.concatenate([problem.tolerance_columns, columns])
+        data = self._products(predicted, all_columns)
         weight_ = weight(mean_square, problem.floor)
         off = self._offset(point)
         # at a bound the one-step refits of the folds may not move either
         inside = (point > self._low) & (point < self._high)
-        at = np.flatnonzero(np.concatenate([np.ones(none, dtype=bool), inside]))
-        part = data.columns(at)
-        precision = self._precision[at]
-        offset = off[at]
+        free_indices = np.flatnonzero(np.concatenate([np.ones(tolerance_end, dtype=bool), inside]))
+        part = data.columns(free_indices)
+        precision = self._precision[free_indices]
+        offset = off[free_indices]
         gram = part.gram.sum(0)
         moment = part.moment.sum(0)
-        found = solve(gram, moment, precision, offset, weight_)
-        # of the values as they are: the effects' part of `found` is a step that is not made
-        t = slice(None, none)
+        solution = solve(gram, moment, precision, offset, weight_)
+        # of the values as they are: the effects' part of `solution` is a step that is not made
+        t = slice(None, tolerance_end)
         tolerances = solve(gram[t, t], moment[t], precision[t], offset[t], weight_)
-        every = every[at]
+        all_columns = all_columns[free_indices]
         held_out_effects = predicted.copy()
         tolerated = np.zeros_like(predicted)
-        without = fold_solutions(part, none, precision, offset, weight_, problem.fold)
+        without = fold_solutions(part, tolerance_end, precision, offset, weight_, problem.fold)
         for k, coefficients in enumerate(without):
             rows = problem.fold[problem.trial] == k
-            tolerated[rows] = np.tensordot(coefficients[:none], every[:none, rows], axes=1)
-            held_out_effects[rows] += np.tensordot(coefficients[none:], every[none:, rows], axes=1)
+            tolerated[rows] = np.tensordot(
+                coefficients[:tolerance_end], all_columns[:tolerance_end, rows], axes=1
+            )
+            held_out_effects[rows] += np.tensordot(
+                coefficients[tolerance_end:], all_columns[tolerance_end:, rows], axes=1
+            )
         held_out = held_out_effects + tolerated + problem.tolerance_rest
         covariance = np.zeros(2 * self._precision.shape)
-        covariance[np.ix_(at, at)] = _covariance(part, found, precision, weight_)
+        covariance[np.ix_(free_indices, free_indices)] = _covariance(
+            part, solution, precision, weight_
+        )
         # a value at its bound gets the deviation that it would have with all values free
         freed = solve(data.gram.sum(0), data.moment.sum(0), self._precision, off, weight_)
         spread = np.sqrt(_covariance(data, freed, self._precision, weight_).diagonal())
-        spread[at] = np.sqrt(covariance.diagonal()[at])
+        spread[free_indices] = np.sqrt(covariance.diagonal()[free_indices])
         values = self._assignment(point)
         units = [unit_of(p, v) for p, v in zip(self._parameters, values.values(), strict=True)]
         return Explanation(
             effects=tuple(sorted({term.effect for term in self._terms})),
             values=values,
-            deviations=dict(zip(self._terms, 1.96 * spread[none:] * units, strict=True)),
+            deviations=dict(zip(self._terms, 1.96 * spread[tolerance_end:] * units, strict=True)),
             tolerances=problem.tolerances_of(tolerances),
             prediction=predicted
             + np.tensordot(tolerances, problem.tolerance_columns, axes=1)
             + problem.tolerance_rest,
             without_tolerances=predicted,
             columns=columns,
-            covariance=covariance[none:, none:],
+            covariance=covariance[tolerance_end:, tolerance_end:],
             held_out=held_out,
             held_out_effects=held_out_effects,
             squares=problem.squares_by_trial(held_out)[0],
@@ -436,10 +457,10 @@ def _start(problem: Problem, proposal: Proposal) -> tuple[dict[Term, float], dic
         change = {term: next(coefficients) for term in effect.varied}
         sizes = [term for term in effect.terms if ranges[term].role == "size"]
         first = max(abs(change[sizes[0]]), 0.3)
-        for term, at in zip(effect.terms, effect.start, strict=True):
+        for term, start_value in zip(effect.terms, effect.start, strict=True):
             # the column of a shape is its effect at a size of one
             added = change.get(term, 0.0)
-            start[term] = added if ranges[term].role == "size" else at + added / first
+            start[term] = added if ranges[term].role == "size" else start_value + added / first
         for term in sizes:
             low, high = (to_scaled(ranges[term], v) for v in (ranges[term].low, ranges[term].high))
             if not low <= change[term] <= high:
@@ -452,7 +473,7 @@ def _elsewhere(
 ) -> Iterator[dict[Term, float]]:
     """The start with other sizes of the effects `slow`, and with every combination of shapes."""
     ranges = problem.parameters
-    own = {c.effect for c in slow}
+    slow_effects = {c.effect for c in slow}
     shapes: list[dict[tuple[str, str], float]] = []
     for candidate in slow:
         free = [p for p in candidate.parameters if p.role == "shape" and p.trials]
@@ -462,7 +483,7 @@ def _elsewhere(
     for scale, shape in product(_SCALES, shapes or [{}]):
         yield {
             term: value
-            if term.effect not in own
+            if term.effect not in slow_effects
             else max(abs(value), 0.1) * scale
             if ranges[term].role == "size"
             else shape.get((term.effect, term.parameter), value)

@@ -45,8 +45,13 @@ class Products:
 
     def columns(self, chosen: Indices | Sequence[int]) -> Products:
         """Those of some of the columns."""
-        at = np.asarray(chosen, dtype=np.int64)
-        return Products(self.gram[:, at[:, None], at], self.moment[:, at], self.square, self.count)
+        indices = np.asarray(chosen, dtype=np.int64)
+        return Products(
+            self.gram[:, indices[:, None], indices],
+            self.moment[:, indices],
+            self.square,
+            self.count,
+        )
 
     @property
     def mean_square(self) -> float:
@@ -104,23 +109,25 @@ def fold_solutions(
     moment = data.moment.sum(0)
     t = slice(None, tolerances)
     e = slice(tolerances, None)
-    found = []
+    solutions = []
     for k in range(int(fold.max()) + 1):
-        own = data.gram[fold == k].sum(0)
-        own_moment = data.moment[fold == k].sum(0)
-        each = solve(gram - own, moment - own_moment, precision, offset, weight_)
-        beside = moment[t] - gram[t, e] @ each[e]
-        each[t] = solve(gram[t, t], beside, precision[t], offset[t], weight_)
-        found.append(each)
-    return np.array(found)
+        fold_gram = data.gram[fold == k].sum(0)
+        fold_moment = data.moment[fold == k].sum(0)
+        solution = solve(gram - fold_gram, moment - fold_moment, precision, offset, weight_)
+        beside = moment[t] - gram[t, e] @ solution[e]
+        solution[t] = solve(gram[t, t], beside, precision[t], offset[t], weight_)
+        solutions.append(solution)
+    return np.array(solutions)
 
 
 def held_out_squares(
     data: Products, tolerances: int, precision: Array, offset: Array, weight_: float, fold: Indices
 ) -> Array:
     """(T,) sum of squares left in each trial by the solution without its fold."""
-    found = fold_solutions(data, tolerances, precision, offset, weight_, fold)[fold]
-    explained = ((data.gram @ found[..., None])[..., 0] - 2.0 * data.moment) * found
+    trial_solutions = fold_solutions(data, tolerances, precision, offset, weight_, fold)[fold]
+    explained = (
+        (data.gram @ trial_solutions[..., None])[..., 0] - 2.0 * data.moment
+    ) * trial_solutions
     return np.maximum(data.square + explained.sum(-1), 0.0)
 
 
@@ -155,29 +162,29 @@ class Reduced:
         of_tolerances = weight_ * gram[t, t] + np.diag(precision[t])
 
         def eliminated(g: Array, m: Array) -> tuple[Array, Array]:
-            both = np.linalg.solve(
+            eliminations = np.linalg.solve(
                 weight_ * g[b, b] + np.diag(precision[b]),
                 weight_ * np.column_stack([m[b], g[b, c]]),
             )
-            first = both[:, 0]
-            by = both[:, 1:]
+            first = eliminations[:, 0]
+            by = eliminations[:, 1:]
             system.append(weight_ * (g[c, c] - g[c, b] @ by) + np.diag(precision[c]))
             moment.append(weight_ * (m[c] - g[c, b] @ first))
             return np.asarray(first), np.asarray(by)
 
         for k in range(int(fold.max()) + 1):
-            own = data.gram[fold == k].sum(0)
-            own_product = data.moment[fold == k].sum(0)
-            first, by = eliminated(gram - own, product - own_product)
-            across = own[b, b] @ by - own[b, c]
-            pull = np.column_stack([own_product[t] - own[t, b] @ first, -across[t]])
+            fold_gram = data.gram[fold == k].sum(0)
+            fold_product = data.moment[fold == k].sum(0)
+            first, by = eliminated(gram - fold_gram, product - fold_product)
+            across = fold_gram[b, b] @ by - fold_gram[b, c]
+            pull = np.column_stack([fold_product[t] - fold_gram[t, b] @ first, -across[t]])
             moved = weight_ * np.linalg.solve(of_tolerances, pull)
             gain = pull.T @ moved
-            gain += gain.T - moved.T @ own[t, t] @ moved
-            form.append(own[c, c] - own[c, b] @ by + by.T @ across - gain[1:, 1:])
-            slope.append(own_product[c] - by.T @ own_product[b] + across.T @ first - gain[1:, 0])
+            gain += gain.T - moved.T @ fold_gram[t, t] @ moved
+            form.append(fold_gram[c, c] - fold_gram[c, b] @ by + by.T @ across - gain[1:, 1:])
+            slope.append(fold_product[c] - by.T @ fold_product[b] + across.T @ first - gain[1:, 0])
             constant += data.square[fold == k].sum() - gain[0, 0]
-            constant += first @ (own[b, b] @ first - 2.0 * own_product[b])
+            constant += first @ (fold_gram[b, b] @ first - 2.0 * fold_product[b])
         self._first, self._by = eliminated(gram, product)
         self._system = np.array(system)
         self._moment = np.array(moment)
@@ -192,11 +199,11 @@ class Reduced:
         """
         system = self._system[:, sets[:, :, None], sets[:, None, :]]
         solved = np.linalg.solve(system, self._moment[:, sets][..., None])[..., 0]
-        found = solved[:-1]
+        of_folds = solved[:-1]
         of_all = solved[-1]
         form = self._form[:, sets[:, :, None], sets[:, None, :]]
-        pulled = (form @ found[..., None])[..., 0] - 2.0 * self._slope[:, sets]
-        square = (found * pulled).sum((0, -1)) + self._constant
+        pulled = (form @ of_folds[..., None])[..., 0] - 2.0 * self._slope[:, sets]
+        square = (of_folds * pulled).sum((0, -1)) + self._constant
         count = self._tolerances
         by = np.moveaxis(self._by[:count][:, sets], 0, 1)
         base = self._first[:count] - (by * of_all[:, None]).sum(-1)

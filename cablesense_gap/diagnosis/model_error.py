@@ -46,18 +46,24 @@ class TwoParts:
         Directions of the columns that are smaller than the deviation belong to the rest.
         """
         rows = [np.flatnonzero(fold == k) for k in np.unique(fold[fold >= 0])]
-        found = [np.linalg.svd(columns[:, own], full_matrices=False)[:2] for own in rows]
-        error, left, free = np.maximum(error, least), np.zeros(len(error)), np.zeros(len(error))
-        for own, (functions, size) in zip(rows, found, strict=True):
+        decompositions = [
+            np.linalg.svd(columns[:, fold_rows], full_matrices=False)[:2] for fold_rows in rows
+        ]
+        error, squares_left, free = (
+            np.maximum(error, least),
+            np.zeros(len(error)),
+            np.zeros(len(error)),
+        )
+        for fold_rows, (functions, size) in zip(rows, decompositions, strict=True):
             large = size > error[:, None]
-            on = (functions.swapaxes(-1, -2) @ residual[own].T[..., None])[..., 0] * large
-            left += (residual[own] ** 2).sum(0) - (on**2).sum(1)
-            free += len(own) - large.sum(1)
-        deviation = np.clip(np.sqrt(left / free), least, error)
+            on = (functions.swapaxes(-1, -2) @ residual[fold_rows].T[..., None])[..., 0] * large
+            squares_left += (residual[fold_rows] ** 2).sum(0) - (on**2).sum(1)
+            free += len(fold_rows) - large.sum(1)
+        deviation = np.clip(np.sqrt(squares_left / free), least, error)
         smooth = np.sqrt(_SMOOTH) * deviation / error
         basis = []
         rest = []
-        for functions, size in found:
+        for functions, size in decompositions:
             large = size > deviation[:, None]
             basis.append(functions * large[:, None])
             count = functions.shape[1]
@@ -75,10 +81,10 @@ class TwoParts:
         return self._scaled(values, 1.0 / self.smooth, [1.0 / each for each in self.rest])
 
     def _scaled(self, values: Array, inside: Array, rest: Sequence[Array]) -> Array:
-        found = values.copy()
+        rescaled = values.copy()
         for rows, basis, outside in zip(self.rows, self.basis, rest, strict=True):
-            own = np.moveaxis(values[..., rows, :], -1, -2)[..., None]
-            part = (basis @ (basis.swapaxes(-1, -2) @ own))[..., 0]
-            scaled = own[..., 0] * outside[:, None] + part * (inside - outside)[:, None]
-            found[..., rows, :] = np.moveaxis(scaled, -1, -2)
-        return found
+            row_values = np.moveaxis(values[..., rows, :], -1, -2)[..., None]
+            part = (basis @ (basis.swapaxes(-1, -2) @ row_values))[..., 0]
+            scaled = row_values[..., 0] * outside[:, None] + part * (inside - outside)[:, None]
+            rescaled[..., rows, :] = np.moveaxis(scaled, -1, -2)
+        return rescaled

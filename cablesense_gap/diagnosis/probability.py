@@ -104,19 +104,19 @@ def posterior(
     )
     shares = np.exp(weights - weights.max())
     shares /= shares.sum()
-    found = [
+    ranked = [
         Ranked(h.effects or ("none",), float(share), h)
         for h, share in zip(explanations, shares, strict=False)
     ]
-    found.append(Ranked(UNKNOWN, float(shares[-1]), None))
-    least = _EQUAL * max(each.probability for each in found)
+    ranked.append(Ranked(UNKNOWN, float(shares[-1]), None))
+    least = _EQUAL * max(each.probability for each in ranked)
 
     def rank(each: Ranked) -> tuple[bool, float]:
-        left = each.explanation.held_out_rmse if each.explanation else np.inf
+        held_out_rmse = each.explanation.held_out_rmse if each.explanation else np.inf
         # residuals below the floor are not distinguished otherwise
-        return (False, left) if each.probability > least else (True, -each.probability)
+        return (False, held_out_rmse) if each.probability > least else (True, -each.probability)
 
-    return sorted(found, key=rank)
+    return sorted(ranked, key=rank)
 
 
 def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration) -> list[Ranked]:
@@ -172,15 +172,15 @@ def _support(
     candidates = problem.simulator.candidates
     past = {c.effect for c in candidates if c.history_dependent or c.against_motion}
     gap, rest = (excess(h.held_out_rmse**2, problem.floor) for h in (fitted[frozenset()], whole))
-    own = frozenset(whole.effects)
-    if own & past:
+    whole_effects = frozenset(whole.effects)
+    if whole_effects & past:
         enough = rest <= _OUTWEIGHED * gap
     else:
-        enough = len(own) > 2 and rest <= _UNEXPLAINED * gap
+        enough = len(whole_effects) > 2 and rest <= _UNEXPLAINED * gap
     costs = {effects: problem.cost_of(h) for effects, h in fitted.items()}
     ratios = {
-        effect: min(cost for effects, cost in costs.items() if effects <= own - {effect})
-        / costs[own]
+        effect: min(cost for effects, cost in costs.items() if effects <= whole_effects - {effect})
+        / costs[whole_effects]
         for effect in whole.effects
     }
     needed = (
@@ -206,16 +206,16 @@ def log_weights(
     """
     c = calibration
     floor_share = c.floor_share * floor
-    left = np.array([np.hypot(excess(e**2, floor), floor_share) for e in held_out_rmse])
+    beyond_floor = np.array([np.hypot(excess(e**2, floor), floor_share) for e in held_out_rmse])
     least = np.hypot(excess(0.0, floor), floor_share)
-    none = left[np.flatnonzero(counts == 0)[0]]
+    tolerances_alone = beyond_floor[np.flatnonzero(counts == 0)[0]]
     power = np.where(counts == 0, c.none, c.power)
     several = c.one + (counts - 1) * (c.two - c.one)
     penalty = np.where(counts == 0, 0.0, several) + c.size * sizes + surprise
     penalty += c.tolerance_chi2 * (np.maximum(tolerance_chi2 / tolerance_count, 1.0) - 1.0)
-    stand_in = np.hypot(c.share * none, c.stand_in * floor)
+    stand_in = np.hypot(c.share * tolerances_alone, c.stand_in * floor)
     unknown = -c.power * np.log(stand_in / least) - c.unknown
-    return np.append(-power * np.log(left / least) - penalty, unknown)
+    return np.append(-power * np.log(beyond_floor / least) - penalty, unknown)
 
 
 def ambiguity(
@@ -257,13 +257,13 @@ def imitated_share(problem: Problem, one: Explanation, other: Explanation) -> fl
     whole = float(change @ change)
     if whole == 0.0:
         return 1.0
-    own = [_change(problem, other), *other.columns]
-    columns = np.array([_beyond_tolerances(problem, column, one) for column in own])
+    other_changes = [_change(problem, other), *other.columns]
+    columns = np.array([_beyond_tolerances(problem, column, one) for column in other_changes])
     gram = columns @ columns.T
     gram += 1e-6 * np.diag(gram.diagonal()) + np.finfo(float).tiny * np.eye(len(gram))
     moment = columns @ change
-    left = whole - float(moment @ np.linalg.lstsq(gram, moment, rcond=None)[0])
-    return 1.0 - float(np.sqrt(np.clip(left / whole, 0.0, 1.0)))
+    unimitated = whole - float(moment @ np.linalg.lstsq(gram, moment, rcond=None)[0])
+    return 1.0 - float(np.sqrt(np.clip(unimitated / whole, 0.0, 1.0)))
 
 
 def _reason(problem: Problem, best: Ranked, rival: Ranked, unit: str) -> str:
@@ -315,5 +315,5 @@ def _beyond_tolerances(problem: Problem, change: Array, fitted: Explanation) -> 
     tolerances = problem.tolerance_columns[:, problem.used]
     flat = tolerances.reshape(len(tolerances), int(problem.used.sum()) * change.shape[1])
     target = change[problem.used].ravel()
-    found = np.linalg.solve(flat @ flat.T + np.eye(len(flat)) / weight_, flat @ target)
-    return np.concatenate([target - found @ flat, found / np.sqrt(weight_)])
+    coefficients = np.linalg.solve(flat @ flat.T + np.eye(len(flat)) / weight_, flat @ target)
+    return np.concatenate([target - coefficients @ flat, coefficients / np.sqrt(weight_)])

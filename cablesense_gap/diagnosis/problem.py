@@ -205,8 +205,8 @@ class Problem:
     def squares_by_trial(self, held_out: Array) -> tuple[Array, Array]:
         """(T,) sums of squared residuals of a prediction (R, C), and (T,) how many they are."""
         of_row = ((self.readings - held_out) ** 2).sum(-1) * self.used
-        every = self.used * float(held_out.shape[1])
-        sums = [np.bincount(self.trial, each, len(self.fold)) for each in (of_row, every)]
+        row_counts = self.used * float(held_out.shape[1])
+        sums = [np.bincount(self.trial, each, len(self.fold)) for each in (of_row, row_counts)]
         return sums[0].astype(float), sums[1].astype(float)
 
     def cost(self, mean_square: float, tolerance_chi2: float) -> float:
@@ -279,11 +279,11 @@ class Sketch:
 
     def over_all_rows(self, columns: Array) -> Array:
         """(K, R, C) columns from (K, rows, C), linear between these rows."""
-        every = np.arange(self.rows[-1] + 1)
-        after = np.clip(np.searchsorted(self.rows, every), 1, len(self.rows) - 1)
+        all_rows = np.arange(self.rows[-1] + 1)
+        after = np.clip(np.searchsorted(self.rows, all_rows), 1, len(self.rows) - 1)
         begin = self.rows[after - 1]
         end = self.rows[after]
-        share = ((every - begin) / (end - begin))[:, None]
+        share = ((all_rows - begin) / (end - begin))[:, None]
         return np.asarray(columns[:, after - 1] * (1.0 - share) + columns[:, after] * share)
 
 

@@ -61,10 +61,10 @@ def search(
 
     With more than one worker, candidates are simulated and fitted in as many processes.
     """
-    none = refine(problem, {}, [[]])
-    assert none is not None
+    without_effects = refine(problem, {}, [[]])
+    assert without_effects is not None
     with WorkerPool(workers, problem) as pool:
-        return [none, *_Search(problem, pool, progress, none).run()]
+        return [without_effects, *_Search(problem, pool, progress, without_effects).run()]
 
 
 class _Search:
@@ -187,9 +187,9 @@ class _Search:
             else:
                 self._fit_by_count(proposals, usual)
         if len(start.effects) > 1:
-            own = Selection(self._problem, *own_columns(self._problem, start))
+            own_effects = Selection(self._problem, *own_columns(self._problem, start))
             most = _RIVAL * self._problem.cost_of(start)
-            idle = [(e,) for e in start.effects if own.left_without(e) < most]
+            idle = [(e,) for e in start.effects if own_effects.left_without(e) < most]
             self._keep_all(self._without(start, idle))
 
     def _fit_by_count(self, proposals: Sequence[Proposal], usual: Sequence[Proposal]) -> None:
@@ -213,14 +213,14 @@ class _Search:
         """Every history-dependent effect that was not fitted: it is far from linear."""
         most_left = (_BETTER * start.held_out_rmse) ** 2
         ranges = self._problem.parameters
-        found = []
+        usual = []
         for p in proposals:
             new = set(p.effects) - set(start.effects)
             if len(new) == 1 and new <= self._history and p.effects not in self._found:
                 first = p.added[0]
                 sizes = np.array([float(ranges[term].role == "size") for term in first.varied])
-                found.append(replace(p, added=(first,), coefficients=sizes, most_left=most_left))
-        return found
+                usual.append(replace(p, added=(first,), coefficients=sizes, most_left=most_left))
+        return usual
 
     def _fit(self, proposals: Sequence[Proposal]) -> None:
         for fitted in self._map(fit, proposals, lambda p: " + ".join(p.effects)):
@@ -228,13 +228,14 @@ class _Search:
 
     def _keep_all(self, explanations: Iterable[Explanation]) -> None:
         """Keeps the better of two explanations with the same effects."""
-        for each in explanations:
-            known = self._found.get(each.effects, self._none)
-            if each.effects and (
-                not known.effects or self._problem.judged(each) < self._problem.judged(known)
+        for explanation in explanations:
+            known = self._found.get(explanation.effects, self._none)
+            if explanation.effects and (
+                not known.effects
+                or self._problem.judged(explanation) < self._problem.judged(known)
             ):
-                self._found[each.effects] = each
-                self._fitted_in[each] = self._problem
+                self._found[explanation.effects] = explanation
+                self._fitted_in[explanation] = self._problem
 
     def _without(
         self, explanation: Explanation, gone: Iterable[tuple[str, ...]]
@@ -280,12 +281,22 @@ class _Search:
         variants = []
         for gone in chain(*(combinations(explanation.effects, n) for n in (1, 2))):
             offered = {candidates[effect].places for effect in gone}
-            own = list(dict.fromkeys(p for effect, p in explanation.sites if effect in gone))
-            tried = [own] if len(own) == 1 else [own, *([place] for place in own)]
+            gone_places = list(
+                dict.fromkeys(p for effect, p in explanation.sites if effect in gone)
+            )
+            tried = (
+                [gone_places]
+                if len(gone_places) == 1
+                else [gone_places, *([place] for place in gone_places)]
+            )
             rest = {t: v for t, v in explanation.values.items() if t.effect not in gone}
             variants += [
                 rest
-                | {Term(c.effect, at, p.name): p.default for at in places for p in c.parameters}
+                | {
+                    Term(c.effect, new_place, p.name): p.default
+                    for new_place in places
+                    for p in c.parameters
+                }
                 for c in self._cheap
                 for places in tried
                 if offered == {c.places} and c.effect not in explanation.effects
@@ -303,13 +314,13 @@ class _Search:
             self._climb_with_expensive()
             self._problem = self._whole
             return
-        none = self._none
+        without_effects = self._none
         known = self._found
         nominal = self._nominal
         reduced = {effects: sketch.explanation(h) for effects, h in known.items()}
         self._found = dict(reduced)
         self._problem = sketch.problem
-        self._none = sketch.explanation(none)
+        self._none = sketch.explanation(without_effects)
         self._climb_with_expensive()
         self._compare()
         self._doing = "judging on all rows"
@@ -324,7 +335,7 @@ class _Search:
         self._found = known
         self._nominal = nominal
         self._problem = self._whole
-        self._none = none
+        self._none = without_effects
         judged = [h for h in self._map(_on_all_rows, new) if h is not None]
         self._keep_all(judged)
         self._refined.update(judged)
@@ -381,7 +392,9 @@ class _Search:
             self._problem = self._fitted_in[self._best()]
 
     def _refine(self, rough: Iterable[Explanation]) -> None:
-        waiting = dict.fromkeys(one for one in rough if one not in self._refined)
+        waiting = dict.fromkeys(
+            explanation for explanation in rough if explanation not in self._refined
+        )
         for fitted, tolerances in self._map(final_refinement, waiting):
             self._found[fitted.effects] = fitted
             self._fitted_in[fitted] = tolerances
@@ -409,8 +422,8 @@ class _Search:
         if past is None:
             return True
         best = min((self._none, *self._found.values()), key=lambda h: h.held_out_rmse)
-        left = (problem.readings - best.held_out)[past.rows]
-        return past.rms > _OF_THE_PAST * excess(float((left**2).mean()), problem.floor)
+        residual = (problem.readings - best.held_out)[past.rows]
+        return past.rms > _OF_THE_PAST * excess(float((residual**2).mean()), problem.floor)
 
     def _is_resolved(self) -> bool:
         """Whether so little is unexplained that no further effect is worth its time.
@@ -418,10 +431,10 @@ class _Search:
         Tolerances alone leave little more than the floor, or an explanation leaves 3 % of the gap.
         """
         floor = self._problem.floor
-        none = self._none.held_out_rmse
-        if none <= 1.1 * floor and self._problem.has_usual_tolerances(self._none):
+        unexplained_rmse = self._none.held_out_rmse
+        if unexplained_rmse <= 1.1 * floor and self._problem.has_usual_tolerances(self._none):
             return True
-        little = 0.03 * excess(none**2, floor)
+        little = 0.03 * excess(unexplained_rmse**2, floor)
         return any(
             self._problem.cost_of(h) <= little or self._problem.is_explained(h)
             for h in self._found.values()

@@ -101,9 +101,9 @@ def linear_effects(
         among = offered if candidate.history_dependent else (place,)
         probe = _probe(candidate, start, varied)
         return known | {
-            Term(candidate.effect, at, name): value
-            for at in among
-            for name, value in (start | absent | (probe if at == place else {})).items()
+            Term(candidate.effect, offered_place, name): value
+            for offered_place in among
+            for name, value in (start | absent | (probe if offered_place == place else {})).items()
         }
 
     batches = [[variant(place, start, p) for p in varied] for start in starts for place in offered]
@@ -111,11 +111,11 @@ def linear_effects(
         batches = [list(chain(*batches))]
     changes = (c for b in batches for c in problem.predict(b) - base)
     sizes_alone = not candidate.history_dependent and len(absent) == len(parameters)
-    left = _rms(problem, problem.readings - (base if about is None else about.prediction))
+    residual_rms = _rms(problem, problem.readings - (base if about is None else about.prediction))
 
     def nearer(place: str, start: dict[str, float], p: Parameter, change: Array) -> Array:
         """The change by a number, in proportion to that by a size that suits the residual."""
-        share = left / max(_rms(problem, change), 1e-12)
+        share = residual_rms / max(_rms(problem, change), 1e-12)
         smaller = {name: share * value for name, value in start.items()}
         if not sizes_alone or share * _MOST_CHANGE >= 1.0:
             return change
@@ -123,13 +123,13 @@ def linear_effects(
         ratio = to_scaled(p, start[p.name]) / to_scaled(p, smaller[p.name])
         return ratio * again if np.isfinite(again).all() else change
 
-    found = []
+    effects = []
     for start, place in product(starts, offered):
         changed = np.array([next(changes) for _ in varied])
         if np.isfinite(changed).all():
-            each = zip(varied, changed, strict=True)
-            changed = np.array([nearer(place, start, p, change) for p, change in each])
-            found.append(
+            number_changes = zip(varied, changed, strict=True)
+            changed = np.array([nearer(place, start, p, change) for p, change in number_changes])
+            effects.append(
                 LinearEffect(
                     place=place,
                     terms=candidate.terms(place),
@@ -144,7 +144,7 @@ def linear_effects(
                     varied=tuple(Term(candidate.effect, place, p.name) for p in varied),
                 )
             )
-    return found
+    return effects
 
 
 def _rms(problem: Problem, change: Array) -> float:
@@ -196,16 +196,16 @@ def own_columns(problem: Problem, fitted: Explanation) -> tuple[Explanation, lis
             base = base - to_scaled(ranges[term], value) * column
     sites = []
     for site in fitted.sites:
-        own = {
+        column_of = {
             term: k
             for k, (term, value) in enumerate(fitted.values.items())
             if term[:2] == site and (value != 0.0 or ranges[term].low < 0.0)
         }
-        if terms := tuple(own):
+        if terms := tuple(column_of):
             precision = np.array([prior_precision(ranges[term]) for term in terms])
-            columns = fitted.columns[list(own.values())]
-            none = np.zeros(len(own))
-            sites.append(LinearEffect(site[1], terms, none, columns, precision, terms))
+            columns = fitted.columns[list(column_of.values())]
+            zero_start = np.zeros(len(column_of))
+            sites.append(LinearEffect(site[1], terms, zero_start, columns, precision, terms))
     nothing = replace(
         fitted, effects=(), values={}, columns=fitted.columns[:0], without_tolerances=base
     )
@@ -285,8 +285,8 @@ class Selection:
         for k, linear in enumerate(self._offered):
             sides.setdefault((linear.effect, linear.place == WHOLE_ARM), []).append(k)
         grown = (
-            self._grown(own, strict=True) or self._grown(own, strict=False)
-            for own in sides.values()
+            self._grown(side, strict=True) or self._grown(side, strict=False)
+            for side in sides.values()
         )
         return sorted(filter(None, grown), key=lambda each: each[0])
 
@@ -348,29 +348,34 @@ class Selection:
             self._folds,
         )
         ends = np.cumsum([len(self._owned[k]) for k in new])
-        at = {k: np.arange(n - len(self._owned[k]), n) for k, n in zip(new, ends, strict=True)}
+        positions = {
+            k: np.arange(n - len(self._owned[k]), n) for k, n in zip(new, ends, strict=True)
+        }
         options = [[k] for k in new]
         by_effect: dict[str, list[int]] = {}
         for k in new:
             if self._offered[k].place != WHOLE_ARM:
                 by_effect.setdefault(self._offered[k].effect, []).append(k)
         # of two cables that pull against each other, either alone may explain nothing
-        for own in by_effect.values():
-            if len(own) <= 40:
+        for same_effect in by_effect.values():
+            if len(same_effect) <= 40:
                 options += [
                     [a, b]
-                    for a, b in combinations(own, 2)
+                    for a, b in combinations(same_effect, 2)
                     if self._offered[a].place != self._offered[b].place
                 ]
         by_count: dict[int, list[list[int]]] = {}
         for option in options:
-            by_count.setdefault(sum(len(at[k]) for k in option), []).append(option)
+            by_count.setdefault(sum(len(positions[k]) for k in option), []).append(option)
         for group in by_count.values():
-            sets = np.array([np.concatenate([at[k] for k in option]) for option in group])
-            left, chi2 = reduced.left(sets)
-            for option, square, off in zip(group, left, chi2, strict=True):
-                both = [*chosen, *option]
-                yield self._problem.cost(float(square), float(off)) * self._penalty(both), both
+            sets = np.array([np.concatenate([positions[k] for k in option]) for option in group])
+            mean_squares, chi2 = reduced.left(sets)
+            for option, square, off in zip(group, mean_squares, chi2, strict=True):
+                extended = [*chosen, *option]
+                yield (
+                    self._problem.cost(float(square), float(off)) * self._penalty(extended),
+                    extended,
+                )
 
     def _fits(self, k: int, chosen: Sequence[int]) -> bool:
         """Whether a site may stand together with those that are chosen."""
@@ -390,9 +395,9 @@ class Selection:
 
     def _score(self, chosen: Sequence[int], *, strict: bool = True) -> float:
         """Cost with the penalty, at the weight of its residual; infinite for impossible sizes."""
-        found, mean_square, chi2 = self._fitted(chosen)
+        coefficients, mean_square, chi2 = self._fitted(chosen)
         positive = np.concatenate([np.zeros(0, dtype=bool), *(self._positive[k] for k in chosen)])
-        if strict and (found[self._base :][positive] < 0.0).any():
+        if strict and (coefficients[self._base :][positive] < 0.0).any():
             return np.inf
         return self._problem.cost(mean_square, chi2) * self._penalty(chosen)
 
@@ -431,18 +436,22 @@ class Selection:
 
     def _fitted(self, chosen: Sequence[int]) -> tuple[Array, float, float]:
         """Coefficients, the mean square left on held-out trials, and that of tolerances."""
-        at: Indices = np.concatenate([np.arange(self._base), *(self._owned[k] for k in chosen)])
-        part = self._data.columns(at)
-        precision = self._precision[at]
-        none = np.zeros(len(at))
+        column_indices: Indices = np.concatenate(
+            [np.arange(self._base), *(self._owned[k] for k in chosen)]
+        )
+        part = self._data.columns(column_indices)
+        precision = self._precision[column_indices]
+        zero_offset = np.zeros(len(column_indices))
         count = part.count.sum()
         mean_square = self._data.mean_square
         problem = self._problem
         tolerances = len(problem.tolerance_columns)
         for _ in range(2):  # first at the weight of the whole residual, then of what is left
             weight_ = weight(mean_square, problem.floor)
-            left = held_out_squares(part, tolerances, precision, none, weight_, self._folds)
-            mean_square = float(left.sum() / count)
-        found = solve(part.gram.sum(0), part.moment.sum(0), precision, none, weight_)
-        chi2 = float((found[:tolerances] ** 2).sum())
-        return found, mean_square, chi2
+            squares_left = held_out_squares(
+                part, tolerances, precision, zero_offset, weight_, self._folds
+            )
+            mean_square = float(squares_left.sum() / count)
+        coefficients = solve(part.gram.sum(0), part.moment.sum(0), precision, zero_offset, weight_)
+        chi2 = float((coefficients[:tolerances] ** 2).sum())
+        return coefficients, mean_square, chi2

@@ -99,12 +99,12 @@ class _Fit:
     def _assignment(self, point: Array) -> dict[Term, float]:
         count = len(self._problem.tolerance_terms)
         tolerances = (self._problem.tolerance_std * point[:count]).tolist()
-        found = dict(zip(self._problem.tolerance_terms, tolerances, strict=True))
+        assignment = dict(zip(self._problem.tolerance_terms, tolerances, strict=True))
         for (term, parameter), scaled in zip(
             self.parameters.items(), point[count:].tolist(), strict=True
         ):
-            found[term] = from_scaled(parameter, scaled)
-        return found
+            assignment[term] = from_scaled(parameter, scaled)
+        return assignment
 
     def residual(self, point: Array) -> Array:
         """(R, C) with the simulator itself."""
@@ -126,10 +126,10 @@ class _Fit:
         variants = [{**base, t: base[t] + _STEP_OF_STD * std} for t, std in steps.items()]
         columns = small_changes(problem.simulator, base, variants) / _STEP_OF_STD
         columns[~np.isfinite(columns).all(axis=(1, 2))] = 0.0
-        every = np.concatenate([columns, self._columns])[:, problem.used]
-        every = every.reshape(len(every), -1)
-        system = self._weight * every @ every.T + np.diag(self._precision)
+        all_columns = np.concatenate([columns, self._columns])[:, problem.used]
+        all_columns = all_columns.reshape(len(all_columns), -1)
+        system = self._weight * all_columns @ all_columns.T + np.diag(self._precision)
         covariance = np.linalg.inv(system)
-        pull = self._weight * every @ residual[problem.used].ravel()
+        pull = self._weight * all_columns @ residual[problem.used].ravel()
         pull -= self._precision * (point - self._expected)
         return covariance, covariance @ pull

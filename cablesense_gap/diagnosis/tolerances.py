@@ -44,9 +44,9 @@ def with_fitted_tolerances(problem: Problem) -> Problem:
     The tensions of a stiff arm are far from linear in them. The columns stay as they are where
     that is no more than residuals can show.
     """
-    none = refine(problem, {}, [[]])
-    assert none is not None
-    return final_refinement(problem, none)[1]
+    without_effects = refine(problem, {}, [[]])
+    assert without_effects is not None
+    return final_refinement(problem, without_effects)[1]
 
 
 def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explanation, Problem]:
@@ -125,29 +125,29 @@ def _linear_about(
     std = problem.tolerance_std
     terms = problem.tolerance_terms
     off = _place_of(problem, explanation.tolerances)
-    at = dict(zip(terms, off.tolist(), strict=True))
+    tolerances_at = dict(zip(terms, off.tolist(), strict=True))
     change = np.sqrt((problem.tolerance_columns[:, problem.used] ** 2).mean(axis=(1, 2)))
     size = 1.0 / np.maximum(1.0 / _STEP_OF_STD, change / (_STEP_OF_FLOOR * problem.floor))
     # towards zero, so that no tolerance leaves its range
-    steps = -np.copysign(size, problem.coefficients_of(at))
+    steps = -np.copysign(size, problem.coefficients_of(tolerances_at))
     moved = off + steps[:, None] * (problem.tolerance_mix.T * std)
     # numbers that fade matter in few rows, and their columns stay
     varied = [t for t in explanation.values if not problem.parameters[t].fades]
-    base = {**explanation.values, **at}
+    base = {**explanation.values, **tolerances_at}
     scaled, values = _effect_steps(problem, explanation, varied)
-    there = problem.simulator.predict([base])[0]
+    prediction = problem.simulator.predict([base])[0]
     variants = [{**base, **dict(zip(terms, row, strict=True))} for row in moved.tolist()]
     variants += [{**base, t: v} for t, v in zip(varied, values, strict=True)]
-    every = small_changes(problem.simulator, base, variants)
-    columns = every[: len(steps)] / steps[:, None, None]
+    changes = small_changes(problem.simulator, base, variants)
+    columns = changes[: len(steps)] / steps[:, None, None]
     effects = explanation.columns.copy()
-    own = [list(explanation.values).index(term) for term in varied]
-    effects[own] = every[len(steps) :] / scaled[:, None, None]
-    about = with_tolerances(problem, at, columns)
-    made = there, columns, effects, about.tolerances_change
+    varied_indices = [list(explanation.values).index(term) for term in varied]
+    effects[varied_indices] = changes[len(steps) :] / scaled[:, None, None]
+    about = with_tolerances(problem, tolerances_at, columns)
+    made = prediction, columns, effects, about.tolerances_change
     if not all(np.isfinite(each).all() for each in made):
         return None
-    return about, (there - about.tolerances_change, effects)
+    return about, (prediction - about.tolerances_change, effects)
 
 
 def with_tolerances(problem: Problem, at: Assignment, columns: Array) -> Problem:
@@ -167,15 +167,15 @@ def _effect_steps(
     problem: Problem, explanation: Explanation, varied: Sequence[Term]
 ) -> tuple[Array, list[float]]:
     """Scaled steps (K,) of values, such that readings change as by tolerances; and the values."""
-    own = dict(zip(explanation.values, explanation.columns, strict=True))
+    column_of = dict(zip(explanation.values, explanation.columns, strict=True))
     scaled = []
     values = []
     for term in varied:
         parameter = problem.parameters[term]
-        change = float(np.sqrt((own[term][problem.used] ** 2).mean()))
+        change = float(np.sqrt((column_of[term][problem.used] ** 2).mean()))
         step = min(_STEP_OF_EFFECT, _STEP_OF_FLOOR * problem.floor / max(change, 1e-12))
-        at = to_scaled(parameter, explanation.values[term])
-        step = step if at + step <= to_scaled(parameter, parameter.high) else -step
+        scaled_value = to_scaled(parameter, explanation.values[term])
+        step = step if scaled_value + step <= to_scaled(parameter, parameter.high) else -step
         scaled.append(step)
-        values.append(from_scaled(parameter, at + step))
+        values.append(from_scaled(parameter, scaled_value + step))
     return np.array(scaled), values

@@ -89,10 +89,10 @@ def check_form(recording: Recording, arm: Arm) -> list[Finding]:
 
     The worst come first; later checks wait for earlier ones.
     """
-    found: list[Finding] = []
+    findings: list[Finding] = []
     for checks in ((_shapes,), (_numbers,), (_time, _labels, _angles)):
-        found = found or [f for check in checks for f in check(recording, arm)]
-    return sorted(found, key=lambda each: not each.refuses)
+        findings = findings or [f for check in checks for f in check(recording, arm)]
+    return sorted(findings, key=lambda each: not each.refuses)
 
 
 def check_recording(
@@ -106,10 +106,10 @@ def check_recording(
     `nominal_n` is what the nominal arm predicts for the `rows` (K,), all of them if None, as
     (K, M): exchanged channels and other arms can only be found with it.
     """
-    found = check_form(recording, arm)
-    if not any(finding.refuses for finding in found):
-        found += [*_amount(recording), *_channels(recording, arm, nominal_n, rows)]
-    return sorted(found, key=lambda each: not each.refuses)
+    findings = check_form(recording, arm)
+    if not any(finding.refuses for finding in findings):
+        findings += [*_amount(recording), *_channels(recording, arm, nominal_n, rows)]
+    return sorted(findings, key=lambda each: not each.refuses)
 
 
 def _shapes(recording: Recording, arm: Arm) -> Iterator[Finding]:
@@ -297,16 +297,16 @@ def _channels(
     compared = recording.rows(rows)
     read = compared.tensions_n
     cables = np.flatnonzero(predicted & (np.ptp(read, axis=0) > 0.0))
-    own, expected = (v[:, cables] - v[:, cables].mean(axis=0) for v in (read, nominal_n))
+    centred_read, expected = (v[:, cables] - v[:, cables].mean(axis=0) for v in (read, nominal_n))
     stuck = list(_stuck(compared, rows, nominal_n, moved_n))
     if len(cables) < 2:
         return [*findings, *stuck]
-    exchanged = list(_exchanged(own, expected, cables))
+    exchanged = list(_exchanged(centred_read, expected, cables))
     if exchanged:  # other findings would be of the wrong channels
         return [*findings, *exchanged]
     _, pose = np.unique(compared.command_rad, axis=0, return_inverse=True)
-    responses_n = [(own, expected)]
-    of_loads = _less_means(own, pose), _less_means(expected, pose)
+    responses_n = [(centred_read, expected)]
+    of_loads = _less_means(centred_read, pose), _less_means(expected, pose)
     if (np.ptp(of_loads[1], axis=0) > moved_n).all():
         responses_n.append(of_loads)
     return [*findings, *stuck, *_foreign(responses_n, arm)]
@@ -396,14 +396,14 @@ def _foreign(responses_n: list[tuple[Array, Array]], arm: Arm) -> list[Finding]:
     A pair is the readings and the predictions (R, C), both without their means. Springs in joints
     outweigh the rest of a recording over poses, and friction hides loads, but neither does both.
     """
-    found = []
+    findings = []
     for read, predicted in responses_n:
         product = (read * predicted).sum(axis=0)
         power = (predicted**2).sum(axis=0)
         correlation = np.median(product / np.sqrt((read**2).sum(axis=0) * power))
         scale = np.median(product / power)
         if correlation < _LEAST_CORRELATION:
-            found.append(
+            findings.append(
                 refuse(
                     "arm",
                     f"the tensions do not follow loads and poses as arm {arm.name} does "
@@ -412,7 +412,7 @@ def _foreign(responses_n: list[tuple[Array, Array]], arm: Arm) -> list[Finding]:
                 )
             )
         elif not _SCALES[0] <= scale <= _SCALES[1]:
-            found.append(
+            findings.append(
                 refuse(
                     "unit",
                     f"the tensions answer {scale:.3g} times as much as those of arm {arm.name}; "
@@ -421,7 +421,7 @@ def _foreign(responses_n: list[tuple[Array, Array]], arm: Arm) -> list[Finding]:
             )
         else:
             return []
-    return found[:1]
+    return findings[:1]
 
 
 def _less_means(values: Array, group: NDArray[np.int64]) -> Array:

@@ -103,7 +103,7 @@ def read_table(path: str | Path, prefixes: Collection[str]) -> dict[str, Array]:
         ) from error
     if len(table) > most_rows:
         raise RecordingError(f"{path}: more than {MAX_NUMBERS} numbers; split it")
-    found = {}
+    columns = {}
     for name, (_, column) in zip(names, table.items(), strict=False):
         if name.startswith(tuple(prefixes)):
             if column.dtype.kind not in "if":
@@ -119,8 +119,8 @@ def read_table(path: str | Path, prefixes: Collection[str]) -> dict[str, Array]:
                 raise RecordingError(
                     f"{path}: row {wrong.argmax() + 1}, column {name}: {cell!r} {why}"
                 )
-            found[name] = values
-    return found
+            columns[name] = values
+    return columns
 
 
 def write_table(path: str | Path, columns: Mapping[str, Any], float_format: str) -> None:
@@ -153,13 +153,13 @@ def read_csv(path: str | Path, arm: Arm) -> Recording:
         return np.stack([values[name] for name in names], axis=1)
 
     def whole(name: str) -> NDArray[np.int64]:
-        own = values[name]
-        bad = np.flatnonzero(~(own == np.round(own)) | (np.abs(own) > 1e9))
+        column = values[name]
+        bad = np.flatnonzero(~(column == np.round(column)) | (np.abs(column) > 1e9))
         if bad.size:
             raise RecordingError(
-                f"{path}: row {bad[0] + 1}, column {name}: {own[bad[0]]:g} is no whole number"
+                f"{path}: row {bad[0] + 1}, column {name}: {column[bad[0]]:g} is no whole number"
             )
-        return own.astype(np.int64)
+        return column.astype(np.int64)
 
     return Recording(
         name=csv_stem(path),

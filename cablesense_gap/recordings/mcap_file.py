@@ -196,7 +196,7 @@ def is_bag(path: Path) -> bool:
 
 def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
     """Topic, time in ns and content of an arm's messages, in the order they came."""
-    found: dict[str, str] = {}
+    full_topics: dict[str, str] = {}
     others: set[str] = set()
 
     def wanted(raw: RawMessage) -> bool:
@@ -204,7 +204,7 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
         if topic not in INPUTS:
             others.add(raw.topic)
             return False
-        first = found.setdefault(topic, raw.topic)
+        first = full_topics.setdefault(topic, raw.topic)
         if raw.topic != first:  # `/arm/cable_tensions` is `cable_tensions` while there is one
             named = " and ".join(sorted((raw.topic, first)))
             raise RecordingError(f"{path}: {named} are both {topic}; record one arm alone")
@@ -217,11 +217,11 @@ def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
 
     for raw, message in decoded(path, wanted):
         yield raw.topic.rpartition("/")[2], raw.log_ns, message
-    missing = [topic for topic in _REQUIRED if topic not in found]
+    missing = [topic for topic in _REQUIRED if topic not in full_topics]
     if missing:
-        there = ", ".join(sorted({*others, *found.values()})[:8]) or "nothing"
+        present = ", ".join(sorted({*others, *full_topics.values()})[:8]) or "nothing"
         raise RecordingError(
-            f"{path}: misses {' and '.join(missing)}, and has {there}; record with: cablesense "
+            f"{path}: misses {' and '.join(missing)}, and has {present}; record with: cablesense "
             "gap record --arm ARM --out FILE"
         )
 

@@ -91,12 +91,12 @@ class McapMessages:
 
         kinds: dict[int, str] = {}
         channels: dict[int, tuple[str, str]] = {}
-        left = _UNPACKED_BYTES + _UNPACKED_TIMES * size
-        for at, opcode, content in self._records(file, size):
+        bytes_left = _UNPACKED_BYTES + _UNPACKED_TIMES * size
+        for offset, opcode, content in self._records(file, size):
             if opcode == Opcode.CHUNK:
-                left -= int.from_bytes(content[16:24], "little")  # its size unpacked
+                bytes_left -= int.from_bytes(content[16:24], "little")  # its size unpacked
             try:
-                for record in _parsed(opcode, content, left):
+                for record in _parsed(opcode, content, bytes_left):
                     if isinstance(record, Schema):
                         kinds[record.id] = (
                             record.name if record.encoding.startswith("ros2") else ""
@@ -121,7 +121,7 @@ class McapMessages:
                 OverflowError,
             ) as error:
                 why = str(error) or type(error).__name__
-                raise self._damaged(at, why) from error
+                raise self._damaged(offset, why) from error
 
     def _records(self, file: BinaryIO, size: int) -> Iterator[tuple[int, int, bytes]]:
         """Start of each record, its opcode and content; nothing longer than the bound."""
@@ -130,22 +130,22 @@ class McapMessages:
         read = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK}
         if file.read(len(_MAGIC)) != _MAGIC:
             raise RecordingError(f"{self._path}: no MCAP file; `ros2 bag info` should know it")
-        at = len(_MAGIC)
+        offset = len(_MAGIC)
         while True:
             head = file.read(_HEAD.size)
             opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, 0)
             if opcode in (Opcode.DATA_END, Opcode.FOOTER):
                 return
-            if opcode == 0 or length > size - at - _HEAD.size:
-                self.cut = f"breaks off at byte {at} of {size}: the recorder did not finish it"
+            if opcode == 0 or length > size - offset - _HEAD.size:
+                self.cut = f"breaks off at byte {offset} of {size}: the recorder did not finish it"
                 return
             if opcode not in read:
                 file.seek(length, os.SEEK_CUR)
             elif length > MOST_RECORD_BYTES:
-                raise self._damaged(at, f"a record of {length} bytes")
+                raise self._damaged(offset, f"a record of {length} bytes")
             else:
-                yield at, opcode, file.read(length)
-            at += _HEAD.size + length
+                yield offset, opcode, file.read(length)
+            offset += _HEAD.size + length
 
     def _damaged(self, at: int, why: str) -> RecordingError:
         return RecordingError(

@@ -183,8 +183,11 @@ def rows_of(blocks: Sequence[Block], rate_hz: float) -> Recording:
     def sampled(knots: Sequence[Array]) -> Array:
         return np.concatenate(
             [
-                np.stack([np.interp(at, block.knots_s, column) for column in own.T], axis=-1)
-                for at, block, own in zip(times, blocks, knots, strict=True)
+                np.stack(
+                    [np.interp(block_s, block.knots_s, column) for column in block_knots.T],
+                    axis=-1,
+                )
+                for block_s, block, block_knots in zip(times, blocks, knots, strict=True)
             ]
         )
 

@@ -114,8 +114,8 @@ class Recording:
     def rows(self, chosen: NDArray[Any] | slice) -> Recording:
         """The chosen rows: a mask (R,), indices or a slice."""
         columns = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
-        given = {name: column for name, column in columns.items() if column is not None}
-        return replace(self, **{name: column[chosen] for name, column in given.items()})
+        present = {name: column for name, column in columns.items() if column is not None}
+        return replace(self, **{name: column[chosen] for name, column in present.items()})
 
 
 EXCHANGED = "exchanged"
@@ -281,14 +281,18 @@ def returns(recording: Recording, floor_n: float) -> tuple[float, NDArray[np.boo
     degrees = 0
     visits = 0
     returning = np.zeros(len(recording), dtype=bool)
-    for here in np.unique(visited):
-        own = np.flatnonzero(visited == here)
-        if len(set(came_from[own]) - {-1}) > 1:
-            weighted = count[own, None] * (mean[own] - np.average(mean[own], 0, count[own])) ** 2
+    for visited_state in np.unique(visited):
+        state_visits = np.flatnonzero(visited == visited_state)
+        if len(set(came_from[state_visits]) - {-1}) > 1:
+            weighted = (
+                count[state_visits, None]
+                * (mean[state_visits] - np.average(mean[state_visits], 0, count[state_visits]))
+                ** 2
+            )
             square += float(weighted.sum())
-            degrees += (len(own) - 1) * mean.shape[1]
-            visits += len(own)
-            returning |= state == here
+            degrees += (len(state_visits) - 1) * mean.shape[1]
+            visits += len(state_visits)
+            returning |= state == visited_state
     if degrees < _FEWEST_RETURNS or returning.mean() < _RETURNING_SHARE:
         return None
     beyond = max(square / degrees - floor_n**2, 0.0) + floor_n**2 * 2.0 * (2.0 / degrees) ** 0.5
@@ -302,11 +306,13 @@ def _turns(recording: Recording, most: int) -> Rows:
     leaps = [np.abs(np.diff(column)) for column in columns]
     least = 1.0
     while True:
-        turns = [_turned(*both, least) for both in zip(columns, turns, strict=True)]
+        turns = [
+            _turned(*column_turns, least) for column_turns in zip(columns, turns, strict=True)
+        ]
         leapt = [np.flatnonzero(leap >= least) for leap in leaps]
-        found = np.unique(np.concatenate([*turns, *leapt, *(rows + 1 for rows in leapt)]))
-        if len(found) <= most:
-            return found
+        turn_rows = np.unique(np.concatenate([*turns, *leapt, *(rows + 1 for rows in leapt)]))
+        if len(turn_rows) <= most:
+            return turn_rows
         least *= 2.0
 
 
@@ -330,21 +336,21 @@ def _turned(values: Array, rows: Rows, least: float) -> Rows:
     moves = np.flatnonzero(change)
     # the last row of each stretch before it turns back, and the last of all
     ends = rows[np.append(moves[1:][np.diff(np.sign(change[moves])) != 0.0], len(rows) - 1)]
-    found: list[int] = []
+    turn_rows: list[int] = []
     way = 0
     high = (-np.inf, 0)
     low = (np.inf, 0)
-    for here in zip(values[ends].tolist(), ends.tolist(), strict=True):
-        high = max(high, here)
-        low = min(low, here)
-        if way >= 0 and high[0] - here[0] >= least:
-            found.append(high[1])
+    for end in zip(values[ends].tolist(), ends.tolist(), strict=True):
+        high = max(high, end)
+        low = min(low, end)
+        if way >= 0 and high[0] - end[0] >= least:
+            turn_rows.append(high[1])
             way = -1
-            high = here
-            low = here
-        elif way <= 0 and here[0] - low[0] >= least:
-            found.append(low[1])
+            high = end
+            low = end
+        elif way <= 0 and end[0] - low[0] >= least:
+            turn_rows.append(low[1])
             way = 1
-            high = here
-            low = here
-    return np.array(found, dtype=np.int64)
+            high = end
+            low = end
+    return np.array(turn_rows, dtype=np.int64)

@@ -171,8 +171,8 @@ def time_picture(found: Diagnosis) -> str:
         layout="constrained",
     )
     # nearly all, so that one stray row hides nothing
-    both = np.abs(np.concatenate([found.before_n, found.after_n]))
-    known = both[np.isfinite(both)]
+    residuals_n = np.abs(np.concatenate([found.before_n, found.after_n]))
+    known = residuals_n[np.isfinite(residuals_n)]
     largest = float(np.quantile(known, 0.999)) if known.size else 1.0
     reach_n = 1.08 * max(largest, 4.0 * found.verdict.gap.floor_n, 1e-3)
     for panel, cable in zip(axes.flat, cables, strict=False):
@@ -347,18 +347,18 @@ def drawn_errors(errors: Mapping[str, RecordedErrors]) -> Any:
     most = 1.05 * max(
         max(each.truth.force_n.max(), each.answer.force_n.max()) for each in errors.values()
     )
-    for place, (name, each) in zip(axes[0], errors.items(), strict=True):
+    for place, (name, model_errors) in zip(axes[0], errors.items(), strict=True):
         place.plot([0.0, most], [0.0, most], color="0.7", lw=1)
-        right = each.answer.segment == each.truth.segment
-        for segment in np.unique(each.truth.segment):
-            rows = each.truth.segment == segment
+        right = model_errors.answer.segment == model_errors.truth.segment
+        for segment in np.unique(model_errors.truth.segment):
+            rows = model_errors.truth.segment == segment
             colour = f"C{segment}" if segment else "0.4"
             label = f"segment {segment}" if segment else "no load"
-            forces = each.truth.force_n, each.answer.force_n
+            forces = model_errors.truth.force_n, model_errors.answer.force_n
             place.plot(*(f[rows & right] for f in forces), ".", ms=4, c=colour, label=label)
             place.plot(*(f[rows & ~right] for f in forces), "x", ms=5, c=colour)
-        accuracy = each.whole.contact_accuracy
-        off_n = each.whole.errors.magnitude_mae_n
+        accuracy = model_errors.whole.contact_accuracy
+        off_n = model_errors.whole.errors.magnitude_mae_n
         place.set(
             title=f"{name}\nright segment {accuracy:.1%}, force off by {off_n:.2f} N",
             xlabel="true force, N (crosses: another segment, or none)",

@@ -113,15 +113,15 @@ _ERRORS: dict[str, tuple[str, Callable[[float], str]]] = {
 
 def error_rows(estimator: EstimatorErrors) -> list[tuple[str, str, str]]:
     """Errors of the first and of the second estimator by name; dashes if there are none."""
-    found = []
+    rows = []
     for name in dict(estimator.before, **(estimator.after or {})):
         label, text = _ERRORS.get(name, (name.replace("_", " "), "{:.4g}".format))
         cells = [
             text(errors[name]) if errors and name in errors else "–"
             for errors in (estimator.before, estimator.after)
         ]
-        found.append((label, cells[0], cells[1]))
-    return found
+        rows.append((label, cells[0], cells[1]))
+    return rows
 
 
 def _known(verdict: Verdict) -> Mapping[str, EffectDescription]:
@@ -165,10 +165,10 @@ def effect_places(verdict: Verdict, effect: str) -> tuple[str, ...]:
         return verdict.shares[effect].places if effect in verdict.shares else ()
     names = [name.split(".") for name in verdict.parameters]
     middles = [middle for name, *middle, _ in names if name == effect]
-    found = [m.group() for middle in middles for m in _PLACE.finditer(" ".join(middle))]
-    if not found and len(verdict.effects) == 1:
-        found = list(verdict.where.places)
-    return tuple(dict.fromkeys(found))
+    places = [m.group() for middle in middles for m in _PLACE.finditer(" ".join(middle))]
+    if not places and len(verdict.effects) == 1:
+        places = list(verdict.where.places)
+    return tuple(dict.fromkeys(places))
 
 
 class ExplainedNumber(NamedTuple):
@@ -190,7 +190,7 @@ class ExplainedNumber(NamedTuple):
 
 def numbers(verdict: Verdict, arm: Arm) -> list[ExplainedNumber]:
     """Every number of a verdict on an arm, explained, effect by effect."""
-    found = []
+    explained = []
     for name, estimate in sorted(
         verdict.parameters.items(), key=lambda item: item[0].partition(".")[0]
     ):
@@ -198,11 +198,11 @@ def numbers(verdict: Verdict, arm: Arm) -> list[ExplainedNumber]:
         effect = known_effects().get(effect_name)
         known = None
         if effect:
-            every = [*effect.parameters, *effect.history(arm.segment_count, arm.cable_count)]
-            every += [effect.product] if effect.product else []
-            known = next((p for p in every if p.name == parameter_name), None)
+            parameters = [*effect.parameters, *effect.history(arm.segment_count, arm.cable_count)]
+            parameters += [effect.product] if effect.product else []
+            known = next((p for p in parameters if p.name == parameter_name), None)
         value, interval = _known_within(estimate, known)
-        found.append(
+        explained.append(
             ExplainedNumber(
                 effect_name.replace("_", " "),
                 " ".join(place or effect_places(verdict, effect_name)).replace("_", " "),
@@ -213,7 +213,7 @@ def numbers(verdict: Verdict, arm: Arm) -> list[ExplainedNumber]:
                 bool(known and known.past),
             )
         )
-    return found
+    return explained
 
 
 def _with_unit(value: str, estimate: FittedNumber) -> str:
@@ -239,9 +239,9 @@ def place_text(places: tuple[str, ...]) -> str:
         kind, _, number = place.rpartition("_")
         numbers.setdefault(kind, []).append(int(number))
     return ", ".join(
-        f"{_PREPOSITIONS[kind]} {kind}{'s' if len(found) > 1 else ''} "
-        f"{listed([str(n) for n in sorted(found)])}"
-        for kind, found in numbers.items()
+        f"{_PREPOSITIONS[kind]} {kind}{'s' if len(kind_numbers) > 1 else ''} "
+        f"{listed([str(n) for n in sorted(kind_numbers)])}"
+        for kind, kind_numbers in numbers.items()
     )
 
 
@@ -298,10 +298,10 @@ def steps(verdict: Verdict) -> list[Bar]:
         ("tolerances", gap.after_n, "other"),
         ("unexplained", min(gap.floor_n, gap.after_n), "other"),
     ]
-    for name, left, kind in ends:
-        low, high = sorted((level, left))
-        bars.append(Bar(name, low, high, kind, _signed(left - level, unit)))
-        level = left
+    for name, level_after, kind in ends:
+        low, high = sorted((level, level_after))
+        bars.append(Bar(name, low, high, kind, _signed(level_after - level, unit)))
+        level = level_after
     floor = size_text(gap.floor_n, unit)
     return [*bars, Bar(_floor_name(verdict), 0.0, gap.floor_n, "floor", floor)]
 

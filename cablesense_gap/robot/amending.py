@@ -41,8 +41,8 @@ class _Beside(FilePart):
 @cache
 def known_effects() -> Mapping[str, RobotEffect]:
     """Effects by name, tolerances included: those of the folder `effects`."""
-    found = effects_in(effects, RobotEffect)
-    return MappingProxyType(dict(sorted(found.items())))
+    by_name = effects_in(effects, RobotEffect)
+    return MappingProxyType(dict(sorted(by_name.items())))
 
 
 def changed(robot: Robot, lists: Sequence[Assignment]) -> Change:
@@ -54,17 +54,17 @@ def changed(robot: Robot, lists: Sequence[Assignment]) -> Change:
     for values in lists:
         for (name, place), numbers in sorted(_by_site(values).items()):
             effect = known_effects()[name]
-            at = effect.places(robot).index(place)
-            effect.act(change, at, defaultdict(float, numbers))
+            place_index = effect.places(robot).index(place)
+            effect.act(change, place_index, defaultdict(float, numbers))
     return change
 
 
 def _by_site(values: Assignment) -> dict[tuple[str, str], dict[str, float]]:
     """Numbers by effect and place, then by parameter."""
-    found: dict[tuple[str, str], dict[str, float]] = {}
+    by_site: dict[tuple[str, str], dict[str, float]] = {}
     for term, value in values.items():
-        found.setdefault(term[:2], {})[term.parameter] = float(value)
-    return found
+        by_site.setdefault(term[:2], {})[term.parameter] = float(value)
+    return by_site
 
 
 def write_amended(folder: Path, robot: Robot, values: Assignment, beside: Assignment) -> None:
@@ -76,15 +76,15 @@ def write_amended(folder: Path, robot: Robot, values: Assignment, beside: Assign
         RobotError: the place cannot be written to.
     """
     write_atomically(folder / AMENDED_MODEL, amended_xml(robot, _in_model(values)), RobotError)
-    left = dict(beside)
+    remaining = dict(beside)
     for term, value in values.items():
         if term not in _in_model(values):  # what is found again comes on top
-            known = 0.0 if term.parameter in (PRESLIDING, SIDE) else left.get(term, 0.0)
-            left[term] = known + value
+            known = 0.0 if term.parameter in (PRESLIDING, SIDE) else remaining.get(term, 0.0)
+            remaining[term] = known + value
     content = {
         "model": AMENDED_MODEL,
         "effects": [
-            {"effect": e, "at": p, "parameters": n} for (e, p), n in _by_site(left).items()
+            {"effect": e, "at": p, "parameters": n} for (e, p), n in _by_site(remaining).items()
         ],
     }
     write_atomically(folder / BESIDE_MODEL, json.dumps(content, indent=2) + "\n", RobotError)
@@ -119,9 +119,9 @@ def amended_xml(robot: Robot, values: Assignment) -> str:
         joint.armature = change.armature[j]
         joint.frictionloss = change.friction[j]
         for name in ("damping", "stiffness"):
-            own = np.array(getattr(joint, name), dtype=float)
-            own[0] = getattr(change, name)[j]
-            setattr(joint, name, own)
+            coefficients = np.array(getattr(joint, name), dtype=float)
+            coefficients[0] = getattr(change, name)[j]
+            setattr(joint, name, coefficients)
     for a in robot.servos[change.servo_gain != 0.0].tolist():
         spec.actuators[a].gainprm = model.actuator_gainprm[a]
         spec.actuators[a].biasprm = model.actuator_biasprm[a]
@@ -147,15 +147,15 @@ def load_amended(path: str | Path) -> tuple[Robot, dict[Term, float]]:
     except ValidationError as error:
         problem = describe_problem(error, _Beside)
         raise RobotError(f"{beside}: is no list of effects ({problem}); diagnose again") from None
-    for each in listed:
-        effect = known_effects().get(each.effect)
+    for item in listed:
+        effect = known_effects().get(item.effect)
         if effect is None:
             raise RobotError(
-                f"{beside}: effect {each.effect!r} is unknown; known: {', '.join(known_effects())}"
+                f"{beside}: effect {item.effect!r} is unknown; known: {', '.join(known_effects())}"
             )
-        if each.at not in effect.places(robot):
+        if item.at not in effect.places(robot):
             raise RobotError(
-                f"{beside}: effect {each.effect} cannot be at {each.at!r}; valid: "
+                f"{beside}: effect {item.effect} cannot be at {item.at!r}; valid: "
                 f"{', '.join(effect.places(robot)[:8])}"
             )
     numbers = [(e, name, value) for e in listed for name, value in e.parameters.items()]

@@ -43,24 +43,28 @@ def exchanged(recording: RobotRecording, robot: Robot, left: Left) -> list[str]:
     As sentences. They are sought before any effect is fitted: such a column is no property of a
     robot, and effects that imitate it get impossible numbers.
     """
-    found: list[str] = []
+    sentences: list[str] = []
     while max((now := left(recording)).values()) >= _LEAVES:
         tried = [(_gain(now, left(each)), text, each) for text, each in _changes(recording, robot)]
         gain, text, changed = max(tried, key=lambda each: each[0])
-        if gain <= 0.0 or text in found:
+        if gain <= 0.0 or text in sentences:
             break
-        found.append(text)
+        sentences.append(text)
         recording = changed
-    return found
+    return sentences
 
 
 def _gain(before: Mapping[str, float], after: Mapping[str, float]) -> float:
     """By how much the channels that a change of columns touches are better, if that is plain."""
     pairs = np.array([(before[c], after.get(c, np.inf)) for c in before])
-    one, other = np.minimum(pairs[np.abs(np.diff(pairs)[:, 0]) > _TOUCHED], _MOST).T
-    was = float(one @ one)
-    left = float(other @ other)
-    return was - left if was >= len(one) * _LEAVES**2 and left <= _GAIN**2 * was else 0.0
+    was_off, now_off = np.minimum(pairs[np.abs(np.diff(pairs)[:, 0]) > _TOUCHED], _MOST).T
+    square_before = float(was_off @ was_off)
+    square_after = float(now_off @ now_off)
+    return (
+        square_before - square_after
+        if square_before >= len(was_off) * _LEAVES**2 and square_after <= _GAIN**2 * square_before
+        else 0.0
+    )
 
 
 def _changes(recording: RobotRecording, robot: Robot) -> Iterator[tuple[str, RobotRecording]]:
@@ -155,8 +159,11 @@ def _surprise(problem: Problem, explanation: Explanation) -> float:
             sure = max(abs(value) - explanation.deviations[term], 0.0)
             far[term[:2]].append(sure / (parameter.spread * parameter.typical))
     first = {site[0]: site for site in reversed(far)}
-    numbers = sum(len(own) for site, own in far.items() if site != first[site[0]])
-    return float(2.0 * sum(np.log(max(1.0, *own)) for own in far.values())) + _FURTHER * numbers
+    numbers = sum(len(distances) for site, distances in far.items() if site != first[site[0]])
+    return (
+        float(2.0 * sum(np.log(max(1.0, *distances)) for distances in far.values()))
+        + _FURTHER * numbers
+    )
 
 
 def of_verdict(
@@ -180,11 +187,11 @@ def of_verdict(
     nominal = robot.nominal()
     mass = change.mass_kg - nominal.mass_kg
     rotor = change.armature - nominal.armature
-    for name, places, more, own in (
+    for name, places, more, usual in (
         ("mass", robot.bodies, mass, nominal.mass_kg),
         ("inertia", robot.joints, rotor, inertia),
     ):
-        for k in np.flatnonzero(more > _FAR_BEYOND * own).tolist():
-            yield f"The {name} of {places[k]} is {1.0 + more[k] / own[k]:.1f} times the model's."
+        for k in np.flatnonzero(more > _FAR_BEYOND * usual).tolist():
+            yield f"The {name} of {places[k]} is {1.0 + more[k] / usual[k]:.1f} times the model's."
     if gap.removed_fraction < _LITTLE:
         yield f"The amended model leaves {1.0 - gap.removed_fraction:.0%} of the gap."

@@ -103,9 +103,9 @@ class ForwardComparison(MotionComparison):
         def joints(position: Array, speed: Array) -> tuple[Array, Array]:
             return (position - change.zero) / true @ moved.T, speed / true @ moved.T
 
-        at = self._at + change.delay_s * self._rate_hz
-        at = np.clip(at, self._ends[:, :1], self._ends[:, 1:])
-        torque = _at(self._torque, at)
+        sample_rows = self._at + change.delay_s * self._rate_hz
+        sample_rows = np.clip(sample_rows, self._ends[:, :1], self._ends[:, 1:])
+        torque = _at(self._torque, sample_rows)
         command = None
         applied = (torque - change.torque_offset) / (1.0 + change.torque_scale) @ back
         load = np.abs(applied).mean(1)
@@ -121,7 +121,7 @@ class ForwardComparison(MotionComparison):
             at_joint = change.armature * acceleration + change.damping * speed
             applied = applied + at_joint - at_drive @ back
         if self._command is not None:  # the model's actuators act as well
-            command = _at(self._command, at)
+            command = _at(self._command, sample_rows)
             by_model = torque
             if change.key(*_OF_READING) != robot.nominal().key(*_OF_READING):
                 by_model = self._actuated(joints(*self._path[:2]), command)
@@ -167,7 +167,7 @@ class ForwardComparison(MotionComparison):
         """(Q, S, J) what guides take of the tendons' torques, along the measured motion."""
         lost = self._tendons.lost(change, np.nan_to_num(self._motion.torque), at_drive=True)
         rows = self._motion.rows
-        return np.stack([np.interp(self._at, rows, own) for own in lost.T], axis=-1)
+        return np.stack([np.interp(self._at, rows, joint_lost) for joint_lost in lost.T], axis=-1)
 
     def _actuated(self, moved: tuple[Array, Array], command: Array) -> Array:
         """(Q, S, J) what actuators give at other positions than those that were read."""
@@ -197,11 +197,13 @@ class ForwardComparison(MotionComparison):
         models = model
         if change.load_friction.any():
             models = [copy.copy(model) for _ in load]
-            for own, torque in zip(models, np.sinh(change.load_friction) * load, strict=True):
-                own.dof_frictionloss[:] += torque
+            for window_model, torque in zip(
+                models, np.sinh(change.load_friction) * load, strict=True
+            ):
+                window_model.dof_frictionloss[:] += torque
         control = np.concatenate([command, applied], 2)
-        found, _ = rollout(models, data, states, control, control_spec=_CONTROL)
-        last = found[:, -1, 1 : 1 + 2 * joints]
+        rolled_out, _ = rollout(models, data, states, control, control_spec=_CONTROL)
+        last = rolled_out[:, -1, 1 : 1 + 2 * joints]
         position = last[:, :joints]
         speed = last[:, joints:]
         if model.opt.integrator != mujoco.mjtIntegrator.mjINT_RK4:
@@ -229,15 +231,15 @@ def _windows(
     first = 0
     for number, path in enumerate(motion.paths):
         inner = inner_rows(len(path), motion.rate_hz, motion.smoothed_hz)
-        own = first + np.arange(inner.start, inner.stop - span, span)
-        begins.append(own)
-        ends.append(np.tile([first, first + len(path) - 1], (len(own), 1)))
-        numbers.append(np.full(len(own), number))
+        trial_begins = first + np.arange(inner.start, inner.stop - span, span)
+        begins.append(trial_begins)
+        ends.append(np.tile([first, first + len(path) - 1], (len(trial_begins), 1)))
+        numbers.append(np.full(len(trial_begins), number))
         first += len(path)
     count = sum(len(own) for own in begins)
-    every = min(-(-count * span * substeps // _MOST_STEPS), count // _KEPT)
+    stride = min(-(-count * span * substeps // _MOST_STEPS), count // _KEPT)
     begin, end, trial = (
-        np.concatenate(each)[:: max(every, 1)] for each in (begins, ends, numbers)
+        np.concatenate(each)[:: max(stride, 1)] for each in (begins, ends, numbers)
     )
     if len(begin) < _FEWEST:
         raise RecordingError(

@@ -67,8 +67,11 @@ class InverseDynamics:
         behind: Array | Sequence[float] = (0.0, 0.0, 0.0)
         if self._gaps is not None and change.play.any():
             behind = self._gaps.moved(change.play)[:, self._gaps.rows]
-        both = zip(drive, behind, strict=True)
-        return drive, tuple(each + each @ change.coupling.T + gap for each, gap in both)
+        drives_and_gaps = zip(drive, behind, strict=True)
+        return drive, tuple(
+            drive_motion + drive_motion @ change.coupling.T + gap
+            for drive_motion, gap in drives_and_gaps
+        )
 
     def torques(self, change: Change) -> Array:
         """(R, J) as the drives' torques would be read."""
@@ -101,11 +104,13 @@ class InverseDynamics:
 
     def _slid(self, friction: Array, presliding: Array) -> Array:
         """(R, J) torque of dry friction, at most (J,), along the motion."""
-        found = np.zeros_like(self._motion.position)
+        friction_torque = np.zeros_like(self._motion.position)
         for j in np.flatnonzero(friction).tolist():
             key = j, float(presliding[j])
-            found[:, j] = friction[j] * self._slides.of(key, partial(self._motion.slid, *key))
-        return found
+            friction_torque[:, j] = friction[j] * self._slides.of(
+                key, partial(self._motion.slid, *key)
+            )
+        return friction_torque
 
     def _rigid(self, change: Change, moved: tuple[Array, Array, Array]) -> Array:
         """Torques of the bodies, with the nominal model's springs, dampers and rotors."""
@@ -146,7 +151,7 @@ class InverseDynamics:
         bare = replace(robot, model=light).nominal()
         bare.mass_kg[:] = _LEAST_KG
         bare.inertia_kg_m2[:] = _LEAST_KG * np.eye(3)
-        own = replace(robot, model=light)
+        light_robot = replace(robot, model=light)
         moved = motion.position, motion.speed, motion.acceleration
         torques = []
         parameters = []
@@ -154,22 +159,22 @@ class InverseDynamics:
             with_mass = bare.copied()
             with_mass.centre_m[b] = place
             with_mass.mass_kg[b] = 1.0
-            torques.append(inverse_dynamics(own.varied(with_mass), *moved))
+            torques.append(inverse_dynamics(light_robot.varied(with_mass), *moved))
             parameters.append(with_mass.inertial_parameters()[b])
         return np.einsum("kri,pk->rip", torques, np.linalg.inv(np.array(parameters)))
 
     def _later(self, torque: Array, delay_s: float) -> Array:
         motion = self._motion
-        found = np.empty_like(torque)
+        delayed = np.empty_like(torque)
         for t in np.unique(motion.trial):
             rows = motion.trial == t
             time_s = motion.time_s[rows]
             if len(time_s) < 4:
-                found[rows] = torque[rows]
+                delayed[rows] = torque[rows]
                 continue
-            at = np.clip(time_s - delay_s, time_s[0], time_s[-1])
-            found[rows] = CubicSpline(time_s, torque[rows])(at)
-        return found
+            earlier_s = np.clip(time_s - delay_s, time_s[0], time_s[-1])
+            delayed[rows] = CubicSpline(time_s, torque[rows])(earlier_s)
+        return delayed
 
 
 class InverseComparison(MotionComparison):
@@ -286,8 +291,8 @@ class ServoComparison(MotionComparison):
         self._motion = motion
         self._servos = Servos.of(robot)
         self._dynamics = InverseDynamics(robot, motion)
-        own = motion.command[:, robot.servos]
-        self._target = own * self._servos.per_command + self._servos.offset
+        servo_command = motion.command[:, robot.servos]
+        self._target = servo_command * self._servos.per_command + self._servos.offset
         self._gaps = BacklashMotion(robot, self._of_drives(robot))
         self.names = tuple(f"position.{joint}" for joint in robot.joints)
         self.columns = self.names
@@ -343,15 +348,23 @@ class ServoComparison(MotionComparison):
 
     def _torque(self, change: Change) -> Array:
         """(R, J) of the drives, with the joints where they were measured."""
-        none = np.zeros_like(change.zero)
+        zeros = np.zeros_like(change.zero)
         still = np.zeros_like(change.coupling)
         at_joint = replace(
-            change, coupling=still, play=none, torque_scale=none, torque_offset=none, delay_s=0.0
+            change,
+            coupling=still,
+            play=zeros,
+            torque_scale=zeros,
+            torque_offset=zeros,
+            delay_s=0.0,
         )
         torque = self._dynamics.torques(at_joint)
         return torque + torque @ change.coupling
 
     def _at(self, rows: Array, time_s: Array) -> Array:
         """Targets of a trial's rows at other times."""
-        own = self._motion.time_s[rows]
-        return np.stack([np.interp(time_s, own, each) for each in self._target[rows].T], axis=1)
+        trial_s = self._motion.time_s[rows]
+        return np.stack(
+            [np.interp(time_s, trial_s, joint_target) for joint_target in self._target[rows].T],
+            axis=1,
+        )

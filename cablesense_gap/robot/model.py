@@ -89,12 +89,12 @@ class Robot:
     def servos(self) -> NDArray[np.int64]:
         """(J,) number of the actuator that is a joint's position servo, -1 where none is."""
         model = self.model
-        found = np.full(len(self.joints), -1)
+        servo_of_joint = np.full(len(self.joints), -1)
         for a in range(model.nu):
             at_joint = model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
             if at_joint and model.actuator_biasprm[a, 1] < 0.0:
-                found[model.actuator_trnid[a, 0]] = a
-        return found
+                servo_of_joint[model.actuator_trnid[a, 0]] = a
+        return servo_of_joint
 
     @property
     def reach_m(self) -> float:
@@ -105,14 +105,14 @@ class Robot:
     def nominal(self) -> Change:
         """The robot as the model has it, for effects to change."""
         model = self.model
-        own = self.body_ids
+        ids = self.body_ids
         count = len(self.joints)
-        axes = np.array([_rotation(model.body_iquat[b]) for b in own])
+        axes = np.array([_rotation(model.body_iquat[b]) for b in ids])
         zeros: dict[str, Any] = {name: np.zeros(count) for name in _ZERO_BY_JOINT}
         return Change(
-            mass_kg=model.body_mass[own].copy(),
-            centre_m=model.body_ipos[own].copy(),
-            inertia_kg_m2=np.einsum("bij,bj,bkj->bik", axes, model.body_inertia[own], axes),
+            mass_kg=model.body_mass[ids].copy(),
+            centre_m=model.body_ipos[ids].copy(),
+            inertia_kg_m2=np.einsum("bij,bj,bkj->bik", axes, model.body_inertia[ids], axes),
             gravity_m_s2=model.opt.gravity.copy(),
             armature=model.dof_armature.copy(),
             damping=model.dof_damping.copy(),
@@ -261,8 +261,10 @@ def load_robot(path: str | Path) -> Robot:
         raise RobotError(f"{path}: joint number {names.index('')} has no name; give each one")
     joints = _as_places(path, names)
     geared, left_out = _geared(model)
-    own = [b for b in range(1, model.nbody) if model.body_weldid[b] and model.body_mass[b] > 0.0]
-    bodies = _as_places(path, [model.body(b).name for b in own])
+    body_numbers = [
+        b for b in range(1, model.nbody) if model.body_weldid[b] and model.body_mass[b] > 0.0
+    ]
+    bodies = _as_places(path, [model.body(b).name for b in body_numbers])
     guided = _guided(model)
     tendons = [model.tendon(t).name or f"tendon_{t}" for t in guided]
     return Robot(
@@ -272,7 +274,7 @@ def load_robot(path: str | Path) -> Robot:
         joints=joints,
         torque_units=tuple("N·m" if kind == _HINGE else "N" for kind in model.jnt_type),
         bodies=bodies,
-        body_ids=np.array(own, dtype=np.int64),
+        body_ids=np.array(body_numbers, dtype=np.int64),
         actuators=tuple(model.actuator(a).name or f"actuator_{a}" for a in range(model.nu)),
         tendons=_as_places(path, tendons),
         tendon_ids=np.array(guided, dtype=np.int64),
@@ -289,7 +291,7 @@ def inverse_dynamics(
     free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
     data = mujoco.MjData(free)
-    found = np.empty_like(position)
+    joint_forces = np.empty_like(position)
     qpos = data.qpos
     qvel = data.qvel
     qacc = data.qacc
@@ -300,15 +302,15 @@ def inverse_dynamics(
         qvel[:] = speed[row]
         qacc[:] = acceleration[row]
         inverse(free, data)
-        found[row] = forces
-    return found
+        joint_forces[row] = forces
+    return joint_forces
 
 
 def actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Array:
     """(T, J) what the model's actuators make of commands."""
     model = robot.model
     data = mujoco.MjData(robot.model)
-    found = np.empty_like(position)
+    joint_forces = np.empty_like(position)
     for row in range(len(position)):
         data.qpos[:] = position[row]
         data.qvel[:] = speed[row]
@@ -316,8 +318,8 @@ def actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Arr
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_fwdActuation(model, data)
-        found[row] = data.qfrc_actuator
-    return found
+        joint_forces[row] = data.qfrc_actuator
+    return joint_forces
 
 
 def read_spec(path: Path) -> mujoco.MjSpec:
@@ -366,7 +368,9 @@ def _guided(model: mujoco.MjModel) -> list[int]:
     pulled = np.unique(model.actuator_trnid[of_tendon, 0]).tolist()
     kinds = [model.wrap_type[model.tendon_adr[t] :][: model.tendon_num[t]] for t in pulled]
     return [
-        t for t, own in zip(pulled, kinds, strict=True) if len(own) > 2 and set(own) <= _GUIDES
+        t
+        for t, wrap_kinds in zip(pulled, kinds, strict=True)
+        if len(wrap_kinds) > 2 and set(wrap_kinds) <= _GUIDES
     ]
 
 

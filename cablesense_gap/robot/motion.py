@@ -139,9 +139,9 @@ class Trajectory:
         """
         if presliding <= 0.0:
             return self.direction[:, joint]
-        own = np.zeros_like(self.position)
-        own[:, joint] = 1.0
-        return self.slid_along(own, presliding)
+        unit_motion = np.zeros_like(self.position)
+        unit_motion[:, joint] = 1.0
+        return self.slid_along(unit_motion, presliding)
 
     def slid_along(self, by_joint: Array, give: float) -> Array:
         """(R,) the same along a way that grows by (R, J) of each joint's motion."""
@@ -232,12 +232,16 @@ class Motion(Trajectory):
 
     def slid_along(self, by_joint: Array, give: float) -> Array:
         """As of a trajectory; between rows a joint may turn round, so it goes the whole path."""
-        found = []
-        for path, rows, own in zip(self.paths, self.inner, self._by_trial(by_joint), strict=True):
-            whole = np.stack([np.interp(np.arange(len(path)), rows, b) for b in own.T], axis=1)
+        shares = []
+        for path, rows, trial_joints in zip(
+            self.paths, self.inner, self._by_trial(by_joint), strict=True
+        ):
+            whole = np.stack(
+                [np.interp(np.arange(len(path)), rows, b) for b in trial_joints.T], axis=1
+            )
             share = _dahl(_way(path, whole), give)
-            found.append(smoothed(share, self.rate_hz, self.smoothed_hz)[rows])
-        return np.concatenate(found)
+            shares.append(smoothed(share, self.rate_hz, self.smoothed_hz)[rows])
+        return np.concatenate(shares)
 
     def compared(self, torque: Array) -> Array:
         """(Q, J) of torques (R, J): those that do not count taken out, then the low-pass."""
@@ -246,7 +250,9 @@ class Motion(Trajectory):
     def passed(self, values: Array) -> Array:
         """(Q, J) of values (R, J) behind the low-pass."""
         parts = self._by_trial(values)
-        return np.concatenate([own @ part for own, part in zip(self.passes, parts, strict=True)])
+        return np.concatenate(
+            [low_pass @ part for low_pass, part in zip(self.passes, parts, strict=True)]
+        )
 
 
 def inner_rows(count: int, rate_hz: float, smoothed_hz: float) -> slice:
@@ -266,11 +272,11 @@ def _dahl(position: Array, presliding: float) -> Array:
     moved = np.diff(position, prepend=position[0])
     stays = np.exp(-np.abs(moved) / presliding)
     share = 0.0
-    found = []
+    shares = []
     for way, stay in zip(np.sign(moved).tolist(), stays.tolist(), strict=True):
         share = way + (share - way) * stay
-        found.append(share)
-    return np.array(found)
+        shares.append(share)
+    return np.array(shares)
 
 
 class MotionComparison(ABC):

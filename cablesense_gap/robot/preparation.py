@@ -154,24 +154,24 @@ def _evenly_sampled(recording: RobotRecording) -> tuple[list[Trial], float]:
     """Every trial at one rate, that of most rows, and its interval, s."""
     same = np.diff(recording.trial) == 0
     interval_s = float(np.median(np.diff(recording.time_s)[same]))
-    found = []
+    trials = []
     for number in np.unique(recording.trial).tolist():
         rows = np.flatnonzero(recording.trial == number)
-        own = recording.time_s[rows]
-        count = int((own[-1] - own[0]) / interval_s + 0.5) + 1
+        recorded_s = recording.time_s[rows]
+        count = int((recorded_s[-1] - recorded_s[0]) / interval_s + 0.5) + 1
         if count < _FEWEST_SAMPLES:
             continue
-        time_s = own[0] + interval_s * np.arange(count)
+        time_s = recorded_s[0] + interval_s * np.arange(count)
         position, torque, command = (
-            _interpolated(time_s, own, values[rows])
+            _interpolated(time_s, recorded_s, values[rows])
             for values in (recording.position, recording.torque, recording.command)
         )
-        found.append(Trial(number, time_s, position, _without_glitches(torque), command))
-    if not found:
+        trials.append(Trial(number, time_s, position, _without_glitches(torque), command))
+    if not trials:
         raise RecordingError(
             f"{recording.name}: no trial has {_FEWEST_SAMPLES} rows; record longer ones"
         )
-    return found, interval_s
+    return trials, interval_s
 
 
 def _interpolated(at_s: Array, time_s: Array, values: Array) -> Array:
@@ -237,9 +237,9 @@ def _frequency_below(
 def _mean_spectrum(signals: Sequence[Array], rate_hz: float) -> tuple[Array, Array]:
     """Frequencies (F,) and power densities (F, J) of signals (T, J), over all of them."""
     count = min(int(np.median([len(s) for s in signals])), int(_SPECTRUM_S * rate_hz))
-    every = [s for s in signals if len(s) >= count]
-    found = [welch(s, rate_hz, nperseg=count, axis=0, detrend="constant") for s in every]
-    return found[0][0], np.asarray(np.mean([density for _, density in found], axis=0))
+    long_signals = [s for s in signals if len(s) >= count]
+    spectra = [welch(s, rate_hz, nperseg=count, axis=0, detrend="constant") for s in long_signals]
+    return spectra[0][0], np.asarray(np.mean([density for _, density in spectra], axis=0))
 
 
 def _noise_density(
@@ -269,8 +269,10 @@ def _noise(trials: Sequence[Trial], rate_hz: float) -> Noise:
     long = [t for t in trials if len(t.position) >= 0.5 * longest]
     densities = []
     for signals in ([t.position for t in long], [t.torque for t in long]):
-        each = [_noise_density(np.nan_to_num(s), rate_hz, rate_hz / 4.0) for s in signals]
-        densities.append(np.median(each, axis=0))
+        trial_densities = [
+            _noise_density(np.nan_to_num(s), rate_hz, rate_hz / 4.0) for s in signals
+        ]
+        densities.append(np.median(trial_densities, axis=0))
     return Noise(*densities)
 
 
@@ -279,13 +281,13 @@ def _inertia(robot: Robot, position: Array) -> Array:
     model = robot.model
     data = mujoco.MjData(robot.model)
     whole = np.zeros((model.nv, model.nv))
-    found = []
+    diagonals = []
     for row in np.linspace(0, len(position) - 1, 20).astype(int):
         data.qpos[:] = position[row]
         mujoco.mj_forward(model, data)
         mujoco.mj_fullM(model, data, whole)
-        found.append(whole.diagonal().copy())
-    return np.asarray(np.mean(found, axis=0))
+        diagonals.append(whole.diagonal().copy())
+    return np.asarray(np.mean(diagonals, axis=0))
 
 
 def _smoothing_hz(
@@ -296,12 +298,12 @@ def _smoothing_hz(
     As compared it stays below the noise of the torques, or 1 % of the torques.
     """
     torque = np.concatenate([t.torque for t in trials])
-    own = noise_of_smoothed(noise.torque, compared_hz)
-    least = np.maximum(own, 0.01 * np.nan_to_num(torque.std(0)).max())
+    torque_noise = noise_of_smoothed(noise.torque, compared_hz)
+    least = np.maximum(torque_noise, 0.01 * np.nan_to_num(torque.std(0)).max())
     good = compared_hz
     for tried_hz in np.geomspace(compared_hz, most_hz, 20):
-        left = _noise_of_acceleration(noise.position, compared_hz, float(tried_hz))
-        if (inertia * left <= least).all():
+        acceleration_noise = _noise_of_acceleration(noise.position, compared_hz, float(tried_hz))
+        if (inertia * acceleration_noise <= least).all():
             good = float(tried_hz)
     return good
 
@@ -352,12 +354,12 @@ def _low_passes(
     kept = []
     begin = 0
     for count in counts:
-        own = np.arange(min(edge, count // 2), count - edge, step)
+        kept_rows = np.arange(min(edge, count // 2), count - edge, step)
         whole = np.eye(count)
         if compared_hz < rows_hz / 2.5:
             whole = smoothed(whole, rows_hz, compared_hz)
-        passes.append(whole[own])
-        kept.append(begin + own)
+        passes.append(whole[kept_rows])
+        kept.append(begin + kept_rows)
         begin += count
     return tuple(passes), np.concatenate(kept)
 
@@ -388,15 +390,15 @@ def _noise_at_rest(
     changes more slowly, and differs from rest to rest.
     """
     least = int(_REST_S * rate_hz)
-    found = []
+    densities = []
     low_hz = max(compared_hz, 1.0 / _REST_S)
     for trial, part in zip(trials, parts, strict=True):
         still = part["moving"].max(1) == 0
         edge = (len(trial.time_s) - len(still)) // 2
         ends = np.flatnonzero(np.diff(still.astype(int), prepend=0, append=0)) + edge
-        found += [
+        densities += [
             _noise_density(torque, rate_hz, low_hz, 2.0 * low_hz)
             for begin, end in zip(ends[::2], ends[1::2], strict=True)
             if len(torque := np.nan_to_num(trial.torque[begin:end])) >= least
         ]
-    return np.median(found, axis=0) if found else np.zeros(trials[0].position.shape[1])
+    return np.median(densities, axis=0) if densities else np.zeros(trials[0].position.shape[1])

@@ -76,8 +76,8 @@ def standard_protocol(robot: Robot) -> list[RobotBlock]:
         waves = np.zeros((len(time_s), len(reach)))
         for times in (1.0, _FAST, 2.0 * _FAST):
             begin = rng.uniform(0.0, 2.0 * np.pi, len(reach))
-            at = 2.0 * np.pi * times * time_s[:, None] / period_s + begin
-            waves += np.sin(at) * reach / (3.0 * times)
+            phase_rad = 2.0 * np.pi * times * time_s[:, None] / period_s + begin
+            waves += np.sin(phase_rad) * reach / (3.0 * times)
         does = "move all joints at once, each as a sum of three sines"
         blocks.append(RobotBlock("all joints", does, middle + waves))
     return blocks

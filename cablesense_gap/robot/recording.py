@@ -81,9 +81,9 @@ def read_recording(path: str | Path, robot: Robot) -> RobotRecording:
     parts = [_part(file, table, robot) for file, table in tables.items()]
     trials, note = _trials(parts, list(tables.values()))
     name = path.name if path.is_dir() else csv_stem(path)
-    every = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-    _check(path, robot, every, trials)
-    return RobotRecording(name, trial=trials, notes=(note,), **every)
+    arrays = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    _check(path, robot, arrays, trials)
+    return RobotRecording(name, trial=trials, notes=(note,), **arrays)
 
 
 def _files(path: Path) -> list[Path]:
@@ -132,8 +132,8 @@ def bag_table(path: Path, robot: Robot) -> dict[str, Array]:
             continue
         names |= set(message.name)
         if commands and actuators and set(actuators) <= set(message.name):
-            given = message.effort if len(message.effort) else message.position
-            ordered = _in_order(message.name, given, actuators)
+            commanded = message.effort if len(message.effort) else message.position
+            ordered = _in_order(message.name, commanded, actuators)
             command = command if ordered is None else ordered
             continue
         position = _in_order(message.name, message.position, joints)
@@ -172,8 +172,8 @@ def _in_order(names: Sequence[str], values: Any, wanted: Sequence[str]) -> Array
     """Values of the wanted names; none unless all are there, with one value for each name."""
     if len(values) != len(names) or not set(wanted) <= set(names):
         return None
-    at = {name: k for k, name in enumerate(names)}
-    return np.asarray(values, dtype=float)[[at[name] for name in wanted]]
+    position_of = {name: k for k, name in enumerate(names)}
+    return np.asarray(values, dtype=float)[[position_of[name] for name in wanted]]
 
 
 def _part(path: Path, table: dict[str, Array], robot: Robot) -> dict[str, Array]:
@@ -186,8 +186,10 @@ def _part(path: Path, table: dict[str, Array], robot: Robot) -> dict[str, Array]
     if rows < 2:
         raise RecordingError(f"{path}: has {rows} rows; a recording of motion has thousands")
     names = {"position": robot.joints, "torque": robot.joints, "command": robot.actuators}
-    labels = {kind: [f"{kind}.{name}" for name in own] for kind, own in names.items()}
-    known = [label for own in labels.values() for label in own]
+    labels = {
+        kind: [f"{kind}.{name}" for name in kind_names] for kind, kind_names in names.items()
+    }
+    known = [label for kind_labels in labels.values() for label in kind_labels]
     _refuse_other_names(path, table, robot, set(known))
     for name in filter(table.__contains__, ("time_s", "trial", *known)):
         gaps = np.flatnonzero(~np.isfinite(table[name]))
@@ -203,7 +205,10 @@ def _part(path: Path, table: dict[str, Array], robot: Robot) -> dict[str, Array]
         columns = [table.get(label, np.full(rows, np.nan)) for label in own]
         return np.ascontiguousarray(np.array(columns).reshape(len(own), rows).T)
 
-    return {"time_s": table["time_s"], **{kind: stacked(own) for kind, own in labels.items()}}
+    return {
+        "time_s": table["time_s"],
+        **{kind: stacked(kind_labels) for kind, kind_labels in labels.items()},
+    }
 
 
 def _refuse_other_names(
@@ -213,11 +218,11 @@ def _refuse_other_names(
     missing = [j for j in robot.joints if f"position.{j}" not in table]
     others = [name for name in table if "." in name and name not in known]
     surplus = sorted({name.partition(".")[2] for name in others})
-    found = [f"misses the position of {some_of(missing)}"] if missing else []
-    found += [f"has {some_of(surplus)}, which the model has not"] if surplus else []
-    if found:
+    defects = [f"misses the position of {some_of(missing)}"] if missing else []
+    defects += [f"has {some_of(surplus)}, which the model has not"] if surplus else []
+    if defects:
         raise RecordingError(
-            f"{path}: {' and '.join(found)}; {robot.path.name} has the joints "
+            f"{path}: {' and '.join(defects)}; {robot.path.name} has the joints "
             f"{some_of(robot.joints, 12)}"
             + (f" and the actuators {some_of(robot.actuators, 12)}" if robot.actuators else "")
         )
@@ -232,10 +237,10 @@ def _trials(
     how = "by their column" if all("trial" in table for table in tables) else "by file and pause"
     for part, table in zip(parts, tables, strict=True):
         if "trial" in table:
-            own = np.unique(table["trial"], return_inverse=True)[1]
+            file_trials = np.unique(table["trial"], return_inverse=True)[1]
         else:
-            own = _by_pauses(part["time_s"], part["position"])
-        trials.append(begin + own)
+            file_trials = _by_pauses(part["time_s"], part["position"])
+        trials.append(begin + file_trials)
         begin = int(trials[-1].max()) + 1
     trial = np.concatenate(trials)
     if begin < FEWEST_TRIALS:

@@ -125,13 +125,13 @@ class RobotSystem(System):
     def _predicted(self, variant: Assignment) -> Array:
         try:
             change = changed(self.robot, [self.listed, variant])
-            found = self.comparison.predicted(change) / self.comparison.noise
+            predicted = self.comparison.predicted(change) / self.comparison.noise
         except RobotError:
             return np.full(self.readings.shape, np.nan)
         for rows, by_zeros, fitting in self._zeros:
-            zeros = fitting @ (self.readings - found)[rows].ravel()
-            found[rows] += (by_zeros @ zeros).reshape(-1, found.shape[1])
-        return found
+            zeros = fitting @ (self.readings - predicted)[rows].ravel()
+            predicted[rows] += (by_zeros @ zeros).reshape(-1, predicted.shape[1])
+        return predicted
 
     @cached_property
     def nominal(self) -> Array:
@@ -141,8 +141,8 @@ class RobotSystem(System):
     def gaps(self) -> list[tuple[str, str, float, float]]:
         """Name, unit, RMS of measured less `nominal`, and RMS of measured, of each channel."""
         compared = self.comparison
-        both = compared.readings - self.nominal, compared.readings
-        sizes = [np.sqrt((each**2).mean(0)).tolist() for each in both]
+        gap_and_readings = compared.readings - self.nominal, compared.readings
+        sizes = [np.sqrt((each**2).mean(0)).tolist() for each in gap_and_readings]
         return list(zip(compared.names, compared.units, *sizes, strict=True))
 
     def _of_zeros(self) -> tuple[_Zeros, ...]:
@@ -157,12 +157,14 @@ class RobotSystem(System):
 
         ends = [[read(k, off) for k in range(len(joints))] for off in (_PROBED, -_PROBED)]
         by_zero = (np.array(ends[0]) - np.array(ends[1])) / (2.0 * _PROBED)
-        found: list[_Zeros] = []
+        zeros_by_trial: list[_Zeros] = []
         for rows in (trial == number for number in np.unique(trial)):
-            own = by_zero[:, rows].reshape(len(joints), -1).T
-            known = own.T @ own + np.eye(len(joints)) / _USUAL**2
-            found.append((rows, own, np.asarray(np.linalg.solve(known, own.T))))
-        return tuple(found)
+            trial_columns = by_zero[:, rows].reshape(len(joints), -1).T
+            known = trial_columns.T @ trial_columns + np.eye(len(joints)) / _USUAL**2
+            zeros_by_trial.append(
+                (rows, trial_columns, np.asarray(np.linalg.solve(known, trial_columns.T)))
+            )
+        return tuple(zeros_by_trial)
 
     def with_listed(self, values: Assignment) -> RobotSystem:
         """Values of the same number are added."""
@@ -189,11 +191,15 @@ class RobotSystem(System):
         usual = self._conditions
         if not isinstance(comparison, InverseComparison):
             return None
-        change, own = (changed(self.robot, [self.listed, v]) for v in (variant, {}))
-        gain = comparison.of_channels((1.0 + change.torque_scale) / (1.0 + own.torque_scale))
-        if change.key(*OF_POSITION) != own.key(*OF_POSITION):
-            both = zip(comparison.moved(change), comparison.moved(own), strict=True)
-            position, speed = (there - here for there, here in both)
+        change, nominal_change = (changed(self.robot, [self.listed, v]) for v in (variant, {}))
+        gain = comparison.of_channels(
+            (1.0 + change.torque_scale) / (1.0 + nominal_change.torque_scale)
+        )
+        if change.key(*OF_POSITION) != nominal_change.key(*OF_POSITION):
+            moved_pairs = zip(
+                comparison.moved(change), comparison.moved(nominal_change), strict=True
+            )
+            position, speed = (altered - nominal for altered, nominal in moved_pairs)
             usual = Conditions(usual.position + position, usual.speed + speed, usual.load)
         elif (gain == 1.0).all():
             return None
@@ -202,8 +208,8 @@ class RobotSystem(System):
     def model_error(self, problem: Problem, found: Sequence[Explanation]) -> Array | None:
         """A tenth of the torque, if the best explanation is far from every joint's floor."""
         best = min(found, key=lambda each: each.held_out_rmse)
-        left = np.sqrt(((problem.readings - best.held_out) ** 2).mean(0))
-        if not isinstance(self.comparison, InverseComparison) or left.min() < _FITS:
+        residual_rms = np.sqrt(((problem.readings - best.held_out) ** 2).mean(0))
+        if not isinstance(self.comparison, InverseComparison) or residual_rms.min() < _FITS:
             return None
         return np.asarray(_MODEL_ERROR * np.sqrt((self.readings**2).mean(0)))
 
@@ -227,11 +233,11 @@ class RobotSystem(System):
 
     def unlisted(self, problem: Problem, residual: Array) -> Unlisted:
         """The channel and the trial with the largest residual."""
-        left = np.sqrt((residual**2).mean(0))
-        worst = int(left.argmax())
+        residual_rms = np.sqrt((residual**2).mean(0))
+        worst = int(residual_rms.argmax())
         by_trial = np.bincount(self.trial, (residual**2).mean(1))
         size = np.sqrt(by_trial / np.bincount(self.trial))
-        most = f"Most is left at {self.comparison.names[worst]}: {left[worst]:.3g} floors."
+        most = f"Most is left at {self.comparison.names[worst]}: {residual_rms[worst]:.3g} floors."
         again = (
             f"Repeat trial {size.argmax()}, which has the largest residual ({size.max():.3g} "
             "floors), then at half the speed and with one joint at a time. A residual that "
@@ -259,8 +265,8 @@ class RobotSystem(System):
 
     def left_shares(self) -> dict[str, float]:
         """By channel, the nominal model's residual as a share of the measured values, RMS."""
-        left = self.readings - self.predict([{}])[0]
-        size, whole = (np.linalg.norm(each, axis=0) for each in (left, self.readings))
+        residual = self.readings - self.predict([{}])[0]
+        size, whole = (np.linalg.norm(each, axis=0) for each in (residual, self.readings))
         shares = np.divide(size, whole, out=np.zeros_like(size), where=whole > 0.0)
         return dict(zip(self.comparison.names, shares.tolist(), strict=True))
 
@@ -274,29 +280,38 @@ class RobotSystem(System):
         predicted = self.predict([{}])[0]
         nuisances = np.ones_like(motion.speed), motion.speed, motion.direction
         of_joints = np.stack([motion.compared(each) for each in nuisances], axis=-1)
-        found = []
+        complaints = []
         for c, name in enumerate(self.comparison.names):
-            own = of_joints[:, self.robot.joints.index(name)]
-            both = np.column_stack([self.readings[:, c], predicted[:, c]])
-            both -= own @ np.linalg.lstsq(own, both, rcond=None)[0]
-            measured, modelled = np.linalg.norm(both, axis=0)
+            joint_nuisances = of_joints[:, self.robot.joints.index(name)]
+            channel_pair = np.column_stack([self.readings[:, c], predicted[:, c]])
+            channel_pair -= (
+                joint_nuisances @ np.linalg.lstsq(joint_nuisances, channel_pair, rcond=None)[0]
+            )
+            measured, modelled = np.linalg.norm(channel_pair, axis=0)
             judged = modelled > _JUDGED * np.linalg.norm(predicted[:, c])
-            if judged and both[:, 0] @ both[:, 1] < -_AGAINST * measured * modelled:
-                found.append(f"{self.comparison.columns[c]} looks as if it had the other sign")
-        return found
+            if (
+                judged
+                and channel_pair[:, 0] @ channel_pair[:, 1] < -_AGAINST * measured * modelled
+            ):
+                complaints.append(
+                    f"{self.comparison.columns[c]} looks as if it had the other sign"
+                )
+        return complaints
 
     def doubtful(self) -> list[str]:
         """Channels that follow the model's, but in another unit."""
         predicted = self.predict([{}])[0]
-        own, theirs = (np.linalg.norm(each, axis=0) for each in (self.readings, predicted))
-        found = []
-        for c in np.flatnonzero(own * theirs):
-            follows = self.readings[:, c] @ predicted[:, c] > _FOLLOWS * own[c] * theirs[c]
-            ratio = own[c] / theirs[c]
+        measured, modelled = (np.linalg.norm(each, axis=0) for each in (self.readings, predicted))
+        sentences = []
+        for c in np.flatnonzero(measured * modelled):
+            follows = self.readings[:, c] @ predicted[:, c] > _FOLLOWS * measured[c] * modelled[c]
+            ratio = measured[c] / modelled[c]
             if follows and not 1.0 / _OTHER_UNIT < ratio < _OTHER_UNIT:
                 column = self.comparison.columns[c]
-                found.append(f"{column} is {ratio:.2g} times the model's value: check its unit.")
-        return found
+                sentences.append(
+                    f"{column} is {ratio:.2g} times the model's value: check its unit."
+                )
+        return sentences
 
 
 @dataclass(frozen=True)
@@ -340,8 +355,8 @@ def wrong_columns(
         compared = prepared(recorded, robot, bandwidth_hz, forward=False, zeroed=zeroed)
         return RobotSystem(robot, compared, beside)
 
-    found = doubts.exchanged(recording, robot, lambda each: by_torque(each).left_shares())
-    return found or by_torque(recording).reversed_channels()
+    exchanged = doubts.exchanged(recording, robot, lambda each: by_torque(each).left_shares())
+    return exchanged or by_torque(recording).reversed_channels()
 
 
 def diagnose(
@@ -373,8 +388,8 @@ def diagnose(
     began_s = time.monotonic()
     progress("smoothing", 0.0)
 
-    own = {"zeroed": zeroed, "external": external}
-    motion = prepared(recording, robot, bandwidth_hz, forward, **own)
+    options = {"zeroed": zeroed, "external": external}
+    motion = prepared(recording, robot, bandwidth_hz, forward, **options)
 
     suspect = [] if external else wrong_columns(recording, robot, beside, bandwidth_hz, zeroed)
     if suspect and not force:
@@ -390,14 +405,14 @@ def diagnose(
         progress("fitting the reference", 0.0)
         healthy = _healthy(reference, system)
         system = system.with_listed(healthy.tolerances)
-    found = diagnose_system(system, progress, workers, began_s, healthy)
+    diagnosis = diagnose_system(system, progress, workers, began_s, healthy)
     tolerances = {} if healthy is None else healthy.tolerances
     return RobotDiagnosis(
         system=system,
-        verdict=found.verdict,
-        amended={**found.values, **added(found.tolerances, tolerances)},
-        before=found.nominal * system.comparison.noise,
-        after=found.held_out * system.comparison.noise,
+        verdict=diagnosis.verdict,
+        amended={**diagnosis.values, **added(diagnosis.tolerances, tolerances)},
+        before=diagnosis.nominal * system.comparison.noise,
+        after=diagnosis.held_out * system.comparison.noise,
         findings=(
             *recording.notes,
             *(f"{column[0].upper()}{column[1:]}." for column in suspect),
@@ -420,8 +435,10 @@ def _healthy(reference: RobotRecording, system: RobotSystem) -> Reference:
     """
     motion = system.motion
     alike = {"zeroed": motion.zeroed, "external": motion.external}
-    own = prepared(reference, system.robot, motion.compared_hz, motion.forward, **alike)
-    known = RobotSystem(system.robot, own, system.listed)
+    reference_motion = prepared(
+        reference, system.robot, motion.compared_hz, motion.forward, **alike
+    )
+    known = RobotSystem(system.robot, reference_motion, system.listed)
     known.recording_name = reference.name
     columns, others = (set(each.comparison.columns) for each in (system, known))
     if columns != others:

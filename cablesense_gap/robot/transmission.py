@@ -52,36 +52,36 @@ class BacklashMotion:
 
     def moved(self, play: Array) -> Array:
         """Positions, speeds and accelerations (3, ΣT, J) of joints from drives, smoothed alike."""
-        found = np.zeros((3, sum(map(len, self._motion.paths)), len(play)))
+        motion_in_gaps = np.zeros((3, sum(map(len, self._motion.paths)), len(play)))
         for j in np.flatnonzero(play).tolist():
             key = j, float(play[j])
-            found[:, :, j] = self._known.of(key, partial(self._of_joint, *key))
-        return found
+            motion_in_gaps[:, :, j] = self._known.of(key, partial(self._of_joint, *key))
+        return motion_in_gaps
 
     def _of_joint(self, joint: int, play: float) -> Array:
         motion = self._motion
-        found = []
+        by_trial = []
         for free in self._free_acceleration:
             gap = _place_in_gap(free[:, joint], 0.5 * play, 1.0 / motion.rate_hz)[:, None]
             smooth = smoothed(gap, motion.rate_hz, motion.smoothed_hz)
             moved = smooth, *derivatives(smooth, motion.rate_hz)
-            found.append(np.hstack(moved).T)
-        return np.concatenate(found, 1)
+            by_trial.append(np.hstack(moved).T)
+        return np.concatenate(by_trial, 1)
 
 
 def _place_in_gap(acceleration: Array, reach: float, interval_s: float) -> Array:
     """(T,) positions within ±`reach` of a joint that moves freely with an acceleration (T,)."""
     place = float(np.sign(acceleration[0])) * reach
     speed = 0.0
-    found = []
-    for each in acceleration.tolist():
-        speed += each * interval_s
+    places = []
+    for free_acceleration in acceleration.tolist():
+        speed += free_acceleration * interval_s
         place += speed * interval_s
         if abs(place) >= reach:
             place = reach if place > 0.0 else -reach
             speed = 0.0
-        found.append(place)
-    return np.array(found)
+        places.append(place)
+    return np.array(places)
 
 
 class GuidedTendons:
@@ -124,8 +124,8 @@ class GuidedTendons:
             force[row] = data.actuator_force
             moment = data.actuator_moment, data.moment_rownnz, data.moment_rowadr
             mujoco.mju_sparse2dense(moments[row], *moment, data.moment_colind)
-            for t, own in guides.items():
-                paths[t].append(_followed(model, data, data.ten_wrapadr[t], own))
+            for t, tendon_guides in guides.items():
+                paths[t].append(_followed(model, data, data.ten_wrapadr[t], tendon_guides))
         known = np.isfinite(motion.command).all() and not model.na
         return (
             moments,
@@ -144,16 +144,16 @@ class GuidedTendons:
         tension_n = self._least_n(moments, torque) if known_n is None else known_n
         lost = {k: self._lost_m(k, change, np.sign(tension_n[:, k])) for k in used}
         if known_n is None and not at_drive:
-            left = moments - sum(self._pulls[k][:, None] * lost[k][:, None] for k in used)
-            tension_n = self._least_n(left, torque)
+            moments_left = moments - sum(self._pulls[k][:, None] * lost[k][:, None] for k in used)
+            tension_n = self._least_n(moments_left, torque)
         return np.asarray(sum(tension_n[:, k, None] * lost[k] for k in used))
 
     def _least_n(self, moment: Array, torque: Array) -> Array:
         """(R, K) tensions of actuators with moments (R, A, J) that give torques (R, J)."""
         square = moment.swapaxes(1, 2) @ moment
-        own = np.maximum(np.trace(square, axis1=1, axis2=2), _LEAST_M**2)[:, None, None]
+        scale = np.maximum(np.trace(square, axis1=1, axis2=2), _LEAST_M**2)[:, None, None]
         by_joint = np.linalg.solve(
-            square + _RIDGE * own * np.eye(square.shape[-1]), torque[..., None]
+            square + _RIDGE * scale * np.eye(square.shape[-1]), torque[..., None]
         )
         return np.asarray((moment @ by_joint)[..., 0] @ self._pulls.T)
 
@@ -169,10 +169,10 @@ class GuidedTendons:
         way_m = (np.abs(beyond).max(0) * np.ptp(self._motion.position, axis=0)).sum(1)
         gives_m = np.maximum(change.capstan_presliding[k], _LEAST_GIVE * way_m + _LEAST_M)
         if known_n is None:
-            left = self._left_rigid(k, sign, beyond, limit, gives_m)
+            kept_shares = self._left_rigid(k, sign, beyond, limit, gives_m)
         else:
-            left = self._left_elastic(known_n[:, k], sign, beyond, limit, gives_m.max())
-        return np.einsum("rp,rpj->rj", left - 1.0, lever_m[:, 1:])
+            kept_shares = self._left_elastic(known_n[:, k], sign, beyond, limit, gives_m.max())
+        return np.einsum("rp,rpj->rj", kept_shares - 1.0, lever_m[:, 1:])
 
     def _left_elastic(
         self, known_n: Array, sign: Array, beyond: Array, limit: Array, give_m: float
@@ -192,8 +192,8 @@ class GuidedTendons:
         longer = np.vstack([0.0 * limit[:1], np.einsum("rpj,rj->rp", between, moved)])
         pulled_n = limit.mean() * near_n.mean() / give_m * sign[:, None] * longer
         begins = (np.diff(trial, prepend=trial[0] - 1) != 0).astype(float)
-        found_n = pulled_over_guides_n(near_n, pulled_n, np.exp(limit), begins)
-        return np.asarray(found_n / near_n[:, None])
+        beyond_n = pulled_over_guides_n(near_n, pulled_n, np.exp(limit), begins)
+        return np.asarray(beyond_n / near_n[:, None])
 
     def _left_rigid(
         self, k: int, sign: Array, beyond: Array, limit: Array, gives_m: Array
@@ -202,12 +202,14 @@ class GuidedTendons:
         from cablesense_sim.cable_chain import kept
 
         def shares() -> Array:
-            found = np.zeros(limit.shape)
+            slip_shares = np.zeros(limit.shape)
             for p in np.flatnonzero(np.abs(beyond).max((0, 2)) > _LEAST_M).tolist():
                 same = p and np.allclose(beyond[:, p], beyond[:, p - 1], rtol=0.0, atol=_LEAST_M)
                 slid = self._motion.slid_along
-                found[:, p] = found[:, p - 1] if same else slid(-beyond[:, p], gives_m[p])
-            return found
+                slip_shares[:, p] = (
+                    slip_shares[:, p - 1] if same else slid(-beyond[:, p], gives_m[p])
+                )
+            return slip_shares
 
         share = self._shares.of((k, float(gives_m.max())), shares)
         return kept(share * sign[:, None], limit)
@@ -215,12 +217,14 @@ class GuidedTendons:
 
 def _guides(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int]]:
     """The geom (-1 for a site) and the body of each end and guide of a tendon."""
-    own = slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
+    wraps = slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
     return [
         (-1, int(model.site_bodyid[number]))
         if kind == _SITE
         else (number, model.geom_bodyid[number])
-        for kind, number in zip(model.wrap_type[own], model.wrap_objid[own].tolist(), strict=True)
+        for kind, number in zip(
+            model.wrap_type[wraps], model.wrap_objid[wraps].tolist(), strict=True
+        )
     ]
 
 
@@ -237,22 +241,22 @@ def _followed(
     met = data.wrap_obj.ravel()
     lever = np.zeros((len(guides) - 1, model.nv))
     turn = np.zeros(len(guides) - 1)
-    here = np.zeros((3, model.nv))
-    there = np.zeros((3, model.nv))
+    last_jacobian = np.zeros((3, model.nv))
+    jacobian = np.zeros((3, model.nv))
     last = 0
     way = np.zeros(3)
     for n, (geom, body) in enumerate(guides):
         if geom >= 0 and met[at] != geom:
             continue
         if n:
-            mujoco.mj_jac(model, data, there, None, place[at], body)
+            mujoco.mj_jac(model, data, jacobian, None, place[at], body)
             straight = place[at] - place[at - 1]
             before = way
             way = straight / max(math.sqrt(straight @ straight), _LEAST_M)
-            lever[last] = way @ (there - here)
+            lever[last] = way @ (jacobian - last_jacobian)
             turn[last] = math.acos(min(max(before @ way, -1.0), 1.0))
         last = n
         at = at + (1 if geom < 0 else 2)
-        mujoco.mj_jac(model, data, here, None, place[at - 1], body)
+        mujoco.mj_jac(model, data, last_jacobian, None, place[at - 1], body)
     towards = slice(None, None, -1 if guides[0][1] > guides[-1][1] else 1)
     return lever[towards], turn[1:][towards]

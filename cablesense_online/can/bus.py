@@ -257,8 +257,8 @@ class BusState:
             self.data_frame()
             self.condition = ERROR_ACTIVE
         if classes & CONTROLLER_CLASS and len(data) > 1 and self.condition != BUS_OFF:
-            found = [condition for bits, condition in _CONDITIONS.items() if data[1] & bits]
-            self.condition = found[0] if found else self.condition
+            conditions = [condition for bits, condition in _CONDITIONS.items() if data[1] & bits]
+            self.condition = conditions[0] if conditions else self.condition
 
     def data_frame(self) -> None:
         """Note that a data frame arrived, so the controller is on the bus."""

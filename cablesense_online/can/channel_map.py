@@ -205,10 +205,10 @@ def parse_database(text: str, source: str = "DBC file") -> Database:
     Raises:
         ChannelMapError: not DBC, or signals that overlap or exceed their message.
     """
-    for found in _SIZES.finditer(text):
-        if any(len(size) > 5 or int(size) > _LARGEST_SIZE for size in found.groups("0")):
+    for size_match in _SIZES.finditer(text):
+        if any(len(size) > 5 or int(size) > _LARGEST_SIZE for size in size_match.groups("0")):
             raise ChannelMapError(
-                f"{source}: {found[0].strip()[:60]!r} is larger than any message on a CAN bus"
+                f"{source}: {size_match[0].strip()[:60]!r} is larger than any message on a CAN bus"
             )
     try:
         database = cantools.database.load_string(text, database_format="dbc", strict=True)
@@ -233,9 +233,11 @@ def check_fit(channel_map: ChannelMap, database: Database, source: str = "DBC fi
         where = f"{source}: channel {cable}"
         _signal_of(database, channel, where)
         if channel.status is not None:
-            at = SignalPlace(message=channel.message, signal=channel.status)
-            if _signal_of(database, at, where).is_float:
-                raise ChannelMapError(f"{where}: status {at.signal} must be a whole number")
+            status_place = SignalPlace(message=channel.message, signal=channel.status)
+            if _signal_of(database, status_place, where).is_float:
+                raise ChannelMapError(
+                    f"{where}: status {status_place.signal} must be a whole number"
+                )
     if channel_map.counter is not None:
         where = f"{source}: counter"
         counter = _signal_of(database, channel_map.counter, where)
@@ -398,7 +400,7 @@ def calibration_status(calibration: Calibration | None) -> Status:
         for cable, sensor in calibration.cables.items()
     }
     message = f"calibration of {calibration.made:%Y-%m-%d %H:%M}"
-    left = calibration.uncalibrated
-    if left:
-        message += f", but the map's for {', '.join(left)}"
-    return Status("calibration", Level.WARN if left else Level.OK, message, values)
+    uncalibrated = calibration.uncalibrated
+    if uncalibrated:
+        message += f", but the map's for {', '.join(uncalibrated)}"
+    return Status("calibration", Level.WARN if uncalibrated else Level.OK, message, values)

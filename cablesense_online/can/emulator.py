@@ -257,10 +257,10 @@ def line_frame(line: bytes) -> can.Message:
     Raises:
         ValueError: the line is no frame.
     """
-    found = _LINE.fullmatch(line)
-    if found is None:
+    match = _LINE.fullmatch(line)
+    if match is None:
         raise ValueError(f"slcan: {line[:_LONGEST_LINE]!r} is no frame")
-    standard, extended, length, data = found.groups()
+    standard, extended, length, data = match.groups()
     remote = line[:1] in b"rR"
     return can.Message(
         arbitration_id=int(standard or extended, 16),

@@ -61,7 +61,7 @@ class FrameDecoder:
             if channel_map.counter and channel_map.counter.message == name:
                 counter = channel_map.counter.signal
                 self.counter_modulo = 1 << message.get_signal_by_name(counter).length
-            channels = tuple(one for one in numbered if one[2].message == name)
+            channels = tuple(entry for entry in numbered if entry[2].message == name)
             key = (message.frame_id, message.is_extended_frame)
             label = f"{name} (0x{message.frame_id:X})"
             self._plans[key] = _Plan(message, label, channels, counter)

@@ -127,10 +127,10 @@ def _checked(answer: Answer | None, host: str, token: str) -> Answer:
     """What answers requests: refuses them, or hands them to viser without the token."""
 
     def checked(connection: ServerConnection, request: Request) -> Response | None:
-        given, _, path = request.path.partition("?")[0].removeprefix("/").partition("/")
+        given_token, _, path = request.path.partition("?")[0].removeprefix("/").partition("/")
         if not _from_the_page(request.headers, host):
             why = "This Host or Origin is not the page's."
-        elif not secrets.compare_digest(given.encode("ascii", "replace"), token.encode()):
+        elif not secrets.compare_digest(given_token.encode("ascii", "replace"), token.encode()):
             why = "The page opens by the whole address that was printed when it started."
         elif len(connection.server.connections) >= MOST_CLIENTS:
             why = f"{MOST_CLIENTS} browsers show the page already; close one."
@@ -161,8 +161,8 @@ def _from_the_page(headers: Headers, host: str) -> bool:
         return False
     if not origins:
         return "Upgrade" not in headers
-    own = asked[0].lower()
-    return len(origins) == 1 and origins[0].lower() in (f"http://{own}", f"https://{own}")
+    site = asked[0].lower()
+    return len(origins) == 1 and origins[0].lower() in (f"http://{site}", f"https://{site}")
 
 
 def _is_here(asked: str, host: str) -> bool:

@@ -159,7 +159,7 @@ class LiveArm:
 
     def _local_wrench(self, message: Any) -> _Wrench:
         vectors = (message.wrench.force, message.wrench.torque)
-        force, torque = (np.array([each.x, each.y, each.z]) for each in vectors)
+        force, torque = (np.array([vector.x, vector.y, vector.z]) for vector in vectors)
         acts = np.abs([force, torque]).max() > 0.0
         segment = self.frames.segment_number(message.header.frame_id) if acts else 0
         return _Wrench(segment, force, torque)
@@ -168,7 +168,7 @@ class LiveArm:
         for status in message.status:
             node, _, part = status.name.partition(": ")
             level = Level(min(int.from_bytes(status.level, "little"), Level.STALE))
-            values = {each.key: each.value for each in status.values}
+            values = {pair.key: pair.value for pair in status.values}
             health = _Health(now_s, level, status.message, values)
             if node.strip("/") == self._estimator and part:
                 self._health[part] = health
@@ -323,7 +323,7 @@ class LiveArm:
     def _pushing(self, wrenches: list[str], now_s: float) -> tuple[Contact, ...]:
         """The contacts of those wrenches that are fresh and push."""
         present = [self._wrenches[topic] for topic in wrenches if self._fresh(topic, now_s)]
-        pushing = [each for each in present if each.segment and each.force_n[1:].any()]
+        pushing = [wrench for wrench in present if wrench.segment and wrench.force_n[1:].any()]
         return _strongest_first(
             [Contact.of_force(n, f.tolist(), _place_m(f, t)) for n, f, t in pushing]
         )

@@ -396,8 +396,8 @@ class ForceTrace(Trace):
         ends = [{"label": end, "width": 0, "stroke": fill} for end in ("from", "to")]
         true = {"label": "true", "stroke": css(TRUE_RGB), "width": 2.5}
         dots = {"show": True, "size": 3, "width": 0, "fill": css(ESTIMATE_RGB)}
-        none = "rgba(0, 0, 0, 0)"
-        estimated = {"label": "estimated", "width": 0, "stroke": none, "points": dots}
+        transparent = "rgba(0, 0, 0, 0)"
+        estimated = {"label": "estimated", "width": 0, "stroke": transparent, "points": dots}
         band = {"series": [2, 1], "fill": fill}
         super().__init__(gui, [*ends, true, estimated], "force, N", least_n, 170, (band,))
 

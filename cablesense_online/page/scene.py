@@ -228,8 +228,8 @@ class ArmScene:
             position=(0.5 * reach_m, 0.0, -0.6 * reach_m),
         )
         scale = f"squares of {100.0 * square_m:g} cm"
-        at = (0.65 * reach_m, -0.55 * reach_m, 0.0)
-        self._add_label("/ground/scale", scale, at, "center-center")
+        scale_at_m = (0.65 * reach_m, -0.55 * reach_m, 0.0)
+        self._add_label("/ground/scale", scale, scale_at_m, "center-center")
         self._add_plates("/base", 0)
         self._add_label("/base/label", "base", (0.0, 0.0, 1.5 * self._radius_m), "bottom-center")
         numbers = range(1, mechanism.segment_count + 1)
@@ -283,12 +283,12 @@ class ArmScene:
 
         def forces(contacts: Sequence[Contact], further_m: float) -> list[tuple[Array, Array]]:
             """Points and forces (3,) of contacts in the base frame, so much further along."""
-            found = []
-            for each in contacts:
-                n = each.segment - 1
-                point_m = joints_m[n] + (each.contact_m + further_m) * axes[n]
-                found.append((point_m, at_command[n] @ each.wrench[:3]))
-            return found
+            pushes = []
+            for contact in contacts:
+                n = contact.segment - 1
+                point_m = joints_m[n] + (contact.contact_m + further_m) * axes[n]
+                pushes.append((point_m, at_command[n] @ contact.wrench[:3]))
+            return pushes
 
         behind = forces(snapshot.estimated, aside_m)
         self._true.show(snapshot.true, forces(snapshot.true, -aside_m), self._clearance_m)

@@ -128,7 +128,7 @@ def headline(
         if bounds is not None:
             text += f", force between {bounds.low_n:.0f} and {bounds.high_n:.0f} N"
     elif estimated:
-        numbers = " and ".join(str(n) for n in sorted(each.segment for each in estimated))
+        numbers = " and ".join(str(n) for n in sorted(contact.segment for contact in estimated))
         text += f" on segment{'s' if len(estimated) > 1 else ''} {numbers}"
     if state is ForceState.HIDDEN and bounds is not None:
         text += f"; up to {bounds.high_n:.1f} N may act"
@@ -201,23 +201,23 @@ class Score:
         if not snapshot.state.known and not snapshot.estimated:
             self._unanswered += 1
             return
-        true = {each.segment: each for each in snapshot.true}
-        found = {each.segment: each for each in snapshot.estimated}
-        both = true.keys() & found.keys()
-        angles_deg = [(true[n].angle_deg, found[n].angle_deg) for n in both]
-        seen = set(found)
+        true = {contact.segment: contact for contact in snapshot.true}
+        estimated = {contact.segment: contact for contact in snapshot.estimated}
+        matched = true.keys() & estimated.keys()
+        angles_deg = [(true[n].angle_deg, estimated[n].angle_deg) for n in matched]
+        seen = set(estimated)
         moment = snapshot.moment
         if moment is not None:
             seen.add(moment.segment)
         self._right += true.keys() == seen
         if moment is not None and moment.segment in true:  # no place and no force to compare
             angles_deg.append((true.pop(moment.segment).angle_deg, moment.angle_deg))
-        missed_n = [true[n].magnitude_n for n in true.keys() - both]
-        ghosts_n = [found[n].magnitude_n for n in found.keys() - both]
-        aside_m = [abs(true[n].contact_m - found[n].contact_m) for n in both]
+        missed_n = [true[n].magnitude_n for n in true.keys() - matched]
+        ghosts_n = [estimated[n].magnitude_n for n in estimated.keys() - matched]
+        aside_m = [abs(true[n].contact_m - estimated[n].contact_m) for n in matched]
         turned_deg = [angle_error_deg(*pair) for pair in angles_deg]
         turned_deg += [GUESS_DEG] * len(missed_n)
-        off_n = [abs(true[n].magnitude_n - found[n].magnitude_n) for n in both]
+        off_n = [abs(true[n].magnitude_n - estimated[n].magnitude_n) for n in matched]
         off_n += map(max, zip_longest(missed_n, ghosts_n, fillvalue=0.0))
         self._count += 1
         self._aside += len(aside_m), sum(aside_m)
@@ -269,8 +269,8 @@ _TENSION_STOPS = np.array([list(bytes.fromhex(stop[1:])) for stop in TENSION_CSS
 def tension_rgb(tensions_n: ArrayLike, full_scale_n: float) -> NDArray[np.uint8]:
     """Colours (..., 3) of tensions: violet at 0 N (slack), yellow from `full_scale_n` on."""
     share = np.nan_to_num(np.asarray(tensions_n, dtype=float)) / full_scale_n
-    at = np.linspace(0.0, 1.0, len(_TENSION_STOPS))
-    rgb = [np.interp(share, at, channel) for channel in _TENSION_STOPS.T]
+    stop_shares = np.linspace(0.0, 1.0, len(_TENSION_STOPS))
+    rgb = [np.interp(share, stop_shares, channel) for channel in _TENSION_STOPS.T]
     return np.rint(np.stack(rgb, axis=-1)).astype(np.uint8)
 
 

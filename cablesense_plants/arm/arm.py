@@ -381,9 +381,11 @@ def _sweep(angles: int, rng: np.random.Generator) -> Array:
     """Each joint angle out, back through zero and to the other side, one after the other."""
     rows = np.array_split(np.arange(_SWEEP_ROWS), angles)
     commands = np.zeros((_SWEEP_ROWS, angles))
-    for angle, own in enumerate(rows):
+    for angle, angle_rows in enumerate(rows):
         height = np.deg2rad(rng.uniform(*_SWEEP_DEG)) * rng.choice([-1.0, 1.0])
-        commands[own, angle] = height * np.sin(2.0 * np.pi * np.arange(1, len(own) + 1) / len(own))
+        commands[angle_rows, angle] = height * np.sin(
+            2.0 * np.pi * np.arange(1, len(angle_rows) + 1) / len(angle_rows)
+        )
     return commands
 
 

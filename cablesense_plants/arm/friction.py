@@ -244,21 +244,23 @@ class QuasiStaticPath:
     ) -> PathState:
         """By Newton's steps, else halfway first."""
         asked = state._replace(paid_out_m=paid_out_m, loads_n=loads_n)
-        at = self.balance(asked, state.angles_rad, None)
+        present = self.balance(asked, state.angles_rad, None)
         damping = np.zeros(1)
         for _ in range(_MOST_STEPS):
-            if at.settled:
+            if present.settled:
                 break
-            (move,) = statics.newton_step_rad(at.torque_nm[None], at.slope_nm_rad[None], damping)
+            (move,) = statics.newton_step_rad(
+                present.torque_nm[None], present.slope_nm_rad[None], damping
+            )
             move *= min(1.0, _LONGEST_RAD / np.abs(move).max())
-            tension = at.state.tension_n + at.by_angle_n_rad @ move
-            guess = at.state._replace(tension_n=tension)
-            found = self.balance(asked, at.state.angles_rad + move, guess)
-            better = found.torque_nm @ move >= -0.5 * (at.torque_nm @ move)
-            at = found if better else at
+            tension = present.state.tension_n + present.by_angle_n_rad @ move
+            guess = present.state._replace(tension_n=tension)
+            tried = self.balance(asked, present.state.angles_rad + move, guess)
+            better = tried.torque_nm @ move >= -0.5 * (present.torque_nm @ move)
+            present = tried if better else present
             damping = statics.damped(damping, np.array([better]))
-        if at.settled:
-            return at.state
+        if present.settled:
+            return present.state
         if halvings >= _MOST_HALVINGS:
             raise PlantError(
                 "an arm with friction found no rest; smaller loads or angles leave it stable"
@@ -319,8 +321,8 @@ class QuasiStaticPath:
         body = self.body
         length = across.length_m[0]
         crept = before.crept_m.sum(axis=0)
-        given = self._straight_m + before.paid_out_m - before.retensioned_m
-        longer = length.sum(axis=0) - given - crept.sum(axis=-1)
+        cable_m = self._straight_m + before.paid_out_m - before.retensioned_m
+        longer = length.sum(axis=0) - cable_m - crept.sum(axis=-1)
         even = body.pretension_n + body.stiffness_n_m * longer
         bends = across.bend_rad[0].reshape(-1, body.cable_count).T
         wrap = np.insert(bends, 0, self.friction.pulley_rad, axis=1)
@@ -337,17 +339,17 @@ class QuasiStaticPath:
         if even:
             tension[:] = pull.even_n[:, None]
         rigid = not self.friction.reach_m
-        left = np.ones((len(tension), 1), dtype=bool)
+        unsettled = np.ones((len(tension), 1), dtype=bool)
         law = self._law(before, pull, tension, sliding)
         for sweep in range(_MOST_SWEEPS):
             step = np.linalg.solve(law.matrix, law.misfit_n[..., None])[..., 0]
-            tension = tension - left * step * (1.0 if rigid else 0.97 ** max(0, sweep - 5))
+            tension = tension - unsettled * step * (1.0 if rigid else 0.97 ** max(0, sweep - 5))
             if rigid:
                 new = self._sliding(before, pull, tension, sliding, sweep)
-                sliding = np.where(left, new, sliding)
+                sliding = np.where(unsettled, new, sliding)
             law = self._law(before, pull, tension, sliding)
-            left &= np.abs(law.misfit_n).max(axis=-1, keepdims=True) > _GUIDE_ENOUGH_N
-            if not left.any():
+            unsettled &= np.abs(law.misfit_n).max(axis=-1, keepdims=True) > _GUIDE_ENOUGH_N
+            if not unsettled.any():
                 break
         return tension, sliding, law
 
@@ -365,14 +367,14 @@ class QuasiStaticPath:
             ratio = np.exp(pull.grip * state)
             slips = np.ones_like(fed)
             hold = np.maximum(ratio * tension[:, :-1], 0.0) * pull.grip * slope
-            left = tension[:, 1:] - ratio * tension[:, :-1]
+            at_guides = tension[:, 1:] - ratio * tension[:, :-1]
         else:
             state = np.zeros_like(fed)
             stuck = (sliding == 0.0) & (pull.grip > 0.0)
             ratio = np.exp(pull.grip * sliding)
             slips = np.where(stuck, 0.0, 1.0)
             hold = np.where(stuck, stiff, 0.0)
-            left = np.where(stuck, -stiff * moved, tension[:, 1:] - ratio * tension[:, :-1])
+            at_guides = np.where(stuck, -stiff * moved, tension[:, 1:] - ratio * tension[:, :-1])
         total = (stiff * c * tension).sum(axis=-1) - pull.even_n
         matrix = np.empty((*tension.shape, tension.shape[-1]))
         matrix[:, 0] = stiff * c
@@ -380,7 +382,7 @@ class QuasiStaticPath:
         guide = np.arange(fed.shape[-1])
         matrix[:, guide + 1, guide + 1] += slips
         matrix[:, guide + 1, guide] -= slips * ratio
-        misfit = np.concatenate([total[:, None], left], axis=-1)
+        misfit = np.concatenate([total[:, None], at_guides], axis=-1)
         return _Law(misfit, matrix, np.concatenate([stiff, hold], axis=-1), fed, state)
 
     def _sliding(

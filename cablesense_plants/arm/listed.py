@@ -97,9 +97,9 @@ def with_play_m(given_m: Array, play_m: Array, start: Array) -> Array:
     """(R, M) lengths behind play (M,), from end to end, that begins at `start`, -1 to 1, in it."""
     half = 0.5 * play_m
     moved = given_m.copy()
-    at = given_m[0] + half * start
+    behind_m = given_m[0] + half * start
     for row in moved:
-        row[:] = at = np.clip(at, row - half, row + half)
+        row[:] = behind_m = np.clip(behind_m, row - half, row + half)
     return moved
 
 
@@ -187,11 +187,11 @@ def capstan_friction(draw: ArmDraw) -> ArmChange:
 @LISTED.of_size("m", 0.0005, 0.05)
 def contact_offset(draw: ArmDraw) -> ArmChange:
     """Loads that act nearer to the base or to the tip, on one segment or on all."""
-    one = draw.chance(0.6)
+    single = draw.chance(0.6)
     segment = draw.segment()
-    shift = marked(segment if one else slice(None), draw.nominal.segment_count, draw.sign())
+    shift = marked(segment if single else slice(None), draw.nominal.segment_count, draw.sign())
     moved = sets("body", contact_at_m=added(np.outer(shift, [1.0, 0.0, 0.0])))
-    form = "one segment" if one else "all segments"
+    form = "one segment" if single else "all segments"
     toward_tip = float(shift[segment])
     return ArmChange(moved, form, places("segment", shift), {"toward_tip": toward_tip})
 
@@ -256,9 +256,11 @@ def payload(draw: ArmDraw) -> ArmChange:
     def loaded(arm: RealArm, size: float) -> RealArm:
         body = arm.body
         joint = np.append(body.mass_joint, body.driven[segment])
-        at = np.vstack([body.mass_at_m, [at_m, 0.0, 0.0]])
+        mass_at_m = np.vstack([body.mass_at_m, [at_m, 0.0, 0.0]])
         mass = np.append(body.mass_kg, size)
-        return replace(arm, body=replace(body, mass_kg=mass, mass_joint=joint, mass_at_m=at))
+        return replace(
+            arm, body=replace(body, mass_kg=mass, mass_joint=joint, mass_at_m=mass_at_m)
+        )
 
     return ArmChange(loaded, "point mass", (f"segment_{segment + 1}",), {"at_m": at_m})
 
@@ -296,8 +298,8 @@ def routing_geometry(draw: ArmDraw) -> ArmChange:
         after[segment] = sign
         before[segment + 1 : segment + 2] = sign
     else:
-        own = np.arange(draw.nominal.cable_count) // draw.nominal.per_segment == segment
-        before[:, own] = after[:, own] = sign
+        segment_cables = np.arange(draw.nominal.cable_count) // draw.nominal.per_segment == segment
+        before[:, segment_cables] = after[:, segment_cables] = sign
     of = "plates of the segment" if carried else "cables that end on the segment"
     where = (f"segment_{segment + 1}",)
     law = _further_out if radius else _turned_deg
@@ -329,12 +331,12 @@ def sensor_crosstalk(draw: ArmDraw) -> ArmChange:
     The place is the channel whose signal leaks.
     """
     count = draw.nominal.cable_count
-    one = draw.chance(0.6)
+    single = draw.chance(0.6)
     chosen = int(draw.rng.integers(count))
-    source = marked(chosen if one else slice(None), count)
+    source = marked(chosen if single else slice(None), count)
     leak = (np.eye(count, k=1) + np.eye(count, k=-1)) * source
     leak = leak * float(draw.rng.choice([-1.0, 1.0], p=[0.2, 0.8]))
-    form = "one channel into its neighbours" if one else "all channels into their neighbours"
+    form = "one channel into its neighbours" if single else "all channels into their neighbours"
     leaking = faulty("sensing", LEAKED, lambda size, signal, *_: signal + signal @ (size * leak).T)
     return ArmChange(leaking, form, places("cable", source))
 
@@ -439,8 +441,8 @@ def _all_or_segment(draw: ArmDraw) -> tuple[Array, tuple[str, ...]]:
     if draw.chance(0.5):
         return np.ones(count), ()
     segment = draw.segment()
-    own = np.arange(count) // per_segment == segment
-    return own.astype(float), (f"segment_{segment + 1}",)
+    segment_cables = np.arange(count) // per_segment == segment
+    return segment_cables.astype(float), (f"segment_{segment + 1}",)
 
 
 def _both_axes(chosen: Any, draw: ArmDraw) -> Array:

@@ -142,8 +142,8 @@ def _bends(body: Body, turning: Array, direction: Array) -> Array:
     outside = np.broadcast_to([1.0, 0.0, 0.0], (1, *pieces.shape[1:]))
     back = np.swapaxes(np.concatenate([outside, pieces]), -1, -2)
     ahead = np.swapaxes(np.concatenate([pieces, outside]), -1, -2)
-    own = np.swapaxes(turning, -1, -2) @ direction
-    away = np.stack([direction - back, own - ahead], axis=-3)
+    turned_direction = np.swapaxes(turning, -1, -2) @ direction
+    away = np.stack([direction - back, turned_direction - ahead], axis=-3)
     chords = np.sqrt((away * away).sum(axis=-2))
     anchored = np.append(body.passes[1:], np.zeros_like(body.passes[:1]), axis=0)
     guided = np.stack([body.passes, anchored], axis=1)
@@ -165,9 +165,9 @@ def frames(body: Body, angles_rad: Array, turning: Array) -> JointFrames:
     centre = np.empty((rows, joints, 3))
     axis = np.empty((rows, 2 * joints, 3))
     before: Array = np.tile(np.eye(3), (rows, 1, 1))
-    at: Array = np.zeros((rows, 3))
+    joint_m: Array = np.zeros((rows, 3))
     for j in range(joints):
-        centre[:, j] = at = at + body.spacing_m[j] * before[:, :, 0]
+        centre[:, j] = joint_m = joint_m + body.spacing_m[j] * before[:, :, 0]
         skewed = before @ body.skew[j]
         axis[:, 2 * j] = skewed[:, :, 1]
         forward = sine[:, j, None] * skewed[:, :, 0]
@@ -185,10 +185,10 @@ def torques(body: Body, angles_rad: Array, turning: Array, loads_n: Array) -> tu
     placed = frames(body, angles_rad, turning)
     points = loads_n.shape[1]
     joint = np.concatenate([body.mass_joint, body.contact_joint.ravel()[:points]])
-    at = np.concatenate([body.mass_at_m, body.contact_at_m.reshape(-1, 3)[:points]])
+    place_m = np.concatenate([body.mass_at_m, body.contact_at_m.reshape(-1, 3)[:points]])
     weight = np.tile(body.mass_kg[:, None] * body.gravity_m_s2, (len(angles_rad), 1, 1))
     force = np.concatenate([weight, loads_n], axis=1)
-    torque, slope = _constant_forces(placed, joint, placed.points_m(joint, at), force)
+    torque, slope = _constant_forces(placed, joint, placed.points_m(joint, place_m), force)
     for spring in body.tip_springs:
         pulled = _tip_spring(body, placed, spring)
         torque = torque + pulled[0]
@@ -335,8 +335,8 @@ def borne_shares(body: Body, start_rad: Array, paid_out_m: Array, loads_n: Array
     borne = np.full(len(start_rad), -1.0)
     rows = np.arange(len(borne))
     for weight, load in [
-        *((each, 0.0) for each in shares[:-1]),
-        *((1.0, each) for each in shares),
+        *((share, 0.0) for share in shares[:-1]),
+        *((1.0, share) for share in shares),
     ]:
         lighter = replace(body, gravity_m_s2=weight * body.gravity_m_s2)
         paid = paid_out_m[rows]
@@ -395,11 +395,11 @@ def _search(
         if not len(rows):
             break
         move = newton_step_rad(torque[rows], slope[rows], damping[rows])
-        found = _residual(body, angles[rows] + move, wanted[rows], loads_n[rows])
-        accepted = (found[0] * move).sum(-1) >= -0.5 * (torque[rows] * move).sum(-1)
+        tried = _residual(body, angles[rows] + move, wanted[rows], loads_n[rows])
+        accepted = (tried[0] * move).sum(-1) >= -0.5 * (torque[rows] * move).sum(-1)
         kept = rows[accepted]
         angles[kept] += move[accepted]
-        for whole, part in zip((torque, slope, tensions), found, strict=True):
+        for whole, part in zip((torque, slope, tensions), tried, strict=True):
             whole[kept] = part[accepted]
         damping[rows] = damped(damping[rows], accepted)
     return angles, tensions, np.flatnonzero(np.abs(torque).max(axis=1) > _ENOUGH_NM)
@@ -413,9 +413,9 @@ def newton_step_rad(torque_nm: Array, slope_nm_rad: Array, damping: Array) -> Ar
     symmetric = 0.5 * (slope_nm_rad + np.swapaxes(slope_nm_rad, -1, -2))
     softest = np.linalg.eigvalsh(symmetric)[:, -1]
     diagonal = np.arange(slope_nm_rad.shape[-1])
-    own = np.abs(slope_nm_rad[:, diagonal, diagonal])
+    stiffness = np.abs(slope_nm_rad[:, diagonal, diagonal])
     firmer = slope_nm_rad.copy()
-    firmer[:, diagonal, diagonal] -= damping[:, None] * np.maximum(own, _SOFTEST_NM_RAD)
+    firmer[:, diagonal, diagonal] -= damping[:, None] * np.maximum(stiffness, _SOFTEST_NM_RAD)
     unstable = softest > -_LEAST_NM_RAD
     firmer[:, diagonal, diagonal] -= (unstable * (2.0 * np.abs(softest) + 0.5))[:, None]
     step = np.asarray(np.linalg.solve(firmer, -torque_nm[..., None])[..., 0], dtype=float)

@@ -219,11 +219,11 @@ def sensor_dropouts(draw: ArmDraw) -> ArmChange:
         last = np.tile(np.arange(rows)[:, None], (1, len(share)))
         for channel in np.flatnonzero(share):
             gap = mean_rows * (1.0 / (size * share[channel]) - 1.0)
-            at = 1.0 + rng.exponential(gap)
-            while at < rows:
-                end = at + 1.0 + rng.exponential(mean_rows)
-                last[int(at) : int(end), channel] = int(at) - 1
-                at = end + 1.0 + rng.exponential(gap)
+            start = 1.0 + rng.exponential(gap)
+            while start < rows:
+                end = start + 1.0 + rng.exponential(mean_rows)
+                last[int(start) : int(end), channel] = int(start) - 1
+                start = end + 1.0 + rng.exponential(gap)
         return np.take_along_axis(signal_n, last, axis=0)
 
     return ArmChange(faulty("sensing", REPEATED, repeated))

@@ -128,11 +128,11 @@ def draw_kinds(rng: np.random.Generator, count: int, only: Sequence[str] = ()) -
         return [only[i % len(only)] for i in range(count)]
     listed = in_turn(rng, list(LISTED))
     unlisted = in_turn(rng, list(UNLISTED))
-    none = ceil(_NONE_SHARE * count)
+    blanks = ceil(_NONE_SHARE * count)
     unknown = ceil(_UNKNOWN_SHARE * count)
     doubles = round(_DOUBLE_SHARE * count)
-    singles = max(0, count - none - unknown - doubles)
-    kinds = [NONE] * none
+    singles = max(0, count - blanks - unknown - doubles)
+    kinds = [NONE] * blanks
     kinds += [next(unlisted) for _ in range(unknown)]
     kinds += [next(listed) for _ in range(singles)]
     kinds += ["+".join(sorted(different(listed, 2))) for _ in range(doubles)]
@@ -272,14 +272,14 @@ def _recorded(
     signals = arm.signals_n(*done)
     plain_n = plain_arm.signals_n(*done)
     gap = gap_n(signals, plain_n)
-    each = [alone_n for *_, alone_n in changes] if len(changes) > 1 else [gap]
+    alone_gaps_n = [alone_n for *_, alone_n in changes] if len(changes) > 1 else [gap]
     sizes = [
         {"effect": change.effect, "size": float(f"{size:.6g}"), "unit": change.unit}
         | {key: float(f"{value:.6g}") for key, value in change.details.items()}
         for change, size, _ in changes
     ]
-    found = {tuple(place.split("_")) for change, *_ in changes for place in change.where}
-    places = sorted((kind, int(number)) for kind, number in found)
+    changed_places = {tuple(place.split("_")) for change, *_ in changes for place in change.where}
+    places = sorted((kind, int(number)) for kind, number in changed_places)
     answer = ArmAnswer(
         recording=f"case_{index:03d}",
         effects="+".join(sorted(change.effect for change, *_ in changes)) or NONE,
@@ -289,7 +289,7 @@ def _recorded(
         gap_n=gap,
         gap_over_floor=gap / nominal.floor_n,
         scatter_gap_n=gap_n(plain_n, drawn.signals_n(*done)),
-        each_gap_n=" ".join(f"{value:.4f}" for value in each),
+        each_gap_n=" ".join(f"{value:.4f}" for value in alone_gaps_n),
     )
     recordings = {"": (done[0], nominal.read_n(signals, noise_rng))}
     for part, wanted, machine in (("second", second, arm), ("reference", imperfect, plain_arm)):
@@ -324,29 +324,29 @@ def _sized(
     def gap_of(size: float) -> float:
         return gap_n(change.apply(arm, size).signals_n(rows, history), without)
 
-    at = 0.5 * (low + high)
+    log_size = 0.5 * (low + high)
     best = low
     nearest = np.inf
     steepness = 1.0
     last = None
     for _ in range(_TRIES):
         try:
-            gap = gap_of(float(np.exp(at)))
+            gap = gap_of(float(np.exp(log_size)))
         except PlantError:
-            high = at + np.log(_RETREAT)
-            at = min(0.5 * (low + at), high)
+            high = log_size + np.log(_RETREAT)
+            log_size = min(0.5 * (low + log_size), high)
             continue
         off = np.log(max(gap, 1e-6) / wanted_n)
         if abs(off) < nearest:
-            best = float(np.clip(at - off, low, high))
+            best = float(np.clip(log_size - off, low, high))
             nearest = abs(off)
         if nearest < np.log(_NEAR):
             break
-        if last is not None and abs(at - last[0]) > 1e-6:
-            steepness = float(np.clip((off - last[1]) / (at - last[0]), 0.3, 3.0))
-        last = at, off
-        at = float(np.clip(at - off / steepness, low, high))
-        if abs(at - last[0]) < 1e-6:
+        if last is not None and abs(log_size - last[0]) > 1e-6:
+            steepness = float(np.clip((off - last[1]) / (log_size - last[0]), 0.3, 3.0))
+        last = log_size, off
+        log_size = float(np.clip(log_size - off / steepness, low, high))
+        if abs(log_size - last[0]) < 1e-6:
             break
     size = float(np.exp(best))
     return size, gap_of(size)

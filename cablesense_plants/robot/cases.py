@@ -129,8 +129,8 @@ def withhold(
     sets = sets_of_names(rng, count, known)
     if only:
         unlisted = in_turn(rng, list(known[1]))
-        names = [each.split("+") for each in only]
-        if strange := sorted({n for own in names for n in own} - {NONE, UNKNOWN, *known[0]}):
+        names = [joined.split("+") for joined in only]
+        if strange := sorted({n for causes in names for n in causes} - {NONE, UNKNOWN, *known[0]}):
             raise PlantError(
                 f"no effect {strange[0]!r} of a robot; known are {', '.join(sorted(known[0]))}, "
                 f"{NONE} and {UNKNOWN}"
@@ -140,8 +140,8 @@ def withhold(
             for k in range(count)
         ]
     answers = []
-    for index, own in enumerate(sets, start=1):
-        case = draw_case(kind, own, seed, index, known)
+    for index, causes in enumerate(sets, start=1):
+        case = draw_case(kind, causes, seed, index, known)
         record([replace(case, recorded=case.recorded[: 2 if second else 1])], folder)
         answers.append(case.answer)
         yield case.answer
@@ -176,10 +176,10 @@ def sets_of_names(
 ) -> list[list[str]]:
     """Names of each case's causes, in random order: none, unlisted ones, several, and one."""
     listed, unlisted = (in_turn(rng, list(pool)) for pool in known)
-    none = round(_NONE_SHARE * count)
+    blanks = round(_NONE_SHARE * count)
     unknown = round(_UNKNOWN_SHARE * count)
     several = round(_SEVERAL_SHARE * count)
-    sets: list[list[str]] = [[]] * none + [[next(unlisted)] for _ in range(unknown)]
+    sets: list[list[str]] = [[]] * blanks + [[next(unlisted)] for _ in range(unknown)]
     sets += [different(listed, 2 + int(rng.random() < 0.4)) for _ in range(several)]
     sets += [[next(listed)] for _ in range(count - len(sets))]
     return [sets[k] for k in rng.permutation(count)]
@@ -217,9 +217,9 @@ def draw_case(
 
     scatter = gap_of(nominal)
     if lacking:
-        own = np.random.default_rng([seed, index, 1])
-        plain = lacking(plain, kind, own, asked[0])
-        asked = (*asked, reference(kind, own))
+        reference_rng = np.random.default_rng([seed, index, 1])
+        plain = lacking(plain, kind, reference_rng, asked[0])
+        asked = (*asked, reference(kind, reference_rng))
         without = prescribed_n_m(kind, plain, asked[0])
     draw = RobotDraw(rng, kind, nominal, joints, links)
     causes: list[tuple[RobotChange, float, float]] = []
@@ -305,22 +305,22 @@ def _size_for(
     """Scales the size by the ratio of wanted to actual gap, within the cause's bounds."""
     size = 0.1 * cause.most
     best = 0.0
-    found = 0.0
+    best_gap = 0.0
     for _ in range(_TRIES):
         gap = max(gap_of(cause, size), 1e-9)
-        if not best or abs(np.log(gap / wanted)) < abs(np.log(found / wanted)):
+        if not best or abs(np.log(gap / wanted)) < abs(np.log(best_gap / wanted)):
             best = size
-            found = gap
+            best_gap = gap
         if abs(np.log(gap / wanted)) < 0.1:
             break
         size = float(np.clip(size * wanted / gap, size / 20.0, cause.most))
-    return best, found
+    return best, best_gap
 
 
 def record(cases: list[RobotCase], folder: Path) -> None:
     """Recordings of cases of one kind, `case_001.csv.gz` …, also in `second/` and `reference/`."""
     kind = cases[0].kind
-    machines, asked, seeds = zip(*(one for case in cases for one in case.recorded), strict=True)
+    machines, asked, seeds = zip(*(run for case in cases for run in case.recorded), strict=True)
     robots = stacked(machines)
     motion = simulate(kind, robots, stacked_references(asked))
     names = [

@@ -184,9 +184,9 @@ def payload(draw: RobotDraw) -> RobotChange:
     away_m = draw.reach_m * draw.rng.uniform(0.15, 0.5) * draw.direction()
     place = draw.robot.chain.centre_m[link] + away_m
     loaded = sets(chain=lambda chain, size: chain.with_mass(link, size, place))
-    at = dict(zip(("x_m", "y_m", "z_m"), map(float, place), strict=True))
+    details = dict(zip(("x_m", "y_m", "z_m"), map(float, place), strict=True))
     most = 2.0 * float(draw.robot.chain.mass_kg.mean())
-    return RobotChange(loaded, "point mass", (draw.links[link],), at, most=most)
+    return RobotChange(loaded, "point mass", (draw.links[link],), details, most=most)
 
 
 LISTED.of_size("kg·m²", most=5.0)(
@@ -209,8 +209,8 @@ LISTED.of_size("N·m", most=30.0)(
 def torque_scale(draw: RobotDraw) -> RobotChange:
     """Torques of a wrong scale, of one joint, two or all."""
     everywhere = draw.chance(0.3)
-    one = len(draw.joints) == 2  # two of two are everywhere
-    weight = draw.alike if everywhere else draw.weighted_joints(one=one)
+    only_one = len(draw.joints) == 2  # two of two are everywhere
+    weight = draw.alike if everywhere else draw.weighted_joints(one=only_one)
     wrong = sets(scale=added(draw.sign() * weight))
     return RobotChange(wrong, where=() if everywhere else draw.named(weight))
 

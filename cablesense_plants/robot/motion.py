@@ -72,9 +72,9 @@ def _points(kind: RobotKind, rng: np.random.Generator, time_s: Array) -> Array:
     slot_s = time_s[-1] / count
     goals = rng.uniform(-1.0, 1.0, (count + 1, len(kind.home_rad)))
     goals[[0, -1]] = 0.0
-    at = np.minimum((time_s / slot_s).astype(int), count - 1)
-    share = _smooth((time_s - at * slot_s) / (slot_s * _MOVE_S / (_MOVE_S + _HOLD_S)))
-    return np.asarray(goals[at] + share[:, None] * (goals[at + 1] - goals[at]))
+    slot = np.minimum((time_s / slot_s).astype(int), count - 1)
+    share = _smooth((time_s - slot * slot_s) / (slot_s * _MOVE_S / (_MOVE_S + _HOLD_S)))
+    return np.asarray(goals[slot] + share[:, None] * (goals[slot + 1] - goals[slot]))
 
 
 def _slow(kind: RobotKind, rng: np.random.Generator, time_s: Array) -> Array:

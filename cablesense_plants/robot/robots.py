@@ -72,7 +72,7 @@ class LinkChain:
     def with_mass(self, link: int, mass_kg: float, place_m: Array) -> LinkChain:
         """A point mass fixed to a link, at a place in its axes; of one robot."""
         mass, centre, inertia = (
-            each.copy() for each in (self.mass_kg, self.centre_m, self.inertia_kg_m2)
+            values.copy() for values in (self.mass_kg, self.centre_m, self.inertia_kg_m2)
         )
         mass[link] += mass_kg
         centre[link] += mass_kg / mass[link] * (place_m - self.centre_m[link])
@@ -107,9 +107,9 @@ class _ChainPose:
         joint = self.axis * speed[..., None]
         turning = np.cumsum(joint, -2)
         before = turning - joint
-        own = self.axis * acceleration[..., None] + _cross(before, joint)
-        spin_up = np.cumsum(own, -2)
-        carried = _cross(spin_up - own, self.offset_m)
+        joint_spin_up = self.axis * acceleration[..., None] + _cross(before, joint)
+        spin_up = np.cumsum(joint_spin_up, -2)
+        carried = _cross(spin_up - joint_spin_up, self.offset_m)
         carried += _cross(before, _cross(before, self.offset_m))
         hinge = np.cumsum(carried, -2)
         centre = hinge + _cross(spin_up, self.arm_m)
@@ -171,11 +171,11 @@ def read_chain(model: mujoco.MjModel) -> tuple[LinkChain, dict[str, Array], list
     centre = np.zeros((count, 3))
     inertia = np.zeros((count, 3, 3))
     for n in range(count):
-        own = np.flatnonzero(owner == n)
-        mass[n] = model.body_mass[own].sum()
-        middle = model.body_mass[own] @ data.xipos[own] / max(mass[n], _LEAST_KG)
+        link_bodies = np.flatnonzero(owner == n)
+        mass[n] = model.body_mass[link_bodies].sum()
+        middle = model.body_mass[link_bodies] @ data.xipos[link_bodies] / max(mass[n], _LEAST_KG)
         centre[n] = middle - data.xanchor[n]
-        for body in own.tolist():
+        for body in link_bodies.tolist():
             turned = data.ximat[body].reshape(3, 3)
             arm = data.xipos[body] - middle
             inertia[n] += turned * model.body_inertia[body] @ turned.T
@@ -394,17 +394,17 @@ class RealRobot:
     def base(self, inertia: Array) -> tuple[Array, Array]:
         """Own inertia and damping (B,) of the base that carries `inertia`."""
         stiffness = self.base_stiffness[:, 0]
-        own = np.where(stiffness >= _RIGID, _BASE_INERTIA, inertia)
-        return own, 2.0 * _SETTLE_SHARE * np.sqrt(stiffness * (own + inertia))
+        base_inertia = np.where(stiffness >= _RIGID, _BASE_INERTIA, inertia)
+        return base_inertia, 2.0 * _SETTLE_SHARE * np.sqrt(stiffness * (base_inertia + inertia))
 
     def read_n_m(self, torque_n_m: Array, time_s: Array) -> Array:
         """Torques (T, B, N) as sensors without noise give them, at times (T,) of the motion."""
         late = np.empty_like(torque_n_m)
         rows = np.arange(len(time_s))
         for b, steps in enumerate(self.delay_s[:, 0] / (time_s[1] - time_s[0])):
-            at = np.clip(rows - steps, 0, len(rows) - 1)
-            low = np.minimum(at.astype(int), len(rows) - 2)
-            part = (at - low)[:, None]
+            source_row = np.clip(rows - steps, 0, len(rows) - 1)
+            low = np.minimum(source_row.astype(int), len(rows) - 2)
+            part = (source_row - low)[:, None]
             late[:, b] = (1.0 - part) * torque_n_m[low, b] + part * torque_n_m[low + 1, b]
         share = (time_s / time_s[-1])[:, None, None]
         read = (1.0 + self.scale + self.warming * share) * late + self.offset
@@ -417,6 +417,6 @@ def stacked(robots: Sequence[_T]) -> _T:
     if is_dataclass(first):
         parts = {f.name: stacked([getattr(r, f.name) for r in robots]) for f in fields(first)}
         return replace(first, **parts)  # type: ignore[return-value, type-var]
-    each: Any = robots
-    values: Any = np.stack(np.broadcast_arrays(*each))
+    untyped: Any = robots
+    values: Any = np.stack(np.broadcast_arrays(*untyped))
     return values if values.ndim > 1 else values[:, None]

@@ -71,7 +71,7 @@ def calibrate(
     law = law_of(described, arm, model)
     unloaded = unloaded_holds(recorded, _ended_ns(recording, ended))
     calibration = Calibrator(described, law).from_poses(unloaded)
-    poses = len({one.command_rad.tobytes() for one in unloaded})
+    poses = len({reading.command_rad.tobytes() for reading in unloaded})
     many = "1 pose" if poses == 1 else f"{poses} poses"
     made_from = f"{recorded.name}, with unloaded readings in {many}"
     calibration = replace(calibration, made_from=made_from)
@@ -128,11 +128,11 @@ def calibration_description(calibration: Calibration, arm: Arm, law: Law | None)
         "kind": "calibration",
         "arm": calibration.arm_identity,
         "made_from": calibration.made_from,
-        "poses": len({one.command_rad.tobytes() for one in unloaded}),
+        "poses": len({reading.command_rad.tobytes() for reading in unloaded}),
         "unloaded_readings": len(unloaded),
         "taken": taken.isoformat() if taken else None,
         "chi2": calibration.chi2,
-        "channels": sum(len(one.reading_n) for one in unloaded),
+        "channels": sum(len(reading.reading_n) for reading in unloaded),
         "probability": calibration.misfit_probability,
         "as_described": calibration.as_described,
         "force_known_n": None if law is None else _force_known_n(calibration, arm, law),
@@ -206,5 +206,5 @@ def _ended_ns(recording: Path, ended: datetime | None) -> int:
     """When a recording ended, since the epoch: as given, or when its newest file was written."""
     if ended is not None:
         return round(1e9 * ended.replace(tzinfo=ended.tzinfo or UTC).timestamp())
-    files = [each for each in recording.iterdir() if each.is_file()] if recording.is_dir() else []
-    return max(each.stat().st_mtime_ns for each in files or [recording])
+    files = [file for file in recording.iterdir() if file.is_file()] if recording.is_dir() else []
+    return max(file.stat().st_mtime_ns for file in files or [recording])

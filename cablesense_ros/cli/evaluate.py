@@ -123,16 +123,16 @@ def _table2(model: str) -> Result:
     opened = open_single(find_model(model or TABLE2_MODELS[SHIPPED]))
     content = [
         {
-            "true_segment": found.load.segment,
-            "segment": found.segment,
+            "true_segment": row.load.segment,
+            "segment": row.segment,
             "true_angle_deg": DOWN_DEG,
-            "angle_deg": found.angle_deg,
-            "true_magnitude_n": found.load.weight_n,
-            "magnitude_n": found.magnitude_n,
-            "magnitude_error": found.magnitude_n / found.load.weight_n - 1.0,
-            "magnitude_ci95_n": [found.low_n, found.high_n],
+            "angle_deg": row.angle_deg,
+            "true_magnitude_n": row.load.weight_n,
+            "magnitude_n": row.magnitude_n,
+            "magnitude_error": row.magnitude_n / row.load.weight_n - 1.0,
+            "magnitude_ci95_n": [row.low_n, row.high_n],
         }
-        for found in evaluate_table2(opened)
+        for row in evaluate_table2(opened)
     ]
     title = "Loads hung on the physical arm (the paper's Table II)"
     return title, {"model": opened.metadata.network, "rows": content}
@@ -148,17 +148,19 @@ def _recorded(
     from cablesense_gap.report.style import image_bytes, style
     from cablesense_training.inference.metadata import find_model
 
-    found = {}
+    errors = {}
     for name in models:
         estimator = open_estimator(find_model(name))
         arm = estimator.metadata.arm
         known = None if calibration is None else read_calibration(calibration, arm)
-        found[name] = recorded_errors(read_recording(recording, arm), estimator, calibration=known)
+        errors[name] = recorded_errors(
+            read_recording(recording, arm), estimator, calibration=known
+        )
     if picture is not None:
         with style():
-            image = image_bytes(drawn_errors(found), "png")
+            image = image_bytes(drawn_errors(errors), "png")
         write_atomically(picture, image, OptionError)
-    return f"Known loads of {recording.name}", {n: each.as_json() for n, each in found.items()}
+    return f"Known loads of {recording.name}", {n: each.as_json() for n, each in errors.items()}
 
 
 def _one_model(model: str, samples: int, seed: int, workers: int) -> Result:

@@ -126,7 +126,7 @@ def diagnose(
         recorded = read_recording(recording, robot)
         healthy = None if reference is None else read_recording(reference, robot)
         with diagnosis_progress(console) as (show, _):
-            found = make(
+            diagnosis = make(
                 recorded,
                 robot,
                 beside,
@@ -139,9 +139,9 @@ def diagnose(
                 force=force,
                 reference=healthy,
             )
-        write_robot_diagnosis(out, found)
-        verdict = found.verdict
-        lines = [*found.findings, headline(verdict), *verdict.doubts]
+        write_robot_diagnosis(out, diagnosis)
+        verdict = diagnosis.verdict
+        lines = [*diagnosis.findings, headline(verdict), *verdict.doubts]
     if json_output:
         print_json(verdict.model_dump(mode="json", exclude_none=True))
         return
@@ -176,12 +176,12 @@ def _diagnosed_arm(
     recorded = read_recording(recording, nominal)
     healthy = None if reference is None else read_recording(reference, nominal)
     with diagnosis_progress(console) as (show, warn):
-        found = make(recorded, nominal, show, workers, warn, reference=healthy, force=force)
-    write_diagnosis(out, found)
-    lines = [headline(found.verdict), *map(earlier_sentence, found.verdict.earlier)]
-    if len(found.recording) < len(recorded):
-        lines.append(f"Used: {len(found.recording):,} of {len(recorded):,} rows")
-    return found.verdict, lines
+        diagnosis = make(recorded, nominal, show, workers, warn, reference=healthy, force=force)
+    write_diagnosis(out, diagnosis)
+    lines = [headline(diagnosis.verdict), *map(earlier_sentence, diagnosis.verdict.earlier)]
+    if len(diagnosis.recording) < len(recorded):
+        lines.append(f"Used: {len(diagnosis.recording):,} of {len(recorded):,} rows")
+    return diagnosis.verdict, lines
 
 
 def predict(
@@ -234,8 +234,10 @@ def predict(
         robot, beside = load_amended(model)
         output_file(out, force=force, inputs=(recording, robot.path))
         recorded = read_recording(recording, robot)
-        own = {"zeroed": zeroed, "external": positions == "external"}
-        system = RobotSystem(robot, prepared(recorded, robot, bandwidth, forward, **own), beside)
+        robot_options = {"zeroed": zeroed, "external": positions == "external"}
+        system = RobotSystem(
+            robot, prepared(recorded, robot, bandwidth, forward, **robot_options), beside
+        )
         write_prediction(out, system)
         gaps = system.gaps()
         figures = {"rows": system.row_count, "gap": {name: gap for name, _, gap, _ in gaps}}
@@ -342,33 +344,35 @@ def adapt(
     adapted_model = out / ADAPTED_MODEL
     calibration = out / CALIBRATION
     with tempfile.TemporaryDirectory() as folder, diagnosis_progress(console) as (show, warn):
-        found = make(recorded, nominal, first, show, workers, warn, force=force)
-        made = found.adapted if found.better else None
+        adaptation = make(recorded, nominal, first, show, workers, warn, force=force)
+        made = adaptation.adapted if adaptation.better else None
         exported = Path(folder) / ADAPTED_MODEL
         if made is not None:
             made.export(exported, shlex.join(words))
-        models = {"before": found.before} | ({"after": found.after} if found.after else {})
-        write_diagnosis(out, found.diagnosis, models)
+        models = {"before": adaptation.before} | (
+            {"after": adaptation.after} if adaptation.after else {}
+        )
+        write_diagnosis(out, adaptation.diagnosis, models)
         if made is not None:
             write_atomically(adapted_model, exported.read_bytes(), OptionError)
             write_calibration(calibration, made.calibration)
         else:  # those of an earlier run are for another arm
             adapted_model.unlink(missing_ok=True)
             calibration.unlink(missing_ok=True)
-    verdict = found.diagnosis.verdict
+    verdict = adaptation.diagnosis.verdict
     if json_output:
         used = adapted_model if made else path
         print_json(
             {
                 "model": str(used) if used else None,
                 "calibration": str(calibration) if made else None,
-                "better": found.better,
+                "better": adaptation.better,
                 "verdict": verdict.model_dump(mode="json"),
             }
         )
         return
     kept = str(path) if path else f"the estimator of {nominal.name}"
-    lines = [headline(verdict), _outcome(found, kept), f"Report: {out / 'report.html'}"]
+    lines = [headline(verdict), _outcome(adaptation, kept), f"Report: {out / 'report.html'}"]
     if "capstan_friction" in verdict.effects:
         lines.append(FRICTION_HIDES)
     if made is not None:

@@ -192,16 +192,16 @@ def watch(
     read, diagnosed, machine = _of_arm(arm) if model is None else _of_robot(model)
     recordings = map(read, later)
     shared = (machine, read(first))
-    found: Iterator[Verdict] = (diagnosed(*shared, each, workers) for each in recordings)
+    incoming: Iterator[Verdict] = (diagnosed(*shared, each, workers) for each in recordings)
     if dask_scheduler is not None:
         from cablesense_training.cluster import map_on_cluster
 
-        found = map_on_cluster(dask_scheduler, diagnosed, recordings, *shared)
+        incoming = map_on_cluster(dask_scheduler, diagnosed, recordings, *shared)
     console = Console(stderr=json_output)
     verdicts: list[Verdict] = []
     for path in later:
         with console.status(f"{path.name}, {len(verdicts) + 1} of {len(later)}"):
-            verdicts.append(next(found))
+            verdicts.append(next(incoming))
     write_drift(out, verdicts)
     if json_output:
         print_json([each.model_dump(mode="json", exclude_none=True) for each in verdicts])
@@ -267,8 +267,8 @@ def score(
     from cablesense_gap.scoring import score as score_verdicts
 
     listed = read_answers(answers)
-    found = score_verdicts(read_verdicts(verdicts, [a.recording for a in listed]), listed)
-    print_result(f"{found.cases} verdicts", asdict(found), json_output)
+    scores = score_verdicts(read_verdicts(verdicts, [a.recording for a in listed]), listed)
+    print_result(f"{scores.cases} verdicts", asdict(scores), json_output)
 
 
 def withhold(

@@ -312,7 +312,7 @@ def _hidden_force(name: str, load_n: float, bend_deg: float) -> Description:
     None means more than the load. The arm goes from straight to `bend_deg` in every joint.
     """
     arm = open_arm(name)
-    found = hidden_force(arm, np.full(arm.joint_count, np.deg2rad(bend_deg)), load_n)
+    forces_n = hidden_force(arm, np.full(arm.joint_count, np.deg2rad(bend_deg)), load_n)
 
     def plain(values_n: Array) -> Description:
         figures = {"median": np.median(values_n), "largest": values_n.max()}
@@ -326,7 +326,7 @@ def _hidden_force(name: str, load_n: float, bend_deg: float) -> Description:
         "bend_deg": bend_deg,
         "shows_at_std": SHOWS_AT_STD,
         "segments": [
-            {when: plain(values_n[n]) for when, values_n in found._asdict().items()}
+            {when: plain(values_n[n]) for when, values_n in forces_n._asdict().items()}
             for n in range(arm.segment_count)
         ],
     }
@@ -369,13 +369,13 @@ def _observability(arm: Arm, force_n: float, bend_deg: float) -> Description:
         "lateral_n": np.full(arm.segment_count, _DETERMINED * force_n),
         "axial_n": np.full(arm.segment_count, _DETERMINED * _AXIAL_STD_N),
     }
-    found: Description = {}
+    medians: Description = {}
     for pose, bend in (("straight", 0.0), (f"joints within {bend_deg:g} degrees", bend_deg)):
-        found[pose] = {}
+        medians[pose] = {}
         for n in range(arm.segment_count):
             bound = _contact_bound(arm, n, force_n, bend)
             median = {key: float(f"{np.median(values):.3g}") for key, values in bound.items()}
-            found[pose][f"segment {n + 1}"] = {
+            medians[pose][f"segment {n + 1}"] = {
                 key: None if key in known and value > known[key][n] else value
                 for key, value in median.items()
             }
@@ -383,7 +383,7 @@ def _observability(arm: Arm, force_n: float, bend_deg: float) -> Description:
         "arm": arm.identity,
         "contact_n": force_n,
         "poses, places and directions": _DRAWS,
-        **found,
+        **medians,
     }
 
 

@@ -55,14 +55,14 @@ def refuse_given(context: typer.Context, names: Iterable[str], why: str) -> None
 
     `names` are the function's parameters; `why` ends the sentence "… has no effect".
     """
-    given = [
+    ignored = [
         parameter.opts[0] if parameter.opts[0].startswith("-") else parameter.opts[0].upper()
         for parameter in context.command.params
         if parameter.name in set(names) and context.params[parameter.name] != parameter.default
     ]
-    if given:
-        have = "has" if len(given) == 1 else "have"
-        raise OptionError(f"{', '.join(given)} {have} no effect {why}; leave it out")
+    if ignored:
+        have = "has" if len(ignored) == 1 else "have"
+        raise OptionError(f"{', '.join(ignored)} {have} no effect {why}; leave it out")
 
 
 def task_bars(console: Console) -> Progress:

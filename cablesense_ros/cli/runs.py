@@ -137,8 +137,8 @@ def demo(
         commission=not no_commission,
     )
     if headless:
-        given = ("host", "port", "no_open")
-        refuse_given(context, given, "with --headless, which serves no page")
+        page_options = ("host", "port", "no_open")
+        refuse_given(context, page_options, "with --headless, which serves no page")
         run_headless(options, duration_s=duration, as_json=json_output)
     else:
         refuse_given(context, ("duration", "json_output"), "without --headless")

@@ -216,8 +216,8 @@ def train(
         refuse_given(context, ["pose_range_deg"], "with --pose straight")
     recipe = model_training.recipe_for(network)
     chosen = {"epochs": epochs, "batch_size": batch_size, "learning_rate": learning_rate}
-    given: dict[str, Any] = {k: value for k, value in chosen.items() if value is not None}
-    settings = replace(recipe.settings, seed=seed, threads=threads, **given)
+    overrides: dict[str, Any] = {k: value for k, value in chosen.items() if value is not None}
+    settings = replace(recipe.settings, seed=seed, threads=threads, **overrides)
     drawn = {
         "samples": recipe.samples if samples is None else samples,
         "pose": pose,

@@ -81,24 +81,24 @@ def generate_launch_description() -> LaunchDescription:
 
 def start(context: LaunchContext) -> list:
     """The nodes for the arguments given, in their order of start."""
-    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
-    refuse_what_has_no_effect(given)
-    changed = {n: as_text(v) for n, v in given.items() if v != ARGUMENTS[n][0]}
-    wanted = {name for name, value in given.items() if value == "true"}
+    arguments = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    refuse_what_has_no_effect(arguments)
+    changed = {n: as_text(v) for n, v in arguments.items() if v != ARGUMENTS[n][0]}
+    wanted = {name for name, value in arguments.items() if value == "true"}
     refuse_missing_packages(wanted)
     settings = Path(get_package_share_directory(PACKAGE)) / "config" / "nodes"
     respawn = "respawn" in wanted
     again = {"respawn": True, "respawn_delay": 1.0} if respawn else {}
-    shared = {"arm": as_text(given["arm"])}
+    shared = {"arm": as_text(arguments["arm"])}
     framed = shared | {n: v for n, v in changed.items() if n == "frame_prefix"}
 
     def node(name: str, parameters: dict, kind: type = Node, **more: object) -> Node:
-        files = (settings / f"{name}.yaml", Path(given["params_file"]))
+        files = (settings / f"{name}.yaml", Path(arguments["params_file"]))
         return kind(
             package=PACKAGE,
             executable=name,
             name=name,
-            namespace=given["namespace"],
+            namespace=arguments["namespace"],
             output="screen",
             parameters=[*(str(file) for file in files if file.is_file()), parameters],
             **again,
@@ -109,14 +109,14 @@ def start(context: LaunchContext) -> list:
         """Configured, then activated; one that cannot be ends the launch with an error."""
         if respawn:
             return [node(name, parameters | {"autostart": True})]
-        one = node(name, parameters | {"autostart": False}, LifecycleNode)
-        activate = change(one, Transition.TRANSITION_ACTIVATE)
+        lifecycle_node = node(name, parameters | {"autostart": False}, LifecycleNode)
+        activate = change(lifecycle_node, Transition.TRANSITION_ACTIVATE)
         # the handlers stand before the event that sets them off
         return [
             *(
                 RegisterEventHandler(
                     OnStateTransition(
-                        target_lifecycle_node=one,
+                        target_lifecycle_node=lifecycle_node,
                         start_state=start,
                         goal_state=goal,
                         entities=[action],
@@ -128,15 +128,15 @@ def start(context: LaunchContext) -> list:
                     ("activating", "inactive", failure(f"{name} cannot be activated")),
                 )
             ),
-            one,
-            change(one, Transition.TRANSITION_CONFIGURE),
+            lifecycle_node,
+            change(lifecycle_node, Transition.TRANSITION_CONFIGURE),
         ]
 
     def some(*names: str) -> dict:
         return {name: changed[name] for name in names if name in changed}
 
-    source = given["source"]
-    breathe = given["breathe"]
+    source = arguments["source"]
+    breathe = arguments["breathe"]
     started: list = [] if respawn else [RegisterEventHandler(OnProcessExit(on_exit=on_exit))]
     if source != "can":
         remappings = [("cable_tensions", "simulated_tensions")] * (source != "sim")
@@ -144,9 +144,9 @@ def start(context: LaunchContext) -> list:
         started.append(node("sim", framed | described, remappings=remappings))
     bus = some("map", "calibration", "interface", "channel")
     if "bitrate_bit_s" in changed:
-        bus["bitrate_bit_s"] = int(given["bitrate_bit_s"])
+        bus["bitrate_bit_s"] = int(arguments["bitrate_bit_s"])
     if source == "emulated_can":
-        suffix = given["namespace"].strip("/").replace("/", "_")
+        suffix = arguments["namespace"].strip("/").replace("/", "_")
         adapter = {"channel": "_".join(filter(None, ["/tmp/cablesense_can", suffix]))}
         started.append(node("can_emulator", shared | bus | adapter))
         bus |= adapter | {"interface": "slcan", "bitrate_bit_s": EMULATED_BIT_S}
@@ -155,8 +155,8 @@ def start(context: LaunchContext) -> list:
         started += lifecycle("can_driver", framed | bus)
     if breathe != "none":
         started.append(node("breather", shared | {"continuous": breathe == "continuous"}))
-    if given["commission_to"]:
-        written = {"calibration_file": as_text(given["commission_to"])}
+    if arguments["commission_to"]:
+        written = {"calibration_file": as_text(arguments["commission_to"])}
         started.append(node("commissioner", shared | some("model") | written))
     tared = {"await_breath": True} if breathe != "none" else {}
     if "auto_tare" not in wanted:
@@ -165,12 +165,12 @@ def start(context: LaunchContext) -> list:
     if "page" in wanted:
         started.append(node("page", framed))
     if "description" in wanted:
-        urdf = {"robot_description": as_text(urdf_xml(open_arm(given["arm"])))}
+        urdf = {"robot_description": as_text(urdf_xml(open_arm(arguments["arm"])))}
         started.append(
             Node(
                 package="robot_state_publisher",
                 executable="robot_state_publisher",
-                namespace=given["namespace"],
+                namespace=arguments["namespace"],
                 parameters=[urdf | some("frame_prefix")],
                 **again,
             )
@@ -182,7 +182,7 @@ def start(context: LaunchContext) -> list:
             Node(
                 package="rviz2",
                 executable="rviz2",
-                namespace=given["namespace"],
+                namespace=arguments["namespace"],
                 arguments=["-d", str(layout)],
                 remappings=[(topic, topic[1:]) for topic in seen],
             )

@@ -124,10 +124,10 @@ class Payload(Effect):
         return float((0.5 + values["beyond_middle"]) * length_m[0])
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
-        here = chosen(place, mechanism.segment_count)
-        mass = mechanism.mass_kg + here * values["mass_kg"]
+        affected = chosen(place, mechanism.segment_count)
+        mass = mechanism.mass_kg + affected * values["mass_kg"]
         added = values["mass_kg"] * self.lever(mechanism, place, values)
-        moment = mechanism.mass_kg * mechanism.centre_of_mass_m + here * added
+        moment = mechanism.mass_kg * mechanism.centre_of_mass_m + affected * added
         heavy = np.maximum(mass, 1e-9)
         return replace(mechanism, mass_kg=heavy, centre_of_mass_m=moment / heavy)
 
@@ -174,11 +174,13 @@ class RoutingGeometry(Effect):
     )
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
-        own = own_cables(place, mechanism)
+        moved_cables = own_cables(place, mechanism)
         carried = chosen(place, mechanism.segment_count)
         if values["cables_radius_m"] or values["cables_angle_rad"]:
             mechanism = with_cables_moved(
-                mechanism, own * values["cables_radius_m"], own * values["cables_angle_rad"]
+                mechanism,
+                moved_cables * values["cables_radius_m"],
+                moved_cables * values["cables_angle_rad"],
             )
         if values["plates_radius_m"] or values["plates_angle_rad"]:
             mechanism = with_plates_moved(

@@ -42,13 +42,13 @@ Kind = TypeVar("Kind", bound=EffectDescription)
 
 def effects_in(package: ModuleType, base: type[Kind]) -> dict[str, Kind]:
     """An instance of each effect that the modules of a package define, by name."""
-    found = {}
+    instances = {}
     for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
         for value in vars(importlib.import_module(module.name)).values():
             defined = isinstance(value, type) and value.__module__ == module.name
             if defined and issubclass(value, base) and value is not base:
-                found[value.name] = value()
-    return found
+                instances[value.name] = value()
+    return instances
 
 
 @cache
@@ -58,7 +58,7 @@ def known_effects() -> Mapping[str, Effect]:
     Raises:
         EffectError: an offered effect cannot be loaded, or its name is taken.
     """
-    found = effects_in(effects, Effect)
+    known = effects_in(effects, Effect)
     for offered in entry_points(group=ENTRY_POINTS):
         try:
             value = offered.load()
@@ -66,10 +66,10 @@ def known_effects() -> Mapping[str, Effect]:
             raise EffectError(f"effect {offered.name} of {offered.value}: {error}") from error
         if not _is_effect(value):
             raise EffectError(f"effect {offered.name}: {offered.value} is no class of effect")
-        if value.name in found:
+        if value.name in known:
             raise EffectError(f"effect {value.name} of {offered.value}: the name is taken")
-        found[value.name] = value()
-    return MappingProxyType(dict(sorted(found.items())))
+        known[value.name] = value()
+    return MappingProxyType(dict(sorted(known.items())))
 
 
 def _is_effect(value: object) -> bool:
@@ -144,10 +144,10 @@ def joint_zeros_rad(variants: Variants, joint_count: int) -> Array | None:
 
     N is the `joint_count`. None where no effect has any.
     """
-    found = _acting(
+    zeros_rad = _acting(
         variants, lambda effect, place, values: effect.joint_zeros_rad(place, values, joint_count)
     )
-    return np.sum(found, axis=0) if found else None
+    return np.sum(zeros_rad, axis=0) if zeros_rad else None
 
 
 def actuations(variants: Variants) -> list[Actuation]:
@@ -168,12 +168,12 @@ def sensings(variants: Variants) -> list[Sensing]:
 def _acting(
     variants: Variants, made: Callable[[Effect, str, Values], _Acting | None]
 ) -> list[_Acting]:
-    found = []
+    all_acting = []
     for entries in sorted(zip(*variants, strict=True), key=lambda entries: _order(entries[0])):
         acting = made(entries[0].effect, entries[0].place, side_by_side(entries))
         if acting is not None:
-            found.append(acting)
-    return found
+            all_acting.append(acting)
+    return all_acting
 
 
 def _order(entry: EffectEntry) -> tuple[int, str, str, list[tuple[str, float]]]:

@@ -48,8 +48,8 @@ class SensorGain(Effect):
 
     def sensing(self, place: str, values: Values) -> Sensing:
         def scaled(_: float | Array, tensions_n: Array) -> Array:
-            here = chosen(place, tensions_n.shape[-1])
-            return tensions_n * (1.0 + values["gain"][:, None] * here)
+            affected = chosen(place, tensions_n.shape[-1])
+            return tensions_n * (1.0 + values["gain"][:, None] * affected)
 
         return Instant(scaled)
 
@@ -71,8 +71,8 @@ class SensorCrosstalk(Effect):
     )
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        every = range(1, cable_count + 1)
-        pairs = (f"cable_{a}_into_cable_{b}" for a in every for b in every if a != b)
+        numbers = range(1, cable_count + 1)
+        pairs = (f"cable_{a}_into_cable_{b}" for a in numbers for b in numbers if a != b)
         return (WHOLE_ARM, *pairs)
 
     def sensing(self, place: str, values: Values) -> Sensing:
@@ -223,14 +223,14 @@ def _low_passed(kept: Array, added: Array, start: Array) -> Array:
     Rows of twice as many steps at a time: Hillis and Steele, Data parallel algorithms, CACM 1986.
     """
     kept = np.broadcast_to(kept, added.shape).copy()
-    found = added.copy()
-    found[:, 0] += kept[:, 0] * start
+    filtered = added.copy()
+    filtered[:, 0] += kept[:, 0] * start
     step = 1
-    while step < found.shape[1]:
-        found[:, step:] += kept[:, step:] * found[:, :-step]
+    while step < filtered.shape[1]:
+        filtered[:, step:] += kept[:, step:] * filtered[:, :-step]
         kept[:, step:] *= kept[:, :-step].copy()
         step *= 2
-    return found
+    return filtered
 
 
 _TURN = "of the load that acts against the recorded one, about the base's {} axis"

@@ -68,22 +68,22 @@ class CableTolerance(Effect):
     tolerance = True
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
-        here = chosen(place, mechanism.cable_count)
-        tensioned = mechanism.pretension_n + here * values["pretension_n"]
+        affected = chosen(place, mechanism.cable_count)
+        tensioned = mechanism.pretension_n + affected * values["pretension_n"]
         if values["pretension_n"] < 0.0:
-            tensioned = np.where(here, np.maximum(tensioned, 0.1), tensioned)
-        friction = mechanism.relative_friction * (1.0 + here * values["friction_share"])
+            tensioned = np.where(affected, np.maximum(tensioned, 0.1), tensioned)
+        friction = mechanism.relative_friction * (1.0 + affected * values["friction_share"])
         amended = replace(mechanism, pretension_n=tensioned, relative_friction=friction)
         if not values["log_stiffness"]:
             return amended
-        in_series = mechanism.stiffness_n_m * np.exp(here * values["log_stiffness"])
+        in_series = mechanism.stiffness_n_m * np.exp(affected * values["log_stiffness"])
         # the actuator gives as much as is stated, and the cable alone a little at least
         by_cable = 1.0 / in_series - 1.0 / mechanism.actuator_stiffness_n_m
         alone = 1.0 / np.maximum(by_cable, 1e-3 / in_series)
         return replace(
             amended,
             stiffness_n_m=in_series,
-            cable_stiffness_n_m=np.where(here, alone, mechanism.cable_stiffness_n_m),
+            cable_stiffness_n_m=np.where(affected, alone, mechanism.cable_stiffness_n_m),
         )
 
 
@@ -112,11 +112,11 @@ class HoleTolerance(Effect):
     tolerance = True
 
     def places(self, segment_count: int, cable_count: int) -> tuple[str, ...]:
-        each = cable_count // segment_count
+        per_segment = cable_count // segment_count
         return tuple(
             f"{cable}_plate_{plate}"
             for i, cable in enumerate(cables(cable_count))
-            for plate in range(i // each + 2)
+            for plate in range(i // per_segment + 2)
         )
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
@@ -205,13 +205,13 @@ class SegmentTolerance(Effect):
     tolerance = True
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
-        here = chosen(place, mechanism.segment_count)
+        affected = chosen(place, mechanism.segment_count)
         return replace(
             mechanism,
-            mass_kg=mechanism.mass_kg * (1.0 + here * values["mass_share"]),
-            centre_of_mass_m=mechanism.centre_of_mass_m + here * values["centre_m"],
-            segment_length_m=mechanism.segment_length_m + here * values["length_m"],
-            contact_m=mechanism.contact_m + here * values["contact_m"],
+            mass_kg=mechanism.mass_kg * (1.0 + affected * values["mass_share"]),
+            centre_of_mass_m=mechanism.centre_of_mass_m + affected * values["centre_m"],
+            segment_length_m=mechanism.segment_length_m + affected * values["length_m"],
+            contact_m=mechanism.contact_m + affected * values["contact_m"],
         )
 
 

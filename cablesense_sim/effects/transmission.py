@@ -175,14 +175,14 @@ class _Guides(Transmission):
         self._values = values
 
     def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
-        none = np.zeros_like(self._values["coefficient"])
+        zeros = np.zeros_like(self._values["coefficient"])
         self._coefficient = self._values["coefficient"][:, None] * mechanism.relative_friction
         names = (f"start_{cable}" for cable in cables(mechanism.cable_count))
-        start = np.stack([self._values.get(name, none) for name in names], axis=-1)
+        start = np.stack([self._values.get(name, zeros) for name in names], axis=-1)
         compliance_m_n = self._pieces_m_n(mechanism)
         self._longer = compliance_m_n / compliance_m_n.sum(-1, keepdims=True)
         lengths_m, limit = self._at(rest.spans_m, rest.bends_rad)
-        borne = self._values.get("weight_borne", none + 1.0)[:, None, None]
+        borne = self._values.get("weight_borne", zeros + 1.0)[:, None, None]
         if (borne < 1.0).any():
             lengths_m = (1.0 - borne) * self._weightless_m(mechanism) + borne * lengths_m
         from cablesense_sim.cable_chain import CableChains  # compiled: none without friction waits
@@ -309,8 +309,8 @@ class _DryJoints(Transmission):
         self._at: Array | None = None
 
     def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
-        here = np.repeat(chosen(self._place, mechanism.segment_count), 2)
-        self._limit_n_m = self._values["torque_n_m"][:, None] * here
+        affected = np.repeat(chosen(self._place, mechanism.segment_count), 2)
+        self._limit_n_m = self._values["torque_n_m"][:, None] * affected
         start = np.stack([self._values["start_pitch"], self._values["start_yaw"]], axis=-1)
         self._sharp = np.tile(start, mechanism.segment_count)
         self._round = self._sharp
@@ -396,8 +396,8 @@ class _Creep(Transmission):
         self._begun = values["begun"][:, None]
 
     def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
-        here = own_cables(self._place, mechanism)
-        self._give_m_n = self._share * here / mechanism.stiffness_n_m
+        affected = own_cables(self._place, mechanism)
+        self._give_m_n = self._share * affected / mechanism.stiffness_n_m
         self._reference_n = self._settled * rest.tensions_n
         target = self._give_m_n * (rest.tensions_n - self._reference_n)
         self._parts_m = np.repeat((self._begun * target)[..., None] / 3.0, 3, axis=-1)

@@ -112,19 +112,19 @@ def main() -> int:
     parser.add_argument("--page", action="store_true", help="show the arm in the browser")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--logs", type=Path, default=Path("out/admittance"), help="of the nodes")
-    given = parser.parse_args()
+    options = parser.parse_args()
     try:
-        found = play(given.duration, given.logs, given.page)
+        figures = play(options.duration, options.logs, options.page)
     except CableSenseError as error:
         print(error, file=sys.stderr)
         return 1
-    if given.json:
-        print(json.dumps(found, indent=2))
+    if options.json:
+        print(json.dumps(figures, indent=2))
         return 0
     print(
-        f"The wall would hold segment {SEGMENT} with {found['without_controller_n']:.1f} N. The "
-        f"arm met {found['peak_n']:.1f} N and reduced them to {found['settled_n']:.1f} N in "
-        f"{found['settling_s']:.1f} s and {found['steps']} steps."
+        f"The wall would hold segment {SEGMENT} with {figures['without_controller_n']:.1f} N. The "
+        f"arm met {figures['peak_n']:.1f} N and reduced them to {figures['settled_n']:.1f} N in "
+        f"{figures['settling_s']:.1f} s and {figures['steps']} steps."
     )
     return 0
 

@@ -55,11 +55,11 @@ class AdmittanceNode(Node):
         super().__init__("admittance")
         defaults: dict[str, Any] = {f.name: f.default for f in fields(AdmittanceSettings)}
         defaults |= {"arm": "cdsm", "frame_prefix": "", "estimator": "estimator"}
-        given = {name: self.declare_parameter(name, of).value for name, of in defaults.items()}
-        arm = open_arm(given.pop("arm"))
-        self._frames = Frames(arm.segment_count, given.pop("frame_prefix"))
-        estimator = given.pop("estimator")
-        settings = AdmittanceSettings(**given)
+        values = {name: self.declare_parameter(name, of).value for name, of in defaults.items()}
+        arm = open_arm(values.pop("arm"))
+        self._frames = Frames(arm.segment_count, values.pop("frame_prefix"))
+        estimator = values.pop("estimator")
+        settings = AdmittanceSettings(**values)
         self._mechanism = mechanism_of(arm)
         self._controller = AdmittanceController(self._mechanism, settings, time.monotonic())
         self._joints = NamedOrder(arm.joint_names, "joints")
@@ -112,11 +112,11 @@ class AdmittanceNode(Node):
 
     def _pair(self, stamp_ns: int, **half: Any) -> None:
         """Bring a wrench and its state together, whichever comes first."""
-        both = self._halves.pop(stamp_ns, {}) | half
-        if len(both) == 3:
-            self._estimated(stamp_ns, **both)
+        halves = self._halves.pop(stamp_ns, {}) | half
+        if len(halves) == 3:
+            self._estimated(stamp_ns, **halves)
             return
-        self._halves[stamp_ns] = both
+        self._halves[stamp_ns] = halves
         if len(self._halves) > HALVES_KEPT:
             del self._halves[next(iter(self._halves))]
 

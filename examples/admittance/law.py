@@ -95,8 +95,8 @@ class AdmittanceLaw:
             step_rad = self._homeward(command_rad, away_rad, period_s)
         else:
             step_rad = self._yielding(command_rad, away_rad, contact, period_s)
-        given = self.settings
-        limit_rad = np.deg2rad(min(given.step_limit_deg, given.speed_limit_deg_s * period_s))
+        settings = self.settings
+        limit_rad = np.deg2rad(min(settings.step_limit_deg, settings.speed_limit_deg_s * period_s))
         step_rad = step_rad * min(1.0, limit_rad / max(np.abs(step_rad).max(), 1e-12))
         target_rad = self.nearest(command_rad + step_rad)
         worth_it = np.abs(target_rad - command_rad).max() >= SMALLEST_STEP_RAD
@@ -124,18 +124,18 @@ class AdmittanceLaw:
     def _yielding(
         self, command_rad: Array, away_rad: Array, contact: ContactForce, period_s: float
     ) -> Array:
-        given = self.settings
+        settings = self.settings
         force_n = contact.force_base_n
         magnitude_n = max(float(np.linalg.norm(force_n)), 1e-12)
         lever_m = self._jacobian(command_rad, contact.segment).T @ (force_n / magnitude_n)
-        torque = lever_m * magnitude_n - given.return_stiffness_n_m_rad * away_rad
+        torque = lever_m * magnitude_n - settings.return_stiffness_n_m_rad * away_rad
         size = np.linalg.norm(torque)
-        friction = given.deadband_n * np.linalg.norm(lever_m)
+        friction = settings.deadband_n * np.linalg.norm(lever_m)
         if size <= friction:
             return np.zeros_like(command_rad)
         torque = torque * (1.0 - friction / size)
         diagonal = self._diagonal(period_s)
-        stiffness_n_m = given.worst_stiffness_n_m
+        stiffness_n_m = settings.worst_stiffness_n_m
         implicit = stiffness_n_m * float(lever_m @ torque)
         implicit /= diagonal + stiffness_n_m * float(lever_m @ lever_m)
         return (torque - lever_m * implicit) / diagonal
@@ -145,5 +145,5 @@ class AdmittanceLaw:
         return jacobians[segment - 1]  # (3, 2N), of the contact point
 
     def _diagonal(self, period_s: float) -> float:
-        given = self.settings
-        return given.damping_n_m_s_rad / max(period_s, 1e-6) + given.return_stiffness_n_m_rad
+        settings = self.settings
+        return settings.damping_n_m_s_rad / max(period_s, 1e-6) + settings.return_stiffness_n_m_rad

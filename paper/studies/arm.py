@@ -306,8 +306,8 @@ def _largest(values: Array) -> float:
 
 
 def _load_figure(names: list[str], three_n: tuple[Array, ...]) -> Any:
-    figure, every = panels(2, 3, 5.2, grid="y", sharex=True, sharey=True)
-    for row, axes in enumerate(every.ravel()):
+    figure, grid_axes = panels(2, 3, 5.2, grid="y", sharex=True, sharey=True)
+    for row, axes in enumerate(grid_axes.ravel()):
         for n, (label, mark, colour) in enumerate(_SOURCES):
             x = _CABLES + 0.22 * (n - 1)
             changes_n = three_n[n][row]

@@ -159,7 +159,7 @@ def friction(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
         ]
     )
     progress(0.65)
-    left = {law: _left_of_held(law, rest_s) for law in _LAWS}
+    left_share = {law: _left_of_held(law, rest_s) for law in _LAWS}
     width_n = {law: _loop_width_n(path, loops[law][:, 0]) for law in _LAWS}
     numbers = {
         "mu": _COEFFICIENT,
@@ -167,14 +167,14 @@ def friction(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
         "rest_s": rest_s,
         "soft_width_n": width_n[Friction.FRICTIONLOSS],
         "hard_width_n": width_n[Friction.HARDENED],
-        "laws": [(str(law), width_n[law], 100.0 * left[law]) for law in _LAWS],
+        "laws": [(str(law), width_n[law], 100.0 * left_share[law]) for law in _LAWS],
         "worst": float(np.abs(sweep[:, 2] / np.exp(-sweep[:, 0] * sweep[:, 1]) - 1.0).max()),
         "pairs": len(sweep),
         "slip_ratio": _slip_ratio(_COEFFICIENT, _WRAP_RAD),
         "closed_ratio": float(np.exp(-_COEFFICIENT * _WRAP_RAD)),
         "apart_n": apart_n,
         "loops_agree": "partly" if apart_n < 0.1 * width_n[Friction.CAPSTAN] else "no",
-        "capstan_left": left[Friction.CAPSTAN],
+        "capstan_left": left_share[Friction.CAPSTAN],
         "fixed_n": 100.0 * np.tanh(0.5 * _COEFFICIENT * _WRAP_RAD),
     }
     return numbers, {
@@ -225,11 +225,11 @@ def _loop_width_n(path_m: Array, tension_n: Array) -> float:
 
 
 def _loop_figure(path_m: Array, loops: dict[Friction, Array], own_n: Array) -> Any:
-    figure, every = panels(1, 4, 3.5, sharex=True, sharey=True)
+    figure, grid_axes = panels(1, 4, 3.5, sharex=True, sharey=True)
     cycle = slice(len(path_m) // 3, None)
     path_um = 1e6 * path_m
     free_n = loops[Friction.NONE][cycle, 0]
-    for axes, law in zip(every[0], _LAWS, strict=True):
+    for axes, law in zip(grid_axes[0], _LAWS, strict=True):
         near_n, far_n = loops[law].T
         axes.plot(path_um[cycle], free_n, color=GREY, ls="--", lw=1.2, label="no friction")
         axes.plot(path_um, near_n, color=BLUE, lw=1.8, label="at the drive, T1")
@@ -243,7 +243,7 @@ def _loop_figure(path_m: Array, loops: dict[Friction, Array], own_n: Array) -> A
         lw=1.4,
         label="T1 by the effect capstan_friction",
     )
-    every[0, 0].set(ylabel="tension, N", ylim=(0.0, None))
+    grid_axes[0, 0].set(ylabel="tension, N", ylim=(0.0, None))
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=4)
     return figure
 

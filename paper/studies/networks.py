@@ -168,8 +168,8 @@ def explore(plan: Plan, progress: Progress) -> TrialResults:
     settings = FitSettings(epochs=plan.epochs, batch_size=plan.batch_size)
     done: list[Trial] = []
     with WorkerPool(min(plan.workers, os.cpu_count() or 1), training, test, settings) as pool:
-        for one in pool.map(trial, *zip(*cases, strict=True)):
-            done.append(one)
+        for result in pool.map(trial, *zip(*cases, strict=True)):
+            done.append(result)
             progress(0.85 * len(done) / len(cases))
     with_little_data = {}
     for pose in plan.paper_poses:
@@ -309,24 +309,24 @@ def _little_data(results: TrialResults) -> Iterator[dict[str, Any]]:
 def figures_of(results: TrialResults) -> Figures:
     """Errors by width, a line for each depth; and of the three architectures by parameters."""
     plan = results.plan
-    depths, every = _metric_panels()
-    for axes, metric in zip(every, PAPER_ERRORS, strict=True):
+    depths, metric_axes = _metric_panels()
+    for axes, metric in zip(metric_axes, PAPER_ERRORS, strict=True):
         for n, depth in enumerate(plan.depths):
             shapes = [Shape(DECOUPLED, depth, width) for width in plan.widths]
             style = {"color": SERIES[n], "marker": "osD^v"[n], "ls": DASHES[n]}
-            label = _layers(depth) if axes is every[0] else ""
+            label = _layers(depth) if axes is metric_axes[0] else ""
             _curve(axes, plan.widths, shapes, results, metric, **style, label=label)
         axes.set(xscale="log", xlabel="width of every layer", xticks=plan.widths)
         axes.set_xticks((), minor=True)
         plain_ticks(axes.xaxis)
-    every[0].plot([], [], color=BLACK, ls="--", lw=1.0, label="the paper’s network")
+    metric_axes[0].plot([], [], color=BLACK, ls="--", lw=1.0, label="the paper’s network")
     depths.legend(loc="outside upper center", ncols=1 + len(plan.depths))
-    architectures, every = _metric_panels()
-    for axes, metric in zip(every, PAPER_ERRORS, strict=True):
+    architectures, metric_axes = _metric_panels()
+    for axes, metric in zip(metric_axes, PAPER_ERRORS, strict=True):
         for name, style in _STYLES.items():
             shapes = [Shape(name, plan.compared_depth, width) for width in plan.widths]
             parameters = [results.means.loc[shape, PARAMETERS] for shape in shapes]
-            label = name if axes is every[0] else ""
+            label = name if axes is metric_axes[0] else ""
             _curve(axes, parameters, shapes, results, metric, **style, label=label)
         axes.set(xscale="log", xlabel="thousand parameters (logarithmic)")
         plain_log_ticks(axes.xaxis)
@@ -337,12 +337,12 @@ def figures_of(results: TrialResults) -> Figures:
 
 def _metric_panels() -> tuple[Any, Any]:
     """A figure of one panel for each metric, with the paper's error in it."""
-    figure, every = panels(1, len(PAPER_ERRORS), 3.5)
-    for axes, (metric, paper) in zip(every[0], PAPER_ERRORS.items(), strict=True):
+    figure, grid_axes = panels(1, len(PAPER_ERRORS), 3.5)
+    for axes, (metric, paper) in zip(grid_axes[0], PAPER_ERRORS.items(), strict=True):
         axes.axhline(paper, color=BLACK, ls="--", lw=1.0)
         axes.set(yscale="log", ylabel=f"{metric} (logarithmic)".replace("wrong,", "wrong class,"))
         plain_log_ticks(axes.yaxis)
-    return figure, every[0]
+    return figure, grid_axes[0]
 
 
 def _curve(
@@ -355,6 +355,6 @@ def _curve(
 ) -> None:
     """Means over the seeds as a line, each seed as a faint dot."""
     axes.plot(x, [results.means.loc[shape, metric] for shape in shapes], lw=1.6, ms=6, **style)
-    for at, shape in zip(x, shapes, strict=True):
+    for abscissa, shape in zip(x, shapes, strict=True):
         for error in results.trials.loc[[shape], metric]:
-            axes.plot(at, error, ".", color=style["color"], ms=4, alpha=0.45)
+            axes.plot(abscissa, error, ".", color=style["color"], ms=4, alpha=0.45)

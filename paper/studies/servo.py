@@ -119,13 +119,13 @@ def _started(kv: float) -> tuple[Array, Array, Array]:
 def _both_ways_to_the_pretension(times: float) -> tuple[str | float, ...]:
     """Tension at rest by spring length, by control signal, and by closed form, for kp in k."""
     kp = times * STIFFNESS_N_M
-    found = []
+    tensions_n = []
     for bias_m in (None, PRETENSION_N / STIFFNESS_N_M):
         model, data = _model(kp, 2.0 * np.sqrt(kp), bias_m)
         data.ctrl[0] = bias_m or 0.0
-        found.append(_tension_at_rest_n(model, data, steps=2000))
+        tensions_n.append(_tension_at_rest_n(model, data, steps=2000))
     closed_n = float(tension_at_rest_n(PRETENSION_N, STIFFNESS_N_M, kp, 1))
-    return f"{times:.0f} k", *found, closed_n
+    return f"{times:.0f} k", *tensions_n, closed_n
 
 
 def _model(kp: float, kv: float, bias_m: float | None = None) -> Any:
@@ -193,7 +193,7 @@ def self_locking(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
         int((stable != (steps_s < limits_s[name][:, None])).sum())
         for name, stable in bounded.items()
     )
-    short = {one: float(_closed_error_m(one)) / _DRAWN_M for one in _SHOWN}
+    short = {gain: float(_closed_error_m(gain)) / _DRAWN_M for gain in _SHOWN}
     at_ten = int(np.argmin(np.abs(gains - 10.0)))
     limits_us = {name: 1e6 * float(limit[at_ten]) for name, limit in limits_s.items()}
     numbers = {
@@ -208,7 +208,8 @@ def self_locking(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
         "missed": missed,
         "cells": side * side * len(INTEGRATORS),
         "reached": [
-            (f"{one:g} k", 1e6 * float(reached_m[one][-1]), 100.0 * short[one]) for one in _SHOWN
+            (f"{gain:g} k", 1e6 * float(reached_m[gain][-1]), 100.0 * short[gain])
+            for gain in _SHOWN
         ],
         "limits": [
             (name, taken, f"{limits_us[name]:.1f} µs" if np.isfinite(limits_us[name]) else "none")
@@ -244,14 +245,14 @@ def _stability_figure(
     gains: Array, steps_s: Array, bounded: dict[str, Array], limits_s: dict[str, Array]
 ) -> Any:
     """Which steps in s (H,) stay bounded at which kp (K,) in stiffnesses: (K, H) by integrator."""
-    figure, every = panels(1, 4, 3.4, grid="", sharex=True, sharey=True)
+    figure, grid_axes = panels(1, 4, 3.4, grid="", sharex=True, sharey=True)
     colours = ListedColormap([ORANGE, _STABLE])
-    for axes, (name, stable) in zip(every[0], bounded.items(), strict=True):
+    for axes, (name, stable) in zip(grid_axes[0], bounded.items(), strict=True):
         axes.pcolormesh(gains, steps_s, stable.T, cmap=colours, vmin=0, vmax=1, shading="nearest")
         if np.isfinite(limits_s[name]).all():
             axes.plot(gains, limits_s[name], color=BLACK, lw=1.8)
         axes.set(title=name, xscale="log", yscale="log", xlabel="kp / k")
-    every[0, 0].set(ylabel="time step, s", ylim=(steps_s[0], steps_s[-1]))
+    grid_axes[0, 0].set(ylabel="time step, s", ylim=(steps_s[0], steps_s[-1]))
     key: list[Any] = [
         Patch(color=_STABLE, label="stable"),
         Patch(color=ORANGE, label="unstable"),

@@ -42,8 +42,8 @@ _UNITS = (
 
 def sim_to_real(size: Numbers, progress: Progress) -> tuple[Numbers, Figures]:
     """Diagnose the 54 measured changes as `cablesense gap` diagnoses a recording."""
-    found = diagnose_table(progress)
-    return numbers_of(found), figures_of(found)
+    diagnosis = diagnose_table(progress)
+    return numbers_of(diagnosis), figures_of(diagnosis)
 
 
 def figures_of(found: TableDiagnosis) -> Figures:
@@ -194,11 +194,11 @@ def _best_explanations(found: TableDiagnosis) -> Iterator[str]:
 
 def gap_figure(found: TableDiagnosis) -> Any:
     """Measured less simulated change of every cable, one panel a load, with its internal part."""
-    figure, every = panels(2, 3, 4.4, grid="y", sharex=True, sharey=True)
+    figure, grid_axes = panels(2, 3, 4.4, grid="y", sharex=True, sharey=True)
     cables = np.arange(1, 10)
     colours = np.repeat(list(_SETS.values()), 3)
     for axes, name, gap, inner in zip(
-        every.ravel(), load_names(found), found.gap_n, found.internal_n, strict=True
+        grid_axes.ravel(), load_names(found), found.gap_n, found.internal_n, strict=True
     ):
         axes.bar(cables, gap, 0.72, color=colours)
         for k in range(3):
@@ -214,9 +214,9 @@ def gap_figure(found: TableDiagnosis) -> Any:
 def proportion_figure(found: TableDiagnosis) -> Any:
     """Gap under 2 kg against gap under 1 kg, with the line of proportion."""
     figure, axes = one_panel(4.2)
-    one = found.gap_n[:3]
-    two = found.gap_n[3:]
-    along = np.array([one.min() - 0.2, one.max() + 0.2])
+    gap_1_kg_n = found.gap_n[:3]
+    gap_2_kg_n = found.gap_n[3:]
+    along = np.array([gap_1_kg_n.min() - 0.2, gap_1_kg_n.max() + 0.2])
     # 95 % of a difference between one number and two others
     band = 1.96 * np.sqrt(5.0) * found.floor_n
     axes.fill_between(along, 2.0 * along - band, 2.0 * along + band, color=GRID, lw=0)
@@ -225,8 +225,8 @@ def proportion_figure(found: TableDiagnosis) -> Any:
         of_set = slice(3 * k, 3 * k + 3)
         for point, mark in enumerate("osD"):
             axes.scatter(
-                one[point, of_set],
-                two[point, of_set],
+                gap_1_kg_n[point, of_set],
+                gap_2_kg_n[point, of_set],
                 s=36,
                 color=colour,
                 marker=mark,

@@ -100,8 +100,8 @@ class SettingTest:
         """Absolute, of the contacts found."""
         truth = self.truth
         answer = self.tested[estimator].answer
-        found = (truth.segment > 0) & (answer.segment > 0)
-        return np.abs(angle_difference_deg(answer.angle_deg[found], truth.angle_deg[found]))
+        hits = (truth.segment > 0) & (answer.segment > 0)
+        return np.abs(angle_difference_deg(answer.angle_deg[hits], truth.angle_deg[hits]))
 
 
 def answered_setting(
@@ -244,9 +244,9 @@ def _misclassified(tested: Evaluation) -> dict[str, Any]:
 
 def direction_figure(tests: Sequence[SettingTest]) -> Any:
     """Fig. 11: shares of contacts by absolute direction error, on a logarithmic axis."""
-    figure, every = panels(len(tests), 1, 1.75 * len(tests) + 0.5, sharex=True)
+    figure, grid_axes = panels(len(tests), 1, 1.75 * len(tests) + 0.5, sharex=True)
     edges = np.logspace(-3.0, np.log10(180.0), 42)
-    for axes, test in zip(every[:, 0], tests, strict=True):
+    for axes, test in zip(grid_axes[:, 0], tests, strict=True):
         for name, tested in test.tested.items():
             error = test.direction_error_deg(name)
             share = np.histogram(np.maximum(error, edges[0]), edges)[0] / len(error)
@@ -264,8 +264,8 @@ def direction_figure(tests: Sequence[SettingTest]) -> Any:
         axes.axvline(test.bound.direction_mae_deg, color=BLACK, ls=DOTTED, lw=1.4)
         axes.axvline(PAPER_DIRECTION_DEG, color=BLACK, ls="--", lw=1.2)
         axes.set(title=TITLES[test.name], ylabel="contacts, %", xscale="log", ylim=(0.0, None))
-    first = every[0, 0]
-    lowest = every[-1, 0]
+    first = grid_axes[0, 0]
+    lowest = grid_axes[-1, 0]
     plain_ticks(lowest.xaxis)
     lowest.set(xlabel="absolute direction error, ° (logarithmic)", xlim=(edges[0], edges[-1]))
     first.plot([], [], color=BLACK, ls=DOTTED, label="mean, noise bound")
@@ -276,9 +276,9 @@ def direction_figure(tests: Sequence[SettingTest]) -> Any:
 
 def error_figure(tests: Sequence[SettingTest]) -> Any:
     """Mean absolute magnitude error against force, with the noise bound."""
-    figure, every = panels(-(-len(tests) // 3), 3, 5.6, sharex=True, sharey=True)
+    figure, grid_axes = panels(-(-len(tests) // 3), 3, 5.6, sharex=True, sharey=True)
     centre = 0.5 * (FORCE_EDGES_N[1:] + FORCE_EDGES_N[:-1])
-    for axes, test in zip(every.ravel(), tests, strict=False):
+    for axes, test in zip(grid_axes.ravel(), tests, strict=False):
         for name in test.tested:
             errors_n = test.error_by_force_n(name)
             axes.plot(centre, errors_n, **STYLES[name], ms=4, lw=1.5, label=LABELS[name])
@@ -287,9 +287,11 @@ def error_figure(tests: Sequence[SettingTest]) -> Any:
         axes.axhline(PAPER_MAE_N, color=BLACK, ls="--", lw=1.0, label="the paper’s mean: 9.97 N")
         axes.set(title=TITLES[test.name], yscale="log", xlim=(0.0, 200.0))
         plain_ticks(axes.yaxis)
-    for axes in every.ravel()[len(tests) :]:
+    for axes in grid_axes.ravel()[len(tests) :]:
         axes.set_visible(False)
     figure.supxlabel("force, N", fontsize=9.5)
     figure.supylabel("mean absolute error, N (logarithmic)", fontsize=9.5)
-    figure.legend(*every[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    figure.legend(
+        *grid_axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=3
+    )
     return figure

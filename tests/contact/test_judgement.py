@@ -70,6 +70,14 @@ def test_a_push_is_placed_and_its_force_lies_in_its_interval(bench, segment):
     assert seen.place_m[0] == pytest.approx(0.06, abs=0.015)
 
 
+def test_a_force_outside_the_cone_of_friction_is_not_vouched_for(bench):
+    """No single contact that presses and rubs makes it, and two on neighbouring segments do."""
+    judgement, seen = bench.judged(bench.reading(bench.push(4, 0.06, [9.0, 12.0, -9.0])))
+    assert judgement.state is ContactState.UNCONFIRMED
+    assert "along the arm" in judgement.doubt
+    assert seen.force_n[0, 0] > ARM.touch.friction * 15.0
+
+
 def test_on_the_first_segment_the_moment_is_known_and_not_the_force(bench):
     judgement, seen = bench.judged(bench.reading(bench.push(1, 0.08, [0.0, 10.0, 20.0])))
     assert judgement.state is ContactState.MOMENT

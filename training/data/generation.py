@@ -111,14 +111,14 @@ def generate_chunk(arm: Arm, protocol: Protocol, seed: int, chunk: int) -> Datas
     resting = _Resting(arm, protocol, seed, chunk)
     stream = random_stream(REDRAW, seed, chunk)
     points = unit_points(protocol.dimensions(count), seed, chunk)[:rows]
-    loaded, unloaded, borne = found = np.empty((3, rows, arm.cable_count))
+    loaded, unloaded, borne = tensions_n = np.empty((3, rows, arm.cable_count))
     redrawn = np.zeros(rows, dtype=np.int64)
     share = _MAX_REDRAWN_SHARE if protocol.randomise is None else 2.0 * _MAX_FAILING_SHARE
     allowed = math.ceil(share * rows)
     open_rows = np.arange(rows)
     while open_rows.size:
         try:
-            found[:, open_rows] = resting.tensions_n(points[open_rows], open_rows, allowed)
+            tensions_n[:, open_rows] = resting.tensions_n(points[open_rows], open_rows, allowed)
         except EquilibriumError as error:
             raise DatasetError(
                 f"samples {chunk * CHUNK_SAMPLES} and following: more than "
@@ -170,14 +170,14 @@ class _Resting:
         `points` (B, dimensions) lie in the unit cube, `rows` (B,) are theirs in the chunk.
         """
         cases = self._protocol.cases(self.reach_m, points)
-        found = np.empty((3, len(points), self._mechanism.cable_count))
+        tensions_n = np.empty((3, len(points), self._mechanism.cable_count))
         blocks, members = np.divmod(rows, _BLOCK_SAMPLES if self._varied else CHUNK_SAMPLES)
         for block in np.unique(blocks):
-            own = np.flatnonzero(blocks == block)
-            of_block = Cases._make(part[own] for part in cases)
-            found[:, own] = self._block(int(block), members[own], of_block, allowed)
-            allowed -= int(np.isnan(found[0, own, 0]).sum())
-        return found
+            in_block = np.flatnonzero(blocks == block)
+            of_block = Cases._make(part[in_block] for part in cases)
+            tensions_n[:, in_block] = self._block(int(block), members[in_block], of_block, allowed)
+            allowed -= int(np.isnan(tensions_n[0, in_block, 0]).sum())
+        return tensions_n
 
     def _block(self, block: int, members: NDArray[np.int64], cases: Cases, allowed: int) -> Array:
         """Some `members` of a block, on the arm that was drawn for it or is now."""
@@ -201,7 +201,7 @@ class _Resting:
             return solved_rows(shape, allowed, readings)
         most = allowed if randomise is None else math.ceil(_MAX_FAILING_SHARE * len(members))
         rng = random_stream(ARM, *self._seed, block)
-        for left in reversed(range(1 if randomise is None else _MAX_ARMS_DRAWN)):
+        for draws_left in reversed(range(1 if randomise is None else _MAX_ARMS_DRAWN)):
             entries = list(self._listed)
             if self._varied:
                 history = LoadHistory.drawn(_BLOCK_SAMPLES, rng)
@@ -214,7 +214,7 @@ class _Resting:
             try:
                 return solved_rows(shape, most, readings)
             except EquilibriumError:
-                if not left:
+                if not draws_left:
                     raise
         raise AssertionError("a loop that returns or raises")
 
@@ -281,10 +281,10 @@ class LoadHistory:
 
     def loads_n(self, forces_n: Array) -> Array:
         """(R, B, N, 3) for the samples' loads (B, N, 3)."""
-        none = np.zeros((len(_ON_THE_WAY), len(forces_n)))
+        unloaded = np.zeros((len(_ON_THE_WAY), len(forces_n)))
         rise = _RISE[:, None] * self.peak_share
         back = self.peak_share + _BACK[:, None] * (1.0 - self.peak_share)
-        return np.concatenate([none, rise, back])[..., None, None] * forces_n
+        return np.concatenate([unloaded, rise, back])[..., None, None] * forces_n
 
 
 def solved_rows(

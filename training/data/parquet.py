@@ -158,38 +158,38 @@ def _read_table(path: Path) -> pa.Table:
 
 def _provenance(path: Path, schema: pa.Schema) -> tuple[Arm, Protocol, int]:
     """Arm, protocol and seed from the metadata; the columns must be theirs."""
-    found = {
+    metadata = {
         key.decode().removeprefix(_PREFIX): value.decode(errors="replace")
         for key, value in (schema.metadata or {}).items()
         if key.startswith(_PREFIX.encode())
     }
-    if "format" not in found:
+    if "format" not in metadata:
         raise DatasetError(
             f"{path}: a Parquet file, but not a CableSense dataset (its metadata lacks "
             f"{_PREFIX}format); `cablesense dataset` writes one"
         )
-    if found["format"] != _FORMAT:
+    if metadata["format"] != _FORMAT:
         raise DatasetError(
-            f"{path}: format {found['format']!r}; this version reads format {_FORMAT!r}"
+            f"{path}: format {metadata['format']!r}; this version reads format {_FORMAT!r}"
         )
     try:
-        arm = parse_arm(found["arm"], source=f"{path}, {_PREFIX}arm")
-        protocol = protocol_from_options(json.loads(found["protocol"]))
-        seed = int(found["seed"])
+        arm = parse_arm(metadata["arm"], source=f"{path}, {_PREFIX}arm")
+        protocol = protocol_from_options(json.loads(metadata["protocol"]))
+        seed = int(metadata["seed"])
     except ArmFileError as error:
         raise DatasetError(str(error)) from error
     except (KeyError, ValueError, TypeError, RecursionError, DatasetError) as error:
         raise DatasetError(f"{path}: {_PREFIX}protocol or {_PREFIX}seed: {error}") from error
-    if found.get("arm_identity") != arm.identity:
+    if metadata.get("arm_identity") != arm.identity:
         raise DatasetError(
-            f"{path}: {_PREFIX}arm_identity = {found.get('arm_identity')}, but the arm it "
+            f"{path}: {_PREFIX}arm_identity = {metadata.get('arm_identity')}, but the arm it "
             f"describes is {arm.identity}; the metadata was altered, generate the dataset again"
         )
-    for here, column in zip_longest(schema, _columns(arm, protocol)):
+    for stored, column in zip_longest(schema, _columns(arm, protocol)):
         right = column and column.field
-        if here is None or right is None or not here.equals(right, check_metadata=True):
+        if stored is None or right is None or not stored.equals(right, check_metadata=True):
             raise DatasetError(
-                f"{path}: has column {_shown(here)} where arm {arm.identity} and its protocol "
+                f"{path}: has column {_shown(stored)} where arm {arm.identity} and its protocol "
                 f"need {_shown(right)}; generate it again"
             )
     return arm, protocol, seed
@@ -211,8 +211,8 @@ def _require_possible_labels(path: Path, dataset: Dataset) -> None:
     low = dataset.protocol.force_low_n
     high = dataset.protocol.force_high_n
     possible = (force >= low) & (force <= high) & (angle >= 0.0) & (angle < 360.0)
-    none = (force == 0.0) & (angle == 0.0) & (place == 0.0) & (along == 0.0)
-    wrong = np.argwhere(~np.where(contacts, possible, none))
+    untouched = (force == 0.0) & (angle == 0.0) & (place == 0.0) & (along == 0.0)
+    wrong = np.argwhere(~np.where(contacts, possible, untouched))
     if len(wrong):
         row, n = wrong[0]
         what = "a contact" if contacts[row, n] else "no contact"
@@ -237,7 +237,7 @@ def write_dataset(path: str | Path, dataset: Dataset, command: str = "") -> None
         DatasetError: the file cannot be written.
     """
     rows = _CHUNKS_PER_GROUP * CHUNK_SAMPLES
-    groups = (dataset.select(slice(at, at + rows)) for at in range(0, len(dataset), rows))
+    groups = (dataset.select(slice(first, first + rows)) for first in range(0, len(dataset), rows))
     run = dataset.arm, dataset.protocol, dataset.seed
     deque(_written(path, groups, *run, command), maxlen=0)
 

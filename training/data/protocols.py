@@ -372,18 +372,18 @@ def protocol_from_options(options: dict[str, Any], arm: Arm | None = None) -> Pr
         DatasetError: unknown protocol, unknown option, or a value out of range.
         WeakArmError: the arm cannot stand.
     """
-    given = dict(options)
-    kind = given.pop("kind", None)
+    protocol_options = dict(options)
+    kind = protocol_options.pop("kind", None)
     if not isinstance(kind, str) or kind not in _PROTOCOLS:
         raise DatasetError(f"protocol {kind!r}: must be one of {', '.join(_PROTOCOLS)}")
     protocol = _PROTOCOLS[kind]
     if arm is not None:
-        at_once = given.get("max_contacts") or arm.segment_count
+        at_once = protocol_options.get("max_contacts") or arm.segment_count
         contacts = at_once if protocol is MultiContact else 1
         if protocol.anywhere:
             arm = _touched_at_its_end(arm)
-        given = borne_by(arm, protocol, given, contacts)
-    return protocol(**given)
+        protocol_options = borne_by(arm, protocol, protocol_options, contacts)
+    return protocol(**protocol_options)
 
 
 def borne_by(arm: Arm, protocol: Any, given: dict[str, Any], contacts: int = 1) -> dict[str, Any]:

@@ -155,8 +155,8 @@ def evaluate_answer(answer: ContactAnswer, dataset: Dataset) -> Evaluation:
 
 def evaluate_estimator(estimator: Estimator, dataset: Dataset) -> Evaluation:
     """Answers of a single-contact model on a dataset, and their errors."""
-    found = estimator.estimate_batch(dataset.tension_difference_n, dataset.command_rad)
-    return evaluate_answer(ContactAnswer.of(found), dataset)
+    estimates = estimator.estimate_batch(dataset.tension_difference_n, dataset.command_rad)
+    return evaluate_answer(ContactAnswer.of(estimates), dataset)
 
 
 def evaluate_law(law: LawModel, dataset: Dataset) -> Evaluation:
@@ -213,9 +213,9 @@ def evaluate_multi_models(dataset: Dataset) -> dict[str, MultiEvaluation]:
     evaluations = {}
     for name, model in MULTI_MODELS.items():
         estimator = MultiEstimator.load(find_model(model), dataset.arm)
-        found = estimator.estimate_batch(dataset.tension_difference_n, dataset.command_rad)
-        touched = found.probabilities > 0.5
-        evaluations[name] = evaluate_multi_answer(touched, found.magnitude_n, dataset)
+        estimates = estimator.estimate_batch(dataset.tension_difference_n, dataset.command_rad)
+        touched = estimates.probabilities > 0.5
+        evaluations[name] = evaluate_multi_answer(touched, estimates.magnitude_n, dataset)
     return evaluations
 
 
@@ -247,7 +247,7 @@ def compare(
             find_model(model)
     single = {}
     bounds = {}
-    found = []
+    coverages = []
     peers: dict[str, dict[str, Any]] = {}
     for setting in SETTINGS:
         on_setting(setting.name)
@@ -259,7 +259,7 @@ def compare(
         bounds[setting.name] = asdict(evaluated.bound)
         for name, metrics in evaluated.models.items():
             peers.setdefault(name, {})[setting.name] = metrics_json(metrics)
-        found.append((shipped.errors.found, shipped.errors.magnitude_coverage95))
+        coverages.append((shipped.errors.found, shipped.errors.magnitude_coverage95))
     on_setting("multi")
     dataset = draw_dataset(open_arm(MULTI_ARM), multi_protocol(samples), seed, workers=workers)
     multi = evaluate_multi_models(dataset)[TWO_STAGE].metrics
@@ -272,7 +272,7 @@ def compare(
         | {"bound_mae_n": multi_contact_bound_n(dataset, WEAKEST_MULTI_N).tolist()},
         "bound": bounds,
         "peers": peers,
-        "coverage95": sum(n * share for n, share in found) / sum(n for n, _ in found),
+        "coverage95": sum(n * share for n, share in coverages) / sum(n for n, _ in coverages),
     }
 
 

@@ -249,8 +249,8 @@ class KnownArm:
                 chosen = rows[first : first + _ROWS_AT_ONCE]
                 parts.append(self._answers(last[chosen], commands_rad[chosen], known))
                 order.append(chosen)
-        every = Statements.concatenate(parts)
-        return every.select(np.argsort(np.concatenate(order)))
+        statements = Statements.concatenate(parts)
+        return statements.select(np.argsort(np.concatenate(order)))
 
     def _slid(self, course_n: Array, command_rad: Array) -> Slides:
         """Slides at the last of readings (K, M) that begin with those of the untouched arm."""
@@ -339,8 +339,8 @@ def evaluate_built(
     kept = []
     doubted = 0
     for first in range(0, len(touches.contacts), SAMPLES_AN_ARM):
-        own = touches.select(slice(first, first + SAMPLES_AN_ARM))
-        on_done(len(own.contacts))
+        arm_touches = touches.select(slice(first, first + SAMPLES_AN_ARM))
+        on_done(len(arm_touches.contacts))
         built = built_arm(arm, _seed_of(seed, first))
         rng = np.random.default_rng([seed, 2, first])
         try:
@@ -349,11 +349,11 @@ def evaluate_built(
             continue
         calibration = calibrator.moved(calibrator.from_poses(unloaded))
         doubted += not calibration.as_described
-        readings = touched_readings_n(arm, built, own, rng)
+        readings = touched_readings_n(arm, built, arm_touches, rng)
         borne = np.asarray(np.isfinite(readings).all(axis=(0, 2)))
-        kept.append(own.select(borne))
+        kept.append(arm_touches.select(borne))
         known = KnownArm(law, arm, calibration)
-        statements.append(known.stated(readings[:, borne], own.command_rad[borne]))
+        statements.append(known.stated(readings[:, borne], arm_touches.command_rad[borne]))
     if not kept:
         raise EquilibriumError(
             f"no arm of the tolerances of {arm.identity} finds a rest in every unloaded pose: "
@@ -413,12 +413,16 @@ def by_segment(
     arm: Arm, truth: TrueContacts, answers: Statements, bound: Array | None = None
 ) -> tuple[StatedContacts, ...]:
     """The statements on contacts of each segment."""
-    found = []
+    stated = []
     for n in range(1, arm.segment_count + 1):
-        own = truth.segment == n
-        of_own = None if bound is None else bound[own]
-        found.append(stated_contacts(arm, truth.select(own), answers.select(own), of_own))
-    return tuple(found)
+        on_segment = truth.segment == n
+        segment_bound = None if bound is None else bound[on_segment]
+        stated.append(
+            stated_contacts(
+                arm, truth.select(on_segment), answers.select(on_segment), segment_bound
+            )
+        )
+    return tuple(stated)
 
 
 def stated_contacts(
@@ -490,7 +494,7 @@ def bound_std(arm: Arm, mechanism: Mechanism, touches: Touches) -> Array:
         return information.reshape(len(own), -1)
 
     information = solved_rows((len(rows), 16), len(rows), of_rows).reshape(-1, 4, 4)
-    found = np.asarray(np.isfinite(information).all(axis=(1, 2)))
+    at_rest = np.asarray(np.isfinite(information).all(axis=(1, 2)))
     information = np.nan_to_num(information)
 
     x, y, z = truth.force_n.T
@@ -527,4 +531,4 @@ def bound_std(arm: Arm, mechanism: Mechanism, touches: Touches) -> Array:
     of_axial[:, 0] = 1.0
     directions = np.stack([of_place, of_lateral, of_axial, of_moment], axis=1)
     variance = ((directions @ covariance) * directions).sum(axis=2)
-    return np.asarray(np.sqrt(variance.clip(min=0.0)) * found[:, None])
+    return np.asarray(np.sqrt(variance.clip(min=0.0)) * at_rest[:, None])

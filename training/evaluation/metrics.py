@@ -209,12 +209,12 @@ def multi_contact_metrics(
     always count.
     """
     true = np.asarray(touched, dtype=bool)
-    found = np.asarray(answered, dtype=bool)
+    stated = np.asarray(answered, dtype=bool)
     force = np.where(true, np.asarray(magnitude_n, dtype=float), 0.0)
-    estimate = np.where(found, np.asarray(answered_magnitude_n, dtype=float), 0.0)
+    estimate = np.where(stated, np.asarray(answered_magnitude_n, dtype=float), 0.0)
     counted = ~true | (force >= smallest_force_n)
-    right = true == found
-    outcomes = (true & found, ~true & found, true & ~found)
+    right = true == stated
+    outcomes = (true & stated, ~true & stated, true & ~stated)
     error = np.abs(estimate - force)
     return MultiContactMetrics(
         judged=int(counted.sum()),
@@ -228,20 +228,20 @@ def multi_contact_metrics(
 
 
 def _errors(truth: ContactTruth, answer: ContactAnswer, chosen: NDArray[np.bool_]) -> ErrorMetrics:
-    found = chosen & (answer.segment > 0)
+    hits = chosen & (answer.segment > 0)
     magnitude_error = np.abs(answer.force_n - truth.magnitude_n)
     angle_error = np.abs(angle_difference_deg(answer.angle_deg, truth.angle_deg))
     return ErrorMetrics(
         contacts=int(chosen.sum()),
-        found=int(found.sum()),
+        found=int(hits.sum()),
         contact_accuracy=mean_or_nan((truth.segment == answer.segment)[chosen]),
-        direction_mae_deg=mean_or_nan(angle_error[found]),
+        direction_mae_deg=mean_or_nan(angle_error[hits]),
         magnitude_mae_n=mean_or_nan(magnitude_error[chosen]),
         magnitude_rmse_n=float(np.sqrt(mean_or_nan(magnitude_error[chosen] ** 2))),
         magnitude_coverage95=mean_or_nan(
-            (magnitude_error <= NORMAL_95 * answer.magnitude_std_n)[found]
+            (magnitude_error <= NORMAL_95 * answer.magnitude_std_n)[hits]
         ),
-        direction_coverage95=mean_or_nan((angle_error <= NORMAL_95 * answer.angle_std_deg)[found]),
+        direction_coverage95=mean_or_nan((angle_error <= NORMAL_95 * answer.angle_std_deg)[hits]),
     )
 
 
@@ -318,8 +318,8 @@ def force_covariance_n2(dataset: Dataset) -> Array:
     lateral = gain.reshape(*gain.shape[:2], -1, 4)[..., 1:3] * dataset.contacts[:, None, :, None]
     flat = lateral.reshape(*gain.shape[:2], -1)
     information = np.swapaxes(flat, 1, 2) @ flat / reading_variance_n2(dataset)
-    own = np.arange(flat.shape[2])
-    information[:, own, own] += np.repeat(~dataset.contacts, 2, axis=1)
+    diagonal = np.arange(flat.shape[2])
+    information[:, diagonal, diagonal] += np.repeat(~dataset.contacts, 2, axis=1)
     covariance = np.linalg.pinv(information, hermitian=True).reshape(*shape, 2, shape[1], 2)
     return np.stack([covariance[:, n, :, n] for n in range(shape[1])], axis=1)
 

@@ -75,16 +75,16 @@ def point_answer(
         rows = slice(first, first + _ROWS_AT_ONCE)
         seen = law(readings_n[rows], commands_rad[rows], known.mean, known.covariance, unrest)
         parts.append(at_points(seen, points_m, largest_n))
-    found = PointContacts._make(np.concatenate(column) for column in zip(*parts, strict=True))
-    samples = np.arange(len(found.force_n))
-    best = found.log_evidence.argmax(axis=1)
-    force = found.force_n[samples, best]
-    covariance = found.covariance_n2[samples, best]
+    contacts = PointContacts._make(np.concatenate(column) for column in zip(*parts, strict=True))
+    samples = np.arange(len(contacts.force_n))
+    best = contacts.log_evidence.argmax(axis=1)
+    force = contacts.force_n[samples, best]
+    covariance = contacts.covariance_n2[samples, best]
     size_n = np.maximum(np.hypot(force[:, 0], force[:, 1]), 1e-9)
     along = force / size_n[:, None]
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
     return ContactAnswer(
-        segment=np.where(found.log_evidence[samples, best] > 0.0, best + 1, 0),
+        segment=np.where(contacts.log_evidence[samples, best] > 0.0, best + 1, 0),
         angle_deg=np.rad2deg(np.arctan2(force[:, 0], force[:, 1])) % 360.0,
         magnitude_n=size_n,
         magnitude_std_n=_std(along, covariance),

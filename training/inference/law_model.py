@@ -47,9 +47,9 @@ class LawModel:
                 f"{path}: made for contacts on {made_for.arm.touch}, and the arm file now states "
                 f"{arm.touch}; make it again with `cablesense export`"
             )
-        given = tuple(entry.name for entry in model.graph.input)
+        inputs = tuple(entry.name for entry in model.graph.input)
         answers = tuple(entry.name for entry in model.graph.output)
-        if given != INPUTS or answers != LawOutput._fields:
+        if inputs != INPUTS or answers != LawOutput._fields:
             raise ModelFileError(
                 f"{path}: a model of contacts anywhere of an earlier version, without tolerances; "
                 "make it again with `cablesense export` (seconds)"
@@ -81,14 +81,14 @@ class LawModel:
         parts = []
         for first in range(0, len(reading_n), _ROWS_AT_ONCE):
             rows = slice(first, first + _ROWS_AT_ONCE)
-            given = (reading_n[rows], command_rad[rows], mean, covariance, unrest_n2_m2)
+            inputs = (reading_n[rows], command_rad[rows], mean, covariance, unrest_n2_m2)
             try:
-                parts.append(self._session.run(None, dict(zip(INPUTS, given, strict=True))))
+                parts.append(self._session.run(None, dict(zip(INPUTS, inputs, strict=True))))
             except Exception as error:  # ONNX Runtime's classes have no common base
                 raise self._cannot_run(error) from error
         if len(parts) == 1:
             return LawOutput._make(parts[0])
-        return LawOutput._make(np.concatenate(each) for each in zip(*parts, strict=True))
+        return LawOutput._make(np.concatenate(column) for column in zip(*parts, strict=True))
 
     def _require_answers(self) -> None:
         """A file that opens may still not run or take other inputs; an idle arm shows it."""

@@ -150,22 +150,22 @@ def require_bounded(model: ModelProto, source: str) -> None:
 
 def _shapes_of_one_sample(model: ModelProto) -> _Shapes:
     """Shapes of all tensors that onnx can tell, every open dimension of the inputs taken as 1."""
-    one = ModelProto()
-    one.CopyFrom(model)
-    del one.graph.value_info[:]  # claims, which are to be found out
-    for entry in one.graph.output:
+    single = ModelProto()
+    single.CopyFrom(model)
+    del single.graph.value_info[:]  # claims, which are to be found out
+    for entry in single.graph.output:
         entry.type.tensor_type.ClearField("shape")
-    for entry in one.graph.input:
+    for entry in single.graph.input:
         for dim in entry.type.tensor_type.shape.dim:
             if not dim.HasField("dim_value"):
                 dim.dim_value = 1
-    for node in one.graph.node:
+    for node in single.graph.node:
         if node.domain == "com.microsoft":  # onnx does not know Inverse, which keeps the shape
             node.domain = ""
             node.op_type = "Identity"
-    found = onnx.shape_inference.infer_shapes(one, strict_mode=True, data_prop=True).graph
-    shapes = {entry.name: list(entry.dims) for entry in one.graph.initializer}
-    for value in (*found.input, *found.value_info, *found.output):
+    inferred = onnx.shape_inference.infer_shapes(single, strict_mode=True, data_prop=True).graph
+    shapes = {entry.name: list(entry.dims) for entry in single.graph.initializer}
+    for value in (*inferred.input, *inferred.value_info, *inferred.output):
         tensor = value.type.tensor_type
         if tensor.HasField("shape") and all(d.HasField("dim_value") for d in tensor.shape.dim):
             shapes[value.name] = [dim.dim_value for dim in tensor.shape.dim]

@@ -49,10 +49,10 @@ class OpenedModel:
                 f"{path}: made for arm {made_for.arm_identity}, not for {arm.identity}; "
                 "train one for this arm with `cablesense train --arm`"
             )
-        given = [output.name for output in model.graph.output]
-        if given != list(self.outputs):
+        outputs = [output.name for output in model.graph.output]
+        if outputs != list(self.outputs):
             raise ModelFileError(
-                f"{path}: a {made_for.kind} model that gives {', '.join(given)[:400]}; "
+                f"{path}: a {made_for.kind} model that gives {', '.join(outputs)[:400]}; "
                 f"needed are {', '.join(self.outputs)}"
             )
         try:

@@ -152,9 +152,9 @@ class TorchLaw:
         unrest_n2_m2: Array,
     ) -> LawOutput:
         """See `Law`."""
-        given = (reading_n, command_rad, mean, covariance, unrest_n2_m2)
+        inputs = (reading_n, command_rad, mean, covariance, unrest_n2_m2)
         with torch.no_grad():
             answer = self._estimator(
-                *(torch.as_tensor(np.asarray(each, dtype=float)) for each in given)
+                *(torch.as_tensor(np.asarray(each, dtype=float)) for each in inputs)
             )
         return LawOutput._make(np.asarray(part.numpy()) for part in answer)

@@ -120,25 +120,25 @@ class ArmEstimator(nn.Module):
         """The posterior; `unrest_n2_m2` (2N, 2N) is the covariance of torques by motion."""
         seen = self.measurement(reading_n, command_rad, mean, covariance, unrest_n2_m2)
         wrench = self.wrench(seen)
-        one = self.contact(wrench, self.wrench)
+        contact = self.contact(wrench, self.wrench)
         rival = self.rivals(seen, wrench)
-        best = one.log_evidence.argmax(1, keepdim=True)
+        best = contact.log_evidence.argmax(1, keepdim=True)
         chosen = (best == self.numbers).to(reading_n.dtype)[:, None]
-        gain = (chosen @ one.chi2_gain[..., None])[:, 0, 0]
-        place_ci, region = self._places(one, chosen)
+        gain = (chosen @ contact.chi2_gain[..., None])[:, 0, 0]
+        place_ci, region = self._places(contact, chosen)
 
         # the grid of the likeliest segment
-        place_m = torch.minimum(torch.maximum(one.place_m, self.low_m), self.high_m)
+        place_m = torch.minimum(torch.maximum(contact.place_m, self.low_m), self.high_m)
         rows = (
             place_m,
-            one.force_n,
-            one.line_m * one.force_n[:, :, 1:],
-            one.weight,
-            one.place_variance_m2,
-            one.covariance_n2,
-            one.line_m**2,
-            one.lateral_squared_n2,
-            one.lateral_variance_n2,
+            contact.force_n,
+            contact.line_m * contact.force_n[:, :, 1:],
+            contact.weight,
+            contact.place_variance_m2,
+            contact.covariance_n2,
+            contact.line_m**2,
+            contact.lateral_squared_n2,
+            contact.lateral_variance_n2,
         )
         grid = (chosen @ torch.cat(rows, dim=2).flatten(2)).reshape(self.grid_shape)
         values, weight, within, square_m2, squared, variance = grid.split((6, 1, 10, 1, 1, 1), 1)
@@ -152,7 +152,7 @@ class ArmEstimator(nn.Module):
         moment_variance = spread.flatten(1).index_select(1, self.moment_variances)
         at_joint, by_place = seen.levers.split(3, dim=2)
         return EstimatorOutput(
-            contact_evidence=one.log_evidence,
+            contact_evidence=contact.log_evidence,
             segment_evidence=rival.segment,
             several_evidence=rival.several,
             faulty_evidence=rival.faulty_free,
@@ -202,14 +202,16 @@ class ArmEstimator(nn.Module):
         # what lies beyond the ends of the segment is taken to be on it
         first = cdf[..., :1]
         cdf = (cdf - first) / (cdf[..., -1:] - first).clamp(min=1e-12)
-        both = chosen @ torch.cat([points, cdf], dim=3).flatten(2)
-        own_points, own_cdf = both.split(_POINTS, dim=2)
-        own = _quantiles(own_points, own_cdf, self.ends)
+        chosen_cdf = chosen @ torch.cat([points, cdf], dim=3).flatten(2)
+        own_points, own_cdf = chosen_cdf.split(_POINTS, dim=2)
+        interval = _quantiles(own_points, own_cdf, self.ends)
         probability = torch.softmax(one.log_evidence, dim=1)
         before = probability @ self.earlier
         along = points + self.joint_m
         along_cdf = before[:, :, None, None] + probability[:, :, None, None] * cdf
-        return own, _quantiles(along.flatten(1)[:, None], along_cdf.flatten(1)[:, None], self.ends)
+        return interval, _quantiles(
+            along.flatten(1)[:, None], along_cdf.flatten(1)[:, None], self.ends
+        )
 
 
 def _moments(weight: Tensor, value: Tensor, variance: Tensor) -> tuple[Tensor, Tensor]:

@@ -158,9 +158,9 @@ class CableGeometry(nn.Module):
         by_after = (self.bilinear * before[:, None]).sum(0) + self.doubled * after
         # a quadratic form is half of the sum of its coordinates times its derivatives
         squares = 0.5 * (before * by_before + after * by_after).sum(0)
-        here = by_before[1:, :, :, None] * self.is_before
-        there = by_after[1:, :, :, None] * self.is_after
-        by_hole = (here + there).permute(1, 2, 0, 3, 4).reshape(count, 9, -1)
+        by_hole_before = by_before[1:, :, :, None] * self.is_before
+        by_hole_after = by_after[1:, :, :, None] * self.is_after
+        by_hole = (by_hole_before + by_hole_after).permute(1, 2, 0, 3, 4).reshape(count, 9, -1)
         return Holes(squares, by_hole)
 
     def nominal_holes(self) -> Tensor:
@@ -228,10 +228,10 @@ def _bilinear(mechanism: Mechanism, nominal_m: Matrix) -> Matrix:
     """
     count = mechanism.segment_count
     angle = np.arctan2(nominal_m[:, 0], nominal_m[:, 1])
-    none = np.zeros_like(angle)
-    outward = np.stack([none, np.sin(angle), np.cos(angle)])
-    around = np.stack([none, np.cos(angle), -np.sin(angle)])
-    along = np.stack([none + mechanism.plate_offset_m, none, none])
+    zero = np.zeros_like(angle)
+    outward = np.stack([zero, np.sin(angle), np.cos(angle)])
+    around = np.stack([zero, np.cos(angle), -np.sin(angle)])
+    along = np.stack([zero + mechanism.plate_offset_m, zero, zero])
     before = np.stack([-along, outward, around])[:, :, :count]
     after = np.stack([along, outward, around])[:, :, 1:]
     # before and after are (3 coordinates, 3 axes, N, M)
@@ -272,9 +272,9 @@ class SegmentGeometry(nn.Module):
         self.beyond_each = constant(np.tile(beyond, (3, 1))[:, None])
         # of each segment its joint centre, which lies at the end of those before it, and its axis
         earlier = np.stack([np.tril(np.ones((count, count)), -1), np.zeros((count, count))], 1)
-        own = np.stack([np.zeros((count, count)), np.eye(count)], 1)
+        own_axis = np.stack([np.zeros((count, count)), np.eye(count)], 1)
         self.earlier = constant(earlier.reshape(2 * count, count))
-        self.own = constant(own.reshape(2 * count, count))
+        self.own = constant(own_axis.reshape(2 * count, count))
         parts, first = _parts_of_rotations(count)
         self.parts = constant(parts)
         self.first_axis = constant(first)
@@ -282,9 +282,9 @@ class SegmentGeometry(nn.Module):
     def frames(self, turns: Tensor) -> SegmentFrames:
         """The frames; `turns` (B, N, 2, 3, 3) of each joint, at the pose and at the command."""
         count = self.segment_count
-        own = turns.split(1, dim=1)
-        rotations = [own[0]]
-        for turn in own[1:]:
+        joint_turns = turns.split(1, dim=1)
+        rotations = [joint_turns[0]]
+        for turn in joint_turns[1:]:
             rotations.append(rotations[-1] @ turn)
         pose, commanded = torch.cat(rotations, dim=1).split(1, dim=2)
         parts = pose.reshape(-1, 9 * count) @ self.parts + self.first_axis
@@ -321,6 +321,6 @@ def _parts_of_rotations(count: int) -> tuple[Matrix, Matrix]:
     crossed = -np.einsum("cad,pnae->pencd", LEVI_CIVITA, rotations)
     first = np.zeros((3, count, 2))
     first[1, 0, 0] = 1.0
-    parts = [each.reshape(9 * count, -1) for each in (along, joint_axes, crossed)]
+    parts = [table.reshape(9 * count, -1) for table in (along, joint_axes, crossed)]
     added = [np.zeros(3 * count), first.reshape(-1), np.zeros(27 * count)]
     return np.concatenate(parts, axis=1), np.concatenate(added)

@@ -78,14 +78,16 @@ class RivalHypotheses(nn.Module):
         information = seen.information_n2
         weighted = seen.innovation_n @ information
         free_chi2 = (weighted * seen.innovation_n).sum((1, 2))
-        own = torch.diagonal(information, dim1=1, dim2=2)[:, None]
-        faulty_free, faulty_n = _fault(weighted, own)
+        channel_information = torch.diagonal(information, dim1=1, dim2=2)[:, None]
+        faulty_free, faulty_n = _fault(weighted, channel_information)
 
         # exchanged: the innovation without the difference of the two readings
         apart = seen.reading_n - seen.reading_n.transpose(1, 2)
         pulls = weighted - weighted.transpose(1, 2)
-        both = own + own.transpose(1, 2) - 2.0 * information
-        exchanged_free = apart * (pulls - 0.5 * apart * both)
+        pair_information = (
+            channel_information + channel_information.transpose(1, 2) - 2.0 * information
+        )
+        exchanged_free = apart * (pulls - 0.5 * apart * pair_information)
 
         scaled = seen.torque_precision * self.torque_scales + self.torque_identity
         pull = seen.torque_pull.transpose(1, 2) * self.torque_scale
@@ -99,9 +101,9 @@ class RivalHypotheses(nn.Module):
         # beside any wrench on a segment, a wrong channel: S⁻¹ is then less by what that explains
         seen_in = wrench.unit_torques @ seen.informed[:, None].transpose(2, 3)
         explained = wrench.covariance @ seen_in
-        left = own - (explained * seen_in).sum(2)
+        unexplained = channel_information - (explained * seen_in).sum(2)
         pulled = weighted - (wrench.mean.transpose(2, 3) @ seen_in)[:, :, 0]
-        faulty_segment, _ = _fault(pulled, left)
+        faulty_segment, _ = _fault(pulled, unexplained)
         return Hypotheses(
             free_chi2=free_chi2,
             faulty_free=faulty_free[:, 0],

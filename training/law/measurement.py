@@ -239,20 +239,20 @@ class MeasurementModel(nn.Module):
         unrest_n2_m2: Tensor,
     ) -> Measurement:
         """The measurement; `unrest_n2_m2` (2N, 2N) is the covariance of torques by motion."""
-        given = self.parameters_of(mean)
+        parameters = self.parameters_of(mean)
         reading = reading_n[:, None]
-        start_rad = (command_rad + given.joint_zero_rad)[:, None]
+        start_rad = (command_rad + parameters.joint_zero_rad)[:, None]
         start = self.cables.terms(start_rad)
         held, held_slope = self.cables.lengths_and_slopes(start, self.held_squares_m2)
-        straight, straight_by_hole = self.cables.straight(given.holes)
-        given_m = given.pretension_n * given.compliance_m_n
+        straight, straight_by_hole = self.cables.straight(parameters.holes)
+        given_m = parameters.pretension_n * parameters.compliance_m_n
         unstretched = held + (straight - self.held_straight_m - given_m)
 
-        tension = (reading - given.zero_n) / given.gain
-        angles = self._pose(start_rad, start, tension, unstretched, given)
+        tension = (reading - parameters.zero_n) / parameters.gain
+        angles = self._pose(start_rad, start, tension, unstretched, parameters)
         at_pose = self.cables.terms(angles)
-        spans = self.cables(at_pose, given.holes)
-        carried = self._friction(spans, given)
+        spans = self.cables(at_pose, parameters.holes)
+        carried = self._friction(spans, parameters)
         stretch = (spans.length_m - unstretched) / carried.compliance_m_n
         pulls = (stretch > 0.0).to(stretch.dtype)
         tension_n = stretch * pulls
@@ -263,7 +263,7 @@ class MeasurementModel(nn.Module):
         across_n = ratio * tension_n[:, None]
         jacobian = (spans.slope_m * ratio).flatten(1, 2)
         frames = self._frames(at_pose, command_rad)
-        weighed = self._weight(frames, given)
+        weighed = self._weight(frames, parameters)
         torque = tension_n @ jacobian.transpose(1, 2) - weighed.torque
         torque = torque + self.spring_n_m_rad * angles
 
@@ -273,10 +273,10 @@ class MeasurementModel(nn.Module):
         geometric = (geometric @ self.same_joint).reshape(-1, *self.springs.shape)
         hessian = jacobian @ stiffened.transpose(1, 2) + geometric - weighed.by_pose
         by_torque = stiffened.transpose(1, 2) @ inverse(hessian + self.springs)
-        by_torque = by_torque * given.gain[:, None]
+        by_torque = by_torque * parameters.gain[:, None]
 
         by_parameter = self._by_parameter(
-            given,
+            parameters,
             spans,
             straight_by_hole,
             carried,
@@ -292,7 +292,7 @@ class MeasurementModel(nn.Module):
         spread = spread + self.reading_variance_n2 * self.cable_identity
         spread = spread + by_torque @ unrest_n2_m2 @ by_torque.transpose(1, 2)
         information = inverse(spread)
-        expected = given.gain * tension_n + given.zero_n
+        expected = parameters.gain * tension_n + parameters.zero_n
         innovation = reading - expected + torque @ by_torque.transpose(1, 2)
         informed = information @ by_torque
         return Measurement(
@@ -304,7 +304,7 @@ class MeasurementModel(nn.Module):
             informed=informed,
             torque_precision=by_torque.transpose(1, 2) @ informed,
             torque_pull=innovation @ informed,
-            levers=self.segments.levers(frames, given.length_m),
+            levers=self.segments.levers(frames, parameters.length_m),
             by_torsion=self.segments.torsion(frames),
             pose_rad=angles,
         )
@@ -418,12 +418,14 @@ class MeasurementModel(nn.Module):
         by_compliance = -(tension_n * by_pretension)
         by_run = carried.by_run * by_compliance
         by_exponent = carried.by_exponent * by_compliance
-        own = torch.cat([by_stiffness, by_pretension, by_run, by_hole, by_exponent], dim=1)
+        by_own_parameter = torch.cat(
+            [by_stiffness, by_pretension, by_run, by_hole, by_exponent], dim=1
+        )
         rubbed = (spans.slope_m * across_n)[:, :, :, None] * self.reaches
         turned = spans.slope_by_hole * across_n[:, :, :, None]
         beside = torch.cat([self.nothing * rubbed[:, :, :, :3], turned, rubbed], dim=3)
-        torques = jacobian[:, :, None] * own[:, None] + beside.flatten(1, 2)
-        gained = (own * given.gain).flatten(1)[:, None]
+        torques = jacobian[:, :, None] * by_own_parameter[:, None] + beside.flatten(1, 2)
+        gained = (by_own_parameter * given.gain).flatten(1)[:, None]
         of_cables = self.same_cable * gained - by_torque @ torques.flatten(2)
         plain, of_exponents = of_cables.split(self.plain_and_exponents, dim=2)
         of_carried = of_exponents * carried.wrap_rad.flatten(1)[:, None]
@@ -450,17 +452,17 @@ def _nominal(
 
     Of holes they are radius and offset around. With the second, n + s θ are those of another arm.
     """
-    at = parameters.slices
+    slices = parameters.slices
     nominal = np.zeros(len(parameters))
     scale = np.ones(len(parameters))
-    nominal[at["pretension"]] = mechanism.pretension_n
+    nominal[slices["pretension"]] = mechanism.pretension_n
     for plate, radius in enumerate(radius_m):
-        nominal[at[f"hole_outward_{plate}"]] = radius
-    nominal[at["sensor_gain"]] = 1.0
-    nominal[at["segment_mass"]] = mechanism.mass_kg
-    scale[at["segment_mass"]] = mechanism.mass_kg
-    nominal[at["centre_of_mass"]] = mechanism.centre_of_mass_m
-    nominal[at["segment_length"]] = mechanism.segment_length_m
+        nominal[slices[f"hole_outward_{plate}"]] = radius
+    nominal[slices["sensor_gain"]] = 1.0
+    nominal[slices["segment_mass"]] = mechanism.mass_kg
+    scale[slices["segment_mass"]] = mechanism.mass_kg
+    nominal[slices["centre_of_mass"]] = mechanism.centre_of_mass_m
+    nominal[slices["segment_length"]] = mechanism.segment_length_m
     return nominal, scale
 
 

@@ -146,21 +146,21 @@ class PosteriorOfContact(nn.Module):
         strength = fit.strength(wrench)
         per_force2 = _within(strength.per_force2 + self.middle_m**2 * strength.per_moment2)
         levers, torsion = wrench.table.split((6, 1), dim=2)
-        *_, own, along = torsion.split((6, 1, 1), dim=3)
+        *_, self_product, along = torsion.split((6, 1, 1), dim=3)
         variance = self.torsion_share_m2 / per_force2
-        twisted = _without(levers, torsion, own, along, variance)
+        twisted = _without(levers, torsion, self_product, along, variance)
         beside = self.beside @ wrench.mean
         square = (beside * beside).sum(2, keepdim=True).clamp(min=_TINY_N**2)
         beside = beside * torch.rsqrt(square)
         row = beside.transpose(2, 3) @ twisted.table
-        own = row[..., :6] @ beside
+        self_product = row[..., :6] @ beside
         variance = self.beside_share_m2 / per_force2
-        left = _without(twisted.table, row, own, row[..., 7:8], variance)
-        line = fit.refined_line(left.table, per_force2 * self.friction**-2)
-        posterior = self._posterior(left.table, line, strength)
+        constrained = _without(twisted.table, row, self_product, row[..., 7:8], variance)
+        line = fit.refined_line(constrained.table, per_force2 * self.friction**-2)
+        posterior = self._posterior(constrained.table, line, strength)
         return posterior._replace(
-            log_evidence=posterior.log_evidence + twisted.log_evidence + left.log_evidence,
-            chi2_gain=posterior.chi2_gain + twisted.gain + left.gain,
+            log_evidence=posterior.log_evidence + twisted.log_evidence + constrained.log_evidence,
+            chi2_gain=posterior.chi2_gain + twisted.gain + constrained.gain,
         )
 
     def _posterior(

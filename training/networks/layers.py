@@ -205,8 +205,8 @@ def single_contact_ratios(output: SingleContactOutput, target: SingleContactTarg
     """|error| / stated deviation (B, 2) of magnitude and angle; NaN where no contact was found."""
     force = (output.magnitude_n - target.magnitude_n).abs() / output.magnitude_std_n
     angle = angle_error_deg(output.direction, target.angle_deg).abs() / output.angle_std_deg
-    found = (target.segment > 0) & (output.contact_logits.argmax(-1) > 0)
-    return torch.stack([force, angle], dim=-1).where(found[:, None], math.nan)
+    hits = (target.segment > 0) & (output.contact_logits.argmax(-1) > 0)
+    return torch.stack([force, angle], dim=-1).where(hits[:, None], math.nan)
 
 
 def multi_contact_ratios(output: MultiContactOutput, target: MultiContactTarget) -> Tensor:

@@ -242,15 +242,15 @@ class AddedMass(RobotEffect):
         The typical mass loads a joint by a tenth of its torque. The largest takes all of it, by
         acceleration alone.
         """
-        own = robot.model.body_mass[robot.body_ids]
+        body_mass = robot.model.body_mass[robot.body_ids]
         hinge = np.array(robot.position_units) == "rad"
         lever_m = np.where(hinge, robot.reach_m, 1.0)
         weight = lever_m * float(np.linalg.norm(robot.model.opt.gravity))
         by_motion = lever_m**2 * scale.acceleration
         least = 0.1 * float((scale.torque / np.maximum(weight + by_motion, 1e-9)).min())
         most = float((scale.torque / np.maximum(by_motion, 0.01 * weight + 1e-9)).max())
-        typical = max(least, 0.02 * float(own.min()))
-        most = max(most, 10.0 * float(own.max()))
+        typical = max(least, 0.02 * float(body_mass.min()))
+        most = max(most, 10.0 * float(body_mass.max()))
         moment = 0.3 * typical * robot.reach_m
         spread = most / typical
         about = "first moment about the body's centre of mass: over the mass it gives the place"
