@@ -16,7 +16,7 @@ class EstimationSettings(BaseModel):
         contact_threshold: probability from which a contact is stated.
         stale_after_s: largest age of a sample.
         slack_below_n: a cable is reported as slack below this.
-        tare_samples, tare_steady_n: readings of a tare, and their largest deviation.
+        tare_samples, tare_steady_n: readings of a tare, and their largest standard deviation.
         tare_deviation_n: of networks: largest distance of a tare from the arm file; 0 for any.
         auto_tare: whether the first tare is taken by itself.
         await_breath: whether that waits for a breath.
