@@ -72,12 +72,14 @@ class _Rival:
 
     Attributes:
         log_weight: against "nothing touches".
+        log_total: that of all of its kind together, of which this is the likeliest.
         sentence: what it says, with its size.
         fault: whether it is one of a sensor.
         same_moment: whether the moment about the joint is nevertheless that of the contact.
     """
 
     log_weight: float
+    log_total: float
     sentence: str
     fault: bool = False
     same_moment: bool = False
@@ -106,12 +108,12 @@ class Judge:
 
         known = _force_is_known(seen)
         rivals = sorted(
-            (rival for rival in self._rivals(seen, reading_n) if known or not rival.same_moment),
+            (rival for rival in self._rivals(seen) if known or not rival.same_moment),
             key=lambda rival: -rival.log_weight,
         )
         best = rivals[0]
         stated = max(contact, 0.0)
-        others = sum(math.exp(min(rival.log_weight - stated, 50.0)) for rival in rivals)
+        others = sum(math.exp(min(rival.log_total - stated, 50.0)) for rival in rivals)
         doubted = others / (1.0 + others) > DOUBTED_ABOVE
         if touched:
             fits = float(seen.contact_chi2[0]) <= self._contact_limit
@@ -146,42 +148,51 @@ class Judge:
         least_n = abs(along_n) - NORMAL_95 * along_std_n
         return self._friction > 0.0 and least_n > self._friction * math.hypot(y, z)
 
-    def _rivals(self, seen: LawOutput, reading_n: Array) -> Iterator[_Rival]:
+    def _rivals(self, seen: LawOutput) -> Iterator[_Rival]:
         """What else may be behind the reading."""
         each = LOG_PRIOR_FAULT - math.log(len(self._names))
-        for index, name in enumerate(self._names):
-            off_n = float(seen.fault_n[0, index])
-            much = "much" if off_n > 0.0 else "little"
-            yield _Rival(
-                float(seen.faulty_evidence[0, index]) + each,
-                f"{name} reads {abs(off_n):.1f} N too {much}, and nothing touches the arm",
-                fault=True,
-            )
-        beside = seen.faulty_segment_evidence[0]
-        channel, of_segment = np.unravel_index(int(beside.argmax()), beside.shape)
+        faulty = seen.faulty_evidence[0]
+        channel = int(faulty.argmax())
+        likeliest = float(faulty[channel])
+        off_n = float(seen.fault_n[0, channel])
+        much = "much" if off_n > 0.0 else "little"
         yield _Rival(
-            float(beside.max()) + each,
+            likeliest + each,
+            likeliest + each + math.log(float(np.exp(faulty - likeliest).sum())),
+            f"{self._names[channel]} reads {abs(off_n):.1f} N too {much}, and nothing touches the "
+            "arm",
+            fault=True,
+        )
+        beside = seen.faulty_segment_evidence[0]
+        channel, of_segment = divmod(int(beside.argmax()), beside.shape[1])
+        weight = float(beside[channel, of_segment]) + each
+        yield _Rival(
+            weight,
+            weight,
             f"{self._names[channel]} is wrong, beside a contact on segment {of_segment + 1}",
             fault=True,
         )
         pairs = len(self._names) * (len(self._names) - 1) / 2
         exchanged = seen.exchanged_evidence[0]
-        first, second = np.unravel_index(int(exchanged.argmax()), exchanged.shape)
+        first, second = divmod(int(exchanged.argmax()), len(self._names))
+        weight = float(exchanged[first, second]) + LOG_PRIOR_EXCHANGED - math.log(pairs)
         yield _Rival(
-            float(exchanged.max()) + LOG_PRIOR_EXCHANGED - math.log(pairs),
+            weight,
+            weight,
             f"{self._names[first]} and {self._names[second]} are exchanged",
             fault=True,
         )
         wrench = seen.segment_evidence[0]
         segment = int(wrench.argmax())
+        weight = float(wrench[segment]) + LOG_PRIOR_WRENCH
         yield _Rival(
-            float(wrench[segment]) + LOG_PRIOR_WRENCH,
+            weight,
+            weight,
             f"several contacts or a couple on segment {segment + 1}",
             same_moment=segment == int(seen.contact_evidence[0].argmax()),
         )
-        yield _Rival(
-            float(seen.several_evidence[0]) + LOG_PRIOR_SEVERAL, "contacts on several segments"
-        )
+        weight = float(seen.several_evidence[0]) + LOG_PRIOR_SEVERAL
+        yield _Rival(weight, weight, "contacts on several segments")
 
 
 def _force_is_known(seen: LawOutput) -> bool:

@@ -51,6 +51,8 @@ _SMOOTHED = 16
 """Readings of which the mean is followed while they do not change, that is by no more than"""
 _STEADY_SHARE = 0.6
 """this share of a change that shows that a cable has moved: three deviations."""
+_STANDS_SHARE = 0.2
+"""As long as the mean has changed by less than this share of it, one deviation, slides stay."""
 _LEAST_FRICTION = 1e-4
 _TRIFLE = 0.1
 """Friction counts if it makes more than this share of the change that shows that a cable has
@@ -331,6 +333,7 @@ class SlidesUnderLoad:
         self._at_turn = arrived
         self._common = np.zeros_like(arrived.mean)
         self._moved = np.zeros(len(untouched_n), dtype=bool)
+        self._followed_n = untouched_n
         self._steady_n = untouched_n
         self._steady = 1
         self._way = np.zeros(len(untouched_n))
@@ -341,6 +344,9 @@ class SlidesUnderLoad:
     def follow(self, reading_n: Array) -> Slides:
         """Take the next readings (M,); gives the slides then."""
         now_n = self._smoothed(reading_n)
+        if np.abs(now_n - self._followed_n).max() < _STANDS_SHARE * self._moved_n:
+            return self.slides
+        self._followed_n = now_n
         off_n = now_n - self._outermost_n
         turns = (np.abs(off_n) > self._moved_n) & (np.sign(off_n) != self._way)
         turns_back = turns & (self._way != 0.0)
