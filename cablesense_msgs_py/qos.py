@@ -28,9 +28,10 @@ PUBLISHER: Final = Qos(depth=10, reliable=True)
 WRENCH: Final = Qos(depth=10, reliable=True, lease_s=0.05)
 """The estimator's answer: as every output, and a subscriber that asks for a liveliness lease of
 0.05 s or more is notified by its own middleware when the estimator's process has died."""
-SENSOR: Final = Qos(depth=500, reliable=False)
-"""High-rate input: sensor data, best effort. Half a second at 1 kHz, so that no pause of a
-process loses a sample; ROS's own sensor profile keeps five."""
+SENSOR: Final = Qos(depth=100, reliable=False)
+"""High-rate input: sensor data, best effort. A tenth of a second at 1 kHz, so that a short pause
+of a process loses no sample, and one that cannot keep up answers no stale ones: those are dropped
+first. ROS's own sensor profile keeps five."""
 COMMAND: Final = Qos(depth=10, reliable=True)
 """Commands and loads: rare, and none may be lost."""
 LATCHED: Final = Qos(depth=1, reliable=True, transient_local=True)
