@@ -18,11 +18,13 @@ class Beginning:
 
     Attributes:
         from_ns: time since the epoch.
+        after_ns: stamp of the last sample that was answered by the calibration before; 0 if none.
         command_rad: (2N,) the command in force.
         known: whether the unloaded state is known: by a tare, or by a calibration.
     """
 
     from_ns: int
+    after_ns: int
     command_rad: tuple[float, ...]
     known: bool
 
@@ -49,6 +51,7 @@ class Provenance:
         return json.dumps(
             {
                 "from_ns": beginning.from_ns,
+                "after_ns": beginning.after_ns,
                 "command_rad": list(beginning.command_rad),
                 "known": beginning.known,
                 "model": self.model,
@@ -78,7 +81,12 @@ class Provenance:
                 settings=EstimationSettings.model_validate(content["settings"]),
             )
             command_rad = tuple(float(angle) for angle in content["command_rad"])
-            beginning = Beginning(int(content["from_ns"]), command_rad, bool(content["known"]))
+            beginning = Beginning(
+                from_ns=int(content["from_ns"]),
+                after_ns=int(content["after_ns"]),
+                command_rad=command_rad,
+                known=bool(content["known"]),
+            )
         except Exception as error:  # JSON and pydantic have families of their own
             line = " ".join(str(error).split())[:200]
             raise ContractError(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import math
 import struct
+from collections import deque
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -30,7 +31,7 @@ from cablesense_msgs_py.topics import ContractError, Frames
 from cablesense_online.answer import Answer
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import LoadedModel, load_model
-from cablesense_online.provenance import Provenance
+from cablesense_online.provenance import Beginning, Provenance
 from cablesense_online.settings import LIVE_SETTINGS
 from cablesense_training.inference.metadata import find_model
 
@@ -42,6 +43,22 @@ _REPLAYED = (
     topics.CABLE_OFFSETS,
     topics.CALIBRATION_USED,
 )
+
+
+@dataclass(frozen=True)
+class CalibrationMessage:
+    """A calibration as the estimator published it.
+
+    Attributes:
+        topic: as recorded.
+        provenance, beginning: what it ran with it, and from when on.
+        content: the calibration, as the content of a file.
+    """
+
+    topic: str
+    provenance: Provenance
+    beginning: Beginning
+    content: bytes
 
 
 class RecordedRun:
@@ -64,6 +81,7 @@ class RecordedRun:
             raise RecordingError(f"{path}: is a folder; give the .mcap file in it")
         messages = McapMessages(self.path)
         names: dict[str, str] = {}
+        self._calibrations: list[CalibrationMessage] = []
         self.answers: dict[int, bytes] = {}
         for raw in messages:
             topic = of_contract(raw.topic)
@@ -72,6 +90,8 @@ class RecordedRun:
             self._check(topic, raw, names)
             if topic == topics.WRENCH:
                 self.answers[_stamp(raw.data)] = raw.data
+            if topic == topics.CALIBRATION_USED:
+                self._calibrations.append(self._calibration(raw))
         for needed in (topics.CABLE_TENSIONS, topics.CALIBRATION_USED):
             if needed not in names:
                 present = ", ".join(sorted(names.values())[:8]) or "nothing"
@@ -81,16 +101,38 @@ class RecordedRun:
                 )
         self.cut = messages.cut
 
-    def messages(self) -> Iterator[tuple[str, RawMessage]]:
-        """Each message that answers rest on with its topic, in the order of recording.
+    def messages(self) -> Iterator[RawMessage | CalibrationMessage]:
+        """Each message that answers rest on, in the order in which the estimator took them.
+
+        That is the order of recording, but for calibrations: they come from the estimator and may
+        be recorded before or behind the sample after which they hold.
 
         Raises:
             RecordingError: the file has become unreadable.
         """
+        remaining = deque(self._calibrations)
+        begun = False
         for raw in McapMessages(self.path):
             topic = of_contract(raw.topic)
-            if topic in _REPLAYED:
-                yield topic, raw
+            if topic == topics.CALIBRATION_USED and not begun:
+                begun = True
+                yield remaining.popleft()
+            elif topic in _REPLAYED and topic != topics.CALIBRATION_USED:
+                yield raw
+            if topic == topics.CABLE_TENSIONS:
+                stamp = _stamp(raw.data)
+                while begun and remaining and remaining[0].beginning.after_ns <= stamp:
+                    yield remaining.popleft()
+
+    def _calibration(self, raw: RawMessage) -> CalibrationMessage:
+        message: Any = parsed_message(raw)
+        dimensions = message.layout.dim
+        label = str(dimensions[0].label) if dimensions else ""
+        try:
+            provenance, beginning = Provenance.from_json(label)
+        except ContractError as error:
+            raise RecordingError(f"{self.path}: {raw.topic}: {error}") from error
+        return CalibrationMessage(raw.topic, provenance, beginning, bytes(message.data))
 
     def _check(self, topic: str, raw: RawMessage, names: dict[str, str]) -> None:
         first = names.setdefault(topic, raw.topic)
@@ -200,15 +242,17 @@ class RebuiltEstimator:
         self._writers: list[WrenchWriter] = []
         self._unknown_force = "zero"
 
-    def take(self, topic: str, raw: RawMessage) -> ReplayedAnswer | None:
+    def take(self, raw: RawMessage | CalibrationMessage) -> ReplayedAnswer | None:
         """Take one message over; gives the answer to a sample, None without one.
 
         Raises:
             RecordingError: a calibration that cannot be read.
             CableSenseError: the model is missing or has changed since.
         """
-        if topic == topics.CALIBRATION_USED:
+        if isinstance(raw, CalibrationMessage):
             self._calibrate(raw)
+            return None
+        topic = of_contract(raw.topic) or ""
         if self._estimation is None or self._loaded is None:
             return None
         if topic == topics.CABLE_TENSIONS:
@@ -222,14 +266,8 @@ class RebuiltEstimator:
                 take(parsed_message(raw))
         return None
 
-    def _calibrate(self, raw: RawMessage) -> None:
-        message: Any = parsed_message(raw)
-        try:
-            dimensions = message.layout.dim
-            label = str(dimensions[0].label) if dimensions else ""
-            provenance, beginning = Provenance.from_json(label)
-        except ContractError as error:
-            raise RecordingError(f"{self._run.path}: {raw.topic}: {error}") from error
+    def _calibrate(self, message: CalibrationMessage) -> None:
+        provenance = message.provenance
         if self._estimation is None:
             self._loaded = self._load(provenance)
             loaded = self._loaded
@@ -241,10 +279,9 @@ class RebuiltEstimator:
         assert self._loaded is not None
         settings = provenance.settings
         self._estimation.adjust(**{name: getattr(settings, name) for name in LIVE_SETTINGS})
-        content = bytes(message.data)
-        calibration = calibration_of(content, self._loaded.arm, raw.topic)
-        command_rad = np.array(beginning.command_rad)
-        self._estimation.restore(calibration, command_rad, known=beginning.known)
+        calibration = calibration_of(message.content, self._loaded.arm, message.topic)
+        command_rad = np.array(message.beginning.command_rad)
+        self._estimation.restore(calibration, command_rad, known=message.beginning.known)
 
     def _answer(self, sample: bytes) -> ReplayedAnswer | None:
         assert self._estimation is not None
@@ -326,12 +363,13 @@ def _compared(
     run: RecordedRun, rebuilt: RebuiltEstimator, comparison: Comparison
 ) -> Iterator[ReplayedAnswer]:
     """The answers to samples that the recording has answers to."""
-    for topic, raw in run.messages():
-        replayed = rebuilt.take(topic, raw)
-        if topic != topics.CABLE_TENSIONS:
+    for message in run.messages():
+        replayed = rebuilt.take(message)
+        if of_contract(message.topic) != topics.CABLE_TENSIONS:
             continue
         comparison.samples += 1
-        recorded = run.answers.get(_stamp(raw.data))
+        assert isinstance(message, RawMessage)
+        recorded = run.answers.get(_stamp(message.data))
         if recorded is None and run.answers:
             continue
         if replayed is None:

@@ -114,6 +114,11 @@ class SampleClock:
         self._last_ns = 0
         self._last_now_ns = 0
 
+    @property
+    def last_ns(self) -> int:
+        """Stamp of the last sample that was accepted; 0 without one."""
+        return self._last_ns
+
     def accept(self, stamp_ns: int, now_ns: int) -> None:
         """Accept the stamp of a sample that comes at `now_ns`.
 

@@ -159,7 +159,7 @@ class EstimatorOutputs:
         content = calibration_bytes(unloaded.calibration)
         message = UInt8MultiArray(data=array("B", content))
         command_rad = tuple(estimation.gate.command_rad.tolist())
-        beginning = Beginning(now_ns, command_rad, unloaded.known)
+        beginning = Beginning(now_ns, estimation.clock.last_ns, command_rad, unloaded.known)
         provenance = replace(self._provenance, settings=estimation.settings)
         label = provenance.as_json(beginning)
         size = len(content)

@@ -68,7 +68,7 @@ class MadeRun:
 
         def note_calibration(now):
             command_rad = tuple(live.gate.command_rad.tolist())
-            beginning = Beginning(now, command_rad, live.unloaded.known)
+            beginning = Beginning(now, live.clock.last_ns, command_rad, live.unloaded.known)
             content = calibration_bytes(live.unloaded.calibration)
             message = UInt8MultiArray(data=array("B", content))
             in_force = replace(provenance, settings=live.settings)

@@ -54,6 +54,21 @@ def test_a_setting_that_changed_is_changed_again(tmp_path):
     assert made.records != made_run().records
 
 
+@pytest.mark.parametrize("by_samples", [-3, 5])
+def test_a_tare_that_was_recorded_early_or_late_is_taken_where_it_was(made, tmp_path, by_samples):
+    """The recorder gets tensions and calibrations from two processes."""
+
+    def moved(record):
+        topic, log_ns, raw = record
+        shifted = topic == topics.CALIBRATION_USED and log_ns > EPOCH_NS
+        shift_ns = by_samples * STEP_NS if shifted else 0
+        return topic, log_ns + shift_ns, raw
+
+    records = sorted(map(moved, made.records), key=lambda record: record[1])
+    got = replayed(made.write(tmp_path / "shifted.mcap", records))
+    assert (got.compared, got.identical) == (300, 300)
+
+
 def test_a_breath_is_repeated(tmp_path):
     made = made_run(breath=True)
     got = replayed(made.write(tmp_path / "breath.mcap"))

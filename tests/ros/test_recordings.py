@@ -24,9 +24,8 @@ from cablesense_sim.equilibrium import solve_equilibrium
 LAB = open_arm("cdsm_lab")
 COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
 ROOT = Path(__file__).parents[2]
-SAME_SHARE = 0.75
-"""A recorder may see a command or a tare before the sample that the estimator saw first. From
-there to the next move slides are then followed from another sample, and the last digits differ."""
+SAME_SHARE = 0.9
+"""A recorder may see a command before the sample that the estimator saw first."""
 
 
 def record(*arguments):
