@@ -24,7 +24,8 @@ from hypothesis import strategies as st
 
 from cablesense_base import Array, CableSenseError
 from cablesense_base.installation import config_path
-from cablesense_contact.calibration import Calibrator, Unloaded, calibration_of, write_calibration
+from cablesense_contact.calibration import Calibrator, Unloaded
+from cablesense_contact.calibration_file import calibration_of, write_calibration
 from cablesense_gap.recordings.checks import read_recording
 from cablesense_online.can.bus import FaultLedger
 from cablesense_online.can.channel_map import calibrated, load_calibration, open_channel_map

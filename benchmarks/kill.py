@@ -45,7 +45,8 @@ from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallb
 from rclpy.subscription import Subscription
 
 from cablesense_base import Array
-from cablesense_contact.calibration import Calibrator, Unloaded, write_calibration
+from cablesense_contact.calibration import Calibrator, Unloaded
+from cablesense_contact.calibration_file import write_calibration
 from cablesense_msgs_py.qos import Qos
 from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.processes import Process, node_command

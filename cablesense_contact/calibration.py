@@ -14,27 +14,21 @@ each reading, if the arm is one that the file describes: a test of the tolerance
 
 from __future__ import annotations
 
-import io
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
 
 from cablesense_base import Array, CableSenseError
-from cablesense_base.files import read_bounded_bytes, write_atomically
+from cablesense_contact.cable_slides import CableSlides
 from cablesense_contact.law import Law
-from cablesense_contact.slides import Belief, CableSlides, Slides
+from cablesense_contact.slides import Belief, Slides
 from cablesense_sim.arm import Arm
-from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import mean_variance_n2, reading_variance_n2
-from cablesense_sim.tolerances import ArmParameters
+from cablesense_sim.uncertain_arm import arm_parameters
 
-FORMAT = "cablesense-calibration/2"
-MAX_FILE_BYTES = 64 * 1024 * 1024
 REFUSED_BELOW = 1e-6
 """Probability, by the innovation's χ², below which an unloaded reading is refused: it is not one
 of this arm without a load."""
@@ -153,10 +147,10 @@ class Calibrator:
     """
 
     def __init__(self, arm: Arm, law: Law) -> None:
-        self.parameters = parameters_of(arm)
+        self.parameters = arm_parameters(arm)
         self._arm = arm
         self._law = law
-        self._slides = CableSlides(mechanism_of(arm), self.parameters)
+        self._slides = CableSlides(arm)
         self._carried = self.parameters.carried_friction
         self._is_carried = np.zeros(len(self.parameters), dtype=bool)
         self._is_carried[self._carried] = True
@@ -233,6 +227,7 @@ class Calibrator:
         unloaded = calibration.unloaded
         if not unloaded:
             return replace(calibration, mean=prior, covariance=covariance, chi2=0.0)
+        slides = [self._slides_of(one) for one in unloaded]
         now_ns = calibration.changed_ns
         # what was known before the last reading is near
         start = np.where(self._is_carried, prior, calibration.mean)
@@ -240,7 +235,7 @@ class Calibrator:
         best: _Fit | None = None
         converged = False
         for _ in range(_ITERATIONS):
-            fit = self._fit_about(start + step, calibration, now_ns)
+            fit = self._fit_about(start + step, calibration, slides, now_ns)
             if best is not None and fit.cost > best.cost:
                 # across the kink of a slack cable a step may lead too far
                 step = 0.5 * step
@@ -255,43 +250,41 @@ class Calibrator:
         mean = best.mean if converged else np.where(self._is_carried, best.mean, best.about)
         return replace(calibration, mean=mean, covariance=best.covariance, chi2=best.chi2)
 
-    def _fit_about(self, about: Array, calibration: Calibration, now_ns: int) -> _Fit:
+    def _fit_about(
+        self, about: Array, calibration: Calibration, slides: Sequence[Slides], now_ns: int
+    ) -> _Fit:
         """The update by all unloaded readings in turn, linear about one and the same mean."""
         prior = calibration.prior_mean
         covariance = calibration.prior_covariance
         unloaded = calibration.unloaded
-        there = [
-            self._slides.carried(Belief(about, covariance), self._slides_of(one))
-            for one in unloaded
-        ]
-        slopes, innovations = self._linear(there, unloaded)
+        beliefs = [self._slides.carried(Belief(about, covariance), slide) for slide in slides]
+        slopes, innovations = self._linear(beliefs, unloaded)
         off = np.where(self._is_carried, 0.0, about - prior)
         known = (np.diagonal(covariance) > 0.0) & ~self._is_carried
         cost = float(off[known] @ np.linalg.solve(covariance[np.ix_(known, known)], off[known]))
         mean = prior
         misfit = 0.0
-        for one, here, slope, seen in zip(unloaded, there, slopes, innovations, strict=True):
-            slides = self._slides_of(one)
-            mean, covariance = self._slides.carried(Belief(mean, covariance), slides)
-            noise = self._noise_n2(one, now_ns)
-            of_slides = self._slides.alone(here, slides)
-            by_slide = slope[:, self._carried]
-            slid = (by_slide * of_slides) @ by_slide.T + noise
-            cost += float(seen @ np.linalg.solve(slid, seen))
-            innovation = seen + slope @ (here.mean - mean)
+        lasting = np.empty_like(slopes)
+        for number, slope in enumerate(slopes):
+            slide = slides[number]
+            noise = self._noise_n2(unloaded[number], now_ns)
+            lasting[number] = self._slides.by_lasting(slope, slide)
+            # the sum of squares at `about`, where what is carried is off by the slides alone
+            by_carried = slope[:, self._carried]
+            carried_variance = self._slides.alone(beliefs[number], slide)
+            spread_about = (by_carried * carried_variance) @ by_carried.T + noise
+            residual_n = innovations[number]
+            cost += float(residual_n @ np.linalg.solve(spread_about, residual_n))
+            # the update by this reading, about the mean so far
+            mean, covariance = self._slides.carried(Belief(mean, covariance), slide)
+            innovation = residual_n + slope @ (beliefs[number].mean - mean)
             spread = slope @ covariance @ slope.T + noise
             gain = np.linalg.solve(spread, slope @ covariance).T
             misfit += float(innovation @ np.linalg.solve(spread, innovation))
             mean = mean + gain @ innovation
-            left = np.eye(len(prior)) - gain @ slope
-            covariance = left @ covariance @ left.T + (gain @ noise) @ gain.T
+            remaining = np.eye(len(prior)) - gain @ slope
+            covariance = remaining @ covariance @ remaining.T + (gain @ noise) @ gain.T
         covariance = 0.5 * (covariance + covariance.T)
-        lasting = np.array(
-            [
-                self._slides.by_lasting(slope, self._slides_of(one))
-                for slope, one in zip(slopes, unloaded, strict=True)
-            ]
-        )
         return _Fit(about, mean, covariance, cost, misfit, lasting)
 
     def _slides_of(self, unloaded: Unloaded) -> Slides:
@@ -348,204 +341,3 @@ class Calibrator:
                 "touched, somewhere else than commanded, or not the arm of the file? Larger "
                 "tolerances in the arm file, or force, accept them"
             )
-
-
-def parameters_of(arm: Arm) -> ArmParameters:
-    """The uncertain parameters of an arm, by its file."""
-    listed = [e for e in arm.effects if e.effect == "capstan_friction"]
-    friction = float(listed[0].parameters.get("coefficient", 0.0)) if listed else 0.0
-    return ArmParameters(mechanism_of(arm), arm.tolerances, friction)
-
-
-def write_calibration(
-    path: str | Path, calibration: Calibration, described: Arm | None = None
-) -> None:
-    """Write a calibration file, with the arm's description where it is given.
-
-    Raises:
-        CalibrationError: it cannot be written.
-    """
-    write_atomically(path, calibration_bytes(calibration, described), CalibrationError)
-
-
-def calibration_bytes(calibration: Calibration, described: Arm | None = None) -> bytes:
-    """The content of a calibration file: a NumPy archive with a JSON header.
-
-    With the arm's description it can be shown without the arm file (`described_arm`).
-    """
-    header: dict[str, object] = {
-        "format": FORMAT,
-        "arm": calibration.arm_identity,
-        "made_from": calibration.made_from,
-        "chi2": calibration.chi2,
-    }
-    if described is not None:
-        header["described"] = described.model_dump(mode="json")
-    unloaded = calibration.unloaded
-    content = io.BytesIO()
-    np.savez_compressed(
-        content,
-        header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
-        mean=calibration.mean,
-        covariance=_upper(calibration.covariance),
-        prior_mean=calibration.prior_mean,
-        prior_covariance=_upper(calibration.prior_covariance),
-        readings_n=np.array([one.reading_n for one in unloaded]),
-        commands_rad=np.array([one.command_rad for one in unloaded]),
-        counts=np.array([one.count for one in unloaded], dtype=np.int64),
-        taken_ns=np.array([one.taken_ns for one in unloaded], dtype=np.int64),
-        came_from_rad=np.array([_came_from(one) for one in unloaded]),
-    )
-    return content.getvalue()
-
-
-def _came_from(unloaded: Unloaded) -> Array:
-    """(2N,) where the arm came from, as a file holds it: its own command where unknown."""
-    came_from_rad = unloaded.came_from_rad
-    return unloaded.command_rad if came_from_rad is None else came_from_rad
-
-
-def read_calibration(path: str | Path, arm: Arm) -> Calibration:
-    """Read the calibration of an arm.
-
-    Raises:
-        CalibrationError: no calibration file, or one of another arm.
-    """
-    content = read_bounded_bytes(path, MAX_FILE_BYTES, "a calibration file", CalibrationError)
-    return calibration_of(content, arm, str(path))
-
-
-def calibration_of(content: bytes, arm: Arm, source: str) -> Calibration:
-    """The calibration of an arm in the content of a file, which `source` names in errors.
-
-    Raises:
-        CalibrationError: no calibration, or one of another arm.
-    """
-    header, parts = _opened(content, source)
-    try:
-        calibration = Calibration(
-            arm_identity=str(header["arm"]),
-            mean=_real(parts["mean"]),
-            covariance=_whole(_real(parts["covariance"])),
-            prior_mean=_real(parts["prior_mean"]),
-            prior_covariance=_whole(_real(parts["prior_covariance"])),
-            unloaded=tuple(
-                Unloaded(
-                    reading,
-                    command,
-                    int(count),
-                    int(taken),
-                    None if np.array_equal(came_from, command) else came_from,
-                )
-                for reading, command, count, taken, came_from in zip(
-                    _real(parts["readings_n"]),
-                    _real(parts["commands_rad"]),
-                    parts["counts"],
-                    parts["taken_ns"],
-                    _real(parts["came_from_rad"]),
-                    strict=True,
-                )
-            ),
-            chi2=float(header["chi2"]),
-            made_from=str(header["made_from"]),
-        )
-    except Exception as error:  # NumPy raises whatever the broken place led to
-        raise _no_calibration(source) from error
-    _require_fitting(calibration, arm, source)
-    return calibration
-
-
-def described_arm(content: bytes, source: str) -> Arm:
-    """The arm whose calibration this content of a file is, by the description in it.
-
-    Raises:
-        CalibrationError: no calibration, or one without a description.
-    """
-    header, _ = _opened(content, source)
-    if "described" not in header:
-        raise CalibrationError(
-            f"{source}: holds no description of its arm, {str(header.get('arm'))[:80]}; one that "
-            "`cablesense calibrate` or a commissioning has written does"
-        )
-    try:
-        return Arm.model_validate(header["described"])
-    except ValueError as error:
-        raise CalibrationError(
-            f"{source}: the description of its arm cannot be true, so it was changed, or made by "
-            "another version; calibrate again"
-        ) from error
-
-
-def is_calibration(content: bytes) -> bool:
-    """Whether this content of a file is meant to be a calibration."""
-    try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            return "prior_covariance" in archive.files
-    except Exception:  # of NumPy and zip, whatever the content led to
-        return False
-
-
-def _opened(content: bytes, source: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The header, and the arrays by name."""
-    try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            parts = {name: archive[name] for name in archive.files}
-        header = json.loads(bytes(parts.pop("header")))
-        form = str(header["format"])
-    except Exception as error:  # NumPy and zip raise whatever the broken place led to
-        raise _no_calibration(source) from error
-    if form != FORMAT:
-        raise CalibrationError(f"{source}: format {form!r}; this version reads {FORMAT!r}")
-    return header, parts
-
-
-def _no_calibration(source: str) -> CalibrationError:
-    return CalibrationError(
-        f"{source}: no calibration file; `cablesense calibrate` and a commissioning make one"
-    )
-
-
-def _require_fitting(calibration: Calibration, arm: Arm, path: str) -> None:
-    if calibration.arm_identity != arm.identity:
-        raise CalibrationError(
-            f"{path}: is of arm {calibration.arm_identity[:80]}, not of {arm.identity}; calibrate "
-            "this arm, or give the file that it was made with"
-        )
-    count = len(parameters_of(arm))
-    sizes = {len(calibration.mean), len(calibration.prior_mean)}
-    sizes |= {len(calibration.covariance), len(calibration.prior_covariance)}
-    if sizes != {count}:
-        raise CalibrationError(
-            f"{path}: has {len(calibration.mean)} parameters; {arm.identity} has {count}: it was "
-            "made by another version, so calibrate again"
-        )
-    numbers = [calibration.mean, calibration.covariance, calibration.prior_mean]
-    numbers += [calibration.prior_covariance, np.array([calibration.chi2])]
-    for one in calibration.unloaded:
-        shapes = one.reading_n.shape, one.command_rad.shape
-        if shapes != ((arm.cable_count,), (arm.joint_count,)):
-            raise CalibrationError(f"{path}: holds a reading of another arm; calibrate again")
-        numbers += [one.reading_n, one.command_rad]
-    if not all(np.isfinite(each).all() for each in numbers):
-        raise CalibrationError(f"{path}: contains a number that is not finite; calibrate again")
-    variances = np.diagonal(calibration.covariance), np.diagonal(calibration.prior_covariance)
-    if min(each.min() for each in variances) < 0.0:
-        raise CalibrationError(f"{path}: contains a negative variance; calibrate again")
-
-
-def _real(numbers: Any) -> Array:
-    """An array of real numbers; of others NumPy raises an error."""
-    return np.asarray(numbers).astype(float, casting="same_kind")
-
-
-def _upper(symmetric: Array) -> Array:
-    """The upper triangle of a (P, P) matrix, row by row."""
-    return symmetric[np.triu_indices(len(symmetric))]
-
-
-def _whole(upper: Array) -> Array:
-    """The symmetric matrix (P, P) of an upper triangle."""
-    count = int(np.sqrt(2 * len(upper)))
-    matrix = np.zeros((count, count))
-    matrix[np.triu_indices(count)] = upper
-    return matrix + np.triu(matrix, 1).T

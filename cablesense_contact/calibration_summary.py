@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cablesense_contact.calibration import Calibration, parameters_of
+from cablesense_contact.calibration import Calibration
 from cablesense_sim.arm import Arm
 from cablesense_sim.tolerances import CARRIED_FRICTION
+from cablesense_sim.uncertain_arm import arm_parameters
 
 DETERMINED_SHARE = 0.5
 """A parameter is determined if its deviation is below this share of its tolerance."""
@@ -43,7 +44,7 @@ def summarised(calibration: Calibration, arm: Arm) -> list[KindSummary]:
     Carried friction is left out: it is a state of the last pose. So are parameters without
     tolerance.
     """
-    parameters = parameters_of(arm)
+    parameters = arm_parameters(arm)
     kinds: dict[str, list[int]] = {}
     units = {}
     for group in parameters.groups:

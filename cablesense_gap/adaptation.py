@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
-from cablesense_contact.calibration import Calibration, Calibrator, parameters_of
+from cablesense_contact.calibration import Calibration, Calibrator
 from cablesense_gap.arm_nuisance import terms_of
 from cablesense_gap.arm_system import Diagnosis, diagnose, folds_of
 from cablesense_gap.recorded_contacts import (
@@ -33,6 +33,7 @@ from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import EstimatorErrors
 from cablesense_sim.arm import Arm
 from cablesense_sim.effects.registry import known_effects
+from cablesense_sim.uncertain_arm import arm_parameters
 from cablesense_training.inference.estimator import Estimator
 from cablesense_training.law.build import TorchLaw
 from cablesense_training.law_export import export_law
@@ -177,7 +178,7 @@ def diagnosed_calibration(found: Diagnosis) -> Calibration:
     sensors are known for the time of the recording; later each may have moved by its tolerance.
     """
     arm = found.amended
-    parameters = parameters_of(arm)
+    parameters = arm_parameters(arm)
     mean = found.parameters.mean - _listed_deviations(arm)
     covariance = found.parameters.covariance.copy()
     zeros = np.arange(len(parameters))[parameters.slices["sensor_zero"]]
@@ -200,13 +201,13 @@ def _listed_deviations(arm: Arm) -> Array:
             for name, value in entry.parameters.items():
                 term = Term(entry.effect, entry.at, name)
                 listed[term] = listed.get(term, 0.0) + value
-    terms = terms_of(parameters_of(arm))
+    terms = terms_of(arm_parameters(arm))
     return np.array([0.0 if term is None else listed.get(term, 0.0) for term in terms])
 
 
 def _tells_more(found: Diagnosis) -> bool:
     """Whether the diagnosis tells more about the arm's parameters than its tolerances do."""
-    expected = parameters_of(found.amended)
+    expected = arm_parameters(found.amended)
     same_mean = np.allclose(found.parameters.mean, expected.prior_mean)
     by_tolerances = np.diag(expected.prior_std**2)
     return not (same_mean and np.allclose(found.parameters.covariance, by_tolerances, atol=0.0))

@@ -19,10 +19,10 @@ from cablesense_base import Array
 from cablesense_gap.diagnosis.tolerance_posterior import TolerancePosterior
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.arm import Arm
-from cablesense_sim.build import mechanism_of
 from cablesense_sim.effects.effect import WHOLE_ARM
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.tolerances import ArmParameters
+from cablesense_sim.uncertain_arm import arm_parameters
 
 _NUMBERS = {
     "cable_stiffness": ("cable_tolerance", "log_stiffness"),
@@ -51,13 +51,6 @@ class FittedParameters:
     covariance: Array
 
 
-def parameters_of_arm(arm: Arm) -> ArmParameters:
-    """The uncertain parameters of an arm; its friction is what its file lists."""
-    listed = (e.parameters for e in arm.effects if e.effect == "capstan_friction")
-    friction = sum(each.get("coefficient", 0.0) for each in listed)
-    return ArmParameters(mechanism_of(arm), arm.tolerances, friction)
-
-
 def terms_of(parameters: ArmParameters) -> list[Term | None]:
     """(P,) the term of each parameter, None where it has none."""
     return [_term(group.name, place) for group in parameters.groups for place in group.places]
@@ -84,7 +77,7 @@ def tolerance_candidates(arm: Arm) -> tuple[Candidate, ...]:
 
     Those of zero are left out.
     """
-    parameters = parameters_of_arm(arm)
+    parameters = arm_parameters(arm)
     std = {"contact_m": arm.tolerances.contact_m, "friction_share": arm.tolerances.friction_share}
     for term, deviation in zip(terms_of(parameters), parameters.prior_std, strict=True):
         if term is not None and deviation > 0.0:
@@ -111,7 +104,7 @@ def fitted_parameters(nominal: Arm, amended: Arm, known: TolerancePosterior) -> 
     What the tolerances say beyond the `nominal` arm adds to what its file lists of them. The
     coefficient of friction is that of the `amended` arm. Other parameters are as expected.
     """
-    parameters = parameters_of_arm(amended)
+    parameters = arm_parameters(amended)
     off: dict[Term, float] = dict(zip(known.terms, known.mean.tolist(), strict=True))
     for listed in nominal.effects:
         if known_effects()[listed.effect].tolerance:

@@ -16,18 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
+from cablesense_contact.cable_slides import CableSlides
 from cablesense_contact.calibration import Calibration, Calibrator, Unloaded
 from cablesense_contact.estimate import NORMAL_95
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import Law, LawOutput
-from cablesense_contact.slides import MOVED_STD, Belief, CableSlides, Slides, SlidesUnderLoad
+from cablesense_contact.slides import Belief, Slides
 from cablesense_gap.recordings.recording import SAME_PLACE_M, Recording, RecordingError
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended, loadings
 from cablesense_sim.loads import normal_components_n
-from cablesense_sim.replay import reading_variance_n2
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
     ContactTruth,
@@ -317,13 +317,12 @@ class RecordedArm:
         self._tares = tares
         self._law = law
         self._calibrator = Calibrator(law.arm, law)
-        self._slides = CableSlides(mechanism_of(law.arm), self._calibrator.parameters)
+        self._slides = CableSlides(law.arm)
         self._calibration = calibration
         self._by_poses: Calibration | None = None
         if calibration is None:
             poses = unloaded_poses(recording, trials)
             self._by_poses = self._calibrator.moved(self._calibrator.from_poses(poses))
-        self._moved_n = MOVED_STD * reading_variance_n2(law.arm.sensors) ** 0.5
         self._still = np.zeros((law.arm.joint_count, law.arm.joint_count))
 
     def answers(self, rows: Rows) -> tuple[ContactAnswer, Rows]:
@@ -416,12 +415,9 @@ class RecordedArm:
 
     def _slid(self, readings_n: Array, tare: Unloaded, known: Belief) -> list[Slides]:
         """Slides at each of readings (R, M) that follow a tare."""
-        if not self._slides.matter(known, self._moved_n):
+        if not self._slides.matter(known):
             return [self._slides.unknown] * len(readings_n)
-        pose = self._slides.at_pose(tare.command_rad)
-        friction = self._slides.friction(known)
-        unknown = self._slides.unknown
-        under_load = SlidesUnderLoad(pose, unknown, tare.reading_n, self._moved_n, friction)
+        under_load = self._slides.under_load(tare.command_rad, tare.reading_n, known)
         return [under_load.follow(reading_n) for reading_n in readings_n]
 
     def _known_after(self, tare: Unloaded) -> Calibration:

@@ -28,10 +28,11 @@ from cablesense_contact.reference_contacts import FORCE_N, ReferenceContacts
 from cablesense_online.chosen_poses import READINGS, UnloadedReadings
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
-from cablesense_sim.build import entries_of, mechanism_of
+from cablesense_sim.build import mechanism_of
 from cablesense_sim.joint_motion import JointMotion, move_duration_s
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import reading_variance_n2
+from cablesense_sim.uncertain_arm import cable_friction
 
 _DIRECTIONS = 200
 """Directions of approach that are tried."""
@@ -130,7 +131,7 @@ def visits(arm: Arm, poses_rad: Array, settings: CommissioningSettings) -> list[
     """What is visited in poses (K, 2N): from two sides in turn, or each from both."""
     both_sides = settings.both_sides
     if both_sides is None:
-        both_sides = any(entry.effect.name == "capstan_friction" for entry in entries_of(arm))
+        both_sides = cable_friction(arm).listed
     beside_rad = settings.approach_rad * approach_direction(mechanism_of(arm))
     stops = []
     for number, pose_rad in enumerate(poses_rad):

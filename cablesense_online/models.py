@@ -6,7 +6,8 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from cablesense_contact.calibration import Calibration, read_calibration
+from cablesense_contact.calibration import Calibration
+from cablesense_contact.calibration_file import read_calibration
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.contacts import LawContacts, NetworkContacts
 from cablesense_online.settings import EstimationSettings

@@ -21,7 +21,7 @@ import numpy as np
 
 from cablesense_base import CableSenseError
 from cablesense_base.files import written_whole
-from cablesense_contact.calibration import calibration_of
+from cablesense_contact.calibration_file import calibration_of
 from cablesense_gap.recordings.mcap_messages import McapMessages, RawMessage, parsed_message
 from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics

@@ -18,25 +18,19 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
+from cablesense_contact.cable_slides import CableSlides, LastWay
 from cablesense_contact.calibration import Calibration, CalibrationError, Calibrator, Unloaded
 from cablesense_contact.judgement import Judge
 from cablesense_contact.law import Law
 from cablesense_contact.reference_contacts import FORCE_N, ReferenceContacts
-from cablesense_contact.slides import (
-    MOVED_STD,
-    Belief,
-    CableSlides,
-    LastWay,
-    Slides,
-    SlidesUnderLoad,
-)
+from cablesense_contact.slides import Belief, Slides
+from cablesense_contact.slides_under_load import SlidesUnderLoad
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.settings import EstimationSettings
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended
 from cablesense_sim.equilibrium import EquilibriumError, held_lengths_m, solve_equilibrium
-from cablesense_sim.replay import reading_variance_n2
 
 _MOST_KEPT = 16
 """How many times a tare can be undone."""
@@ -255,9 +249,8 @@ class CalibratedArm(UnloadedArm[Calibration]):
         self._measured: Calibration | None = None
         start = calibration or self.calibrator.by_tolerances()
         super().__init__(settings, start, known=calibration is not None)
-        self._slides = CableSlides(mechanism_of(arm), self.calibrator.parameters)
+        self._slides = CableSlides(arm)
         self._way = LastWay()
-        self._moved_n = MOVED_STD * reading_variance_n2(arm.sensors) ** 0.5
         self._unrest = np.zeros((arm.joint_count, arm.joint_count))
         self._untouched_n = np.zeros(arm.cable_count)
         self._untouched = 0
@@ -333,7 +326,7 @@ class CalibratedArm(UnloadedArm[Calibration]):
     def _rubs(self) -> bool:
         """Whether friction can be seen."""
         known = Belief(self._state.mean, self._state.covariance)
-        return self._slides.matter(known, self._moved_n)
+        return self._slides.matter(known)
 
     def _came(self) -> Slides:
         """Slides of the unloaded arm as it came to the present pose."""
@@ -346,12 +339,8 @@ class CalibratedArm(UnloadedArm[Calibration]):
         if self._under_load is None:
             assert self._pose_rad is not None
             known = Belief(self._state.mean, self._state.covariance)
-            self._under_load = SlidesUnderLoad(
-                self._slides.at_pose(self._pose_rad),
-                self._came(),
-                self._untouched_n.copy(),
-                self._moved_n,
-                self._slides.friction(known),
+            self._under_load = self._slides.under_load(
+                self._pose_rad, self._untouched_n.copy(), known, self._came()
             )
         return self._under_load
 

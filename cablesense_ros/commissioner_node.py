@@ -17,7 +17,8 @@ from trajectory_msgs.msg import JointTrajectory
 
 from cablesense_base import Array, CableSenseError
 from cablesense_base.files import output_file
-from cablesense_contact.calibration import CalibrationError, calibration_bytes, write_calibration
+from cablesense_contact.calibration import CalibrationError
+from cablesense_contact.calibration_file import calibration_bytes, write_calibration
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
     Level,

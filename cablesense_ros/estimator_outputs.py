@@ -27,7 +27,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
-from cablesense_contact.calibration import calibration_bytes
+from cablesense_contact.calibration_file import calibration_bytes
 from cablesense_contact.estimate import NORMAL_95
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import NO_CONTACT, UNKNOWN_WRENCH, Contact, ForceState, Status

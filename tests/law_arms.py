@@ -12,8 +12,9 @@ from cablesense_sim import kinematics
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.tolerances import ArmParameters
+from cablesense_sim.touch import TouchedPlaces
+from cablesense_sim.uncertain_arm import CableFriction
 from cablesense_training.law.estimator import ArmEstimator
-from cablesense_training.law.measurement import CableGuides
 
 NOISE_STD_N = 0.05
 
@@ -42,10 +43,8 @@ class LawArm:
             self.mechanism,
             self.parameters,
             NOISE_STD_N**2,
-            CableGuides(*wraps, np.full(self.mechanism.cable_count, run_compliance)),
-            self.reach_m,
-            np.full(count, radius_m),
-            friction,
+            CableFriction(0.0, *wraps, np.full(self.mechanism.cable_count, run_compliance)),
+            TouchedPlaces(self.reach_m, np.full(count, radius_m), friction),
         )
 
     def at(self, kind):

@@ -11,12 +11,12 @@ from torch import Tensor, nn
 
 from cablesense_base.files import write_atomically
 from cablesense_base.installation import package_version
-from cablesense_contact.calibration import parameters_of
 from cablesense_contact.law import INPUTS, LawOutput
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.replay import read_tensions_n
+from cablesense_sim.uncertain_arm import arm_parameters
 from cablesense_training.errors import TrainingError
 from cablesense_training.export import TRACED_ROWS, to_onnx
 from cablesense_training.inference.metadata import ANYWHERE, ModelMetadata, effect_versions
@@ -53,7 +53,7 @@ def export_law(arm: Arm, path: Path, command: str, unexplained_n2: float = 0.0) 
 def _trial(arm: Arm) -> list[Tensor]:
     """Inputs of some rows: readings of the arm of the file, pushed in usual poses."""
     rng = np.random.default_rng(0)
-    parameters = parameters_of(arm)
+    parameters = arm_parameters(arm)
     reach = np.deg2rad(_COMMANDED_DEG)
     joints = arm.joint_count
     commands = rng.uniform(-reach, reach, (_TRIAL_ROWS, joints))

@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from cablesense_contact.cable_slides import LastWay
 from cablesense_contact.calibration import Unloaded
-from cablesense_contact.slides import LastWay
 from cablesense_gap.recordings.recording import Recording, RecordingError
 
 SETTLING_S = 1.0

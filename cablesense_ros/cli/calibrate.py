@@ -60,7 +60,8 @@ def calibrate(
 
     from rich.console import Console
 
-    from cablesense_contact.calibration import Calibrator, write_calibration
+    from cablesense_contact.calibration import Calibrator
+    from cablesense_contact.calibration_file import write_calibration
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.recordings.unloaded_holds import unloaded_holds
     from cablesense_sim.arm import open_arm

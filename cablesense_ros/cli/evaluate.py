@@ -141,7 +141,7 @@ def _table2(model: str) -> Result:
 def _recorded(
     recording: Path, models: list[str], calibration: Path | None, picture: Path | None
 ) -> Result:
-    from cablesense_contact.calibration import read_calibration
+    from cablesense_contact.calibration_file import read_calibration
     from cablesense_gap.recorded_contacts import open_estimator, recorded_errors
     from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import drawn_errors

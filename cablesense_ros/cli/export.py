@@ -27,8 +27,8 @@ def export(
 
     Example: cablesense export --arm my_arm.yaml --out my_arm.onnx
     """
-    from cablesense_contact.calibration import parameters_of
     from cablesense_sim.arm import find_arm, load_arm
+    from cablesense_sim.uncertain_arm import arm_parameters
     from cablesense_training.law_export import export_law
 
     arm_file = find_arm(arm)
@@ -40,7 +40,7 @@ def export(
         "out": str(out),
         "arm": description.identity,
         "bytes": out.stat().st_size,
-        "parameters": len(parameters_of(description)),
+        "parameters": len(arm_parameters(description)),
         "seconds": time.perf_counter() - started,
     }
     print_result("Estimator of contacts anywhere", content, json_output)

@@ -321,7 +321,7 @@ def adapt(
 
     Example: [bold]cablesense gap adapt recording.mcap --arm my_arm.yaml --out adapted[/bold]
     """
-    from cablesense_contact.calibration import write_calibration
+    from cablesense_contact.calibration_file import write_calibration
     from cablesense_gap.adaptation import adapt as make
     from cablesense_gap.amended_arm import AMENDED_ARM
     from cablesense_gap.recorded_contacts import open_estimator

@@ -278,7 +278,8 @@ def _model(path: str) -> Description:
 
 def _calibration_content(path: str) -> bytes | None:
     """The content of a calibration file; None of other files."""
-    from cablesense_contact.calibration import MAX_FILE_BYTES, CalibrationError, is_calibration
+    from cablesense_contact.calibration import CalibrationError
+    from cablesense_contact.calibration_file import MAX_FILE_BYTES, is_calibration
 
     if not Path(path).is_file():
         return None
@@ -290,7 +291,7 @@ def _show_calibration(content: bytes, path: str, as_json: bool) -> None:
     """Print what a calibration file says, in the words of `cablesense calibrate`."""
     from rich.console import Console
 
-    from cablesense_contact.calibration import calibration_of, described_arm
+    from cablesense_contact.calibration_file import calibration_of, described_arm
     from cablesense_ros.cli.calibrate import calibration_description, law_of, print_calibration
 
     arm = described_arm(content, path)

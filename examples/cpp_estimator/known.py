@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from cablesense_contact.calibration import parameters_of, read_calibration
+from cablesense_contact.calibration_file import read_calibration
 from cablesense_sim import open_arm
+from cablesense_sim.uncertain_arm import arm_parameters
 
 
 def main(arm: str, out: str, calibration: str = "") -> None:
@@ -25,7 +26,7 @@ def main(arm: str, out: str, calibration: str = "") -> None:
         mean = known.mean
         covariance = known.covariance
     else:
-        parameters = parameters_of(description)
+        parameters = arm_parameters(description)
         mean = parameters.prior_mean
         covariance = np.diag(parameters.prior_std**2)
     Path(out).write_bytes(mean.tobytes() + covariance.tobytes())

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from cablesense_base.installation import config_path
-from cablesense_contact.calibration import Calibrator, read_calibration, write_calibration
+from cablesense_contact.calibration import Calibrator
+from cablesense_contact.calibration_file import read_calibration, write_calibration
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.recordings.unloaded_holds import unloaded_holds

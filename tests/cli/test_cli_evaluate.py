@@ -8,7 +8,8 @@ import pytest
 from gap_recordings import LAB, small_recording
 from typer.testing import CliRunner
 
-from cablesense_contact.calibration import Calibrator, write_calibration
+from cablesense_contact.calibration import Calibrator
+from cablesense_contact.calibration_file import write_calibration
 from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_ros.cli.app import app
 from cablesense_sim.replay import read_tensions_n, replay_arm

@@ -12,7 +12,7 @@ from gap_recordings import LAB, small_recording
 from html_page import draw_no_pictures
 from verdict_cases import verdict_of
 
-from cablesense_contact.calibration import read_calibration
+from cablesense_contact.calibration_file import read_calibration
 from cablesense_gap import adaptation
 from cablesense_gap.arm_nuisance import expected_parameters
 from cablesense_gap.arm_system import Diagnosis

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from cablesense_contact.calibration import (
-    CalibrationError,
-    Calibrator,
-    Unloaded,
+from cablesense_contact.calibration import CalibrationError, Calibrator, Unloaded
+from cablesense_contact.calibration_file import (
     calibration_bytes,
     calibration_of,
     read_calibration,

@@ -6,16 +6,17 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 from plant_arm import NOMINAL
 
-from cablesense_contact.calibration import parameters_of
-from cablesense_contact.slides import Belief, CableSlides, LastWay, Slides, SlidesUnderLoad
+from cablesense_contact.cable_slides import CableSlides, LastWay
+from cablesense_contact.slides import Belief, Slides
 from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.uncertain_arm import arm_parameters
 
 ARM = open_arm("cdsm_lab")
 MECHANISM = mechanism_of(ARM)
-PARAMETERS = parameters_of(ARM)
-SLIDES = CableSlides(MECHANISM, PARAMETERS)
+PARAMETERS = arm_parameters(ARM)
+SLIDES = CableSlides(ARM)
 COUNT = len(PARAMETERS)
 FRICTION = PARAMETERS.slices["friction"].start
 CARRIED = PARAMETERS.carried_friction
@@ -26,6 +27,12 @@ def known(rng: np.random.Generator) -> Belief:
     mixed = rng.normal(size=(COUNT, COUNT)) / np.sqrt(COUNT)
     std = PARAMETERS.prior_std
     return Belief(PARAMETERS.prior_mean, std[:, None] * (mixed @ mixed.T + np.eye(COUNT)) * std)
+
+
+def with_friction(coefficient: float) -> Belief:
+    mean = PARAMETERS.prior_mean.copy()
+    mean[FRICTION] = coefficient
+    return Belief(mean, np.zeros((COUNT, COUNT)))
 
 
 def some_slides(rng: np.random.Generator) -> Slides:
@@ -104,8 +111,7 @@ def test_slides_are_those_of_the_plant():
         arrived = SLIDES.after_motion(before, command)
         sure = np.abs(arrived.mean[0]) > 0.9
         right += list(arrived.mean[0, sure] * at_pulleys(walk, friction)[sure])
-        pose = SLIDES.at_pose(command)
-        under_load = SlidesUnderLoad(pose, arrived, untouched_n, 0.4, friction)
+        under_load = SLIDES.under_load(command, untouched_n, with_friction(friction), arrived)
         force_n = built.axes(command)[2] @ np.array([0.0, 20.0, 10.0])
         pushed_n = walk.go(command, [Push(3, 0.08, force_n)]).copy()
         slides = under_load.follow(pushed_n)
@@ -126,14 +132,13 @@ def test_where_nothing_moves_slides_stay_as_they_came():
     rng = np.random.default_rng(4)
     arrived = some_slides(rng)
     untouched_n = np.full(12, 50.0)
-    under_load = SlidesUnderLoad(SLIDES.at_pose(np.zeros(8)), arrived, untouched_n, 0.4, 0.05)
+    under_load = SLIDES.under_load(np.zeros(8), untouched_n, with_friction(0.05), arrived)
     assert under_load.follow(untouched_n + rng.uniform(-0.3, 0.3, 12)) is arrived
 
 
 def test_a_load_that_is_taken_off_leaves_a_doubt_in_its_direction():
     untouched_n = np.full(12, 50.0)
-    pose = SLIDES.at_pose(np.zeros(8))
-    under_load = SlidesUnderLoad(pose, SLIDES.unknown, untouched_n, 0.4, 0.05)
+    under_load = SLIDES.under_load(np.zeros(8), untouched_n, with_friction(0.05))
     push_n = np.linspace(-9.0, 9.0, 12)
     loaded = under_load.follow(untouched_n + push_n)
     assert_array_equal(loaded.common, 0.0)

@@ -12,7 +12,6 @@ from gap_recordings import LAB, small_recording
 from numpy.testing import assert_allclose
 from verdict_cases import verdict_of
 
-from cablesense_contact.calibration import parameters_of
 from cablesense_gap import adaptation
 from cablesense_gap.adaptation import (
     AdaptationError,
@@ -30,6 +29,7 @@ from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
 from cablesense_sim.arm import Arm, ListedEffect, find_arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import read_tensions_n, replay_arm
+from cablesense_sim.uncertain_arm import arm_parameters
 
 PROTOCOL = small_recording()
 SHORT = small_recording(peak_n=25.0).rows(np.r_[0:260])
@@ -144,7 +144,7 @@ def test_what_the_law_does_not_explain_widens_intervals(diagnosed_as):
     assert found.adapted.unexplained_n2 > 0.05**2
     assert found.after.whole.errors.magnitude_coverage95 > 0.9
     assert found.better
-    friction = parameters_of(found.adapted.law.arm).slices["friction"]
+    friction = arm_parameters(found.adapted.law.arm).slices["friction"]
     assert_allclose(found.adapted.calibration.mean[friction], 0.15)
 
 
@@ -156,7 +156,7 @@ def test_what_the_file_lists_of_tolerances_counts_once(diagnosed_as):
         ListedEffect(effect="cable_tolerance", at="cable_2", parameters={"pretension_n": 0.7}),
         ListedEffect(effect="sensor_tolerance", at="cable_3", parameters={"zero_n": 0.2}),
     ]
-    parameters = parameters_of(LAB)
+    parameters = arm_parameters(LAB)
     mean = parameters.prior_mean
     mean[parameters.slices["pretension"].start + 1] = 0.75
     mean[parameters.slices["sensor_zero"].start + 2] = 0.2

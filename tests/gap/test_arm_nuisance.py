@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose
 from cablesense_gap.arm_nuisance import (
     expected_parameters,
     fitted_parameters,
-    parameters_of_arm,
     terms_of,
     tolerance_candidates,
 )
@@ -26,9 +25,10 @@ from cablesense_sim.arm import open_arm
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.replay import read_tensions_n
 from cablesense_sim.tolerances import Tolerances
+from cablesense_sim.uncertain_arm import arm_parameters
 
 BUILT = open_arm("cdsm_lab")
-PARAMETERS = parameters_of_arm(BUILT)
+PARAMETERS = arm_parameters(BUILT)
 FEW = np.r_[0:4, 20:56:3, 164:200:3, 308:368:5]
 RECORDING = small_recording(peak_n=25.0).rows(FEW)
 RECORDING = replace(RECORDING, time_s=0.2 * np.arange(len(FEW)))

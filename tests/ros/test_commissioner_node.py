@@ -8,7 +8,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import UInt8MultiArray
 
-from cablesense_contact.calibration import calibration_of, described_arm, read_calibration
+from cablesense_contact.calibration_file import calibration_of, described_arm, read_calibration
 from cablesense_sim.arm import open_arm
 
 STATUS = "commissioner: commissioning"

@@ -8,7 +8,8 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.event_handler import SubscriptionEventCallbacks
 from ros_graph import force
 
-from cablesense_contact.calibration import Calibrator, Unloaded, write_calibration
+from cablesense_contact.calibration import Calibrator, Unloaded
+from cablesense_contact.calibration_file import write_calibration
 from cablesense_msgs_py.qos import Qos
 from cablesense_ros.endpoints import qos_profile
 from cablesense_sim.arm import open_arm

@@ -6,9 +6,9 @@ import pytest
 from arm_variants import five_by_four, five_by_four_text
 from typer.testing import CliRunner
 
-from cablesense_contact.calibration import parameters_of
 from cablesense_ros.cli.app import app
 from cablesense_sim.build import mechanism_of
+from cablesense_sim.uncertain_arm import arm_parameters
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.parquet import read_dataset
 from cablesense_training.data.protocols import SingleContact
@@ -86,7 +86,7 @@ def test_its_estimator_is_exported_and_evaluated_on_arms_built_by_its_file(arm_f
     report = json.loads(run("export", "--arm", arm_file, "--out", model, "--json"))
     assert report["out"] == str(model)
     assert report["bytes"] == model.stat().st_size
-    assert report["parameters"] == len(parameters_of(five_by_four("cdsm_lab")))
+    assert report["parameters"] == len(arm_parameters(five_by_four("cdsm_lab")))
     assert LawModel(model, five_by_four("cdsm_lab")).metadata.command.startswith(
         "cablesense export --arm "
     )

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from cablesense_contact.calibration import parameters_of
 from cablesense_sim.arm import Arm, ListedEffect, open_arm
 from cablesense_sim.replay import reading_variance_n2, replay_arm
+from cablesense_sim.uncertain_arm import arm_parameters
 from cablesense_training.law.build import TorchLaw
 
 NOMINAL = open_arm("cdsm_lab")
@@ -28,7 +28,7 @@ LISTED = (
 
 def innovation_n(law: TorchLaw, readings_n: np.ndarray) -> np.ndarray:
     """Of readings at rest, without the friction that may be expected of any arm."""
-    parameters = parameters_of(law.arm)
+    parameters = arm_parameters(law.arm)
     mean = np.zeros(len(parameters))
     covariance = np.diag(parameters.prior_std**2)
     return law(readings_n, COMMANDS, mean, covariance, np.zeros((8, 8))).innovation_n
@@ -49,7 +49,7 @@ def test_the_unloaded_arm_reads_what_its_file_lists():
 
 
 def test_what_is_unexplained_adds_to_the_noise_of_readings():
-    parameters = parameters_of(NOMINAL)
+    parameters = arm_parameters(NOMINAL)
     nothing = np.zeros((len(parameters), len(parameters)))
     given = settled_n(NOMINAL), COMMANDS, np.zeros(len(parameters)), nothing, np.zeros((8, 8))
     variance_n2 = reading_variance_n2(NOMINAL.sensors)

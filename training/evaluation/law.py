@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_contact.calibration import Calibration, Calibrator, parameters_of
+from cablesense_contact.cable_slides import CableSlides
+from cablesense_contact.calibration import Calibration, Calibrator
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import Law
-from cablesense_contact.slides import MOVED_STD, Belief, CableSlides, Slides, SlidesUnderLoad
+from cablesense_contact.slides import Belief, Slides
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.built_arm import as_described, built_arm
@@ -30,6 +31,7 @@ from cablesense_sim.equilibrium import EquilibriumError
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.replay import reading_variance_n2
 from cablesense_sim.touch import touched_places
+from cablesense_sim.uncertain_arm import arm_parameters, cable_friction
 from cablesense_training.data.generation import solved_rows
 from cablesense_training.data.protocols import AnywhereContact, protocol_from_options
 from cablesense_training.evaluation.metrics import mean_or_nan, plain_values
@@ -223,8 +225,7 @@ class KnownArm:
         self._law = law
         self._judge = Judge(arm)
         self._known = Belief(calibration.mean, calibration.covariance)
-        self._slides = CableSlides(mechanism_of(arm), parameters_of(arm))
-        self._moved_n = MOVED_STD * reading_variance_n2(arm.sensors) ** 0.5
+        self._slides = CableSlides(arm)
         self._unrest = np.zeros((arm.joint_count, arm.joint_count))
 
     def stated(self, readings_n: Array, commands_rad: Array) -> Statements:
@@ -235,7 +236,7 @@ class KnownArm:
         """
         last = readings_n[-1]
         slides = [self._slides.unknown] * len(last)
-        if len(readings_n) > 2 and self._slides.matter(self._known, self._moved_n):
+        if len(readings_n) > 2 and self._slides.matter(self._known):
             courses = readings_n.swapaxes(0, 1)
             slides = [
                 self._slid(course, command_rad)
@@ -254,10 +255,7 @@ class KnownArm:
 
     def _slid(self, course_n: Array, command_rad: Array) -> Slides:
         """Slides at the last of readings (K, M) that begin with those of the untouched arm."""
-        pose = self._slides.at_pose(command_rad)
-        friction = self._slides.friction(self._known)
-        unknown = self._slides.unknown
-        under_load = SlidesUnderLoad(pose, unknown, course_n[0], self._moved_n, friction)
+        under_load = self._slides.under_load(command_rad, course_n[0], self._known)
         for reading_n in course_n[1:]:
             under_load.follow(reading_n)
         return under_load.slides
@@ -280,13 +278,13 @@ class KnownArm:
 
 def exact_calibration(arm: Arm) -> Calibration:
     """That of an arm which equals its file: only what friction its cables carry is unknown."""
-    parameters = parameters_of(arm)
+    parameters = arm_parameters(arm)
     friction = parameters.slices["friction"]
     mean = np.zeros(len(parameters))
     covariance = np.zeros((len(parameters), len(parameters)))
-    if any(effect.effect == "capstan_friction" for effect in arm.effects):
+    if cable_friction(arm).listed:
         mean[friction] = parameters.prior_mean[friction]
-        slides = CableSlides(mechanism_of(arm), parameters)
+        slides = CableSlides(arm)
         mean, covariance = slides.carried(Belief(mean, covariance), slides.unknown)
     return Calibration(
         arm.identity, mean, covariance, mean, covariance, made_from="the arm file, as exact"

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_contact.calibration import parameters_of
 from cablesense_contact.law import INPUTS, LawOutput
 from cablesense_sim.arm import Arm
+from cablesense_sim.uncertain_arm import arm_parameters
 from cablesense_training.errors import ModelFileError
 from cablesense_training.inference.metadata import ANYWHERE
 from cablesense_training.inference.model_file import one_line, read_model
@@ -93,7 +93,7 @@ class LawModel:
     def _require_answers(self) -> None:
         """A file that opens may still not run or take other inputs; an idle arm shows it."""
         arm = self.metadata.arm
-        parameters = parameters_of(arm)
+        parameters = arm_parameters(arm)
         size = len(parameters)
         joints = arm.joint_count
         seen = self(

@@ -9,22 +9,15 @@ import torch
 from torch import Tensor, nn
 
 from cablesense_base import Array
-from cablesense_contact.calibration import parameters_of
 from cablesense_contact.law import LawOutput
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended, joint_zeros_rad, sensings
-from cablesense_sim.effects.transmission import run_compliance
 from cablesense_sim.replay import reading_variance_n2
 from cablesense_sim.touch import touched_places
+from cablesense_sim.uncertain_arm import arm_parameters, cable_friction
 from cablesense_training.law.estimator import ArmEstimator, EstimatorOutput
 from cablesense_training.law.geometry import constant
-from cablesense_training.law.measurement import CableGuides
-
-UNLISTED_PULLEY_RAD = 1.0
-"""Wrap at the actuators of an arm whose file lists no friction."""
-UNLISTED_RUN_COMPLIANCE = 0.5
-"""Its compliance before the pulley over that behind: drive, sensor and a short piece of cable."""
 
 
 class _ListedSensing(NamedTuple):
@@ -81,16 +74,13 @@ def arm_estimator(arm: Arm, unexplained_n2: float = 0.0) -> ArmEstimator | _Sens
     cables. `unexplained_n2` is the variance of readings by what it does not know, N².
     """
     nominal = mechanism_of(arm)
-    places = touched_places(arm)
     estimator = ArmEstimator(
         amended(nominal, entries_of(arm)),
         nominal,
-        parameters_of(arm),
+        arm_parameters(arm),
         reading_variance_n2(arm.sensors),
-        cable_guides(arm),
-        places.reach_m,
-        places.radius_m,
-        places.friction,
+        cable_friction(arm),
+        touched_places(arm),
     )
     # which cables are taut is seen by the sensors' own noise
     estimator.measurement.reading_variance_n2 += unexplained_n2
@@ -107,28 +97,12 @@ def _listed_sensing(arm: Arm) -> _ListedSensing:
     for sensing in sensings([entries] * len(tensions_n)):
         readings_n = sensing.step(0.0, readings_n)
     zero_n = readings_n[0]
-    parameters = parameters_of(arm)
+    parameters = arm_parameters(arm)
     mean = np.zeros(len(parameters))
     zeros_rad = joint_zeros_rad([entries], arm.segment_count)
     if zeros_rad is not None:
         mean[parameters.slices["joint_zero"]] = zeros_rad[0]
     return _ListedSensing((readings_n[1:] - zero_n).T, zero_n, mean)
-
-
-def cable_guides(arm: Arm) -> CableGuides:
-    """Where cables may rub, by the friction that the arm file lists."""
-    cables = arm.cable_count
-    for entry in entries_of(arm):
-        if entry.effect.name == "capstan_friction":
-            values = entry.values
-            return CableGuides(
-                values["pulley_wrap_rad"],
-                values["guide_wrap_rad"],
-                run_compliance(
-                    mechanism_of(arm), values["run_compliance"], values["run_by_length"]
-                ),
-            )
-    return CableGuides(UNLISTED_PULLEY_RAD, 0.0, np.full(cables, UNLISTED_RUN_COMPLIANCE))
 
 
 class TorchLaw:

@@ -10,9 +10,11 @@ from torch import Tensor, nn
 
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.tolerances import ArmParameters
+from cablesense_sim.touch import TouchedPlaces
+from cablesense_sim.uncertain_arm import CableFriction
 from cablesense_training.law.geometry import Matrix, constant
 from cablesense_training.law.hypotheses import RivalHypotheses
-from cablesense_training.law.measurement import POSE_STEPS, CableGuides, MeasurementModel
+from cablesense_training.law.measurement import POSE_STEPS, MeasurementModel
 from cablesense_training.law.posterior import (
     LARGEST_N,
     PLACES,
@@ -68,10 +70,8 @@ class ArmEstimator(nn.Module):
         held_by: the arm by which its actuators are commanded: as drawn.
         parameters: its uncertain parameters.
         reading_variance_n2: of one reading: noise and step of the sensor, N².
-        wraps: of the cables with the arm straight.
-        reach_m: (N, 2) places on each segment where it can be touched.
-        radius_m: (N,) of the touched surface.
-        friction: coefficient of the touched surface; zero where contacts act on the axis.
+        friction: where the cables rub.
+        touched: where the segments can be touched.
         pose_steps: Gauss-Newton steps from the command to the pose.
     """
 
@@ -81,25 +81,23 @@ class ArmEstimator(nn.Module):
         held_by: Mechanism,
         parameters: ArmParameters,
         reading_variance_n2: float,
-        guides: CableGuides,
-        reach_m: Matrix,
-        radius_m: Matrix,
-        friction: float,
+        friction: CableFriction,
+        touched: TouchedPlaces,
         pose_steps: int = POSE_STEPS,
     ) -> None:
         super().__init__()
         self.measurement = MeasurementModel(
-            mechanism, held_by, parameters, reading_variance_n2, guides, pose_steps
+            mechanism, held_by, parameters, reading_variance_n2, friction, pose_steps
         )
         self.wrench = WrenchFit(mechanism.segment_length_m)
-        self.contact = PosteriorOfContact(reach_m, radius_m, friction)
+        self.contact = PosteriorOfContact(touched)
         self.rivals = RivalHypotheses(mechanism.segment_length_m)
         length_m = mechanism.segment_length_m
         joint_m = np.concatenate([[0.0], np.cumsum(length_m)[:-1]])
         self.points = constant(np.linspace(0.0, 1.0, _POINTS))
         self.ends = constant(np.array([[_LOW], [_HIGH]]))
-        self.low_m = constant(reach_m[:, :1, None])
-        self.high_m = constant(reach_m[:, 1:, None])
+        self.low_m = constant(touched.reach_m[:, :1, None])
+        self.high_m = constant(touched.reach_m[:, 1:, None])
         self.joint_m = constant(joint_m[:, None, None])
         self.numbers = constant(np.arange(mechanism.segment_count))
         self.earlier = constant(np.tril(np.ones((len(length_m), len(length_m))), -1).T)

@@ -32,6 +32,7 @@ from torch import Tensor, nn
 
 from cablesense_sim.mechanism import Mechanism
 from cablesense_sim.tolerances import CARRIED_FRICTION, ArmParameters
+from cablesense_sim.uncertain_arm import CableFriction
 from cablesense_training.law.geometry import (
     LEVI_CIVITA,
     CableGeometry,
@@ -132,20 +133,6 @@ class Parameters(NamedTuple):
     joint_zero_rad: Tensor  # (2N,)
 
 
-class CableGuides(NamedTuple):
-    """Where cables may rub.
-
-    Attributes:
-        pulley_rad, guide_rad: by which a cable turns with the arm straight, at the actuator and
-            between two joints.
-        run_compliance: (M,) of a cable before the pulley, over that behind it.
-    """
-
-    pulley_rad: float
-    guide_rad: float
-    run_compliance: Matrix
-
-
 class MeasurementModel(nn.Module):
     """`Measurement` of readings (B, M) at commands (B, 2N), mean (P,) and covariance (P, P).
 
@@ -154,7 +141,7 @@ class MeasurementModel(nn.Module):
         held_by: the arm by which its actuators are commanded: as drawn.
         parameters: its uncertain parameters.
         reading_variance_n2: of one reading: noise and step of the sensor, N².
-        guides: of the cables.
+        friction: where the cables rub.
         pose_steps: Gauss-Newton steps from the command to the pose.
     """
 
@@ -164,7 +151,7 @@ class MeasurementModel(nn.Module):
         held_by: Mechanism,
         parameters: ArmParameters,
         reading_variance_n2: float,
-        guides: CableGuides,
+        friction: CableFriction,
         pose_steps: int = POSE_STEPS,
     ) -> None:
         super().__init__()
@@ -200,8 +187,8 @@ class MeasurementModel(nn.Module):
         self.held_straight_m = constant(straight.numpy())
 
         # a cable's guides: at the actuator, and in the plates 0 to N - 1
-        wrap_rad = np.full((count + 1, cables), guides.guide_rad)
-        wrap_rad[0] = guides.pulley_rad
+        wrap_rad = np.full((count + 1, cables), friction.guide_wrap_rad)
+        wrap_rad[0] = friction.pulley_wrap_rad
         wrap_rad[1] = 0.0
         wrap_rad[1:] *= mechanism.passes_joint.T
         self.wrap_rad = constant(wrap_rad)
@@ -212,7 +199,7 @@ class MeasurementModel(nn.Module):
         behind_pulley = _compliance_shares(mechanism)
         self.behind_pulley = constant(behind_pulley)
         self.pieces_behind = constant(np.concatenate([np.eye(1, count + 1), until]))
-        self.run_log = constant(np.log(guides.run_compliance))
+        self.run_log = constant(np.log(friction.run_compliance))
 
         self.reading_variance_n2 = reading_variance_n2
         self.cable_identity = constant(np.eye(cables))

@@ -25,6 +25,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from cablesense_sim.touch import TouchedPlaces
 from cablesense_training.law.geometry import Matrix, constant, error_function
 from cablesense_training.law.wrench import ContactLine, SegmentWrench, Strength, WrenchFit
 
@@ -98,13 +99,12 @@ class PosteriorOfContact(nn.Module):
     """`ContactPosterior` from fits of wrenches.
 
     Args:
-        reach_m: (N, 2) places on each segment where it can be touched.
-        radius_m: (N,) of the touched surface; zero where contacts act on the axis.
-        friction: coefficient of that surface, the deviation of axial over lateral force; zero
-            where contacts act on the axis, with any axial force.
+        touched: where the segments can be touched. Its friction is taken as the deviation of
+            axial over lateral forces.
     """
 
-    def __init__(self, reach_m: Matrix, radius_m: Matrix, friction: float) -> None:
+    def __init__(self, touched: TouchedPlaces) -> None:
+        reach_m, radius_m, friction = touched
         super().__init__()
         self.on_surface = friction > 0.0
         self.friction = friction
