@@ -212,8 +212,10 @@ class Estimates:
         return Answered(list(states), *(np.array(column) for column in numbers))
 
     def _answer(self, known: CalibratedArm, reading_n: Array, base_rad: Array) -> tuple[Any, ...]:
-        mean, covariance = known.belief(reading_n, 0, freed=self._freed)
-        seen = self._law(reading_n[None], base_rad[None], mean, covariance, self._still)
+        belief = known.belief(reading_n, 0, freed=self._freed)
+        seen = self._law(
+            reading_n[None], base_rad[None], belief.mean, belief.covariance, self._still
+        )
         judgement = self._judge(seen, reading_n)
         return (
             judgement.state,

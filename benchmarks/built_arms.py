@@ -114,12 +114,15 @@ def hole_off(body: Body, rng: np.random.Generator) -> Body:
 
 
 def wrong_guide(body: Body, rng: np.random.Generator) -> Body:
-    """A cable through the hole of a neighbour that ends on the same segment, at one joint."""
+    """A cable half-way to the hole of another one, at one joint.
+
+    Through the other hole altogether, many arms find no rest.
+    """
     joint = int(rng.integers(body.joint_count))
     passing = np.flatnonzero(body.passes[joint])
-    cable, other = rng.choice(passing, 2, replace=False)
+    chosen = rng.choice(passing, 2, replace=False)
     after_m = body.after_m.copy()
-    after_m[joint, cable] = 0.5 * (after_m[joint, cable] + after_m[joint, other])
+    after_m[joint, chosen[0]] = body.after_m[joint, chosen].mean(axis=0)
     return replace(body, after_m=after_m)
 
 
@@ -325,27 +328,29 @@ class Bench:
     def drawn(self, built: BuiltArm, command_rad: Array, rng: np.random.Generator) -> Drawn:
         """The pushes of one sample."""
         axes = built.axes(command_rad)
-        pushes, force_n = self._pushes(axes, rng)
+        pushes = self._pushes(axes, rng)
+        force_n = np.zeros(3)
+        if len(pushes) == 1:
+            force_n = axes[pushes[0].segment - 1].T @ pushes[0].force_n
         return Drawn(pushes, force_n, self._moments_n_m(axes, pushes))
 
-    def _pushes(self, axes: Array, rng: np.random.Generator) -> tuple[tuple[Push, ...], Array]:
-        """Pushes, and of a single one the force along the segment's axes."""
+    def _pushes(self, axes: Array, rng: np.random.Generator) -> tuple[Push, ...]:
+        """The pushes on an arm whose segments have these axes (N, 3, 3)."""
         count = self.arm.segment_count
         kind = self.case.pushes
         if kind == "segments 1 and 2":
-            return tuple(self._push(n, axes, rng)[0] for n in (0, 1)), np.zeros(3)
+            return tuple(self._push(n, axes, rng) for n in (0, 1))
         if kind == "three":
             chosen = sorted(rng.permutation(count)[:3].tolist())
-            return tuple(self._push(n, axes, rng)[0] for n in chosen), np.zeros(3)
+            return tuple(self._push(n, axes, rng) for n in chosen)
         n = int(rng.integers(count))
+        push = self._push(n, axes, rng)
         if kind == "couple":
-            push, _ = self._push(n, axes, rng)
             other = replace(push, place_m=self.length_m[n] - push.place_m, force_n=-push.force_n)
-            return (push, other), np.zeros(3)
-        push, force_n = self._push(n, axes, rng)
+            return push, other
         if kind == "near joints":
             push = replace(push, place_m=rng.uniform(0.0, NEAR_JOINT_M))
-        return (push,), force_n
+        return (push,)
 
     def _moments_n_m(self, axes: Array, pushes: Sequence[Push]) -> Array:
         """(N, 2) of pushes about the joint centres, around y and z of each segment (N, 3, 3)."""
@@ -359,8 +364,8 @@ class Bench:
                 moments[n] += axes[n].T @ about_n_m
         return moments[:, 1:]
 
-    def _push(self, n: int, axes: Array, rng: np.random.Generator) -> tuple[Push, Array]:
-        """A contact on segment n, from 0 on, and its force along the segment's axes."""
+    def _push(self, n: int, axes: Array, rng: np.random.Generator) -> Push:
+        """A contact on segment n, from 0 on."""
         size_n = rng.uniform(LOW_N, HIGH_N)
         angle = rng.uniform(0.0, 2.0 * np.pi)
         lateral = np.array([0.0, np.sin(angle), np.cos(angle)])
@@ -375,7 +380,7 @@ class Bench:
             around_n = size_n * rng.uniform(-SURFACE_FRICTION, SURFACE_FRICTION)
             across = np.array([0.0, lateral[2], -lateral[1]])
             force_n = force_n + around_n * across
-        return Push(n + 1, place_m, axes[n] @ force_n, side_m), force_n
+        return Push(n + 1, place_m, axes[n] @ force_n, side_m)
 
 
 def _fresh(rng: np.random.Generator) -> np.random.Generator:

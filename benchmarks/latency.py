@@ -135,9 +135,9 @@ def _in_process(count: int) -> dict[str, Any]:
         for i in range(repeats):
             stamp_ns += round(1e9 / RATE_HZ)
             sample = restamped(samples[i % len(samples)], stamp_ns)
-            begun = time.perf_counter()
+            start_s = time.perf_counter()
             answer = estimation.sample(sample, stamp_ns, stamp_ns * 1e-9)
-            taken_us.append((time.perf_counter() - begun) * 1e6)
+            taken_us.append((time.perf_counter() - start_s) * 1e6)
     if answer.force is not ForceState.CONTACT:
         raise SystemExit(f"the last sample is of a contact, and was answered {answer.force}")
     return {"samples": count, **harness.percentiles(taken_us, ("median", "99 %"), 1)}

@@ -111,17 +111,17 @@ class RecordedRun:
             RecordingError: the file has become unreadable.
         """
         remaining = deque(self._calibrations)
-        begun = False
+        calibrated = False
         for raw in McapMessages(self.path):
             topic = of_contract(raw.topic)
-            if topic == topics.CALIBRATION_USED and not begun:
-                begun = True
+            if topic == topics.CALIBRATION_USED and not calibrated:
+                calibrated = True
                 yield remaining.popleft()
             elif topic in _REPLAYED and topic != topics.CALIBRATION_USED:
                 yield raw
             if topic == topics.CABLE_TENSIONS:
                 stamp = _stamp(raw.data)
-                while begun and remaining and remaining[0].beginning.after_ns <= stamp:
+                while calibrated and remaining and remaining[0].beginning.after_ns <= stamp:
                     yield remaining.popleft()
 
     def _calibration(self, raw: RawMessage) -> CalibrationMessage:

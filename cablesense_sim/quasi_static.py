@@ -223,9 +223,9 @@ class QuasiStaticArm:
             self._angles_rad[arms] = rest.joint_angles_rad
             tensions[arms] = rest.tensions_n
         shape = posed(self._plates, self._angles_rad)
-        begun = ArmRest(time_s, self._angles_rad, shape.span_m, shape.bend_rad, tensions)
+        first_rest = ArmRest(time_s, self._angles_rad, shape.span_m, shape.bend_rad, tensions)
         for transmission in self._transmissions:
-            transmission.begin(self._mechanism, begun)
+            transmission.begin(self._mechanism, first_rest)
         self._begun = True
 
     def _search(self, start: Array, rest_m: Array, arms: Array) -> _TrialPose:

@@ -105,13 +105,13 @@ class _Search:
         on_sketch = sketch is not None and self._problem is sketch.problem
         other = None if on_sketch or self._problem is self._whole else self._problem
         results = self._pool.map(partial(_called, function, on_sketch, other), tasks)
-        begun = self._done
+        done_before = self._done
         share = _OF_THE_REST * (self._until - self._done)
         for k, task in enumerate(tasks, 1):
             self._doing = name(task) if name else self._doing
             self._progress(self._doing, self._done)
             yield next(results)
-            self._done = begun + share * k / len(tasks)
+            self._done = done_before + share * k / len(tasks)
 
     def run(self) -> list[Explanation]:
         """The best explanation for every set of effects that is worth it."""
@@ -474,10 +474,10 @@ def _on_all_rows(problem: Problem, found: tuple[Explanation, Problem]) -> Explan
     explanation, of_sketch = found
     sketch = problem.sketch
     assert sketch is not None
-    about = problem
+    with_fitted = problem
     if of_sketch.tolerances_at != problem.tolerances_at:
         columns = sketch.over_all_rows(of_sketch.tolerance_columns)
-        about = with_tolerances(problem, of_sketch.tolerances_at, columns)
-    predicted = about.predict([explanation.values])[0]
+        with_fitted = with_tolerances(problem, of_sketch.tolerances_at, columns)
+    predicted = with_fitted.predict([explanation.values])[0]
     start = predicted, sketch.over_all_rows(explanation.columns)
-    return refit(about, explanation.values, 0, start)
+    return refit(with_fitted, explanation.values, 0, start)

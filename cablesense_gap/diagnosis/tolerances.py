@@ -143,11 +143,11 @@ def _linear_about(
     effects = explanation.columns.copy()
     varied_indices = [list(explanation.values).index(term) for term in varied]
     effects[varied_indices] = changes[len(steps) :] / scaled[:, None, None]
-    about = with_tolerances(problem, tolerances_at, columns)
-    made = prediction, columns, effects, about.tolerances_change
-    if not all(np.isfinite(each).all() for each in made):
+    linearised = with_tolerances(problem, tolerances_at, columns)
+    arrays = prediction, columns, effects, linearised.tolerances_change
+    if not all(np.isfinite(array).all() for array in arrays):
         return None
-    return about, (prediction - about.tolerances_change, effects)
+    return linearised, (prediction - linearised.tolerances_change, effects)
 
 
 def with_tolerances(problem: Problem, at: Assignment, columns: Array) -> Problem:

@@ -213,8 +213,8 @@ class ForwardComparison(MotionComparison):
 
     def _beyond_coasting(self, position: Array, speed: Array) -> Array:
         """(Q, C) changes in a window, minus those at the constant speed of its beginning."""
-        begun, at_speed = self._state
-        return np.hstack([position - begun - self.span_s * at_speed, speed - at_speed])
+        start, at_speed = self._state
+        return np.hstack([position - start - self.span_s * at_speed, speed - at_speed])
 
 
 def _windows(

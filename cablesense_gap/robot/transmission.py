@@ -229,12 +229,12 @@ def _guides(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int]]:
 
 
 def _followed(
-    model: mujoco.MjModel, data: mujoco.MjData, at: int, guides: list[tuple[int, int]]
+    model: mujoco.MjModel, data: mujoco.MjData, point: int, guides: list[tuple[int, int]]
 ) -> tuple[Array, Array]:
     """Levers (P, J), m, of a tendon's straight pieces, and wrap angles (P - 1,) between them.
 
-    They begin at its actuator, the end nearer to the base; `at` is the tendon's first point in the
-    data. A piece has the number of the guide where it begins. A guide that the tendon does not
+    They begin at its actuator, the end nearer to the base; `point` is the tendon's first one in
+    the data. A piece has the number of the guide where it begins. A guide that the tendon does not
     touch has zeros.
     """
     place = data.wrap_xpos.reshape(-1, 3)
@@ -246,17 +246,17 @@ def _followed(
     last = 0
     way = np.zeros(3)
     for n, (geom, body) in enumerate(guides):
-        if geom >= 0 and met[at] != geom:
+        if geom >= 0 and met[point] != geom:
             continue
         if n:
-            mujoco.mj_jac(model, data, jacobian, None, place[at], body)
-            straight = place[at] - place[at - 1]
+            mujoco.mj_jac(model, data, jacobian, None, place[point], body)
+            straight = place[point] - place[point - 1]
             before = way
             way = straight / max(math.sqrt(straight @ straight), _LEAST_M)
             lever[last] = way @ (jacobian - last_jacobian)
             turn[last] = math.acos(min(max(before @ way, -1.0), 1.0))
         last = n
-        at = at + (1 if geom < 0 else 2)
-        mujoco.mj_jac(model, data, last_jacobian, None, place[at - 1], body)
+        point += 1 if geom < 0 else 2
+        mujoco.mj_jac(model, data, last_jacobian, None, place[point - 1], body)
     towards = slice(None, None, -1 if guides[0][1] > guides[-1][1] else 1)
     return lever[towards], turn[1:][towards]

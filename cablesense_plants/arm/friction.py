@@ -206,7 +206,7 @@ class QuasiStaticPath:
         fed = self._fed_m(length, tension, crept.sum(axis=0))
         zero = np.zeros_like(fed)
         still = np.zeros_like(angles[0])
-        begun = PathState(
+        first = PathState(
             angles[0],
             tension,
             fed,
@@ -218,7 +218,7 @@ class QuasiStaticPath:
             crept.sum(axis=(0, 2)),
             *actuated,
         )
-        return self._settle(begun, paid_out_m, loads_n, 0) if self.friction.weightless else begun
+        return self._settle(first, paid_out_m, loads_n, 0) if self.friction.weightless else first
 
     def advance(
         self, state: PathState, paid_out_m: Array, loads_n: Array, period_s: float

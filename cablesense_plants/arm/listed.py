@@ -177,8 +177,8 @@ def capstan_friction(draw: ArmDraw) -> ArmChange:
         "actuator_share": draw.uniform(0.1, 0.4),
     }
     rounded = onset == "rounded bristles"
-    begun = {"weightless": weightless, "same_before": same_before}
-    rough = sets("friction", coefficient=scaled(share), rounded=rounded, **numbers, **begun)
+    first_state = {"weightless": weightless, "same_before": same_before}
+    rough = sets("friction", coefficient=scaled(share), rounded=rounded, **numbers, **first_state)
     form = f"{onset}, {'uneven' if uneven else 'even'}, {'with' if pulley else 'no'} pulley"
     form += ", weightless at first" * weightless + ", the same before every pulley" * same_before
     return ArmChange(rough, form, details=numbers)

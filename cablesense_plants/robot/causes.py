@@ -116,8 +116,8 @@ def base_tilt(draw: RobotDraw) -> RobotChange:
     tilted = sets(
         "chain", gravity_m_s2=lambda old, size: Rotation.from_rotvec(-size * axis).apply(old)
     )
-    about = {"about_x": float(axis[0]), "about_y": float(axis[1])}
-    return RobotChange(tilted, "base tilt", (), about)
+    axis_numbers = {"about_x": float(axis[0]), "about_y": float(axis[1])}
+    return RobotChange(tilted, "base tilt", (), axis_numbers)
 
 
 LISTED.of_size("1", most=0.3)(at_joints("encoder_scale", signed=True, one=True), "encoder_scale")
