@@ -24,6 +24,7 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import amended
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
+from cablesense_sim.touch import touched_places
 
 BEND_RAD = float(np.deg2rad(10.0))
 """Joint angles of the poses, at most."""
@@ -80,9 +81,9 @@ class ReferenceContacts:
         self._segment = segment
         self._direction = direction
         self._place_m = mechanism.contact_m[segment]
-        length_m = mechanism.segment_length_m[segment]
+        reach_m = touched_places(arm).reach_m[segment]
         variances = np.empty((len(segment), 4))
-        variances[:, 0] = length_m**2 / 12.0
+        variances[:, 0] = (reach_m[:, 1] - reach_m[:, 0]) ** 2 / 12.0
         variances[:, 1] = _AXIAL_STD_N**2
         variances[:, 2:] = _LATERAL_STD_N**2
         self.prior_precision = np.eye(4) / variances[:, None]

@@ -70,7 +70,7 @@ origin of `base_link`."""
 JOINT_TORQUES: Final = "~/joint_torques"
 """`sensor_msgs/JointState`: `effort` in N·m by which contacts turn the joints, by joint name."""
 SEGMENT_WRENCHES: Final = "~/wrenches/segment_{}"
-"""`geometry_msgs/WrenchStamped` of each segment, from a model of several contacts."""
+"""`geometry_msgs/WrenchStamped` of each segment; none from a network of one contact."""
 CONTACT_PROBABILITIES: Final = "~/contact_probabilities"
 """`std_msgs/Float64MultiArray`: no contact, segment 1, … segment N; adds up to one, but where a
 model estimates several contacts at once."""

@@ -22,6 +22,7 @@ from cablesense_online.tare import CalibratedArm, TaredArm, UnloadedArm
 from cablesense_sim.arm import Arm, per_segment
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import contact_torques
+from cablesense_sim.touch import touched_places
 from cablesense_training.inference.estimator import Estimator, MultiEstimator
 
 _ALONG_KNOWN_N = 1.0
@@ -87,10 +88,10 @@ class ContactFinder(Protocol):
 
     Attributes:
         arm: the unloaded state of the arm.
-        several: whether more than one contact may be found.
+        on_each_segment: whether the force on each segment is stated.
     """
 
-    several: bool
+    on_each_segment: bool
 
     @property
     def arm(self) -> UnloadedArm[object]:
@@ -105,7 +106,7 @@ class ContactFinder(Protocol):
 class LawContacts:
     """Contacts by the law of a calibrated arm."""
 
-    several = True
+    on_each_segment = True
 
     def __init__(
         self, arm: Arm, law: Law, known: CalibratedArm, threshold: float, hidden_above_n: float
@@ -116,7 +117,7 @@ class LawContacts:
         self._hidden_above_n = hidden_above_n
         mechanism = mechanism_of(arm)
         length_m = np.array(per_segment(arm.segments.length_m, arm.segment_count))
-        self._middle_m = 0.5 * length_m
+        self._middle_m = touched_places(arm).reach_m.mean(axis=1)
         self._joint_m = np.concatenate([[0.0], np.cumsum(length_m)[:-1]])
         self._damping_n_m_s = mechanism.joint_damping_n_m_s
         at_joint, slope = contact_torques(mechanism, np.zeros(arm.joint_count), np.eye(3))
@@ -176,7 +177,10 @@ class LawContacts:
         return np.asarray(swing_n_m @ swing_n_m.T + np.diag(damping_n_m**2))
 
     def _unseen_n(self, seen: LawOutput) -> float:
-        """The force in the middle of the last segment that would not show with 95 %, N."""
+        """The force in the middle of where the last segment is touched that would not show, N.
+
+        With 95 % confidence.
+        """
         by_torque = seen.by_torque[0]
         precision = by_torque.T @ seen.information_n2[0] @ by_torque
         lever = seen.at_joint_m[0, -1, 1:] + self._middle_m[-1] * seen.by_place[0, -1, 1:]
@@ -246,7 +250,7 @@ class NetworkContacts:
     ) -> None:
         self.arm = tared
         self._hidden_above_n = hidden_above_n
-        self.several = isinstance(network, MultiEstimator)
+        self.on_each_segment = isinstance(network, MultiEstimator)
         self._network = network
         self._contact_m = per_segment(arm.segments.contact_m, arm.segment_count)
         self.threshold(threshold)

@@ -88,7 +88,7 @@ class EstimatorOutputs:
         self._torques_out = outputs.make(JointState, topics.JOINT_TORQUES)
         self._torques = JointState(name=list(joint_names))
         self._torques.header.frame_id = frames.base
-        count = frames.segment_count if estimation.contacts.several else 0
+        count = frames.segment_count if estimation.contacts.on_each_segment else 0
         self._segments_out = [
             outputs.make(WrenchStamped, topics.SEGMENT_WRENCHES.format(number))
             for number in range(1, count + 1)

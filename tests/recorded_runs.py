@@ -110,7 +110,7 @@ class MadeRun:
             answer = live.sample(raw, now, i * STEP_NS * 1e-9)
             self.records.append((topics.CABLE_TENSIONS, now + 100_000, raw))
             answers = [(topics.WRENCH, answer.contact.segment, answer.wrench(unknown_force))]
-            for n in range(1, 5 if live.contacts.several else 1):
+            for n in range(1, 5 if live.contacts.on_each_segment else 1):
                 on_it = answer.on_segment(n, unknown_force)
                 answers.append((topics.SEGMENT_WRENCHES.format(n), n, on_it))
             for topic, segment, wrench in answers:
