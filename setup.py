@@ -95,13 +95,16 @@ EXTRAS = {
 FOLDERS = {"cablesense_training": "training"}
 """Packages whose folder has another name."""
 
+REPOSITORY_ONLY = ["cablesense_plants", "cablesense_plants.*"]
+"""The independent simulators test the diagnosis; a robot has no use for them."""
+
 
 def packages() -> list[str]:
     """List the Python packages, those whose folder has another name included."""
-    found = find_packages(include=["cablesense_*"])
+    listed = find_packages(include=["cablesense_*"], exclude=REPOSITORY_ONLY)
     for package, folder in FOLDERS.items():
-        found += [package, *(f"{package}.{name}" for name in find_packages(folder))]
-    return found
+        listed += [package, *(f"{package}.{name}" for name in find_packages(folder))]
+    return listed
 
 
 def data_files() -> list[tuple[str, list[str]]]:

@@ -18,6 +18,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from rich.progress import track
 
+from cablesense_contact.inference.law_model import LawModel
+from cablesense_contact.inference.metadata import find_model
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.built_arm import as_described
@@ -34,8 +36,6 @@ from cablesense_training.evaluation.law import (
     true_contacts,
 )
 from cablesense_training.evaluation.touches import Touches, drawn_touches, touched_readings_n
-from cablesense_training.inference.law_model import LawModel
-from cablesense_training.inference.metadata import find_model
 
 FORCES_N = {"cdsm": (5.0, 200.0), "cdsm_lab": (5.0, 50.0)}
 POSES: dict[str, Pose] = {"straight": "straight", "bent": "random"}

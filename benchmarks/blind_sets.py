@@ -19,7 +19,6 @@ from rich.progress import track
 
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.arm_simulator import counted_rows, settled
-from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.scoring import Truth, score
 from cablesense_gap.verdict import (
     NONE,
@@ -29,6 +28,7 @@ from cablesense_gap.verdict import (
     removed_fraction,
     write_verdict,
 )
+from cablesense_recording.recording import Recording
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.replay import replay_arm
 from cablesense_sim.tolerances import Tolerances

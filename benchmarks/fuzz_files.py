@@ -26,19 +26,19 @@ from cablesense_base import Array, CableSenseError
 from cablesense_base.installation import config_path
 from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.calibration_file import calibration_of, write_calibration
-from cablesense_gap.recordings.checks import read_recording
+from cablesense_contact.inference.law_model import LawModel
+from cablesense_contact.inference.metadata import find_model
 from cablesense_online.can.bus import FaultLedger
 from cablesense_online.can.channel_map import calibrated, load_calibration, open_channel_map
 from cablesense_online.can.reader import FrameDecoder
 from cablesense_online.contacts import LawContacts, NetworkContacts, Situation
 from cablesense_online.models import LoadedModel
+from cablesense_recording.checks import read_recording
 from cablesense_sim.arm import bundled_arms, find_arm, load_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.parquet import read_dataset, write_dataset
 from cablesense_training.data.protocols import SingleContact
-from cablesense_training.inference.law_model import LawModel
-from cablesense_training.inference.metadata import find_model
 
 _MAPS = [config_path(f"can/{name}.yaml") for name in MAPS]
 _DATABASES = [path.with_suffix(".dbc") for path in _MAPS]

@@ -27,13 +27,13 @@ from cablesense_contact.calibration import Calibrator
 from cablesense_gap.adaptation import adapt_to, withheld_trials
 from cablesense_gap.arm_system import diagnose
 from cablesense_gap.recorded_contacts import recorded_errors, tares_of
-from cablesense_gap.recordings.checks import read_recording
-from cablesense_gap.recordings.csv_file import write_csv
-from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.scoring import proportion
+from cablesense_plants.arm.blind_cases import draw_several, make_case
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.built import Workmanship
-from cablesense_plants.arm.withhold import draw_several, make_case
+from cablesense_recording.checks import read_recording
+from cablesense_recording.csv_file import write_csv
+from cablesense_recording.recording import Recording
 from cablesense_sim.arm import find_arm, open_arm
 from cablesense_training.law.build import TorchLaw
 

@@ -13,7 +13,9 @@ the diagnosis was made. Those of 9610 to 9612 and 9615 were looked at after the 
 
 from __future__ import annotations
 
+import os
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
@@ -31,12 +33,14 @@ from cablesense_plants.cases import in_turn
 from cablesense_sim.arm import Arm, parse_arm
 from cablesense_sim.load_capacity import WeakArmError, load_capacity
 
+PLANTS = [sys.executable, "-m", "cablesense_plants"]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
 RATES_HZ = (5.0, 10.0, 20.0)
 COMMANDS = {
-    "protocol": "protocol --out protocol.csv",
-    "withhold": "withhold --count 1 --seed {seed} --only {kind} --out cases",
-    "train": "--samples 512 --epochs 2 --out model.onnx",
-    "diagnose": "diagnose cases/case_001.csv --out diagnosis",
+    "protocol": "gap protocol --out protocol.csv",
+    "record": "--count 1 --seed {seed} --only {kind} --out cases",
+    "train": "train --samples 512 --epochs 2 --out model.onnx",
+    "diagnose": "gap diagnose cases/case_001.csv --out diagnosis",
 }
 
 
@@ -122,12 +126,14 @@ def _case(folder: Path, rng: np.random.Generator, index: int, kind: str) -> dict
     failed: dict[str, str] = {}
     for name, line in COMMANDS.items():
         words = line.format(seed=index, kind=kind).split()
-        verb = [name] if name == "train" else ["gap"]
         made = folder / words[words.index("--out") + 1]
         if made.exists():
             continue
-        command = [*harness.CABLESENSE, *verb, *words, "--arm", "arm.yaml"]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        program = PLANTS if name == "record" else harness.CABLESENSE
+        command = [*program, *words, "--arm", "arm.yaml"]
+        done = subprocess.run(
+            command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, check=False
+        )
         if done.returncode or "Warning" in done.stderr:
             failed[name] = done.stderr.strip()[-300:]
     verdict_file = folder / "diagnosis" / "verdict.json"

@@ -42,13 +42,13 @@ from rich.progress import track
 from cablesense_base import Array
 from cablesense_contact.law import Law
 from cablesense_gap.arm_system import diagnose
-from cablesense_gap.recordings.checks import check_recording, read_recording
-from cablesense_gap.recordings.recording import EXCHANGED, RecordingError, rows_to_use
 from cablesense_gap.scoring import Truth, read_answers
 from cablesense_gap.verdict import Verdict, read_verdict
 from cablesense_online.tare import CalibratedArm, TareError
+from cablesense_plants.arm.blind_cases import ArmAnswer, draw_kinds, draw_several, record_cases
 from cablesense_plants.arm.body import read_nominal
-from cablesense_plants.arm.withhold import ArmAnswer, draw_kinds, draw_several, withhold
+from cablesense_recording.checks import check_recording, read_recording
+from cablesense_recording.recording import EXCHANGED, RecordingError, rows_to_use
 from cablesense_sim.arm import Arm, find_arm
 from cablesense_sim.replay import replay_arm
 from cablesense_training.law.build import TorchLaw
@@ -124,7 +124,7 @@ def drawn(folder: Path, kinds: Sequence[str], seed: int, **more: Any) -> list[Ar
     """Write `case_….csv` of these kinds by the independent plant, and `answers/answers.csv`."""
     nominal = read_nominal(find_arm(ARM))
     answers = folder / "answers" / "answers.csv"
-    made = withhold(folder, answers, nominal, len(kinds), seed, kinds, **more)
+    made = record_cases(folder, answers, nominal, len(kinds), seed, kinds, **more)
     return list(track(made, "Recording", total=len(kinds)))
 
 

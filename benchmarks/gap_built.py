@@ -22,14 +22,14 @@ from blind_sets import in_pool, removed_on
 from rich.progress import track
 
 from cablesense_gap.arm_system import diagnose
-from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.scoring import read_answers
 from cablesense_gap.verdict import Verdict
+from cablesense_plants.arm.blind_cases import record_cases
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.built import Workmanship
 from cablesense_plants.arm.listed import LISTED
-from cablesense_plants.arm.withhold import withhold
 from cablesense_plants.cases import NONE, different, in_turn
+from cablesense_recording.checks import read_recording
 from cablesense_sim.arm import find_arm, open_arm
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -52,7 +52,7 @@ def main() -> None:
         kinds = options.kinds.split(",") if options.kinds else _kinds(options)
         workmanship = Workmanship().scaled(options.scale)
         nominal = read_nominal(find_arm(ARM))
-        made = withhold(
+        made = record_cases(
             folder,
             answers_file,
             nominal,

@@ -2,7 +2,7 @@
 
     python benchmarks/gap_calibration.py FOLDER [FOLDER ...] [--write]
 
-Each folder holds recordings of `cablesense gap withhold` with their `answers/answers.csv`. The
+Each folder holds recordings of `python -m cablesense_plants` with their `answers/answers.csv`. The
 residuals that the search leaves in each case are kept next to the recording
 (`case_….search.json`); then the numbers are fitted that give the true answers the highest mean
 log probability. The bundled numbers come from 60 cases of seed 606 and six of seed 9002.
@@ -25,9 +25,9 @@ from cablesense_gap.arm_system import ArmSystem
 from cablesense_gap.diagnosis import probability
 from cablesense_gap.diagnosis.probability import ProbabilityCalibration, log_weights
 from cablesense_gap.diagnosis.search import search
-from cablesense_gap.recordings.checks import read_recording
 from cablesense_gap.scoring import read_answers
 from cablesense_gap.system import problem_of
+from cablesense_recording.checks import read_recording
 
 ARM = "cdsm_lab"
 TARGET = Path(probability.__file__).with_name("calibration.json")

@@ -26,10 +26,10 @@ from blind_sets import narrow_arm
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.arm_system import diagnose
-from cablesense_gap.recordings.protocol import rows_of, standard_protocol
-from cablesense_gap.recordings.recording import Recording, RecordingError
+from cablesense_gap.protocol import rows_of, standard_protocol
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_gap.verdict import Verdict
+from cablesense_recording.recording import Recording, RecordingError
 from cablesense_sim.effects.effect import WHOLE_ARM
 from cablesense_sim.replay import read_tensions_n
 

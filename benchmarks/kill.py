@@ -47,6 +47,8 @@ from rclpy.subscription import Subscription
 from cablesense_base import Array
 from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.calibration_file import write_calibration
+from cablesense_contact.inference.law_model import LawModel
+from cablesense_contact.inference.metadata import find_model_of
 from cablesense_msgs_py.qos import Qos
 from cablesense_ros.endpoints import qos_profile
 from cablesense_ros.processes import Process, node_command
@@ -54,8 +56,6 @@ from cablesense_sim.arm import open_arm, per_segment
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.replay import read_tensions_n
-from cablesense_training.inference.law_model import LawModel
-from cablesense_training.inference.metadata import find_model_of
 
 STALE_WITHIN_S = 0.1
 RIGHT_WITHIN_S = 1.0

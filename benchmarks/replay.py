@@ -24,7 +24,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from cablesense_gap.recordings.mcap_messages import McapMessages
+from cablesense_recording.mcap_messages import McapMessages
 from cablesense_ros.processes import node_command
 
 RATE_HZ = 1000.0

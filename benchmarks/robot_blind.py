@@ -53,7 +53,6 @@ from robot_sets import (
     with_tendons,
 )
 
-from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot.model import Robot, load_robot
 from cablesense_gap.robot.motion import rms
 from cablesense_gap.robot.preparation import prepared
@@ -63,6 +62,7 @@ from cablesense_gap.scoring import read_answers, score
 from cablesense_gap.verdict import Verdict, removed_fraction
 from cablesense_plants.cases import PlantError, write_answers
 from cablesense_plants.robot.cases import RobotCase, record
+from cablesense_recording.recording import RecordingError
 
 _LONG_ROWS = 20_000
 _TOGETHER = 10

@@ -2,7 +2,8 @@
 
 A program that uses the diagnosis finds the names that it needs here:
 
-    from cablesense_gap import diagnose, read_recording
+    from cablesense_gap import diagnose
+    from cablesense_recording import read_recording
     from cablesense_sim import open_arm
 
     arm = open_arm("cdsm_lab")

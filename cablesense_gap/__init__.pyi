@@ -2,8 +2,6 @@
 
 from .arm_system import Diagnosis as Diagnosis
 from .arm_system import diagnose as diagnose
-from .recordings.checks import read_recording as read_recording
-from .recordings.recording import Recording as Recording
 from .report.page import write_diagnosis as write_diagnosis
 from .simulator import Candidate as Candidate
 from .simulator import Simulator as Simulator

@@ -16,6 +16,7 @@ import numpy as np
 
 from cablesense_base import Array, CableSenseError
 from cablesense_contact.calibration import Calibration, Calibrator
+from cablesense_contact.inference.estimator import Estimator
 from cablesense_gap.arm_nuisance import terms_of
 from cablesense_gap.arm_system import Diagnosis, diagnose, folds_of
 from cablesense_gap.recorded_contacts import (
@@ -28,13 +29,12 @@ from cablesense_gap.recorded_contacts import (
     tares_of,
     with_acting_loads,
 )
-from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import EstimatorErrors
+from cablesense_recording.recording import Recording
 from cablesense_sim.arm import Arm
 from cablesense_sim.effects.registry import known_effects
 from cablesense_sim.uncertain_arm import arm_parameters
-from cablesense_training.inference.estimator import Estimator
 from cablesense_training.law.build import TorchLaw
 from cablesense_training.law_export import export_law
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.arm_nuisance import tolerance_candidates
-from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Assignment, Candidate, parameters_of, predicted_changes
+from cablesense_recording.recording import Recording
 from cablesense_sim.arm import Arm, ListedEffect
 from cablesense_sim.build import entries_of
 from cablesense_sim.effects.effect import Effect, Parameter, Transmission

@@ -18,8 +18,14 @@ from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.diagnosis.problem import Explanation, Past, Problem, unit_of
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.pipeline import diagnose_system
-from cablesense_gap.recordings.checks import check_recording
-from cablesense_gap.recordings.recording import (
+from cablesense_gap.reference import Reference
+from cablesense_gap.residuals import decompose, regimes
+from cablesense_gap.simulator import Assignment, Simulator, Term
+from cablesense_gap.system import FOLDS, System, Unlisted, problem_of
+from cablesense_gap.unlisted import describe_unlisted, in_play, repeat_largest_trial
+from cablesense_gap.verdict import UNKNOWN, Earlier, FittedNumber, Verdict, Where
+from cablesense_recording.checks import check_recording
+from cablesense_recording.recording import (
     EXCHANGED,
     Finding,
     Recording,
@@ -30,12 +36,6 @@ from cablesense_gap.recordings.recording import (
     rows_to_use,
     warn,
 )
-from cablesense_gap.reference import Reference
-from cablesense_gap.residuals import decompose, regimes
-from cablesense_gap.simulator import Assignment, Simulator, Term
-from cablesense_gap.system import FOLDS, System, Unlisted, problem_of
-from cablesense_gap.unlisted import describe_unlisted, in_play, repeat_largest_trial
-from cablesense_gap.verdict import UNKNOWN, Earlier, FittedNumber, Verdict, Where
 from cablesense_sim.arm import Arm, ArmFileError
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import known_effects, transmissions

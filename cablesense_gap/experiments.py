@@ -13,7 +13,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.arm_simulator import counted_rows, entries_from
-from cablesense_gap.recordings.protocol import Block, rows_of, standard_protocol
+from cablesense_gap.protocol import Block, rows_of, standard_protocol
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import listed, short
 from cablesense_sim.arm import Arm

@@ -19,10 +19,14 @@ from cablesense_base import Array
 from cablesense_contact.cable_slides import CableSlides
 from cablesense_contact.calibration import Calibration, Calibrator, Unloaded
 from cablesense_contact.estimate import NORMAL_95
+from cablesense_contact.inference.estimator import Estimator
+from cablesense_contact.inference.law_model import LawModel
+from cablesense_contact.inference.metadata import ANYWHERE
+from cablesense_contact.inference.model_file import read_model
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_contact.law import Law, LawOutput
 from cablesense_contact.slides import Belief, Slides
-from cablesense_gap.recordings.recording import SAME_PLACE_M, Recording, RecordingError
+from cablesense_recording.recording import SAME_PLACE_M, Recording, RecordingError
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
@@ -35,10 +39,6 @@ from cablesense_training.evaluation.metrics import (
     mean_or_nan,
     single_contact_metrics,
 )
-from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.law_model import LawModel
-from cablesense_training.inference.metadata import ANYWHERE
-from cablesense_training.inference.model_file import read_model
 
 _STEADY_N = 1.0
 """Standard deviation of a cable's readings above which the estimator node takes no tare."""

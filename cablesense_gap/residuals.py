@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_gap.recordings.recording import Recording
+from cablesense_recording.recording import Recording
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 

@@ -21,8 +21,7 @@ from cablesense_gap.diagnosis.discrepancy import (
     flexible_model,
 )
 from cablesense_gap.diagnosis.problem import Problem
-from cablesense_gap.recordings.protocol import DIRECTIONS
-from cablesense_gap.recordings.recording import Recording
+from cablesense_gap.protocol import DIRECTIONS
 from cablesense_gap.residuals import (
     BENT_RAD,
     CABLE,
@@ -34,6 +33,7 @@ from cablesense_gap.residuals import (
 )
 from cablesense_gap.system import Unlisted
 from cablesense_gap.verdict import listed, short
+from cablesense_recording.recording import Recording
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m

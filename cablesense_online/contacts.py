@@ -14,6 +14,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_contact.estimate import NORMAL_95, ContactPlace, Estimate
+from cablesense_contact.inference.estimator import Estimator, MultiEstimator
 from cablesense_contact.judgement import ContactState, Judge, Judgement
 from cablesense_contact.law import Law, LawOutput
 from cablesense_msgs_py.messages import Contact, ForceState
@@ -23,7 +24,6 @@ from cablesense_sim.arm import Arm, per_segment
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import contact_torques
 from cablesense_sim.touch import touched_places
-from cablesense_training.inference.estimator import Estimator, MultiEstimator
 
 _ALONG_KNOWN_N = 1.0
 """An axial force is stated if its standard deviation is below this."""

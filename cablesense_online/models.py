@@ -8,15 +8,15 @@ from pathlib import Path
 
 from cablesense_contact.calibration import Calibration
 from cablesense_contact.calibration_file import read_calibration
+from cablesense_contact.inference.estimator import Estimator, MultiEstimator
+from cablesense_contact.inference.law_model import LawModel
+from cablesense_contact.inference.metadata import ANYWHERE, ModelMetadata, find_model_of
+from cablesense_contact.inference.model_file import read_model
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_online.contacts import LawContacts, NetworkContacts
 from cablesense_online.settings import EstimationSettings
 from cablesense_online.tare import CalibratedArm, TaredArm, TareError
 from cablesense_sim.arm import Arm, open_arm
-from cablesense_training.inference.estimator import Estimator, MultiEstimator
-from cablesense_training.inference.law_model import LawModel
-from cablesense_training.inference.metadata import ANYWHERE, ModelMetadata, find_model_of
-from cablesense_training.inference.model_file import read_model
 
 AnyModel = LawModel | Estimator | MultiEstimator
 

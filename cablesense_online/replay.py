@@ -22,8 +22,7 @@ import numpy as np
 from cablesense_base import CableSenseError
 from cablesense_base.files import written_whole
 from cablesense_contact.calibration_file import calibration_of
-from cablesense_gap.recordings.mcap_messages import McapMessages, RawMessage, parsed_message
-from cablesense_gap.recordings.recording import RecordingError
+from cablesense_contact.inference.metadata import find_model
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import CONTRACT, of_contract
 from cablesense_msgs_py.serialized import WrenchWriter, require_bounded, stamp_ns, wrench_writers
@@ -33,7 +32,8 @@ from cablesense_online.estimation import Estimation
 from cablesense_online.models import LoadedModel, load_model
 from cablesense_online.provenance import Beginning, Provenance
 from cablesense_online.settings import LIVE_SETTINGS
-from cablesense_training.inference.metadata import find_model
+from cablesense_recording.mcap_messages import McapMessages, RawMessage, parsed_message
+from cablesense_recording.recording import RecordingError
 
 _WRENCH_NUMBERS: Final = struct.Struct("<6d")
 """Force and torque."""

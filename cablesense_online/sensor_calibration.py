@@ -29,7 +29,6 @@ from scipy.stats import t as student_t
 from cablesense_base import Array
 from cablesense_base.files import read_bounded_text
 from cablesense_base.plain_yaml import Count, FilePart, Number, describe_problem
-from cablesense_gap.recordings.recording import Recording
 from cablesense_online.can.channel_map import (
     CalibratedSensor,
     Channel,
@@ -37,6 +36,7 @@ from cablesense_online.can.channel_map import (
     signal_conversion,
 )
 from cablesense_online.sensor_check import CommissioningError
+from cablesense_recording.recording import Recording
 
 STANDARD_GRAVITY_M_S2 = 9.80665
 """3rd CGPM (1901)."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.signal import detrend
 
 from cablesense_base import Array, CableSenseError
-from cablesense_gap.recordings.recording import Recording
+from cablesense_recording.recording import Recording
 from cablesense_sim.arm import Sensors
 from cablesense_sim.replay import reading_variance_n2
 

@@ -19,6 +19,8 @@ from cablesense_base import Array, CableSenseError
 from cablesense_base.files import output_file
 from cablesense_contact.calibration import CalibrationError
 from cablesense_contact.calibration_file import calibration_bytes, write_calibration
+from cablesense_contact.errors import ModelFileError
+from cablesense_contact.inference.law_model import LawModel
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
     Level,
@@ -54,8 +56,6 @@ from cablesense_ros.node_process import (
     run_node,
 )
 from cablesense_sim.build import mechanism_of
-from cablesense_training.errors import ModelFileError
-from cablesense_training.inference.law_model import LawModel
 
 _TICK_S = 0.02
 _OWN_COMMANDS = 8

@@ -126,11 +126,11 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
     Raises:
         CableSenseError: a file is wrong, a node ended, or no estimates came.
     """
+    from cablesense_contact.inference.metadata import ANYWHERE
     from cablesense_online.page.live_arm import LiveArm
     from cablesense_ros import demo_pushes
     from cablesense_sim.build import mechanism_of
     from cablesense_sim.touch import touched_places
-    from cablesense_training.inference.metadata import ANYWHERE
 
     options, model = _checked(options)
     arm = model.arm
@@ -246,8 +246,8 @@ def _commission(node: Node, live: LiveArm, processes: Processes, console: Consol
 
 def _checked(options: DemoOptions) -> tuple[DemoOptions, LoadedModel]:
     """Read arm and model before anything starts: a wrong file is one line, not a silent node."""
+    from cablesense_contact.inference.metadata import ANYWHERE
     from cablesense_online.models import load_model
-    from cablesense_training.inference.metadata import ANYWHERE
 
     model = load_model(options.arm, options.model)
     if options.breathe or model.metadata.kind != ANYWHERE:

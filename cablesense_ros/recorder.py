@@ -19,14 +19,14 @@ from rich.console import Console
 from sensor_msgs.msg import JointState
 
 from cablesense_base import CableSenseError
-from cablesense_gap.recordings.mcap_file import BagRows
-from cablesense_gap.recordings.mcap_messages import CHUNK_S, TopicFile, topic_file_path
-from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import NamedOrder
 from cablesense_msgs_py.qos import INPUTS, SENSOR, TopicType, resolved, segment_of
 from cablesense_online.samples import FollowedPublisher
 from cablesense_online.sensor_check import CommissioningError, Pull
+from cablesense_recording.mcap_file import BagRows
+from cablesense_recording.mcap_messages import CHUNK_S, TopicFile, topic_file_path
+from cablesense_recording.recording import Recording, RecordingError
 from cablesense_ros.endpoints import RefusalLog, message_class, qos_profile, subscribe_to_one
 from cablesense_ros.node_process import spun_node
 from cablesense_ros.processes import end_signals

@@ -13,9 +13,10 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from cablesense_gap import diagnose, read_recording, write_diagnosis
+from cablesense_gap import diagnose, write_diagnosis
+from cablesense_plants.arm.blind_cases import record_cases
 from cablesense_plants.arm.body import read_nominal
-from cablesense_plants.arm.withhold import withhold
+from cablesense_recording import read_recording
 from cablesense_sim import open_arm
 from cablesense_sim.arm import find_arm
 
@@ -25,13 +26,13 @@ EVERY = 6  # rows: enough here; take all of yours
 
 # %% [markdown]
 # Without a recording, an independent simulator makes one of an arm that carries a mass which its
-# arm file does not have (`cablesense gap withhold`).
+# arm file does not have (`python -m cablesense_plants`).
 
 # %%
 if not RECORDING.exists():
     folder = RECORDING.parent
     nominal = read_nominal(find_arm(ARM))
-    list(withhold(folder, folder / "answers.csv", nominal, count=1, seed=7, only=["payload"]))
+    list(record_cases(folder, folder / "answers.csv", nominal, count=1, seed=7, only=["payload"]))
 
 # %%
 arm = open_arm(ARM)

@@ -12,10 +12,11 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
+from cablesense_contact import LawModel, find_model
 from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.judgement import ContactState, Judge
-from cablesense_gap import Recording, read_recording
-from cablesense_gap.recordings.csv_file import write_csv
+from cablesense_recording import Recording, read_recording
+from cablesense_recording.csv_file import write_csv
 from cablesense_sim import (
     mechanism_of,
     normal_force_n,
@@ -23,7 +24,6 @@ from cablesense_sim import (
     read_tensions_n,
     solve_equilibrium,
 )
-from cablesense_training import LawModel, find_model
 
 CSV = Path("out/estimate_csv/pushes.csv")  # yours, or it is simulated below
 # names, or the paths of your files

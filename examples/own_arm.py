@@ -14,10 +14,10 @@ import numpy as np
 
 from cablesense_base.installation import config_path
 from cablesense_contact.calibration import Calibrator, Unloaded
+from cablesense_contact.inference.law_model import LawModel
 from cablesense_sim import load_arm, normal_force_n, solve_equilibrium
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import held_lengths_m
-from cablesense_training.inference.law_model import LawModel
 from cablesense_training.law_export import export_law
 
 

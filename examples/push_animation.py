@@ -16,6 +16,7 @@ import numpy as np
 from PIL import Image
 
 from cablesense_base import Array
+from cablesense_contact import LawModel, find_model
 from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.judgement import ContactState, Judge
 from cablesense_sim import (
@@ -26,7 +27,6 @@ from cablesense_sim import (
     solve_equilibrium,
 )
 from cablesense_sim.kinematics import chain
-from cablesense_training import LawModel, find_model
 
 OUT = Path("out/push.gif")
 ARM = "cdsm_lab"

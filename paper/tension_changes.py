@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term
+from cablesense_recording.recording import Recording
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.effects.registry import known_effects

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
-from cablesense_gap.recordings.mcap_messages import TopicFile
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import INPUTS, JOINT_STATE_TYPE, NUMBER_TYPE, WRENCH_TYPE, resolved
+from cablesense_recording.mcap_messages import TopicFile
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import contact_points_m
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from blind_sets import narrow_arm
 
-from cablesense_gap.recordings.recording import Recording
+from cablesense_recording.recording import Recording
 
 LAB = narrow_arm("cdsm_lab")
 RATE_HZ = 5.0

@@ -1,7 +1,7 @@
 """Metadata of model files that tests share."""
 
+from cablesense_contact.inference.metadata import ModelMetadata
 from cablesense_sim.arm import Arm
-from cablesense_training.inference.metadata import ModelMetadata
 
 
 def metadata_for(arm: Arm, **changes) -> ModelMetadata:

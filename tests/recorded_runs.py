@@ -14,7 +14,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import MultiArrayDimension, UInt8MultiArray
 
 from cablesense_contact.calibration_file import calibration_bytes
-from cablesense_gap.recordings.mcap_messages import TopicFile
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import BREATH_END, breath_frame
 from cablesense_msgs_py.qos import CONTRACT, of_contract, resolved
@@ -23,6 +22,7 @@ from cablesense_msgs_py.topics import Frames
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
 from cablesense_online.provenance import Beginning, Provenance
+from cablesense_recording.mcap_messages import TopicFile
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from cablesense_gap.recordings.recording import Recording
 from cablesense_online.sensor_check import check_sensors, expectation
+from cablesense_recording.recording import Recording
 from cablesense_sim.arm import open_arm
 
 ARM = open_arm("cdsm")

@@ -5,9 +5,9 @@ import pytest
 from model_fixtures import metadata_for
 from onnx import TensorProto, helper
 
+from cablesense_contact.errors import ModelFileError
+from cablesense_contact.inference.estimator import OUTPUTS, Estimator
 from cablesense_sim.arm import open_arm
-from cablesense_training.errors import ModelFileError
-from cablesense_training.inference.estimator import OUTPUTS, Estimator
 
 CDSM = open_arm("cdsm")
 FLOAT = TensorProto.FLOAT

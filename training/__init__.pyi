@@ -7,13 +7,7 @@ from .data.parquet import write_dataset as write_dataset
 from .data.protocols import MultiContact as MultiContact
 from .data.protocols import SingleContact as SingleContact
 from .errors import DatasetError as DatasetError
-from .errors import ModelFileError as ModelFileError
 from .errors import TrainingError as TrainingError
-from .inference.estimator import Estimates as Estimates
-from .inference.estimator import Estimator as Estimator
-from .inference.estimator import MultiEstimator as MultiEstimator
-from .inference.law_model import LawModel as LawModel
-from .inference.metadata import find_model as find_model
 from .law_export import export_law as export_law
 from .model_training import draw_training_data as draw_training_data
 from .model_training import train_model as train_model

@@ -1,4 +1,4 @@
-"""Errors of training, of datasets, of model files and of estimates."""
+"""Errors of training and of datasets."""
 
 from __future__ import annotations
 
@@ -11,11 +11,3 @@ class TrainingError(CableSenseError):
 
 class DatasetError(CableSenseError):
     """A dataset that does not fit: names the fault, its place and the remedy."""
-
-
-class ModelFileError(CableSenseError):
-    """A model file that does not fit: names its kind and the kind needed."""
-
-
-class EstimateError(CableSenseError):
-    """Inputs that the model cannot take: wrong shape, not finite, or a command that is missing."""

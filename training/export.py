@@ -15,10 +15,10 @@ import torch
 from torch import Tensor, nn
 
 from cablesense_base.files import write_atomically
+from cablesense_contact.inference.estimator import MULTI_OUTPUTS, OUTPUTS
+from cablesense_contact.inference.metadata import ModelMetadata
+from cablesense_contact.inference.session import input_widths, open_session
 from cablesense_training.errors import TrainingError
-from cablesense_training.inference.estimator import MULTI_OUTPUTS, OUTPUTS
-from cablesense_training.inference.metadata import ModelMetadata
-from cablesense_training.inference.session import input_widths, open_session
 from cablesense_training.networks.layers import ContactNetwork
 
 OPSET = 20

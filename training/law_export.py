@@ -11,6 +11,8 @@ from torch import Tensor, nn
 
 from cablesense_base.files import write_atomically
 from cablesense_base.installation import package_version
+from cablesense_contact.inference.metadata import ANYWHERE, ModelMetadata, effect_versions
+from cablesense_contact.inference.session import open_session
 from cablesense_contact.law import INPUTS, LawOutput
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
@@ -19,8 +21,6 @@ from cablesense_sim.replay import read_tensions_n
 from cablesense_sim.uncertain_arm import arm_parameters
 from cablesense_training.errors import TrainingError
 from cablesense_training.export import TRACED_ROWS, to_onnx
-from cablesense_training.inference.metadata import ANYWHERE, ModelMetadata, effect_versions
-from cablesense_training.inference.session import open_session
 from cablesense_training.law.build import arm_estimator
 from cablesense_training.law.posterior import LARGEST_N
 

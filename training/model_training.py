@@ -16,6 +16,15 @@ from cablesense_base import Array
 from cablesense_base.files import output_file
 from cablesense_base.installation import package_version
 from cablesense_base.progress import progress_bar
+from cablesense_contact.inference.estimator import Estimates, Estimator, MultiEstimator
+from cablesense_contact.inference.metadata import (
+    MULTI_CONTACT,
+    SINGLE_CONTACT,
+    ModelKind,
+    ModelMetadata,
+    effect_versions,
+    of_removed_network,
+)
 from cablesense_sim.arm import Arm
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset, generate
@@ -29,15 +38,6 @@ from cablesense_training.evaluation.metrics import (
 )
 from cablesense_training.export import export_model
 from cablesense_training.fit import FitHistory, FitSettings, OnEpoch, fit, outputs_of
-from cablesense_training.inference.estimator import Estimates, Estimator, MultiEstimator
-from cablesense_training.inference.metadata import (
-    MULTI_CONTACT,
-    SINGLE_CONTACT,
-    ModelKind,
-    ModelMetadata,
-    effect_versions,
-    of_removed_network,
-)
 from cablesense_training.networks.layers import ContactNetwork
 from cablesense_training.networks.learnt import (
     DecoupledNetwork,

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.discrepancy import Conditions
-from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot.model import Change, Robot, actuated, inverse_dynamics
 from cablesense_gap.robot.motion import (
     LEAST_FLOOR,
@@ -28,6 +27,7 @@ from cablesense_gap.robot.motion import (
     through,
 )
 from cablesense_gap.robot.transmission import BacklashMotion, GuidedTendons
+from cablesense_recording.recording import RecordingError
 
 _OF_MOTION = 1.0
 _OF_COMPARISON = 0.5

@@ -17,7 +17,6 @@ from scipy.interpolate import CubicSpline
 
 from cablesense_base import Array, some_of
 from cablesense_gap.diagnosis.discrepancy import Conditions
-from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot.model import Change, Robot, inverse_dynamics
 from cablesense_gap.robot.motion import (
     Motion,
@@ -29,6 +28,7 @@ from cablesense_gap.robot.motion import (
     smoothed,
 )
 from cablesense_gap.robot.transmission import BacklashMotion, GuidedTendons
+from cablesense_recording.recording import RecordingError
 
 _OF_BODIES = ("mass_kg", "centre_m", "inertia_kg_m2")
 OF_POSITION = ("zero", "encoder_scale", "coupling", "play")

@@ -19,7 +19,6 @@ from scipy.ndimage import median_filter
 from scipy.signal import welch
 
 from cablesense_base import Array
-from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot.model import Robot, actuated, inverse_dynamics
 from cablesense_gap.robot.motion import (
     LEAST_FLOOR,
@@ -34,6 +33,7 @@ from cablesense_gap.robot.motion import (
     through,
 )
 from cablesense_gap.robot.recording import RobotRecording
+from cablesense_recording.recording import RecordingError
 
 MOST_ROWS = 5000
 """Rows at which a model is evaluated; a longer recording has them at longer intervals."""

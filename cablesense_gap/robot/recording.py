@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
-from cablesense_gap.recordings.csv_file import CSV_ENDINGS, csv_stem, read_table
-from cablesense_gap.recordings.mcap_file import decoded, is_bag
-from cablesense_gap.recordings.mcap_messages import RawMessage
-from cablesense_gap.recordings.recording import MAX_NUMBERS, RecordingError
 from cablesense_gap.robot.model import Robot
 from cablesense_msgs_py.qos import JOINT_STATE_TYPE, NUMBER_TYPE
+from cablesense_recording.csv_file import CSV_ENDINGS, csv_stem, read_table
+from cablesense_recording.mcap_file import decoded, is_bag
+from cablesense_recording.mcap_messages import RawMessage
+from cablesense_recording.recording import MAX_NUMBERS, RecordingError
 
 FEWEST_TRIALS = 5
 """Fewer are cut into stretches, so that there is something to hold out."""

@@ -16,8 +16,6 @@ from cablesense_base import Array, some_of
 from cablesense_gap.diagnosis.discrepancy import Conditions
 from cablesense_gap.diagnosis.problem import Explanation, Problem
 from cablesense_gap.pipeline import diagnose_system
-from cablesense_gap.recordings.csv_file import write_table
-from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.reference import Reference
 from cablesense_gap.robot import doubts
 from cablesense_gap.robot.amending import changed, known_effects
@@ -32,6 +30,8 @@ from cablesense_gap.robot.recording import RobotRecording
 from cablesense_gap.simulator import Assignment, Candidate, Term, parameters_of
 from cablesense_gap.system import FOLDS, Altered, System, Unlisted
 from cablesense_gap.verdict import ChannelGap, Gap, Verdict, Where
+from cablesense_recording.csv_file import write_table
+from cablesense_recording.recording import RecordingError
 
 UNIT = "floors"
 """Each channel is given in units of its floor."""

@@ -102,7 +102,7 @@ class RobotCase:
     recorded: tuple[tuple[RealRobot, ReferenceMotion, int], ...]
 
 
-def withhold(
+def record_cases(
     folder: Path,
     answers_file: Path,
     path: Path,

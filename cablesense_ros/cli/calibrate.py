@@ -62,8 +62,8 @@ def calibrate(
 
     from cablesense_contact.calibration import Calibrator
     from cablesense_contact.calibration_file import write_calibration
-    from cablesense_gap.recordings.checks import read_recording
-    from cablesense_gap.recordings.unloaded_holds import unloaded_holds
+    from cablesense_contact.unloaded_holds import unloaded_holds
+    from cablesense_recording.checks import read_recording
     from cablesense_sim.arm import open_arm
 
     output_file(out, force=force, inputs=(recording, arm, model))
@@ -97,9 +97,9 @@ def law_of(arm: Arm, arm_file: str, model: str = "") -> Law:
         ModelFileError: a model file is given and does not fit.
         ModuleNotFoundError: no model file fits, and PyTorch is not installed.
     """
-    from cablesense_training.errors import ModelFileError
-    from cablesense_training.inference.law_model import LawModel
-    from cablesense_training.inference.metadata import find_model_of
+    from cablesense_contact.errors import ModelFileError
+    from cablesense_contact.inference.law_model import LawModel
+    from cablesense_contact.inference.metadata import find_model_of
 
     try:
         return LawModel(find_model_of(arm, arm_file, model), arm)

@@ -20,8 +20,8 @@ from cablesense_ros.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from cablesense_training.inference.estimator import Estimator
-    from cablesense_training.inference.law_model import LawModel
+    from cablesense_contact.inference.estimator import Estimator
+    from cablesense_contact.inference.law_model import LawModel
 
 
 def evaluate(
@@ -111,6 +111,7 @@ Result = tuple[str, dict[str, Any]]
 
 
 def _table2(model: str) -> Result:
+    from cablesense_contact.inference.metadata import find_model
     from cablesense_training.evaluation.comparison import (
         DOWN_DEG,
         SHIPPED,
@@ -118,7 +119,6 @@ def _table2(model: str) -> Result:
         evaluate_table2,
         open_single,
     )
-    from cablesense_training.inference.metadata import find_model
 
     opened = open_single(find_model(model or TABLE2_MODELS[SHIPPED]))
     content = [
@@ -142,11 +142,11 @@ def _recorded(
     recording: Path, models: list[str], calibration: Path | None, picture: Path | None
 ) -> Result:
     from cablesense_contact.calibration_file import read_calibration
+    from cablesense_contact.inference.metadata import find_model
     from cablesense_gap.recorded_contacts import open_estimator, recorded_errors
-    from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import drawn_errors
     from cablesense_gap.report.style import image_bytes, style
-    from cablesense_training.inference.metadata import find_model
+    from cablesense_recording.checks import read_recording
 
     errors = {}
     for name in models:
@@ -165,9 +165,9 @@ def _recorded(
 
 def _one_model(model: str, samples: int, seed: int, workers: int) -> Result:
     """A model on fresh samples: of the law's arm, or like those of a network's training."""
+    from cablesense_contact.inference.law_model import LawModel
+    from cablesense_contact.inference.metadata import find_model
     from cablesense_training.evaluation.comparison import open_single
-    from cablesense_training.inference.law_model import LawModel
-    from cablesense_training.inference.metadata import find_model
 
     opened = open_single(find_model(model))
     described = opened.metadata

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from cablesense_base import CableSenseError
 from cablesense_base.files import output_file, output_folder, write_atomically
-from cablesense_ros.cli.gap_recordings import protocol, record, score, watch, withhold
+from cablesense_ros.cli.gap_recordings import protocol, record, score, watch
 from cablesense_ros.cli.options import (
     ForceOption,
     JsonOption,
@@ -165,9 +165,9 @@ def _diagnosed_arm(
 ) -> tuple[Any, list[str]]:
     """The verdict, and lines for people."""
     from cablesense_gap.arm_system import diagnose as make
-    from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import earlier_sentence, headline
+    from cablesense_recording.checks import read_recording
     from cablesense_sim.arm import find_arm, load_arm
 
     arm_file = find_arm(arm)
@@ -259,8 +259,8 @@ def _predicted_arm(
     """Figures, and lines for people."""
     from cablesense_gap.amended_arm import find_amended
     from cablesense_gap.arm_simulator import counted_rows, settled
-    from cablesense_gap.recordings.checks import read_recording
-    from cablesense_gap.recordings.csv_file import write_csv
+    from cablesense_recording.checks import read_recording
+    from cablesense_recording.csv_file import write_csv
     from cablesense_sim.arm import load_arm
     from cablesense_sim.replay import replay_arm
 
@@ -322,14 +322,14 @@ def adapt(
     Example: [bold]cablesense gap adapt recording.mcap --arm my_arm.yaml --out adapted[/bold]
     """
     from cablesense_contact.calibration_file import write_calibration
+    from cablesense_contact.inference.metadata import find_model
     from cablesense_gap.adaptation import adapt as make
     from cablesense_gap.amended_arm import AMENDED_ARM
     from cablesense_gap.recorded_contacts import open_estimator
-    from cablesense_gap.recordings.checks import read_recording
     from cablesense_gap.report.page import DIAGNOSIS_FILES, write_diagnosis
     from cablesense_gap.report.text import FRICTION_HIDES, headline
+    from cablesense_recording.checks import read_recording
     from cablesense_sim.arm import find_arm, load_arm
-    from cablesense_training.inference.metadata import find_model
 
     arm_file = find_arm(arm)
     nominal = load_arm(arm_file)
@@ -417,5 +417,5 @@ gap = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="rich",
 )
-for verb in (diagnose, adapt, predict, protocol, record, score, watch, withhold):
+for verb in (diagnose, adapt, predict, protocol, record, score, watch):
     gap.command()(verb)

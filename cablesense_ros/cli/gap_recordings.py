@@ -1,4 +1,4 @@
-"""`cablesense gap …`: recordings to make, of one machine over months, and with hidden effects."""
+"""`cablesense gap …`: recordings to make, and of one machine over months."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from functools import partial
-from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
@@ -65,8 +64,8 @@ def protocol(
 
 
 def _arm_protocol(arm: str, out: Path | None, force: bool) -> None:
-    from cablesense_gap.recordings.csv_file import write_csv
-    from cablesense_gap.recordings.protocol import rows_of, standard_protocol
+    from cablesense_gap.protocol import rows_of, standard_protocol
+    from cablesense_recording.csv_file import write_csv
     from cablesense_sim.arm import find_arm, load_arm
 
     arm_file = find_arm(arm)
@@ -148,8 +147,8 @@ def record(
     record_topics(out, INPUTS, duration, description, console, force=force)
     if description is None:
         return
-    from cablesense_gap.recordings.checks import check_recording, read_recording
-    from cablesense_gap.recordings.recording import rows_to_use
+    from cablesense_recording.checks import check_recording, read_recording
+    from cablesense_recording.recording import rows_to_use
     from cablesense_sim.replay import replay_arm
 
     recording = read_recording(out, description)
@@ -218,7 +217,7 @@ def watch(
 
 
 def _of_arm(arm: str) -> _Machine:
-    from cablesense_gap.recordings.checks import read_recording
+    from cablesense_recording.checks import read_recording
     from cablesense_sim.arm import open_arm
 
     nominal = open_arm(arm)
@@ -269,75 +268,3 @@ def score(
     listed = read_answers(answers)
     scores = score_verdicts(read_verdicts(verdicts, [a.recording for a in listed]), listed)
     print_result(f"{scores.cases} verdicts", asdict(scores), json_output)
-
-
-def withhold(
-    context: typer.Context,
-    count: Annotated[int, typer.Option(min=1, max=10_000, help="How many recordings.")],
-    out: Annotated[Path, typer.Option(help="Folder for case_001.csv ….")],
-    seed: Annotated[int, typer.Option(min=0, help="The same seed makes the same files.")] = 0,
-    arm: NominalArmOption = "cdsm_lab",
-    model: Annotated[
-        Path | None,
-        typer.Option(
-            help="In place of --arm: MJCF or URDF of a robot whose joints are a row of hinges."
-        ),
-    ] = None,
-    answers: Annotated[
-        Path | None, typer.Option(help="File for the answers, if not OUT/answers/answers.csv.")
-    ] = None,
-    only: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Hide only this: none, unknown, an effect's name, or several joined by +. "
-            "Repeatable; they come in turn."
-        ),
-    ] = None,
-    second: Annotated[
-        bool,
-        typer.Option(
-            "--second", help="Record every machine twice, the second time in OUT/second/."
-        ),
-    ] = False,
-    workers: WorkersOption = 1,
-    force: ForceOption = False,
-) -> None:
-    """Make recordings of arms in which something is hidden, or nothing, and a file of answers.
-
-    The arms come from a plant that shares no code with the simulator or the diagnosis; so do other
-    robots, given their --model. Every machine has manufacturing tolerances; a fifth hides nothing
-    more, a fifth something that no verdict has a name for, some two or more effects at once.
-
-    Examples: [bold]cablesense gap withhold --count 60 --seed 7 --out cases[/bold],
-    [bold]cablesense gap withhold --count 1 --only payload --model robot.xml --out cases[/bold]
-    """
-    from rich.progress import track
-
-    from cablesense_sim.arm import find_arm
-
-    if model is not None:
-        refuse_given(context, ["arm", "workers"], "with --model")
-    answers_file = answers or out / "answers" / "answers.csv"
-    kinds = tuple(only or ())
-    names = "case_*.csv" if model is None else "case_*.csv.gz"
-    written = (names, f"second/{names}") if second else (names,)
-    source = find_arm(arm) if model is None else model
-    output_folder(out, written, force=force, inputs=(source,))
-    output_folder(answers_file.parent, (escape(answers_file.name),), force=force, inputs=(source,))
-    made: Iterator[object]
-    if model is None:
-        from cablesense_plants.arm.body import read_nominal
-        from cablesense_plants.arm.withhold import withhold as of_arms
-
-        nominal = read_nominal(source)
-        made = of_arms(out, answers_file, nominal, count, seed, kinds, workers, second=second)
-    else:
-        from cablesense_gap.robot.model import load_robot
-        from cablesense_plants.robot.cases import withhold as of_robots
-
-        read = load_robot(model).model
-        made = of_robots(out, answers_file, model, read, count, seed, kinds, second=second)
-    console = Console()
-    for _ in track(made, description="Recording", total=count, console=console):
-        pass
-    console.print(f"{count} recordings in {out}, the answers in {answers_file}", soft_wrap=True)

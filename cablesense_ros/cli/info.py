@@ -254,8 +254,8 @@ def _picked(thing: object, *names: str) -> Description:
 
 def _model(path: str) -> Description:
     """A model file's inputs, outputs and metadata."""
-    from cablesense_training.inference.metadata import find_model
-    from cablesense_training.inference.model_file import read_model
+    from cablesense_contact.inference.metadata import find_model
+    from cablesense_contact.inference.model_file import read_model
 
     file = find_model(path)
     model, metadata = read_model(file)

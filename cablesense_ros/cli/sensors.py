@@ -73,9 +73,9 @@ def calibrate(
     import numpy as np
     from rich.console import Console
 
-    from cablesense_gap.recordings.checks import read_recording
     from cablesense_online import sensor_calibration
     from cablesense_online.can import channel_map as maps
+    from cablesense_recording.checks import read_recording
     from cablesense_sim.arm import open_arm
 
     output_file(out, force=force, inputs=(loads, channel_map, recording, recorded_with, arm))
@@ -198,8 +198,8 @@ def check(
 
     from rich.console import Console
 
-    from cablesense_gap.recordings.checks import read_recording
     from cablesense_online.sensor_check import check_sensors, expectation
+    from cablesense_recording.checks import read_recording
     from cablesense_sim.arm import open_arm
 
     described = open_arm(arm)

@@ -9,11 +9,11 @@ import pytest
 from cablesense_base.installation import config_path
 from cablesense_contact.calibration import Calibrator
 from cablesense_contact.calibration_file import read_calibration, write_calibration
-from cablesense_gap.recordings.csv_file import write_csv
-from cablesense_gap.recordings.recording import Recording
-from cablesense_gap.recordings.unloaded_holds import unloaded_holds
+from cablesense_contact.unloaded_holds import unloaded_holds
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
+from cablesense_recording.csv_file import write_csv
+from cablesense_recording.recording import Recording
 from cablesense_sim.arm import open_arm
 
 LAB = Path(config_path("arms/cdsm_lab.yaml"))

@@ -10,12 +10,12 @@ from typer.testing import CliRunner
 
 from cablesense_contact.calibration import Calibrator
 from cablesense_contact.calibration_file import write_calibration
-from cablesense_gap.recordings.csv_file import write_csv
+from cablesense_contact.inference.law_model import LawModel
+from cablesense_contact.inference.metadata import find_model
+from cablesense_recording.csv_file import write_csv
 from cablesense_ros.cli.app import app
 from cablesense_sim.replay import read_tensions_n, replay_arm
 from cablesense_training.evaluation.comparison import SHIPPED, TABLE2_MODELS, TWO_STAGE
-from cablesense_training.inference.law_model import LawModel
-from cablesense_training.inference.metadata import find_model
 
 
 def _run(*arguments):

@@ -16,8 +16,8 @@ from cablesense_contact.calibration_file import read_calibration
 from cablesense_gap import adaptation
 from cablesense_gap.arm_nuisance import expected_parameters
 from cablesense_gap.arm_system import Diagnosis
-from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.verdict import Share
+from cablesense_recording.csv_file import write_csv
 from cablesense_sim.arm import ListedEffect, load_arm
 from cablesense_sim.replay import replay_arm
 

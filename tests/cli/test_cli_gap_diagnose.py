@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from gap_recordings import LAB, small_recording
 
-from cablesense_gap.recordings.csv_file import write_csv
-from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import read_verdict
+from cablesense_recording.csv_file import write_csv
+from cablesense_recording.recording import Recording
 from cablesense_sim.arm import Arm, load_arm
 from cablesense_sim.replay import read_tensions_n, replay_arm
 

@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from cablesense_base import CableSenseError
 from cablesense_gap.amended_arm import amended_arm, write_arm
-from cablesense_gap.recordings.csv_file import read_csv, write_csv
 from cablesense_gap.simulator import Term
+from cablesense_recording.csv_file import read_csv, write_csv
 from cablesense_ros.cli.app import app
 from cablesense_sim.replay import replay_arm
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cablesense_gap.recordings.protocol import standard_protocol
+from cablesense_gap.protocol import standard_protocol
 from cablesense_ros.cli.app import app
 from cablesense_sim.arm import open_arm
 

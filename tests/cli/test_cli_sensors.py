@@ -9,8 +9,8 @@ from can_frames import PACKED, PACKED_DATABASE
 from sensor_series import ARM, good_tensions_n, series
 from typer.testing import CliRunner
 
-from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_online.can.channel_map import calibrated, load_calibration
+from cablesense_recording.csv_file import write_csv
 from cablesense_ros.cli.app import app
 
 

@@ -18,7 +18,7 @@ from cablesense_sim.arm import open_arm
 
 COMMAND = [sys.executable, "-c", "from cablesense_ros.cli.app import main; main()"]
 VERBS = ("demo", "export", "dataset", "train", "evaluate", "info", "gap", "sensors")
-GAP_VERBS = ("diagnose", "predict", "protocol", "record", "score", "watch", "withhold")
+GAP_VERBS = ("diagnose", "predict", "protocol", "record", "score", "watch")
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,6 @@ def test_help_loads_neither_ros_nor_torch_nor_the_page():
         (["gap", "diagnose", "r.csv", "--arm", "x.yaml", "--out", "d"], "no arm file x.yaml"),
         (["gap", "predict", "missing.mcap", "--out", "p.csv"], "missing.mcap"),
         (["gap", "score", "missing", "--answers", "missing.csv"], "missing.csv"),
-        (["gap", "withhold", "--count", "1", "--only", "rust", "--out", "w"], "no effect 'rust'"),
         (["sensors", "check", "none.csv"], "none.csv: no such file"),
         (["sensors", "check", "--pull", "cable_99"], "no cable 'cable_99'"),
         (["sensors", "calibrate", "none.csv", "--out", "c.yaml"], "none.csv: cannot be read"),
@@ -133,7 +132,8 @@ sys.meta_path.insert(0, Absent())
 """The beginning of a program for which the libraries named first are not installed."""
 
 SPARING = """
-from cablesense_training import Dataset, LawModel, draw_dataset, find_model
+from cablesense_contact import LawModel, find_model
+from cablesense_training import Dataset, draw_dataset
 LawModel(find_model("cdsm_anywhere"))
 import cablesense_ros.sim_node, cablesense_ros.estimator_node, cablesense_ros.demo
 from cablesense_ros.cli.app import app, main

@@ -30,8 +30,6 @@ def folder(tmp_path, monkeypatch):
         ("train --data none.parquet --out a.onnx", "a.onnx"),
         ("gap diagnose none.csv --out .", "report.html"),
         ("gap diagnose none.csv --out found", "found/amended_arm.yaml"),
-        ("gap withhold --count 1 --only rust --out cases", "cases/case_060.csv"),
-        ("gap withhold --count 1 --only rust --out cases --answers a.csv", "a.csv"),
         ("sensors calibrate none.csv --out a.yaml", "a.yaml"),
         ("replay none.mcap --estimates a.csv", "a.csv"),
         ("demo --model none.onnx --out mine", "mine/logs/sim.log"),
@@ -57,7 +55,6 @@ def test_an_exported_model_replaces_another_only_by_force(folder):
     [
         ("train --data a.parquet --out OUT", "a.parquet"),
         ("gap predict a.csv --out OUT", "a.csv"),
-        ("gap withhold --count 1 --arm a.yaml --answers OUT --out b", "a.yaml"),
         ("urdf a.yaml --out OUT", "a.yaml"),
         ("sensors calibrate none.csv --map a.yaml --out OUT", "a.yaml"),
         ("replay a.mcap --estimates OUT", "a.mcap"),

@@ -22,10 +22,10 @@ from cablesense_gap.adaptation import (
 from cablesense_gap.arm_nuisance import expected_parameters
 from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.recorded_contacts import at_contact_points
-from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.verdict import Share
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
+from cablesense_recording.recording import Recording
 from cablesense_sim.arm import Arm, ListedEffect, find_arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import read_tensions_n, replay_arm

@@ -15,9 +15,9 @@ from cablesense_gap.amended_arm import amended_arm, write_arm
 from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, settled
 from cablesense_gap.arm_system import ArmSystem
 from cablesense_gap.diagnosis.fitting import refine
-from cablesense_gap.recordings.recording import returns
 from cablesense_gap.simulator import Term, parameters_of
 from cablesense_gap.system import problem_of
+from cablesense_recording.recording import returns
 from cablesense_sim.arm import ListedEffect, load_arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.effects.registry import known_effects

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.recordings import csv_file
-from cablesense_gap.recordings.csv_file import all_columns, read_csv, write_csv
-from cablesense_gap.recordings.recording import Recording, RecordingError
+from cablesense_recording import csv_file
+from cablesense_recording.csv_file import all_columns, read_csv, write_csv
+from cablesense_recording.recording import Recording, RecordingError
 from cablesense_sim.arm import open_arm
 
 LAB = open_arm("cdsm_lab")

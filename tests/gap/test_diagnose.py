@@ -14,11 +14,11 @@ from cablesense_base import CableSenseError
 from cablesense_gap.amended_arm import amended_arm, judged_earlier, listed_values, without_effects
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.arm_system import ArmSystem, Diagnosis, diagnose, parts_of
-from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_gap.reference import Reference
 from cablesense_gap.report.text import earlier_sentence
 from cablesense_gap.simulator import Assignment, Term, parameters_of
 from cablesense_gap.system import FOLDS, problem_of
+from cablesense_recording.recording import Recording, RecordingError
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import read_tensions_n, replay_arm
 

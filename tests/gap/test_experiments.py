@@ -9,7 +9,7 @@ import pytest
 from gap_recordings import LAB
 
 from cablesense_gap.experiments import Experiment, next_experiment
-from cablesense_gap.recordings.protocol import BlockKind, standard_protocol
+from cablesense_gap.protocol import BlockKind, standard_protocol
 from cablesense_gap.simulator import Term
 from cablesense_sim.replay import reading_variance_n2
 

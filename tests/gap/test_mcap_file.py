@@ -8,12 +8,12 @@ from bags import Bag, write_mcap
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.recordings import mcap_file
-from cablesense_gap.recordings.checks import read_recording
-from cablesense_gap.recordings.mcap_file import read_mcap
-from cablesense_gap.recordings.recording import Recording, RecordingError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import INPUTS
+from cablesense_recording import mcap_file
+from cablesense_recording.checks import read_recording
+from cablesense_recording.mcap_file import read_mcap
+from cablesense_recording.recording import Recording, RecordingError
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import chain as chain_of

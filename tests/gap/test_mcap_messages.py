@@ -15,9 +15,9 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.recordings.mcap_messages import CHUNK_S, McapMessages, TopicFile
-from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py.qos import LATCHED, PUBLISHER
+from cablesense_recording.mcap_messages import CHUNK_S, McapMessages, TopicFile
+from cablesense_recording.recording import RecordingError
 
 ROOT = Path(__file__).parents[2]
 S = 1_000_000_000
@@ -223,7 +223,7 @@ def test_a_file_that_cannot_be_begun_leaves_the_former_one(tmp_path, monkeypatch
 
 ENDLESS = """
 import sys, time
-from cablesense_gap.recordings.mcap_messages import TopicFile
+from cablesense_recording.mcap_messages import TopicFile
 from cablesense_msgs_py.qos import PUBLISHER
 file = TopicFile(sys.argv[1])
 channel = file.add("/cable_tensions", "sensor_msgs/msg/JointState", PUBLISHER)

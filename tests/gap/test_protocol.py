@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from cablesense_gap.recordings.protocol import (
+from cablesense_gap.protocol import (
     STRONGEST_N,
     BlockKind,
     bearable_load_n,

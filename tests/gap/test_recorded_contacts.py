@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from cablesense_contact.calibration import Calibrator
+from cablesense_contact.inference.estimator import Estimates, Estimator
 from cablesense_gap.recorded_contacts import (
     RecordedArm,
     recorded_errors,
@@ -20,11 +21,10 @@ from cablesense_gap.recorded_contacts import (
     unloaded_poses,
     with_acting_loads,
 )
-from cablesense_gap.recordings.recording import Recording, RecordingError
+from cablesense_recording.recording import Recording, RecordingError
 from cablesense_sim.arm import open_arm
 from cablesense_sim.replay import read_tensions_n, replay_arm
 from cablesense_training.evaluation.metrics import ContactTruth
-from cablesense_training.inference.estimator import Estimates, Estimator
 from cablesense_training.law.build import TorchLaw
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cablesense_gap.recordings.recording import derive_trials
+from cablesense_recording.recording import derive_trials
 
 
 def trials(loads=(), commands=None, time_s=None, rows=60):

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from gap_recordings import small_recording
 
-from cablesense_gap.recordings.checks import check_form, check_recording, read_recording
-from cablesense_gap.recordings.csv_file import write_csv
-from cablesense_gap.recordings.protocol import rows_of, standard_protocol
-from cablesense_gap.recordings.recording import EXCHANGED, Finding, RecordingError, refuse_unusable
+from cablesense_gap.protocol import rows_of, standard_protocol
+from cablesense_recording.checks import check_form, check_recording, read_recording
+from cablesense_recording.csv_file import write_csv
+from cablesense_recording.recording import EXCHANGED, Finding, RecordingError, refuse_unusable
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_gap.recordings import recording as recordings
-from cablesense_gap.recordings.recording import Recording, returns, rows_along_path, rows_to_use
+from cablesense_recording import recording as recordings
+from cablesense_recording.recording import Recording, returns, rows_along_path, rows_to_use
 
 
 def recording(command, load_z_n, trial=None) -> Recording:

@@ -12,10 +12,10 @@ from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.arm_system import ArmSystem
 from cablesense_gap.diagnosis.discrepancy import FlexibleModel
 from cablesense_gap.diagnosis.fitting import refine
-from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.residuals import load_branch
 from cablesense_gap.system import problem_of
 from cablesense_gap.unlisted import repeat_largest_trial, residual_features, residual_patterns
+from cablesense_recording.recording import Recording
 from cablesense_sim.replay import read_tensions_n
 
 SMALL = small_recording()

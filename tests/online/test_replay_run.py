@@ -11,9 +11,9 @@ from recorded_runs import EPOCH_NS, STEP_NS, MadeRun
 from typer.testing import CliRunner
 
 from cablesense_base import CableSenseError
-from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py import topics
 from cablesense_online.replay import RecordedRun, replay_in_process
+from cablesense_recording.recording import RecordingError
 from cablesense_ros.cli.app import app
 
 pytest.importorskip("rclpy", reason="needs ROS 2, or its wheels", exc_type=ImportError)

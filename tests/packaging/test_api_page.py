@@ -9,8 +9,8 @@ import pytest
 from gap_recordings import LAB, small_recording
 
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.recordings.csv_file import write_csv
 from cablesense_gap.simulator import Term
+from cablesense_recording.csv_file import write_csv
 from cablesense_sim.replay import read_tensions_n
 
 PAGE = (Path(__file__).parents[2] / "docs" / "api.md").read_text(encoding="utf-8")

@@ -16,6 +16,8 @@ PACKAGES = [
     "cablesense_base",
     "cablesense_msgs_py",
     "cablesense_sim",
+    "cablesense_recording",
+    "cablesense_contact",
     "training",
     "cablesense_gap",
     "examples",
@@ -75,7 +77,8 @@ def ros_modules() -> set[str]:
     ("folders", "extras"),
     [
         (["cablesense_base", "cablesense_msgs_py", "cablesense_sim"], [""]),
-        (["training/inference"], [""]),
+        (["cablesense_contact"], [""]),
+        (["cablesense_recording"], ["", "gap"]),
         (["training"], ["", "train"]),
         (["cablesense_gap"], ["", "gap"]),
         (["cablesense_plants"], ["", "gap"]),

@@ -5,15 +5,24 @@ import sys
 
 import pytest
 
+import cablesense_contact
 import cablesense_gap
 import cablesense_online
+import cablesense_recording
 import cablesense_sim
 import cablesense_training
 
 
 @pytest.mark.parametrize(
     "package",
-    [cablesense_sim, cablesense_training, cablesense_gap, cablesense_online],
+    [
+        cablesense_sim,
+        cablesense_recording,
+        cablesense_contact,
+        cablesense_training,
+        cablesense_gap,
+        cablesense_online,
+    ],
     ids=lambda package: package.__name__,
 )
 def test_every_name_is_there(package):

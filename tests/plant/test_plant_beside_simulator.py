@@ -7,10 +7,10 @@ import pytest
 from plant_arm import ARM_FILE, NOMINAL
 
 from cablesense_gap.arm_simulator import ArmSimulator
-from cablesense_gap.recordings.recording import Recording
 from cablesense_gap.simulator import Term
 from cablesense_plants.arm.arm import draw_schedule, ideal_arm
 from cablesense_plants.arm.friction import PlantFriction
+from cablesense_recording.recording import Recording
 from cablesense_sim.arm import open_arm
 
 pytestmark = pytest.mark.slow

@@ -11,10 +11,10 @@ from plant_arm import NOMINAL, two_segments
 
 from cablesense_base import Array
 from cablesense_plants.arm.arm import draw_history, draw_schedule, ideal_arm
+from cablesense_plants.arm.blind_cases import draw_kinds, gap_n, make_case
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.listed import LISTED, ArmDraw
 from cablesense_plants.arm.unlisted import UNLISTED
-from cablesense_plants.arm.withhold import draw_kinds, gap_n, make_case
 
 pytestmark = pytest.mark.slow
 

@@ -18,6 +18,7 @@ from robot_sets import (
 )
 from typer.testing import CliRunner
 
+from cablesense_plants.__main__ import app
 from cablesense_plants.cases import PlantError
 from cablesense_plants.robot.cases import draw_case, usual_kind
 from cablesense_plants.robot.causes import LISTED
@@ -30,7 +31,6 @@ from cablesense_plants.robot.motion import (
     written,
 )
 from cablesense_plants.robot.robots import LinkChain, read_chain, stacked
-from cablesense_ros.cli.app import app
 
 TILTED = """<mujoco><worldbody><body pos="0 0 0.3" euler="10 0 20">
   <inertial pos="0 0 0" mass="9" diaginertia="1 1 1"/>
@@ -91,10 +91,10 @@ def test_a_robot_of_the_user_is_run_within_its_range_and_hides_what_is_asked(tmp
         (["robot.xml", "--only", "rust"], "no effect 'rust' of a robot; known are base_tilt"),
     ],
 )
-def test_a_model_or_an_effect_that_cannot_be_withheld_is_one_line(words, fault, tmp_path):
+def test_a_model_or_an_effect_that_cannot_be_hidden_is_one_line(words, fault, tmp_path):
     (tmp_path / "robot.xml").write_text(TILTED)
     (tmp_path / "slide.xml").write_text(TILTED.replace('name="elbow"', 'type="slide" name="e"'))
-    asked = ["gap", "withhold", "--count", "1", "--out", str(tmp_path / "out"), "--model"]
+    asked = ["--count", "1", "--out", str(tmp_path / "out"), "--model"]
     given = [*asked, str(tmp_path / words[0]), *words[1:]]
     with pytest.raises(PlantError, match=fault):
         CliRunner().invoke(app, given, catch_exceptions=False)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from two_link import motion, torques, write_model
 
-from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import RobotRecording
 from cablesense_gap.robot.system import RobotSystem, diagnose, wrong_columns
+from cablesense_recording.recording import RecordingError
 
 LAST = np.array([1.0, -1.0])
 SWAPPED = [1, 0]

@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 from two_link import recorded, write_model
 
-from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot.amending import changed
 from cablesense_gap.robot.doubts import beyond_range, servos_read
 from cablesense_gap.robot.model import load_robot
@@ -15,6 +14,7 @@ from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import read_recording
 from cablesense_gap.robot.system import RobotSystem, diagnose
 from cablesense_gap.simulator import Term
+from cablesense_recording.recording import RecordingError
 
 
 @pytest.fixture

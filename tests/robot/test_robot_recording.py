@@ -9,8 +9,6 @@ import pytest
 from bags import Bag
 from two_link import recorded, write_model
 
-from cablesense_gap.recordings import csv_file, mcap_file
-from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot import recording
 from cablesense_gap.robot.amending import load_amended, write_amended
 from cablesense_gap.robot.inverse import InverseDynamics
@@ -20,6 +18,8 @@ from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import bag_table, read_recording
 from cablesense_gap.simulator import Term
 from cablesense_msgs_py.topics import CABLE_TENSIONS, JOINT_COMMANDS
+from cablesense_recording import csv_file, mcap_file
+from cablesense_recording.recording import RecordingError
 
 BODY = "<mujoco><worldbody><body>{}<geom size='1'/></body></worldbody></mujoco>"
 

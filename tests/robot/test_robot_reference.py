@@ -6,7 +6,6 @@ import pytest
 from two_link import JOINTS, recorded, write_model
 from typer.testing import CliRunner
 
-from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.reference import Reference, since
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
@@ -16,6 +15,7 @@ from cablesense_gap.simulator import Term
 from cablesense_gap.system import problem_of
 from cablesense_gap.verdict import read_verdict
 from cablesense_gap.watch import SeriesError
+from cablesense_recording.recording import RecordingError
 from cablesense_ros.cli.app import app
 
 

@@ -7,7 +7,6 @@ import pytest
 from two_link import JOINTS, XML, motion, torques
 from typer.testing import CliRunner
 
-from cablesense_gap.recordings.recording import RecordingError
 from cablesense_gap.robot.amending import amended_xml
 from cablesense_gap.robot.inverse import Servos
 from cablesense_gap.robot.model import load_robot
@@ -15,6 +14,7 @@ from cablesense_gap.robot.recording import read_recording
 from cablesense_gap.robot.system import diagnose
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import read_verdict
+from cablesense_recording.recording import RecordingError
 from cablesense_ros.cli.app import app
 
 STIFFNESS = 40.0

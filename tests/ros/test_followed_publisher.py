@@ -7,10 +7,10 @@ import pytest
 from ros_graph import Graph, force
 from sensor_msgs.msg import JointState
 
-from cablesense_gap.recordings.checks import read_recording
 from cablesense_msgs_py.messages import Level
 from cablesense_msgs_py.qos import INPUTS
 from cablesense_online.page.live_arm import LiveArm
+from cablesense_recording.checks import read_recording
 from cablesense_ros.arm_client import ArmClient
 from cablesense_ros.recorder import Recorder
 from cablesense_sim.arm import open_arm

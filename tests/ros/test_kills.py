@@ -10,13 +10,13 @@ from ros_graph import force
 
 from cablesense_contact.calibration import Calibrator, Unloaded
 from cablesense_contact.calibration_file import write_calibration
+from cablesense_contact.inference.law_model import LawModel
+from cablesense_contact.inference.metadata import find_model
 from cablesense_msgs_py.qos import Qos
 from cablesense_ros.endpoints import qos_profile
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
-from cablesense_training.inference.law_model import LawModel
-from cablesense_training.inference.metadata import find_model
 
 LOAD_N = np.array([0.0, 30.0, -40.0])
 SEGMENT = 3

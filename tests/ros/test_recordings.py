@@ -11,11 +11,11 @@ from rich.console import Console
 from ros_graph import Graph
 from sensor_msgs.msg import JointState
 
-from cablesense_gap.recordings.checks import read_recording
-from cablesense_gap.recordings.mcap_messages import McapMessages
-from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py.qos import INPUTS
 from cablesense_online.replay import RecordedRun, replay_in_process
+from cablesense_recording.checks import read_recording
+from cablesense_recording.mcap_messages import McapMessages
+from cablesense_recording.recording import RecordingError
 from cablesense_ros import recorder
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of

@@ -4,8 +4,9 @@ import json
 
 import pytest
 
+from cablesense_contact.errors import ModelFileError
+from cablesense_contact.inference.metadata import find_model
 from cablesense_training.data.generation import draw_dataset
-from cablesense_training.errors import ModelFileError
 from cablesense_training.evaluation import comparison
 from cablesense_training.evaluation.comparison import (
     SETTINGS,
@@ -16,7 +17,6 @@ from cablesense_training.evaluation.comparison import (
     evaluate_table2,
     open_single,
 )
-from cablesense_training.inference.metadata import find_model
 
 METRICS = {
     "contact_accuracy",

@@ -10,13 +10,13 @@ from model_fixtures import metadata_for
 from onnx import helper
 from small_models import DOUBLE, small_model, value, written
 
+from cablesense_contact.errors import EstimateError, ModelFileError
+from cablesense_contact.inference.estimator import Estimator
+from cablesense_contact.inference.metadata import find_model
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_sim.loads import normal_force_n
-from cablesense_training.errors import EstimateError, ModelFileError
-from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.metadata import find_model
 
 CDSM = open_arm("cdsm")
 STRAIGHT = np.zeros(8)

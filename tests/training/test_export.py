@@ -6,15 +6,16 @@ import pytest
 import torch
 from model_fixtures import metadata_for
 
+from cablesense_contact.errors import ModelFileError
+from cablesense_contact.inference.estimator import Estimator, MultiEstimator
+from cablesense_contact.inference.law_model import LawModel
+from cablesense_contact.inference.metadata import bundled_models, find_model, find_model_of
+from cablesense_contact.inference.model_file import read_model
+from cablesense_contact.inference.session import TENSION
 from cablesense_sim.arm import open_arm
 from cablesense_training import export
-from cablesense_training.errors import ModelFileError, TrainingError
+from cablesense_training.errors import TrainingError
 from cablesense_training.export import AGREEMENT, export_model
-from cablesense_training.inference.estimator import Estimator, MultiEstimator
-from cablesense_training.inference.law_model import LawModel
-from cablesense_training.inference.metadata import bundled_models, find_model, find_model_of
-from cablesense_training.inference.model_file import read_model
-from cablesense_training.inference.session import TENSION
 from cablesense_training.model_training import build_network
 from cablesense_training.networks.learnt import TwoStageNetwork
 

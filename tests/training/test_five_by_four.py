@@ -6,6 +6,8 @@ import pytest
 from arm_variants import five_by_four, five_by_four_text
 from typer.testing import CliRunner
 
+from cablesense_contact.inference.estimator import Estimator
+from cablesense_contact.inference.law_model import LawModel
 from cablesense_ros.cli.app import app
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.uncertain_arm import arm_parameters
@@ -19,8 +21,6 @@ from cablesense_training.evaluation.metrics import (
     single_contact_metrics,
 )
 from cablesense_training.evaluation.points import point_answer
-from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.law_model import LawModel
 from cablesense_training.law.build import TorchLaw
 
 

@@ -7,9 +7,9 @@ import pytest
 import torch
 from law_arms import LawArm, Push
 
+from cablesense_contact.inference.session import open_session
 from cablesense_contact.law import INPUTS, LawOutput
 from cablesense_sim.arm import open_arm
-from cablesense_training.inference.session import open_session
 from cablesense_training.law.estimator import EstimatorOutput
 from cablesense_training.law_export import _to_onnx
 

@@ -14,16 +14,16 @@ from onnx import TensorProto, helper
 from small_models import CDSM, DOUBLE, FLOAT, refused, small_model, value, written
 
 from cablesense_base import CableSenseError
-from cablesense_sim.arm import open_arm
-from cablesense_training.errors import ModelFileError
-from cablesense_training.inference.estimator import Estimator, MultiEstimator
-from cablesense_training.inference.metadata import (
+from cablesense_contact.errors import ModelFileError
+from cablesense_contact.inference.estimator import Estimator, MultiEstimator
+from cablesense_contact.inference.metadata import (
     FORMAT,
     REMOVED_NETWORKS,
     ModelMetadata,
     effect_versions,
 )
-from cablesense_training.inference.model_file import MAX_FILE_BYTES
+from cablesense_contact.inference.model_file import MAX_FILE_BYTES
+from cablesense_sim.arm import open_arm
 
 
 def test_further_outputs_than_those_needed_are_refused(tmp_path):

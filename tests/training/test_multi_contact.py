@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from cablesense_contact.errors import EstimateError, ModelFileError
+from cablesense_contact.inference.estimator import MultiEstimator
+from cablesense_contact.inference.metadata import find_model
 from cablesense_sim.arm import open_arm
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact
-from cablesense_training.errors import EstimateError, ModelFileError
-from cablesense_training.inference.estimator import MultiEstimator
-from cablesense_training.inference.metadata import find_model
 
 CDSM = open_arm("cdsm")
 

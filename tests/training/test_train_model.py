@@ -5,6 +5,8 @@ from dataclasses import asdict, replace
 import pytest
 from arm_variants import variant
 
+from cablesense_contact.inference.estimator import Estimator
+from cablesense_contact.inference.metadata import REMOVED_NETWORKS
 from cablesense_sim.arm import open_arm
 from cablesense_sim.load_capacity import contact_range_n
 from cablesense_training.errors import TrainingError
@@ -14,8 +16,6 @@ from cablesense_training.evaluation.metrics import (
     single_contact_metrics,
 )
 from cablesense_training.fit import FitSettings
-from cablesense_training.inference.estimator import Estimator
-from cablesense_training.inference.metadata import REMOVED_NETWORKS
 from cablesense_training.model_training import (
     TEST_SEED_OFFSET,
     draw_training_data,

@@ -21,14 +21,18 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_base.installation import config_path
 from cablesense_contact.calibration import Calibrator, Unloaded
+from cablesense_contact.errors import ModelFileError
 from cablesense_contact.estimate import NORMAL_95
+from cablesense_contact.inference.estimator import Estimator, MultiEstimator
+from cablesense_contact.inference.law_model import LawModel
+from cablesense_contact.inference.metadata import ANYWHERE, find_model
+from cablesense_contact.inference.model_file import read_model
 from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
 from cablesense_training.data.dataset import Dataset
 from cablesense_training.data.generation import draw_dataset
 from cablesense_training.data.protocols import MultiContact, Pose, SingleContact
-from cablesense_training.errors import ModelFileError
 from cablesense_training.evaluation.law import exact_calibration
 from cablesense_training.evaluation.metrics import (
     ContactAnswer,
@@ -43,10 +47,6 @@ from cablesense_training.evaluation.metrics import (
     single_contact_metrics,
 )
 from cablesense_training.evaluation.points import point_answer
-from cablesense_training.inference.estimator import Estimator, MultiEstimator
-from cablesense_training.inference.law_model import LawModel
-from cablesense_training.inference.metadata import ANYWHERE, find_model
-from cablesense_training.inference.model_file import read_model
 
 SHIPPED = "shipped"
 """The model that CableSense uses in a setting, in reports."""

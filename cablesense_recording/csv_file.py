@@ -15,12 +15,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
 from cablesense_base.files import written_whole
-from cablesense_gap.recordings.recording import (
-    MAX_NUMBERS,
-    Recording,
-    RecordingError,
-    given_places,
-)
+from cablesense_recording.recording import MAX_NUMBERS, Recording, RecordingError, given_places
 from cablesense_sim.arm import Arm
 
 TIME: Final = "time_s"

@@ -68,7 +68,7 @@ _DOUBLE_SHARE = 0.12
 _REDRAWS = 5
 
 
-def withhold(
+def record_cases(
     folder: Path,
     answers_file: Path,
     nominal: Nominal,

@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 
 from cablesense_gap.amended_arm import write_arm
 from cablesense_gap.arm_simulator import counted_rows
-from cablesense_gap.recordings.checks import check_recording, read_recording
-from cablesense_gap.recordings.csv_file import read_csv
+from cablesense_plants.__main__ import app
+from cablesense_plants.arm.blind_cases import make_case, record_cases
 from cablesense_plants.arm.body import PlantError, read_nominal
-from cablesense_plants.arm.withhold import make_case, withhold
-from cablesense_ros.cli.app import app
+from cablesense_recording.checks import check_recording, read_recording
+from cablesense_recording.csv_file import read_csv
 from cablesense_sim.arm import open_arm
 from cablesense_sim.replay import replay_arm
 
@@ -36,7 +36,7 @@ def arm_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def folder(arm_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("cases")
     nominal = read_nominal(arm_file)
-    list(withhold(place, place / "answers" / "answers.csv", nominal, 2, 7, QUICK))
+    list(record_cases(place, place / "answers" / "answers.csv", nominal, 2, 7, QUICK))
     return place
 
 
@@ -70,7 +70,7 @@ def test_an_arm_of_another_kind_is_read_and_predicted(tmp_path: Path, changes: A
     arm = variant(changes, "cdsm_lab")
     file = tmp_path / "arm.yaml"
     write_arm(file, arm, "")
-    (answer,) = withhold(tmp_path, tmp_path / "a.csv", read_nominal(file), 1, 4, ["none"])
+    (answer,) = record_cases(tmp_path, tmp_path / "a.csv", read_nominal(file), 1, 4, ["none"])
     read = read_recording(tmp_path / "case_001.csv", arm)
     predicted_n = replay_arm(arm, *read.inputs)
     assert check_recording(read, arm, predicted_n) == []
@@ -90,8 +90,8 @@ def test_answers_stand_apart_and_no_recording_contains_them(folder: Path) -> Non
         assert "scale" not in path.read_text()
 
 
-def test_the_verb_makes_the_same_files(folder: Path, arm_file: Path, tmp_path: Path) -> None:
-    arguments = ["gap", "withhold", "--count", "2", "--seed", "7", "--out", str(tmp_path / "out")]
+def test_the_command_makes_the_same_files(folder: Path, arm_file: Path, tmp_path: Path) -> None:
+    arguments = ["--count", "2", "--seed", "7", "--out", str(tmp_path / "out")]
     arguments += ["--answers", str(tmp_path / "kept.csv"), "--workers", "1"]
     arguments += ["--arm", str(arm_file)]
     result = CliRunner().invoke(app, [*arguments, *(f"--only={kind}" for kind in QUICK)])
@@ -105,17 +105,17 @@ def test_the_verb_makes_the_same_files(folder: Path, arm_file: Path, tmp_path: P
 
 def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
     with pytest.raises(PlantError, match="no effect 'sag'"):
-        list(withhold(tmp_path, tmp_path / "a.csv", NOMINAL, 1, 0, ("sag",)))
+        list(record_cases(tmp_path, tmp_path / "a.csv", NOMINAL, 1, 0, ("sag",)))
     perfect = replace(NOMINAL, noise_std_n=0.0, step_n=0.0)
     with pytest.raises(PlantError, match="are both 0"):
-        list(withhold(tmp_path, tmp_path / "a.csv", perfect, 1, 0, ("none",)))
+        list(record_cases(tmp_path, tmp_path / "a.csv", perfect, 1, 0, ("none",)))
     for kind in ("payload+wall", "none+payload"):
         with pytest.raises(PlantError, match="no effect"):
             make_case(NOMINAL, 0, 1, kind)
     (tmp_path / "file").write_text("")
     nominal = read_nominal(two_segments(tmp_path))
     with pytest.raises(PlantError, match="cannot be written"):
-        list(withhold(tmp_path / "file", tmp_path / "a.csv", nominal, 1, 0, ("none",)))
+        list(record_cases(tmp_path / "file", tmp_path / "a.csv", nominal, 1, 0, ("none",)))
 
 
 @pytest.mark.parametrize(

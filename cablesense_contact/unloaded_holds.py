@@ -9,7 +9,7 @@ import numpy as np
 
 from cablesense_contact.cable_slides import LastWay
 from cablesense_contact.calibration import Unloaded
-from cablesense_gap.recordings.recording import Recording, RecordingError
+from cablesense_recording.recording import Recording, RecordingError
 
 SETTLING_S = 1.0
 """Readings this soon after a move, or after a load was taken off, are left out."""

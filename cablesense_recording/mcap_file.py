@@ -16,14 +16,6 @@ from typing import Any
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
-from cablesense_gap.recordings.mcap_messages import McapMessages, RawMessage, parsed_message
-from cablesense_gap.recordings.recording import (
-    MAX_NUMBERS,
-    Recording,
-    RecordingError,
-    derive_trials,
-    given_places,
-)
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
     Load,
@@ -35,6 +27,14 @@ from cablesense_msgs_py.messages import (
 from cablesense_msgs_py.qos import INPUTS
 from cablesense_msgs_py.serialized import require_bounded
 from cablesense_msgs_py.topics import ContractError, Frames
+from cablesense_recording.mcap_messages import McapMessages, RawMessage, parsed_message
+from cablesense_recording.recording import (
+    MAX_NUMBERS,
+    Recording,
+    RecordingError,
+    derive_trials,
+    given_places,
+)
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import contact_of_wrench

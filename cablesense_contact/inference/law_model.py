@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_contact.errors import ModelFileError
+from cablesense_contact.inference.metadata import ANYWHERE
+from cablesense_contact.inference.model_file import one_line, read_model
+from cablesense_contact.inference.session import fits, open_session
 from cablesense_contact.law import INPUTS, LawOutput
 from cablesense_sim.arm import Arm
 from cablesense_sim.uncertain_arm import arm_parameters
-from cablesense_training.errors import ModelFileError
-from cablesense_training.inference.metadata import ANYWHERE
-from cablesense_training.inference.model_file import one_line, read_model
-from cablesense_training.inference.session import fits, open_session
 
 _ROWS_AT_ONCE = 256
 """A row holds some hundred kilobytes while it runs."""

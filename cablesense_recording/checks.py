@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from cablesense_base import Array
-from cablesense_gap.recordings.csv_file import (
+from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD, MAX_LOAD_N
+from cablesense_recording.csv_file import (
     LOAD,
     LOAD_AT,
     LOAD_SEGMENT,
@@ -24,8 +25,8 @@ from cablesense_gap.recordings.csv_file import (
     read_csv,
     tension_columns,
 )
-from cablesense_gap.recordings.mcap_file import is_bag, read_mcap
-from cablesense_gap.recordings.recording import (
+from cablesense_recording.mcap_file import is_bag, read_mcap
+from cablesense_recording.recording import (
     EXCHANGED,
     Finding,
     Recording,
@@ -35,7 +36,6 @@ from cablesense_gap.recordings.recording import (
     rows_named,
     warn,
 )
-from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD, MAX_LOAD_N
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of

@@ -11,10 +11,10 @@ import onnxruntime
 from onnx import ModelProto
 
 from cablesense_base import Array
+from cablesense_contact.errors import ModelFileError
+from cablesense_contact.inference.metadata import MULTI_CONTACT, ModelMetadata
+from cablesense_contact.inference.model_file import one_line, read_model, require_bounded
 from cablesense_sim.arm import Arm
-from cablesense_training.errors import ModelFileError
-from cablesense_training.inference.metadata import MULTI_CONTACT, ModelMetadata
-from cablesense_training.inference.model_file import one_line, read_model, require_bounded
 
 _ROWS_AT_ONCE = 2048
 """Samples that are answered together."""

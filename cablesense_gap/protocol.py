@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array
-from cablesense_gap.recordings.recording import Recording, given_places
+from cablesense_recording.recording import Recording, given_places
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium

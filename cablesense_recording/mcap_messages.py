@@ -23,8 +23,8 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, cast
 import numpy as np
 
 from cablesense_base.files import output_file
-from cablesense_gap.recordings.recording import RecordingError
 from cablesense_msgs_py.qos import Qos
+from cablesense_recording.recording import RecordingError
 
 if TYPE_CHECKING:
     from mcap.records import Chunk, McapRecord

@@ -10,8 +10,8 @@ import onnx
 from onnx import AttributeProto, ModelProto, TensorProto
 
 from cablesense_base.files import read_bounded_bytes
-from cablesense_training.errors import ModelFileError
-from cablesense_training.inference.metadata import ModelMetadata
+from cablesense_contact.errors import ModelFileError
+from cablesense_contact.inference.metadata import ModelMetadata
 
 MAX_FILE_BYTES = 64 * 1024 * 1024
 """Models are a fraction of a megabyte; a file beyond this is not one."""

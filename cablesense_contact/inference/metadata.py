@@ -10,9 +10,9 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from cablesense_base.installation import BundledFiles
+from cablesense_contact.errors import ModelFileError
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of
-from cablesense_training.errors import ModelFileError
 
 FORMAT = "cablesense-model/1"
 """Name and version of the format; a reader refuses any other."""

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablesense_base import Array
+from cablesense_contact.errors import EstimateError
 from cablesense_contact.estimate import NORMAL_95, Estimate
-from cablesense_training.errors import EstimateError
-from cablesense_training.inference.session import COMMAND, TENSION, OpenedModel
+from cablesense_contact.inference.session import COMMAND, TENSION, OpenedModel
 
 OUTPUTS = ("contact_probability", "direction", "magnitude_n", "magnitude_std_n", "angle_std_deg")
 MULTI_OUTPUTS = ("contact_probability", "magnitude_n", "magnitude_std_n")

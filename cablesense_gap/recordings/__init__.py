@@ -1,1 +1,0 @@
-"""Recordings of an arm: commands, known loads, and readings."""
