@@ -10,7 +10,9 @@ from collections import deque
 from functools import partial
 
 import numpy as np
+from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import UInt8MultiArray
 from trajectory_msgs.msg import JointTrajectory
@@ -58,8 +60,11 @@ from cablesense_ros.node_process import (
 from cablesense_sim.build import mechanism_of
 
 _TICK_S = 0.02
-_OWN_COMMANDS = 8
-"""Commands that come back after having been sent are told from those of others by these."""
+_DELIVERED_WITHIN = Duration(seconds=1)
+"""How long the end waits until subscribers have the last command; then they are gone, too."""
+_OWN_COMMANDS = 500
+"""Commands come back after having been sent, on a busy machine seconds later: the stamps of these
+many tell them from those of others."""
 _SIDES = {"auto": None, "one": False, "both": True}
 
 
@@ -100,7 +105,7 @@ class CommissionerNode(Node):
             self._base_rad = np.zeros(arm.joint_count)
         self._commanded_ns = 0
         self._heard_s = -math.inf
-        self._own: deque[Array] = deque(maxlen=_OWN_COMMANDS)
+        self._sent_ns: deque[int] = deque(maxlen=_OWN_COMMANDS)
         self._running: Commissioning | None = None
         self._status = Status("commissioning", Level.OK, "none yet")
         self._message = JointState(name=list(arm.joint_names))
@@ -136,6 +141,7 @@ class CommissionerNode(Node):
         if self._running is not None:
             self._running.stop("the node ends", self._now_ns())
             self._tick()
+            self._commands.wait_for_all_acked(_DELIVERED_WITHIN)
         super().destroy_node()
 
     def _begin(self) -> str:
@@ -173,7 +179,6 @@ class CommissionerNode(Node):
             self._arm, self._law, self._poses_rad, start_rad, now_ns, self._settings
         )
         self._running = running
-        self._own.clear()
         mechanism = mechanism_of(self._arm)
         moved_m = tip_m(mechanism, self._poses_rad) - tip_m(mechanism, start_rad)
         farthest_m = float(np.linalg.norm(moved_m, axis=-1).max())
@@ -207,7 +212,7 @@ class CommissionerNode(Node):
             self._give_way("a breather moves the arm")
             return
         command_rad = joint_command_rad(message, self._joints, self._base_rad)
-        if any(np.array_equal(command_rad, own_rad) for own_rad in self._own):
+        if Time.from_msg(message.header.stamp).nanoseconds in self._sent_ns:
             return
         if self._base_rad is None or not np.array_equal(command_rad, self._base_rad):
             self._commanded_ns = self._now_ns()
@@ -231,10 +236,11 @@ class CommissionerNode(Node):
             return
         command_rad = running.advance(self._now_ns())
         if command_rad is not None:
-            self._own.append(command_rad)
             self._base_rad = command_rad
             put_joint_angles(self._message, command_rad)
-            self._message.header.stamp = self.get_clock().now().to_msg()
+            now = self.get_clock().now()
+            self._sent_ns.append(now.nanoseconds)
+            self._message.header.stamp = now.to_msg()
             self._commands.publish(self._message)
         if running.over:
             self._running = None
