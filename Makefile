@@ -6,13 +6,13 @@ PYTHON ?= $(shell for python in python3 python3.12 python3.11; do \
 ARGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
-# tests/conftest.py groups them: the tests of a file share fixtures, those of real nodes follow one another.
-PARALLEL := --dist loadfile
+# tests/conftest.py says which tests share a worker.
+PARALLEL := --dist loadgroup
 # One worker more than cores: the tests of real nodes mostly wait, and come first.
 ALL := --numprocesses $$(($$(nproc) + 1)) --no-loadscope-reorder
 # Hundreds of processes start in the tests; each would compile every module again.
 unexport PYTHONDONTWRITEBYTECODE
-FAST := --numprocesses auto --ignore=tests/ros --hypothesis-profile=fast -m 'not slow and not ros and not browser'
+FAST := --numprocesses auto --ignore=tests/system/ros --hypothesis-profile=fast -m 'not slow and not ros and not browser'
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 # uv takes a fifth of pip's time. Only pip knows the index and the build of torch that its configuration names.
 UV := $(BIN)/uv pip

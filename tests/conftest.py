@@ -5,17 +5,13 @@ Nor does a test spread small matrices over threads, or fail because the machine 
 
 import os
 import signal
-import sys
 from collections import Counter
-from pathlib import Path
 
 import hypothesis
 import pytest
-from xdist.scheduler import LoadFileScheduling
 
 from cablesense_ros.processes import free_domain
 
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))  # they import each other by name
 # under nohup, or behind a shell's &, all that tests start would ignore these
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -32,58 +28,43 @@ hypothesis.settings.load_profile("any machine")
 BEHIND = 5
 """Niceness of workers whose tests only compute, beside real nodes that must answer in time."""
 
-
-def _in_real_time(nodeid):
-    return nodeid.startswith("tests/ros/")
-
-
-def _in_browser(nodeid):
-    return nodeid.startswith("tests/ros/test_page_browser")
+NODES = "real nodes"
+EXPORTS = "exports"
 
 
-EXPORTING = (
-    "tests/examples/test_examples_without_nodes.py",
-    "tests/packaging/test_tutorial.py",
-    "tests/training/test_export.py",
-    "tests/training/test_five_by_four.py",
-    "tests/training/test_law_export.py",
-    "tests/training/test_train_model.py",
-)
-"""The first export of a network takes a process seconds more than the others: they share one."""
+def _group_of(item):
+    """Tests of one group run in one worker: those of a file, which share fixtures, and more.
 
-
-class _RealTimeOnTwoWorkers(LoadFileScheduling):
-    """Tests of real nodes follow one another, beside those that a browser shows.
-
-    Those that export networks are together as well, the others with those of their file.
+    Real nodes follow one another, as they must answer in time. The first export of a network takes
+    a process seconds more than the others: they share one.
     """
-
-    def _split_scope(self, nodeid):
-        if _in_real_time(nodeid) and not _in_browser(nodeid):
-            return "real time"
-        return "exports" if nodeid.startswith(EXPORTING) else super()._split_scope(nodeid)
+    if _is_of_nodes(item):
+        return NODES
+    return EXPORTS if item.get_closest_marker("exports") else item.nodeid.split("::")[0]
 
 
-def pytest_xdist_make_scheduler(config, log):
-    return _RealTimeOnTwoWorkers(config, log)
+def _is_of_nodes(item):
+    return bool(item.get_closest_marker("ros") and not item.get_closest_marker("browser"))
 
 
+@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
 def pytest_collection_modifyitems(config, items):
-    """Of several workers the first two have the real nodes; then exports and long files come.
+    """Groups for `--dist loadgroup`: first real nodes and the browser, then what takes long.
 
     A test that waits for other processes is repeated once where it fails, and is listed as RERUN:
     a machine with other work may keep one of them waiting for as long as it likes.
     """
     for item in items:
-        if _in_real_time(item.nodeid) or item.get_closest_marker("ros"):
+        item.add_marker(pytest.mark.xdist_group(_group_of(item)))
+        if item.get_closest_marker("ros"):
             item.add_marker(pytest.mark.flaky(reruns=1))
     if hasattr(config, "workerinput"):
         slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
         items.sort(
             key=lambda item: (
-                not _in_real_time(item.nodeid),
-                _in_browser(item.nodeid),
-                not item.nodeid.startswith(EXPORTING),
+                not _is_of_nodes(item),
+                not item.get_closest_marker("browser"),
+                _group_of(item) != EXPORTS,
                 -slow[item.path],
                 item.path,
             )
@@ -92,7 +73,7 @@ def pytest_collection_modifyitems(config, items):
 
 def pytest_runtest_setup(item):
     """Whoever has other tests than those of real nodes lets these go first."""
-    if hasattr(item.config, "workerinput") and not _in_real_time(item.nodeid):
+    if hasattr(item.config, "workerinput") and not item.get_closest_marker("ros"):
         os.nice(max(0, BEHIND - os.nice(0)))
 
 

@@ -1,0 +1,149 @@
+"""What friction carries, by the arm's motion and by the changes of its readings."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+
+from cablesense_contact.cable_slides import CableSlides, LastWay
+from cablesense_contact.slides import Belief, Slides
+from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
+from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.uncertain_arm import arm_parameters
+from tests.helpers.plant_arm import NOMINAL
+
+ARM = open_arm("cdsm_lab")
+MECHANISM = mechanism_of(ARM)
+PARAMETERS = arm_parameters(ARM)
+SLIDES = CableSlides(ARM)
+COUNT = len(PARAMETERS)
+FRICTION = PARAMETERS.slices["friction"].start
+CARRIED = PARAMETERS.carried_friction
+
+
+def known(rng: np.random.Generator) -> Belief:
+    """Everything is correlated with everything, where it is uncertain."""
+    mixed = rng.normal(size=(COUNT, COUNT)) / np.sqrt(COUNT)
+    std = PARAMETERS.prior_std
+    return Belief(PARAMETERS.prior_mean, std[:, None] * (mixed @ mixed.T + np.eye(COUNT)) * std)
+
+
+def with_friction(coefficient: float) -> Belief:
+    mean = PARAMETERS.prior_mean.copy()
+    mean[FRICTION] = coefficient
+    return Belief(mean, np.zeros((COUNT, COUNT)))
+
+
+def some_slides(rng: np.random.Generator) -> Slides:
+    shape = SLIDES.unknown.mean.shape
+    return Slides(rng.uniform(-1, 1, shape), rng.uniform(0.1, 0.5, shape), 0.3 * np.ones(shape))
+
+
+def test_carried_friction_has_the_moments_of_slide_times_coefficient():
+    """Against a million draws of both."""
+    rng = np.random.default_rng(1)
+    before = known(rng)
+    slides = some_slides(rng)
+    after = SLIDES.carried(before, slides)
+    pair = [FRICTION, PARAMETERS.slices["pretension"].start]
+    chosen = np.array([0, 30])  # of two cables, at the pulley and at a guide
+    draws = 1_000_000
+    coefficient, pretension_n = rng.multivariate_normal(
+        before.mean[pair], before.covariance[np.ix_(pair, pair)], draws
+    ).T
+    slide = slides.mean.ravel()[chosen] + 0.3 * rng.normal(size=(draws, 1))
+    slide = slide + slides.std.ravel()[chosen] * rng.normal(size=(draws, 2))
+    drawn = np.column_stack([slide * coefficient[:, None], coefficient, pretension_n])
+    rows = np.concatenate([CARRIED.start + chosen, pair])
+    scale = drawn.std(axis=0)
+    assert_allclose(after.mean[rows] / scale, drawn.mean(axis=0) / scale, atol=5e-3)
+    stated = after.covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
+    assert_allclose(stated, np.cov(drawn.T) / np.outer(scale, scale), atol=5e-3)
+
+
+def test_a_covariance_stays_one():
+    rng = np.random.default_rng(2)
+    after = SLIDES.carried(known(rng), some_slides(rng))
+    scale = np.where(PARAMETERS.prior_std > 0.0, PARAMETERS.prior_std, 1.0)
+    assert np.linalg.eigvalsh(after.covariance / np.outer(scale, scale)).min() > -1e-9
+    absent = np.flatnonzero(PARAMETERS.prior_std == 0.0)
+    assert (after.covariance[absent] == 0.0).all()
+
+
+def test_a_bent_joint_draws_cable_over_the_guides_before_it():
+    bent = np.zeros(MECHANISM.joint_count)
+    bent[4] = np.deg2rad(8.0)  # joint 3
+    slides = SLIDES.after_motion(np.zeros_like(bent), bent)
+    passes = MECHANISM.passes_joint[:, 2]
+    for guide in range(4):
+        assert (np.abs(slides.mean[guide, passes]) > 0.9).sum() >= 4
+        assert_array_equal(slides.mean[guide, ~passes], 0.0)
+    assert_array_equal(slides.mean[4], 0.0)
+    back = SLIDES.after_motion(bent, np.zeros_like(bent))
+    assert_allclose(back.mean, -slides.mean, atol=0.05)
+
+
+def test_only_the_last_of_a_way_counts():
+    way = LastWay()
+    assert way.came_from_rad is None
+    for angle_deg in (0.0, 5.0, 5.4, 5.8, 6.2):
+        way.go(np.array([np.deg2rad(angle_deg)]))
+    assert_allclose(np.rad2deg(way.came_from_rad), [5.0])
+    way.forget()
+    assert way.came_from_rad is None
+
+
+def test_slides_are_those_of_the_plant():
+    """It knows each guide's: after motions, and at the pulleys when it is pushed and released."""
+    friction = 0.05
+    rng = np.random.default_rng(3)
+    exact = Workmanship().scaled(0.0)
+    built = BuiltArm(NOMINAL, exact, rng, friction=friction)
+    command = np.zeros(8)
+    walk = built.walk(command)
+    right = []
+    moved = []
+    for _ in range(4):
+        before = command
+        command = rng.uniform(-0.17, 0.17, 8)
+        untouched_n = walk.go(command).copy()
+        arrived = SLIDES.after_motion(before, command)
+        sure = np.abs(arrived.mean[0]) > 0.9
+        right += list(arrived.mean[0, sure] * at_pulleys(walk, friction)[sure])
+        under_load = SLIDES.under_load(command, untouched_n, with_friction(friction), arrived)
+        force_n = built.axes(command)[2] @ np.array([0.0, 20.0, 10.0])
+        pushed_n = walk.go(command, [Push(3, 0.08, force_n)]).copy()
+        slides = under_load.follow(pushed_n)
+        slid = np.abs(pushed_n - untouched_n) > 0.4
+        moved += list(slides.mean[0, slid] * at_pulleys(walk, friction)[slid])
+        walk.go(command)
+    assert np.mean(right) > 0.99
+    assert np.mean(moved) > 0.9
+
+
+def at_pulleys(walk, friction: float) -> np.ndarray:
+    """(M,) slides over the pulleys, of one radian, by the tensions on both sides."""
+    tension_n = np.maximum(walk.state.tension_n, 1e-3)
+    return np.log(tension_n[:, 1] / tension_n[:, 0]) / friction
+
+
+def test_where_nothing_moves_slides_stay_as_they_came():
+    rng = np.random.default_rng(4)
+    arrived = some_slides(rng)
+    untouched_n = np.full(12, 50.0)
+    under_load = SLIDES.under_load(np.zeros(8), untouched_n, with_friction(0.05), arrived)
+    assert under_load.follow(untouched_n + rng.uniform(-0.3, 0.3, 12)) is arrived
+
+
+def test_a_load_that_is_taken_off_leaves_a_doubt_in_its_direction():
+    untouched_n = np.full(12, 50.0)
+    under_load = SLIDES.under_load(np.zeros(8), untouched_n, with_friction(0.05))
+    push_n = np.linspace(-9.0, 9.0, 12)
+    loaded = under_load.follow(untouched_n + push_n)
+    assert_array_equal(loaded.common, 0.0)
+    assert_array_equal(loaded.mean[0], np.sign(push_n))
+    released = under_load.follow(untouched_n + 0.2 * push_n)
+    assert_array_equal(np.sign(released.common[0]), np.sign(push_n))
+    turned = np.abs(0.8 * push_n) > 0.4
+    assert_array_equal(released.mean[0, turned], -np.sign(push_n[turned]))

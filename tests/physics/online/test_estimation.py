@@ -1,0 +1,308 @@
+"""From samples to contacts: a force only from samples that can be trusted, and its bounds."""
+
+import math
+from contextlib import suppress
+
+import numpy as np
+import pytest
+
+from cablesense_base import CableSenseError
+from cablesense_msgs_py.messages import NO_CONTACT, Contact, ForceState, Load
+from cablesense_online.answer import decide
+from cablesense_online.contacts import LawContacts
+from cablesense_online.estimation import Estimation
+from cablesense_online.models import load_model
+from cablesense_online.samples import ProblemKind, SampleError
+from cablesense_online.simulated_arm import SimulatedArm
+from cablesense_online.tare import CalibratedArm
+from cablesense_sim.arm import open_arm
+from cablesense_sim.build import mechanism_of
+from cablesense_sim.dynamics import ArmDynamics
+from cablesense_sim.equilibrium import solve_equilibrium
+from cablesense_sim.kinematics import segment_rotations
+from tests.helpers.joint_commands import joint_command
+from tests.helpers.sample_feed import (
+    ARM,
+    MECHANISM,
+    PUSHED,
+    SETTINGS,
+    UNLOADED,
+    AnyDifference,
+    Feed,
+    message_bytes,
+)
+
+pytestmark = pytest.mark.filterwarnings("ignore:module .sre_:DeprecationWarning")  # lark
+
+
+def test_a_push_after_the_tare_is_a_contact_whatever_the_order_of_the_cables():
+    feed = Feed()
+    assert feed.sample(PUSHED).force is ForceState.UNTARED
+    assert not feed.estimator.asked
+    feed = Feed().tared()
+    assert feed.sample().force is ForceState.FREE
+    for order in (1, -1):
+        contact = feed.sample(PUSHED[::order], ARM.cable_names[::order]).contact
+        assert (contact.segment, contact.angle_deg, contact.magnitude_n) == (3, 70.0, 40.0)
+        assert contact.contact_m == MECHANISM.contact_m[2]
+        difference, command = feed.estimator.asked[-1]
+        np.testing.assert_allclose(difference, PUSHED - UNLOADED, atol=1e-9)
+        np.testing.assert_array_equal(command, np.zeros(8))
+
+
+def spoiled(value):
+    return [*PUSHED[:4], value, *PUSHED[5:]]
+
+
+@pytest.mark.parametrize(
+    ("sample", "kind"),
+    [
+        ({"tensions": spoiled(math.nan)}, ProblemKind.NOT_FINITE),
+        ({"tensions": spoiled(1e6)}, ProblemKind.IMPLAUSIBLE),
+        ({"tensions": PUSHED[:9], "names": ARM.cable_names[:9]}, ProblemKind.NAMES),
+        ({"tensions": PUSHED, "names": [f"rope_{i}" for i in range(12)]}, ProblemKind.NAMES),
+        ({"tensions": PUSHED, "age_ns": 300_000_000}, ProblemKind.CLOCK),
+        ({"tensions": PUSHED, "age_ns": -300_000_000}, ProblemKind.CLOCK),
+        ({"raw": b""}, ProblemKind.MALFORMED),
+        ({"raw": b"\0\1\0\0" + b"\xff" * 60}, ProblemKind.MALFORMED),
+    ],
+)
+def test_a_bad_sample_gives_no_force_and_the_next_good_one_does(sample, kind):
+    feed = Feed().tared()
+    for angles in (np.full(8, math.nan), np.zeros(7)):
+        with pytest.raises(CableSenseError):  # a refused command leaves the one before
+            feed.command(angles)
+    answer = feed.sample(**sample)
+    state = ForceState.STALE if kind is ProblemKind.CLOCK else ForceState.REFUSED
+    assert (answer.contact, answer.force) == (NO_CONTACT, state)
+    assert answer.stamp_ns in (0, feed.now_ns)
+    assert answer.problem is not None
+    assert answer.problem.kind is kind
+    assert feed.sample(PUSHED).contact.segment == 3
+
+
+def test_no_force_while_the_arm_moves_then_the_unloaded_state_of_the_new_pose():
+    feed = Feed().tared()
+    command = np.full(8, 0.05)
+    feed.command(command)
+    there = solve_equilibrium(MECHANISM, command).tensions_n
+    assert np.abs(there - UNLOADED).max() > 1.0
+    contacts = [feed.sample(there).contact for _ in range(200)]
+    assert set(contacts) == {NO_CONTACT}
+    assert feed.estimator.asked
+    np.testing.assert_allclose(feed.estimator.asked[-1][0], 0.0, atol=1e-9)
+    np.testing.assert_array_equal(feed.estimator.asked[-1][1], command)
+
+
+def test_of_two_publishers_one_is_used_until_it_is_silent():
+    feed = Feed().tared()
+    feed.estimation.publisher.matched(2)
+    for number in range(9000, 9100):
+        assert feed.estimation.follow(number, feed.now_s) is (number == 9000)
+        feed.sample()
+        with pytest.raises(SampleError, match="its publisher's number") as refused:
+            feed.estimation.follow(number - 8990, feed.now_s)
+        assert refused.value.kind is ProblemKind.PUBLISHER
+    assert feed.sample(PUSHED).contact.segment == 3
+    silent_since_s = feed.now_s
+    number = 111
+    while not followed(feed, number):
+        feed.now_ns += 10_000_000
+        number += 1
+    assert feed.now_s - silent_since_s == pytest.approx(SETTINGS.stale_after_s, abs=0.02)
+    began = feed.sample(PUSHED)
+    assert began.force is ForceState.MOVING
+    waited = [feed.sample(PUSHED).contact.segment for _ in range(70)]
+    assert waited == [0] * 59 + [3] * 11  # 0.1 s for the shortest move, 0.5 s to settle
+
+
+def followed(feed, number):
+    with suppress(SampleError):
+        return feed.estimation.follow(number, feed.now_s)
+    return False
+
+
+BENT = np.deg2rad([0.0, 0.0, 8.0, 0.0, 6.0, 0.0, 0.0, 0.0])
+LAB = open_arm("cdsm_lab")
+
+
+def fed(feed, tensions, count=20):
+    return [feed.sample(tensions) for _ in range(count)]
+
+
+@pytest.fixture(scope="module")
+def law():
+    return load_model("cdsm", "").model
+
+
+@pytest.fixture(scope="module")
+def lab_law():
+    return load_model("cdsm_lab", "").model
+
+
+def known(law, arm=ARM, **changes):
+    """An estimation that answers by the law of an arm."""
+    settings = SETTINGS.model_copy(update=changes)
+    calibrated = CalibratedArm(arm, law, settings)
+    return LawContacts(arm, law, calibrated, 0.5, settings.hidden_above_n)
+
+
+def test_beside_a_bent_arm_no_tare_is_taken_before_a_command(law):
+    """Taken for straight it gives a force for good after the next command."""
+    feed = Feed(contacts=known(law))
+    there = solve_equilibrium(MECHANISM, BENT).tensions_n
+    assert all(answer.new_tare is None for answer in fed(feed, there))
+    assert "not those of the untouched arm" in feed.estimation.auto_tare_problem
+    assert all(answer.force is ForceState.UNTARED for answer in fed(feed, there))
+    feed.command(BENT)
+    assert sum(answer.new_tare is not None for answer in fed(feed, there, 300)) == 1
+    feed.command(np.zeros(8))
+    assert {answer.contact for answer in fed(feed, UNLOADED, 300)} == {NO_CONTACT}
+
+
+class Beside:
+    """An estimation beside a simulated arm, at 100 Hz in simulated time."""
+
+    def __init__(self, law, arm=LAB, **parameters):
+        settings = {"joint_speed_rad_s": math.radians(20.0), **parameters}
+        contacts = known(law, arm, **settings)
+        self.file = arm
+        self.estimation = Estimation(arm, contacts, SETTINGS.model_copy(update=settings), 0.0)
+        self.arm = SimulatedArm(ArmDynamics(arm), 1e-3, math.radians(20.0), 0.0, now_s=0.0)
+        self.tick = 0
+
+    @property
+    def now_s(self):
+        return 0.01 * self.tick
+
+    def go_to(self, angles_rad):
+        self.arm.go_to(angles_rad)
+        self.estimation.command(joint_command(self.file, angles_rad))
+
+    def push(self, segment, force_n):
+        self.arm.push(Load(segment, np.array(force_n)), self.now_s)
+
+    def sample(self):
+        self.tick += 1
+        self.arm.advance_to(self.now_s)
+        now_ns = 10**18 + self.tick * 10_000_000
+        reading_n = self.arm.reading_n(self.file.sensors, None)
+        raw = message_bytes(reading_n, now_ns, self.file.cable_names)
+        return self.estimation.sample(raw, now_ns, self.now_s)
+
+
+@pytest.mark.slow
+def test_a_push_is_stated_while_all_joints_turn_slowly(lab_law):
+    """What the motion adds withholds no force, and intervals allow for damping."""
+    limits = {"still_rad": np.deg2rad(0.02), "follow_rad_s": np.deg2rad(4.0)}
+    beside = Beside(lab_law, **limits)
+    mechanism = mechanism_of(LAB)
+    forces = []
+    covered = []
+    angles = np.zeros(8)
+    for tick in range(1, 401):
+        if tick == 50:
+            beside.push(3, [0.0, 20.0, 0.0])
+        if 100 < tick <= 300 and tick % 2 == 0:  # 0.05 rad/s
+            angles = 5e-4 * (tick - 100) * np.array([1, -1, -1, 1, 1, 1, -1, -1])
+            beside.go_to(angles)
+        answer = beside.sample()
+        if tick > 100:
+            forces.append(answer.force)
+            assert answer.contact.segment in (0, 3)
+        if tick > 100 and answer.contact.segment:
+            axis = segment_rotations(mechanism, angles)[2][:, 0]
+            normal_n = np.linalg.norm(np.cross(axis, [0.0, 20.0, 0.0]))
+            covered.append(answer.estimate.low_n <= normal_n <= answer.estimate.high_n)
+    assert np.mean([force is ForceState.MOVING for force in forces]) < 0.05
+    assert forces[-1] is ForceState.CONTACT
+    assert np.mean(covered) > 0.93
+
+
+def test_a_push_is_unconfirmed_until_the_arm_cannot_swing_any_more(lab_law):
+    beside = Beside(lab_law)
+    for _ in range(60):
+        beside.sample()
+    beside.push(4, [0.0, 15.0, 0.0])
+    states = [beside.sample().force for _ in range(100)]
+    assert ForceState.UNCONFIRMED in states[:10]
+    assert states[-1] is ForceState.CONTACT
+
+
+def test_commands_with_the_noise_of_an_encoder_leave_an_arm_at_rest_its_estimate(lab_law):
+    beside = Beside(lab_law, still_rad=3e-4, follow_rad_s=0.07, tare_samples=10)
+    answers = []
+    rng = np.random.default_rng(5)
+    for tick in range(300):
+        if tick == 50:
+            beside.push(3, [0.0, 30.0, 0.0])
+        if tick > 100:
+            beside.estimation.command(joint_command(LAB, rng.normal(0.0, 1e-3, 8)))
+            answers.append(beside.sample())
+        else:
+            beside.sample()
+    contacts = [answer for answer in answers if answer.contact.magnitude_n]
+    off_n = [answer.contact.magnitude_n - 30.0 for answer in contacts]
+    assert len(contacts) > 0.9 * len(answers)
+    assert np.percentile(np.abs(off_n), 95.0) < 1.5
+
+
+def test_the_bounds_hold_magnitude_and_direction_of_the_estimate():
+    feed = Feed().tared()
+    answer = feed.sample(PUSHED)
+    contact = answer.contact
+    (lower, upper) = answer.bounds
+    assert lower.segment == upper.segment == contact.segment == 3
+    assert lower.magnitude_n < contact.magnitude_n < upper.magnitude_n
+    assert upper.magnitude_n - lower.magnitude_n == pytest.approx(4 * 0.1, rel=0.03)
+    assert upper.angle_deg - lower.angle_deg == pytest.approx(4 * 5.0, rel=0.03)
+
+
+def test_a_force_that_may_act_unseen_makes_the_state_hidden():
+    unsure = Feed(AnyDifference(std_n=3.0)).tared()
+    answer = unsure.sample()
+    assert (answer.contact, answer.force) == (NO_CONTACT, ForceState.HIDDEN)
+    lower, upper = answer.bounds
+    assert (lower, round(upper.magnitude_n)) == (NO_CONTACT, 6)
+    tolerant = Feed(AnyDifference(std_n=3.0), hidden_above_n=7.0).tared()
+    assert tolerant.sample().force is ForceState.FREE
+
+
+def test_a_parameter_decides_what_an_unknown_force_is_published_as():
+    feed = Feed().tared()
+    known = [feed.sample(), feed.sample(PUSHED)]
+    unknown = feed.sample([math.nan, *PUSHED[1:]])
+    for answer in known:
+        assert answer.wrench("nan") == answer.wrench("none") == answer.contact.wrench
+    assert unknown.wrench("zero") == NO_CONTACT.wrench
+    assert np.isnan(unknown.wrench("nan")).all()
+    assert unknown.wrench("none") is None
+
+
+CONTACT_M = (0.05, 0.06, 0.07, 0.08)
+
+
+def decided(probabilities, angle_deg=0.0, magnitude_n=5.0, threshold=0.5):
+    return decide(probabilities, angle_deg, magnitude_n, threshold, CONTACT_M)
+
+
+def test_the_likeliest_segment_is_touched_where_any_contact_reaches_the_threshold():
+    assert decided([0.1, 0.2, 0.1, 0.55, 0.05], 70.0, 40.0) == Contact(3, 70.0, 40.0, 0.07)
+    assert decided([0.4, 0.15, 0.15, 0.1, 0.2]).segment == 4
+    assert decided([0.25, 0.75, 0.0, 0.0, 0.0], threshold=0.75).segment == 1
+    assert decided([0.25, 0.75, 0.0, 0.0, 0.0], threshold=0.8) == NO_CONTACT
+    assert decided([0.0, 1.0, 0.0, 0.0, 0.0], 10.0, -3.0) == NO_CONTACT  # it does not push
+
+
+@pytest.mark.parametrize(
+    "estimate",
+    [
+        ([1.0, math.nan, 0.0, 0.0, 0.0], 10.0, 0.0),
+        ([1.0, 0.0, 0.0, 0.0, 0.0], math.inf, 0.0),
+        ([1.0, 0.0, 0.0, 0.0, 0.0], 10.0, -math.inf),
+    ],
+)
+def test_a_number_that_is_not_finite_is_refused_also_where_nothing_touches(estimate):
+    with pytest.raises(SampleError) as caught:
+        decided(*estimate)
+    assert caught.value.kind is ProblemKind.ESTIMATE

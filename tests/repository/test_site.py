@@ -1,0 +1,52 @@
+"""What a stranger meets first: the site, the workflow and the forms."""
+
+import re
+import subprocess
+import sys
+from importlib import import_module
+
+import pytest
+import yaml
+
+from tests.helpers.checkout import CHECKOUT
+
+PACKAGES = ("cablesense_sim", "cablesense_training", "cablesense_gap", "cablesense_online")
+
+
+@pytest.mark.slow
+def test_the_site_builds_with_every_link_right_and_every_public_name(tmp_path):
+    build = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--strict"]
+    done = subprocess.run(
+        [*build, "--site-dir", tmp_path], cwd=CHECKOUT, capture_output=True, check=False, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    for package in PACKAGES:
+        page = (tmp_path / "api" / package / "index.html").read_text(encoding="utf-8")
+        shown = set(re.findall(rf'<h2 id="{package}\.([\w.]+)"', page))
+        assert shown == set(import_module(package).__all__), package
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("schema", "files"),
+    [
+        ("github-workflows", ".github/workflows/*.yml"),
+        ("github-issue-forms", ".github/ISSUE_TEMPLATE/*.yml"),
+        ("citation-file-format", "CITATION.cff"),
+    ],
+)
+def test_files_for_hosts_follow_their_schemas(schema, files):
+    found = sorted(CHECKOUT.glob(files))
+    assert found
+    check = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", f"vendor.{schema}"]
+    done = subprocess.run([*check, *found], capture_output=True, check=False, text=True)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_workflow_runs_the_commands_of_the_readme():
+    workflow = yaml.safe_load((CHECKOUT / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
+    (job,) = workflow["jobs"].values()
+    run = [step["run"] for step in job["steps"] if "run" in step]
+    readme = (CHECKOUT / "README.md").read_text(encoding="utf-8")
+    assert run == ["make demo ARGS=--headless", "make test"]
+    assert all(command in readme for command in run)

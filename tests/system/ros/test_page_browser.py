@@ -1,0 +1,408 @@
+"""The page in a real Chromium, over real DDS: it draws, and a push on it moves the estimate.
+
+Another website gets nothing.
+"""
+
+import base64
+import contextlib
+import io
+import json
+import re
+import shutil
+import signal
+import subprocess
+import threading
+import time
+import urllib.request
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser", reason="needs viser: install the extra `page`")
+
+from PIL import Image
+from websockets.sync.client import connect
+
+from cablesense_ros.processes import ProcessError, Processes, node_command, own_graph
+from tests.helpers.page_visitor import SUBPROTOCOL
+
+# a picture takes Chromium fifteen seconds where other tests keep the cores busy
+pytestmark = [pytest.mark.browser, pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(500)]
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-default-apps",
+    "--disable-extensions",
+    "--remote-debugging-port=0",
+    "--window-size=1600,900",
+    "about:blank",
+)
+PATIENCE_S = 150.0
+WIDTH = 960
+HEIGHT = 480
+"""Small: Chromium renders in software, which costs by the pixel."""
+
+
+BUTTON = "[...document.querySelectorAll('button')].find(b => b.textContent.trim() === '%s')"
+
+
+class Tab:
+    """One tab of a headless Chromium, driven through the DevTools protocol."""
+
+    def __init__(self, address):
+        self._socket = connect(address, max_size=None)
+        self._count = 0
+        self.resize(WIDTH, HEIGHT)
+
+    def resize(self, width, height):
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=width < 500,
+        )
+
+    def call(self, method, **parameters):
+        self._count += 1
+        self._socket.send(json.dumps({"id": self._count, "method": method, "params": parameters}))
+        while True:
+            answer = json.loads(self._socket.recv(timeout=120))
+            if answer.get("id") == self._count:
+                return answer["result"]
+
+    def evaluate(self, script):
+        found = self.call(
+            "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
+        )
+        return found["result"].get("value")
+
+    def wait_for(self, script, what, timeout_s=PATIENCE_S):
+        until = time.monotonic() + timeout_s
+        while time.monotonic() < until:
+            value = self.evaluate(script)
+            if value:
+                return value
+            time.sleep(0.1)
+        shown = "[...document.querySelectorAll('.cablesense')].map(e => e.innerText).join('\\n')"
+        return pytest.fail(f"the page never showed {what}; it shows:\n{self.evaluate(shown)}")
+
+    def has_button(self, label):
+        return self.evaluate(f"!!{BUTTON % label}")
+
+    def click_button(self, label):
+        assert self.has_button(label), f"no button {label!r}"
+        self.evaluate(f"{BUTTON % label}.click()")
+
+    def press(self, slider, key):
+        """A key on a slider, found by its label: a busy page leaves some of many out."""
+        focused = self.evaluate(
+            "(() => { const label = [...document.querySelectorAll('label')]"
+            f".find(l => l.textContent.trim() === {slider!r}); let at = label;"
+            " while (at && !at.querySelector('[role=slider]')) at = at.parentElement;"
+            " if (at) at.querySelector('[role=slider]').focus(); return !!at; })()"
+        )
+        assert focused, f"no slider {slider!r}"
+        for kind in ("keyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key)
+
+    def screenshot(self):
+        return base64.b64decode(self.call("Page.captureScreenshot", optimizeForSpeed=True)["data"])
+
+    def close(self):
+        with contextlib.suppress(Exception):
+            self.call("Page.close")
+        self._socket.close()
+
+
+class Browser(Tab):
+    """A headless Chromium, and its first tab."""
+
+    def __init__(self, program, profile):
+        self._process = subprocess.Popen(
+            [program, f"--user-data-dir={profile}", *FLAGS],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        lines = []
+        for line in self._process.stderr:
+            lines.append(line)
+            found = re.search(r"DevTools listening on ws://([^/]+)/", line)
+            if found:
+                break
+        else:
+            pytest.fail(f"{program} did not start: {''.join(lines)[-500:]}")
+        self._tabs = f"http://{found[1]}/json"
+        with urllib.request.urlopen(self._tabs) as answer:
+            tabs = json.load(answer)
+        super().__init__(next(t for t in tabs if t["type"] == "page")["webSocketDebuggerUrl"])
+
+    def new_tab(self, url):
+        """Another tab, that shows a page."""
+        request = urllib.request.Request(f"{self._tabs}/new?{url}", method="PUT")
+        with urllib.request.urlopen(request) as answer:
+            return Tab(json.load(answer)["webSocketDebuggerUrl"])
+
+    def close(self):
+        super().close()
+        self._process.terminate()
+        self._process.wait(10)
+        self._process.stderr.close()
+
+
+@pytest.fixture(scope="module")
+def browser_program():
+    program = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if program is None:
+        pytest.skip(f"no Chromium on PATH ({', '.join(BROWSERS)}); install one to test the page")
+    return program
+
+
+@pytest.fixture(scope="module")
+def processes(tmp_path_factory, browser_program):
+    environment = own_graph()
+    environment["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    page = node_command("page", {"port": 18_080, "home_at_start": True, "rate_hz": 5.0})
+    commands = {"sim": node_command("sim"), "estimator": node_command("estimator"), "page": page}
+    with Processes(commands, tmp_path_factory.mktemp("logs"), environment) as processes:
+        yield processes
+        try:
+            processes.check()
+        except ProcessError as ended:
+            ended.add_note(processes["page"].log)
+            raise
+
+
+@pytest.fixture(autouse=True)
+def page_log(processes):
+    """The page's log, which pytest shows with a test that fails."""
+    yield
+    print(processes["page"].log)
+
+
+@pytest.fixture(scope="module")
+def page_url(processes):
+    return processes.wait_for_line("page", "page: ", PATIENCE_S)
+
+
+@pytest.fixture
+def website():
+    """The address of another server of this machine, with an empty page."""
+
+    class Empty(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Empty) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}/"
+        server.shutdown()
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def browser(page_url, browser_program, tmp_path_factory):
+    browser = Browser(browser_program, tmp_path_factory.mktemp("profile"))
+    try:
+        browser.call("Page.navigate", url=page_url)
+        browser.wait_for("!!document.querySelector('#cablesense-status')", "its figures")
+        browser.evaluate(WITHOUT_NOTICES)
+        yield browser
+    finally:
+        browser.close()
+
+
+STATUS = "document.querySelector('#cablesense-status').innerText"
+WITHOUT_NOTICES = (
+    "document.head.append(Object.assign(document.createElement('style'),"
+    " {textContent: '.mantine-Notifications-root { display: none }'}))"
+)
+"""The viewer's notice of slow rendering lies above the arm on a busy machine."""
+
+
+@pytest.fixture
+def at_rest(browser):
+    """Nothing touches the arm, whatever the test before left on it."""
+    browser.wait_for("document.body.innerText.includes('Move the joints')", "the controls")
+    if browser.has_button("Release"):
+        browser.click_button("Release")
+    browser.wait_for(f"{STATUS} === 'No contact'", "an arm at rest")
+
+
+CUT_OFF = "[...document.querySelectorAll('.cablesense')].some(e => e.scrollWidth > e.clientWidth)"
+
+
+def cells(browser, row):
+    script = f"document.querySelector('#cablesense-{row}')?.innerText"
+    return (browser.evaluate(script) or "").split("\t")[1:]
+
+
+def canvas_pixels(browser):
+    """Pixels (H, W, 3) of the middle of the page, where the panels do not reach."""
+    image = np.asarray(Image.open(io.BytesIO(browser.screenshot())).convert("RGB"))
+    return image[HEIGHT // 5 : -HEIGHT // 8, WIDTH // 3 : -WIDTH // 4].astype(int)
+
+
+def eventually(found, accept, what, timeout_s=PATIENCE_S):
+    """What is found, once it is accepted."""
+    until = time.monotonic() + timeout_s
+    while not accept(last := found()):
+        assert time.monotonic() < until, f"{what}: {last}"
+        time.sleep(0.1)
+    return last
+
+
+def wait_for_cells(browser, row, accept):
+    return eventually(lambda: cells(browser, row), accept, f"row {row}")
+
+
+def drawn(pixels):
+    """Whether the arm is on the canvas: many colours, not one ground."""
+    return len(np.unique(pixels.reshape(-1, 3), axis=0)) > 500 and pixels.std() > 10.0
+
+
+def is_orange(pixels):
+    """Where the true force is drawn."""
+    return (pixels[..., 0] > 150) & (pixels[..., 2] < 60)
+
+
+def arrow_px(browser):
+    """The column of the true force's arrow, some pixels off where the estimate's covers it.
+
+    NaN until it is drawn.
+    """
+    columns = np.argwhere(is_orange(canvas_pixels(browser)))[:, 1]
+    return columns.mean() if len(columns) > 50 else np.nan
+
+
+def right(row):
+    """Whether the cells of a contact are those of the page's first push, within its accuracy."""
+    if row[:1] != ["4"]:
+        return False
+    place_mm, angle_deg, force_n = (float(cell) for cell in row[1:4])
+    return (
+        abs(place_mm - 65.0) < 1.0 and abs(angle_deg - 215.0) < 2.0 and abs(force_n - 60.0) < 2.0
+    )
+
+
+OPENED = """new Promise(done => {
+    const socket = new WebSocket(%r, [%r]);
+    socket.onopen = () => done("open");
+    socket.onerror = () => done("refused");
+})"""
+"""Whether a page gets a WebSocket of this address."""
+
+
+def test_another_website_gets_no_websocket_of_the_page(page_url, browser, website):
+    """First, so that the start of the browser is not part of a longer test."""
+    address = page_url.replace("http", "ws").rstrip("/")
+    assert browser.evaluate(OPENED % (address, SUBPROTOCOL)) == "open"
+    tab = browser.new_tab(website)
+    for path in (address, address.rpartition("/")[0]):
+        assert tab.evaluate(OPENED % (path, SUBPROTOCOL)) == "refused"
+    tab.close()
+
+
+def test_a_push_on_the_page_moves_arm_wrench_and_estimate(page_url, browser, at_rest):
+    assert page_url.startswith("http://127.0.0.1:")
+    text = browser.evaluate("document.body.innerText")
+    for label in (
+        "Push the arm",
+        "place, mm",
+        "angle, °",
+        "force, N",
+        "along, N",
+        "joint 4 yaw, °",
+        "Undo the tare",
+        "contact probability",
+        "cable tension",
+        "direction error",
+        "place error",
+        "95 % of the place",
+        "95 % of the force",
+    ):
+        assert label in text
+    assert browser.evaluate("document.title") == "CableSense"
+    assert "Breathe" not in text  # nothing here breathes
+    font = browser.evaluate("getComputedStyle(document.querySelector('.cablesense')).fontSize")
+    assert font == "13px"
+    browser.wait_for("document.querySelectorAll('canvas').length >= 2", "the scene and the traces")
+    before = eventually(lambda: canvas_pixels(browser), drawn, "the canvas stayed empty")
+    browser.click_button("Push")
+    true = wait_for_cells(browser, "true", lambda row: row[3:4] == ["60.0"])
+    assert true == ["4", "65", "215.0", "60.0", "–"]
+    wait_for_cells(browser, "estimated", right)
+
+    def shows_both(after):
+        blue = (after[..., 2] > 150) & (after[..., 0] < 90)
+        changed = np.abs(after - before).max(axis=-1) > 40
+        return is_orange(after).sum() > 50 and blue.sum() > 50 and changed.sum() > 500
+
+    eventually(lambda: canvas_pixels(browser), shows_both, "the arrows were not drawn")
+    browser.click_button("Release")
+    wait_for_cells(browser, "true", lambda row: row[:1] == ["none"])
+    wait_for_cells(browser, "estimated", lambda row: row[:1] == ["none"])
+
+
+def test_a_push_off_the_middle_is_set_by_the_slider_and_drawn_there(browser, at_rest):
+    browser.press("place, mm", "Home")
+    browser.click_button("Push")
+    wait_for_cells(browser, "true", lambda row: row[1:2] == ["0"])
+    near_px = eventually(lambda: arrow_px(browser), np.isfinite, "no arrow was drawn")
+    browser.press("place, mm", "End")
+    true = wait_for_cells(browser, "true", lambda row: row[1:2] == ["130"])
+    assert true[:4] == ["4", "130", "215.0", "60.0"]
+    moved = "the arrow did not move along the arm"
+    eventually(lambda: arrow_px(browser), lambda px: px > near_px + 20.0, moved)
+    browser.press("along, N", "ArrowLeft")
+    wait_for_cells(browser, "true", lambda row: row[4:] not in ([], ["–"], true[4:]))
+    wait_for_cells(browser, "estimated", lambda row: row[:1] == ["4"])
+    assert not browser.evaluate(CUT_OFF)
+    browser.click_button("Release")
+    wait_for_cells(browser, "true", lambda row: row[:1] == ["none"])
+
+
+def test_a_silent_estimator_is_never_no_contact(processes, browser, at_rest):
+    processes["estimator"].signal(signal.SIGSTOP)
+    try:
+        browser.wait_for(f"{STATUS} === 'The estimator is silent'", "the silence")
+        assert cells(browser, "estimated")[0] == "no answer"
+    finally:
+        processes["estimator"].signal(signal.SIGCONT)
+    browser.wait_for(f"{STATUS} === 'No contact'", "an estimate again")
+
+
+def test_on_a_phone_the_estimate_is_there_and_nothing_is_cut_off(browser, at_rest):
+    browser.click_button("Push")
+    wait_for_cells(browser, "estimated", lambda row: row[:1] == ["4"])
+    browser.resize(390, 844)
+    try:
+        summary = "document.querySelector('.cablesense-narrow')?.getBoundingClientRect()"
+        browser.wait_for(f"{summary}.width > 300", "the estimate over the width of the phone")
+        places = browser.evaluate(
+            "[...document.querySelectorAll('.cablesense, .cablesense *, button')]"
+            ".map(e => e.getBoundingClientRect()).filter(r => r.width > 0)"
+            ".map(r => [r.left, r.right])"
+        )
+        assert min(left for left, _ in places) >= 0
+        assert max(right for _, right in places) <= 390
+        assert 0 < browser.evaluate(f"{summary}.bottom") <= 844
+    finally:
+        browser.resize(WIDTH, HEIGHT)

@@ -1,0 +1,190 @@
+"""The report: its first line is the verdict, it says what to do, and it stands alone."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cablesense_gap.amended_arm import amended_arm
+from cablesense_gap.arm_nuisance import expected_parameters
+from cablesense_gap.arm_system import Diagnosis
+from cablesense_gap.report.page import report_page, write_diagnosis
+from cablesense_gap.report.text import headline
+from cablesense_gap.simulator import Term
+from cablesense_gap.verdict import EstimatorErrors, FittedNumber, read_verdict
+from cablesense_sim.arm import load_arm
+from tests.helpers.gap_recordings import LAB, small_recording
+from tests.helpers.html_page import Page, draw_no_pictures
+from tests.helpers.verdict_cases import gap_of, verdict_of
+
+pytestmark = pytest.mark.slow  # each page has pictures to draw
+
+SMALL = small_recording()
+NOISE = np.random.default_rng(3).normal(0.0, 0.1, SMALL.tensions_n.shape)
+PAYLOAD = verdict_of(
+    "payload",
+    0.93,
+    others={"base_tilt": 0.07},
+    segments=("segment_2",),
+    parameters={
+        "payload.segment_2.mass_kg": FittedNumber(value=0.4, unit="kg", ci95=(0.38, 0.42))
+    },
+    why=("Only a payload <pulls> like that.",),
+    next_experiment="Load segment 2 downwards.",
+    estimator=EstimatorErrors(before={"force MAE, N": 4.0}, after={"force MAE, N": 0.5}),
+)
+
+
+def found(
+    verdict, recording=SMALL, before_n=NOISE - 3.0, after_n=NOISE, findings=(), counted=True
+):
+    """A diagnosis with such residuals before and after, negated."""
+    before_n = recording.tensions_n + before_n
+    after_n = recording.tensions_n + after_n
+    rows = np.broadcast_to(counted, len(recording))
+    known = expected_parameters(LAB)
+    return Diagnosis(recording, LAB, verdict, LAB, before_n, after_n, rows, known, findings)
+
+
+@pytest.fixture(scope="module")
+def html():
+    return report_page(found(PAYLOAD))
+
+
+@pytest.fixture(scope="module")
+def page(html):
+    return Page(html)
+
+
+@pytest.fixture
+def text_of(monkeypatch):
+    """The text of a diagnosis's page, its title first."""
+    draw_no_pictures(monkeypatch)
+    return lambda verdict, **made: " ".join(Page(report_page(found(verdict, **made))).text.split())
+
+
+def test_the_first_line_is_the_verdict(page):
+    assert page.h1 == ("The gap comes from mass that nobody modelled, on segment 2 (93 % sure).")
+    assert page.text.strip().startswith(page.h1)  # the title too
+
+
+def test_it_says_what_to_do_and_shows_figures(page):
+    for words in (
+        "Use the amended arm file amended_arm.yaml",
+        "cablesense export --arm amended_arm.yaml",
+        "Load segment 2 downwards.",
+        "0.400",
+        "0.380 to 0.420",
+        "Only a payload <pulls> like that.",
+        "force MAE, N",
+        "Nothing was missing",
+    ):
+        assert words in page.text, words
+
+
+def test_it_stands_alone(page):
+    assert len(page.sources) == 3
+    for source in page.sources:
+        kind, _, data = source.partition(";base64,")
+        assert kind in ("data:image/png", "data:image/svg+xml")
+        assert len(base64.b64decode(data)) > 1000
+
+
+def test_none_keeps_the_arm_and_shows_nothing_amended(text_of):
+    text = text_of(verdict_of("none", 0.97, gap=gap_of(0.12, 0.12)), before_n=NOISE)
+    assert text.startswith("Nothing to add")
+    assert "Keep the nominal arm file" in text
+    assert "amended" not in text.lower()
+    assert "What remains" not in text
+
+
+def test_unknown_warns_against_amending_and_names_places(text_of):
+    text = text_of(verdict_of("unknown", 0.7, cables=("cable_1", "cable_2")))
+    assert text.startswith(
+        "Something that no known effect explains makes a gap of 3.00 N, at cables 1 and 2 "
+        "(70 % sure)."
+    )
+    assert "Do not amend the arm file" in text
+    assert "Use the amended" not in text
+
+
+@pytest.mark.parametrize(
+    ("value", "ci95", "words"),
+    [
+        (0.5, (0.43, 0.5), "at least 0.430; its range ends at 0.500"),
+        (-0.5, (-0.5, -0.44), "at most -0.440; its range ends at -0.500"),
+        (0.5, (-0.5, 0.5), "anywhere in its range"),
+        (0.4, (0.3, 0.5), "0.30 to 0.50"),
+    ],
+)
+def test_a_number_at_an_end_of_its_range_is_known_to_one_side(text_of, value, ci95, words):
+    number = FittedNumber(value=value, unit="1", ci95=ci95)
+    text = text_of(verdict_of("payload", parameters={"payload.segment_2.beyond_middle": number}))
+    assert words in text
+    assert "beyond the segment's middle, as a share of the segment's length" in text
+
+
+@pytest.mark.parametrize(
+    ("effects", "probability", "others", "begins", "ends"),
+    [
+        ("payload", 0.93, {}, "The gap comes from", "(93 % sure)."),
+        (
+            "payload",
+            0.37,
+            {"base_tilt": 0.32, "unknown": 0.29, "none": 0.02},
+            "The gap may come from",
+            "(most likely of three, 37 %).",
+        ),
+        ("payload", 0.32, {"unknown": 0.4}, "The gap may come from", "(one of two, 32 %)."),
+        ("unknown", 0.4, {"payload": 0.35}, "Something that", "(most likely of two, 40 %)."),
+    ],
+)
+def test_probable_is_said_of_more_than_half_alone(effects, probability, others, begins, ends):
+    said = headline(verdict_of(effects, probability, others=others))
+    assert said.startswith(begins)
+    assert said.endswith(ends)
+
+
+@pytest.mark.parametrize(
+    ("effects", "after_n", "words"),
+    [
+        ("payload", 0.2, "amended arm shrinks the gap from 3.00 N to 0.20 N on trials"),
+        ("payload", 3.2, "does not shrink"),
+        ("unknown", 0.2, "flexible correction, which knows no physics, shrinks the gap"),
+        ("unknown", 3.0, "No effect of the library shrinks it"),
+        ("none", 3.0, "noise and the sensors' step alone make 0.10 N"),
+    ],
+)
+def test_how_far_the_gap_shrinks_is_stated(text_of, effects, after_n, words):
+    assert words in text_of(verdict_of(effects, gap=gap_of(3.0, after_n)))
+
+
+def test_what_is_doubtful_is_to_be_made_sure_first(text_of):
+    sure = text_of(verdict_of("payload", 0.95, next_experiment="Load it."))
+    assert sure.index("Use the amended") < sure.index("To be surer still. Load it.")
+    for doubtful in (
+        verdict_of("payload", 0.6, next_experiment="Load it."),
+        verdict_of("payload", 0.95, next_experiment="Load it.", gap=gap_of(3.0, 2.0)),
+        verdict_of("payload", 0.95, next_experiment="Load it.", ambiguity_group=("none",)),
+    ):
+        text = text_of(doubtful)
+        assert text.index("First make sure. Load it.") < text.index("Use the amended")
+        assert ("40 % of the probability lies elsewhere" in text) == (doubtful.probability < 0.9)
+
+
+def test_the_folder_holds_the_verdict_the_amended_arm_and_the_report(tmp_path, monkeypatch):
+    draw_no_pictures(monkeypatch)
+    folder = tmp_path / "new" / "diagnosis"
+    heavier = amended_arm(LAB, {Term("payload", "segment_2", "mass_kg"): 0.3}, {})
+    diagnosis = replace(found(PAYLOAD, findings=("cable_3 stands still",)), amended=heavier)
+    write_diagnosis(folder, diagnosis)
+    assert read_verdict(folder / "verdict.json") == PAYLOAD
+    amended = folder / "amended_arm.yaml"
+    assert load_arm(amended) == heavier
+    headline = amended.read_text(encoding="utf-8").splitlines()[0]
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert headline.removeprefix("# ") in page
+    assert "cable_3 stands still" in page

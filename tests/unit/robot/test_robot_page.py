@@ -1,0 +1,59 @@
+"""The example of `docs/robot_method.md` runs, and says what the page says."""
+
+import re
+
+import numpy as np
+import pytest
+
+from cablesense_gap.report.page import robot_page
+from cablesense_gap.robot.model import load_robot
+from cablesense_gap.robot.preparation import prepared
+from cablesense_gap.robot.recording import read_recording
+from cablesense_gap.robot.system import RobotDiagnosis, RobotSystem
+from cablesense_gap.system import problem_of
+from cablesense_gap.verdict import ChannelGap
+from tests.helpers.checkout import CHECKOUT
+from tests.helpers.two_link import recorded, write_model
+from tests.helpers.verdict_cases import gap_of, verdict_of
+
+PAGE = CHECKOUT / "docs" / "robot_method.md"
+
+
+def test_the_simulator_of_the_page_finds_the_sticking_pointer(capsys):
+    examples = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    example = next(e for e in examples if "class Balance" in e)
+    exec(compile(example, str(PAGE), "exec"), {})
+    assert capsys.readouterr().out.strip() == "('stuck',)"
+
+
+@pytest.mark.parametrize(
+    ("effects", "more", "says", "never"),
+    [
+        ("unknown", {}, "45.9 floors, with manufacturing tolerances 16.7 floors", "shrinks"),
+        ("unknown", {}, "Keep the nominal model", "flexible correction"),
+        ("joint_friction", {"doubts": ("It ends.",)}, "rely on the amended model yet", "Use the"),
+        ("joint_friction", {}, "Use the amended model", "rely on the amended model yet"),
+    ],
+)
+def test_the_report_says_what_to_do(tmp_path, effects, more, says, never):
+    robot = load_robot(write_model(tmp_path))
+    motion = prepared(read_recording(recorded(tmp_path / "recording.csv"), robot), robot)
+    system = RobotSystem(robot, motion, {})
+    channels = {"elbow": ChannelGap(unit="N·m", before=1.0, after=0.1, floor=0.1)}
+    gap = gap_of(45.9, 16.7, 1.0).model_copy(update={"effects_n": 17.0})
+    named = verdict_of(effects, gap=gap, channels=channels, rows=9, **more)
+    named = named.model_copy(update={"unit": "floors"})
+    nothing = np.zeros_like(system.readings)
+    found = RobotDiagnosis(system, named, {}, nothing, nothing, (), {})
+    page = " ".join(robot_page(found, "folder").split())
+    assert says in page
+    assert never not in page
+
+
+def test_a_gap_that_nothing_explains_has_a_next_experiment(tmp_path):
+    robot = load_robot(write_model(tmp_path))
+    motion = prepared(read_recording(recorded(tmp_path / "recording.csv"), robot), robot)
+    system = RobotSystem(robot, motion, {})
+    residual = np.where(system.trial[:, None] == 3, 9.0, 1.0) * np.ones_like(system.readings)
+    said = system.unlisted(problem_of(system), residual).experiment
+    assert said.startswith("Repeat trial 3, which has the largest residual (9 floors)")

@@ -1,0 +1,64 @@
+"""The law as an ONNX graph answers as PyTorch does, for any number of readings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from cablesense_contact.inference.session import open_session
+from cablesense_contact.law import INPUTS, LawOutput
+from cablesense_sim.arm import open_arm
+from cablesense_training.law.estimator import EstimatorOutput
+from cablesense_training.law_export import _to_onnx
+from tests.helpers.law_arms import LawArm, Push
+
+pytestmark = [pytest.mark.exports, pytest.mark.slow]
+
+ROWS = 7
+
+
+@pytest.fixture(scope="module")
+def law():
+    return LawArm(open_arm("cdsm_lab"), wraps=(1.0, 0.0), radius_m=0.05, friction=0.3)
+
+
+@pytest.fixture(scope="module")
+def given(law):
+    """Untouched, pushed, noisy, some and all cables slack, and saturated."""
+    rng = np.random.default_rng(0)
+    nothing = np.zeros(len(law.parameters))
+    commands = np.stack([law.command(rng) for _ in range(ROWS)])
+    readings = np.stack([law.read(nothing, command) for command in commands])
+    readings[1] = law.read(nothing, commands[1], [Push(2, 0.05, (1.0, 8.0, -9.0))])
+    readings[2] = law.read(nothing, commands[2], [Push(1, 0.1, (0.0, 55.0, -55.0))])
+    readings[3] = rng.uniform(0.0, 500.0, readings.shape[1])
+    readings[4, ::3] = 0.0
+    readings[5] = 0.0
+    readings[6] = 1e4
+    joints = law.mechanism.joint_count
+    covariance = np.diag(law.parameters.prior_std**2)
+    return [readings, commands, law.parameters.prior_mean, covariance, np.zeros((joints, joints))]
+
+
+@pytest.fixture(scope="module")
+def session(law, given):
+    trial = [np.resize(each, (16, each.shape[1])) for each in given[:2]] + given[2:]
+    return open_session(_to_onnx(law.estimator.eval(), [torch.as_tensor(each) for each in trial]))
+
+
+@pytest.mark.parametrize("rows", [1, ROWS])
+def test_the_graph_answers_as_pytorch_does(law, given, session, rows):
+    inputs = [each[:rows] if place < 2 else each for place, each in enumerate(given)]
+    there = session.run(None, dict(zip(INPUTS, inputs, strict=True)))
+    with torch.no_grad():
+        here = law.estimator(*(torch.as_tensor(each) for each in inputs))
+    for name, one, other in zip(EstimatorOutput._fields, there, here, strict=True):
+        assert one.shape == tuple(other.shape), name
+        assert np.isfinite(one).all(), name
+        scale = max(1.0, np.abs(one).max())
+        assert np.abs(one - other.numpy()).max() <= 1e-6 * scale, name
+
+
+def test_outputs_in_pytorch_have_the_order_of_those_in_a_file():
+    assert EstimatorOutput._fields == LawOutput._fields
