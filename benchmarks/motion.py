@@ -118,12 +118,12 @@ class Bench(EstimatedArm):
         self.now_s = 0.0
         dynamics = ArmDynamics(self.arm)
         self._simulated = SimulatedArm(dynamics, 1e-3, JOINT_SPEED_RAD_S, 0.0, now_s=0.0)
-        self.set_points = JointMotion(dynamics.command_rad, JOINT_SPEED_RAD_S)
+        self.set_points = JointMotion.at_rest(dynamics.command_rad, JOINT_SPEED_RAD_S)
 
     def go_to(self, angles_rad: Array) -> None:
         """Command arm and estimator."""
         self._simulated.go_to(angles_rad)
-        self.set_points.go_to(angles_rad)
+        self.set_points = self.set_points.towards(angles_rad)
         self.command(angles_rad)
 
     def push(self, load: Load) -> None:
@@ -133,7 +133,7 @@ class Bench(EstimatedArm):
 
     def pushed_n(self) -> float:
         """The part of the push that is normal to its segment now."""
-        rotations = segment_rotations(self.mechanism, self.set_points.state[0])
+        rotations = segment_rotations(self.mechanism, self.set_points.angle_rad)
         axis = rotations[self._load.segment - 1][:, 0]
         return float(np.linalg.norm(np.cross(axis, self._load.force_base_n)))
 
@@ -145,7 +145,7 @@ class Bench(EstimatedArm):
         """The answer to the next sample."""
         self._tick += 1
         self.now_s = self._tick / RATE_HZ
-        self.set_points.advance(1.0 / RATE_HZ)
+        self.set_points = self.set_points.after(1.0 / RATE_HZ)
         self._simulated.advance_to(self.now_s)
         return self.sample(self.reading_n(), self.now_s)
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,30 +45,35 @@ _FREED_STD = 0.05
 """Deviation of slides after a breath."""
 
 
+@dataclass(frozen=True)
 class LastWay:
-    """The way (K, 2N) of the commands of an unloaded arm, as far back as it matters to slides."""
+    """The way of the commands of an unloaded arm, as far back as it matters to slides.
 
-    def __init__(self) -> None:
-        """Nothing is known yet."""
-        self._way_rad: list[Array] = []
+    Attributes:
+        commands_rad: each (2N,), the present one last; empty where nothing is known yet.
+    """
 
-    def go(self, command_rad: Array) -> None:
-        """Add the next command (2N,)."""
-        self._way_rad.append(command_rad)
-        while len(self._way_rad) > 2:
-            back_rad = np.abs(self._way_rad[1] - command_rad).max()
+    commands_rad: tuple[Array, ...] = ()
+
+    def to(self, command_rad: Array) -> LastWay:
+        """The way on to the next command (2N,)."""
+        way_rad = [*self.commands_rad, command_rad]
+        while len(way_rad) > 2:
+            back_rad = np.abs(way_rad[1] - command_rad).max()
             if back_rad < _TURNING_RAD:
                 break
-            del self._way_rad[0]
+            del way_rad[0]
+        return LastWay(tuple(way_rad))
 
-    def forget(self) -> None:
-        """Something else has moved the cables since."""
-        del self._way_rad[:-1]
+    @property
+    def forgotten(self) -> LastWay:
+        """The way once something else has moved the cables: none but the present command."""
+        return LastWay(self.commands_rad[-1:])
 
     @property
     def came_from_rad(self) -> Array | None:
         """(2N,) where the motion to the present command came from; None if that is not known."""
-        return self._way_rad[0] if len(self._way_rad) > 1 else None
+        return self.commands_rad[0] if len(self.commands_rad) > 1 else None
 
 
 class CableSlides:
@@ -132,7 +138,7 @@ class CableSlides:
         `arrived` are the slides with which the arm came there, by default unknown.
         """
         pose = SlidesAtPose(self._mechanism, command_rad, self._turning_m, self._before_pulley)
-        return SlidesUnderLoad(
+        return SlidesUnderLoad.begin(
             pose,
             self.unknown if arrived is None else arrived,
             untouched_n,

@@ -174,7 +174,7 @@ class Judge:
         )
         pairs = len(self._names) * (len(self._names) - 1) / 2
         exchanged = seen.exchanged_evidence[0]
-        first, second = divmod(int(exchanged.argmax()), len(self._names))
+        first, second = sorted(divmod(int(exchanged.argmax()), len(self._names)))
         weight = float(exchanged[first, second]) + LOG_PRIOR_EXCHANGED - math.log(pairs)
         yield _Rival(
             weight,

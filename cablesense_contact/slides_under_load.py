@@ -11,6 +11,8 @@ to 0.15, of other seeds than those of any published figure.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -118,85 +120,113 @@ class SlidesAtPose:
         )
 
 
+@dataclass(frozen=True)
 class SlidesUnderLoad:
-    """Follows readings at one command, from the untouched arm on.
+    """What readings at one command have said of slides so far, from the untouched arm on.
 
     As long as no cable turns back, what has slid where follows from the change since the
     beginning; then from the change since the turn.
 
     Attributes:
+        pose: the command.
+        moved_n: change that shows that a cable has moved.
+        friction: its coefficient, as known.
         slides: at the last reading.
+        turn_n: (M,) readings at the last turn, or of the untouched arm, and
+        at_turn: the slides then.
+        common: (N + 1, M) what all slides are off by together since.
+        moved: (M,) which cables have moved since.
+        followed_n: (M,) the readings of which `slides` are.
+        steady_n, steady_count: (M,) mean of the last readings that do not change, and how many.
+        way: (M,) 1 where a reading has risen, -1 where it has fallen, since it last turned.
+        outermost_n: (M,) each reading the farthest on its way, and
+        at_outermost_n: (M, M) all readings then, by rows.
     """
 
-    def __init__(
-        self,
+    pose: SlidesAtPose
+    moved_n: float
+    friction: float
+    slides: Slides
+    turn_n: Array
+    at_turn: Slides
+    common: Array
+    moved: NDArray[np.bool_]
+    followed_n: Array
+    steady_n: Array
+    steady_count: int
+    way: Array
+    outermost_n: Array
+    at_outermost_n: Array
+
+    @classmethod
+    def begin(
+        cls,
         pose: SlidesAtPose,
         arrived: Slides,
         untouched_n: Array,
         moved_n: float,
         friction: float,
-    ) -> None:
-        """Begin with the untouched arm.
+    ) -> SlidesUnderLoad:
+        """Begin with the untouched arm, its readings (M,) and the slides with which it came."""
+        cables = len(untouched_n)
+        return cls(
+            pose=pose,
+            moved_n=moved_n,
+            friction=friction,
+            slides=arrived,
+            turn_n=untouched_n,
+            at_turn=arrived,
+            common=np.zeros_like(arrived.mean),
+            moved=np.zeros(cables, dtype=bool),
+            followed_n=untouched_n,
+            steady_n=untouched_n,
+            steady_count=1,
+            way=np.zeros(cables),
+            outermost_n=untouched_n,
+            at_outermost_n=np.tile(untouched_n, (cables, 1)),
+        )
 
-        Args:
-            pose: the command.
-            arrived: the slides with which the arm came there.
-            untouched_n: (M,) its readings.
-            moved_n: change that shows that a cable has moved.
-            friction: its coefficient, as known.
-        """
-        self._pose = pose
-        self._moved_n = moved_n
-        self._friction = friction
-        self._turn_n = untouched_n
-        self._at_turn = arrived
-        self._common = np.zeros_like(arrived.mean)
-        self._moved = np.zeros(len(untouched_n), dtype=bool)
-        self._followed_n = untouched_n
-        self._steady_n = untouched_n
-        self._steady = 1
-        self._way = np.zeros(len(untouched_n))
-        self._outermost_n = untouched_n
-        self._at_outermost_n = np.tile(untouched_n, (len(untouched_n), 1))
-        self.slides = arrived
-
-    def follow(self, reading_n: Array) -> Slides:
-        """Take the next readings (M,); gives the slides then."""
-        now_n = self._smoothed(reading_n)
-        if np.abs(now_n - self._followed_n).max() < _STANDS_SHARE * self._moved_n:
-            return self.slides
-        self._followed_n = now_n
-        off_n = now_n - self._outermost_n
-        turns = (np.abs(off_n) > self._moved_n) & (np.sign(off_n) != self._way)
-        turns_back = turns & (self._way != 0.0)
+    def after(self, reading_n: Array) -> SlidesUnderLoad:
+        """What is known after the next readings (M,)."""
+        smoothed = self._smoothed(reading_n)
+        now_n = smoothed.steady_n
+        if np.abs(now_n - self.followed_n).max() < _STANDS_SHARE * self.moved_n:
+            return smoothed
+        off_n = now_n - self.outermost_n
+        turns = (np.abs(off_n) > self.moved_n) & (np.sign(off_n) != self.way)
+        turns_back = turns & (self.way != 0.0)
+        turn_n = self.turn_n
+        at_turn = self.at_turn
+        moved = self.moved
+        common = self.common
         if turns_back.any():
             first = int(np.argmax(np.abs(off_n) * turns_back))
-            self._turn_n = self._at_outermost_n[first].copy()
-            self._at_turn = self.slides
-            self._moved[:] = False
-            self._common = np.tile(_RETURNED_STD * self._way, (len(self.slides.mean), 1))
-        further = turns | (off_n * self._way > 0.0)
-        self._way = np.where(turns, np.sign(off_n), self._way)
-        self._outermost_n = np.where(further, now_n, self._outermost_n)
-        self._at_outermost_n[further] = now_n
-        self._moved |= np.abs(now_n - self._turn_n) > self._moved_n
-        self.slides = self._pose.changed(
-            self._at_turn,
-            self._turn_n,
-            now_n,
-            self._moved,
-            self._moved_n,
-            self._friction,
-            self._common,
+            turn_n = self.at_outermost_n[first]
+            at_turn = self.slides
+            moved = np.zeros_like(self.moved)
+            common = np.tile(_RETURNED_STD * self.way, (len(self.slides.mean), 1))
+        moved = moved | (np.abs(now_n - turn_n) > self.moved_n)
+        slides = self.pose.changed(
+            at_turn, turn_n, now_n, moved, self.moved_n, self.friction, common
         )
-        return self.slides
+        further = turns | (off_n * self.way > 0.0)
+        return replace(
+            smoothed,
+            slides=slides,
+            turn_n=turn_n,
+            at_turn=at_turn,
+            common=common,
+            moved=moved,
+            followed_n=now_n,
+            way=np.where(turns, np.sign(off_n), self.way),
+            outermost_n=np.where(further, now_n, self.outermost_n),
+            at_outermost_n=np.where(further[:, None], now_n, self.at_outermost_n),
+        )
 
-    def _smoothed(self, reading_n: Array) -> Array:
-        """(M,) the mean of the last readings while these do not change."""
-        if np.abs(reading_n - self._steady_n).max() > _STEADY_SHARE * self._moved_n:
-            self._steady_n = reading_n
-            self._steady = 1
-            return reading_n
-        self._steady = min(self._steady + 1, _SMOOTHED)
-        self._steady_n = self._steady_n + (reading_n - self._steady_n) / self._steady
-        return self._steady_n
+    def _smoothed(self, reading_n: Array) -> SlidesUnderLoad:
+        """With the mean of the last readings while these do not change, else with the last."""
+        if np.abs(reading_n - self.steady_n).max() > _STEADY_SHARE * self.moved_n:
+            return replace(self, steady_n=reading_n, steady_count=1)
+        count = min(self.steady_count + 1, _SMOOTHED)
+        steady_n = self.steady_n + (reading_n - self.steady_n) / count
+        return replace(self, steady_n=steady_n, steady_count=count)

@@ -32,7 +32,7 @@ def unloaded_holds(recording: Recording, ended_ns: int = 0) -> list[Unloaded]:
     for rows in _stays(recording):
         if rows.start != end or recording.trial[rows.start] != recording.trial[end - 1]:
             way = LastWay()
-        way.go(recording.command_rad[rows.start])
+        way = way.to(recording.command_rad[rows.start])
         end = rows.stop
         begun_s = recording.time_s[rows.start]
         times_s = recording.time_s[rows]

@@ -418,7 +418,11 @@ class RecordedArm:
         if not self._slides.matter(known):
             return [self._slides.unknown] * len(readings_n)
         under_load = self._slides.under_load(tare.command_rad, tare.reading_n, known)
-        return [under_load.follow(reading_n) for reading_n in readings_n]
+        slides = []
+        for reading_n in readings_n:
+            under_load = under_load.after(reading_n)
+            slides.append(under_load.slides)
+        return slides
 
     def _known_after(self, tare: Unloaded) -> Calibration:
         if self._by_poses is not None:

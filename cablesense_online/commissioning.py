@@ -243,7 +243,7 @@ class Commissioning:
         self._left = visits(arm, poses_rad, self._settings)
         self._holds = len(self._left)
         self._start_rad = start_rad
-        self._motion = JointMotion(start_rad, self._settings.joint_speed_rad_s)
+        self._motion = JointMotion.at_rest(start_rad, self._settings.joint_speed_rad_s)
         self._moved_ns = now_ns
         self._heard_ns = now_ns
         self._readings = _Readings()
@@ -312,7 +312,7 @@ class Commissioning:
         """End here, because of a problem; `advance` gives the command that holds the pose."""
         if self.over:
             return
-        self._due_rad = self._motion.at((now_ns - self._moved_ns) / _NS).copy()
+        self._due_rad = self._motion.at((now_ns - self._moved_ns) / _NS).angle_rad.copy()
         self.stage = Stage.STOPPED
         self.problem = problem
 
@@ -369,8 +369,9 @@ class Commissioning:
         self._go_to(self._start_rad, Stage.RETURNING, now_ns)
 
     def _go_to(self, target_rad: Array, stage: Stage, now_ns: int) -> None:
-        self._motion = JointMotion(self._motion.target_rad, self._settings.joint_speed_rad_s)
-        self._motion.go_to(target_rad)
+        speed_rad_s = self._settings.joint_speed_rad_s
+        here = JointMotion.at_rest(self._motion.target_rad, speed_rad_s)
+        self._motion = here.towards(target_rad)
         self._moved_ns = now_ns
         self._due_rad = target_rad
         self.stage = stage

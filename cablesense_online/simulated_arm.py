@@ -82,9 +82,9 @@ class SimulatedArm:
         """
         self._dynamics = dynamics
         self._timestep_s = timestep_s
-        self._motion = JointMotion(dynamics.command_rad, joint_speed_rad_s)
+        self._motion = JointMotion.at_rest(dynamics.command_rad, joint_speed_rad_s)
         still = np.zeros(dynamics.arm.cable_count)
-        self._offset_motion = JointMotion(still, _OFFSET_SPEED_M_S)
+        self._offset_motion = JointMotion.at_rest(still, _OFFSET_SPEED_M_S)
         self._load_timeout_s = load_timeout_s
         self._loads: dict[int, tuple[Load, float]] = {}
         self.pacer = RealTimePacer(timestep_s, longest_lag_s, now_s)
@@ -104,11 +104,11 @@ class SimulatedArm:
         Raises:
             CableSenseError: the arm cannot take such a command; it keeps the one it has.
         """
-        self._motion.go_to(self._dynamics.checked_command(joint_angles_rad))
+        self._motion = self._motion.towards(self._dynamics.checked_command(joint_angles_rad))
 
     def offset(self, lengths_m: Array) -> None:
         """Begin to add lengths (M,) to the commanded ones of the cables."""
-        self._offset_motion.go_to(lengths_m)
+        self._offset_motion = self._offset_motion.towards(lengths_m)
 
     def push(self, load: Load, now_s: float) -> None:
         """Replace the load on a segment; a zero force removes it.
@@ -134,9 +134,11 @@ class SimulatedArm:
         step_s = steps * self._timestep_s
         while due > 0 and (self._motion.moving or self._offset_motion.moving):
             if self._offset_motion.moving:
-                self._dynamics.offset(self._offset_motion.advance(step_s))
+                self._offset_motion = self._offset_motion.after(step_s)
+                self._dynamics.offset(self._offset_motion.angle_rad)
             if self._motion.moving:
-                self._dynamics.command(self._motion.advance(step_s))
+                self._motion = self._motion.after(step_s)
+                self._dynamics.command(self._motion.angle_rad)
             self._dynamics.advance(step_s)
             due -= steps
         if due > 0:

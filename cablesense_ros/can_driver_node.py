@@ -82,20 +82,22 @@ class CanDriverNode(ConfiguredNode):
     def _show_set_points(self, arm: Arm, speed_rad_s: float) -> None:
         """Publish the set-points of an arm that is straight until it is commanded."""
         joints = NamedOrder(arm.joint_names, "joints")
-        motion = JointMotion(np.zeros(arm.joint_count), speed_rad_s)
+        self._set_points = JointMotion.at_rest(np.zeros(arm.joint_count), speed_rad_s)
         shown = JointState(name=list(arm.joint_names))
         out = self._topics.make(JointState, topics.JOINT_STATES)
 
         def publish() -> None:
-            put_joint_angles(shown, motion.advance(JOINT_STATES_PERIOD_S))
+            self._set_points = self._set_points.after(JOINT_STATES_PERIOD_S)
+            put_joint_angles(shown, self._set_points.angle_rad)
             shown.header.stamp = self.get_clock().now().to_msg()
             out.publish(shown)
 
         def follow(message: JointState) -> None:
-            motion.go_to(joint_command_rad(message, joints, motion.target_rad))
+            target_rad = joint_command_rad(message, joints, self._set_points.target_rad)
+            self._set_points = self._set_points.towards(target_rad)
 
         commands = CommandInput(
-            self, self._refuse, arm.joint_names, lambda: motion.target_rad, follow
+            self, self._refuse, arm.joint_names, lambda: self._set_points.target_rad, follow
         )
         self._entities.callback(commands.destroy)
         timer = steady_timer(self, JOINT_STATES_PERIOD_S, publish)

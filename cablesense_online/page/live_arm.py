@@ -108,7 +108,7 @@ class LiveArm:
         self._ends_m = np.concatenate([[0.0], np.cumsum(length_m)])
         self._cables = NamedOrder(arm.cable_names, "cables")
         self._joints = NamedOrder(arm.joint_names, "joints")
-        self._motion = JointMotion(np.zeros(arm.joint_count), joint_speed_rad_s)
+        self._motion = JointMotion.at_rest(np.zeros(arm.joint_count), joint_speed_rad_s)
         self._motion_s: float | None = None
         self._came_s: dict[str, float] = {}  # time of the last message by topic
         self._tensions_n: Array | None = None
@@ -139,7 +139,8 @@ class LiveArm:
                 case topics.JOINT_COMMANDS if breath_turn(message) is None:
                     # a breath leaves the pose at which contact angles are counted
                     command = joint_command_rad(message, self._joints, self._motion.target_rad)
-                    self._motion.go_to(checked_command(self.mechanism, command))
+                    checked = checked_command(self.mechanism, command)
+                    self._motion = self._motion.towards(checked)
                 case topics.APPLIED_WRENCH:
                     load = read_load(message, self.frames, self._contact_of)
                     self._loads[load.segment] = load
@@ -195,7 +196,7 @@ class LiveArm:
     def _pose_rad(self) -> Array:
         """(2N,) where the arm is measured to be, else where it is commanded."""
         measured = self._joint_angles_rad
-        return self._motion.advance(0.0) if measured is None else measured
+        return self._motion.angle_rad if measured is None else measured
 
     def reports_ok(self, part: str) -> bool:
         """Whether the estimator's latest status of a part, such as `tare`, is OK."""
@@ -222,7 +223,7 @@ class LiveArm:
             LoadError: no such segment or place, or numbers that are not finite.
         """
         with self._lock:
-            command = self._motion.advance(0.0)
+            command = self._motion.angle_rad
             others = {} if beside else self._loads
             pushed = {number for number, load in others.items() if load.force_base_n.any()}
         segment, angle_deg, magnitude_n, place_m, along_n, _ = contact
@@ -260,7 +261,8 @@ class LiveArm:
         with self._lock:
             elapsed_s = 0.0 if self._motion_s is None else now_s - self._motion_s
             self._motion_s = now_s
-            command = self._motion.advance(elapsed_s)
+            self._motion = self._motion.after(elapsed_s)
+            command = self._motion.angle_rad
             state = self._state if self._fresh(topics.STATUS, now_s) else ForceState.SILENT
             estimated = self._estimated(now_s) if state in IN_CONTACT else ()
             moment = self._moment(now_s) if state in IN_CONTACT else None

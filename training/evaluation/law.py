@@ -257,7 +257,7 @@ class KnownArm:
         """Slides at the last of readings (K, M) that begin with those of the untouched arm."""
         under_load = self._slides.under_load(command_rad, course_n[0], self._known)
         for reading_n in course_n[1:]:
-            under_load.follow(reading_n)
+            under_load = under_load.after(reading_n)
         return under_load.slides
 
     def _answers(self, readings_n: Array, commands_rad: Array, known: Belief) -> Statements:

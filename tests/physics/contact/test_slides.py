@@ -88,10 +88,9 @@ def test_only_the_last_of_a_way_counts():
     way = LastWay()
     assert way.came_from_rad is None
     for angle_deg in (0.0, 5.0, 5.4, 5.8, 6.2):
-        way.go(np.array([np.deg2rad(angle_deg)]))
+        way = way.to(np.array([np.deg2rad(angle_deg)]))
     assert_allclose(np.rad2deg(way.came_from_rad), [5.0])
-    way.forget()
-    assert way.came_from_rad is None
+    assert way.forgotten.came_from_rad is None
 
 
 def test_slides_are_those_of_the_plant():
@@ -114,7 +113,7 @@ def test_slides_are_those_of_the_plant():
         under_load = SLIDES.under_load(command, untouched_n, with_friction(friction), arrived)
         force_n = built.axes(command)[2] @ np.array([0.0, 20.0, 10.0])
         pushed_n = walk.go(command, [Push(3, 0.08, force_n)]).copy()
-        slides = under_load.follow(pushed_n)
+        slides = under_load.after(pushed_n).slides
         slid = np.abs(pushed_n - untouched_n) > 0.4
         moved += list(slides.mean[0, slid] * at_pulleys(walk, friction)[slid])
         walk.go(command)
@@ -133,17 +132,18 @@ def test_where_nothing_moves_slides_stay_as_they_came():
     arrived = some_slides(rng)
     untouched_n = np.full(12, 50.0)
     under_load = SLIDES.under_load(np.zeros(8), untouched_n, with_friction(0.05), arrived)
-    assert under_load.follow(untouched_n + rng.uniform(-0.3, 0.3, 12)) is arrived
+    assert under_load.after(untouched_n + rng.uniform(-0.3, 0.3, 12)).slides is arrived
 
 
 def test_a_load_that_is_taken_off_leaves_a_doubt_in_its_direction():
     untouched_n = np.full(12, 50.0)
     under_load = SLIDES.under_load(np.zeros(8), untouched_n, with_friction(0.05))
     push_n = np.linspace(-9.0, 9.0, 12)
-    loaded = under_load.follow(untouched_n + push_n)
+    under_load = under_load.after(untouched_n + push_n)
+    loaded = under_load.slides
     assert_array_equal(loaded.common, 0.0)
     assert_array_equal(loaded.mean[0], np.sign(push_n))
-    released = under_load.follow(untouched_n + 0.2 * push_n)
+    released = under_load.after(untouched_n + 0.2 * push_n).slides
     assert_array_equal(np.sign(released.common[0]), np.sign(push_n))
     turned = np.abs(0.8 * push_n) > 0.4
     assert_array_equal(released.mean[0, turned], -np.sign(push_n[turned]))

@@ -156,15 +156,16 @@ STEP_S = 1e-3
 
 
 def path(motion, steps):
-    return np.array([motion.advance(STEP_S) for _ in range(steps)])
+    """(steps, joints) set-points of a motion, and the motion at the last."""
+    at_steps = [motion.after(STEP_S * k) for k in range(1, steps + 1)]
+    return np.array([at_step.angle_rad for at_step in at_steps]), at_steps[-1]
 
 
 def test_arrives_in_time_at_the_peak_speed_and_stays():
-    motion = JointMotion(np.zeros(2), joint_speed_rad_s=0.5)
     target = np.array([0.4, -0.1])
-    motion.go_to(target)
+    motion = JointMotion.at_rest(np.zeros(2), joint_speed_rad_s=0.5).towards(target)
     steps = round(move_duration_s(0.4, 0.5) / STEP_S)
-    angles = path(motion, steps + 50)
+    angles, motion = path(motion, steps + 50)
     speeds = np.abs(np.diff(angles, axis=0)).max() / STEP_S
     assert speeds == pytest.approx(0.5, rel=1e-3)
     np.testing.assert_allclose(angles[steps - 2], target, atol=1e-6)
@@ -173,11 +174,9 @@ def test_arrives_in_time_at_the_peak_speed_and_stays():
 
 
 def test_neither_angle_nor_speed_jumps_when_the_target_changes_on_the_way():
-    motion = JointMotion(np.zeros(1), 0.5)
-    motion.go_to(np.array([0.3]))
-    before = path(motion, 300)
-    motion.go_to(np.array([-0.2]))
-    after = path(motion, 3000)
+    motion = JointMotion.at_rest(np.zeros(1), 0.5).towards(np.array([0.3]))
+    before, motion = path(motion, 300)
+    after, _ = path(motion.towards(np.array([-0.2])), 3000)
     angles = np.concatenate([before, after])[:, 0]
     acceleration = np.diff(angles, 2) / STEP_S**2
     assert np.abs(acceleration).max() < 10.0  # a jump of the speed by 0.1 rad/s would be 100
