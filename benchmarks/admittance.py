@@ -306,7 +306,7 @@ def _turned_deg(arm_name: str, touched: bool, fault: Fault, seed: int) -> float:
         if failing:
             away_rad = run.controller.command_rad - before_rad
             turned_rad = max(turned_rad, float(np.abs(away_rad).max()))
-    assert run.estimation.unloaded.known
+    assert run.estimation.state.unloaded.known
     return float(np.rad2deg(turned_rad))
 
 

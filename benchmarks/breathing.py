@@ -13,7 +13,7 @@ untouched arm rested in the same pose. Errors are of what is stated, `contact` o
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -25,14 +25,10 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_contact.judgement import ContactState, Judge
-from cablesense_online.breathing import (
-    SET_POINTS_A_TURN,
-    Breath,
-    BreathReadings,
-    breath_circle,
-    tip_m,
-)
-from cablesense_online.tare import CalibratedArm
+from cablesense_online.breath_readings import BreathState, Mark, after_reading
+from cablesense_online.breathing import SET_POINTS_A_TURN, Breath, breath_circle, tip_m
+from cablesense_online.calibrated_arm import CalibratedArm
+from cablesense_online.tare import with_reading
 from cablesense_plants.arm.arm import ideal_arm
 from cablesense_plants.arm.body import read_nominal
 from cablesense_plants.arm.friction import PlantFriction
@@ -131,7 +127,7 @@ class Breathing:
         """(B, M) one reading of each arm after a breath, corrected by it."""
         course = self._course
         tick_s = TURN_S / SET_POINTS_A_TURN
-        readings = [BreathReadings(SETTLE_S) for _ in self.circles]
+        states = [BreathState() for _ in self.circles]
         breaths = [Breath(circle, 1) for circle in self.circles]
         now_ns = 1
         tips = []
@@ -139,23 +135,32 @@ class Breathing:
             points = [breath.next() for breath in breaths]
             now_ns += round(tick_s * 1e9)
             turn = points[0][1]
-            for reading in readings:
-                reading.mark(turn, now_ns)
+            states = [state.marked(Mark(turn, now_ns)) for state in states]
             course.step(course.base_rad + np.array([point for point, _ in points]))
-            for reading, tensions in zip(readings, course.read_n(), strict=True):
-                reading.without_friction(tensions.tolist(), now_ns)
+            states, _ = _after_readings(states, course.read_n(), now_ns)
             if turn > 0:
                 tips.append(course.tips_m)
         away_m = np.linalg.norm(np.array(tips) - np.mean(tips, axis=0), axis=-1)
         self.tip_mm += (1e3 * away_m.max(axis=0)).tolist()
-        while not all(reading.state.offset_n.size for reading in readings):
+        while not all(state.offset_n.size for state in states):
             now_ns += round(tick_s * 1e9)
-            answers = [
-                reading.without_friction(tensions.tolist(), now_ns)
-                for reading, tensions in zip(readings, course.read_n(), strict=True)
-            ]
+            states, answers = _after_readings(states, course.read_n(), now_ns)
         self.took_s = 1e-9 * now_ns
         return np.array(answers)
+
+
+def _after_readings(
+    states: Sequence[BreathState], readings_n: Array, now_ns: int
+) -> tuple[list[BreathState], list[Sequence[float] | None]]:
+    """The states of breaths after readings (B, M), and the tensions to answer from."""
+    settle_ns = round(SETTLE_S * 1e9)
+    next_states = []
+    freed_n = []
+    for state, reading_n in zip(states, readings_n.tolist(), strict=True):
+        next_state, tensions_n = after_reading(state, reading_n, now_ns, settle_ns)
+        next_states.append(next_state)
+        freed_n.append(tensions_n)
+    return next_states, freed_n
 
 
 class Answered(NamedTuple):
@@ -194,25 +199,34 @@ class Estimates:
         self._judge = Judge(arm)
         self._still = np.zeros((arm.joint_count, arm.joint_count))
         settings = estimation_settings()
-        self._known = [CalibratedArm(arm, self._law, settings) for _ in course.base_rad]
+        self._unloaded = CalibratedArm(arm, self._law, settings)
+        self._states = []
         readings = [read() for _ in range(1 if freed else settings.tare_samples)]
-        for number, (known, base_rad) in enumerate(zip(self._known, course.base_rad, strict=True)):
-            known.at(base_rad)
-            for k in range(settings.tare_samples):
-                known.add(readings[k % len(readings)][number].tolist())
-            known.take(0)
-            for k in range(settings.tare_samples):
-                known.untouched(readings[k % len(readings)][number])
+        for number, base_rad in enumerate(course.base_rad):
+            state = self._unloaded.at(self._unloaded.begin(), base_rad)
+            untouched_n = [
+                readings[k % len(readings)][number] for k in range(settings.tare_samples)
+            ]
+            for reading_n in untouched_n:
+                state = with_reading(state, reading_n.tolist(), settings.tare_samples)
+            state = self._unloaded.taken(state, 0)
+            for reading_n in untouched_n:
+                state = self._unloaded.with_untouched(state, reading_n)
+            self._states.append(state)
 
     def answered(self) -> Answered:
         """What is stated of the next reading of each arm."""
         readings_n = self._read()
-        rows = zip(self._known, readings_n, self._course.base_rad, strict=True)
-        states, *numbers = zip(*(self._answer(*row) for row in rows), strict=True)
+        answers = []
+        for number, base_rad in enumerate(self._course.base_rad):
+            answers.append(self._answer(number, readings_n[number], base_rad))
+        states, *numbers = zip(*answers, strict=True)
         return Answered(list(states), *(np.array(column) for column in numbers))
 
-    def _answer(self, known: CalibratedArm, reading_n: Array, base_rad: Array) -> tuple[Any, ...]:
-        belief = known.belief(reading_n, 0, freed=self._freed)
+    def _answer(self, number: int, reading_n: Array, base_rad: Array) -> tuple[Any, ...]:
+        self._states[number], belief = self._unloaded.belief(
+            self._states[number], reading_n, 0, freed=self._freed
+        )
         seen = self._law(
             reading_n[None], base_rad[None], belief.mean, belief.covariance, self._still
         )

@@ -33,7 +33,7 @@ from cablesense_base import Array
 from cablesense_contact.calibration import Calibration, CalibrationError, Calibrator, Unloaded
 from cablesense_contact.judgement import ContactState, Judge, Judgement
 from cablesense_contact.law import Law, LawOutput
-from cablesense_online.tare import CalibratedArm
+from cablesense_online.calibrated_arm import CalibratedArm, CalibratedState
 from cablesense_plants.arm.body import Body, Nominal, read_nominal
 from cablesense_plants.arm.built import BuiltArm, Push, Workmanship
 from cablesense_plants.cases import PlantError
@@ -277,7 +277,8 @@ class Bench:
     ) -> list[Touched]:
         """The same on an arm with friction: each contact comes to the untouched arm, and goes."""
         settings = estimation_settings()
-        known = CalibratedArm(self.arm, self.law, settings, calibration)
+        unloaded = CalibratedArm(self.arm, self.law, settings)
+        state = unloaded.begin(calibration)
         command = np.zeros(self.arm.joint_count)
         walk = built.walk(command)
         samples = []
@@ -289,12 +290,12 @@ class Bench:
                     walk.go(command)
                 except PlantError:
                     break
-                known.at(command)
+                state = unloaded.at(state, command)
                 for _ in range(settings.tare_samples):
                     reading = built.read(walk.tensions_n, rng)
-                    sample = self._of_belief(known, command, reading, self.nothing)
+                    state, sample = self._of_state(unloaded, state, reading, self.nothing)
                     if sample.judgement.state is ContactState.FREE:
-                        known.untouched(reading)
+                        state = unloaded.with_untouched(state, reading)
                 samples.append(sample)
                 drawn = self.drawn(built, command, rng)
                 try:
@@ -302,25 +303,37 @@ class Bench:
                 except PlantError:
                     continue
                 reading = built.read(walk.tensions_n, rng)
-                samples.append(self._of_belief(known, command, reading, drawn))
+                state, sample = self._of_state(unloaded, state, reading, drawn)
+                samples.append(sample)
         return samples
 
-    def _of_belief(
-        self, known: CalibratedArm, command_rad: Array, reading_n: Array, drawn: Drawn
-    ) -> Touched:
-        sample = self._judged(drawn, self._seen(known, command_rad, reading_n), reading_n)
-        if sample.judgement.state is ContactState.FREE or known.seen_untouched:
-            return sample
-        seen = self._seen(known, command_rad, reading_n, touched=True)
-        return self._judged(drawn, seen, reading_n)
+    def _of_state(
+        self, unloaded: CalibratedArm, state: CalibratedState, reading_n: Array, drawn: Drawn
+    ) -> tuple[CalibratedState, Touched]:
+        """What is stated of a reading (M,) by what is known of the arm, as an estimator does."""
+        state, seen = self._seen(unloaded, state, reading_n)
+        sample = self._judged(drawn, seen, reading_n)
+        is_free = sample.judgement.state is ContactState.FREE
+        if is_free or unloaded.seen_untouched(state):
+            return state, sample
+        state, seen = self._seen(unloaded, state, reading_n, touched=True)
+        return state, self._judged(drawn, seen, reading_n)
 
     def _seen(
-        self, known: CalibratedArm, command_rad: Array, reading_n: Array, *, touched: bool = False
-    ) -> LawOutput:
-        belief = known.belief(reading_n, 0, touched=touched)
-        return self.law(
-            reading_n[None], command_rad[None], belief.mean, belief.covariance, self.still
+        self,
+        unloaded: CalibratedArm,
+        state: CalibratedState,
+        reading_n: Array,
+        *,
+        touched: bool = False,
+    ) -> tuple[CalibratedState, LawOutput]:
+        pose_rad = state.pose_rad
+        assert pose_rad is not None
+        state, belief = unloaded.belief(state, reading_n, 0, touched=touched)
+        seen = self.law(
+            reading_n[None], pose_rad[None], belief.mean, belief.covariance, self.still
         )
+        return state, seen
 
     def _judged(self, drawn: Drawn, seen: LawOutput, reading_n: Array) -> Touched:
         return Touched(*drawn, seen, self.judge(seen, reading_n))

@@ -13,7 +13,7 @@ import shutil
 from collections.abc import Callable, Sequence
 from functools import cache, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import can
 import numpy as np
@@ -31,8 +31,9 @@ from cablesense_contact.inference.metadata import find_model
 from cablesense_online.can.bus import FaultLedger
 from cablesense_online.can.channel_map import calibrated, load_calibration, open_channel_map
 from cablesense_online.can.reader import FrameDecoder
-from cablesense_online.contacts import LawContacts, NetworkContacts, Situation
+from cablesense_online.contacts import ContactFinder, Situation
 from cablesense_online.models import LoadedModel
+from cablesense_online.tare import UnloadedArm, with_reading
 from cablesense_recording.checks import read_recording
 from cablesense_sim.arm import bundled_arms, find_arm, load_arm
 from cablesense_sim.build import mechanism_of
@@ -176,12 +177,12 @@ def _edited_model(draw: Draw, content: bytes) -> bytes:
 def _use_model(path: Path) -> None:
     loaded = LoadedModel.open(path)
     contacts = loaded.contacts(SETTINGS)
-    contacts.arm.at(np.zeros(loaded.arm.joint_count))
+    unloaded: UnloadedArm[Any] = contacts.unloaded
+    state = unloaded.at(unloaded.begin(), np.zeros(loaded.arm.joint_count))
     untouched_n = np.full(loaded.arm.cable_count, loaded.arm.cables.pretension_n)
     for _ in range(SETTINGS.tare_samples):
-        contacts.arm.add(untouched_n.tolist())
-    contacts.arm.take(0, forced=True)
-    _require_finite(contacts, untouched_n)
+        state = with_reading(state, untouched_n.tolist(), SETTINGS.tare_samples)
+    _require_finite(contacts, unloaded.taken(state, 0, forced=True), untouched_n)
 
 
 def _use_recording(path: Path) -> None:
@@ -210,11 +211,12 @@ def _use_dataset(path: Path) -> None:
     require(finite and len(read) <= 2_000_000, f"a dataset of {len(read)} rows, finite: {finite}")
 
 
-def _require_finite(contacts: LawContacts | NetworkContacts, untouched_n: Array) -> None:
+def _require_finite(contacts: ContactFinder, state: Any, untouched_n: Array) -> None:
     """Check that readings are refused, or answered by finite numbers."""
     for scale in (0.0, 1.0, 40.0):
         reading_n = untouched_n + np.linspace(-scale, scale, len(untouched_n))
-        stated = contacts.find(reading_n, Situation(np.zeros(STRAIGHT.shape), 1))
+        situation = Situation(np.zeros(STRAIGHT.shape), 1)
+        state, stated = contacts.find(state, reading_n, situation)
         assert stated is not None
         numbers = list(stated.probabilities)
         for contact in stated.contacts:
@@ -270,9 +272,10 @@ def _use_arm_calibration(path: Path) -> None:
     numbers = [calibration.mean, calibration.std]
     require(np.isfinite(numbers).all(), f"a calibration of {numbers}")
     loaded, unloaded_n, _ = rig()
-    contacts = loaded.contacts(SETTINGS, calibration)
-    contacts.arm.at(STRAIGHT)
-    _require_finite(contacts, unloaded_n)
+    contacts = loaded.contacts(SETTINGS)
+    unloaded: UnloadedArm[Any] = contacts.unloaded
+    state = unloaded.at(unloaded.begin(calibration), STRAIGHT)
+    _require_finite(contacts, state, unloaded_n)
 
 
 _KINDS = {

@@ -35,10 +35,11 @@ from cablesense_online.can.bus import CanInterface, FaultLedger
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.emulator import Emulator, frame_line, line_frame
 from cablesense_online.can.reader import SCATTER_OF_READING_S, TensionReader
-from cablesense_online.contacts import Situation
+from cablesense_online.contacts import LawContacts, Situation
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import LoadedModel, load_model
 from cablesense_online.samples import PLAUSIBLE_N
+from cablesense_online.tare import with_reading
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium
@@ -265,13 +266,15 @@ class TaredEstimation:
     def __init__(self) -> None:
         loaded, unloaded_n, self.pushed_n = rig()
         self.estimation = Estimation(ARM, loaded.contacts(SETTINGS), SETTINGS, 0.0)
-        self._judge = loaded.contacts(SETTINGS)
-        self._judge.arm.at(STRAIGHT)
+        contacts = loaded.contacts(SETTINGS)
+        assert isinstance(contacts, LawContacts)
+        self._judge = contacts
+        self._known = contacts.unloaded.at(contacts.unloaded.begin(), STRAIGHT)
         self.now_ns = TARED_NS
         for _ in range(SETTINGS.tare_samples):
-            self._judge.arm.add(unloaded_n.tolist())
+            self._known = with_reading(self._known, unloaded_n.tolist(), SETTINGS.tare_samples)
             self.take_tensions(unloaded_n)
-        self._judge.arm.take(self.now_ns)
+        self._known = contacts.unloaded.taken(self._known, self.now_ns)
 
     @property
     def next_ns(self) -> int:
@@ -294,7 +297,8 @@ class TaredEstimation:
         stamp_ns, tensions_n = content_of(raw)
         age_ns = abs(self.now_ns - stamp_ns) if stamp_ns else 0
         require(age_ns <= 0.2e9, f"a contact from a message {age_ns} ns away")
-        right = self._judge.find(tensions_n, Situation(STRAIGHT, stamp_ns or self.now_ns))
+        situation = Situation(STRAIGHT, stamp_ns or self.now_ns)
+        self._known, right = self._judge.find(self._known, tensions_n, situation)
         assert right is not None
         same = tuple(answer.contacts) == right.contacts
         require(same, f"{answer.contacts} where the law finds {right}")

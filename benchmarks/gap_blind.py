@@ -44,7 +44,8 @@ from cablesense_contact.law import Law
 from cablesense_gap.arm_system import diagnose
 from cablesense_gap.scoring import Truth, read_answers
 from cablesense_gap.verdict import Verdict, read_verdict
-from cablesense_online.tare import CalibratedArm, TareError
+from cablesense_online.calibrated_arm import CalibratedArm
+from cablesense_online.tare import TareError, with_reading
 from cablesense_plants.arm.blind_cases import ArmAnswer, draw_kinds, draw_several, record_cases
 from cablesense_plants.arm.body import read_nominal
 from cablesense_recording.checks import check_recording, read_recording
@@ -206,12 +207,12 @@ def _exchanged(count: int, seed: int) -> dict[str, Any]:
 def _refused_tare(arm: Arm, law: Law, readings_n: Array) -> str:
     """Why readings (R, M) are no tare of the straight arm, as text; empty where they are one."""
     settings = estimation_settings(tare_samples=len(readings_n))
-    known = CalibratedArm(arm, law, settings)
-    known.at(np.zeros(arm.joint_count))
+    unloaded = CalibratedArm(arm, law, settings)
+    state = unloaded.at(unloaded.begin(), np.zeros(arm.joint_count))
     for reading_n in readings_n.tolist():
-        known.add(reading_n)
+        state = with_reading(state, reading_n, settings.tare_samples)
     try:
-        known.take(0)
+        unloaded.taken(state, 0)
     except TareError as error:
         return str(error)
     return ""

@@ -162,7 +162,9 @@ def noisy_n(bench: Bench, here_rad: Array, pushed_n: float) -> float:
     for _ in range(SINGLE_POSES):
         stated_rad = here_rad + bench.rng.normal(0.0, NOISE_RAD, len(here_rad))
         reading_n = bench.reading_n() + here_n - unloaded_n(bench.mechanism, stated_rad)
-        estimate = bench.estimation.contacts.find(reading_n, Situation(here_rad, START_NS))
+        contacts = bench.estimation.estimator.contacts
+        unloaded = bench.estimation.state.unloaded
+        _, estimate = contacts.find(unloaded, reading_n, Situation(here_rad, START_NS))
         sizes_n = [contact.magnitude_n for contact in estimate.contacts] if estimate else []
         off_n.append(max(sizes_n, default=0.0) - pushed_n)
     return float(np.sqrt(np.mean(np.square(off_n))))

@@ -187,7 +187,7 @@ class TestedArm(EstimatedArm):
         self.joint_m = np.concatenate([[0.0], np.cumsum(self.mechanism.segment_length_m)[:-1]])
         self._now_s = 0.0
         self._go_to(np.zeros(len(command_rad)))
-        self._until(lambda: self.estimation.unloaded.known)
+        self._until(lambda: self.estimation.state.unloaded.known)
         self.tared_n = self.unloaded_n
         if command_rad.any():
             self._go_to(command_rad)

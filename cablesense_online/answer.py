@@ -25,7 +25,7 @@ _HALF_TURN_DEG = 179.9
 """Half the widest interval of a direction: the ends of a whole turn could not be distinguished."""
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Answer:
     """The answer to one sample; by default that of none.
 
@@ -38,6 +38,8 @@ class Answer:
         problem: why the sample could not be used.
         new_tare: the tare that was taken by `auto_tare`; it counts from the next sample on.
         doubt: what else would explain the reading; empty without doubt.
+        slack_cables: numbers, from 1, of the cables that are slack.
+        pose_rad: (2N,) pose of the arm that the contacts are for; None without an estimate.
     """
 
     force: ForceState = ForceState.SILENT
@@ -49,6 +51,8 @@ class Answer:
     problem: SampleError | None = None
     new_tare: Tare | None = None
     doubt: str = ""
+    slack_cables: Sequence[int] = ()
+    pose_rad: Array | None = None
 
     @property
     def contact(self) -> Contact:
@@ -162,21 +166,14 @@ class ContactStatics:
     the torques of unit forces at the joint centre and B_n their slope by the place.
     """
 
-    def __init__(self, mechanism: Mechanism) -> None:
+    def __init__(self, mechanism: Mechanism, pose_rad: Array) -> None:
+        """For a pose (2N,)."""
         self._mechanism = mechanism
-        self._pose_rad: Array | None = None
-
-    def at(self, pose_rad: Array) -> ContactStatics:
-        """This object at a pose (2N,)."""
-        if pose_rad is not self._pose_rad:
-            self._pose_rad = pose_rad
-            mechanism = self._mechanism
-            self._axes = kinematics.segment_rotations(mechanism, pose_rad)
-            at_joints = replace(mechanism, contact_m=np.zeros(mechanism.segment_count))
-            self._joints_m = kinematics.contact_points_m(at_joints, pose_rad)
-            torques = kinematics.contact_torques(mechanism, pose_rad, self._axes)
-            self._by_force_m, self._by_place = torques
-        return self
+        self._axes = kinematics.segment_rotations(mechanism, pose_rad)
+        at_joints = replace(mechanism, contact_m=np.zeros(mechanism.segment_count))
+        self._joints_m = kinematics.contact_points_m(at_joints, pose_rad)
+        torques = kinematics.contact_torques(mechanism, pose_rad, self._axes)
+        self._by_force_m, self._by_place = torques
 
     def base_wrench(self, contacts: Sequence[Contact]) -> list[float]:
         """(6,) force, N, and moment about the base frame's origin, N·m, of all contacts."""

@@ -12,20 +12,20 @@ moves at every guide, and the tip nearly stays. The least circle turns every gui
 moves farther than its stretch over the friction loop, T sinh(μ θ) / k, and its give before it
 slips.
 
-The breather commands a `Breath` along its `Circle`; the estimator averages by `BreathReadings`.
+The breather commands a `Breath` along its `Circle`; the estimator averages by `breath_readings`.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
-from cablesense_msgs_py.messages import BREATH_END, Level, Status
+from cablesense_msgs_py.messages import BREATH_END
 from cablesense_sim import kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
@@ -48,19 +48,6 @@ _ROUNDED = 2.0
 """Rounded bristles carry 95 % of their limit after three times the `give_m` of sharp ones."""
 _SLACK_N = 1.0
 _PHASES = 8
-
-SILENT_AFTER_S = 1.0
-"""A breather that has sent nothing for this long in mid-breath is assumed to have gone."""
-_REST_S = 0.1
-"""Readings at rest are averaged over this time to find the friction, and over one at least."""
-_FEWEST = 8
-_LARGEST_GAP = 0.2
-"""Readings of a turn, and the longest time between two of them, in turns."""
-_SHIFT_N = 1.0
-"""Added before the logarithm: that of a slack cable's noise would weigh as much as a load's."""
-_BEYOND_N = 1.0
-"""By how much a reading at rest may exceed the range of the turn before."""
-_NONE: Final = np.zeros(0)
 
 
 class BreathError(CableSenseError):
@@ -228,256 +215,3 @@ def _motion_m(mechanism: Mechanism, command_rad: Array, axes_rad: Array) -> Arra
     beyond = np.hypot(*by_joint[..., ::-1].cumsum(-1)[..., ::-1])
     passed = mechanism.cable_segment[:, None] > np.arange(beyond.shape[-1])
     return np.where(passed, beyond, np.inf)
-
-
-@dataclass
-class BreathState:
-    """Progress and results of a breath (`BreathReadings`).
-
-    Attributes:
-        turn: turn of the last reading, as `messages.breath_turn` numbers them.
-        from_ns, last_ns: stamps of the turn's beginning, 0 where the turn does not count, and of
-            the last reading.
-        count, gap_ns: number of readings in the turn, and the longest time between two.
-        sum_log_n: (M,) sum of their logarithms, weighted by time in s.
-        lowest_n, highest_n: (M,) range of the readings.
-        mark_turn, mark_ns: turn and stamp of the mark that the next reading passes; 0 for none.
-        reading_n: (M,) mean of the last whole turn; empty where none counts.
-        ended_ns: stamp of the breath's end; 0 where no rest is awaited.
-        rest_n, rest_count: (M,) sum of the readings at rest since, and their number.
-        offset_n: (M,) correction of the readings for friction; empty where it is not known.
-    """
-
-    turn: int = BREATH_END
-    from_ns: int = 0
-    last_ns: int = 0
-    count: int = 0
-    gap_ns: int = 0
-    sum_log_n: Array = field(default_factory=lambda: _NONE)
-    lowest_n: Array = field(default_factory=lambda: _NONE)
-    highest_n: Array = field(default_factory=lambda: _NONE)
-    mark_turn: int = BREATH_END
-    mark_ns: int = 0
-    reading_n: Array = field(default_factory=lambda: _NONE)
-    ended_ns: int = 0
-    rest_n: Array = field(default_factory=lambda: _NONE)
-    rest_count: int = 0
-    offset_n: Array = field(default_factory=lambda: _NONE)
-
-
-class BreathReadings:
-    """Takes readings and the marks of a breath as they come; gives the tensions to answer from.
-
-    The mean of the readings' logarithms over each whole turn of a breath is answered from until
-    the end of the next. When the breath is over and the arm at rest again, each cable's reading
-    differs from that mean by its friction. Readings are corrected by this difference until the arm
-    is commanded elsewhere.
-
-    Attributes:
-        state: progress and results of the breath.
-        learnt: whether the last reading ended a turn, or the wait for rest after a breath.
-    """
-
-    def __init__(self, settle_s: float) -> None:
-        """`settle_s` is waited after the end of a breath."""
-        self._settle_ns = round(settle_s * 1e9)
-        self._heard = False
-        self._heard_s = 0.0
-        self._lasting = False
-        self._problem = ""
-        self.learnt = False
-        self.state = BreathState()
-
-    def mark(self, turn: int, stamp_ns: int, *, lasting: bool = False) -> bool:
-        """A message of the breather with this turn and stamp; gives whether that is another turn.
-
-        `lasting` marks an offset of the cables that is no breath's and need not be repeated.
-        """
-        state = self.state
-        self._heard = True
-        self._lasting = lasting
-        if turn == self._latest_turn:
-            return False
-        if state.mark_ns:  # no reading came since the previous mark
-            self._enter(state.mark_turn, 0)
-            self._lose_turn()
-        if not self.breathing:
-            self._problem = ""
-        state.mark_turn = turn
-        state.mark_ns = stamp_ns
-        return True
-
-    def silent(self, now_s: float) -> bool:
-        """Whether the breather seems to have gone in mid-breath.
-
-        To be asked again and again, at monotonic times `now_s`.
-        """
-        if self._heard or not self.breathing or self._lasting:
-            self._heard = False
-            self._heard_s = now_s
-        return now_s - self._heard_s > SILENT_AFTER_S
-
-    def give_up(self, problem: str) -> None:
-        """End the breath here, without any knowledge of friction, for a `problem`."""
-        self._enter(BREATH_END, 0)
-        self.moved()
-        self.state.mark_ns = 0
-        self._problem = problem
-
-    def moved(self) -> None:
-        """Forget the friction: it is unknown where the arm was commanded to."""
-        self.state.reading_n = _NONE
-        self.state.offset_n = self.state.reading_n
-        self.state.from_ns = 0
-        self.state.ended_ns = 0
-
-    @property
-    def _latest_turn(self) -> int:
-        return self.state.mark_turn if self.state.mark_ns else self.state.turn
-
-    @property
-    def breathing(self) -> bool:
-        """Whether the arm is away from its command on purpose."""
-        return self._latest_turn != BREATH_END
-
-    @property
-    def known(self) -> bool:
-        """Whether answers rest on a breath."""
-        return self.state.reading_n.size > 0 or self.state.offset_n.size > 0
-
-    def without_friction(
-        self, tensions_n: Sequence[float], stamp_ns: int
-    ) -> Sequence[float] | None:
-        """The tensions to answer from at a reading (M,), N; None before a breath has a result."""
-        self.learnt = False
-        state = self.state
-        if state.mark_ns:
-            self._pass_mark(tensions_n, stamp_ns)
-        elif state.turn > 0:
-            self._add(tensions_n, stamp_ns)
-        if state.turn == BREATH_END:
-            if state.offset_n.size:
-                return (state.offset_n + tensions_n).tolist()
-            rested_ns = stamp_ns - state.ended_ns - self._settle_ns
-            if state.ended_ns and rested_ns >= 0:
-                if state.reading_n.size:
-                    return self._at_rest(np.array(tensions_n), rested_ns).tolist()
-                state.ended_ns = 0
-            if not state.ended_ns:
-                return tensions_n
-        return state.reading_n.tolist() if state.reading_n.size else None
-
-    def status(self) -> Status | None:
-        """The results of breathing; None where there has been none."""
-        state = self.state
-        if self._problem:
-            message = f"{self._problem}; friction is in the readings"
-            return Status("breathing", Level.ERROR, message)
-        loop_n = 0.5 * (state.highest_n - state.lowest_n)
-        values = {"friction of each cable (N)": ", ".join(f"{half:.1f}" for half in loop_n)}
-        level = Level.OK
-        if self.breathing:
-            message = "breathing" if self.known else "breathing: no estimate before a whole turn"
-        elif state.offset_n.size:
-            values["readings corrected by (N)"] = ", ".join(f"{n:+.1f}" for n in state.offset_n)
-            message = "breathed at this command"
-        elif state.ended_ns:
-            message = "coming to rest after a breath"
-        elif loop_n.size:
-            level = Level.WARN
-            message = "moved since the last breath: friction is in the readings"
-        else:
-            return None
-        return Status("breathing", level, message, values)
-
-    def _pass_mark(self, tensions_n: Sequence[float], stamp_ns: int) -> None:
-        """End the turn, and begin the next, where the mark lies between two readings."""
-        state = self.state
-        at_ns = max(state.mark_ns, state.last_ns)
-        if stamp_ns < at_ns and state.turn != BREATH_END:
-            if state.turn > 0:
-                self._add(tensions_n, stamp_ns)
-            return
-        self.learnt = state.turn > 0
-        if state.turn > 0:
-            self._add(tensions_n, at_ns)
-            lasted_ns = at_ns - state.from_ns
-            enough = state.count >= _FEWEST and state.gap_ns <= _LARGEST_GAP * lasted_ns
-            if state.from_ns and enough:
-                state.reading_n = np.exp(state.sum_log_n / (1e-9 * lasted_ns)) - _SHIFT_N
-                self._problem = ""
-            else:
-                self._lose_turn()
-        self._enter(state.mark_turn, at_ns)
-        state.mark_ns = 0
-        if state.turn > 0:
-            self._add(tensions_n, stamp_ns)
-
-    def _lose_turn(self) -> None:
-        self.state.reading_n = _NONE
-        self._problem = (
-            f"a turn of the breath had {self.state.count} samples, up to "
-            f"{1e-6 * self.state.gap_ns:.0f} ms apart; it needs {_FEWEST}, and no gap of "
-            f"{_LARGEST_GAP:g} turns"
-        )
-
-    def _enter(self, turn: int, at_ns: int) -> None:
-        state = self.state
-        seen_from_its_beginning = state.turn != BREATH_END
-        if not seen_from_its_beginning:
-            state.reading_n = _NONE
-            state.offset_n = state.reading_n
-        state.turn = turn
-        state.from_ns = 0
-        state.last_ns = 0
-        state.count = 0
-        state.gap_ns = 0
-        state.ended_ns = 0
-        state.rest_count = 0
-        if turn > 0 and seen_from_its_beginning:
-            state.from_ns = at_ns
-            state.last_ns = state.from_ns
-            state.sum_log_n = _NONE
-            state.lowest_n = state.sum_log_n
-            state.highest_n = state.sum_log_n
-        elif turn == BREATH_END:
-            state.ended_ns = at_ns
-            state.rest_n = _NONE
-
-    def _add(self, tensions_n: Sequence[float], until_ns: int) -> None:
-        """Weight a reading by the time since the previous one."""
-        state = self.state
-        if until_ns < state.last_ns:
-            state.from_ns = 0  # a clock was set: this turn does not count
-        if not state.from_ns:
-            return
-        reading = np.array(tensions_n)
-        passed_ns = until_ns - state.last_ns
-        weighted = np.log(np.maximum(reading, 0.0) + _SHIFT_N) * (1e-9 * passed_ns)
-        if not state.count:
-            state.sum_log_n = weighted
-            state.lowest_n = reading
-            state.highest_n = reading
-        else:
-            state.sum_log_n = state.sum_log_n + weighted
-            state.lowest_n = np.minimum(state.lowest_n, reading)
-            state.highest_n = np.maximum(state.highest_n, reading)
-        state.count += 1
-        state.gap_ns = max(state.gap_ns, passed_ns)
-        state.last_ns = until_ns
-
-    def _at_rest(self, reading: Array, rested_ns: int) -> Array:
-        """The mean of the breath, until the friction left in the readings is known."""
-        state = self.state
-        state.rest_n = state.rest_n + reading if state.rest_count else reading
-        state.rest_count += 1
-        if rested_ns < _REST_S * 1e9:
-            return state.reading_n
-        mean = state.rest_n / state.rest_count
-        self.learnt = True
-        beyond = np.maximum(state.lowest_n - mean, mean - state.highest_n).max()
-        if beyond > _BEYOND_N:
-            self.give_up(f"the load changed by {beyond:.1f} N of a cable during the breath")
-            return reading
-        state.offset_n = state.reading_n - mean
-        return np.asarray(reading + state.offset_n)

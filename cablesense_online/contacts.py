@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -19,7 +19,10 @@ from cablesense_contact.judgement import ContactState, Judge, Judgement
 from cablesense_contact.law import Law, LawOutput
 from cablesense_msgs_py.messages import Contact, ForceState
 from cablesense_online.answer import decide
-from cablesense_online.tare import CalibratedArm, TaredArm, UnloadedArm
+from cablesense_online.calibrated_arm import CalibratedArm, CalibratedState
+from cablesense_online.motion import Unrest
+from cablesense_online.tare import UnloadedArm
+from cablesense_online.tared_arm import TaredArm, TaredState
 from cablesense_sim.arm import Arm, per_segment
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.kinematics import contact_torques
@@ -38,14 +41,6 @@ _STATES = {
     ContactState.UNCONFIRMED: ForceState.UNCONFIRMED,
     ContactState.IMPLAUSIBLE: ForceState.IMPLAUSIBLE,
 }
-
-
-@dataclass(frozen=True)
-class Unrest:
-    """How the joints move at a sample: speeds (2N,), rad/s, and accelerations (2N,), rad/s²."""
-
-    speed_rad_s: Array
-    swing_rad_s2: Array
 
 
 @dataclass(frozen=True)
@@ -84,22 +79,29 @@ class FoundContacts:
 
 
 class ContactFinder(Protocol):
-    """Finds contacts in readings of one arm.
-
-    Attributes:
-        arm: the unloaded state of the arm.
-        on_each_segment: whether the force on each segment is stated.
-    """
-
-    on_each_segment: bool
+    """Finds contacts in readings of one arm."""
 
     @property
-    def arm(self) -> UnloadedArm[object]:
-        """The unloaded state."""
+    def unloaded(self) -> UnloadedArm[Any]:
+        """How what is known of the unloaded arm goes on."""
         ...
 
-    def find(self, reading_n: Array, situation: Situation) -> FoundContacts | None:
-        """The contacts behind readings (M,); None while the unloaded state is unknown."""
+    @property
+    def on_each_segment(self) -> bool:
+        """Whether the force on each segment is stated."""
+        ...
+
+    def with_threshold(self, contact_threshold: float) -> ContactFinder:
+        """The same, that states contacts from this probability on."""
+        ...
+
+    def find(
+        self, state: Any, reading_n: Array, situation: Situation
+    ) -> tuple[Any, FoundContacts | None]:
+        """The contacts behind readings (M,), and what is known of the unloaded arm after them.
+
+        None while the unloaded state is unknown.
+        """
         ...
 
 
@@ -109,12 +111,18 @@ class LawContacts:
     on_each_segment = True
 
     def __init__(
-        self, arm: Arm, law: Law, known: CalibratedArm, threshold: float, hidden_above_n: float
+        self,
+        arm: Arm,
+        law: Law,
+        unloaded: CalibratedArm,
+        contact_threshold: float,
+        hidden_above_n: float,
     ) -> None:
-        self.arm = known
+        self.unloaded = unloaded
         self._law = law
         self._file = arm
         self._hidden_above_n = hidden_above_n
+        self._judge = Judge(arm, contact_threshold)
         mechanism = mechanism_of(arm)
         length_m = np.array(per_segment(arm.segments.length_m, arm.segment_count))
         self._middle_m = touched_places(arm).reach_m.mean(axis=1)
@@ -124,31 +132,34 @@ class LawContacts:
         by_force_m = at_joint + mechanism.centre_of_mass_m[:, None, None] * slope
         self._inertia_kg_m2 = np.einsum("n,nxi,nxj->ij", mechanism.mass_kg, by_force_m, by_force_m)
         self._still = np.zeros((arm.joint_count, arm.joint_count))
-        self.threshold(threshold)
 
-    def threshold(self, contact_threshold: float) -> None:
-        """State contacts from this probability on."""
-        self._judge = Judge(self._file, contact_threshold)
-
-    def find(self, reading_n: Array, situation: Situation) -> FoundContacts | None:
+    def with_threshold(self, contact_threshold: float) -> LawContacts:
         """See `ContactFinder`."""
-        if not self.arm.known:
-            return None
-        seen = self._seen(reading_n, situation)
+        return LawContacts(
+            self._file, self._law, self.unloaded, contact_threshold, self._hidden_above_n
+        )
+
+    def find(
+        self, state: CalibratedState, reading_n: Array, situation: Situation
+    ) -> tuple[CalibratedState, FoundContacts | None]:
+        """See `ContactFinder`."""
+        if not state.known:
+            return state, None
+        state, seen = self._seen(state, reading_n, situation)
         judgement = self._judge(seen, reading_n)
-        if judgement.state is not ContactState.FREE and not self.arm.seen_untouched:
-            seen = self._seen(reading_n, situation, touched=True)
+        if judgement.state is not ContactState.FREE and not self.unloaded.seen_untouched(state):
+            state, seen = self._seen(state, reading_n, situation, touched=True)
             judgement = self._judge(seen, reading_n)
         force = _STATES[judgement.state]
         if force is ForceState.FREE and situation.unrest is None:
-            self.arm.untouched(reading_n)
+            state = self.unloaded.with_untouched(state, reading_n)
         if force is not ForceState.FREE or situation.freed:
-            self.arm.touched()
+            state = state.touched
         if force is ForceState.FREE and self._unseen_n(seen) > self._hidden_above_n:
             force = ForceState.HIDDEN
         touched = judgement.state not in (ContactState.FREE, ContactState.IMPLAUSIBLE)
         contacts = (self._contact(seen, judgement),) if touched else ()
-        return FoundContacts(
+        return state, FoundContacts(
             force,
             judgement.probabilities.tolist(),
             contacts,
@@ -156,17 +167,26 @@ class LawContacts:
             judgement.doubt,
         )
 
-    def _seen(self, reading_n: Array, situation: Situation, *, touched: bool = False) -> LawOutput:
-        belief = self.arm.belief(
-            reading_n, situation.stamp_ns, freed=situation.freed, touched=touched
+    def _seen(
+        self,
+        state: CalibratedState,
+        reading_n: Array,
+        situation: Situation,
+        *,
+        touched: bool = False,
+    ) -> tuple[CalibratedState, LawOutput]:
+        """What the law says of a reading (M,), by what is known of the arm then."""
+        state, belief = self.unloaded.belief(
+            state, reading_n, situation.stamp_ns, freed=situation.freed, touched=touched
         )
-        return self._law(
+        seen = self._law(
             reading_n[None],
             situation.pose_rad[None],
             belief.mean,
             belief.covariance,
             self._torques_of(situation.unrest),
         )
+        return state, seen
 
     def _torques_of(self, unrest: Unrest | None) -> Array:
         """(2N, 2N) covariance of the torques of inertia and damping, as large as they are."""
@@ -244,31 +264,44 @@ class NetworkContacts:
         self,
         arm: Arm,
         network: Estimator | MultiEstimator,
-        tared: TaredArm,
-        threshold: float,
+        unloaded: TaredArm,
+        contact_threshold: float,
         hidden_above_n: float,
     ) -> None:
-        self.arm = tared
+        self.unloaded = unloaded
+        self._file = arm
+        self._threshold = contact_threshold
         self._hidden_above_n = hidden_above_n
         self.on_each_segment = isinstance(network, MultiEstimator)
         self._network = network
         self._contact_m = per_segment(arm.segments.contact_m, arm.segment_count)
-        self.threshold(threshold)
 
-    def threshold(self, contact_threshold: float) -> None:
-        """State contacts from this probability on."""
-        self._threshold = contact_threshold
-
-    def find(self, reading_n: Array, situation: Situation) -> FoundContacts | None:
+    def with_threshold(self, contact_threshold: float) -> NetworkContacts:
         """See `ContactFinder`."""
-        unloaded_n = self.arm.unloaded_n()
+        return NetworkContacts(
+            self._file, self._network, self.unloaded, contact_threshold, self._hidden_above_n
+        )
+
+    def find(
+        self, state: TaredState, reading_n: Array, situation: Situation
+    ) -> tuple[TaredState, FoundContacts | None]:
+        """See `ContactFinder`."""
+        if not state.known:
+            return state, None
+        state = self.unloaded.predicted(state)
+        unloaded_n = self.unloaded.unloaded_n(state)
         if unloaded_n is None:
-            return None
+            return state, None
         difference_n = reading_n - unloaded_n
         pose_rad = situation.pose_rad if self._network.pose_aware else None
         if isinstance(self._network, MultiEstimator):
-            return self._several(difference_n, pose_rad)
-        estimate = self._network.estimate(difference_n, pose_rad)
+            return state, self._several(self._network, difference_n, pose_rad)
+        return state, self._single(self._network, difference_n, pose_rad)
+
+    def _single(
+        self, network: Estimator, difference_n: Array, pose_rad: Array | None
+    ) -> FoundContacts:
+        estimate = network.estimate(difference_n, pose_rad)
         probabilities = estimate.probabilities.tolist()
         angle_deg = float(estimate.angle_deg)
         size_n = float(estimate.magnitude_n)
@@ -279,9 +312,11 @@ class NetworkContacts:
             return FoundContacts(force, probabilities, (), estimate)
         return FoundContacts(ForceState.CONTACT, probabilities, (contact,), estimate)
 
-    def _several(self, difference_n: Array, pose_rad: Array | None) -> FoundContacts:
+    def _several(
+        self, network: MultiEstimator, difference_n: Array, pose_rad: Array | None
+    ) -> FoundContacts:
         """Sizes of the forces; the network gives no directions, so they are unconfirmed."""
-        answer = self._network.estimate_batch(difference_n, pose_rad)
+        answer = network.estimate_batch(difference_n, pose_rad)
         touching = answer.probabilities[0]
         sizes_n = answer.magnitude_n[0].tolist()
         probabilities = [float(np.prod(1.0 - touching)), *touching.tolist()]

@@ -12,10 +12,10 @@ from cablesense_contact.inference.estimator import Estimator, MultiEstimator
 from cablesense_contact.inference.law_model import LawModel
 from cablesense_contact.inference.metadata import ANYWHERE, ModelMetadata, find_model_of
 from cablesense_contact.inference.model_file import read_model
-from cablesense_msgs_py.messages import Level, Status
+from cablesense_online.calibrated_arm import CalibratedArm
 from cablesense_online.contacts import LawContacts, NetworkContacts
 from cablesense_online.settings import EstimationSettings
-from cablesense_online.tare import CalibratedArm, TaredArm, TareError
+from cablesense_online.tared_arm import TaredArm
 from cablesense_sim.arm import Arm, open_arm
 
 AnyModel = LawModel | Estimator | MultiEstimator
@@ -56,22 +56,14 @@ class LoadedModel:
         """Of the file, which identifies the model in a recording."""
         return hashlib.sha256(Path(self.path).read_bytes()).hexdigest()
 
-    def contacts(
-        self, settings: EstimationSettings, calibration: Calibration | None = None
-    ) -> LawContacts | NetworkContacts:
-        """Finds contacts by this model, on an arm as well known as a calibration says.
-
-        Raises:
-            TareError: a calibration is given with a network.
-        """
+    def contacts(self, settings: EstimationSettings) -> LawContacts | NetworkContacts:
+        """Finds contacts by this model."""
         threshold = settings.contact_threshold
-        if isinstance(self.model, LawModel):
-            known = CalibratedArm(self.arm, self.model, settings, calibration)
-            return LawContacts(self.arm, self.model, known, threshold, settings.hidden_above_n)
-        if calibration is not None:
-            raise TareError(f"{self.path}: is a network, which takes no calibration")
-        tared = TaredArm(self.arm, settings)
         hidden_above_n = settings.hidden_above_n
+        if isinstance(self.model, LawModel):
+            calibrated = CalibratedArm(self.arm, self.model, settings)
+            return LawContacts(self.arm, self.model, calibrated, threshold, hidden_above_n)
+        tared = TaredArm(self.arm, settings)
         return NetworkContacts(self.arm, self.model, tared, threshold, hidden_above_n)
 
     def calibration(self, path: str) -> Calibration | None:
@@ -81,22 +73,6 @@ class LoadedModel:
             CalibrationError: no calibration, or one of another arm.
         """
         return read_calibration(path, self.arm) if path else None
-
-    def status(self, largest_force_n: float, active: bool) -> Status:
-        """The model in use, for diagnostics, with the largest force since the last report."""
-        metadata = self.metadata
-        values = {
-            "model": self.path,
-            "network": metadata.network,
-            "arm": self.arm.identity,
-            "up to (N)": f"{metadata.force_range_n:g}",
-            "largest force (N)": f"{largest_force_n:.1f}",
-        }
-        if not active:
-            return Status("model", Level.WARN, "configured, not active", values)
-        if largest_force_n > metadata.force_range_n:
-            return Status("model", Level.WARN, "forces beyond those that it is for", values)
-        return Status("model", Level.OK, "active", values)
 
 
 def load_model(arm: str, model: str) -> LoadedModel:

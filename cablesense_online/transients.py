@@ -7,47 +7,60 @@ confirmed once the force of the samples within a moment before lies in its inter
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
+from cablesense_base import Array
 from cablesense_contact.estimate import NORMAL_95, Estimate
 
 _MOMENT_NS = 150_000_000
 """An arm on cables swings with some 5 to 20 Hz; half a period of the slowest."""
 _LEAST_N = 0.5
 """Changes below this are no transient."""
+_SHORTEST_LEVER_M = 1e-3
+"""A contact nearer to the first joint counts as there."""
 
 
-class Transients:
-    """The estimates of the last moment."""
+@dataclass(frozen=True)
+class RecentMoments:
+    """The moments of the contacts of the last samples about the arm's first joint.
 
-    def __init__(self) -> None:
-        self.forget()
+    Attributes:
+        stamps_ns: (K,) of the samples.
+        moments_n_m: (K, 2) moments, along two axes across the arm.
+        halves_n_m: (K,) halves of their 95 % intervals.
+    """
 
-    def forget(self) -> None:
-        """Nothing before the next sample counts."""
-        self._stamps_ns = np.empty(0, dtype=np.int64)
-        self._torques_n_m = np.empty((0, 2))
-        self._halves_n_m = np.empty(0)
+    stamps_ns: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    moments_n_m: Array = field(default_factory=lambda: np.empty((0, 2)))
+    halves_n_m: Array = field(default_factory=lambda: np.empty(0))
 
-    def changing(self, estimate: Estimate, lever_m: float, stamp_ns: int) -> bool:
-        """Whether the moment of the contact has changed by more than its interval just now.
 
-        `lever_m` is from the arm's first joint to the contact: the moment of the force about it
-        is continuous where the contact passes from one segment to the next.
-        """
-        angle = math.radians(estimate.angle_deg)
-        size_n_m = estimate.magnitude_n * lever_m if estimate.segment else 0.0
-        torque_n_m = size_n_m * np.array([math.sin(angle), math.cos(angle)])
-        half_n = max(NORMAL_95 * estimate.magnitude_std_n, _LEAST_N)
-        half_n_m = half_n * max(lever_m, 1e-3)
-        passed_ns = stamp_ns - self._stamps_ns
-        recent = (passed_ns >= 0) & (passed_ns <= _MOMENT_NS)
-        torques_n_m = self._torques_n_m[recent]
-        halves_n_m = self._halves_n_m[recent]
-        apart_n_m = np.hypot(*(torques_n_m - torque_n_m).T)
-        changed = bool((apart_n_m > halves_n_m + half_n_m).any())
-        self._stamps_ns = np.append(self._stamps_ns[recent], stamp_ns)
-        self._torques_n_m = np.vstack([torques_n_m, torque_n_m])
-        self._halves_n_m = np.append(halves_n_m, half_n_m)
-        return changed
+def with_moment(
+    before: RecentMoments, estimate: Estimate, lever_m: float, stamp_ns: int
+) -> tuple[RecentMoments, bool]:
+    """With the moment of another estimate, and whether it has changed just now.
+
+    That is by more than its interval. `lever_m` is from the arm's first joint to the contact: the
+    moment of the force about it is continuous where the contact passes from one segment to the
+    next.
+    """
+    angle = math.radians(estimate.angle_deg)
+    size_n_m = estimate.magnitude_n * lever_m if estimate.segment else 0.0
+    moment_n_m = size_n_m * np.array([math.sin(angle), math.cos(angle)])
+    half_n = max(NORMAL_95 * estimate.magnitude_std_n, _LEAST_N)
+    half_n_m = half_n * max(lever_m, _SHORTEST_LEVER_M)
+    passed_ns = stamp_ns - before.stamps_ns
+    is_recent = (passed_ns >= 0) & (passed_ns <= _MOMENT_NS)
+    moments_n_m = before.moments_n_m[is_recent]
+    halves_n_m = before.halves_n_m[is_recent]
+    apart_n_m = np.hypot(*(moments_n_m - moment_n_m).T)
+    has_changed = bool((apart_n_m > halves_n_m + half_n_m).any())
+    recent = RecentMoments(
+        np.append(before.stamps_ns[is_recent], stamp_ns),
+        np.vstack([moments_n_m, moment_n_m]),
+        np.append(halves_n_m, half_n_m),
+    )
+    return recent, has_changed

@@ -15,8 +15,8 @@ from std_msgs.msg import Float64MultiArray
 from cablesense_base import Array
 from cablesense_msgs_py import qos, topics
 from cablesense_msgs_py.messages import Contact, put_joint_angles
+from cablesense_online.followed_publisher import FollowedPublisher
 from cablesense_online.page.live_arm import LiveArm
-from cablesense_online.samples import FollowedPublisher
 from cablesense_ros.endpoints import RefusalLog, of_node, qos_profile
 from cablesense_sim.arm import Arm
 from cablesense_sim.equilibrium import checked_command

@@ -42,14 +42,9 @@ from cablesense_online.commissioning import (
     CommissioningSettings,
     Stage,
 )
+from cablesense_online.followed_publisher import FollowedPublisher
 from cablesense_online.models import load_model
-from cablesense_online.samples import (
-    FollowedPublisher,
-    ProblemKind,
-    SampleCheck,
-    SampleClock,
-    SampleError,
-)
+from cablesense_online.samples import ProblemKind, ReadingLimits, SampleError, Stamps
 from cablesense_ros.endpoints import RefusalLog, qos_profile, serve, subscribe_to_one
 from cablesense_ros.node_process import (
     declare_parameters,
@@ -98,8 +93,8 @@ class CommissionerNode(Node):
         self._joints = NamedOrder(arm.joint_names, "joints")
         self._cables = NamedOrder(arm.cable_names, "cables")
         self._reader = EffortReader()
-        self._check = SampleCheck(arm.sensors.range_n, slack_below_n=0.0)
-        self._sample_clock = SampleClock(settings["stale_after_s"])
+        self._limits = ReadingLimits(arm.sensors.range_n)
+        self._stamps = Stamps()
         self._base_rad: Array | None = None
         if not settings["await_command"]:
             self._base_rad = np.zeros(arm.joint_count)
@@ -198,8 +193,10 @@ class CommissionerNode(Node):
             message = self._reader.read(raw)
             reading_n = self._cables.arrange(message.names, message.values, "effort")
             now_ns = self._now_ns()
-            self._sample_clock.accept(message.stamp_ns, now_ns)
-            self._check.check(reading_n.tolist())
+            self._stamps = self._stamps.accepted(
+                message.stamp_ns, now_ns, self._given["stale_after_s"]
+            )
+            self._limits.check(reading_n.tolist())
             running.take(reading_n, message.stamp_ns or now_ns)
         except CableSenseError as error:
             if not _is_of_the_clock(error):

@@ -40,7 +40,8 @@ from cablesense_msgs_py import topics
 from cablesense_msgs_py.qos import COMMAND, PUBLISHER, Qos
 from cablesense_msgs_py.serialized import MAX_CALIBRATION_BYTES, MAX_MESSAGE_BYTES, require_bounded
 from cablesense_msgs_py.topics import ContractError
-from cablesense_online.samples import FollowedPublisher, SampleError
+from cablesense_online.followed_publisher import FollowedPublisher
+from cablesense_online.samples import SampleError
 
 
 def qos_profile(qos: Qos) -> QoSProfile:

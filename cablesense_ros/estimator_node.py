@@ -13,15 +13,26 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import UInt8MultiArray
 
 from cablesense_contact.calibration_file import calibration_of
+from cablesense_contact.inference.law_model import LawModel
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import Level, Status
 from cablesense_msgs_py.qos import COMMAND, LATCHED, SENSOR
 from cablesense_msgs_py.topics import Frames
 from cablesense_online.answer import Answer
+from cablesense_online.calibrated_arm import CalibratedState
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
 from cablesense_online.provenance import Provenance
 from cablesense_online.settings import LIVE_SETTINGS, EstimationSettings
+from cablesense_online.statuses import (
+    ForceKnown,
+    awaited_tare,
+    breath_status,
+    cables_status,
+    model_status,
+    motion_status,
+    tare_status,
+)
 from cablesense_online.tare import Tare, TareError, tare_undone_line
 from cablesense_ros.endpoints import (
     WARN_EVERY_S,
@@ -33,6 +44,7 @@ from cablesense_ros.endpoints import (
 )
 from cablesense_ros.estimator_outputs import EstimatorOutputs
 from cablesense_ros.node_process import ConfiguredNode, parameter_values, run_node
+from cablesense_sim.build import mechanism_of
 
 STALE_CHECK_S = 0.02
 """How often silence of the input is checked for; while it lasts, a zero wrench is published."""
@@ -81,7 +93,7 @@ class EstimatorNode(ConfiguredNode):
             self,
             refuse,
             arm.joint_names,
-            lambda: self._estimation.gate.command_rad,
+            lambda: self._estimation.state.motion.command_rad,
             self._on_command,
         )
         at_end(commands.destroy)
@@ -94,8 +106,12 @@ class EstimatorNode(ConfiguredNode):
         arm = loaded.arm
         settings = EstimationSettings.model_validate(given)
         calibration = loaded.calibration(given["calibration_file"])
-        contacts = loaded.contacts(settings, calibration)
-        self._estimation = Estimation(arm, contacts, settings, time.monotonic())
+        contacts = loaded.contacts(settings)
+        now_s = time.monotonic()
+        self._estimation = Estimation(arm, contacts, settings, now_s, calibration)
+        self._force_known: ForceKnown | None = None
+        if isinstance(loaded.model, LawModel):
+            self._force_known = ForceKnown(arm, loaded.model)
         frames = Frames(arm.segment_count, given["frame_prefix"])
         self._outputs = EstimatorOutputs(
             self._topics,
@@ -103,7 +119,7 @@ class EstimatorNode(ConfiguredNode):
             arm.identity,
             given["markers"],
             given["unknown_force"],
-            self._estimation,
+            mechanism_of(arm),
             Provenance(
                 model=loaded.path,
                 sha256=loaded.sha256,
@@ -112,6 +128,7 @@ class EstimatorNode(ConfiguredNode):
                 settings=settings,
             ),
             arm.joint_names,
+            on_each_segment=contacts.on_each_segment,
         )
         self._identity = arm.identity
         path = given["calibration_file"]
@@ -158,15 +175,16 @@ class EstimatorNode(ConfiguredNode):
 
     def _undo_tare(self) -> str:
         self._require_active()
-        unloaded = self._estimation.unloaded
-        undone = unloaded.tares[-1] if unloaded.tares else None
+        tares = self._estimation.state.unloaded.tares
+        undone = tares[-1] if tares else None
         earlier = self._estimation.undo_tare()
+        undoable = self._estimation.state.unloaded.undoable
         self._outputs.publish_calibration(self._estimation, self._now_ns())
         if undone is None:
             message = "the calibration taken over last is undone"
         else:
             names = self._loaded.arm.cable_names
-            message = tare_undone_line(undone, earlier, names, unloaded.undoable)
+            message = tare_undone_line(undone, earlier, names, undoable)
         self.get_logger().info(message)
         return message
 
@@ -181,7 +199,7 @@ class EstimatorNode(ConfiguredNode):
 
     def _check_stale(self) -> None:
         self._simulated_time = self.get_clock().ros_time_is_active
-        if awaited := self._estimation.unloaded.awaited or self._estimation.auto_tare_problem:
+        if awaited := awaited_tare(self._estimation.state, self._estimation.settings):
             self.get_logger().warning(
                 f"auto_tare waits: {awaited}", throttle_duration_sec=WARN_EVERY_S
             )
@@ -192,7 +210,7 @@ class EstimatorNode(ConfiguredNode):
             )
         if self._estimation.stale(now_s):
             self._publish_zero()
-            silence_s = self._estimation.health.silence_s(now_s)
+            silence_s = self._estimation.counts.silence_s(now_s)
             self.get_logger().warning(
                 f"{topics.CABLE_TENSIONS}: no sample for {silence_s:.1f} s; no force is known",
                 throttle_duration_sec=WARN_EVERY_S,
@@ -214,28 +232,42 @@ class EstimatorNode(ConfiguredNode):
         if not self._identity:
             return [Status("model", Level.WARN, "not configured: no model loaded")]
         estimation = self._estimation
-        model = self._loaded.status(estimation.largest_force_n, self._active)
-        estimation.largest_force_n = 0.0
+        counts = estimation.counts
+        model = model_status(self._loaded, counts.largest_force_n, active=self._active)
+        counts.largest_force_n = 0.0
         if not self._active:
             return [model]
+        state = estimation.state
+        settings = estimation.settings
         publishers = self.count_publishers(topics.CABLE_TENSIONS)
-        breathing = estimation.breathing.status()
+        missing = max(self._lost, estimation.publisher.lost)
         statuses = [
             model,
-            estimation.health.status(time.monotonic(), self._lost, publishers),
-            estimation.check.status(),
-            estimation.gate.status(
+            counts.status(time.monotonic(), missing, publishers, settings.stale_after_s),
+            cables_status(counts.slack_cables, settings.slack_below_n),
+            motion_status(
+                estimation.estimator,
+                state,
+                counts.blind_s(state.motion.last_ns),
                 self._loaded.metadata.pose_range_deg,
                 self._refuse_command.count,
-                received=estimation.command_received,
             ),
-            estimation.unloaded.status(),
+            tare_status(state, settings, self._force_known_n()),
         ]
+        breathing = breath_status(state.breath)
         if breathing is not None:
             statuses.append(breathing)
         self._lost = 0
+        estimation.publisher.lost = 0
         self._refuse_command.count = 0
         return statuses
+
+    def _force_known_n(self) -> float | None:
+        """How well a push would be known elsewhere, N; None where that has no answer."""
+        unloaded = self._estimation.state.unloaded
+        if self._force_known is None or not isinstance(unloaded, CalibratedState):
+            return None
+        return self._force_known.half_interval_n(unloaded.calibration)
 
 
 main = partial(run_node, EstimatorNode)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from math import nan
 from typing import Any
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import (
@@ -27,6 +28,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
+from cablesense_base import Array
 from cablesense_contact.calibration_file import calibration_bytes
 from cablesense_contact.estimate import NORMAL_95
 from cablesense_msgs_py import topics
@@ -34,12 +36,13 @@ from cablesense_msgs_py.messages import NO_CONTACT, UNKNOWN_WRENCH, Contact, For
 from cablesense_msgs_py.qos import LATCHED, WRENCH
 from cablesense_msgs_py.serialized import restamped, wrench_writers
 from cablesense_msgs_py.topics import Frames
-from cablesense_online.answer import Answer
+from cablesense_online.answer import Answer, ContactStatics
+from cablesense_online.calibrated_arm import CalibratedState
 from cablesense_online.estimation import Estimation
 from cablesense_online.provenance import Beginning, Provenance
-from cablesense_online.tare import CalibratedArm
 from cablesense_ros.endpoints import Outputs, message_class
 from cablesense_ros.node_process import diagnostic_array
+from cablesense_sim.mechanism import Mechanism
 
 DISPLAY_PERIOD_S = 1.0 / 30.0
 """Markers and probabilities are for display, and published no faster than this."""
@@ -63,12 +66,18 @@ class EstimatorOutputs:
         identity: str,
         markers: bool,
         unknown_force: str,
-        estimation: Estimation,
+        mechanism: Mechanism,
         provenance: Provenance,
         joint_names: Sequence[str],
+        *,
+        on_each_segment: bool,
     ) -> None:
-        """`identity` is the arm's, `unknown_force` as in `EstimationSettings`."""
-        self._estimation = estimation
+        """`identity` is the arm's, `unknown_force` as in `EstimationSettings`.
+
+        `on_each_segment` is whether the force on each segment is stated.
+        """
+        self._mechanism = mechanism
+        self._statics: tuple[Array, ContactStatics] | None = None
         self._frames = frames
         self._unknown_force = unknown_force
         self._provenance = provenance
@@ -88,7 +97,7 @@ class EstimatorOutputs:
         self._torques_out = outputs.make(JointState, topics.JOINT_TORQUES)
         self._torques = JointState(name=list(joint_names))
         self._torques.header.frame_id = frames.base
-        count = frames.segment_count if estimation.contacts.on_each_segment else 0
+        count = frames.segment_count if on_each_segment else 0
         self._segments_out = [
             outputs.make(WrenchStamped, topics.SEGMENT_WRENCHES.format(number))
             for number in range(1, count + 1)
@@ -153,13 +162,14 @@ class EstimatorOutputs:
 
         A network has none.
         """
-        unloaded = estimation.unloaded
-        if not isinstance(unloaded, CalibratedArm):
+        state = estimation.state
+        unloaded = state.unloaded
+        if not isinstance(unloaded, CalibratedState):
             return
         content = calibration_bytes(unloaded.calibration)
         message = UInt8MultiArray(data=array("B", content))
-        command_rad = tuple(estimation.gate.command_rad.tolist())
-        beginning = Beginning(now_ns, estimation.clock.last_ns, command_rad, unloaded.known)
+        command_rad = tuple(state.motion.command_rad.tolist())
+        beginning = Beginning(now_ns, state.stamps.last_ns, command_rad, unloaded.known)
         provenance = replace(self._provenance, settings=estimation.settings)
         label = provenance.as_json(beginning)
         size = len(content)
@@ -169,14 +179,13 @@ class EstimatorOutputs:
     def _publish_whole(self, answer: Answer, wrench: Sequence[float], stamp_ns: int) -> None:
         """The force in base axes, at the joints and, of several contacts, on each segment."""
         contacts = answer.contacts
-        pose = self._estimation.at_pose
         if self._base_out.subscribed:
             in_base = self._in_base(answer, self._unknown_force)
             self._base_out.publish(self._writers[0].write(stamp_ns, in_base))
         if self._torques_out.subscribed:
             self._torques.header.stamp = _time(stamp_ns)
             self._torques.effort = (
-                pose.joint_torques_n_m(contacts)
+                self._statics_of(answer).joint_torques_n_m(contacts)
                 if contacts
                 else [wrench[0]] * len(self._torques.name)  # zero, or not known
             )
@@ -192,7 +201,15 @@ class EstimatorOutputs:
             return answer.wrench(unknown_force) or UNKNOWN_WRENCH
         if unknown_force == "nan" and not all(contact.magnitude_n for contact in answer.contacts):
             return UNKNOWN_WRENCH
-        return self._estimation.at_pose.base_wrench(answer.contacts)
+        return self._statics_of(answer).base_wrench(answer.contacts)
+
+    def _statics_of(self, answer: Answer) -> ContactStatics:
+        """Statics at the pose that an answer is for, which is mostly that of the last one."""
+        pose_rad = answer.pose_rad
+        assert pose_rad is not None  # an answer with contacts has one
+        if self._statics is None or not np.array_equal(self._statics[0], pose_rad):
+            self._statics = pose_rad, ContactStatics(self._mechanism, pose_rad)
+        return self._statics[1]
 
     def _publish_contact(self, answer: Answer, stamp_ns: int) -> None:
         contact = answer.contact
@@ -207,7 +224,7 @@ class EstimatorOutputs:
             self._region_out.publish(PolygonStamped(header=header, polygon=ends))
         if region_m and estimate and self._pose_out.subscribed:
             std_m = (region_m[1] - region_m[0]) / (2.0 * NORMAL_95)
-            statics = self._estimation.at_pose
+            statics = self._statics_of(answer)
             contact_pose = statics.contact_pose(contact, std_m, estimate.angle_std_deg)
             message = PoseWithCovarianceStamped()
             message.header.frame_id = self._frames.base

@@ -22,7 +22,7 @@ from cablesense_base import CableSenseError
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import NamedOrder
 from cablesense_msgs_py.qos import INPUTS, SENSOR, TopicType, resolved, segment_of
-from cablesense_online.samples import FollowedPublisher
+from cablesense_online.followed_publisher import FollowedPublisher
 from cablesense_online.sensor_check import CommissioningError, Pull
 from cablesense_recording.mcap_file import BagRows
 from cablesense_recording.mcap_messages import CHUNK_S, TopicFile, topic_file_path

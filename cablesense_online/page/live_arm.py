@@ -24,6 +24,7 @@ from cablesense_msgs_py.messages import (
     read_region,
 )
 from cablesense_msgs_py.topics import Frames
+from cablesense_online.followed_publisher import FollowedPublisher
 from cablesense_online.page.snapshot import (
     IN_CONTACT,
     CommissioningProgress,
@@ -33,7 +34,6 @@ from cablesense_online.page.snapshot import (
     Snapshot,
     headline,
 )
-from cablesense_online.samples import FollowedPublisher
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import checked_command

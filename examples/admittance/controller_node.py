@@ -34,7 +34,7 @@ from cablesense_msgs_py.messages import (
 )
 from cablesense_msgs_py.qos import COMMAND, PUBLISHER, SENSOR
 from cablesense_msgs_py.topics import ContractError, Frames
-from cablesense_online.samples import FollowedPublisher
+from cablesense_online.followed_publisher import FollowedPublisher
 from cablesense_ros.endpoints import RefusalLog, of_node, qos_profile, steady_timer
 from cablesense_ros.node_process import publish_diagnostics, run_node
 from cablesense_sim.arm import open_arm

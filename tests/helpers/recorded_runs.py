@@ -67,9 +67,11 @@ class MadeRun:
         self.records: list[tuple[str, int, bytes]] = []
 
         def note_calibration(now):
-            command_rad = tuple(live.gate.command_rad.tolist())
-            beginning = Beginning(now, live.clock.last_ns, command_rad, live.unloaded.known)
-            content = calibration_bytes(live.unloaded.calibration)
+            command_rad = tuple(live.state.motion.command_rad.tolist())
+            beginning = Beginning(
+                now, live.state.stamps.last_ns, command_rad, live.state.unloaded.known
+            )
+            content = calibration_bytes(live.state.unloaded.calibration)
             message = UInt8MultiArray(data=array("B", content))
             in_force = replace(provenance, settings=live.settings)
             label = in_force.as_json(beginning)
@@ -110,7 +112,7 @@ class MadeRun:
             answer = live.sample(raw, now, i * STEP_NS * 1e-9)
             self.records.append((topics.CABLE_TENSIONS, now + 100_000, raw))
             answers = [(topics.WRENCH, answer.contact.segment, answer.wrench(unknown_force))]
-            for n in range(1, 5 if live.contacts.on_each_segment else 1):
+            for n in range(1, 5 if live.estimator.contacts.on_each_segment else 1):
                 on_it = answer.on_segment(n, unknown_force)
                 answers.append((topics.SEGMENT_WRENCHES.format(n), n, on_it))
             for topic, segment, wrench in answers:

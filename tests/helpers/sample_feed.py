@@ -7,7 +7,7 @@ from estimation_settings import estimation_settings
 from cablesense_contact.estimate import Estimate
 from cablesense_online.contacts import NetworkContacts
 from cablesense_online.estimation import Estimation
-from cablesense_online.tare import TaredArm
+from cablesense_online.tared_arm import TaredArm
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.equilibrium import solve_equilibrium

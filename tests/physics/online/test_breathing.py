@@ -8,19 +8,19 @@ from estimation_settings import estimation_settings
 
 from cablesense_msgs_py.messages import BREATH_END, Level, Load
 from cablesense_msgs_py.topics import ContractError
+from cablesense_online.breath_readings import BreathState, Mark, after_reading
 from cablesense_online.breathing import (
     MOST_RAD,
     SET_POINTS_A_TURN,
-    SILENT_AFTER_S,
     Breath,
     BreathError,
-    BreathReadings,
     breath_circle,
     offsets_m,
 )
-from cablesense_online.estimation import Estimation
+from cablesense_online.estimation import BREATHER_SILENT_AFTER_S, Estimation
 from cablesense_online.models import load_model
 from cablesense_online.simulated_arm import SimulatedArm
+from cablesense_online.statuses import breath_status
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
@@ -107,7 +107,7 @@ class StickingCables:
     """Cables that slide in and out, one after the other; readings are off by exp(± grip)."""
 
     def __init__(self, period_ms=10, first_ms=0, true_n=TRUE_N):
-        self.readings = BreathReadings(settle_s=0.1)
+        self.state = BreathState()
         self.now_ns = 10**18 + first_ms * MS
         self.period_ms = period_ms
         self.true_n = true_n
@@ -120,11 +120,13 @@ class StickingCables:
             phase = 2.0 * np.pi * (self.now_ns - 10**18) / (400.0 * MS) + np.arange(12)
             way = np.sign(np.sin(phase)) if inwards is None else inwards
             tensions = self.true_n * np.exp(GRIP * way)
-            answer = self.readings.without_friction(tensions.tolist(), self.now_ns)
+            self.state, answer = after_reading(
+                self.state, tensions.tolist(), self.now_ns, settle_ns=100 * MS
+            )
         return answer
 
     def mark(self, turn):
-        return self.readings.mark(turn, self.now_ns)
+        self.state = self.state.marked(Mark(turn, self.now_ns))
 
     def breathe(self, left=1.0):
         """One breath; at its end all cables stick with a share `left` of their grip inwards."""
@@ -146,10 +148,10 @@ def test_after_a_breath_readings_are_those_without_friction(left):
     cables.true_n = TRUE_N + 5.0
     change = cables.read(1300, inwards=left) - TRUE_N
     np.testing.assert_allclose(change, 5.0 * np.exp(GRIP * left), atol=0.05 * TRUE_N.max() * GRIP)
-    cables.readings.moved()
+    cables.state = cables.state.moved
     stuck_n = (TRUE_N + 5.0) * np.exp(GRIP * left)
     assert cables.read(1400, inwards=left) == pytest.approx(stuck_n)
-    assert cables.readings.status().level is Level.WARN
+    assert breath_status(cables.state).level is Level.WARN
 
 
 def test_a_load_that_comes_during_the_breath_is_not_taken_for_friction():
@@ -164,7 +166,7 @@ def test_a_load_that_comes_during_the_breath_is_not_taken_for_friction():
     cables.mark(BREATH_END)
     answer = cables.read(1200, inwards=1.0)
     assert answer == pytest.approx((TRUE_N + 30.0) * np.exp(GRIP))
-    status = cables.readings.status()
+    status = breath_status(cables.state)
     assert status.level is Level.ERROR
     assert "the load changed by" in status.message
 
@@ -181,15 +183,15 @@ def test_a_breath_is_no_move_and_has_no_answer_before_a_whole_turn():
     feed = Feed().tared()
     breath_command(feed, 0)
     assert not feed.sample(PUSHED).probabilities
-    np.testing.assert_array_equal(feed.estimation.gate.command_rad, STRAIGHT)
-    assert not feed.estimation.gate.shut
+    np.testing.assert_array_equal(feed.estimation.state.motion.command_rad, STRAIGHT)
+    assert not feed.estimation.state.motion.shut
     breath_command(feed, 1)
     for _ in range(40):
         assert not feed.sample(PUSHED).probabilities
     breath_command(feed, 2)
     feed.sample(PUSHED)
     assert feed.sample(PUSHED).contact.segment == 3
-    assert feed.estimation.breathing.known
+    assert feed.estimation.state.breath.known
 
 
 def test_after_a_breather_that_vanished_the_arm_is_where_it_left_it_and_answers_go_on():
@@ -197,11 +199,11 @@ def test_after_a_breather_that_vanished_the_arm_is_where_it_left_it_and_answers_
     breath_command(feed, 0)
     feed.sample()
     assert not feed.estimation.miss_breather(0.0)
-    assert feed.estimation.miss_breather(1.1 * SILENT_AFTER_S)
-    np.testing.assert_array_equal(feed.estimation.gate.command_rad, AWAY)
+    assert feed.estimation.miss_breather(1.1 * BREATHER_SILENT_AFTER_S)
+    np.testing.assert_array_equal(feed.estimation.state.motion.command_rad, AWAY)
     answers = [feed.sample(PUSHED) for _ in range(60)]
     assert answers[-1].contact.segment == 3
-    assert "fell silent" in feed.estimation.breathing.status().message
+    assert "fell silent" in breath_status(feed.estimation.state.breath).message
 
 
 @pytest.mark.parametrize(
@@ -274,9 +276,9 @@ def test_forces_under_friction_are_right_after_a_breath_and_gone_when_it_is_gone
     settings = estimation_settings(tare_samples=20, await_breath=True)
     breathing = BreathingArm(over, settings)
     breathing.go_on(0.5)
-    assert not breathing.estimation.unloaded.known
+    assert not breathing.estimation.state.unloaded.known
     breathing.breathe()
-    assert breathing.estimation.unloaded.known
+    assert breathing.estimation.state.unloaded.known
     force = np.array([0.0, -12.0, 9.0])
     breathing.arm.push(Load(4, force), 0.01 * breathing.tick)
     passive = breathing.go_on(0.3).contact

@@ -9,12 +9,13 @@ import pytest
 from cablesense_base import CableSenseError
 from cablesense_msgs_py.messages import NO_CONTACT, Contact, ForceState, Load
 from cablesense_online.answer import decide
+from cablesense_online.calibrated_arm import CalibratedArm
+from cablesense_online.contact_estimator import Sample
 from cablesense_online.contacts import LawContacts
 from cablesense_online.estimation import Estimation
 from cablesense_online.models import load_model
 from cablesense_online.samples import ProblemKind, SampleError
 from cablesense_online.simulated_arm import SimulatedArm
-from cablesense_online.tare import CalibratedArm
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.dynamics import ArmDynamics
@@ -152,12 +153,41 @@ def test_beside_a_bent_arm_no_tare_is_taken_before_a_command(law):
     feed = Feed(contacts=known(law))
     there = solve_equilibrium(MECHANISM, BENT).tensions_n
     assert all(answer.new_tare is None for answer in fed(feed, there))
-    assert "not those of the untouched arm" in feed.estimation.auto_tare_problem
+    assert "not those of the untouched arm" in feed.estimation.state.tare_problem
     assert all(answer.force is ForceState.UNTARED for answer in fed(feed, there))
     feed.command(BENT)
     assert sum(answer.new_tare is not None for answer in fed(feed, there, 300)) == 1
     feed.command(np.zeros(8))
     assert {answer.contact for answer in fed(feed, UNLOADED, 300)} == {NO_CONTACT}
+
+
+def test_a_tare_taken_by_itself_is_dropped_where_the_arm_was_not_as_assumed():
+    feed = Feed().tared()
+    assert feed.estimation.command(joint_command(ARM, BENT))
+    assert not feed.estimation.state.unloaded.known
+    assert feed.estimation.state.unloaded.automatic
+    feed = Feed().tared()
+    feed.command(np.zeros(8))
+    assert not feed.estimation.command(joint_command(ARM, BENT))
+    assert feed.estimation.state.unloaded.known
+
+
+def test_the_same_state_and_sample_give_the_same_answer_whatever_was_asked_between(law):
+    feed = Feed(contacts=known(law)).tared()
+    estimator = feed.estimation.estimator
+    pushes = [PUSHED, UNLOADED, PUSHED + 3.0]
+    samples = [
+        Sample(message_bytes(tensions, now_ns), now_ns, 1.0)
+        for tensions, now_ns in zip(pushes, range(feed.now_ns + 10**7, 2**62, 10**7), strict=False)
+    ]
+    for sample in samples:
+        first, answer = estimator.answer(feed.estimation.state, sample)
+        estimator.answer(first, samples[-1])
+        second, again = estimator.answer(feed.estimation.state, sample)
+        assert again.contacts == answer.contacts
+        assert again.force is answer.force
+        assert again.probabilities == answer.probabilities
+        assert second.stamps == first.stamps
 
 
 class Beside:

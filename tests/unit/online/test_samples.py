@@ -8,15 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cablesense_msgs_py.messages import Level
-from cablesense_online.samples import (
-    FollowedPublisher,
-    InputHealth,
-    ProblemKind,
-    SampleCheck,
-    SampleClock,
-    SampleError,
-)
+from cablesense_msgs_py.messages import ForceState, Level
+from cablesense_online.answer import Answer
+from cablesense_online.contact_estimator import Sample
+from cablesense_online.followed_publisher import FollowedPublisher
+from cablesense_online.samples import ProblemKind, ReadingLimits, SampleError, Stamps, slack_cables
+from cablesense_online.statuses import SampleCounts
 
 MS = 1_000_000
 NOW = 1_700_000_000_000 * MS
@@ -35,22 +32,20 @@ LOST = "{} samples lost on the way, as on a busy machine; the others are used"
     ],
 )
 def test_a_stamp_that_is_not_of_a_present_sample_is_refused(before, stamp, complaint):
-    clock = SampleClock(0.2)
-    clock.accept(0, NOW)  # without a stamp: counts as new, until one has come
-    assert clock.largest_age_s == 0.0
+    stamps = Stamps().accepted(0, NOW, 0.2)  # without a stamp: counts as new, until one has come
     if before:
-        clock.accept(before, NOW + 5 * MS)
-        assert clock.largest_age_s == pytest.approx(0.005)
+        stamps = stamps.accepted(before, NOW + 5 * MS, 0.2)
     with pytest.raises(SampleError, match=complaint) as caught:
-        clock.accept(stamp, NOW)
+        stamps.accepted(stamp, NOW, 0.2)
     assert caught.value.kind is ProblemKind.CLOCK
 
 
 def test_stamps_step_back_where_the_clock_does():
-    clock = SampleClock(0.2)
-    clock.accept(NOW, NOW)
-    clock.accept(NOW - 3600_000 * MS, NOW - 3600_000 * MS + MS)
-    clock.accept(NOW - 3599_990 * MS, NOW - 3599_990 * MS)
+    hour_ago = NOW - 3600_000 * MS
+    stamps = Stamps().accepted(NOW, NOW, 0.2).accepted(hour_ago, hour_ago + MS, 0.2)
+    assert (
+        stamps.accepted(hour_ago + 10 * MS, hour_ago + 10 * MS, 0.2).last_ns == hour_ago + 10 * MS
+    )
 
 
 GOOD = [50.0] * 12
@@ -71,55 +66,61 @@ def changed(cable, tension):
 @pytest.mark.parametrize("cable", [1, 12])
 def test_readings_that_no_cable_carries_are_refused_by_cable(cable, range_n, tension, kind):
     with pytest.raises(SampleError, match=f"cable_{cable} ") as caught:
-        SampleCheck(range_n, 1.0).check(changed(cable, tension))
+        ReadingLimits(range_n).check(changed(cable, tension))
     assert caught.value.kind is kind
 
 
-def status(health, now_s, missing=0, publishers=1):
-    return health.status(now_s, lost=missing, publisher_count=publishers)
+def test_slack_cables_are_named_and_no_fault():
+    ReadingLimits(None).check(changed(3, -1.0))
+    assert slack_cables(changed(3, -1.0), 1.0) == (3,)
+    assert slack_cables(GOOD, 1.0) == ()
 
 
-def fed(clock=None, publisher=None):
-    publisher = publisher or FollowedPublisher()
-    health = InputHealth(clock or SampleClock(0.2), publisher, 0.0)
+def status(counts, now_s, missing=0, publishers=1):
+    return counts.status(now_s, missing, publishers, stale_after_s=0.2)
+
+
+def fed(age_ns=0):
+    counts = SampleCounts(0.0)
     for k in range(100):
-        health.arrived(0.01 * (k + 1))
-    return health
+        arrive(counts, 0.01 * (k + 1), age_ns)
+    return counts
+
+
+def arrive(counts, now_s, age_ns=0):
+    answer = Answer(force=ForceState.FREE, probabilities=(1.0, 0.0), stamp_ns=NOW - age_ns)
+    counts.count(Sample(b"", NOW, now_s), answer)
 
 
 def test_rate_age_losses_and_silence_are_reported():
-    clock = SampleClock(0.2)
-    health = fed(clock)
-    clock.accept(10**18, 10**18 + 4_000_000)
-    report = status(health, 1.0)
+    report = status(fed(age_ns=4 * MS), 1.0)
     assert report.level is Level.OK
     assert report.values["rate (Hz)"] == "100.0"
     assert report.values["largest age (s)"] == "0.0040"
     assert status(fed(), 1.0, missing=3).message == LOST.format(3)
-    nothing = InputHealth(SampleClock(0.2), FollowedPublisher(), 0.0)
-    assert status(nothing, 1.0).message == "no sample received yet"
+    assert status(SampleCounts(0.0), 1.0).message == "no sample received yet"
     report = status(fed(), 3.0)
     assert (report.level, report.message) == (Level.STALE, "no sample for 2.0 s")
 
 
 def test_refused_samples_are_an_error_until_the_next_report():
-    health = fed()
-    health.refused(SampleError(ProblemKind.NOT_FINITE, "effort of cable_3 is nan N"))
-    report = status(health, 1.0)
+    counts = fed()
+    counts.refuse(SampleError(ProblemKind.NOT_FINITE, "effort of cable_3 is nan N"))
+    report = status(counts, 1.0)
     assert report.level is Level.ERROR
     assert "1 not finite" in report.message
     assert "cable_3" in report.values["last refusal"]
-    health.arrived(1.05)
-    again = status(health, 1.1)
+    arrive(counts, 1.05)
+    again = status(counts, 1.1)
     assert again.level is Level.OK
     assert again.values["refused in all"] == "1"
 
 
 def test_a_silent_second_publisher_is_a_warning_and_one_that_publishes_an_error():
-    health = fed()
-    assert status(health, 1.0, publishers=2).level is Level.WARN
-    health.refused(SampleError(ProblemKind.PUBLISHER, "its publisher's number 3"))
-    assert status(health, 1.1, publishers=2).level is Level.ERROR
+    counts = fed()
+    assert status(counts, 1.0, publishers=2).level is Level.WARN
+    counts.refuse(SampleError(ProblemKind.PUBLISHER, "its publisher's number 3"))
+    assert status(counts, 1.1, publishers=2).level is Level.ERROR
 
 
 def heard(samples, publishers=2, period_s=0.01):
@@ -189,6 +190,4 @@ def test_lost_samples_of_one_publisher_are_counted_by_their_numbers_and_are_no_o
     publisher = FollowedPublisher()
     for _, number in samples:
         publisher.accept(number, 0.0)
-    report = status(fed(publisher=publisher), 1.0)
-    assert (report.level, report.message) == (Level.WARN, LOST.format(285))
-    assert publisher.lost == 0
+    assert publisher.lost == 285

@@ -1,0 +1,298 @@
+"""The commanded pose, whether the arm may still be moving towards it, and its pose on the way.
+
+Controllers stream commands that differ in the last digit, or turn slowly. Such a motion is
+followed along the set-points between the commands (`joint_motion`). Only faster ones shut the
+gate.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from cablesense_base import Array
+from cablesense_online.settings import EstimationSettings
+from cablesense_sim.joint_motion import SHORTEST_MOVE_S, JointMotion
+
+_POSE_STEP_RAD = 2e-3
+"""The pose follows a set-point in motion only beyond this distance: a new pose costs
+milliseconds."""
+_KEPT = 0.8
+_NOISE = 0.5
+"""Changes of the command are averaged, and each new average keeps the first share of the last one.
+Changes by noise cancel: their mean is less than the second share of their mean size."""
+_ROUNDING_S = 1e-6
+"""Waits that differ by less are the same: stamps are whole nanoseconds."""
+_SETTLED = 3.0
+_SWINGS = 2.0
+"""A swing falls to a twentieth within `settle_s`, and is forgotten after twice that time."""
+_CLOCK_JITTER_S = 0.02
+"""Between the stamps' clock and the monotonic one; a larger difference means a clock was set."""
+
+LONG_AGO_NS: Final = -(2**62)
+"""A stamp before all others."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What is known of the arm's motion at the last sample, and of the commands since.
+
+    Attributes:
+        command_rad: (2N,) the command in force.
+        pose_rad: (2N,) pose of the estimates: the command, or a set-point of a followed motion.
+        course: the set-points.
+        last_ns: stamp of the last sample.
+        rest_from_ns: stamp from which on the arm rests.
+        rest_from_s: monotonic time of the same.
+        course_from_ns: the stamp at which the motion of the set-points began.
+        turned_ns: stamp at which the last turn beyond `still_rad` arrives.
+        swing_rad_s2: (2N,) accelerations with which the arm swung at a stamp, and
+        swung_ns: that stamp.
+        net_turn_rad: (2N,) average of the latest changes of the command, and
+        turns_rad: of their sizes.
+        heading: whether a command came since the last sample.
+        starting: whether one came that is not followed.
+        stepped: 1 where the stamps had stepped forward at the last sample, -1 where back, else 0.
+    """
+
+    command_rad: Array
+    pose_rad: Array
+    course: JointMotion
+    swing_rad_s2: Array
+    net_turn_rad: Array
+    last_ns: int = LONG_AGO_NS
+    rest_from_ns: int = LONG_AGO_NS
+    rest_from_s: float = 0.0
+    course_from_ns: int = 0
+    turned_ns: int = LONG_AGO_NS
+    swung_ns: int = LONG_AGO_NS
+    turns_rad: float = 0.0
+    heading: bool = False
+    starting: bool = False
+    stepped: int = 0
+
+    @property
+    def shut(self) -> bool:
+        """Whether the arm may have moved at the last sample, or was commanded since."""
+        return self.starting or self.last_ns < self.rest_from_ns
+
+    @property
+    def noisy(self) -> bool:
+        """Whether the latest commands go back and forth, as an encoder's readings at rest do."""
+        net_rad = float(np.linalg.norm(self.net_turn_rad))
+        return net_rad < _NOISE * self.turns_rad
+
+    @property
+    def waiting_anew(self) -> Motion:
+        """The same, waiting from the next sample on as after a command to the present pose."""
+        return replace(self, starting=True, heading=True)
+
+
+@dataclass(frozen=True)
+class Unrest:
+    """How the joints move at a sample.
+
+    Attributes:
+        speed_rad_s: (2N,) of the set-points.
+        swing_rad_s2: (2N,) accelerations with which the arm swings.
+    """
+
+    speed_rad_s: Array
+    swing_rad_s2: Array
+
+
+class MotionGate:
+    """Shut from a changed command until its set-points have arrived, and then for `settle_s`.
+
+    Time is that of the samples' stamps, so that a recording has the same answers: a command counts
+    from the first sample after it. If stamps step back, the remaining wait is kept. If they step
+    forward, it is timed by the monotonic clock of their arrival.
+
+    A command shuts the gate unless it is within `still_rad` of the pose, or the arm is to follow
+    at `follow_rad_s` at most: the joints turn no faster, and the command is no farther ahead of
+    them than such a motion gets in the time of the shortest move.
+    """
+
+    def __init__(self, settings: EstimationSettings) -> None:
+        self._settings = settings
+        self._settle_ns = settings.settle_s * 1e9
+
+    def at_rest(self, command_rad: Array) -> Motion:
+        """The arm has been at rest at a command (2N,) for long."""
+        rest_rad = command_rad.copy()
+        return Motion(
+            command_rad=rest_rad,
+            pose_rad=rest_rad,
+            course=JointMotion.at_rest(rest_rad, self._settings.joint_speed_rad_s),
+            swing_rad_s2=np.zeros_like(rest_rad),
+            net_turn_rad=np.zeros_like(rest_rad),
+        )
+
+    def commanded(self, motion: Motion, command_rad: Array) -> Motion:
+        """The motion with another command (2N,) in force."""
+        turn_rad = command_rad - motion.command_rad
+        size_rad = float(np.linalg.norm(turn_rad))
+        return replace(
+            motion,
+            command_rad=command_rad.copy(),
+            net_turn_rad=_KEPT * motion.net_turn_rad + (1.0 - _KEPT) * turn_rad,
+            turns_rad=_KEPT * motion.turns_rad + (1.0 - _KEPT) * size_rad,
+            heading=True,
+            starting=motion.starting or not self.follows(motion, command_rad),
+        )
+
+    def follows(self, motion: Motion, command_rad: Array) -> bool:
+        """Whether a command (2N,) would be followed with the gate as it is."""
+        settings = self._settings
+        off_rad = float(np.abs(command_rad - motion.pose_rad).max())
+        if off_rad <= settings.still_rad and not motion.shut:
+            return True
+        if not settings.follow_rad_s:
+            return False
+        angle, speed, _ = motion.course.state
+        ahead_rad = float(np.abs(command_rad - angle).max())
+        return (
+            ahead_rad <= settings.follow_rad_s * SHORTEST_MOVE_S
+            and float(np.abs(speed).max()) <= settings.follow_rad_s
+        )
+
+    def at_sample(self, motion: Motion, stamp_ns: int, now_ns: int, now_s: float) -> Motion:
+        """The motion at the next sample's stamp.
+
+        The sample comes at `now_ns` of the clock that sets stamps, at monotonic time `now_s`.
+        """
+        if self._rests(motion, stamp_ns):
+            return replace(motion, last_ns=stamp_ns, stepped=0)
+        first = motion.last_ns == LONG_AGO_NS
+        motion = _with_stamp(motion, stamp_ns)
+        if motion.course.moving:
+            elapsed_s = max(0, stamp_ns - motion.course_from_ns) * 1e-9
+            motion = self._swinging_on(replace(motion, course=motion.course.at(elapsed_s)))
+        if motion.heading:
+            motion = self._headed(motion)
+        if motion.heading or first:
+            sampled_s = now_s - max(0, now_ns - stamp_ns) * 1e-9
+            motion = self._waiting_for_course(motion, sampled_s, first=first)
+        motion = _held_shut(motion, now_s)
+        return motion if motion.shut else self._at_pose(motion)
+
+    def turning(self, motion: Motion) -> bool:
+        """Whether the joints have turned within the time in which the arm settles."""
+        return motion.last_ns - motion.turned_ns < self._settle_ns
+
+    def settling(self, motion: Motion) -> bool:
+        """Whether the arm may swing: within `settle_s` of a turn, or of the end of a wait."""
+        since_ns = max(motion.turned_ns, motion.rest_from_ns)
+        return motion.last_ns - since_ns <= self._settle_ns
+
+    def unrest(self, motion: Motion) -> Unrest | None:
+        """How the joints move on a followed motion; None at rest, and under noisy commands.
+
+        The arm swings with the accelerations of the set-points, and settles within `settle_s`.
+        """
+        if not self._swings(motion) or motion.noisy:
+            return None
+        _, speed_rad_s, _ = motion.course.state
+        return Unrest(speed_rad_s, motion.swing_rad_s2 * self._left_of_swing(motion))
+
+    def _rests(self, motion: Motion, stamp_ns: int) -> bool:
+        """Whether the arm is at rest, and nothing has happened since the last sample."""
+        undisturbed = not (motion.heading or motion.starting or motion.stepped)
+        at_rest = motion.last_ns >= motion.rest_from_ns and not motion.course.moving
+        return undisturbed and at_rest and stamp_ns >= motion.last_ns > LONG_AGO_NS
+
+    def _headed(self, motion: Motion) -> Motion:
+        """With the set-points on their way to the command from this sample on."""
+        turn_rad = float(np.abs(motion.command_rad - motion.course.angle_rad).max())
+        course = motion.course.towards(motion.command_rad)
+        turned_ns = motion.turned_ns
+        if turn_rad > self._settings.still_rad:
+            turned_ns = motion.last_ns + round(course.remaining_s * 1e9)
+        return replace(motion, course=course, course_from_ns=motion.last_ns, turned_ns=turned_ns)
+
+    def _waiting_for_course(self, motion: Motion, sampled_s: float, *, first: bool) -> Motion:
+        """Waiting until the set-points must have arrived; a followed command may come earlier.
+
+        `sampled_s` is the monotonic time of the stamp; `first` is whether no other came before.
+        """
+        wait_s = motion.course.remaining_s + self._settings.settle_s
+        latest_ns = motion.last_ns + round(wait_s * 1e9)
+        too_long_s = (motion.rest_from_ns - latest_ns) * 1e-9
+        changed = motion.starting or too_long_s > _ROUNDING_S
+        rest_from_ns = latest_ns if changed else motion.rest_from_ns
+        rest_from_s = motion.rest_from_s
+        if changed or first:
+            rest_from_s = sampled_s + (rest_from_ns - motion.last_ns) * 1e-9
+        return replace(
+            motion,
+            rest_from_ns=rest_from_ns,
+            rest_from_s=rest_from_s,
+            heading=False,
+            starting=False,
+        )
+
+    def _at_pose(self, motion: Motion) -> Motion:
+        """At the pose of the estimates that follows from the set-points."""
+        settings = self._settings
+        angles_rad = motion.course.angle_rad if motion.course.moving else motion.command_rad
+        off_rad = float(np.abs(angles_rad - motion.pose_rad).max())
+        follows = settings.follow_rad_s or off_rad > settings.still_rad
+        far = off_rad > _POSE_STEP_RAD or (off_rad and not motion.course.moving)
+        return replace(motion, pose_rad=angles_rad) if follows and far else motion
+
+    def _swinging_on(self, motion: Motion) -> Motion:
+        """With the accelerations of the set-points, or the decayed earlier ones if larger."""
+        _, _, acceleration_rad_s2 = motion.course.state
+        swing_rad_s2 = np.abs(acceleration_rad_s2)
+        if self._swings(motion):
+            earlier_rad_s2 = motion.swing_rad_s2 * self._left_of_swing(motion)
+            swing_rad_s2 = np.maximum(swing_rad_s2, earlier_rad_s2)
+        return replace(motion, swing_rad_s2=swing_rad_s2, swung_ns=motion.last_ns)
+
+    def _swings(self, motion: Motion) -> bool:
+        return motion.last_ns - motion.swung_ns < _SWINGS * self._settle_ns
+
+    def _left_of_swing(self, motion: Motion) -> float:
+        passed_s = (motion.last_ns - motion.swung_ns) * 1e-9
+        return math.exp(-_SETTLED * passed_s / self._settings.settle_s)
+
+
+def _with_stamp(motion: Motion, stamp_ns: int) -> Motion:
+    """The motion at another stamp; where stamps have stepped back, all times step with them."""
+    back_ns = motion.last_ns - stamp_ns
+    if back_ns <= 0:
+        return replace(motion, last_ns=stamp_ns, stepped=0)
+    return replace(
+        motion,
+        last_ns=stamp_ns,
+        rest_from_ns=motion.rest_from_ns - back_ns,
+        course_from_ns=motion.course_from_ns - back_ns,
+        turned_ns=motion.turned_ns - back_ns,
+        swung_ns=motion.swung_ns - back_ns,
+        stepped=-1,
+    )
+
+
+def _held_shut(motion: Motion, now_s: float) -> Motion:
+    """With the wait prolonged where stamps have stepped forward in the midst of it."""
+    left_s = motion.rest_from_s - now_s
+    if motion.last_ns < motion.rest_from_ns or left_s <= _CLOCK_JITTER_S:
+        return motion
+    rest_from_ns = motion.last_ns + round(left_s * 1e9)
+    if motion.course_from_ns >= motion.last_ns:
+        return replace(motion, rest_from_ns=rest_from_ns, stepped=1)
+    # set-points have not jumped with the stamps
+    jump_ns = rest_from_ns - motion.rest_from_ns
+    course_from_ns = motion.course_from_ns + jump_ns
+    elapsed_s = max(0, motion.last_ns - course_from_ns) * 1e-9
+    return replace(
+        motion,
+        rest_from_ns=rest_from_ns,
+        course_from_ns=course_from_ns,
+        turned_ns=motion.turned_ns + jump_ns,
+        course=motion.course.at(elapsed_s),
+        stepped=1,
+    )
