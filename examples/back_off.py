@@ -3,8 +3,8 @@
     python -m examples.back_off  # while `cablesense demo` runs, in its ROS_DOMAIN_ID
 
 Each step turns the joints by a fixed gain times the joint torques of the contact. The estimator
-gives no force while the arm moves fast, so the steps are small and slow. `examples/admittance` has
-a controller with a stability proof and stops; this one has neither.
+gives no force while the arm moves fast, so the steps are small and slow. This one takes no notice
+of an estimator that has died; `examples/admittance.py` does, and moves the arm smoothly.
 """
 
 from __future__ import annotations

@@ -113,8 +113,8 @@ def demo(
     Starts the simulated arm, the estimator and a page in the browser where you can push the arm
     and move its joints. The arm is not quite as its file says, like every built one; it first
     visits some poses by itself, untouched, to learn that. Ctrl-C ends all of it. With --headless
-    it needs no browser: a script of pushes runs for a minute. A controller that yields to a wall
-    is in examples/admittance.
+    it needs no browser: a script of pushes runs for a minute. A controller that gives way to
+    pushes is examples/admittance.py.
     """
     output_folder(out, DEMO_FILES, force=force or out == DEMO_FOLDER)
     if as_file:

@@ -1,26 +1,17 @@
-"""The examples that need nodes: each runs, and the controller stops when it must."""
-
-import time
+"""The examples that need nodes: each runs, and the controllers stop when they must."""
 
 import numpy as np
 import pytest
-from rclpy.qos import qos_profile_sensor_data
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
 
+from cablesense_msgs_py.messages import ForceState
 from cablesense_sim.arm import open_arm
-from examples.admittance.__main__ import metrics, play
+from examples import admittance
 from examples.back_off import LIMIT_RAD, THRESHOLD_N
 
-CONTROLLER = "examples.admittance.controller_node"
-HEALTHY = "healthy_tensions"
-
-
-def test_the_admittance_controller_backs_off_from_a_wall_and_returns(tmp_path):
-    found = play(14.0, tmp_path)
-    assert found["without_controller_n"] > 25.0
-    assert found["settled_n"] < 0.25 * found["without_controller_n"]
-    assert found["steps"] > 2
-    assert found["left_from_home_deg"] < 0.5
+JOINTS = list(open_arm("cdsm").joint_names)
 
 
 @pytest.mark.timeout(300)
@@ -32,7 +23,7 @@ def test_a_reader_prints_the_force_and_a_controller_backs_off_above_its_threshol
     reader = start("examples.read_topics")
     controller = start("examples.back_off")
     graph.until(lambda: "free" in reader.log, "a free arm")
-    straight = JointState(name=list(open_arm("cdsm").joint_names), position=[0.0] * 8)
+    straight = JointState(name=JOINTS, position=[0.0] * 8)
     graph.command.publish(straight)  # or the first step drops the tare
     graph.until(lambda: commands, "the command")
     commands.clear()
@@ -47,53 +38,93 @@ def test_a_reader_prints_the_force_and_a_controller_backs_off_above_its_threshol
     assert turned["joint_4_yaw"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_metrics_are_those_of_the_contact():
-    times = np.arange(0.0, 20.0, 0.04)
-    pressed = (times >= 1.0) & (times < 10.0)
-    decay = 2.0 + 28.0 * np.exp(-(times - 1.0) * np.log(28.0) / 3.0)
-    commands = np.zeros((len(times), 8))
-    commands[(times >= 2.0) & (times < 15.0), 3] = 0.01
-    unyielding = np.where(pressed, 30.0, 0.0)
-    found = metrics(times, np.where(pressed, decay, 0.0), unyielding, commands, 10.0)
-    assert found["without_controller_n"] == pytest.approx(30.0)
-    assert found["settled_n"] == pytest.approx(2.0, abs=0.01)
-    assert found["settling_s"] == pytest.approx(3.0, abs=0.1)
-    assert (found["steps"], found["left_from_home_deg"]) == (1, 0.0)
+class StatedForce:
+    """Publishes what an estimator would, 50 times a second."""
+
+    def __init__(self, graph):
+        self.graph = graph
+        self.status_out = graph.node.create_publisher(DiagnosticArray, "/estimator/status", 10)
+        self.torques_out = graph.node.create_publisher(JointState, "/estimator/joint_torques", 10)
+
+    def hold(self, seconds, state, torques_n_m, age_s=0.0):
+        """State it for a while, of samples that are `age_s` old."""
+        for _ in range(round(seconds / 0.02)):
+            stamp = (self.graph.node.get_clock().now() - Duration(seconds=age_s)).to_msg()
+            torques = JointState(name=JOINTS, effort=torques_n_m)
+            torques.header.stamp = stamp
+            status = DiagnosticArray(status=[DiagnosticStatus(message=state.value)])
+            status.header.stamp = stamp
+            self.torques_out.publish(torques)
+            self.status_out.publish(status)
+            self.graph.spin(0.02)
 
 
-@pytest.mark.timeout(180)
-def test_a_failing_channel_moves_no_arm_and_a_killed_estimator_stops_it(graph, start):
-    """The sim's tensions pass through this process, where a channel fails."""
-    exchanged = False
-    commands = []
+@pytest.fixture
+def stated(graph):
+    force = StatedForce(graph)
+    yield force
+    graph.node.destroy_publisher(force.status_out)
+    graph.node.destroy_publisher(force.torques_out)
 
-    def pass_on(message):
-        if exchanged:
-            message.effort[2], message.effort[7] = message.effort[7], message.effort[2]
-        out.publish(message)
 
-    out = graph.node.create_publisher(JointState, "/cable_tensions", 10)
-    graph.node.create_subscription(JointState, f"/{HEALTHY}", pass_on, qos_profile_sensor_data)
-    graph.node.create_subscription(JointState, "/joint_commands", commands.append, 100)
-    estimator = start("estimator")
-    start("sim", remaps={"cable_tensions": HEALTHY})
-    controller = start(CONTROLLER, resume_after_s=0.5)
-    trusted = "estimates are trusted"
-    graph.until(lambda: trusted in controller.log, "the controller's trust")
-    exchanged = True
-    graph.until(lambda: "stopped: " in controller.log, "a stop")
-    graph.until(lambda: "sample refused" in estimator.log, "the estimator's refusal")
-    graph.spin(0.5)
-    turned_rad = max((np.abs(command.position).max() for command in commands), default=0.0)
-    assert np.rad2deg(turned_rad) <= 0.5
-    exchanged = False
-    trusts = controller.log.count(trusted)
-    graph.until(lambda: controller.log.count(trusted) > trusts, "trust again")
-    stops = controller.log.count("stopped: no state of the force")
-    estimator.kill()
+def test_the_admittance_controller_answers_fresh_states_that_are_vouched_for_alone(
+    graph, start, stated
+):
+    start("examples.admittance")
+    commands = graph.listen(JointState, "/joint_commands")
+    begin_rad = np.linspace(-0.1, 0.2, 8)
+    states_out = graph.node.create_publisher(JointState, "/joint_states", 10)
+    graph.until(states_out.get_subscription_count, "a reader of joint_states")
+    graph.until(stated.status_out.get_subscription_count, "a reader of the states")
+    torques_n_m = [0.0, 40.0, 0.0, 20.0, 0.0, 0.0, 0.0, 0.0]
+    stated.hold(0.3, ForceState.CONTACT, torques_n_m)
+    assert not commands  # where the arm is is not known yet
+    states_out.publish(JointState(name=JOINTS, position=begin_rad.tolist()))
+    stated.hold(1.0, ForceState.CONTACT, torques_n_m)
+    turned_rad = np.diff([begin_rad, *(command.position for command in commands)], axis=0)
+    assert np.abs(turned_rad).max() <= admittance.FASTEST_RAD_S * admittance.PERIOD_S + 1e-9
+    assert turned_rad[:, 1].min() > 0.0
+    assert turned_rad[:, 3] == pytest.approx(0.5 * turned_rad[:, 1])
+    for state, age_s in (
+        *((state, 0.0) for state in ForceState if not state.known),
+        (ForceState.CONTACT, 2.0 * admittance.STALE_AFTER_S),
+        (ForceState.CONTACT, -2.0 * admittance.STALE_AFTER_S),
+    ):
+        stated.hold(2.0 * admittance.STALE_AFTER_S, state, torques_n_m, age_s)
+        commands.clear()
+        stated.hold(0.2, state, torques_n_m, age_s)
+        assert not commands, (state, age_s)
+    stated.hold(0.5, ForceState.MOMENT, torques_n_m)
+    assert commands
+    graph.spin(2.0 * admittance.STALE_AFTER_S)  # silence
     commands.clear()
-    stop = "stopped: no state of the force"
-    graph.until(lambda: controller.log.count(stop) > stops, "a stop")
-    time.sleep(0.3)
-    graph.spin(0.2)
+    graph.spin(0.3)
     assert not commands
+    graph.node.destroy_publisher(states_out)
+    graph.forget()
+
+
+@pytest.mark.timeout(300)
+def test_an_arm_with_the_admittance_controller_gives_way_and_a_killed_estimator_stops_it(
+    graph, start
+):
+    estimator = start("estimator")
+    start("sim")
+    controller = start("examples.admittance")
+    commands = graph.listen(JointState, "/joint_commands")
+    graph.until(lambda: "yields to contacts" in controller.log, "a free arm")
+    graph.push(3, (0.0, 20.0, 0.0))
+    graph.until(lambda: len(commands) > 50, "a second of motion")
+    turned = dict(zip(commands[-1].name, commands[-1].position, strict=True))
+    assert turned["joint_1_yaw"] > turned["joint_3_yaw"] > 0.001
+    assert turned["joint_4_yaw"] == pytest.approx(0.0, abs=1e-4)
+    assert turned["joint_1_pitch"] == pytest.approx(0.0, abs=1e-3)
+    silence = "holds: no fresh estimate"
+    stops = controller.log.count(silence)
+    estimator.kill()
+    graph.until(lambda: controller.log.count(silence) > stops, "a stop")
+    graph.spin(0.2)
+    commands.clear()
+    graph.spin(0.5)
+    assert not commands
+    graph.forget()
