@@ -38,8 +38,8 @@ if not RECORDING.exists():
 arm = open_arm(ARM)
 # the simulated arm is built five times as well as by its file; drop this for yours
 arm = arm.model_copy(update={"tolerances": arm.tolerances.scaled(0.2)})
-found = diagnose(read_recording(RECORDING, arm).rows(slice(None, None, EVERY)), arm)
-verdict = found.verdict
+diagnosis = diagnose(read_recording(RECORDING, arm).rows(slice(None, None, EVERY)), arm)
+verdict = diagnosis.verdict
 print(f"{', '.join(verdict.effects)} ({verdict.probability:.0%})")
 for name, number in verdict.parameters.items():
     low, high = number.ci95
@@ -52,9 +52,9 @@ print(f"next: {verdict.next_experiment}")
 
 # %%
 figure, axes = plt.subplots(figsize=(8.0, 3.5), layout="constrained")
-for residual_n, label in ((found.before_n, "nominal arm"), (found.after_n, "amended arm")):
-    axes.plot(found.recording.time_s, np.sqrt((residual_n**2).mean(axis=1)), label=label)
+for residual_n, label in ((diagnosis.before_n, "nominal arm"), (diagnosis.after_n, "amended arm")):
+    axes.plot(diagnosis.recording.time_s, np.sqrt((residual_n**2).mean(axis=1)), label=label)
 axes.set(xlabel="time, s", ylabel="gap, N (RMS over cables)")
 axes.legend()
-write_diagnosis(RECORDING.parent / "diagnosis", found)
+write_diagnosis(RECORDING.parent / "diagnosis", diagnosis)
 figure.savefig(RECORDING.with_suffix(".png"), dpi=110)

@@ -69,17 +69,17 @@ tare = Unloaded(baseline_n, rows.command_rad[0], TARE_ROWS)
 known = calibrator.updated(calibrator.by_tolerances(), tare)
 
 still = np.zeros((arm.joint_count, arm.joint_count))
-seen = law(rows.tensions_n, rows.command_rad, known.mean, known.covariance, still)
+posterior = law(rows.tensions_n, rows.command_rad, known.mean, known.covariance, still)
 judge = Judge(arm)
-found = [judge(seen.row(k), rows.tensions_n[k]) for k in range(len(rows))]
-touched = np.array([each.state is not ContactState.FREE for each in found])
-force_n = np.where(touched, np.hypot(*seen.force_n[:, 1:].T), 0.0)
-low_n, high_n = np.where(touched, seen.magnitude_ci95_n.T, 0.0)
+judgements = [judge(posterior.row(k), rows.tensions_n[k]) for k in range(len(rows))]
+touched = np.array([each.state is not ContactState.FREE for each in judgements])
+force_n = np.where(touched, np.hypot(*posterior.force_n[:, 1:].T), 0.0)
+low_n, high_n = np.where(touched, posterior.magnitude_ci95_n.T, 0.0)
 
 for row in range(0, len(rows), 20):
-    said = found[row].state.value
+    said = judgements[row].state.value
     if touched[row]:
-        said += f", segment {found[row].segment}"
+        said += f", segment {judgements[row].segment}"
     print(f"{rows.time_s[row]:5.1f} s  {said:20}  {force_n[row]:6.2f} N")
 
 # %%

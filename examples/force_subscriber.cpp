@@ -1,5 +1,7 @@
 // Reads the estimator's force as a ros2_control sensor component would, and prints it.
 //
+//     ros2 run force_subscriber force_subscriber
+//
 // The read() of a hardware_interface::SensorInterface returns these six numbers. CMake needs rclcpp and
 // cablesense_msgs (docs/controller.md).
 

@@ -52,12 +52,12 @@ def main(folder: Path = Path("out/own_arm")) -> None:
     push_n = normal_force_n(nominal, bent, segment=3, angle_deg=120.0, magnitude_n=25.0)
     known = calibrator.moved(known)
     still = np.zeros((arm.joint_count, arm.joint_count))
-    seen = law(read(bent, push_n)[None], bent[None], known.mean, known.covariance, still)
+    posterior = law(read(bent, push_n)[None], bent[None], known.mean, known.covariance, still)
 
-    segment = 1 + int(seen.contact_evidence[0].argmax())
-    angle_deg = np.rad2deg(np.arctan2(*seen.force_n[0, 1:])) % 360.0
-    low_n, high_n = seen.magnitude_ci95_n[0]
-    size_n = np.hypot(*seen.force_n[0, 1:])
+    segment = 1 + int(posterior.contact_evidence[0].argmax())
+    angle_deg = np.rad2deg(np.arctan2(*posterior.force_n[0, 1:])) % 360.0
+    low_n, high_n = posterior.magnitude_ci95_n[0]
+    size_n = np.hypot(*posterior.force_n[0, 1:])
     print("true:      segment 3, 120.0°, 25.00 N")
     print(f"estimated: segment {segment}, {angle_deg:.1f}°, {size_n:.2f} N")
     print(f"with 95 %: {low_n:.2f} to {high_n:.2f} N")

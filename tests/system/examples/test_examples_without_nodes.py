@@ -52,9 +52,9 @@ def test_a_step_backs_off_above_the_threshold_and_up_to_the_limit():
 
 @pytest.mark.slow
 def test_the_animation_moves(tmp_path):
-    push_animation.main(tmp_path / "push.gif", frames=3)
+    push_animation.main(tmp_path / "push.gif", frames=6)  # two of each push
     with Image.open(tmp_path / "push.gif") as animation:
-        assert animation.n_frames == 3
+        assert animation.n_frames == 6
         first = np.asarray(animation.convert("RGB"))
         animation.seek(1)
         assert (first != np.asarray(animation.convert("RGB"))).any()
