@@ -54,7 +54,7 @@ class Admittance(Node):
         self._statuses: deque[DiagnosticArray] = deque(maxlen=64)
         self._doubt = "no estimate yet"
         self._out = self.create_publisher(JointState, "joint_commands", 10)
-        listen = self.create_subscription
+        listen = self.create_subscription  # rclpy takes no built-in function, such as append
         sensor = qos_profile_sensor_data
         listen(JointState, "joint_states", self._on_states, sensor)
         listen(JointState, "joint_commands", self._on_command, 10)
