@@ -69,8 +69,8 @@ def test_every_requirement_of_the_nodes_has_a_rosdep_key_or_is_named_for_pip(
 ) -> None:
     keys = [depend.name for depend in parse_package(CHECKOUT).exec_depends]
     by_rosdep = {re.sub(r"^python3-|-pip$", "", key) for key in keys if "python3-" in key}
-    contributing = (CHECKOUT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    (line,) = re.findall(r"^pip install ('numpy<2'.*)$", contributing, re.MULTILINE)
+    development = (CHECKOUT / "docs/development.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^pip install ('numpy<2'.*)$", development, re.MULTILINE)
     by_pip = {canonicalize_name(Requirement(word.strip("'")).name) for word in line.split()}
     names = {"python-can": "can", "pyyaml": "yaml"}
     for requirement in direct:
