@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection
 from functools import partial
 from typing import Any
 
@@ -21,22 +22,24 @@ from cablesense_ros.endpoints import RefusalLog, of_node, qos_profile
 from cablesense_sim.arm import Arm
 from cablesense_sim.equilibrium import checked_command
 
-LISTENERS = 3
-"""Readers of a command once all are up: the arm, the estimator and the client itself."""
-
 
 class ArmClient:
     """Feeds a `LiveArm` with every message, and publishes what a person or a script asks for."""
 
     def __init__(
-        self, node: Node, arm: Arm, live: LiveArm, estimator: str, listeners: int = LISTENERS
+        self,
+        node: Node,
+        arm: Arm,
+        live: LiveArm,
+        estimator: str,
+        readers: Collection[str] = ("sim", "estimator"),
     ) -> None:
         """Subscribe `node`; messages that break the contract are logged.
 
-        `listeners` read commands once all are up.
+        `readers` are the names of the nodes that read commands once all are up.
         """
         self._node = node
-        self._listeners = listeners
+        self._readers = frozenset(readers)
         self._live = live
         self._joint_names = list(arm.joint_names)
         inputs: tuple[tuple[type, str, qos.Qos], ...] = (
@@ -72,8 +75,10 @@ class ArmClient:
 
     @property
     def connected(self) -> bool:
-        """Whether all listeners read commands."""
-        return self._commands.get_subscription_count() >= self._listeners
+        """Whether all readers read commands, whoever else does."""
+        topic = self._commands.topic_name
+        endpoints = self._node.get_subscriptions_info_by_topic(topic)
+        return self._readers <= {endpoint.node_name for endpoint in endpoints}
 
     def command(self, joint_angles_rad: Array) -> None:
         """Send joint angles (2N,).

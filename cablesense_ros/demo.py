@@ -170,7 +170,7 @@ def _played(
 ) -> PushRecord:
     from rich.progress import Progress
 
-    from cablesense_ros.arm_client import LISTENERS, ArmClient
+    from cablesense_ros.arm_client import ArmClient
     from cablesense_ros.demo_pushes import play_script
     from cablesense_ros.node_process import node_in_thread
 
@@ -178,7 +178,10 @@ def _played(
         return live.snapshot(time.monotonic()).answered
 
     with _nodes(options, live=False) as processes, node_in_thread("demo") as node:
-        client = ArmClient(node, arm, live, "estimator", LISTENERS + options.commission)
+        readers = ["sim", "estimator"]
+        if options.commission:
+            readers.append("commissioner")
+        client = ArmClient(node, arm, live, "estimator", readers)
         with console.status("Starting the simulated arm and the estimator …"):
             wait = partial(processes.wait_until, within_s=_START_S)
             wait(lambda: client.connected, otherwise="simulator and estimator did not come up")

@@ -19,7 +19,7 @@ from cablesense_online.page.guard import exposure_warning
 from cablesense_online.page.live_arm import LiveArm
 from cablesense_online.page.page import Page
 from cablesense_online.page.panel import Actions
-from cablesense_ros.arm_client import LISTENERS, ArmClient
+from cablesense_ros.arm_client import ArmClient
 from cablesense_ros.endpoints import of_node, steady_timer
 from cablesense_ros.node_process import declare_parameters, full_name, parameter_table, run_node
 from cablesense_sim.arm import open_arm
@@ -49,8 +49,10 @@ class PageNode(Node):
             estimator=full_name(self, estimator),
             commissioner=full_name(self, "commissioner"),
         )
-        listeners = LISTENERS + self._commission_due
-        self._client = ArmClient(self, arm, self._live, estimator, listeners)
+        readers = ["sim", estimator.split("/")[-1]]
+        if self._commission_due:
+            readers.append("commissioner")
+        self._client = ArmClient(self, arm, self._live, estimator, readers)
         tare = self.create_client(Trigger, of_node(estimator, topics.TARE))
         undo_tare = self.create_client(Trigger, of_node(estimator, topics.TARE_UNDO))
         breathe = self.create_client(Trigger, of_node("breather", topics.BREATHE))
