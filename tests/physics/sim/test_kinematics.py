@@ -208,3 +208,20 @@ def test_impossible_contacts_are_refused(
 ) -> None:
     with pytest.raises(LoadError, match=words):
         normal_force_n(MECHANISM, STRAIGHT, segment, angle_deg, magnitude_n)
+
+
+def test_parallel_forces_on_segments_1_and_2_read_like_one_on_segment_2() -> None:
+    """Nothing at the actuators tells them apart: f = f2 + f1 s1 / L at s = s2 f2 / f."""
+    mechanism = mechanism_of(ARMS["cdsm"])
+    at_joint, slope = kinematics.contact_torques(
+        mechanism, np.zeros(mechanism.joint_count), np.eye(3)
+    )
+    direction = np.array([0.0, 0.6, 0.8])
+    first_n, first_m = 12.0, 0.05
+    second_n, second_m = 20.0, 0.09
+    first = first_n * direction @ (at_joint[0] + first_m * slope[0])
+    second = second_n * direction @ (at_joint[1] + second_m * slope[1])
+    one_n = second_n + first_n * first_m / mechanism.segment_length_m[0]
+    one_m = second_m * second_n / one_n
+    one = one_n * direction @ (at_joint[1] + one_m * slope[1])
+    np.testing.assert_allclose(one, first + second, atol=1e-12)
