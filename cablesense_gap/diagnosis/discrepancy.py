@@ -30,22 +30,37 @@ from cablesense_gap.diagnosis.selection import linear_effects
 from cablesense_gap.simulator import Term
 
 _WAVES = 40
+"""Half waves over the range of positions: the ripple of a gear has tens of them."""
 _SLIDING_WAVES = 8
-"""Half waves over the range of positions, alone and times functions of the speed."""
+"""Half waves over the range of positions, times functions of the speed: friction by position."""
 _SLOW = (0.05, 0.3, 1.0)
 """Shares of the usual speed at which functions of the speed saturate: friction's direction, its
 rise at rest, and damping."""
 _POWERS = 6
+"""Powers of the position, from 0: those of a spring."""
 _SLIDING_POWERS = 3
+"""Powers of the position times the direction of the motion, from 0."""
 _FARTHEST = 1.6
-"""Number of powers of the position, alone and times the direction of the motion; and the largest
-position, in half ranges from the middle."""
+"""Half ranges from the middle beyond which powers stay constant: they grow without bound."""
 _MARGIN = 0.1
 """Share of the range beyond it where waves end, and nothing is known any more."""
 _CORRELATED = 4.0
 """Rows in turn that count as one."""
 _ITERATIONS = 30
+"""Of the fixed point of the evidence, which converges by then."""
+_FIRST_SCATTER = 0.1
+"""Share of a residual's mean square that is noise, where the iterations start."""
+_LEAST_SCATTER = 1e-8
+"""Share of a residual's mean square that is noise at least: rounding."""
+_LEAST_FREE = 0.1
+"""Share of the rows that count as free at least, however many columns are determined."""
+_PRECISIONS = (1e-3, 1e9)
+"""Bounds of a prior's precision, where readings have a mean square of one: free, and switched
+off."""
+_LEAST_SQUARE = 1e-12
+"""Mean square below which a coefficient is zero."""
 _LEAST = 1e-9
+"""Below which a range, a speed, a load or a column counts as zero."""
 
 Key = tuple[str, ...]
 """The name of a column, the first part that of its group."""
@@ -364,14 +379,15 @@ def _of_most_evidence(x: Array, y: Array, group: NDArray[np.int64]) -> tuple[Arr
     moment = x @ y / _CORRELATED
     count = len(y) / _CORRELATED
     precision = np.full(len(x), float(len(x)))
-    scatter = 0.1
+    scatter = _FIRST_SCATTER
     for _ in range(_ITERATIONS):
         covariance = np.linalg.inv(gram / scatter + np.diag(precision))
         mean = covariance @ moment / scatter
         known = 1.0 - precision * covariance.diagonal()
         known_by_group = np.bincount(group, known)
         size = np.bincount(group, mean**2)
-        precision = np.clip(known_by_group / np.maximum(size, 1e-12), 1e-3, 1e9)[group]
+        precision = np.clip(known_by_group / np.maximum(size, _LEAST_SQUARE), *_PRECISIONS)[group]
         square_left = count - 2.0 * moment @ mean + mean @ gram @ mean
-        scatter = float(max(square_left / max(count - known.sum(), 0.1 * count), 1e-8))
+        free = max(count - known.sum(), _LEAST_FREE * count)
+        scatter = float(max(square_left / free, _LEAST_SCATTER))
     return precision, scatter

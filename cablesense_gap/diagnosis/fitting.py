@@ -31,15 +31,28 @@ from cablesense_sim.effects.effect import Parameter
 MOST_STEPS = 8
 """Of Gauss-Newton; a fit that has not converged by then is no better than its rivals."""
 
-_STEP = 0.03
+_DERIVATIVE_STEP = 0.03
+"""Scaled, for derivatives: far above the rounding of the simulator, small enough to be linear."""
 _NEAR = 0.25
-_CONVERGED = 5e-3
-"""Scaled steps: for derivatives, far above the rounding of the simulator and small enough to be
-linear; to where derivatives still serve; and too small to continue."""
-_GAIN = 1.0
+"""Scaled distance to where derivatives still serve."""
+_CONVERGED_STEP = 5e-3
+"""Scaled step that is too small to continue: a two hundredth of a typical size."""
+_CONVERGED_SHARE = 5e-3
+"""Relative gain of the log posterior that is too small to continue a history-dependent fit."""
+_CONVERGED_GAIN = 1.0
 """A gain of twice the log posterior that is too small to continue. It is absolute, because an
-effect takes over from tolerances by gains that are small compared with the whole. It is relative,
-`_CONVERGED`, for history-dependent effects: these are slow."""
+effect takes over from tolerances by gains that are small compared with the whole."""
+_FIRST_DAMPING = 1e-3
+"""Of Levenberg and Marquardt, relative to the diagonal: first steps are almost Gauss-Newton's."""
+_LEAST_DAMPING = 1e-6
+"""Below which damping changes no step."""
+_MOST_DAMPING = 30.0
+"""Above which a step that gains nothing ends the fit: it is a thirtieth of Gauss-Newton's."""
+_DAMPING_RISE = 30.0
+_DAMPING_FALL = 10.0
+"""Factors of the damping after a step that gains nothing, and after one that gains."""
+_BOUND_PASSES = 3
+"""Solutions of one step: values that leave their range stay at its end, the others continue."""
 
 
 def refine(
@@ -125,13 +138,13 @@ class _Fit:
         predicted, columns = start_at or self._linear(point)
         if not np.isfinite(predicted).all():
             return None
-        damping = 1e-3
+        damping = _FIRST_DAMPING
         mean_square = self._cost(point, predicted, None)[1]
         linear_at = point
         for _ in range(most_steps):
             step = self._step(point, predicted, columns, mean_square, damping)
             tried = np.clip(point + step, self._low, self._high)
-            if np.abs(tried - point).max(initial=0.0) < _CONVERGED:
+            if np.abs(tried - point).max(initial=0.0) < _CONVERGED_STEP:
                 break
             far = bool(np.abs(tried - linear_at).max() > _NEAR)
             linear_model = self._linear(tried, columns) if far and self._slow else None
@@ -139,20 +152,22 @@ class _Fit:
             before = self._cost(point, predicted, mean_square)
             after = self._cost(tried, ahead, mean_square)
             if not after[0] < before[0]:
-                if damping > 30.0:
+                if damping > _MOST_DAMPING:
                     break
-                damping *= 30.0
+                damping *= _DAMPING_RISE
                 continue
             point = tried
             predicted = ahead
             mean_square = after[1]
-            damping = max(damping / 10.0, 1e-6)
+            damping = max(damping / _DAMPING_FALL, _LEAST_DAMPING)
             if far:
                 columns = (
                     self._linear(tried, columns)[1] if linear_model is None else linear_model[1]
                 )
                 linear_at = tried
-            if before[0] - after[0] < (_CONVERGED * before[0] if self._slow else _GAIN):
+            if before[0] - after[0] < (
+                _CONVERGED_SHARE * before[0] if self._slow else _CONVERGED_GAIN
+            ):
                 break
         return self._explanation(point, predicted, columns, mean_square)
 
@@ -175,7 +190,7 @@ class _Fit:
         t = slice(None, tolerance_end)
         step = solution.copy()
         step[t] -= solve(gram[t, t], moment[t], precision[t], offset[t], weight_)
-        if step @ (weight_ * gram + np.diag(precision)) @ step < _GAIN:
+        if step @ (weight_ * gram + np.diag(precision)) @ step < _CONVERGED_GAIN:
             return None
         ahead = np.clip(point + solution[tolerance_end:], self._low, self._high)
         tolerances = problem.tolerances_of(solution[t])
@@ -201,7 +216,9 @@ class _Fit:
         With several effects, derivatives by static effects are taken without the history-dependent
         ones, which are expensive to simulate.
         """
-        steps = np.where(point + _STEP <= self._high, _STEP, -_STEP)
+        steps = np.where(
+            point + _DERIVATIVE_STEP <= self._high, _DERIVATIVE_STEP, -_DERIVATIVE_STEP
+        )
         varied = np.arange(len(point)) if known is None else self._lasting
         columns = np.zeros((len(point), *self._problem.nominal.shape))
         if known is not None:
@@ -253,7 +270,7 @@ class _Fit:
         unimitated[tolerance_end:] += self._prior / weight_
         damped = gram + damping * np.diag(unimitated)
         free = np.ones(len(gram), dtype=bool)
-        for _ in range(3):  # values that leave their range stay at its end, the others continue
+        for _ in range(_BOUND_PASSES):
             step = np.zeros(len(gram))
             free_indices = np.flatnonzero(free)
             step[free_indices] = solve(
@@ -385,6 +402,11 @@ _SCALES = (0.3, 1.0, 3.0)
 """In typical sizes: where a fit starts if linear columns say little about the size."""
 _STEPS_OF_PART = 3
 """Of Gauss-Newton: a part of an explanation is near its best values already."""
+_LEAST_DIVISOR = 0.3
+"""Scaled size by which a shape's change is divided at least: it says nothing about a shape where
+the effect hardly exists."""
+_LEAST_START = 0.1
+"""Scaled size at which a history-dependent effect starts at least, before `_SCALES`."""
 
 
 def fit(problem: Problem, proposal: Proposal) -> list[Explanation]:
@@ -456,7 +478,7 @@ def _start(problem: Problem, proposal: Proposal) -> tuple[dict[Term, float], dic
     for effect in proposal.added:
         change = {term: next(coefficients) for term in effect.varied}
         sizes = [term for term in effect.terms if ranges[term].role == "size"]
-        first = max(abs(change[sizes[0]]), 0.3)
+        first = max(abs(change[sizes[0]]), _LEAST_DIVISOR)
         for term, start_value in zip(effect.terms, effect.start, strict=True):
             # the column of a shape is its effect at a size of one
             added = change.get(term, 0.0)
@@ -484,7 +506,7 @@ def _elsewhere(
         yield {
             term: value
             if term.effect not in slow_effects
-            else max(abs(value), 0.1) * scale
+            else max(abs(value), _LEAST_START) * scale
             if ranges[term].role == "size"
             else shape.get((term.effect, term.parameter), value)
             for term, value in start.items()

@@ -43,12 +43,16 @@ _EQUAL = 0.9
 PARALLEL = 0.75
 """The shapes of two changes do not differ if one is imitated to this share."""
 
-_UNEXPLAINED = 0.4
-_OUTWEIGHED = 0.7
-_SUPPORTED = 1.6
-"""Effects are named although an unlisted one is more probable in two cases. Three or more leave at
-most the first share of the gap; or one that depends on history leaves at most the second, since no
-static effect makes loading and unloading differ. Leaving one out must cost the last factor."""
+_SEVERAL_LEFT = 0.4
+"""Share of the gap that three or more effects may leave to be named although an unlisted effect is
+more probable."""
+_AGAINST_MOTION_LEFT = 0.7
+"""The same of effects of which one turns round with the motion: no static effect makes loading and
+unloading differ."""
+_NEEDED_COST_RATIO = 1.6
+"""Leaving one of these effects out must make the cost larger by this factor."""
+_RIDGE = 1e-6
+"""Of the diagonal of a Gram matrix: keeps columns that are alike from an exact zero."""
 
 
 @dataclass(frozen=True)
@@ -174,9 +178,9 @@ def _support(
     gap, rest = (excess(h.held_out_rmse**2, problem.floor) for h in (fitted[frozenset()], whole))
     whole_effects = frozenset(whole.effects)
     if whole_effects & past:
-        enough = rest <= _OUTWEIGHED * gap
+        enough = rest <= _AGAINST_MOTION_LEFT * gap
     else:
-        enough = len(whole_effects) > 2 and rest <= _UNEXPLAINED * gap
+        enough = len(whole_effects) > 2 and rest <= _SEVERAL_LEFT * gap
     costs = {effects: problem.cost_of(h) for effects, h in fitted.items()}
     ratios = {
         effect: min(cost for effects, cost in costs.items() if effects <= whole_effects - {effect})
@@ -184,7 +188,7 @@ def _support(
         for effect in whole.effects
     }
     needed = (
-        ratio >= (1.0 / _OUTWEIGHED if effect in past else _SUPPORTED)
+        ratio >= (1.0 / _AGAINST_MOTION_LEFT if effect in past else _NEEDED_COST_RATIO)
         for effect, ratio in ratios.items()
     )
     return ratios if enough and all(needed) else {}
@@ -260,7 +264,7 @@ def imitated_share(problem: Problem, one: Explanation, other: Explanation) -> fl
     other_changes = [_change(problem, other), *other.columns]
     columns = np.array([_beyond_tolerances(problem, column, one) for column in other_changes])
     gram = columns @ columns.T
-    gram += 1e-6 * np.diag(gram.diagonal()) + np.finfo(float).tiny * np.eye(len(gram))
+    gram += _RIDGE * np.diag(gram.diagonal()) + np.finfo(float).tiny * np.eye(len(gram))
     moment = columns @ change
     unimitated = whole - float(moment @ np.linalg.lstsq(gram, moment, rcond=None)[0])
     return 1.0 - float(np.sqrt(np.clip(unimitated / whole, 0.0, 1.0)))

@@ -29,10 +29,17 @@ _WORTH_MIXING = 0.2
 """Share of the directions to be left out, from which on tolerances are fitted by directions."""
 
 EFFECT_WORTH = 1.08
+"""The factor by which an effect must make the cost smaller."""
 PLACE_WORTH = 1.04
+"""The factor by which each place of an effect must make it smaller."""
 CHOICE_WORTH = 0.02
-"""The factors by which an effect and each of its places must make the cost smaller, and the power
-of the number of ways to choose these places: many choices fit chance better."""
+"""The power of the number of ways to choose these places: many choices fit chance better."""
+_EXPLAINED_RATIO = 1.5
+"""Of the least cost that can be resolved: an explanation up to there leaves nothing to explain."""
+_SHOWN_FLOORS = 0.5
+"""Noise floors (RMS) by which an effect must make the residual smaller to be shown."""
+_CHANCE_QUANTILE = 1.28
+"""Standard deviations of a normal variable that it exceeds in 10 % of draws."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +89,7 @@ class Explanation:
     def beats(self, other: Explanation) -> bool:
         """Whether it leaves less on held-out trials by more than chance over them (90 %)."""
         gain = other.squares - self.squares
-        return bool(gain.sum() > 1.28 * np.sqrt(len(gain)) * gain.std())
+        return bool(gain.sum() > _CHANCE_QUANTILE * np.sqrt(len(gain)) * gain.std())
 
     @property
     def held_out_rmse(self) -> float:
@@ -234,7 +241,7 @@ class Problem:
 
     def is_explained(self, explanation: Explanation) -> bool:
         """Whether its residual is near the least that can be resolved, with usual tolerances."""
-        near = self.cost_of(explanation) <= 1.5 * excess(0.0, self.floor)
+        near = self.cost_of(explanation) <= _EXPLAINED_RATIO * excess(0.0, self.floor)
         return near and self.has_usual_tolerances(explanation)
 
     def shows(self, explanation: Explanation, part: Explanation) -> bool:
@@ -247,7 +254,7 @@ class Problem:
         if self.worst_tolerance(part) > worst:
             return True
         more = part.held_out_rmse**2 - explanation.held_out_rmse**2
-        return more > (0.5 * self.floor) ** 2 and explanation.beats(part)
+        return more > (_SHOWN_FLOORS * self.floor) ** 2 and explanation.beats(part)
 
 
 @dataclass(frozen=True)

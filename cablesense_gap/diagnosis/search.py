@@ -35,23 +35,30 @@ Progress = Callable[[str, float], None]
 """Called with the present step and the share of the whole that is done."""
 
 _MOST_EXPANDED = 8
+"""Explanations that are expanded at most, to bound the time: with none and up to seven effects."""
 _MOST_FRUITLESS = 2
-"""Explanations that are expanded, at most and in turn without a better one."""
-
-_TRIED = 3
+"""Explanations that are expanded in turn without a better one: two effects may be worth it only
+together."""
+_FITTED_ADDITIONS = 3
 """Additions to one explanation that are fitted: the linear score often errs by a rank or two."""
-
-_OF_THE_PAST = 0.05
+_ROUGH_STEPS = 3
+"""Gauss-Newton steps by which effects that imitate each other are compared before a full fit."""
+_HISTORY_SHARE = 0.05
 """Least share of a residual by friction or creep that shows where commands and load return."""
-
-_RIVAL = 2.0
+_RIVAL_COST_RATIO = 2.0
 """An explanation may still become the best if its cost is at most this many times the least."""
-
-_OF_THE_REST = 0.35
-"""Share of the rest of a phase that each batch of work counts for, as their number is open."""
-
-_BETTER = 0.95
+_SUBSAMPLE_RIVAL_COST_RATIO = 6.0
+"""The same on a part of the rows, which all rows may rank otherwise."""
+_IMPROVED_COST_RATIO = 0.95
 """A cost above this share of another one is no better: other folds would change it as much."""
+_REDUNDANT_COST_RATIO = 1.12
+"""An explanation is redundant if fewer of its effects cost less than this many times as much."""
+_RESOLVED_FLOOR_RATIO = 1.1
+"""Noise floors up to which the residual of tolerances alone leaves nothing to explain."""
+_RESOLVED_GAP_SHARE = 0.03
+"""Share of the gap that an explanation may leave before no further effect is worth its time."""
+_PROGRESS_SHARE = 0.35
+"""Share of the rest of a phase that each batch of work counts for, as their number is open."""
 
 
 def search(
@@ -106,7 +113,7 @@ class _Search:
         other = None if on_sketch or self._problem is self._whole else self._problem
         results = self._pool.map(partial(_called, function, on_sketch, other), tasks)
         done_before = self._done
-        share = _OF_THE_REST * (self._until - self._done)
+        share = _PROGRESS_SHARE * (self._until - self._done)
         for k, task in enumerate(tasks, 1):
             self._doing = name(task) if name else self._doing
             self._progress(self._doing, self._done)
@@ -146,8 +153,10 @@ class _Search:
             columns = [*known, *self._columns(self._cheap, start)]
             self._expand(start, columns)
             if self._best() is best is start and not resolved:
-                self._exchange(best, columns, _TRIED)
-            fruitless = 0 if judged(self._best()) < _BETTER * judged(best) else fruitless + 1
+                self._exchange(best, columns, _FITTED_ADDITIONS)
+            fruitless = (
+                0 if judged(self._best()) < _IMPROVED_COST_RATIO * judged(best) else fruitless + 1
+            )
 
     def _next(self, worth_it: bool) -> Explanation | None:
         """The best that was not expanded, unless the best of all has all its effects and more.
@@ -157,7 +166,7 @@ class _Search:
         """
         best = self._best()
         judged = self._problem.judged
-        most = min(_RIVAL * judged(best), judged(self._none) if worth_it else np.inf)
+        most = min(_RIVAL_COST_RATIO * judged(best), judged(self._none) if worth_it else np.inf)
         waiting = [
             h
             for h in self._found.values()
@@ -180,7 +189,7 @@ class _Search:
         if offered := _that_fit(start, columns):
             self._progress("choosing effects", self._done)
             proposals = Selection(self._problem, start, offered).additions()
-            self._done += _OF_THE_REST * (self._until - self._done)
+            self._done += _PROGRESS_SHARE * (self._until - self._done)
             usual = self._at_usual_size(proposals, start)
             if start.effects:
                 self._fit([*self._promising(proposals), *usual])
@@ -188,7 +197,7 @@ class _Search:
                 self._fit_by_count(proposals, usual)
         if len(start.effects) > 1:
             own_effects = Selection(self._problem, *own_columns(self._problem, start))
-            most = _RIVAL * self._problem.cost_of(start)
+            most = _RIVAL_COST_RATIO * self._problem.cost_of(start)
             idle = [(e,) for e in start.effects if own_effects.left_without(e) < most]
             self._keep_all(self._without(start, idle))
 
@@ -200,18 +209,20 @@ class _Search:
         one, two, more = (
             [p for p in proposals if count == min(len(p.effects), 3)] for count in (1, 2, 3)
         )
-        self._fit([*self._promising(one, 2 * _TRIED), *usual])
+        self._fit([*self._promising(one, 2 * _FITTED_ADDITIONS), *usual])
         self._refine_history()
         if not self._is_resolved():
-            self._fit([*self._promising(two, _TRIED + 1), *self._promising(more)])
+            self._fit([*self._promising(two, _FITTED_ADDITIONS + 1), *self._promising(more)])
 
-    def _promising(self, proposals: Sequence[Proposal], most: int = _TRIED) -> list[Proposal]:
+    def _promising(
+        self, proposals: Sequence[Proposal], most: int = _FITTED_ADDITIONS
+    ) -> list[Proposal]:
         least = min((p.forecast for p in proposals), default=0.0)
-        return [p for p in proposals if p.forecast <= _RIVAL * least][:most]
+        return [p for p in proposals if p.forecast <= _RIVAL_COST_RATIO * least][:most]
 
     def _at_usual_size(self, proposals: Sequence[Proposal], start: Explanation) -> list[Proposal]:
         """Every history-dependent effect that was not fitted: it is far from linear."""
-        most_left = (_BETTER * start.held_out_rmse) ** 2
+        most_left = (_IMPROVED_COST_RATIO * start.held_out_rmse) ** 2
         ranges = self._problem.parameters
         usual = []
         for p in proposals:
@@ -265,9 +276,11 @@ class _Search:
         """
         for _ in range(_MOST_EXPANDED):
             best = self._best()
-            self._exchange(best, self._nominal, 2 * _TRIED, out=2)
+            self._exchange(best, self._nominal, 2 * _FITTED_ADDITIONS, out=2)
             self._exchange_alike(best)
-            if self._problem.judged(self._best()) >= _BETTER * self._problem.judged(best):
+            if self._problem.judged(self._best()) >= _IMPROVED_COST_RATIO * self._problem.judged(
+                best
+            ):
                 break
 
     def _exchange_alike(self, explanation: Explanation) -> None:
@@ -301,8 +314,8 @@ class _Search:
                 for places in tried
                 if offered == {c.places} and c.effect not in explanation.effects
             ]
-        rough = filter(None, self._map(partial(refit, most_steps=3), variants))
-        best = sorted(rough, key=self._problem.judged)[:_TRIED]
+        rough = filter(None, self._map(partial(refit, most_steps=_ROUGH_STEPS), variants))
+        best = sorted(rough, key=self._problem.judged)[:_FITTED_ADDITIONS]
         for fitted in self._map(refitted, best):
             self._keep_all(fitted)
 
@@ -324,7 +337,7 @@ class _Search:
         self._climb_with_expensive()
         self._compare()
         self._doing = "judging on all rows"
-        most = 3.0 * _RIVAL * self._problem.cost_of(self._best())
+        most = _SUBSAMPLE_RIVAL_COST_RATIO * self._problem.cost_of(self._best())
         new = [
             (h, self._fitted_in[h])
             for effects, h in self._found.items()
@@ -364,7 +377,8 @@ class _Search:
             self._refine(self._quick(self._found[rest.effects] for rest in rests))
             least = min((self._found[rest.effects] for rest in rests), key=cost_of, default=best)
             if least is best or (
-                cost_of(least) > _RIVAL * cost_of(best) and self._problem.shows(best, least)
+                cost_of(least) > _RIVAL_COST_RATIO * cost_of(best)
+                and self._problem.shows(best, least)
             ):
                 break
             best = least
@@ -374,9 +388,9 @@ class _Search:
         """The rivals of the best, and the best with one effect and with two."""
         judged = self._problem.judged
         ranked = sorted(self._found.values(), key=judged)
-        rivals = [h for h in ranked if judged(h) <= _RIVAL * judged(ranked[0])]
+        rivals = [h for h in ranked if judged(h) <= _RIVAL_COST_RATIO * judged(ranked[0])]
         one, two = ([h for h in ranked if len(h.effects) == count][:1] for count in (1, 2))
-        self._refine([*rivals[:1], *self._quick(rivals)[: 2 * _TRIED], *one, *two])
+        self._refine([*rivals[:1], *self._quick(rivals)[: 2 * _FITTED_ADDITIONS], *one, *two])
 
     def _quick(self, explanations: Iterable[Explanation]) -> list[Explanation]:
         """Those without a history-dependent effect."""
@@ -408,7 +422,8 @@ class _Search:
         fewer = [h for h in self._found.values() if set(h.effects) < set(explanation.effects)]
         cost = self._problem.cost_of(explanation)
         return any(
-            self._problem.cost_of(h) < 1.12 * cost or not self._problem.shows(explanation, h)
+            self._problem.cost_of(h) < _REDUNDANT_COST_RATIO * cost
+            or not self._problem.shows(explanation, h)
             for h in fewer
         )
 
@@ -423,18 +438,21 @@ class _Search:
             return True
         best = min((self._none, *self._found.values()), key=lambda h: h.held_out_rmse)
         residual = (problem.readings - best.held_out)[past.rows]
-        return past.rms > _OF_THE_PAST * excess(float((residual**2).mean()), problem.floor)
+        return past.rms > _HISTORY_SHARE * excess(float((residual**2).mean()), problem.floor)
 
     def _is_resolved(self) -> bool:
         """Whether so little is unexplained that no further effect is worth its time.
 
-        Tolerances alone leave little more than the floor, or an explanation leaves 3 % of the gap.
+        Tolerances alone leave little more than the floor, or an explanation little of the gap.
         """
         floor = self._problem.floor
         unexplained_rmse = self._none.held_out_rmse
-        if unexplained_rmse <= 1.1 * floor and self._problem.has_usual_tolerances(self._none):
+        if (
+            unexplained_rmse <= _RESOLVED_FLOOR_RATIO * floor
+            and self._problem.has_usual_tolerances(self._none)
+        ):
             return True
-        little = 0.03 * excess(unexplained_rmse**2, floor)
+        little = _RESOLVED_GAP_SHARE * excess(unexplained_rmse**2, floor)
         return any(
             self._problem.cost_of(h) <= little or self._problem.is_explained(h)
             for h in self._found.values()

@@ -40,6 +40,8 @@ _SHAPE_STEP = 0.3
 _MOST_CHANGE = 2.0
 """Of the residual, RMS: a size that changes readings by more is not the answer, and a column taken
 there may be far from linear."""
+_LEAST_CHANGE = 1e-12
+"""RMS change below which a column counts as zero, in the unit of the channels: rounding."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +117,7 @@ def linear_effects(
 
     def nearer(place: str, start: dict[str, float], p: Parameter, change: Array) -> Array:
         """The change by a number, in proportion to that by a size that suits the residual."""
-        share = residual_rms / max(_rms(problem, change), 1e-12)
+        share = residual_rms / max(_rms(problem, change), _LEAST_CHANGE)
         smaller = {name: share * value for name, value in start.items()}
         if not sizes_alone or share * _MOST_CHANGE >= 1.0:
             return change
@@ -216,7 +218,16 @@ MOST_EFFECTS = 7
 """In one explanation: a recording of the usual protocol does not distinguish more."""
 
 _WIDTH = 6
-"""Sets that are grown at once."""
+"""Sets that are grown at once: the place that helps most at first is not always in the best."""
+_SCORED_EXACTLY = 4
+"""Of the extensions of one effect with the best forecasts: a forecast has the weight of before."""
+_GROWTH_COST_RATIO = 1.02
+"""Sets stop growing where the cost without its penalty falls by less than this factor: a small
+gain suffices, as many places alike are worth their penalty only together."""
+_MOST_PAIRED = 40
+"""Places of one effect up to which all pairs of them are tried: they grow as the square."""
+_WEIGHTINGS = 2
+"""Solutions of one set: at the weight of the whole residual, then of what is left."""
 
 
 @dataclass(frozen=True)
@@ -312,8 +323,7 @@ class Selection:
                     best[effects] = score, chosen
             before = least
             least = min((s / self._penalty(c) for s, c in level), default=np.inf)
-            # a small gain suffices: many sites alike are worth their penalty only together
-            if not level or 1.02 * least > before:
+            if not level or _GROWTH_COST_RATIO * least > before:
                 break
         # the linear score often errs about an effect everywhere and in places: both are tried
         others = (each for each in singles if each not in best.values())
@@ -324,7 +334,7 @@ class Selection:
         score = np.inf
         chosen = list[int]()
         while True:
-            options = sorted(self._extended(chosen, among))[:4]  # the best of them exactly
+            options = sorted(self._extended(chosen, among))[:_SCORED_EXACTLY]
             scored = [(self._score(option, strict=strict), option) for _, option in options]
             best = min(scored, default=(np.inf, chosen))
             if best[0] >= score or (not strict and chosen):
@@ -358,7 +368,7 @@ class Selection:
                 by_effect.setdefault(self._offered[k].effect, []).append(k)
         # of two cables that pull against each other, either alone may explain nothing
         for same_effect in by_effect.values():
-            if len(same_effect) <= 40:
+            if len(same_effect) <= _MOST_PAIRED:
                 options += [
                     [a, b]
                     for a, b in combinations(same_effect, 2)
@@ -446,7 +456,7 @@ class Selection:
         mean_square = self._data.mean_square
         problem = self._problem
         tolerances = len(problem.tolerance_columns)
-        for _ in range(2):  # first at the weight of the whole residual, then of what is left
+        for _ in range(_WEIGHTINGS):
             weight_ = weight(mean_square, problem.floor)
             squares_left = held_out_squares(
                 part, tolerances, precision, zero_offset, weight_, self._folds

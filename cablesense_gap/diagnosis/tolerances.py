@@ -24,18 +24,23 @@ from cablesense_gap.diagnosis.problem import (
 from cablesense_gap.simulator import Assignment, Term, small_changes
 
 _STEP_OF_STD = 0.1
+"""For derivatives, of a tolerance's standard deviation."""
 _STEP_OF_EFFECT = 0.03
+"""For derivatives, of an effect's typical size."""
 _STEP_OF_FLOOR = 0.2
-"""For derivatives: of a tolerance's standard deviation, or of an effect's typical size, but no
-more than changes the readings by this share of the floor (RMS). On a stiff arm a larger step takes
-cables slack, and derivatives across such kinks lead fits astray. The rests' rounding is a
-thousandth of that."""
+"""Of the floor (RMS): no step of a derivative changes readings by more. On a stiff arm a larger
+one takes cables slack, and derivatives across such kinks lead fits astray. The rounding of
+equilibria is a thousandth of that."""
 _MOST_REPEATED = 6
-"""Times that tolerances are made linear anew."""
+"""Times that tolerances are made linear anew: those that still move then do not converge."""
 _SAME_OF_STD = 0.01
-"""A tolerance that is nearer to where it is linear is there, in standard deviations."""
+"""Standard deviations from where a tolerance is linear within which it is there."""
 _MOST_OFF = 3.0
 """Standard deviations up to which tolerances are a place to be linear about."""
+_STEPS_ANEW = 3
+"""Of Gauss-Newton with tolerances linear anew: the explanation is near its best values already."""
+_LEAST_CHANGE = 1e-12
+"""RMS change below which a column counts as zero, in the unit of the channels: rounding."""
 
 
 def with_fitted_tolerances(problem: Problem) -> Problem:
@@ -69,7 +74,7 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
         if linear is None:
             break
         about, start_at = linear
-        unmoved, fitted = (refit(about, before.values, n, start_at) for n in (0, 3))
+        unmoved, fitted = (refit(about, before.values, n, start_at) for n in (0, _STEPS_ANEW))
         assert unmoved is not None
         assert fitted is not None
         if problem.cost_of(fitted) < problem.cost_of(best[0]):
@@ -173,7 +178,7 @@ def _effect_steps(
     for term in varied:
         parameter = problem.parameters[term]
         change = float(np.sqrt((column_of[term][problem.used] ** 2).mean()))
-        step = min(_STEP_OF_EFFECT, _STEP_OF_FLOOR * problem.floor / max(change, 1e-12))
+        step = min(_STEP_OF_EFFECT, _STEP_OF_FLOOR * problem.floor / max(change, _LEAST_CHANGE))
         scaled_value = to_scaled(parameter, explanation.values[term])
         step = step if scaled_value + step <= to_scaled(parameter, parameter.high) else -step
         scaled.append(step)
