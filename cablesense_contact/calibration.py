@@ -35,6 +35,7 @@ of this arm without a load."""
 DOUBTED_BELOW = 1e-4
 """The same of all innovations together, below which the tolerances are doubted."""
 _ITERATIONS = 15
+"""Of the fit: one that needs more does not converge."""
 _CONVERGED_N = 1e-4
 """The fit ends where a step changes no reading by more."""
 _DETERMINED = 0.5

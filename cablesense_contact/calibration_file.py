@@ -17,6 +17,7 @@ from cablesense_sim.uncertain_arm import arm_parameters
 
 FORMAT = "cablesense-calibration/2"
 MAX_FILE_BYTES = 64 * 1024 * 1024
+"""Of a calibration file: more than a thousand times the largest arm's."""
 
 
 def write_calibration(

@@ -35,8 +35,9 @@ IMPROBABLE = 1e-6
 _CONTACT_NUMBERS = 4
 """Numbers that a contact fits: three of the force, and the place."""
 _KNOWN_N = 1.0
+"""A force is known if half of its interval is below this."""
 _KNOWN_SHARE = 0.3
-"""A force is known if half of its interval is below one of these: in N, or a share of it."""
+"""Or below this share of the force."""
 
 
 class ContactState(Enum):

@@ -29,10 +29,15 @@ from cablesense_sim.touch import touched_places
 BEND_RAD = float(np.deg2rad(10.0))
 """Joint angles of the poses, at most."""
 FORCE_N = 20.0
+"""Of each contact by which arms are compared."""
 _POSES = 6
+"""Random poses in which every segment is touched."""
 _AXIAL_STD_N = 10.0
+"""Prior deviation of the axial force."""
 _LATERAL_STD_N = 100.0
+"""Prior deviation of each lateral component: five times `FORCE_N`, so that it says little."""
 _SEED = 20
+"""Of poses and directions: all arms and calibrations are compared on the same contacts."""
 
 
 class ContactResponse(NamedTuple):

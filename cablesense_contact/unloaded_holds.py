@@ -14,6 +14,7 @@ from cablesense_recording.recording import Recording, RecordingError
 SETTLING_S = 1.0
 """Readings this soon after a move, or after a load was taken off, are left out."""
 FEWEST_READINGS = 3
+"""Of a hold that counts, after it has settled."""
 
 
 def unloaded_holds(recording: Recording, ended_ns: int = 0) -> list[Unloaded]:

@@ -41,9 +41,10 @@ from cablesense_training.law_export import export_law
 _MOST_TRIALS = 12
 """Trials, evenly chosen, that show what the law does not explain."""
 _ERROR_LEFT = 0.95
+"""Share of the force error that a better estimator leaves at most."""
 _CONTACTS_LOST = 0.01
-"""A better estimator leaves at most this share of the force error, and names at most this share of
-the contacts less: one that names fewer contacts has small errors for the wrong reason."""
+"""Share of the contacts by which a better estimator may name fewer: one that names far fewer has
+small errors for the wrong reason."""
 
 
 class AdaptationError(CableSenseError):

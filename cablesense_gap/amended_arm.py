@@ -26,10 +26,12 @@ from cablesense_sim.effects.registry import known_effects
 AMENDED_ARM = "amended_arm.yaml"
 """In the folder of a diagnosis."""
 _STEPS = 4
+"""Gauss-Newton steps with all listed effects, which start at earlier numbers."""
 _STEPS_WITHOUT = 2
-"""Gauss-Newton steps with all listed effects, from earlier numbers, and without one of them."""
+"""Gauss-Newton steps without one of them, from the fit with all."""
 _WORSE = 1.08
-"""Ratio of the costs without and with an effect from which on the effect is needed."""
+"""Ratio of the costs without and with an effect from which on the effect is needed:
+`EFFECT_WORTH`."""
 
 
 def amended_arm(arm: Arm, values: Mapping[Term, float], tolerances: Mapping[Term, float]) -> Arm:

@@ -25,14 +25,16 @@ _SAME_N = 1e-3
 _FOLLOWED = 16
 """Rows over which a rest is followed at most: one that a load has turned to may last as long."""
 _SIMILAR_ARMS = 16
+"""Arms with other tolerances, by whose scatter rows are judged: enough for a scatter to a
+fifth."""
 _MOST_SCATTER = 5.0
-"""Arms with other tolerances, and by how many times their readings may scatter more in a row that
-counts than in the middle one: on arms drawn at random 3 to 4 times where nothing turns."""
+"""By how many times their readings may scatter more in a row that counts than in the middle one:
+on arms drawn at random 3 to 4 times where nothing turns."""
 _PRIOR = 0.05
 """Weight of the default state against residuals in units of the floor: first rows that do not
 show a state leave it at its default."""
 _EVALUATIONS = 12
-"""The states act nearly linearly on the first rows."""
+"""Of the residuals, in the fit of states: these act nearly linearly on the first rows."""
 
 
 class ArmSimulator:

@@ -27,8 +27,9 @@ Rival = Mapping[Term, float]
 _SLOW_HZ = 2.5
 """The rate of history-dependent simulations: two samples and more for each level of a load."""
 _CLEAR_FLOORS = 1.0
+"""Noise floors of a difference that one recording shows."""
 _HIDDEN_FLOORS = 0.1
-"""In noise floors: a difference that one recording shows, and one that no repetition shows."""
+"""Noise floors of a difference that no repetition shows: it would take a hundred."""
 _AS_FAR = 0.9
 """The first block with this share of the largest difference is proposed: it is the simplest."""
 

@@ -39,9 +39,14 @@ _LOAD_STEPS = 30
 _TAUT_SHARE = 0.1
 """Cables keep this share of their pretension, so that manufacturing tolerances leave them taut."""
 _BEYOND_SLACK = 1.5
+"""A load that is to slacken a cable, by the weakest one that does: slack for part of the way."""
 _REST_MARGIN = 1.3
+"""By how much the nominal arm bears more than a load of the protocol: the real one may bear
+less."""
 _RANGE_SHARE = 0.9
+"""Share of a sensor's range that a load may reach."""
 _WORTH_FLOORS = 20.0
+"""Noise floors by which a load must change the reading of some cable: it is then known to 5 %."""
 _FROM_THE_ENDS = 1.0 / 6.0
 """Near and far loads act this share of the reach from its ends, amid its outer thirds."""
 
@@ -49,12 +54,19 @@ _STRAIGHT_SIDES = ("down", "to the left", "up and to the right")
 _SLACKENING_SIDES = ("down", "to the right")
 _NEAR, _MIDDLE, _FAR = range(3)
 _UP = (0.25, 0.5, 0.75, 1.0)
+"""Shares of the peak at which a load that rises in steps is held."""
 _SPEED_RAD_S = float(np.deg2rad(5.0))
+"""Of joints on their way: slow enough that the arm does not swing."""
 _LARGEST_ANGLE_RAD = float(np.deg2rad(11.0))
+"""Of joints in a pose of the protocol."""
 _SMALL_ANGLE_RAD = float(np.deg2rad(1.0))
+"""Of joints that turn twice to either side, which shows play and friction."""
 _HOLD_S = 40.0
+"""How long a load is held to show creep."""
 _RELEASE_S = 20.0
+"""How long the arm is left alone thereafter: creep recovers."""
 _REST_S = 5.0
+"""How long the arm rests before and after it moves."""
 
 
 class BlockKind(StrEnum):

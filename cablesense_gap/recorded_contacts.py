@@ -45,6 +45,7 @@ _STEADY_N = 1.0
 _FEWEST_UNLOADED = 2
 """Rows that show an unloaded arm at rest."""
 _LEAST_N = 1e-9
+"""Force that counts as zero, so that none is divided by."""
 
 Rows = NDArray[np.bool_]
 

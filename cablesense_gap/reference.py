@@ -29,6 +29,7 @@ from cablesense_gap.system import System, problem_of
 from cablesense_gap.verdict import ReferenceGap
 
 _LEAST = 1e-9
+"""Added to the RMS of a column, so that none is divided by zero; columns are about 1."""
 
 
 @dataclass(frozen=True)

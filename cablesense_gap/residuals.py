@@ -46,10 +46,11 @@ BENT_RAD = float(np.deg2rad(1.5))
 _LOAD_TOLERANCE = 0.05
 """Share of a trial's peak by which a measured load must move before it counts as moved."""
 _LARGER = 1.4
+"""Times the RMS of the rest of its group that a regime has: twice the mean square."""
 _ABOVE_FLOORS = 2.0
+"""Noise floors (RMS) that a regime has at least."""
 _FEWEST_ROWS = 20
-"""A regime has this many times the RMS of the rest of its group (twice the mean square), this many
-floors, and this many rows: a shorter one, of 4 s at 5 Hz, can be large by chance."""
+"""Of a regime: a shorter one, of 4 s at 5 Hz, can be large by chance."""
 
 Rows = NDArray[np.bool_]
 

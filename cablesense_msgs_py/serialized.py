@@ -23,8 +23,9 @@ MAX_CALIBRATION_BYTES = 1 << 25
 MAX_NAMES = 4096
 """Far more joints than any arm has; a larger count is a malformed message."""
 _STAMP_AT = 4
+"""Byte of the stamp in a serialized message: after the encapsulation."""
 _HEAD_AT = 12
-"""After the encapsulation, and after the stamp."""
+"""Byte of what follows the stamp."""
 _BYTE_ORDERS = {b"\0\0": ">", b"\0\1": "<"}
 _STAMPS = {encapsulation: struct.Struct(f"{o}iI") for encapsulation, o in _BYTE_ORDERS.items()}
 

@@ -21,17 +21,23 @@ from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import mean_variance_n2, reading_variance_n2
 
 POSES = 25
+"""Of a commissioning, unless a user states another number."""
 BEND_RAD = float(np.deg2rad(10.0))
+"""Largest joint angle of a pose, unless a user states another one."""
 READINGS = 20
 """Averaged in a pose: fifty lower the deviation of a force by four hundredths."""
 _CANDIDATES = 160
+"""Random poses of which those are chosen that teach most."""
 _TAUT_SHARE = 0.2
 """A cable is taut for certain above this share of its pretension."""
 _BEND_SHARE = 0.8
 """Joints stay within this share of the bend at which guide plates meet."""
 _PREDICTION_STEPS = 6
+"""Newton steps from the pretension to the reading in a pose."""
 _PREDICTED_N = 0.01
+"""Change of a reading that is too small to continue them."""
 _MODEL_STD_N = 0.01
+"""What a reading differs from the law by beside its noise, as in `calibration`."""
 
 
 class PoseError(CableSenseError):

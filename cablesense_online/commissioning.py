@@ -43,12 +43,15 @@ _CONFIRMED = 2
 _UNSTEADY_STD = 6.0
 """A reading so many deviations from the mean before it is not of an arm at rest."""
 _FEWEST_STEADY = 5
+"""Readings in a hold from which its noise is told."""
 _SWING_S = 0.2
 """Readings are averaged over at least this time: an arm on cables swings with 5 to 20 Hz."""
 _LONGEST_HOLD = 3.0
 """A hold takes at most this multiple of its time, and `_HOLD_MARGIN_S` more."""
 _HOLD_MARGIN_S = 5.0
+"""How long a hold may take beyond that: sensors may pause."""
 _NS = 1_000_000_000
+"""Nanoseconds of a second."""
 
 
 class CommissioningRefusedError(CableSenseError):

@@ -10,6 +10,7 @@ from cablesense_msgs_py.topics import ContractError
 from cablesense_online.settings import EstimationSettings
 
 _MOST_CHARACTERS = 20_000
+"""Of the text of a provenance: a longer one is none of ours."""
 
 
 @dataclass(frozen=True)

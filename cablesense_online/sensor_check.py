@@ -30,6 +30,7 @@ FEWEST_INTERVALS = 20
 BEFORE_S = 1.0
 """A pull is compared with the readings of this time before it."""
 FEWEST_SAMPLES = 3
+"""Before a pull and in it, for a mean of each."""
 CLEARLY = 0.7
 """If the second channel changes by more than this share of the first, a pull is unclear."""
 PULLED_FLOORS = 10.0
@@ -37,12 +38,16 @@ PULLED_FLOORS = 10.0
 MOVED_FLOORS = 20.0
 """A channel that moves by this many standard deviations of a reading works."""
 RATE_TOLERANCE = 0.05
+"""Share by which the rate may differ from the one stated."""
 JITTER_PERIODS = 0.5
 """With more than half a period, a sample can be mistaken for its neighbour."""
 LOST_SHARE = 0.001
+"""Share of the samples that may be lost."""
 NOISE_FACTOR = 2.0
-"""Relative to the arm file; a loose screen or a nearby motor causes far more noise."""
+"""Times the noise of the arm file that a sensor's may be; a loose screen or a nearby motor causes
+far more."""
 STEP_FACTOR = 1.5
+"""Times the step of the arm file that a converter's step may be."""
 LEAST_FLOOR_N = 0.01
 """Floor for an arm file with ideal sensors; real sensors have at least this noise."""
 DRIFT_FLOORS = 4.0

@@ -35,6 +35,7 @@ from cablesense_sim.arm import Arm, open_arm
 from cablesense_sim.joint_motion import JointMotion
 
 JOINT_STATES_PERIOD_S = 0.02
+"""From one `joint_states` to the next: they are for display."""
 
 
 class CanDriverNode(ConfiguredNode):

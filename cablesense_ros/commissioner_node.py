@@ -55,6 +55,7 @@ from cablesense_ros.node_process import (
 from cablesense_sim.build import mechanism_of
 
 _TICK_S = 0.02
+"""From one command to the next."""
 _DELIVERED_WITHIN = Duration(seconds=1)
 """How long the end waits until subscribers have the last command; then they are gone, too."""
 _OWN_COMMANDS = 500

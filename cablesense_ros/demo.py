@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 _MAP = "twelve_channel_amplifier"
 """The amplifier that the emulator poses as."""
 _BITRATE_BIT_S = 1_000_000
+"""Of the bus of the demo: the fastest of classical CAN."""
 _START_S = 120.0
 """Slow machines import and compile for a minute the first time."""
 _JOINT_SPEED_RAD_S = math.radians(20.0)
@@ -48,6 +49,7 @@ _POSES = 8
 _COMMISSIONING_S = 300.0
 """It takes half a minute, where other work keeps no processor busy."""
 _ASK_EVERY_S = 0.2
+"""How often a node is asked whether it is ready."""
 
 
 class Source(StrEnum):

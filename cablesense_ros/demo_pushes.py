@@ -32,17 +32,21 @@ from cablesense_ros.arm_client import ArmClient
 from cablesense_sim.load_capacity import USUAL_CONTACT_N
 
 PUSH_S = 3.0
+"""How long each push is held."""
 SHORTEST_SLOT_S = 4.0
-"""Each push is held this long. A pause before it fills its slot."""
+"""From one push to the next, at least: a pause before it fills its slot."""
 MOVE_S = 3.0
 """A move of the joints may take this long until the arm rests again."""
 WEAKEST = 0.025
+"""Weakest push, as a share of the strongest contact that the arm's networks learn."""
 STRONGEST = 0.6
-"""Pushes, as shares of the strongest contact that the arm's networks learn."""
+"""Strongest push, as the same share."""
 MOST_ALONG = 0.2
 """Largest axial part, as a share of the normal force: below the friction of most surfaces."""
 POSE_LIMIT_DEG = 8.0
+"""Largest joint angle of the poses in which it is pushed."""
 _RECORD_EVERY_S = 0.04
+"""From one shown answer to the next."""
 _LOCATED = ("magnitude_n", "contact_m", "along_n")
 """Not known of a contact of which the moment alone is."""
 

@@ -253,6 +253,7 @@ class RefusalLog:
 
 
 TRAJECTORY_PERIOD_S = 0.02
+"""From one command of a trajectory to the next."""
 
 
 class CommandInput:

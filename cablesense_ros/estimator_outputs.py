@@ -49,11 +49,16 @@ DISPLAY_PERIOD_S = 1.0 / 30.0
 ARROW_M_PER_N = 0.004
 """Length of the arrow per newton: 50 N are 0.2 m."""
 _SPHERE_DIAMETER_M = 0.03
+"""Of the marker of a contact's place."""
 _ARROW_DIAMETERS_M = (0.012, 0.024, 0.03)  # shaft, head and head length
 _BAND_WIDTH_M = 0.04
+"""Of the marker of the interval of this place."""
 _SHORTEST_BAND_M = 0.002
+"""Of this marker, so that it stays visible."""
 _BAND_OPACITY = 0.4
+"""Of this marker: the arm stays visible."""
 _COLOUR = (0.95, 0.35, 0.1, 1.0)
+"""Of all markers, red, green, blue and opacity."""
 
 
 class EstimatorOutputs:

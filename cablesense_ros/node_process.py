@@ -45,6 +45,7 @@ from cablesense_ros.endpoints import Outputs, qos_profile, steady_timer
 from cablesense_ros.processes import handle_end_signals, prefer_quick_discovery
 
 _WAKE_S = 0.2
+"""How often a node that ends looks whether all is done."""
 _STUCK_AFTER_S = 60  # a start that compiles takes 20 s on a slow machine
 _ENDED_WITHIN_S = 4  # launch ends with a signal that nobody can handle after five
 _EXITED_WITHIN_S = 20  # Python's own end, with the threads of the page
@@ -375,7 +376,9 @@ class ConfiguredNode(LifecycleNode, ABC):
 
 
 _PERIOD_S = 1.0
+"""From one status to the next, as usual for diagnostics."""
 _CLOCK_LOGGED_EVERY_S = 10.0
+"""How often the log repeats that a clock was set."""
 
 
 def publish_diagnostics(

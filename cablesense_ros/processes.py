@@ -30,8 +30,11 @@ Found = TypeVar("Found")
 GRACE_S = 5.0
 """How long a child may take to end after the first signal, before SIGKILL."""
 _POLL_S = 0.02
+"""How often it is looked whether a process has ended."""
 _PR_SET_PDEATHSIG = 1
+"""Of prctl(2): a process gets a signal when its parent ends."""
 _LOG_LINES_SHOWN = 6
+"""Last lines of a log that an error shows."""
 
 
 class ProcessError(CableSenseError):

@@ -159,6 +159,7 @@ class Recorder:
 
 
 _WAKE_S = 0.25
+"""How often a wait looks whether it is to end."""
 
 
 def record_topics(
@@ -196,10 +197,13 @@ def record_topics(
 
 
 _FIRST_SAMPLE_S = 5.0
+"""How long the first sample is waited for."""
 _JOINING_S = 0.5
 """After the first sample. Some are lost while subscriber and publisher discover each other."""
 _PULLING_S = 3.0
+"""How long a cable is to be pulled."""
 _RELEASED_S = 3.0
+"""How long it is left alone thereafter."""
 _LISTEN_S = 0.1
 """Ctrl-C takes effect within this time."""
 

@@ -47,11 +47,14 @@ from cablesense_sim.model import urdf_xml
 from cablesense_sim.touch import touched_places
 
 TIMESTEP_S = 1e-3
+"""Of the simulated dynamics."""
 JOINT_STATES_HZ = 100.0
 """`joint_states` come with the tensions, but no faster than this: they are for display."""
 
 _SLOWEST_FACTOR = 0.95
+"""Of real time, below which the machine is too busy."""
 _PERIODS_OF_LAG = 2.0
+"""Periods of the sensors by which the simulation may lag before it gives up catching up."""
 
 
 class SimNode(Node):

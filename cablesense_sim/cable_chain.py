@@ -29,11 +29,17 @@ from cablesense_sim.cable_pull import CablePull
 from cablesense_sim.compiled import compiled
 
 _LEAST_GIVE_M = 1e-8
+"""Presliding displacement that counts as none."""
 _MOST_STEPS = 40
+"""Newton steps for one cable: most need fewer than ten."""
 _CIRCLES_AFTER = 10
+"""Steps after which a cable that alternates between stick and slip is relaxed."""
 _SWEEPS = 30
+"""Over the nodes of a cable in one relaxation."""
 _HALVINGS = 40
+"""Bisections of the length that passes a node: to 1e-12 of where they start."""
 _ROUNDING = 1e-12
+"""Relative rounding of tensions, and lengths (m) below which nothing passes."""
 
 
 class _Pulled(NamedTuple):

@@ -35,7 +35,9 @@ LEAST_PERIOD_S = 0.01
 """A rest takes some milliseconds to find; fast sensors read the same one several times."""
 
 _ROUNDING_S = 1e-9
+"""By which sums of time steps differ from their multiple."""
 _SLIGHTLY_M = 1e-6
+"""Cable paid out for an equilibrium elsewhere: far below any reading's error."""
 
 
 def moving_arm(

@@ -9,6 +9,8 @@ import numpy as np
 from cablesense_base import Array
 
 SHORTEST_MOVE_S = 0.1
+"""Duration of a move, however small: a jump would pull cables of a stiff arm with thousands of
+newtons."""
 _PEAK_TO_MEAN_SPEED = 1.875
 """Of a fifth-order move from rest to rest."""
 _PEAK_ACCELERATION = 3.08

@@ -38,8 +38,9 @@ USUAL_CONTACT_N = 200.0
 """The strongest contact that networks learn unless the arm bears less: a person's firm push."""
 
 _POSES = 500
+"""Random poses that judge a range."""
 _FAILING_SHARE = 0.01
-"""Random poses that judge a range, and the share of them that may find no rest."""
+"""Share of them that may find no equilibrium."""
 
 SEARCHED_UP_TO_N = 2000.0
 """The search ends at this force."""
@@ -55,13 +56,16 @@ DIRECTIONS = 12
 _SIDES = 4  # groups of directions that are looked at one after another
 
 _LEAST_N = 1e-3
+"""The weakest contact that is tried: an arm that bears less bears none."""
 _HALVINGS = 6  # bisections between a supported force and twice that force; a hundredth remains
 
 SHOWS_AT_STD = 5.0
 """A change shows when the vector of all readings has changed by this many standard deviations of
 one reading, noise and step. Without friction this is five standard deviations of the force."""
 _RESTS_ON_THE_WAY = 5
+"""Equilibria between two poses, or to a load: history-dependent effects take the whole path."""
 _HALVINGS_OF_HIDDEN = 12
+"""Bisections of the smallest change that shows: to 1 / 4096 of the load."""
 
 
 class WeakArmError(CableSenseError):

@@ -11,8 +11,9 @@ from cablesense_sim.mechanism import Mechanism
 
 _OFF_LINE_M = 0.03  # an arm under load is elsewhere than where it is commanded, by less than this
 _AS_NEAR = 3.0
+"""A second segment is as near to a line if it is at most so many times as far."""
 _AS_NEAR_M = 1e-3
-"""A second segment is as near to a line if it is so many times as far, or as close as this."""
+"""Or if it is as close as this."""
 
 
 class LoadError(CableSenseError):

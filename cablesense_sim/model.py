@@ -22,10 +22,14 @@ ACTUATOR_MASS_KG = 0.5
 """Moving mass of one ball screw; it has no part in statics."""
 
 _PLATE_HALF_THICKNESS_M = 0.0015
+"""Of a guide plate as drawn."""
 _CABLE_WIDTH_M = 0.0008
+"""Of a cable as drawn: MuJoCo's tendons have no thickness."""
 _Rgba = tuple[float, float, float, float]
 _SEGMENT_RGBA = (0.55, 0.58, 0.62, 1.0)
+"""Colour of segments."""
 _PLATE_RGBA = (0.30, 0.33, 0.38, 1.0)
+"""Colour of guide plates."""
 
 
 def build_spec(mechanism: Mechanism, name: str = "arm") -> mujoco.MjSpec:

@@ -29,13 +29,21 @@ from cablesense_sim.mechanism import Mechanism, stack
 from cablesense_sim.rest import Imbalance, Pose, balanced, escape_step, plates_of, posed
 
 _TOLERATED_N_M = 1e-4
+"""Torque that may remain in an equilibrium: it changes a reading by some mN."""
 _MOST_STEPS = 80
+"""Of the search for one equilibrium; those that need more do not converge."""
 _SHORTEST = 1e-3
+"""Relative width of a bracket about a kink that is not halved any more."""
 _LEAST_FRACTION = 1e-7
+"""Of a step: a shorter one moves nothing."""
 _LONGEST_TURN_RAD = 0.05
+"""Of a joint in one step: half of that without friction, whose kinks are closer."""
 _FOLLOWED_FROM_N = 10.0
+"""Change of a tension by the command alone from which on the start follows it."""
 _FOLLOWING_STEPS = 2
+"""Newton steps by which the start follows the command."""
 _SMALL_STEPS = 5
+"""By which an equilibrium that is not found at once is reached."""
 
 
 class _TrialPose(NamedTuple):

@@ -22,13 +22,21 @@ from cablesense_sim.compiled import compiled, factorise, solve
 from cablesense_sim.mechanism import Mechanism
 
 _TOUCHING_M = 1e-9
+"""Distance at which two guides count as touching: the length of a cable is divided by."""
 _MAX_ITERATIONS = 100
+"""Of Newton's method: a search that needs more does not converge."""
 _ARMIJO = 1e-4
+"""Share of the linear decrease that a step must achieve (Armijo's rule)."""
 _SHORTEST_STEP = 1e-9
+"""Fraction of a step at which a line search gives up."""
 _LEAST_CUT = 0.01
+"""Smallest factor of a step that goes too far."""
 _LARGEST_CUT = 0.9
+"""Largest factor of a step that goes too far: it must become shorter."""
 _LONGEST_TURN_RAD = 0.1
+"""Of a joint in one step: springs and cables are then near enough to their linear model."""
 _LEAST_ESCAPE_RAD = 1e-3
+"""Turn away from a saddle, at least: the gradient is zero there."""
 _ROUNDING = 1e-13
 """Relative rounding of the potential, in addition to that of the cables' stretches."""
 

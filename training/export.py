@@ -22,11 +22,13 @@ from cablesense_training.errors import TrainingError
 from cablesense_training.networks.layers import ContactNetwork
 
 OPSET = 20
+"""Of ONNX, of all exported models."""
 
 AGREEMENT = 1e-5
 """Largest difference allowed between PyTorch and ONNX Runtime, as it is or as a share."""
 
 _TRIAL_ROWS = 64
+"""On which an exported network is compared with the original."""
 TRACED_ROWS = 10007
 """A prime larger than any other size in a network: no product of these is a multiple of it."""
 

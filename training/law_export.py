@@ -28,8 +28,11 @@ AGREEMENT = 1e-6
 """Largest difference allowed between PyTorch and ONNX Runtime, as a share of the largest."""
 
 _TRIAL_ROWS = 16
+"""On which an exported law is compared with the original."""
 _COMMANDED_DEG = 20.0
+"""Largest joint angle of these."""
 _PUSH_N = 10.0
+"""Deviation of each component of their forces."""
 
 
 def export_law(arm: Arm, path: Path, command: str, unexplained_n2: float = 0.0) -> None:

@@ -47,6 +47,7 @@ from cablesense_training.networks.learnt import (
 )
 
 TEST_SAMPLES = 20_000
+"""Of the test data of a training: errors are then known to 1 %."""
 TEST_SEED_OFFSET = 1_000_000
 """Test data follow the protocol of the training data, with its seed plus this."""
 

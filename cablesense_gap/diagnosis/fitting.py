@@ -49,8 +49,9 @@ _LEAST_DAMPING = 1e-6
 _MOST_DAMPING = 30.0
 """Above which a step that gains nothing ends the fit: it is a thirtieth of Gauss-Newton's."""
 _DAMPING_RISE = 30.0
+"""Factor of the damping after a step that gains nothing: two such steps span its useful range."""
 _DAMPING_FALL = 10.0
-"""Factors of the damping after a step that gains nothing, and after one that gains."""
+"""Divisor of the damping after a step that gains."""
 _BOUND_PASSES = 3
 """Solutions of one step: values that leave their range stay at its end, the others continue."""
 

@@ -25,8 +25,9 @@ from cablesense_gap.simulator import Term, small_changes
 _STEP_OF_STD = 0.1
 """For derivatives, of a standard deviation."""
 _MOST_STEPS = 4
+"""Gauss-Newton steps: the explanation is near the best values already."""
 _SMALL_STEP = 0.1
-"""Of Gauss-Newton; a step that is too small to continue, in deviations of the posterior."""
+"""A step that is too small to continue, in deviations of the posterior."""
 
 
 @dataclass(frozen=True)

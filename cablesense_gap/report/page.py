@@ -44,11 +44,15 @@ DIAGNOSIS_FILES = ("verdict.json", AMENDED_ARM, "report.html")
 _WORST = 8
 """Parts of the remaining gap that are shown at first."""
 _WIDTH_IN = 5.1
+"""Of a chart, inches: half of a page."""
 _CAUSES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
 """Colours of causes in the picture of the arm; from the sixth on they repeat."""
 _MOST_CABLES = 24
+"""That have a chart of their own: those with the largest residuals."""
 _MOST_COLUMNS = 3
+"""Of charts of cables side by side."""
 _ROW_IN = 0.95
+"""Height of a row of them, inches."""
 
 
 def write_diagnosis(

@@ -28,7 +28,9 @@ INK = "#1C2126"
 GRID = "#DDE1E6"
 LOADED = "#EEF1F4"
 WIDTH_IN = 10.2
+"""Of a picture over the whole page, inches."""
 PNG_DPI = 130
+"""Dots per inch of a picture as PNG: 1,300 pixels over the whole page."""
 _MOST_POINTS = 3000
 """More than a picture has columns of pixels."""
 

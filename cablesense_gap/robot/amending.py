@@ -29,6 +29,7 @@ BESIDE_MODEL = "amended_model.json"
 ROBOT_FILES = ("verdict.json", AMENDED_MODEL, BESIDE_MODEL, "report.html")
 """In the folder of a diagnosis."""
 _MAX_BYTES = 10_000_000
+"""Of a file of effects beside a model: some thousand times a usual one."""
 
 
 class _Beside(FilePart):

@@ -19,19 +19,21 @@ from cablesense_gap.verdict import Gap
 from cablesense_sim.effects.effect import Parameter
 
 _LEAVES = 0.6
+"""Columns are tried where the model's residual is more than this share of a measured channel."""
 _GAIN = 0.5
-"""Columns are tried where the model's residual is more than the first share of a measured channel.
-Changed columns are believed if it is then at most the second share of the former."""
+"""Changed columns are believed if the residual is then at most this share of the former."""
 _TOUCHED = 0.02
+"""Change of the share that a channel leaves, from which on changed columns touch it."""
 _MOST = 2.0
-"""By how much changed columns alter the share of a channel that they touch; no share is larger."""
+"""Largest share of a channel that a residual counts as."""
 _AT_ZERO = 0.002
 """Share of a joint's span within which its position counts as zero."""
 _FURTHER = 0.5
 """Each number in a further place of an effect costs this, natural logarithm."""
 _FAR_BEYOND = 10.0
+"""Times the model's own value that make a number of a verdict doubtful."""
 _LITTLE = 0.5
-"""Times the model's own value, and removed share of the gap, that make a verdict doubtful."""
+"""Removed share of the gap below which a verdict is doubtful."""
 
 Left = Callable[[RobotRecording], Mapping[str, float]]
 """By channel, the nominal model's residual as a share of the measured values, RMS."""

@@ -30,14 +30,17 @@ from cablesense_gap.robot.transmission import BacklashMotion, GuidedTendons
 from cablesense_recording.recording import RecordingError
 
 _OF_MOTION = 1.0
+"""Periods of the bandwidth of the motion that a window takes at least: shorter ones show what
+smoothing took of the motion."""
 _OF_COMPARISON = 0.5
-"""Periods of these bandwidths, that a window takes at least and at most: shorter ones show what
-smoothing took of the motion, in longer ones what comes and goes averages out."""
+"""Periods of the bandwidth of the comparison that a window takes at most: in longer ones what
+comes and goes averages out."""
 _MOST_STEPS = 8_000
 """In all windows together; a longer recording has gaps between its windows."""
 _FEWEST = 15
+"""Windows that a recording has at least."""
 _KEPT = 30
-"""Windows that a recording has at least, and that remain of many, however many steps they take."""
+"""Windows that remain of many, however many steps they take."""
 _OF_READING = ("zero", "encoder_scale", "coupling")
 _STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_QFRC_APPLIED

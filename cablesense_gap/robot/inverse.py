@@ -35,6 +35,7 @@ OF_POSITION = ("zero", "encoder_scale", "coupling", "play")
 """Numbers of a change that say where joints are, of which positions are read."""
 _OF_MOTION = ("gravity_m_s2", *OF_POSITION)
 _LEAST_KG = 1e-9
+"""Mass, and inertia in kg·m², of a body as good as none: the torques of point masses are added."""
 _PLACES = np.array([*np.zeros((1, 3)), *np.eye(3), *-np.eye(3), *(1.0 - np.eye(3))])
 """Of point masses, m; their inertial parameters are independent."""
 _LEAST_OF_RANGE = 0.002

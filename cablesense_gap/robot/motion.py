@@ -19,6 +19,7 @@ from cablesense_gap.robot.model import Change
 LEAST_FLOOR = 0.005
 """Of a joint's torque: no model of a machine is better."""
 _MOST_RECENT = 48
+"""Results that are kept: more than one step of a fit asks for, few enough for the memory."""
 
 
 def smoothed(signal: Array, rate_hz: float, bandwidth_hz: float) -> Array:

@@ -36,21 +36,24 @@ from cablesense_recording.recording import RecordingError
 UNIT = "floors"
 """Each channel is given in units of its floor."""
 _AGAINST = 0.7
-_JUDGED = 0.1
 """Correlation with the negative of the model's torque above which a channel counts as reversed: an
-imperfect model's may be somewhat negative. A channel is judged if at least the second share of the
-model's torque is left beyond an offset and friction."""
+imperfect model's may be somewhat negative."""
+_JUDGED = 0.1
+"""A channel is judged if at least this share of the model's torque is left beyond an offset and
+friction."""
 _FOLLOWS = 0.8
+"""Least correlation of a channel with the model's for its unit to be judged."""
 _OTHER_UNIT = 5.0
-"""Least correlation of a channel with the model's, and the ratio of both that is doubtful."""
+"""Ratio of a channel and the model's from which on its unit is doubtful."""
 _PROBED = 0.01
+"""Error of a zero by which its influence is found, rad or m."""
 _USUAL = 0.1
-"""Error of a zero in rad or m: to find its influence, and as usual in a trial."""
+"""Error of a zero that is usual in a trial, rad or m."""
 
 _FITS = 2.0
+"""Floors that an explanation leaves at most at a joint where the model is exact."""
 _MODEL_ERROR = 0.1
-"""Floors that an explanation leaves at a joint where the model is exact; and share of the torque
-that models of real machines leave, the middle of the usual 5 to 15 %."""
+"""Share of the torque that models of real machines leave: the middle of the usual 5 to 15 %."""
 
 _Zeros = tuple[NDArray[np.bool_], Array, Array]
 

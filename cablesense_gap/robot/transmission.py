@@ -14,11 +14,15 @@ from cablesense_gap.robot.model import Change, Robot, inverse_dynamics
 from cablesense_gap.robot.motion import Motion, Recent, Trajectory, derivatives, smoothed
 
 _LEAST_KG_M2 = 1e-9
+"""Inertia of a joint behind its drive, at least: it is divided by."""
 _LEAST_GIVE = 1e-4
 """Cable gives at least this share of the length that passes a guide."""
 _LEAST_M = 1e-9
+"""Length, lever or path that counts as zero, m."""
 _RIDGE = 1e-9
+"""Share of the trace added to a diagonal: tendons that pull alike leave no exact zero."""
 _LEAST_SHARE = 1e-6
+"""Share of the largest tension that a tendon has at least: it is divided by."""
 _SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
 
 

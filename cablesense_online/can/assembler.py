@@ -25,14 +25,16 @@ THREE_CYCLES = 1.3
 """Three frames of one id take two cycles, or 1.4 in the least favourable order of twelve; with a
 second sender they take one."""
 EARLY_CYCLES = 1.0
+"""Jitter, in cycles, by which a counter may be ahead of time."""
 HELD_UP_CYCLES = 1000.0
-"""Jitter by which a counter may be ahead of time, and the longest time that a reader makes up."""
+"""The longest time, in cycles, that a reader that was held up makes up."""
 SLOWER = 0.01
 """Share by which an amplifier may be slower than the map says, so that it gains no time."""
 CUT_SAMPLES = 8
+"""Successive samples with a pause inside that show that samples begin in mid-cycle: bus traffic
+delays single frames only."""
 WIDER = 2.0
-"""Number of successive samples, each with a pause inside that is this many times the pause before
-it, which show that samples begin in mid-cycle. Bus traffic delays single frames only."""
+"""Such a pause is this many times the one before its sample."""
 
 
 class Decoded(NamedTuple):

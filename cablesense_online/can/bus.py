@@ -21,12 +21,19 @@ from cablesense_base import CableSenseError
 INTERFACES = ("socketcan", "slcan", "pcan", "kvaser", "virtual", "udp_multicast")
 """Interfaces that are tested or documented here; others of python-can may work too."""
 NMT_ID = 0x000
+"""CAN identifier of CANopen's network management (CiA 301)."""
 START_REMOTE_NODE = 0x01
+"""Its command that starts a node."""
 HEARTBEAT_ID = 0x700
+"""CAN identifier of a node's heartbeat, less the node's number (CiA 301)."""
 CONTROLLER_CLASS = 0x04
+"""Bits of SocketCAN's error classes (linux/can/error.h): of the controller,"""
 BUS_OFF_CLASS = 0x40
+"""of a controller that is off the bus,"""
 BUS_ERROR_CLASS = 0x80
+"""of an error on the bus,"""
 RESTARTED_CLASS = 0x100
+"""and of a controller that was restarted."""
 _CLASSES = {
     0x01: "transmit timeout",
     0x02: "lost arbitration",

@@ -33,9 +33,11 @@ from cablesense_online.can.channel_map import ChannelMap
 from cablesense_online.can.reader import TensionReader
 
 FIRST_BACK_OFF_S = 0.05
+"""Pause before an interface is opened again; it doubles up to the last one."""
 LAST_BACK_OFF_S = 0.5
 """Short enough that samples come again within a second of the interface's return."""
 WAKE_S = 0.05
+"""How long the driver waits for a frame until it looks whether it is to end."""
 REOPEN_AFTER_SILENCE_S = 2.0
 """Some adapters that lost power neither raise nor deliver; reopening sets them up again."""
 

@@ -37,8 +37,11 @@ FAULTS_OF_BUS = (
     *("bus_off", "silent_bus", "interface_lost"),
 )
 _GAP_CYCLES = 3
+"""Cycles in turn that are missing under the fault `counter_gap`."""
 _CYCLES_PER_GAP = 50
+"""Cycles from one such gap to the next."""
 _NODE_BITS = 0x7F
+"""Of a CAN identifier: the node's number (CiA 301)."""
 
 
 class FaultRequestError(CableSenseError):

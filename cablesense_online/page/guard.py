@@ -41,9 +41,11 @@ MOST_CLIENTS = 10
 MOST_MESSAGE_BYTES = 16_384
 """Camera and values of controls take some hundred."""
 PING_EVERY_S = 5.0
+"""How often a browser is asked whether it is there: twice in `SILENT_S`."""
 SILENT_S = 10.0
 """A browser that does not answer for so long has left: its force is taken off."""
 _PORT_TRIES = 20
+"""Ports that are tried in turn where the first is in use."""
 _TITLE = b"<title>Viser</title>"
 
 Answer = Callable[[ServerConnection, Request], Response | None]

@@ -45,14 +45,17 @@ from cablesense_sim.touch import touched_places
 STALE_S = 0.5
 """Tensions and estimates older than this are not shown as the present."""
 DIAGNOSTICS_STALE_S = 4.0
+"""Age of a status at which it is not shown any more: nodes publish one a second."""
 _NOTHING_ESTIMATED = (ForceState.MOVING, ForceState.UNTARED)
 """These are shown in grey; every other state is as severe as it says."""
 _BOUNDED = (*IN_CONTACT, ForceState.HIDDEN)
 """The interval of an untouched arm is of a force that nobody claims, on a segment that changes."""
 _LEAST_FELT_N = 1e-3
+"""Force that counts as zero: it is not drawn."""
 _HARMLESS = ("cables", "cable_tensions")
 """Parts whose warnings lessen no trust: statics holds with slack cables, a lost sample is lost."""
 _MOST_NOTES = 3
+"""Warnings that are shown at once: more do not fit a phone."""
 _LAST_REFUSAL = "last refusal"
 _HOLDS = "holds"
 _LEFT = "left (s)"

@@ -21,7 +21,9 @@ from cablesense_sim.load_capacity import contact_range_n
 from cablesense_sim.touch import touched_places
 
 _FIGURES_EVERY_S = 0.15
+"""Pace of figures on the page: faster ones cannot be read."""
 _NOTE_S = 5.0
+"""How long a notification is shown."""
 _OTHER_SHAPE = 0.1
 """A window whose ratio of width and height changes by more than this share has another shape."""
 

@@ -28,6 +28,7 @@ from cablesense_online.page.snapshot import (
 from cablesense_sim.mechanism import Mechanism
 
 JOINT_LIMIT_DEG = 20.0
+"""Largest angle that the sliders offer."""
 
 
 @dataclass(frozen=True)
@@ -308,8 +309,11 @@ def html(what: str, *values: Any) -> str:
 
 _DASHES: tuple[list[int], ...] = ([], [6, 3], [2, 3])
 _UNKNOWN_N = -3.0
+"""Where the chart draws an unknown force: below zero, where no force is."""
 _WINDOW_S = 12.0
+"""That the chart shows."""
 _SAMPLES = 240
+"""In this window: 20 a second."""
 
 
 class TraceBuffer:

@@ -31,27 +31,37 @@ from cablesense_sim.kinematics import chain, joint_positions_m, segment_rotation
 from cablesense_sim.mechanism import Mechanism
 
 _CABLE_WIDTH = 0.008
+"""Of a drawn cable, as a share of the arm's length."""
 _INTERVAL_WIDTH = 0.006
+"""Of the line of an interval, as a share of the arm's length."""
 _PLATE_THICKNESS = 0.0075
+"""Of a drawn guide plate, as a share of the arm's length."""
 _THINNEST_REGION = 0.006
+"""Of the band of a contact's place, as a share of the arm's length."""
 _SHAFT_RADIUS = 0.0071
+"""Of an arrow, as a share of the arm's length."""
 _HEAD_RADIUS = 0.018
+"""Of an arrow's head, as a share of the arm's length."""
 _HEAD_LENGTH = 0.056
-"""Shares of the arm's length."""
+"""Of an arrow's head, as a share of the arm's length."""
 _SQUARES_M = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 """Sides that the squares of the ground may have."""
 _BODY_SHARE = 0.34
 """Radius of the drawn body over that of the holes."""
 _PLATE_RGB = (126, 138, 156)
+"""Colour of guide plates."""
 _BODY_RGB = (70, 80, 98)
+"""Colour of segments."""
 _JOINT_RGB = (188, 196, 208)
+"""Colour of joints."""
 _POSE_DIGITS = 5
 """Joint angles, rad, are rounded to this many digits: smaller changes are not drawn."""
 _ALONG_X = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)
 """Quaternion, w x y z, that lays a cylinder, which stands on z, along x."""
 _REGION_SHARE = 1.35
+"""Radius of the band of a contact's place, over that of the body."""
 _REGION_OPACITY = 0.5
-"""Radius of the band over that of the body."""
+"""Of this band: the body stays visible."""
 Touched = Callable[[int, int, float], None]
 """Takes a client, the segment, from 1, and the place on its axis, m from its joint centre."""
 _Place = tuple[float, float, float]
@@ -177,6 +187,7 @@ def place_m(joint_m: Array, axis: Array, ray_origin: Array, ray_direction: Array
 VIEW_ANGLE_RAD = 0.75
 """Height of the view."""
 _SIDE_VIEW = np.array([0.36, -1.66, 0.74])
+"""From the point that the camera looks at to the camera, in lengths of the arm."""
 _TALL = 0.6
 """The view of a phone, upright: its lower part is under the panel."""
 

@@ -138,9 +138,11 @@ def headline(
 SETTLING_S = 1.0
 """A comparison waits this long after a change: the arm swings and the estimate follows."""
 _STILL_N = 0.01
+"""Change of a load below which it stands still."""
 _STILL_M = 0.001
+"""Change of its place below which it stands still."""
 _STILL_RAD = 0.003
-"""Load, its place and pose that change by less stand still."""
+"""Change of a joint angle below which the pose stands still."""
 GUESS_DEG = 90.0
 """Direction error of a contact that was missed, or found on another segment: a guess's mean."""
 
@@ -255,8 +257,11 @@ class Score:
 Rgb = tuple[int, int, int]
 
 TRUE_RGB: Rgb = (230, 159, 0)
+"""Colour of true forces; these are colours that colour-blind people tell apart (Okabe and Ito)."""
 ESTIMATE_RGB: Rgb = (86, 180, 233)
+"""Colour of estimated forces."""
 _SEGMENT_RGB: tuple[Rgb, ...] = ((86, 180, 233), (0, 178, 128), (240, 228, 66), (224, 140, 190))
+"""Colours of segments in charts, in turn."""
 
 TENSION_CSS = (
     *("#482475", "#414487", "#355f8d", "#2a788e", "#21918c"),

@@ -351,10 +351,13 @@ def _effect(effect: Effect) -> Description:
 _TARE_SAMPLES = 50
 """The node averages as many for a tare by default."""
 _AXIAL_STD_N = 100.0
+"""Deviation of the prior of the axial force."""
 _LARGEST_N = 200.0
-"""Of the prior: deviation of the axial force, and the largest lateral one."""
+"""Largest lateral force of the prior."""
 _DRAWS = 100
+"""Poses, places and directions over which a bound is taken."""
 _PLACES = 12
+"""Along a segment, in the table of bounds."""
 _DETERMINED = 0.5
 """A number is called undetermined if the bound exceeds this share of its prior's deviation."""
 

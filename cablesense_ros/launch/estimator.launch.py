@@ -24,6 +24,7 @@ from cablesense_sim.model import urdf_xml
 PACKAGE = "cablesense_ros"
 SWITCH = ("true", "false")
 EMULATED_BIT_S = 1_000_000
+"""Bit rate of the emulated bus: the fastest of classical CAN."""
 ARGUMENTS = {
     # name: default, choices, description
     "source": (

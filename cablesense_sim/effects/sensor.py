@@ -94,6 +94,7 @@ INTERVAL_S = 30.0
 """The zero moves at an even pace within such an interval."""
 
 _INTERVALS = 10
+"""Of `INTERVAL_S`: the five minutes that a recording of the usual protocol takes."""
 
 
 class SensorDrift(Effect):

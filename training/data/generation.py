@@ -92,6 +92,7 @@ _MAX_FAILING_SHARE = 0.03
 """Largest share of a block that may find no rest on the arm that is drawn for it."""
 
 _MAX_ARMS_DRAWN = 20
+"""Arms with drawn effects that are tried for a block of samples until one bears its loads."""
 
 _MAX_REDRAWN_SHARE = 0.02
 """Largest share of a chunk that may lie beyond the arm."""
@@ -234,9 +235,13 @@ TARED = len(_ON_THE_WAY) - 1
 """The rest at which the tare is taken; the reading is that of the last."""
 
 _STEP_S = 0.5
+"""From one rest to the next, at least."""
 _LONGEST_WAIT_S = 30.0
+"""Beyond that, before and after the tare."""
 _LONGEST_HOLD_S = 5.0
+"""How long a load is held before the reading."""
 _HIGHEST_PEAK = 1.4
+"""Of a load on the way, by the sample's force."""
 
 
 @dataclass(frozen=True)

@@ -35,10 +35,12 @@ from cablesense_training.errors import DatasetError
 _FORMAT = "1"
 _PREFIX = "cablesense."
 _CHUNKS_PER_GROUP = 32
+"""Of a row group: 65,536 samples, which are held in memory together."""
 
 _LARGEST_UNPACKED_B = 2**26
+"""Unpacked size, bytes, that any file may have."""
 _MAX_UNPACKING = 100
-"""Largest unpacked size in bytes, and the largest number for each byte of the file."""
+"""Unpacked bytes for each byte of a larger file."""
 
 
 class _Column(NamedTuple):

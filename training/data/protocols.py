@@ -37,10 +37,13 @@ CHUNK_SAMPLES = 2048
 """A power of two, so that every chunk is a balanced block of the Sobol sequence."""
 
 DESIGN = 0
+"""Random stream of points,"""
 NOISE = 1
+"""of sensor noise,"""
 REDRAW = 2
+"""of points drawn again,"""
 ARM = 3
-"""Purposes of random streams: points, sensor noise, points drawn again, arms with effects."""
+"""and of arms with effects."""
 
 
 def random_stream(purpose: int, seed: int, *place: int) -> np.random.Generator:

@@ -67,6 +67,7 @@ DOWN_DEG = 180.0
 """Contact angle of a hung load on the level arm: -z."""
 
 _TABLE2_CABLES = 9
+"""Of the arm of the paper's Table II."""
 
 WEAKEST_MULTI_N = 5.0
 """Recognition of several contacts is judged on forces of at least this."""

@@ -45,15 +45,20 @@ from cablesense_training.evaluation.touches import (
 SAMPLES_AN_ARM = 100
 """Samples of one built arm; the next ones are of another."""
 WRONG_N = 5.0
+"""A statement is wrong if its lateral force is off by more than this"""
 WRONG_SHARE = 0.2
-"""A statement is wrong if its lateral force is off by more than both, or its place is another."""
+"""and by more than this share of the force, or if its place is another."""
 SAME_PLACE_M = 0.02
 """Next to a joint the neighbour's end is the same place."""
 
 _LOW_N = 5.0
+"""Weakest force of the protocol."""
 _HIGH_N = 40.0
+"""Strongest force of the protocol, if the arm's own is not lower."""
 _ROWS_AT_ONCE = 256
+"""In one call of the law: they fit the memory of a laptop."""
 _ROUNDING_M = 1e-4
+"""By which a place may lie outside its interval and still count as in it."""
 _HALF_NORMAL_MEDIAN = 0.6744898
 """Median of the absolute value of a standard normal number."""
 _LATERAL_STD_N = 200.0

@@ -23,6 +23,7 @@ from cablesense_contact.law import Law, LawOutput
 from cablesense_training.evaluation.metrics import ContactAnswer
 
 _ROWS_AT_ONCE = 256
+"""In one call of the law: they fit the memory of a laptop."""
 
 
 class PointContacts(NamedTuple):

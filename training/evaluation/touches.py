@@ -39,6 +39,7 @@ TARE_SAMPLES = 50
 """Readings of each of them."""
 
 _REST_S = 0.5
+"""From one pose of a commissioning to the next."""
 
 
 class Touches(NamedTuple):

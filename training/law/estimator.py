@@ -28,8 +28,11 @@ _POINTS = 49
 _WIDTH = 4.0
 """Standard deviations that they cover to each side."""
 _LOW = 0.025
+"""Lower end of the 95 % intervals, as a probability."""
 _HIGH = 0.975
+"""Upper end of the 95 % intervals, as a probability."""
 _TINY = 1e-18
+"""Variance, (N·m)², that counts as zero: its root has no derivative there."""
 
 
 class EstimatorOutput(NamedTuple):

@@ -52,6 +52,7 @@ _TAUT_ABOVE_STD = 4.0
 POSE_STEPS = 3
 """Gauss-Newton steps from the command to the pose; each leaves a few hundredths of its error."""
 _FAR_M = 1e9
+"""Upper limit of a change of length that limits no taut cable: longer than any arm."""
 
 
 class Measurement(NamedTuple):

@@ -36,10 +36,11 @@ AXIAL_STD_N = 100.0
 """Prior deviation of the axial force of contacts on the axis: half the largest lateral force."""
 
 RADIUS_MEAN = 2.0 / 3.0
-RADIUS_STD = 18.0**-0.5
-"""Where a surface is touched, from the axis, as shares of its radius: anywhere within it, the
+"""Where a surface is touched, from the axis, as a share of its radius: anywhere within it, the
 farther out the likelier. Plates and cables stand out by different amounts, and a tool may reach
 between them."""
+RADIUS_STD = 18.0**-0.5
+"""Standard deviation of the same."""
 
 _LEAST_N = 0.05
 """Lateral forces count as no smaller where something is divided by them or scales with them."""

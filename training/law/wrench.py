@@ -21,6 +21,7 @@ FORCE_STD_N = 100.0
 """Prior deviation of each component of the forces that several contacts have in sum."""
 
 _TINY = 1e-18
+"""Square that counts as zero, in N², (N·m)² or their product: it is divided by."""
 
 
 class SegmentWrench(NamedTuple):
