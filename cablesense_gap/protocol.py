@@ -59,6 +59,10 @@ _SPEED_RAD_S = float(np.deg2rad(5.0))
 """Of joints on their way: slow enough that the arm does not swing."""
 _LARGEST_ANGLE_RAD = float(np.deg2rad(11.0))
 """Of joints in a pose of the protocol."""
+_SHORTEST_MOVE_S = 0.2
+"""Duration of a move, however small."""
+_LEAST_TAUT_SHARE = 0.1
+"""Share of the pretension that every cable keeps in the poses of the protocol."""
 _SMALL_ANGLE_RAD = float(np.deg2rad(1.0))
 """Of joints that turn twice to either side, which shows play and friction."""
 _HOLD_S = 40.0
@@ -386,7 +390,7 @@ def _unloaded(
 
 
 def _way_s(start: Array, end: Array) -> float:
-    return max(0.2, float(np.abs(end - start).max()) / _SPEED_RAD_S)
+    return max(_SHORTEST_MOVE_S, float(np.abs(end - start).max()) / _SPEED_RAD_S)
 
 
 def _pattern(joint_count: int, turn: int = 0) -> Array:
@@ -401,7 +405,7 @@ def _reach_rad(arm: Arm) -> float:
     """Largest angle of the protocol: a third of what the guide plates leave, cables taut."""
     mechanism = mechanism_of(arm)
     reach = min(_LARGEST_ANGLE_RAD, float(mechanism.bend_limit_rad.min()) / 3.0)
-    least = 0.1 * mechanism.pretension_n
+    least = _LEAST_TAUT_SHARE * mechanism.pretension_n
     corners = np.array([_pattern(arm.joint_count, turn) for turn in range(7)])
     for _ in range(4):
         commands = reach * np.vstack([corners, -corners])

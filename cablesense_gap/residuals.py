@@ -45,6 +45,8 @@ BENT_RAD = float(np.deg2rad(1.5))
 """A joint bent by less counts as straight: the small reversals of the protocol stay below."""
 _LOAD_TOLERANCE = 0.05
 """Share of a trial's peak by which a measured load must move before it counts as moved."""
+_MOVED_RAD = 1e-5
+"""Change of a command from row to row from which on the arm moves."""
 _LARGER = 1.4
 """Times the RMS of the rest of its group that a regime has: twice the mean square."""
 _ABOVE_FLOORS = 2.0
@@ -245,7 +247,7 @@ def row_groups(recording: Recording, arm: Arm) -> Iterator[tuple[str, str, Rows]
     for i, name in enumerate(BRANCHES):
         yield "loading and unloading", name, branch == i
     # a moving row has another command than the row before or after it, in the same trial
-    step = np.abs(np.diff(recording.command_rad, axis=0)).max(axis=1) > 1e-5
+    step = np.abs(np.diff(recording.command_rad, axis=0)).max(axis=1) > _MOVED_RAD
     step &= np.diff(recording.trial) == 0
     moving = np.append(step, False) | np.append(False, step)
     yield "rest and motion", "at rest", ~moving

@@ -42,6 +42,59 @@ _WITHIN_FLOORS = 1.2
 """Below this many floors there is no pattern to describe."""
 _WAVES = np.arange(2.5, 20.0, 0.2)
 """Periods that a range of motion may hold; slower waves count as smooth."""
+_NARROW_PLAY = 0.05
+"""Half width of a play, as a share of a signal's range, that shows its last reversals."""
+_WIDE_PLAY = 0.3
+"""The same, for the last large reversals alone."""
+_RECENT_S = 10.0
+"""Time constant of what fades after a change of command or load."""
+_STILL_M = 1e-9
+"""Length of cable that counts as none from one row to the next."""
+_LEAST = 1e-12
+"""Mean square that counts as zero, N²."""
+_MOST_OF_SQUARE = 0.8
+"""Share of the mean square that the cables hold which are named."""
+_ALIKE_TIMES_CHANCE = 1.8
+"""Share of the mean mode, by that of chance, from which on a segment's cables change alike."""
+_AGAINST_TIMES_CHANCE = 0.3
+"""The same, up to which they change against each other."""
+_WITHOUT_TORQUE = 0.6
+"""Share of the modes without a torque from which on single cables are the cause."""
+_DEPENDS = 0.3
+"""Share of a residual that one group of features must explain to be named."""
+_REPRODUCIBLE = 0.2
+"""Share of a residual that a flexible model must explain for it to be reproducible."""
+_GROWTH = 2.0
+"""Times the residual at the smallest loads, from which on it grows with the load."""
+_LOOP_SHARE = 0.4
+"""Share of the residual that the difference of loading and unloading must have."""
+_WAVE_ROWS = 100
+"""Unloaded rows from which a wave can be told."""
+_WAVE_FLOORS = 1.5
+"""Noise floors (RMS) of a residual, without what is smooth, from which it can hold a wave."""
+_WAVE_SHARE = 0.25
+"""Share of this residual that a wave must explain."""
+_JOINT_FOR_CABLES = 0.7
+"""Share of what waves of all cables explain from which on a joint's wave, which is simpler, is
+named."""
+_RANK = 1e-9
+"""Relative singular value that counts as zero."""
+_STEP_ENDS = 0.05
+"""Share of the rows at either end where a step cannot be told from a few unusual rows."""
+_STEP_SHARE = 0.6
+"""Share of a cable's mean square that a lasting step must explain."""
+_STEP_FLOORS = 4.0
+"""Noise floors of such a step."""
+_JUMP_FLOORS = 8.0
+"""Noise floors of a jump from one row to the next."""
+_LATE_SHARE = 0.25
+"""Share of a change by which it goes on where it is no jump, but the channel is late."""
+_NAMED_CABLES = 3
+"""Cables that a sentence names at most."""
+_TRIAL_ROWS = 10
+"""Rows of a trial that is worth repeating."""
+_SAME_SIDE = 0.9
+"""Cosine of the angle between a load and a named side from which on the load is from there."""
 ONE_AT_A_TIME = (
     "Record again under the conditions that are named above, and change one thing at a time: "
     "`cablesense gap protocol` lists loads, poses and holds that distinguish most effects."
@@ -115,20 +168,22 @@ def residual_features(recording: Recording, nominal_n: Array, arm: Arm) -> Featu
     state = np.column_stack([recording.command_rad, *load.values()])
     changed = (np.diff(state, axis=0, prepend=state[:1]) != 0.0).any(axis=1)
     last = np.maximum.accumulate(np.where(changed, np.arange(len(state)), 0))
-    recent = np.exp(-(recording.time_s - recording.time_s[last]) / 10.0)
+    recent = np.exp(-(recording.time_s - recording.time_s[last]) / _RECENT_S)
 
     def of_cables(text: str, columns: Array) -> dict[str, Array]:
         return {
             text.format(c): moment for c, moment in zip(arm.cable_names, columns.T, strict=True)
         }
 
-    narrow, wide = (in_play(nominal_n, share) for share in (0.05, 0.3))
+    narrow, wide = (in_play(nominal_n, share) for share in (_NARROW_PLAY, _WIDE_PLAY))
     commands = zip(arm.joint_names, recording.command_rad.T, strict=True)
     return {
         "pose": {f"{name} commanded": moment for name, moment in commands},
         "load": load,
         "tension": of_cables("tension of {}", nominal_n),
-        "motion": of_cables("motion of {}", np.sign(np.where(np.abs(step_m) > 1e-9, step_m, 0.0))),
+        "motion": of_cables(
+            "motion of {}", np.sign(np.where(np.abs(step_m) > _STILL_M, step_m, 0.0))
+        ),
         "history": of_cables("reversals of {}", narrow) | of_cables("large reversals of {}", wide),
         "time": {"time": recording.time_s, "time since the last change": recent},
     }
@@ -176,7 +231,7 @@ def _cables(parts: Decomposition) -> str:
     """The fewest cables that hold four fifths of the mean square, if these are few."""
     ranked = sorted(parts.of_group(CABLE), key=lambda part: -part.rms_n)
     square = np.array([part.rms_n for part in ranked]) ** 2
-    few = int(np.searchsorted(np.cumsum(square), 0.8 * square.sum())) + 1
+    few = int(np.searchsorted(np.cumsum(square), _MOST_OF_SQUARE * square.sum())) + 1
     if few > len(ranked) // 3:
         return (
             f"It is in all cables: {ranked[-1].rms_n:.2g} to {ranked[0].rms_n:.2g} N RMS, with a "
@@ -190,19 +245,19 @@ def _cables(parts: Decomposition) -> str:
 def _modes(residual_n: Array, arm: Arm) -> Iterator[str]:
     """How the cables of one segment change together, if chance hardly makes it so."""
     square = (segment_modes_n(residual_n, arm) ** 2).sum(axis=(0, 1))
-    share = square / max(square.sum(), 1e-12)
+    share = square / max(square.sum(), _LEAST)
     chance = 1.0 / arm.cables.per_segment
-    if share[0] >= 1.8 * chance:
+    if share[0] >= _ALIKE_TIMES_CHANCE * chance:
         yield (
             "The cables that end on one segment change alike, as a wrong pretension or length "
             "would make them."
         )
-    elif share[3:].sum() >= 0.6:
+    elif share[3:].sum() >= _WITHOUT_TORQUE:
         yield (
             "The cables that end on one segment change against each other without a torque on "
             "the segment, as wrong tensions or sensors of single cables would make them."
         )
-    elif share[0] <= 0.3 * chance:
+    elif share[0] <= _AGAINST_TIMES_CHANCE * chance:
         yield (
             "The cables that end on one segment change against each other, as a torque on the "
             "segment would make them."
@@ -211,13 +266,13 @@ def _modes(residual_n: Array, arm: Arm) -> Iterator[str]:
 
 def _dependence(found: FlexibleModel) -> Iterator[str]:
     group, share = max(found.alone.items(), key=lambda item: item[1], default=("", 0.0))
-    if share >= 0.3:
+    if share >= _DEPENDS:
         yield (
             f"It depends on {_GROUPS.get(group, group)}, most clearly on "
             f"{_plain(found.foremost)}: a flexible model of that alone predicts {share:.0%} of it "
             "on held-out trials."
         )
-    elif found.explained_share < 0.2:
+    elif found.explained_share < _REPRODUCIBLE:
         yield (
             f"It is not reproducible: a flexible model predicts "
             f"{max(found.explained_share, 0.0):.0%} of it on held-out trials. Random events have "
@@ -227,11 +282,11 @@ def _dependence(found: FlexibleModel) -> Iterator[str]:
 
 def _load(parts: Decomposition) -> Iterator[str]:
     levels = parts.of_group(LEVEL)
-    if len(levels) > 1 and levels[-1].rms_n >= 2.0 * levels[0].rms_n:
+    if len(levels) > 1 and levels[-1].rms_n >= _GROWTH * levels[0].rms_n:
         items = [f"{p.rms_n:.2g} N RMS for loads {p.member}" for p in levels]
         yield f"It grows with the load: {listed(items)}."
     for loop in parts.of_group(LOOP):
-        if loop.rms_n >= max(0.4 * parts.rms_n, _WITHIN_FLOORS * parts.floor_n):
+        if loop.rms_n >= max(_LOOP_SHARE * parts.rms_n, _WITHIN_FLOORS * parts.floor_n):
             yield (
                 f"Loading and unloading differ by {2.0 * loop.rms_n:.2g} N RMS at one load: the "
                 "cause depends on history, as friction, backlash and creep do."
@@ -249,15 +304,15 @@ def _wave(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> 
     command = recording.command_rad[free]
     residual = residual_n[free]
     moving = np.ptp(command, axis=0) > 0.0 if len(command) else np.zeros(0, dtype=bool)
-    if len(command) < 100 or not moving.any():
+    if len(command) < _WAVE_ROWS or not moving.any():
         return
     moved = command[:, moving]
     products = [one * other for one, other in combinations_with_replacement(moved.T, 2)]
     columns = np.column_stack([np.ones(len(moved)), moved, *products])
     directions, size, _ = np.linalg.svd(columns, full_matrices=False)
-    smooth = directions[:, size > 1e-9 * size[0]]
+    smooth = directions[:, size > _RANK * size[0]]
     rest = residual - smooth @ (smooth.T @ residual)
-    if np.sqrt((rest**2).mean()) < 1.5 * floor_n:
+    if np.sqrt((rest**2).mean()) < _WAVE_FLOORS * floor_n:
         return
 
     def best(along: Array) -> tuple[float, float]:
@@ -270,14 +325,13 @@ def _wave(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) -> 
     joints = [(*best(command[:, k : k + 1]), arm.joint_names[k]) for k in np.flatnonzero(moving)]
     (joint_share, period_rad, joint) = max(joints)
     (share, period_m) = best(held_m)
-    # the waves of all cables together can follow the wave of one joint, which is simpler
-    if joint_share >= 0.7 * share:
-        if joint_share >= 0.25:
+    if joint_share >= _JOINT_FOR_CABLES * share:
+        if joint_share >= _WAVE_SHARE:
             yield (
                 f"It repeats every {np.rad2deg(period_rad):.2g} degrees of {_plain(joint)}, as "
                 "gear teeth or detents would make it."
             )
-    elif share >= 0.25:
+    elif share >= _WAVE_SHARE:
         alone = [_explained(column[:, None] / period_m, rest, smooth) for column in held_m.T]
         yield (
             f"It repeats every {1e3 * period_m:.2g} mm of cable, most in "
@@ -303,13 +357,13 @@ def _steps(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) ->
     centred = residual_n - residual_n.mean(0)
     weight = (rows * (count - rows) / count)[:, None]
     apart_n = -np.cumsum(centred, axis=0)[:-1] / weight
-    explained = weight * apart_n**2 / np.maximum((centred**2).sum(0), 1e-12)
-    # near either end a step cannot be distinguished from a few unusual rows
-    explained[(rows <= 0.05 * count) | (rows >= 0.95 * count)] = 0.0
+    explained = weight * apart_n**2 / np.maximum((centred**2).sum(0), _LEAST)
+    ends = (rows <= _STEP_ENDS * count) | (rows >= (1.0 - _STEP_ENDS) * count)
+    explained[ends] = 0.0
     step_rows = explained.argmax(0)
     size_n = apart_n[step_rows, np.arange(len(step_rows))]
-    clear = (explained.max(0) >= 0.6) & (np.abs(size_n) >= 4.0 * floor_n)
-    cables = [c for c in np.argsort(-np.abs(size_n)) if clear[c]][:3]
+    clear = (explained.max(0) >= _STEP_SHARE) & (np.abs(size_n) >= _STEP_FLOORS * floor_n)
+    cables = [c for c in np.argsort(-np.abs(size_n)) if clear[c]][:_NAMED_CABLES]
     if cables:
         items = [
             f"{_plain(arm.cable_names[c])} by {size_n[c]:+.2g} N "
@@ -329,12 +383,13 @@ def _jumps(recording: Recording, residual_n: Array, floor_n: float, arm: Arm) ->
     change_here = change[1:-1]
     size = np.abs(change[1:-1])
     beside = np.stack([change[:-2], change[2:]])
-    # a change that goes on in the same direction is not a jump: the channel is late
-    late = ((np.sign(beside) == np.sign(change_here)) & (np.abs(beside) > 0.25 * size)).any(0)
+    late = ((np.sign(beside) == np.sign(change_here)) & (np.abs(beside) > _LATE_SHARE * size)).any(
+        0
+    )
     settled = still & np.append(False, still[:-1])
-    far = settled[:, None] & (size > 8.0 * floor_n) & ~late
+    far = settled[:, None] & (size > _JUMP_FLOORS * floor_n) & ~late
     count = far.sum(0)
-    cables = [c for c in np.argsort(-count, kind="stable") if count[c] > 1][:3]
+    cables = [c for c in np.argsort(-count, kind="stable") if count[c] > 1][:_NAMED_CABLES]
     if cables:
         items = [
             f"{count[c]} times in {_plain(arm.cable_names[c])} "
@@ -359,7 +414,7 @@ def repeat_largest_trial(recording: Recording, residual_n: Array, floor_n: float
     sizes = {
         int(t): float(np.sqrt((residual_n[recording.trial == t] ** 2).mean()))
         for t in np.unique(recording.trial)
-        if (recording.trial == t).sum() >= 10
+        if (recording.trial == t).sum() >= _TRIAL_ROWS
     }
     if not sizes:
         return ONE_AT_A_TIME
@@ -386,7 +441,7 @@ def _done_and_again(rows: Recording) -> tuple[str, str]:
         sides = {**DIRECTIONS, "up": (0.0, 0.0, 1.0), "up and to the left": (0.0, half, half)}
         along = {name: float(np.dot(side, direction)) for name, side in sides.items()}
         side = max(along, key=lambda name: along[name])
-        if along[side] <= 0.9:
+        if along[side] <= _SAME_SIDE:
             numbers = ", ".join(f"{part:.2f}" for part in direction)
             side = f"along ({numbers}) of the base frame"
         return (

@@ -10,7 +10,7 @@ from cablesense_base import Array
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import entries_of, mechanism_of
 from cablesense_sim.effects.registry import EffectEntry
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.mechanism import LEAST_CABLE_SHARE, Mechanism
 from cablesense_sim.tolerances import ArmParameters
 
 _FRICTION = "capstan_friction"
@@ -71,10 +71,9 @@ def built_arm(arm: Arm, seed: int) -> BuiltArm:
             for entry in entries
         ]
     mechanism = parameters.built(theta)
-    # the actuator gives as much as is stated, and the cable alone a little at least
     in_series = mechanism.stiffness_n_m
     by_cable = 1.0 / in_series - 1.0 / mechanism.actuator_stiffness_n_m
-    cable_alone = 1.0 / np.maximum(by_cable, 1e-3 / in_series)
+    cable_alone = 1.0 / np.maximum(by_cable, LEAST_CABLE_SHARE / in_series)
     return BuiltArm(
         replace(mechanism, cable_stiffness_n_m=cable_alone),
         entries,

@@ -31,6 +31,8 @@ RESIDUAL_LIMIT_N_M = 1e-7
 
 On arms too large and stiff for double precision, what rounding leaves counts instead.
 """
+_SEARCHED_SHARE = 0.01
+"""Share of this limit at which a search ends, so that one which is repeated gives the same."""
 
 MAX_FORCE_N = 1e6
 """Largest force component that is accepted; a larger one has a wrong unit."""
@@ -91,7 +93,7 @@ def solve_equilibrium(
     leading = command.shape[:-1]
     command = command.reshape(-1, mechanism.joint_count)
     forces = forces.reshape(-1, mechanism.segment_count, 3)
-    enough = max(0.01 * RESIDUAL_LIMIT_N_M, _rounding_n_m(mechanism))
+    enough = max(_SEARCHED_SHARE * RESIDUAL_LIMIT_N_M, _rounding_n_m(mechanism))
     if held_m is None:
         rest = _spanned_m(mechanism, command)
     else:

@@ -55,6 +55,12 @@ DIRECTIONS = 12
 """From which forces come: they divide the circle evenly from +z."""
 _SIDES = 4  # groups of directions that are looked at one after another
 
+_AS_USUAL = 0.999
+"""Share of the usual contact from which on an arm bears it: bisections end a little below."""
+_LEAST_RANGE_SHARE = 0.1
+"""Share of the usual range of poses below which no smaller one is tried."""
+_RANGE_STEP_SHARE = 0.05
+"""Share of the usual range by which it is made smaller."""
 _LEAST_N = 1e-3
 """The weakest contact that is tried: an arm that bears less bears none."""
 _HALVINGS = 6  # bisections between a supported force and twice that force; a hundredth remains
@@ -116,7 +122,7 @@ def contact_range_n(arm: Arm, usual_n: float = USUAL_CONTACT_N, contacts: int = 
     _unloaded_rad(arm, mechanism)
     enough_n = usual_n * contacts / _WORKING_SHARE
     bearable_n = _WORKING_SHARE * float(_greatest_n(arm, mechanism, enough_n).min()) / contacts
-    if bearable_n > 0.999 * usual_n:
+    if bearable_n > _AS_USUAL * usual_n:
         return usual_n
     step_n = 10.0 ** (np.floor(np.log10(bearable_n)) - 1.0)
     return round(float(np.floor(bearable_n / step_n) * step_n), 9)
@@ -135,14 +141,14 @@ def pose_range_deg(arm: Arm, usual_deg: float, force_n: float) -> float:
     angles_deg = rng.uniform(0.0, 360.0, _POSES)
     sizes_n = rng.uniform(0.0, force_n, _POSES)
     range_deg = usual_deg
-    while range_deg > 0.1 * usual_deg:
+    while range_deg > _LEAST_RANGE_SHARE * usual_deg:
         command = np.deg2rad(range_deg) * shares
         forces = normal_force_n(mechanism, command, segments, angles_deg, sizes_n)
         try:
             solve_equilibrium(mechanism, command, forces)
         except EquilibriumError as error:
             if len(error.failed) > _FAILING_SHARE * _POSES:
-                range_deg = round(range_deg - 0.05 * usual_deg, 9)
+                range_deg = round(range_deg - _RANGE_STEP_SHARE * usual_deg, 9)
                 continue
         break
     return range_deg

@@ -11,6 +11,14 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 
+LEAST_PRETENSION_N = 0.1
+"""Of a cable whose pretension an effect or a tolerance lowers: a cable never pushes."""
+LEAST_CABLE_SHARE = 1e-3
+"""Share of the compliance of cable and actuator in series that the cable alone has at least: the
+actuator keeps the one that is stated."""
+_LEAST_RUN = 0.1
+"""Compliant length before the base plate, at least, in offsets of a guide plate."""
+
 
 @dataclass(frozen=True)
 class Mechanism:
@@ -117,7 +125,7 @@ class Mechanism:
         inside = self.segment_length_m - 2.0 * self.plate_offset_m
         joints = np.arange(1, self.segment_count)
         pieces = np.zeros((self.cable_count, 2 * self.segment_count))
-        pieces[:, 0] = np.maximum(self.run_m, 0.1 * self.plate_offset_m)
+        pieces[:, 0] = np.maximum(self.run_m, _LEAST_RUN * self.plate_offset_m)
         pieces[:, 1::2] = 2.0 * self.plate_offset_m * self.passes_joint
         pieces[:, 2::2] = np.where(self.cable_segment[:, None] > joints, inside[:-1], 0.0)
         return pieces

@@ -26,6 +26,16 @@ _PLATE_HALF_THICKNESS_M = 0.0015
 _CABLE_WIDTH_M = 0.0008
 """Of a cable as drawn: MuJoCo's tendons have no thickness."""
 _Rgba = tuple[float, float, float, float]
+_SEGMENT_RADIUS = 0.12
+"""Of a segment as drawn, by its length."""
+_PLATE_RADIUS = 1.08
+"""Of a guide plate as drawn, by that of the outermost holes."""
+_TIMESTEP_S = 1e-3
+"""Of the MuJoCo model, unless its user sets another one."""
+_LEAST_KG = 1e-6
+"""Mass of a segment, at least: MuJoCo refuses a body without."""
+_ACTUATOR_INERTIA_KG_M2 = 1e-4
+"""Of an actuator's screw, which slides only: MuJoCo wants some."""
 _SEGMENT_RGBA = (0.55, 0.58, 0.62, 1.0)
 """Colour of segments."""
 _PLATE_RGBA = (0.30, 0.33, 0.38, 1.0)
@@ -43,7 +53,7 @@ def build_spec(mechanism: Mechanism, name: str = "arm") -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.modelname = name
     spec.option.gravity = mechanism.gravity_m_s2
-    spec.option.timestep = 1e-3
+    spec.option.timestep = _TIMESTEP_S
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     bodies = _add_chain(spec, mechanism)
@@ -75,12 +85,12 @@ def _add_chain(spec: mujoco.MjSpec, mechanism: Mechanism) -> list[mujoco.MjsBody
             name = f"joint_{n + 1}_{axis}"
             body.add_joint(name=name, damping=damping, stiffness=stiffness, **hinge)
         body.explicitinertial = True
-        body.mass = max(mass, 1e-6)
+        body.mass = max(mass, _LEAST_KG)
         body.ipos = [mechanism.centre_of_mass_m[n], 0.0, 0.0]
         across = (3.0 * radius**2 + length**2) / 12.0
         body.inertia = body.mass * np.array([0.5 * radius**2, across, across])
         capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
-        _add_shape(body, capsule, 0.0, length, 0.12 * length, _SEGMENT_RGBA)
+        _add_shape(body, capsule, 0.0, length, _SEGMENT_RADIUS * length, _SEGMENT_RGBA)
         _add_plate(body, mechanism.plate_offset_m, radius)
         if n + 1 < mechanism.segment_count:
             _add_plate(body, length - mechanism.plate_offset_m, radius)
@@ -92,7 +102,7 @@ def _add_chain(spec: mujoco.MjSpec, mechanism: Mechanism) -> list[mujoco.MjsBody
 
 def _add_plate(body: mujoco.MjsBody, x_m: float, radius_m: float) -> None:
     ends = x_m - _PLATE_HALF_THICKNESS_M, x_m + _PLATE_HALF_THICKNESS_M
-    _add_shape(body, mujoco.mjtGeom.mjGEOM_CYLINDER, *ends, 1.08 * radius_m, _PLATE_RGBA)
+    _add_shape(body, mujoco.mjtGeom.mjGEOM_CYLINDER, *ends, _PLATE_RADIUS * radius_m, _PLATE_RGBA)
 
 
 def _add_shape(
@@ -150,7 +160,7 @@ def _add_servo(spec: mujoco.MjSpec, body: mujoco.MjsBody, stiffness_n_m: float, 
     body.explicitinertial = True
     body.gravcomp = 1.0
     body.mass = ACTUATOR_MASS_KG
-    body.inertia = np.full(3, 1e-4)
+    body.inertia = np.full(3, _ACTUATOR_INERTIA_KG_M2)
     servo = spec.add_actuator(
         name=f"servo_{i + 1}", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT
     )
@@ -178,11 +188,12 @@ def urdf_xml(arm: Arm) -> str:
         centre = float(mechanism.centre_of_mass_m[n])
         across = mass * (3.0 * radius**2 + length**2) / 12.0
         inertial = _inertial(mass, centre, 0.5 * mass * radius**2, across)
+        shape = _cylinder(0.5 * length, length, _SEGMENT_RADIUS * length)
         plates = [offset, length - offset] if n + 1 < arm.segment_count else [offset]
         parts += [
             f'<link name="{middle}">{_inertial(1e-6, 0.0, 1e-9, 1e-9)}</link>',
             _joint(f"joint_{n + 1}_pitch", parent, middle, position, "0 1 0", limit),
-            f'<link name="{child}">{inertial}{_cylinder(0.5 * length, length, 0.12 * length)}',
+            f'<link name="{child}">{inertial}{shape}',
             *(_disc(x, radius) for x in plates),
             "</link>",
             _joint(f"joint_{n + 1}_yaw", middle, child, 0.0, "0 0 1", limit),
@@ -209,7 +220,7 @@ def _inertial(mass_kg: float, x_m: float, along: float, across: float) -> str:
 
 
 def _disc(x_m: float, radius_m: float) -> str:
-    return _cylinder(x_m, 2 * _PLATE_HALF_THICKNESS_M, 1.08 * radius_m)
+    return _cylinder(x_m, 2 * _PLATE_HALF_THICKNESS_M, _PLATE_RADIUS * radius_m)
 
 
 def _cylinder(x_m: float, length_m: float, radius_m: float) -> str:

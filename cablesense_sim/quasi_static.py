@@ -36,6 +36,14 @@ _SHORTEST = 1e-3
 """Relative width of a bracket about a kink that is not halved any more."""
 _LEAST_FRACTION = 1e-7
 """Of a step: a shorter one moves nothing."""
+_OVER_KINK = 0.3
+"""Share of the drive at the start of a step, against it, from which on a step went over a kink."""
+_SHORT_OF_KINK = 0.7
+"""Share of this drive, along the step, from which on a cut step fell short of the kink."""
+_SMALLEST_CUT = 0.05
+"""Smallest factor of a step that went over a kink."""
+_LARGEST_CUT = 0.8
+"""Largest factor of a step that went over a kink: it must become shorter."""
 _LONGEST_TURN_RAD = 0.05
 """Of a joint in one step: half of that without friction, whose kinks are closer."""
 _FOLLOWED_FROM_N = 10.0
@@ -318,8 +326,8 @@ def _step_on(steps: _Steps, angles: Array, torque: Array, slope: Array) -> Array
         driven = steps.driven[p]
         fraction = steps.fraction[p]
         back = (torque[p] * steps.step[p]).sum()
-        over = back > 0.3 * driven
-        short = back < -0.7 * driven and steps.far[p] < np.inf
+        over = back > _OVER_KINK * driven
+        short = back < -_SHORT_OF_KINK * driven and steps.far[p] < np.inf
         if over:
             steps.far[p] = fraction
         if short:
@@ -327,7 +335,7 @@ def _step_on(steps: _Steps, angles: Array, torque: Array, slope: Array) -> Array
         near = steps.near[p]
         far = steps.far[p]
         if (over or short) and far - near > _SHORTEST * far and far > _LEAST_FRACTION:
-            shorter = min(max(driven / max(driven + back, 1e-300), 0.05), 0.8)
+            shorter = min(max(driven / max(driven + back, 1e-300), _SMALLEST_CUT), _LARGEST_CUT)
             steps.fraction[p] = 0.5 * (near + far) if near > 0.0 else shorter * fraction
             continue
         steps.start[p] = angles[p]

@@ -37,6 +37,8 @@ _LONGEST_TURN_RAD = 0.1
 """Of a joint in one step: springs and cables are then near enough to their linear model."""
 _LEAST_ESCAPE_RAD = 1e-3
 """Turn away from a saddle, at least: the gradient is zero there."""
+_FLATTEST = 1e-6
+"""Least curvature of an escape along a direction, as a share of the largest."""
 _ROUNDING = 1e-13
 """Relative rounding of the potential, in addition to that of the cables' stretches."""
 
@@ -439,7 +441,7 @@ def escape_step(hessian: Array, gradient: Array) -> Array:
         for j in range(i):
             whole[j, i] = whole[i, j]
     values, vectors = np.linalg.eigh(whole)
-    least = 1e-6 * np.abs(values).max()
+    least = _FLATTEST * np.abs(values).max()
     step = np.zeros(len(gradient))
     for k in range(len(values)):
         along = (vectors[:, k] * gradient).sum()

@@ -8,7 +8,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cablesense_sim.effects.effect import Effect, OneArm, Parameter, chosen, own_cables, shape
-from cablesense_sim.mechanism import Mechanism, with_cables_moved, with_plates_moved
+from cablesense_sim.mechanism import (
+    LEAST_PRETENSION_N,
+    Mechanism,
+    with_cables_moved,
+    with_plates_moved,
+)
+
+_LEAST_KG = 1e-9
+"""Mass of a segment, at least: its centre is a ratio of two moments."""
 
 
 class BaseTilt(Effect):
@@ -128,7 +136,7 @@ class Payload(Effect):
         mass = mechanism.mass_kg + affected * values["mass_kg"]
         added = values["mass_kg"] * self.lever(mechanism, place, values)
         moment = mechanism.mass_kg * mechanism.centre_of_mass_m + affected * added
-        heavy = np.maximum(mass, 1e-9)
+        heavy = np.maximum(mass, _LEAST_KG)
         return replace(mechanism, mass_kg=heavy, centre_of_mass_m=moment / heavy)
 
 
@@ -150,7 +158,7 @@ class PretensionError(Effect):
 
     def amend(self, mechanism: Mechanism, place: str, values: OneArm) -> Mechanism:
         error = chosen(place, mechanism.cable_count) * values["error_n"]
-        pretension = np.maximum(mechanism.pretension_n + error, 0.1)
+        pretension = np.maximum(mechanism.pretension_n + error, LEAST_PRETENSION_N)
         return replace(mechanism, pretension_n=pretension)
 
 

@@ -24,7 +24,7 @@ from cablesense_sim.effects.effect import (
     cables,
     chosen,
 )
-from cablesense_sim.mechanism import Mechanism
+from cablesense_sim.mechanism import LEAST_CABLE_SHARE, LEAST_PRETENSION_N, Mechanism
 from cablesense_sim.tolerances import Tolerances, displaced_m
 
 _CAREFUL = Tolerances()
@@ -71,15 +71,14 @@ class CableTolerance(Effect):
         affected = chosen(place, mechanism.cable_count)
         tensioned = mechanism.pretension_n + affected * values["pretension_n"]
         if values["pretension_n"] < 0.0:
-            tensioned = np.where(affected, np.maximum(tensioned, 0.1), tensioned)
+            tensioned = np.where(affected, np.maximum(tensioned, LEAST_PRETENSION_N), tensioned)
         friction = mechanism.relative_friction * (1.0 + affected * values["friction_share"])
         amended = replace(mechanism, pretension_n=tensioned, relative_friction=friction)
         if not values["log_stiffness"]:
             return amended
         in_series = mechanism.stiffness_n_m * np.exp(affected * values["log_stiffness"])
-        # the actuator gives as much as is stated, and the cable alone a little at least
         by_cable = 1.0 / in_series - 1.0 / mechanism.actuator_stiffness_n_m
-        alone = 1.0 / np.maximum(by_cable, 1e-3 / in_series)
+        alone = 1.0 / np.maximum(by_cable, LEAST_CABLE_SHARE / in_series)
         return replace(
             amended,
             stiffness_n_m=in_series,
