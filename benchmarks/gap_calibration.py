@@ -75,13 +75,13 @@ def _searched(path: Path) -> Any:
 def _search(path: Path) -> dict[str, object]:
     arm = narrow_arm(ARM)
     problem = problem_of(ArmSystem(arm, read_recording(path, arm)))
-    explanations = search(problem)
+    hypotheses = search(problem)
     return {
         "floor": problem.floor,
-        "effects": [h.effects for h in explanations],
-        "left": [h.held_out_rmse for h in explanations],
-        "sizes": [h.sizes for h in explanations],
-        "strains": [h.tolerance_chi2 for h in explanations],
+        "effects": [h.effects for h in hypotheses],
+        "left": [h.held_out_rmse for h in hypotheses],
+        "sizes": [h.sizes for h in hypotheses],
+        "strains": [h.tolerance_chi2 for h in hypotheses],
         "tolerances": int(problem.acting_directions.sum()),
     }
 

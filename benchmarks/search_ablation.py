@@ -1,6 +1,6 @@
 """What each constant of the search does: diagnoses as they are, and with one constant off.
 
-    python benchmarks/search_ablation.py [--arms 8] [--robots 8] [--references 2] [--write]
+    python benchmarks/search_ablation.py [--arms 8] [--robots 2] [--references 1] [--write]
 
 Recordings come from the independent plant, with none to three effects that are known, thinned to
 one row a second. Each is diagnosed with all constants as they are, then with one of them at a
@@ -68,9 +68,10 @@ from cablesense_recording.checks import read_recording
 from cablesense_recording.recording import rows_to_use
 from cablesense_sim.arm import find_arm
 
-ARM = "cdsm_lab"
+ARM = Path(__file__).with_name("arms") / "two_segments.yaml"
+"""A small arm: a diagnosis repeats in a second or two."""
 RATE_HZ = 1.0
-"""Of the arm's recordings: 275 rows, a fifth of those of other benchmarks."""
+"""Of the arm's recordings: a fifth of the rows of other benchmarks."""
 COUNTS = (1, 2, 3, 0)
 """Hidden effects of the cases in turn."""
 ROBOTS = ("finger", "two_links")
@@ -196,8 +197,8 @@ def main() -> None:
     """Records, diagnoses, counts and prints; keeps the figures with `--write`."""
     parser = harness.parser(__doc__, "search_ablation.json")
     parser.add_argument("--arms", type=int, default=8, help="recordings of arms")
-    parser.add_argument("--robots", type=int, default=8, help="recordings of robots")
-    parser.add_argument("--references", type=int, default=2, help="of arms with a reference")
+    parser.add_argument("--robots", type=int, default=2, help="recordings of robots")
+    parser.add_argument("--references", type=int, default=1, help="of arms with a reference")
     parser.add_argument("--seed", type=int, default=9811, help="of the plant")
     parser.add_argument("--workers", type=int, default=1, help="processes")
     parser.add_argument("--minutes", type=float, default=np.inf, help="then no further recording")
@@ -205,15 +206,15 @@ def main() -> None:
     options = parser.parse_args()
     folder = options.folder or Path(tempfile.mkdtemp(prefix="search_ablation_"))
     until_s = time.time() + 60.0 * options.minutes
-    sets = {
-        "robots": _drawn_robots(folder / "robots", options.robots, options.seed),
-        "arms": _drawn_arms(folder / "arms", options.arms, options.seed, imperfect=False),
-        "references": _drawn_arms(
-            folder / "references", options.references, options.seed + 1, imperfect=True
-        ),
+    seed = options.seed
+    sets: dict[str, Callable[[Path], tuple[Truth, ...]]] = {
+        "arms": lambda own: _drawn_arms(own, options.arms, seed, imperfect=False),
+        "robots": lambda own: _drawn_robots(own, options.robots, seed),
+        "references": lambda own: _drawn_arms(own, options.references, seed + 1, imperfect=True),
     }
-    figures: dict[str, Any] = {"arm": ARM, "robots": ROBOTS, "seed": options.seed}
-    for name, answers in sets.items():
+    figures: dict[str, Any] = {"arm": ARM.stem, "robots": ROBOTS, "seed": options.seed}
+    for name, drawn in sets.items():
+        answers = drawn(folder / name) if time.time() < until_s else ()
         paths = [_path(folder / name, answer) for answer in answers]
         work = partial(_finished, name, until_s)
         outcomes = blind_sets.in_pool(work, paths, options.workers)
@@ -249,7 +250,7 @@ def _names(seed: int, listed: Sequence[str], count: int) -> list[list[str]]:
 def _drawn_arms(folder: Path, count: int, seed: int, *, imperfect: bool) -> tuple[Truth, ...]:
     answers_file = folder / "answers" / "answers.csv"
     if not answers_file.exists() and count:
-        nominal = replace(read_nominal(find_arm(ARM)), rate_hz=RATE_HZ)
+        nominal = replace(read_nominal(find_arm(str(ARM))), rate_hz=RATE_HZ)
         kinds = ["+".join(names) or NONE for names in _names(seed, list(LISTED), count)]
         made = record_cases(folder, answers_file, nominal, count, seed, kinds, imperfect=imperfect)
         list(made)
@@ -334,9 +335,9 @@ class _Arm(_Unreported, _RememberedArm, ArmSystem):
 
     _subsample: tuple[_Subsample, NDArray[np.int64]] | None = None
 
-    def sketch(self) -> tuple[Simulator, NDArray[np.int64]] | None:
+    def subsample(self) -> tuple[Simulator, NDArray[np.int64]] | None:
         """As of the arm, remembered too."""
-        if self._subsample is None and (part := super().sketch()) is not None:
+        if self._subsample is None and (part := super().subsample()) is not None:
             rows = part[1]
             self._subsample = _Subsample(self.arm, self.recording.rows(rows)), rows
         return self._subsample
@@ -347,7 +348,7 @@ class _Robot(_Unreported, _Remembered, RobotSystem):
 
 
 def _arm_system(path: Path) -> _Arm:
-    arm = blind_sets.narrow_arm(ARM)
+    arm = blind_sets.narrow_arm(str(ARM))
     recording = read_recording(path, arm)
     return _Arm(arm, recording.rows(rows_to_use(recording)))
 
@@ -370,7 +371,7 @@ def _outcomes(set_name: str, path: Path) -> dict[str, Any]:
     healthy = None
     if set_name == "references":
         healthy = _arm_system(path.parent / "reference" / path.name)
-    system.sketch()  # so that its first prediction counts in none
+    system.subsample()  # so that its first prediction counts in none
     outcomes = {AS_IS: _diagnosed(system, healthy)}
     for constant in _constants_of(set_name):
         with constant.off():
@@ -380,7 +381,7 @@ def _outcomes(set_name: str, path: Path) -> dict[str, Any]:
 
 def _diagnosed(system: Any, healthy: Any) -> dict[str, Any]:
     simulators = [system, *([] if healthy is None else [healthy])]
-    if (part := system.sketch()) is not None:
+    if (part := system.subsample()) is not None:
         simulators.append(part[0])
     variants = sum(each.variants for each in simulators)
     saved_s = sum(each.saved_s for each in simulators)
@@ -478,7 +479,7 @@ def _sums(
 
 
 def _print(figures: Mapping[str, Any]) -> None:
-    for name in ("robots", "arms", "references"):
+    for name in ("arms", "robots", "references"):
         found = figures[name]
         if not found["cases"]:
             continue

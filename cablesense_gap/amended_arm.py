@@ -15,7 +15,7 @@ import yaml
 
 from cablesense_base.files import write_atomically
 from cablesense_gap.diagnosis.fitting import refit
-from cablesense_gap.diagnosis.problem import Explanation, Problem
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.explained import fitted_number
 from cablesense_gap.simulator import Term, parameters_of
 from cablesense_gap.verdict import Earlier
@@ -126,7 +126,8 @@ def judged_earlier(problem: Problem, arm: Arm) -> tuple[Arm, tuple[Earlier, ...]
         others = {t: v for t, v in fitted.values.items() if t.effect != effect}
         rest = refit(problem, others, _STEPS_WITHOUT)
         needed = rest is None or (
-            problem.cost_of(rest) > _WORSE * problem.cost_of(fitted) and fitted.beats(rest)
+            problem.cost_of(rest) > _WORSE * problem.cost_of(fitted)
+            and fitted.is_clearly_better_than(rest)
         )
         if not needed:
             kept = {t: v for t, v in kept.items() if t.effect != effect}
@@ -136,7 +137,7 @@ def judged_earlier(problem: Problem, arm: Arm) -> tuple[Arm, tuple[Earlier, ...]
 
 
 def _judgement(
-    problem: Problem, listed: Mapping[Term, float], fitted: Explanation, *, needed: bool
+    problem: Problem, listed: Mapping[Term, float], fitted: Hypothesis, *, needed: bool
 ) -> Earlier:
     """Earlier and present numbers of one effect."""
     known = parameters_of(problem.simulator.candidates)

@@ -43,7 +43,7 @@ class FittedParameters:
     Attributes:
         names: (P,) as `ArmParameters.names`.
         mean: (P,) most probable deviations from the file, in their units.
-        covariance: (P, P) of them, beside the effects of the explanation.
+        covariance: (P, P) of them, beside the effects of the hypothesis.
     """
 
     names: tuple[str, ...]

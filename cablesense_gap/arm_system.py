@@ -15,7 +15,7 @@ from cablesense_gap.amended_arm import amended_arm, judged_earlier, listed_value
 from cablesense_gap.arm_nuisance import FittedParameters, fitted_parameters
 from cablesense_gap.arm_simulator import ArmSimulator, counted_rows, supported_rows
 from cablesense_gap.diagnosis.discrepancy import Conditions
-from cablesense_gap.diagnosis.problem import Explanation, Past, Problem, unit_of
+from cablesense_gap.diagnosis.problem import Hypothesis, Past, Problem, unit_of
 from cablesense_gap.experiments import next_experiment
 from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.reference import Reference
@@ -48,8 +48,8 @@ _LEAST_SUPPORTED = 0.9
 Real arms bear loads near the nominal arm's limit. Loads in a wrong unit fail in most rows."""
 _PLAY = 0.03
 """Share of a cable's way after which it slides the other way, as seen by the reference."""
-_SKETCH_SHARE = 0.7
-"""A sketch with more than this share of the rows saves too little time."""
+_SUBSAMPLE_SHARE = 0.7
+"""A subsample with more than this share of the rows saves too little time."""
 
 
 class ArmSystem(ArmSimulator, System):
@@ -102,10 +102,10 @@ class ArmSystem(ArmSimulator, System):
         rows[self.counted] = returned[1]
         return Past(returned[0], rows)
 
-    def sketch(self) -> tuple[Simulator, NDArray[np.int64]] | None:
+    def subsample(self) -> tuple[Simulator, NDArray[np.int64]] | None:
         """Rows along the path of commands and loads."""
         rows = rows_along_path(self.recording)
-        if len(rows) > _SKETCH_SHARE * len(self.recording):
+        if len(rows) > _SUBSAMPLE_SHARE * len(self.recording):
             return None
         return ArmSimulator(self.arm, self.recording.rows(rows)), rows
 
@@ -115,14 +115,14 @@ class ArmSystem(ArmSimulator, System):
         return places_of(values, tuple(regimes(parts)))
 
     def numbers(
-        self, explanation: Explanation, values: Mapping[Term, float]
+        self, hypothesis: Hypothesis, values: Mapping[Term, float]
     ) -> dict[str, FittedNumber]:
         """The values, and products of which readings may show more than of their factors."""
-        fitted_numbers = super().numbers(explanation, values)
+        fitted_numbers = super().numbers(hypothesis, values)
         for name, place in dict.fromkeys(term[:2] for term in values):
             if known_effects()[name].product is not None:
                 fitted_numbers = with_product(
-                    fitted_numbers, explanation, name, place, mechanism_of(self.arm)
+                    fitted_numbers, hypothesis, name, place, mechanism_of(self.arm)
                 )
         return fitted_numbers
 
@@ -141,7 +141,7 @@ class ArmSystem(ArmSimulator, System):
 
 def with_product(
     numbers: Mapping[str, FittedNumber],
-    explanation: Explanation,
+    hypothesis: Hypothesis,
     name: str,
     place: str,
     mechanism: Mechanism,
@@ -155,15 +155,15 @@ def with_product(
     assert effect.product is not None
     size, shape = effect.parameters
     terms = [Term(name, place, p.name) for p in effect.parameters]
-    term_indices = [list(explanation.values).index(term) for term in terms]
-    amount, form = (explanation.values[term] for term in terms)
+    term_indices = [list(hypothesis.values).index(term) for term in terms]
+    amount, form = (hypothesis.values[term] for term in terms)
 
     def lever(of_form: float) -> float:
         return effect.lever(mechanism, place, {shape.name: of_form})
 
     slope = np.array([lever(form), amount * (lever(form + 1.0) - lever(form))])
     slope *= [unit_of(size, amount), unit_of(shape, form)]
-    variance = float(slope @ explanation.covariance[np.ix_(term_indices, term_indices)] @ slope)
+    variance = float(slope @ hypothesis.covariance[np.ix_(term_indices, term_indices)] @ slope)
     half = 1.96 * max(variance, 0.0) ** 0.5
     value = amount * lever(form)
     prefix = name

@@ -1,6 +1,6 @@
-"""The experiment that distinguishes explanations best, chosen among the blocks of the protocol.
+"""The experiment that distinguishes hypotheses best, chosen among the blocks of the protocol.
 
-Each explanation is simulated with its fitted numbers. The block is proposed where the predictions
+Each hypothesis is simulated with its fitted numbers. The block is proposed where the predictions
 differ most, without a constant of each channel, which is fitted to every recording anew.
 """
 
@@ -63,7 +63,7 @@ def next_experiment(
             nominal arm.
         floor_n: the noise floor of a reading.
         blocks: to choose from, those of the standard protocol unless given.
-        question: what the recording would answer, if the rivals are one explanation with
+        question: what the recording would answer, if the rivals are one hypothesis with
             different numbers.
 
     Raises:
@@ -102,7 +102,7 @@ def _without_history(arm: Arm, rival: Rival) -> dict[Term, float]:
 def _differences_n(arm: Arm, block: Block, rivals: Sequence[Rival], rate_hz: float) -> list[Array]:
     """Differences (R, M) of the first rival to each other in a block.
 
-    Of the rows that count in sizes of gaps. Empty without such a row, or if an explanation cannot
+    Of the rows that count in sizes of gaps. Empty without such a row, or if a hypothesis cannot
     be simulated.
     """
     rows = rows_of((block,), rate_hz)

@@ -1,4 +1,4 @@
-"""The content of an explanation: shares of the gap, the unexplained part, sizes, estimates."""
+"""The content of a hypothesis: shares of the gap, the unexplained part, sizes, estimates."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.probability import NEAR_BEST, Ranked
-from cablesense_gap.diagnosis.problem import Explanation, Problem, from_scaled, to_scaled
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem, from_scaled, to_scaled
 from cablesense_gap.simulator import Candidate, Term, parameters_of
 from cablesense_gap.verdict import (
     CandidateResult,
@@ -34,11 +34,11 @@ _DRAWS = 2000
 
 
 class Trade(NamedTuple):
-    """Two effects of one explanation whose sum the recording shows better than the parts.
+    """Two effects of one hypothesis whose sum the recording shows better than the parts.
 
     Attributes:
         traded: for the verdict.
-        elsewhere: numbers of the explanation that are as probable as the fitted ones, with the
+        elsewhere: numbers of the hypothesis that are as probable as the fitted ones, with the
             smaller of the two effects reduced by 1.96 standard deviations.
     """
 
@@ -47,7 +47,7 @@ class Trade(NamedTuple):
 
 
 class Remainder(NamedTuple):
-    """The residual parts beyond the effects of an explanation, RMS in the channels' unit.
+    """The residual parts beyond the effects of a hypothesis, RMS in the channels' unit.
 
     Attributes:
         tolerances: by which fitted tolerances change predictions.
@@ -61,22 +61,22 @@ class Remainder(NamedTuple):
 
 
 def significant_values(
-    explanation: Explanation, candidates: Sequence[Candidate]
+    hypothesis: Hypothesis, candidates: Sequence[Candidate]
 ) -> dict[Term, float]:
     """The values in the places that matter, effect by effect."""
     parameters = parameters_of(candidates)
     changes: dict[tuple[str, str], float] = {}
-    for column, (term, value) in zip(explanation.columns, explanation.values.items(), strict=True):
+    for column, (term, value) in zip(hypothesis.columns, hypothesis.values.items(), strict=True):
         if parameters[term].role == "size":
             size = _rms(column) * abs(to_scaled(parameters[term], value))
             changes[term[:2]] = float(np.hypot(changes.get(term[:2], 0.0), size))
     largest = {
         effect: max(size for (name, _), size in changes.items() if name == effect)
-        for effect in explanation.effects
+        for effect in hypothesis.effects
     }
     return {
         term: value
-        for term, value in explanation.values.items()
+        for term, value in hypothesis.values.items()
         if changes[term[:2]] >= NEGLIGIBLE * largest[term.effect]
     }
 
@@ -108,11 +108,11 @@ def fitted_number(parameter: Parameter, value: float, half: float) -> FittedNumb
 def shares(
     problem: Problem, ranked: Sequence[Ranked], values: Mapping[Term, float]
 ) -> dict[str, Share]:
-    """The share of each effect of the first explanation, the largest first.
+    """The share of each effect of the first hypothesis, the largest first.
 
     `values` are those in the places that matter. The intervals are linear about the fit.
     """
-    best = ranked[0].explanation
+    best = ranked[0].hypothesis
     if best is None:
         return {}
     parts = {effect: _part(problem, best, {effect}) for effect in best.effects}
@@ -134,20 +134,20 @@ def shares(
     return share_of
 
 
-def remainder(problem: Problem, explanation: Explanation) -> Remainder:
+def remainder(problem: Problem, hypothesis: Hypothesis) -> Remainder:
     """The contribution of tolerances and the unexplained part."""
     used = problem.used
     floor = problem.floor
     gap = _rms((problem.readings - problem.nominal)[used])
     unexplained, whole = (
-        float(np.sqrt(max(size**2 - floor**2, 0.0))) for size in (explanation.held_out_rmse, gap)
+        float(np.sqrt(max(size**2 - floor**2, 0.0))) for size in (hypothesis.held_out_rmse, gap)
     )
-    tolerances = _rms((explanation.prediction - explanation.without_tolerances)[used])
+    tolerances = _rms((hypothesis.prediction - hypothesis.without_tolerances)[used])
     share = min(1.0, unexplained / whole) if whole > 0.0 else 0.0
     return Remainder(tolerances, unexplained, share)
 
 
-def trades(problem: Problem, best: Explanation) -> list[Trade]:
+def trades(problem: Problem, best: Hypothesis) -> list[Trade]:
     """Pairs of effects whose shares trade against each other, the largest pair first.
 
     The sensitivities at the fit decide: numbers of both can move together so that predictions
@@ -180,7 +180,7 @@ def trades(problem: Problem, best: Explanation) -> list[Trade]:
     return sorted(traded_pairs, key=lambda trade: -trade.traded.share_n)
 
 
-def _scaled(problem: Problem, fitted: Explanation) -> Array:
+def _scaled(problem: Problem, fitted: Hypothesis) -> Array:
     """(K,) the fitted numbers in the units of the fit."""
     return np.array([to_scaled(problem.parameters[t], v) for t, v in fitted.values.items()])
 
@@ -201,7 +201,7 @@ class _Part(NamedTuple):
         return max(self.size - half, 0.0), self.size + half
 
 
-def _part(problem: Problem, best: Explanation, effects: set[str]) -> _Part:
+def _part(problem: Problem, best: Hypothesis, effects: set[str]) -> _Part:
     others = {t: v for t, v in best.values.items() if t.effect not in effects}
     change = (best.without_tolerances - problem.predict([others])[0])[problem.used]
     size = _rms(change)
@@ -213,7 +213,7 @@ def _part(problem: Problem, best: Explanation, effects: set[str]) -> _Part:
 
 
 def _alternatives(ranked: Sequence[Ranked], effect: str) -> tuple[str, ...]:
-    """Effects that replace it in explanations that are otherwise equal and nearly as probable."""
+    """Effects that replace it in hypotheses that are otherwise equal and nearly as probable."""
     best = ranked[0]
     others = set(best.effects) - {effect}
     return tuple(
@@ -233,9 +233,9 @@ def _rms(values: Array) -> float:
 
 
 def candidate_results(ranked: Sequence[Ranked]) -> tuple[CandidateResult, ...]:
-    """Every explanation with its residual; an unlisted effect has that of tolerances alone."""
+    """Every hypothesis with its residual; an unlisted effect has that of tolerances alone."""
     without_effects = next(
-        r.explanation for r in ranked if r.explanation and not r.explanation.effects
+        r.hypothesis for r in ranked if r.hypothesis and not r.hypothesis.effects
     )
     return tuple(
         CandidateResult(
@@ -245,7 +245,7 @@ def candidate_results(ranked: Sequence[Ranked]) -> tuple[CandidateResult, ...]:
             held_out_ci95_n=rmse_interval_n(h.squares, h.count),
         )
         for each in ranked
-        for h in (each.explanation or without_effects,)
+        for h in (each.hypothesis or without_effects,)
     )
 
 

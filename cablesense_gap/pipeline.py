@@ -84,17 +84,17 @@ def diagnose_system(
     if reference is not None:
         usual = reference.expected(system, problem)
         problem = since(problem, usual)
-    explanations = system.completed(problem, search(problem, progress, workers))
-    error = None if reference is not None else system.model_error(problem, explanations)
+    hypotheses = system.completed(problem, search(problem, progress, workers))
+    error = None if reference is not None else system.model_error(problem, hypotheses)
     if error is not None:
-        usual = imperfect(system, problem, error, explanations)
+        usual = imperfect(system, problem, error, hypotheses)
         problem = since(problem, usual)
-        explanations = system.completed(problem, search(problem, progress, workers))
-    ranked = named(problem, posterior(explanations, problem.floor, calibration), calibration)
+        hypotheses = system.completed(problem, search(problem, progress, workers))
+    ranked = named(problem, posterior(hypotheses, problem.floor, calibration), calibration)
     progress("describing the verdict", 0.98)
-    best = ranked[0].explanation
+    best = ranked[0].hypothesis
     used = problem.used
-    fitted = [r.explanation for r in ranked if r.explanation is not None]
+    fitted = [r.hypothesis for r in ranked if r.hypothesis is not None]
     without_effects = next(e for e in fitted if not e.effects)
     explained = best or without_effects
     values = significant_values(explained, system.candidates)
@@ -104,7 +104,7 @@ def diagnose_system(
     held_out = explained.held_out
     experiment = ""
     if best:
-        rivals = [r.explanation.values for r in rivals_of(ranked) if r.explanation is not None]
+        rivals = [r.hypothesis.values for r in rivals_of(ranked) if r.hypothesis is not None]
         if traded and not rivals:
             one, other = (e.replace("_", " ") for e in traded[0].traded.effects)
             question = f"how much is {one} and how much {other}"

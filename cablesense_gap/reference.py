@@ -1,7 +1,7 @@
 """The residual that is expected of a healthy machine, with and without a recording of it.
 
 In a recording of the healthy machine, the residual shows a `Discrepancy` that is expected in
-others too. An explanation may alter it: unmodelled friction that varies along a joint's way moves
+others too. A hypothesis may alter it: unmodelled friction that varies along a joint's way moves
 with the joint's zero, and is read with the torque's scale.
 """
 
@@ -23,7 +23,7 @@ from cablesense_gap.diagnosis.discrepancy import (
 )
 from cablesense_gap.diagnosis.fitting import refine
 from cablesense_gap.diagnosis.model_error import TwoParts
-from cablesense_gap.diagnosis.problem import Explanation, Problem
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.simulator import Assignment, Simulator, predicted_changes, small_changes
 from cablesense_gap.system import System, problem_of
 from cablesense_gap.verdict import ReferenceGap
@@ -91,13 +91,13 @@ class Expected:
 
 
 def imperfect(
-    system: System, problem: Problem, error: Array, found: Sequence[Explanation]
+    system: System, problem: Problem, error: Array, found: Sequence[Hypothesis]
 ) -> Expected:
     """The residual that is expected where the model has an unknown error, (C,) RMS.
 
     Most of the error is a smooth function of each channel's own position, as of springs, and of
     the direction of its motion, as of friction: waves, with the same variance in each octave. The
-    rest is as large as the best of the explanations leaves it.
+    rest is as large as the best of the hypotheses leaves it.
     """
     conditions = system.conditions()
     nothing = np.zeros_like(problem.readings)
@@ -225,11 +225,11 @@ class _Weighted:
 def since(problem: Problem, expected: Expected) -> Problem:
     """The problem of what changed: weighted readings beyond the expected ones."""
     weighted = expected.weighted
-    sketch = problem.sketch
-    if sketch is not None:
-        rows = sketch.rows
+    subsample = problem.subsample
+    if subsample is not None:
+        rows = subsample.rows
         part = Expected(expected.mean[rows], expected.weight[rows], expected.floor)
-        sketch = replace(sketch, problem=since(sketch.problem, part))
+        subsample = replace(subsample, problem=since(subsample.problem, part))
     return replace(
         problem,
         simulator=_Weighted(problem.simulator, expected),
@@ -239,5 +239,5 @@ def since(problem: Problem, expected: Expected) -> Problem:
         tolerance_rest=weighted(problem.tolerance_rest),
         tolerances_change=weighted(problem.tolerances_change),
         past=None,
-        sketch=sketch,
+        subsample=subsample,
     )

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError
 from cablesense_gap.diagnosis.discrepancy import Conditions
-from cablesense_gap.diagnosis.problem import Explanation, Past, Problem, prepare, sketched
+from cablesense_gap.diagnosis.problem import Hypothesis, Past, Problem, prepare, subsampled
 from cablesense_gap.diagnosis.tolerances import with_fitted_tolerances
 from cablesense_gap.explained import estimates
 from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term
@@ -93,7 +93,7 @@ class System(ABC):
         """By how much readings depend on the past; None if unknown."""
         return None
 
-    def sketch(self) -> tuple[Simulator, NDArray[np.int64]] | None:
+    def subsample(self) -> tuple[Simulator, NDArray[np.int64]] | None:
         """A simulator of some rows alone, and these rows (K,); None if all rows are needed.
 
         The rows suffice to choose among history-dependent effects.
@@ -120,16 +120,16 @@ class System(ABC):
         """The change of the healthy machine's residual by a variant; None if there is none."""
         return None
 
-    def model_error(self, problem: Problem, found: Sequence[Explanation]) -> Array | None:
-        """(C,) RMS that a model of a real machine leaves, if no explanation fits any channel.
+    def model_error(self, problem: Problem, found: Sequence[Hypothesis]) -> Array | None:
+        """(C,) RMS that a model of a real machine leaves, if no hypothesis fits any channel.
 
         None if one does: the nominal machine is then taken to be exact but for its tolerances. A
         machine that has one has `conditions`.
         """
         return None
 
-    def completed(self, problem: Problem, found: Sequence[Explanation]) -> list[Explanation]:
-        """The search's explanations, as this kind of machine weighs them."""
+    def completed(self, problem: Problem, found: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The search's hypotheses, as this kind of machine weighs them."""
         return list(found)
 
     def where(self, values: Mapping[Term, float], residual: Array) -> Where:
@@ -137,10 +137,10 @@ class System(ABC):
         return Where()
 
     def numbers(
-        self, explanation: Explanation, values: Mapping[Term, float]
+        self, hypothesis: Hypothesis, values: Mapping[Term, float]
     ) -> dict[str, FittedNumber]:
         """The values, which are those in the places that matter, by name."""
-        return estimates(values, explanation.deviations, self.candidates)
+        return estimates(values, hypothesis.deviations, self.candidates)
 
     def next_experiment(self, rivals: Sequence[Assignment], question: str) -> str:
         """The recording that distinguishes the first rival from the others.
@@ -161,7 +161,7 @@ class System(ABC):
         return Unlisted((), "", 0.0)
 
     def doubts(self, values: Mapping[Term, float], gap: Gap) -> tuple[str, ...]:
-        """Reasons, as sentences, for which an explanation with these values cannot be sure."""
+        """Reasons, as sentences, for which a hypothesis with these values cannot be sure."""
         return ()
 
     def channels(self, before: Array, after: Array) -> dict[str, ChannelGap]:
@@ -175,5 +175,5 @@ def problem_of(system: System) -> Problem:
         prepare(system, system.readings, system.trial, system.fold, system.counted)
     )
     problem = replace(problem, past=system.past(), far_off=system.far_off)
-    sketch = system.sketch()
-    return problem if sketch is None else sketched(problem, *sketch)
+    subsample = system.subsample()
+    return problem if subsample is None else subsampled(problem, *subsample)

@@ -23,7 +23,7 @@ class VerdictError(CableSenseError):
 
 
 def checked_effects(names: tuple[str, ...]) -> tuple[str, ...]:
-    """The names of an explanation.
+    """The names of a hypothesis.
 
     Raises:
         ValueError: they are not in alphabetical order, or `none` or `unknown` has company.
@@ -158,7 +158,7 @@ class ChannelGap(FilePart):
 
 
 class CandidateResult(FilePart):
-    """An explanation that was weighed.
+    """A hypothesis that was weighed.
 
     Attributes:
         effects: `["none"]`, `["unknown"]`, or names in alphabetical order.
@@ -231,13 +231,13 @@ class Verdict(FilePart):
     Attributes:
         effects: `("none",)`, `("unknown",)`, or names in alphabetical order.
         probability: that exactly these effects are the cause.
-        ambiguity_group: explanations that this recording cannot distinguish; several effects of
-            one explanation are joined by `+`.
+        ambiguity_group: hypotheses that this recording cannot distinguish; several effects of
+            one hypothesis are joined by `+`.
         parameters: by `effect.parameter`, or `effect.place.parameter` for one place of several.
         shares: of each effect named.
         traded: pairs of these whose shares trade against each other, the largest first.
         earlier: effects that the arm file listed; the verdict's effects are additional.
-        candidates: all explanations weighed, in any order.
+        candidates: all hypotheses weighed, in any order.
         reference: present if the verdict says what changed since a healthy recording.
         channels: for a robot, the gap at each joint in its own unit.
         doubts: for a robot, why the amended model is doubtful, as sentences; the probability is

@@ -1,6 +1,6 @@
 """The causes of the gap between Table II's physical rows and this project's simulation.
 
-54 measured changes of tension: nine cables, 1 and 2 kg on each of three segments. Explanations are
+54 measured changes of tension: nine cables, 1 and 2 kg on each of three segments. Hypotheses are
 fitted to some rows and judged on others. No calibration made on long recordings of another arm
 holds here, so they get no probability: listed effects are compared with a law that knows nothing
 but that changes are in proportion to the load.
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.diagnosis.problem import Explanation, prepare
+from cablesense_gap.diagnosis.problem import Hypothesis, prepare
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.simulator import Term
 from cablesense_gap.verdict import NONE
@@ -47,7 +47,7 @@ class TableDiagnosis:
         blind: effects that no change in this table could show, with the most that they do, N.
         floor_n: error of a change by noise and rounding, N.
         singles: the table under every number alone that can be seen.
-        explanations: those of the diagnosis' search.
+        hypotheses: those of the diagnosis' search.
     """
 
     arm: Arm
@@ -57,7 +57,7 @@ class TableDiagnosis:
     blind: dict[str, float]
     floor_n: float
     singles: tuple[Explained, ...]
-    explanations: tuple[Explanation, ...]
+    hypotheses: tuple[Hypothesis, ...]
 
     @property
     def gap_n(self) -> Array:
@@ -80,8 +80,8 @@ class TableDiagnosis:
     def held_out_n(self) -> dict[tuple[str, ...], float]:
         """RMS that listed effects leave of rows that they were not fitted to, N, least first."""
         left_n = {
-            explanation.effects or (NONE,): explanation.held_out_rmse
-            for explanation in self.explanations
+            hypothesis.effects or (NONE,): hypothesis.held_out_rmse
+            for hypothesis in self.hypotheses
         }
         for single in self.singles:
             effects = (single.number.effect,)
@@ -90,7 +90,7 @@ class TableDiagnosis:
 
 
 def diagnose_table(progress: Callable[[float], None] = lambda done: None) -> TableDiagnosis:
-    """Everything from the table to its explanations; `progress` receives the share that is done.
+    """Everything from the table to its hypotheses; `progress` receives the share that is done.
 
     Raises:
         PaperError: a listed effect leaves less than the law of proportion, so that the text of the
@@ -113,7 +113,7 @@ def diagnose_table(progress: Callable[[float], None] = lambda done: None) -> Tab
         blind=blind,
         floor_n=simulator.floor,
         singles=tuple(explain(each, physical.changes_n) for each in scans),
-        explanations=tuple(search(prepare(simulator, physical.changes_n, rows, rows, all_rows))),
+        hypotheses=tuple(search(prepare(simulator, physical.changes_n, rows, rows, all_rows))),
     )
     best, left_n = next(iter(diagnosis.held_out_n.items()))
     if left_n <= diagnosis.proportional_n:

@@ -1,1 +1,1 @@
-"""Which effect makes the gap: candidates are fitted on some trials and judged on others."""
+"""Which effect makes the gap: candidates are fitted on some trials and scored on others."""

@@ -1,4 +1,4 @@
-"""What a model leaves of a recording: a regression without physics, judged on held-out folds.
+"""What a model leaves of a recording: a regression without physics, scored on held-out folds.
 
 No model is exact. Each channel's residual has a Bayesian linear regression on columns in groups.
 Each group has its own prior variance, which is that of the largest evidence (MacKay, Bayesian

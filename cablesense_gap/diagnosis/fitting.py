@@ -17,7 +17,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_gap.diagnosis.linear_fit import Products, fold_solutions, products, solve, weight
 from cablesense_gap.diagnosis.problem import (
-    Explanation,
+    Hypothesis,
     Problem,
     from_scaled,
     prior_precision,
@@ -63,7 +63,7 @@ def refine(
     most_steps: int = MOST_STEPS,
     most_left: float = np.inf,
     start_at: tuple[Array, Array] | None = None,
-) -> Explanation | None:
+) -> Hypothesis | None:
     """Fit values, from the best of several scaled starts.
 
     None if nothing there can be simulated, or if several starts all leave a mean square of more
@@ -77,7 +77,7 @@ def refit(
     values: Mapping[Term, float],
     most_steps: int,
     start_at: tuple[Array, Array] | None = None,
-) -> Explanation | None:
+) -> Hypothesis | None:
     """Fit values again, from `values`; None if these cannot be simulated.
 
     With no step allowed, they stay and only the tolerances are fitted.
@@ -88,23 +88,23 @@ def refit(
 
 
 def refit_part(
-    problem: Problem, explanation: Explanation, values: Mapping[Term, float], most_steps: int
-) -> Explanation | None:
-    """As `refit`, from some values of an explanation and its sensitivities to them."""
-    kept_indices = [k for k, term in enumerate(explanation.values) if term in values]
+    problem: Problem, hypothesis: Hypothesis, values: Mapping[Term, float], most_steps: int
+) -> Hypothesis | None:
+    """As `refit`, from some values of a hypothesis and its sensitivities to them."""
+    kept_indices = [k for k, term in enumerate(hypothesis.values) if term in values]
     predicted = problem.predict([values])[0]
-    return refit(problem, values, most_steps, (predicted, explanation.columns[kept_indices]))
+    return refit(problem, values, most_steps, (predicted, hypothesis.columns[kept_indices]))
 
 
-def joint_step(problem: Problem, explanation: Explanation) -> Explanation | None:
+def joint_step(problem: Problem, hypothesis: Hypothesis) -> Hypothesis | None:
     """Values and tolerances where their joint linear model is best; the rest stays as it is.
 
     None if that promises too little. `refine` simulates a change of effects and takes tolerances
     linearly. If an effect and a tolerance are the same number, the two then differ by the effect's
     curvature, and `refine` stops after a short step.
     """
-    parameters = {term: problem.parameters[term] for term in explanation.values}
-    return _Fit(problem, parameters).joint_step(explanation)
+    parameters = {term: problem.parameters[term] for term in hypothesis.values}
+    return _Fit(problem, parameters).joint_step(hypothesis)
 
 
 class _Fit:
@@ -131,7 +131,7 @@ class _Fit:
         most_steps: int,
         most_left: float,
         start_at: tuple[Array, Array] | None,
-    ) -> Explanation | None:
+    ) -> Hypothesis | None:
         point, start_square = self._best(np.clip(starts, self._low, self._high))
         if start_square > most_left:
             return None
@@ -170,17 +170,17 @@ class _Fit:
                 _CONVERGED_SHARE * before[0] if self._slow else _CONVERGED_GAIN
             ):
                 break
-        return self._explanation(point, predicted, columns, mean_square)
+        return self._hypothesis(point, predicted, columns, mean_square)
 
-    def joint_step(self, explanation: Explanation) -> Explanation | None:
+    def joint_step(self, hypothesis: Hypothesis) -> Hypothesis | None:
         """As the function of this name."""
         problem = self._problem
         tolerance_end = self._tolerances
-        values = zip(self._parameters, explanation.values.values(), strict=True)
+        values = zip(self._parameters, hypothesis.values.values(), strict=True)
         point = np.array([to_scaled(parameter, value) for parameter, value in values])
         self._expected = np.where(self._shape, point, 0.0)
-        predicted = explanation.without_tolerances
-        all_columns = np.concatenate([problem.tolerance_columns, explanation.columns])
+        predicted = hypothesis.without_tolerances
+        all_columns = np.concatenate([problem.tolerance_columns, hypothesis.columns])
         data = self._products(predicted, all_columns)
         offset = self._offset(point)
         weight_ = weight(self._cost(point, predicted, None)[1], problem.floor)
@@ -195,7 +195,7 @@ class _Fit:
             return None
         ahead = np.clip(point + solution[tolerance_end:], self._low, self._high)
         tolerances = problem.tolerances_of(solution[t])
-        return replace(explanation, values=self._assignment(ahead), tolerances=tolerances)
+        return replace(hypothesis, values=self._assignment(ahead), tolerances=tolerances)
 
     def _best(self, starts: Array) -> tuple[Array, float]:
         """The start with the least residual, tolerances fitted, and its mean square."""
@@ -323,9 +323,9 @@ class _Fit:
         prior = tolerances @ tolerances + self._prior @ (point - self._expected) ** 2
         return float(weight_ * square_left + prior), float(square_left / count)
 
-    def _explanation(
+    def _hypothesis(
         self, point: Array, predicted: Array, columns: Array, mean_square: float
-    ) -> Explanation:
+    ) -> Hypothesis:
         problem = self._problem
         tolerance_end = self._tolerances
         all_columns = np.concatenate([problem.tolerance_columns, columns])
@@ -367,7 +367,7 @@ class _Fit:
         spread[free_indices] = np.sqrt(covariance.diagonal()[free_indices])
         values = self._assignment(point)
         units = [unit_of(p, v) for p, v in zip(self._parameters, values.values(), strict=True)]
-        return Explanation(
+        return Hypothesis(
             effects=tuple(sorted({term.effect for term in self._terms})),
             values=values,
             deviations=dict(zip(self._terms, 1.96 * spread[tolerance_end:] * units, strict=True)),
@@ -402,7 +402,7 @@ def _covariance(part: Products, found: Array, precision: Array, weight_: float) 
 _SCALES = (0.3, 1.0, 3.0)
 """In typical sizes: where a fit starts if linear columns say little about the size."""
 _STEPS_OF_PART = 3
-"""Of Gauss-Newton: a part of an explanation is near its best values already."""
+"""Of Gauss-Newton: a part of a hypothesis is near its best values already."""
 _LEAST_DIVISOR = 0.3
 """Scaled size by which a shape's change is divided at least: it says nothing about a shape where
 the effect hardly exists."""
@@ -410,8 +410,8 @@ _LEAST_START = 0.1
 """Scaled size at which a history-dependent effect starts at least, before `_SCALES`."""
 
 
-def fit(problem: Problem, proposal: Proposal) -> list[Explanation]:
-    """Fit the additions; gives the explanation with them, and without sites that earn too little.
+def fit(problem: Problem, proposal: Proposal) -> list[Hypothesis]:
+    """Fit the additions; gives the hypothesis with them, and one without locations of little use.
 
     Nothing if the simulator cannot follow. A history-dependent effect starts with smaller and
     larger sizes too, and with every combination of the shapes that its columns do not distinguish.
@@ -437,24 +437,24 @@ def fit(problem: Problem, proposal: Proposal) -> list[Explanation]:
         MOST_STEPS // 2 if slow else MOST_STEPS,  # the best of many starts is near already
         proposal.most_left if slow else np.inf,
     )
-    return [] if fitted is None else _with_fewer_sites(problem, fitted, known)
+    return [] if fitted is None else _with_fewer_locations(problem, fitted, known)
 
 
-def refitted(problem: Problem, explanation: Explanation) -> list[Explanation]:
-    """An explanation fitted until it converges, and without sites that earn too little."""
-    fitted = refit(problem, explanation.values, 2 * MOST_STEPS)
-    return [] if fitted is None else _with_fewer_sites(problem, fitted)
+def refitted(problem: Problem, hypothesis: Hypothesis) -> list[Hypothesis]:
+    """A hypothesis fitted until it converges, and without locations that earn too little."""
+    fitted = refit(problem, hypothesis.values, 2 * MOST_STEPS)
+    return [] if fitted is None else _with_fewer_locations(problem, fitted)
 
 
-def _with_fewer_sites(
-    problem: Problem, fitted: Explanation, known: Collection[Term] = ()
-) -> list[Explanation]:
-    """The explanation, and one with the sites alone that are worth their penalty.
+def _with_fewer_locations(
+    problem: Problem, fitted: Hypothesis, known: Collection[Term] = ()
+) -> list[Hypothesis]:
+    """The hypothesis, and one with the locations alone that are worth their penalty.
 
-    Not the latter if it has the terms `known`, of an explanation that was fitted.
+    Not the latter if it has the terms `known`, of a hypothesis that was fitted.
     """
-    nothing, sites = own_columns(problem, fitted)
-    kept = {sites[k].terms[0][:2] for k in Selection(problem, nothing, sites).kept()}
+    nothing, locations = own_columns(problem, fitted)
+    kept = {locations[k].terms[0][:2] for k in Selection(problem, nothing, locations).kept()}
     values = {term: v for term, v in fitted.values.items() if not kept or term[:2] in kept}
     smaller = None
     if len(values) < len(fitted.values) and values.keys() != set(known):
@@ -462,12 +462,10 @@ def _with_fewer_sites(
     return [fitted, smaller] if smaller else [fitted]
 
 
-def without(
-    problem: Problem, effects: Sequence[str], explanation: Explanation
-) -> Explanation | None:
-    """An explanation without some of its effects, fitted again; None if it cannot be simulated."""
-    kept = {t: v for t, v in explanation.values.items() if t.effect not in effects}
-    return refit_part(problem, explanation, kept, _STEPS_OF_PART)
+def without(problem: Problem, effects: Sequence[str], hypothesis: Hypothesis) -> Hypothesis | None:
+    """A hypothesis without some of its effects, fitted again; None if it cannot be simulated."""
+    kept = {t: v for t, v in hypothesis.values.items() if t.effect not in effects}
+    return refit_part(problem, hypothesis, kept, _STEPS_OF_PART)
 
 
 def _start(problem: Problem, proposal: Proposal) -> tuple[dict[Term, float], dict[Term, float]]:

@@ -1,4 +1,4 @@
-"""Linear fits of a residual, judged on held-out trials.
+"""Linear fits of a residual, scored on held-out trials.
 
 A fit needs only the products X'X, X'y and y'y of each trial, so a fit without some of the trials
 is the solution of a small system. If tolerances b are always fitted and a few other columns c are

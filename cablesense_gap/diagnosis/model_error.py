@@ -38,7 +38,7 @@ class TwoParts:
 
         Args:
             columns: (C, R, K) of the smooth part. Their coefficients are normal with variance one.
-            residual: (R, C) of the best explanation. Its RMS outside the columns is the deviation.
+            residual: (R, C) of the best hypothesis. Its RMS outside the columns is the deviation.
             error: (C,) RMS that is expected of the model, the largest deviation.
             least: the smallest deviation.
             fold: (R,) of each row, below zero for rows that do not count.

@@ -1,18 +1,19 @@
-"""The probability of each explanation, and which of them a recording cannot distinguish.
+"""The probability of each hypothesis, and which of them a recording cannot distinguish.
 
-The log weight of an explanation with k effects and n sizes is
+The log weight of a hypothesis with k effects and n sizes is
 
-    log w = -κ log(excess) - τ (s / m - 1) - π_1 - (k - 1) (π_2 - π_1) - ν n - surprise
+    log w = -κ log r - τ (s / m - 1) - π_1 - (k - 1) (π_2 - π_1) - ν n - p
 
-`excess` is the RMS residual on held-out trials beyond the sensors' floor. s is the sum of squares
-of the m tolerances in standard deviations, at least m; τ is below the m / 2 of independent
-Gaussian tolerances because residuals are correlated. `surprise` is the cost of implausible sizes
-and places, where a kind of machine has one. Tolerances alone have their own power κ₀ beyond the
-least excess that can be resolved. An unlisted effect is weighed as if the best listed one imitated
-it, down to a share φ of the gap, and to γ floors if the gap is small (docs/diagnosis_method.md):
+r is the noise-corrected RMS: that of the residual on held-out trials, beyond the sensors' floor.
+s is the sum of squares of the m nuisance parameters in standard deviations, at least m; τ is below
+the m / 2 of independent Gaussian ones because residuals are correlated. p is the log-prior penalty
+of implausible sizes and places, where a kind of machine has one. Tolerances alone have their own
+power κ₀ beyond the least r that can be resolved. An unlisted effect is weighed as if the best
+listed one imitated it, down to a share φ of the gap, and to γ floors if the gap is small
+(docs/diagnosis_method.md):
 
-    log w = -κ log(least) - κ₀ log(excess / least) - τ (s / m - 1)                   for none
-    log w = -κ log √((φ · excess of none)² + (γ σ₀)²) - π_unknown                    for unknown
+    log w = -κ log(least) - κ₀ log(r / least) - τ (s / m - 1)                   for none
+    log w = -κ log √((φ · r of none)² + (γ σ₀)²) - π_unknown                    for unknown
 
 `benchmarks/gap_calibration.py` fits these numbers to simulated cases by their mean log
 probability, so the probabilities are calibrated. Two effects are alike if one can imitate the
@@ -31,14 +32,14 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.linear_fit import weight
-from cablesense_gap.diagnosis.problem import Explanation, Problem, excess
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem, noise_corrected_rms
 
 UNKNOWN = ("unknown",)
 NEAR_BEST = 0.2
 """A rival has at least this share of the probability of the best."""
 
 _EQUAL = 0.9
-"""Explanations with this share of the best one's probability are ordered by their residual."""
+"""Hypotheses with this share of the best one's probability are ordered by their residual."""
 
 PARALLEL = 0.75
 """The shapes of two changes do not differ if one is imitated to this share."""
@@ -59,7 +60,7 @@ _RIDGE = 1e-6
 class ProbabilityCalibration:
     """The numbers of the formula above.
 
-    `floor_share` is the excess that no explanation can avoid, as a share of the floor.
+    `floor_share` is the noise_corrected_rms that no hypothesis can avoid, as a share of the floor.
     """
 
     power: float  # κ
@@ -82,41 +83,41 @@ def bundled_calibration() -> ProbabilityCalibration:
 
 @dataclass(frozen=True)
 class Ranked:
-    """An explanation, or an unlisted effect, with its probability."""
+    """A hypothesis, or an unlisted effect, with its probability."""
 
     effects: tuple[str, ...]
     probability: float
-    explanation: Explanation | None
+    hypothesis: Hypothesis | None
 
 
 def posterior(
-    explanations: Sequence[Explanation], floor: float, calibration: ProbabilityCalibration
+    hypotheses: Sequence[Hypothesis], floor: float, calibration: ProbabilityCalibration
 ) -> list[Ranked]:
-    """Probabilities of all explanations and of an unlisted effect, the most probable first.
+    """Probabilities of all hypotheses and of an unlisted effect, the most probable first.
 
-    `explanations` contain the one of tolerances alone, which is named `none`.
+    `hypotheses` contain the one of tolerances alone, which is named `none`.
     """
     weights = log_weights(
-        np.array([h.held_out_rmse for h in explanations]),
-        np.array([len(h.effects) for h in explanations]),
-        np.array([h.sizes for h in explanations]),
-        np.array([h.tolerance_chi2 for h in explanations]),
-        max(explanations[0].tolerance_count, 1),
+        np.array([h.held_out_rmse for h in hypotheses]),
+        np.array([len(h.effects) for h in hypotheses]),
+        np.array([h.sizes for h in hypotheses]),
+        np.array([h.tolerance_chi2 for h in hypotheses]),
+        max(hypotheses[0].tolerance_count, 1),
         floor,
         calibration,
-        np.array([h.surprise for h in explanations]),
+        np.array([h.log_prior_penalty for h in hypotheses]),
     )
     shares = np.exp(weights - weights.max())
     shares /= shares.sum()
     ranked = [
         Ranked(h.effects or ("none",), float(share), h)
-        for h, share in zip(explanations, shares, strict=False)
+        for h, share in zip(hypotheses, shares, strict=False)
     ]
     ranked.append(Ranked(UNKNOWN, float(shares[-1]), None))
     least = _EQUAL * max(each.probability for each in ranked)
 
     def rank(each: Ranked) -> tuple[bool, float]:
-        held_out_rmse = each.explanation.held_out_rmse if each.explanation else np.inf
+        held_out_rmse = each.hypothesis.held_out_rmse if each.hypothesis else np.inf
         # residuals below the floor are not distinguished otherwise
         return (False, held_out_rmse) if each.probability > least else (True, -each.probability)
 
@@ -124,11 +125,11 @@ def posterior(
 
 
 def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration) -> list[Ranked]:
-    """The explanations, first the one that the verdict names.
+    """The hypotheses, first the one that the verdict names.
 
-    This is the most probable one. An unlisted effect must be more probable than all explanations
+    This is the most probable one. An unlisted effect must be more probable than all hypotheses
     together that the recording cannot distinguish from the best. It also yields to an
-    explanation that explains more than it leaves: one with several effects, or with an effect that
+    hypothesis that explains more than it leaves: one with several effects, or with an effect that
     depends on history or on the direction of motion. The unexplained part is then stated with the
     verdict.
     """
@@ -138,11 +139,11 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
     together = _together(problem, ranked)
     if sum(each.probability for each in together) > first.probability:
         return [*together[:1], *(each for each in ranked if each is not together[0])]
-    fitted = {frozenset(h.effects): h for r in ranked if (h := r.explanation)}
+    fitted = {frozenset(h.effects): h for r in ranked if (h := r.hypothesis)}
     supported = [
-        (problem.cost_of(each.explanation), k, ratios)
+        (problem.cost_of(each.hypothesis), k, ratios)
         for k, each in enumerate(ranked)
-        if each.explanation and (ratios := _support(problem, fitted, each.explanation))
+        if each.hypothesis and (ratios := _support(problem, fitted, each.hypothesis))
     ]
     if not supported:
         return list(ranked)
@@ -155,8 +156,8 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
 
 
 def _together(problem: Problem, ranked: Sequence[Ranked]) -> list[Ranked]:
-    """The most probable explanation with effects, and those that it and they imitate mutually."""
-    fitted = [(each, h) for each in ranked if _names_an_effect(each) and (h := each.explanation)]
+    """The most probable hypothesis with effects, and those that it and they imitate mutually."""
+    fitted = [(each, h) for each in ranked if _names_an_effect(each) and (h := each.hypothesis)]
     return [
         each
         for n, (each, h) in enumerate(fitted)
@@ -167,15 +168,18 @@ def _together(problem: Problem, ranked: Sequence[Ranked]) -> list[Ranked]:
 
 
 def _support(
-    problem: Problem, fitted: Mapping[frozenset[str], Explanation], whole: Explanation
+    problem: Problem, fitted: Mapping[frozenset[str], Hypothesis], whole: Hypothesis
 ) -> dict[str, float]:
-    """The factor by which the cost grows without each of the effects of an explanation.
+    """The factor by which the cost grows without each of the effects of a hypothesis.
 
     Empty unless it explains more than it leaves and needs each of its effects.
     """
     candidates = problem.simulator.candidates
     past = {c.effect for c in candidates if c.history_dependent or c.against_motion}
-    gap, rest = (excess(h.held_out_rmse**2, problem.floor) for h in (fitted[frozenset()], whole))
+    gap, rest = (
+        noise_corrected_rms(h.held_out_rmse**2, problem.floor)
+        for h in (fitted[frozenset()], whole)
+    )
     whole_effects = frozenset(whole.effects)
     if whole_effects & past:
         enough = rest <= _AGAINST_MOTION_LEFT * gap
@@ -202,20 +206,22 @@ def log_weights(
     tolerance_count: float,
     floor: float,
     calibration: ProbabilityCalibration,
-    surprise: Array | float = 0.0,
+    log_prior_penalty: Array | float = 0.0,
 ) -> Array:
-    """One for each explanation, and the last for an unlisted effect.
+    """One for each hypothesis, and the last for an unlisted effect.
 
     `counts` of effects are 0 for tolerances alone.
     """
     c = calibration
     floor_share = c.floor_share * floor
-    beyond_floor = np.array([np.hypot(excess(e**2, floor), floor_share) for e in held_out_rmse])
-    least = np.hypot(excess(0.0, floor), floor_share)
+    beyond_floor = np.array(
+        [np.hypot(noise_corrected_rms(e**2, floor), floor_share) for e in held_out_rmse]
+    )
+    least = np.hypot(noise_corrected_rms(0.0, floor), floor_share)
     tolerances_alone = beyond_floor[np.flatnonzero(counts == 0)[0]]
     power = np.where(counts == 0, c.none, c.power)
     several = c.one + (counts - 1) * (c.two - c.one)
-    penalty = np.where(counts == 0, 0.0, several) + c.size * sizes + surprise
+    penalty = np.where(counts == 0, 0.0, several) + c.size * sizes + log_prior_penalty
     penalty += c.tolerance_chi2 * (np.maximum(tolerance_chi2 / tolerance_count, 1.0) - 1.0)
     stand_in = np.hypot(c.share * tolerances_alone, c.stand_in * floor)
     unknown = -c.power * np.log(stand_in / least) - c.unknown
@@ -225,7 +231,7 @@ def log_weights(
 def ambiguity(
     problem: Problem, ranked: Sequence[Ranked], unit: str = "N"
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Explanations between which the recording does not decide, and a reason for each rival.
+    """Hypotheses between which the recording does not decide, and a reason for each rival.
 
     The best comes first, and alone if it is clear; several effects are joined by `+`. `none` and
     an unlisted effect change nothing that could be compared, so they are in no group of others.
@@ -240,7 +246,7 @@ def ambiguity(
 
 
 def rivals_of(ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
-    """Explanations that are not much less probable than the best, `ranked[0]`."""
+    """Hypotheses that are not much less probable than the best, `ranked[0]`."""
     best = ranked[0]
     if not _names_an_effect(best):
         return ()
@@ -249,11 +255,11 @@ def rivals_of(ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
 
 
 def _names_an_effect(ranked: Ranked) -> bool:
-    return ranked.explanation is not None and bool(ranked.explanation.effects)
+    return ranked.hypothesis is not None and bool(ranked.hypothesis.effects)
 
 
-def imitated_share(problem: Problem, one: Explanation, other: Explanation) -> float:
-    """Share of what one explanation changes that the other can imitate, 0 to 1.
+def imitated_share(problem: Problem, one: Hypothesis, other: Hypothesis) -> float:
+    """Share of what one hypothesis changes that the other can imitate, 0 to 1.
 
     It is a share of the RMS of the change without its tolerances; the other's numbers are free.
     """
@@ -271,12 +277,12 @@ def imitated_share(problem: Problem, one: Explanation, other: Explanation) -> fl
 
 
 def _reason(problem: Problem, best: Ranked, rival: Ranked, unit: str) -> str:
-    one = best.explanation
-    other = rival.explanation
+    one = best.hypothesis
+    other = rival.hypothesis
     assert one is not None
     assert other is not None
     floor = f"{problem.floor:.2g} {unit}"
-    small, large = sorted((one, other), key=lambda explanation: len(explanation.effects))
+    small, large = sorted((one, other), key=lambda hypothesis: len(hypothesis.effects))
     if set(small.effects) < set(large.effects):
         more = "+".join(name for name in large.effects if name not in small.effects)
         return (
@@ -301,15 +307,15 @@ def _reason(problem: Problem, best: Ranked, rival: Ranked, unit: str) -> str:
     )
 
 
-def _change(problem: Problem, explanation: Explanation) -> Array:
+def _change(problem: Problem, hypothesis: Hypothesis) -> Array:
     """(R, C) the change by the effects with their fitted numbers."""
-    fitted = problem.coefficients_of(explanation.tolerances)
+    fitted = problem.coefficients_of(hypothesis.tolerances)
     of_tolerances = np.tensordot(fitted, problem.tolerance_columns, axes=1)
     known = problem.nominal + problem.tolerance_rest
-    return np.asarray(explanation.prediction - of_tolerances - known)
+    return np.asarray(hypothesis.prediction - of_tolerances - known)
 
 
-def _beyond_tolerances(problem: Problem, change: Array, fitted: Explanation) -> Array:
+def _beyond_tolerances(problem: Problem, change: Array, fitted: Hypothesis) -> Array:
     """The part of a change over the used rows, flat, that tolerances do not imitate.
 
     The cost of their priors is appended, so that products of two such vectors are those of the

@@ -1,4 +1,4 @@
-"""The diagnosis problem: readings and a simulator. An explanation is a fitted set of effects.
+"""The diagnosis problem: readings and a simulator. A hypothesis is a fitted set of effects.
 
 Fits use scaled values, in units of a typical one, so that one step suits all parameters.
 """
@@ -35,7 +35,7 @@ PLACE_WORTH = 1.04
 CHOICE_WORTH = 0.02
 """The power of the number of ways to choose these places: many choices fit chance better."""
 _EXPLAINED_RATIO = 1.5
-"""Of the least cost that can be resolved: an explanation up to there leaves nothing to explain."""
+"""Of the least cost that can be resolved: a hypothesis up to there leaves nothing to explain."""
 _SHOWN_FLOORS = 0.5
 """Noise floors (RMS) by which an effect must make the residual smaller to be shown."""
 _CHANCE_QUANTILE = 1.28
@@ -43,7 +43,7 @@ _CHANCE_QUANTILE = 1.28
 
 
 @dataclass(frozen=True, eq=False)
-class Explanation:
+class Hypothesis:
     """Effects with places and values, fitted together with the manufacturing tolerances.
 
     Attributes:
@@ -60,8 +60,8 @@ class Explanation:
         sizes: how many of the values are sizes that change a reading.
         tolerance_chi2: sum of the squares of the tolerances, each in standard deviations.
         tolerance_count: of the directions in which they were fitted, whose sum it is.
-        surprise: by how much its sizes and places are less probable than usual ones, natural
-            logarithm.
+        log_prior_penalty: by how much its sizes and places are less probable than usual ones,
+            natural logarithm.
     """
 
     effects: tuple[str, ...]
@@ -79,14 +79,14 @@ class Explanation:
     sizes: int
     tolerance_chi2: float
     tolerance_count: int
-    surprise: float = 0.0
+    log_prior_penalty: float = 0.0
 
     @property
-    def sites(self) -> list[tuple[str, str]]:
+    def locations(self) -> list[tuple[str, str]]:
         """Each effect with each of its places, in the order of the values."""
         return list(dict.fromkeys(term[:2] for term in self.values))
 
-    def beats(self, other: Explanation) -> bool:
+    def is_clearly_better_than(self, other: Hypothesis) -> bool:
         """Whether it leaves less on held-out trials by more than chance over them (90 %)."""
         gain = other.squares - self.squares
         return bool(gain.sum() > _CHANCE_QUANTILE * np.sqrt(len(gain)) * gain.std())
@@ -129,8 +129,8 @@ class Problem:
         tolerances_change: (R, C) change of the nominal prediction by them.
         past: by how much readings depend on it; None if unknown.
         far_off: standard deviations beyond which one tolerance imitates an effect.
-        sketch: the same for some of the rows, if these suffice to choose among history-dependent
-            effects.
+        subsample: the same for some of the rows, if these suffice to choose among effects that
+            depend on history.
     """
 
     simulator: Simulator
@@ -148,7 +148,7 @@ class Problem:
     tolerances_change: Array
     past: Past | None = None
     far_off: float = 5.0
-    sketch: Sketch | None = None
+    subsample: Subsample | None = None
 
     @property
     def floor(self) -> float:
@@ -205,9 +205,9 @@ class Problem:
             factor *= EFFECT_WORTH * PLACE_WORTH**count * float(choices) ** CHOICE_WORTH
         return factor
 
-    def judged(self, explanation: Explanation) -> float:
-        """The cost of an explanation with its penalty: the search minimises it."""
-        return self.cost_of(explanation) * self.penalty(Counter(e for e, _ in explanation.sites))
+    def score(self, hypothesis: Hypothesis) -> float:
+        """The cost of a hypothesis with its penalty: the search minimises it."""
+        return self.cost_of(hypothesis) * self.penalty(Counter(e for e, _ in hypothesis.locations))
 
     def squares_by_trial(self, held_out: Array) -> tuple[Array, Array]:
         """(T,) sums of squared residuals of a prediction (R, C), and (T,) how many they are."""
@@ -219,46 +219,46 @@ class Problem:
     def cost(self, mean_square: float, tolerance_chi2: float) -> float:
         """RMS residual beyond the floor, larger if tolerances would have to be far off.
 
-        The search ranks explanations by it. It grows with small surpluses of tolerances as the
+        The search ranks hypotheses by it. It grows with small surpluses of tolerances as the
         posterior does, but less with large ones: linear columns exaggerate these.
         """
         usual = max(int(self.acting_directions.sum()), 1)
-        return excess(mean_square, self.floor) * max(tolerance_chi2 / usual, 1.0)
+        return noise_corrected_rms(mean_square, self.floor) * max(tolerance_chi2 / usual, 1.0)
 
-    def cost_of(self, explanation: Explanation) -> float:
-        """The cost of an explanation on held-out trials."""
-        return self.cost(explanation.held_out_rmse**2, explanation.tolerance_chi2)
+    def cost_of(self, hypothesis: Hypothesis) -> float:
+        """The cost of a hypothesis on held-out trials."""
+        return self.cost(hypothesis.held_out_rmse**2, hypothesis.tolerance_chi2)
 
-    def worst_tolerance(self, explanation: Explanation) -> float:
+    def worst_tolerance(self, hypothesis: Hypothesis) -> float:
         """In standard deviations."""
         std = dict(zip(self.tolerance_terms, self.tolerance_std, strict=True))
-        off = (abs(value) / std[term] for term, value in explanation.tolerances.items())
+        off = (abs(value) / std[term] for term, value in hypothesis.tolerances.items())
         return max(off, default=0.0)
 
-    def has_usual_tolerances(self, explanation: Explanation) -> bool:
+    def has_usual_tolerances(self, hypothesis: Hypothesis) -> bool:
         """Whether none of its tolerances is so far off that it imitates an effect."""
-        return self.worst_tolerance(explanation) <= self.far_off
+        return self.worst_tolerance(hypothesis) <= self.far_off
 
-    def is_explained(self, explanation: Explanation) -> bool:
+    def is_explained(self, hypothesis: Hypothesis) -> bool:
         """Whether its residual is near the least that can be resolved, with usual tolerances."""
-        near = self.cost_of(explanation) <= _EXPLAINED_RATIO * excess(0.0, self.floor)
-        return near and self.has_usual_tolerances(explanation)
+        near = self.cost_of(hypothesis) <= _EXPLAINED_RATIO * noise_corrected_rms(0.0, self.floor)
+        return near and self.has_usual_tolerances(hypothesis)
 
-    def shows(self, explanation: Explanation, part: Explanation) -> bool:
-        """Whether an explanation explains clearly more than a part of it.
+    def shows(self, hypothesis: Hypothesis, part: Hypothesis) -> bool:
+        """Whether a hypothesis explains clearly more than a part of it.
 
         The least is half a noise floor and more than chance. It also does if the part needs a
         tolerance that imitates an effect.
         """
-        worst = max(self.far_off, self.worst_tolerance(explanation))
+        worst = max(self.far_off, self.worst_tolerance(hypothesis))
         if self.worst_tolerance(part) > worst:
             return True
-        more = part.held_out_rmse**2 - explanation.held_out_rmse**2
-        return more > (_SHOWN_FLOORS * self.floor) ** 2 and explanation.beats(part)
+        more = part.held_out_rmse**2 - hypothesis.held_out_rmse**2
+        return more > (_SHOWN_FLOORS * self.floor) ** 2 and hypothesis.is_clearly_better_than(part)
 
 
 @dataclass(frozen=True)
-class Sketch:
+class Subsample:
     """A problem with some of the rows of another.
 
     Attributes:
@@ -268,8 +268,8 @@ class Sketch:
     rows: NDArray[np.int64]
     problem: Problem
 
-    def explanation(self, whole: Explanation) -> Explanation:
-        """An explanation of the other problem on these rows."""
+    def hypothesis(self, whole: Hypothesis) -> Hypothesis:
+        """A hypothesis of the other problem on these rows."""
         held_out = whole.held_out[self.rows]
         problem = self.problem
         squares, count = problem.squares_by_trial(held_out)
@@ -294,8 +294,8 @@ class Sketch:
         return np.asarray(columns[:, after - 1] * (1.0 - share) + columns[:, after] * share)
 
 
-def sketched(problem: Problem, simulator: Simulator, rows: NDArray[np.int64]) -> Problem:
-    """The problem with a sketch: `simulator` simulates these rows alone."""
+def subsampled(problem: Problem, simulator: Simulator, rows: NDArray[np.int64]) -> Problem:
+    """The problem with a subsample: `simulator` simulates these rows alone."""
     part = replace(
         problem,
         simulator=simulator,
@@ -307,7 +307,7 @@ def sketched(problem: Problem, simulator: Simulator, rows: NDArray[np.int64]) ->
         tolerance_rest=problem.tolerance_rest[rows],
         tolerances_change=problem.tolerances_change[rows],
     )
-    return replace(problem, sketch=Sketch(rows, part))
+    return replace(problem, subsample=Subsample(rows, part))
 
 
 def prepare(
@@ -359,14 +359,14 @@ def tolerance_directions(columns: Array, floor: float) -> Array:
     if left_out.sum() < _WORTH_MIXING * count:
         return np.eye(count)
     kept = vectors[:, ~left_out][:, ::-1]
-    idle = np.eye(count)[:, ~acts]
-    mix = np.zeros((count, kept.shape[1] + idle.shape[1]))
+    inactive = np.eye(count)[:, ~acts]
+    mix = np.zeros((count, kept.shape[1] + inactive.shape[1]))
     mix[acts, : kept.shape[1]] = kept
-    mix[:, kept.shape[1] :] = idle
+    mix[:, kept.shape[1] :] = inactive
     return mix
 
 
-def excess(mean_square: float, floor: float) -> float:
+def noise_corrected_rms(mean_square: float, floor: float) -> float:
     """RMS residual beyond the floor, at least what can be resolved."""
     beyond = max(mean_square - floor**2, 0.0)
     return float(np.sqrt(beyond + (RESOLUTION * floor) ** 2))

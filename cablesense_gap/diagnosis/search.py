@@ -1,10 +1,10 @@
-"""The search for explanations: effects and places are added, removed and exchanged.
+"""The search for hypotheses: effects and places are added, removed and exchanged.
 
-An explanation is expanded by scoring additions to it linearly (`selection`); the simulator then
-fits the best few (`fitting`). The best explanation that has not been expanded comes next.
+A hypothesis is expanded by scoring additions to it linearly (`selection`); the simulator then
+fits the best few (`fitting`). The best hypothesis that has not been expanded comes next.
 History-dependent effects are expensive to simulate. They are tried where the others leave
 something unexplained that the past may cause, first on a part of the rows if the problem has a
-sketch.
+subsample.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.diagnosis.fitting import fit, refine, refit, refitted, without
-from cablesense_gap.diagnosis.problem import Explanation, Problem, excess
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem, noise_corrected_rms
 from cablesense_gap.diagnosis.selection import (
     LinearEffect,
     Proposal,
@@ -35,36 +35,36 @@ Progress = Callable[[str, float], None]
 """Called with the present step and the share of the whole that is done."""
 
 _MOST_EXPANDED = 8
-"""Explanations that are expanded at most, to bound the time: with none and up to seven effects."""
+"""Hypotheses that are expanded at most, to bound the time: with none and up to seven effects."""
 _MOST_FRUITLESS = 2
-"""Explanations that are expanded in turn without a better one: two effects may be worth it only
+"""Hypotheses that are expanded in turn without a better one: two effects may be worth it only
 together."""
 _FITTED_ADDITIONS = 3
-"""Additions to one explanation that are fitted: the linear score often errs by a rank or two."""
+"""Additions to one hypothesis that are fitted: the linear score often errs by a rank or two."""
 _ROUGH_STEPS = 3
 """Gauss-Newton steps by which effects that imitate each other are compared before a full fit."""
 _HISTORY_SHARE = 0.05
 """Least share of a residual by friction or creep that shows where commands and load return."""
 _RIVAL_COST_RATIO = 2.0
-"""An explanation may still become the best if its cost is at most this many times the least."""
+"""A hypothesis may still become the best if its cost is at most this many times the least."""
 _SUBSAMPLE_RIVAL_COST_RATIO = 6.0
 """The same on a part of the rows, which all rows may rank otherwise."""
 _IMPROVED_COST_RATIO = 0.95
 """A cost above this share of another one is no better: other folds would change it as much."""
 _REDUNDANT_COST_RATIO = 1.12
-"""An explanation is redundant if fewer of its effects cost less than this many times as much."""
+"""A hypothesis is redundant if fewer of its effects cost less than this many times as much."""
 _RESOLVED_FLOOR_RATIO = 1.1
 """Noise floors up to which the residual of tolerances alone leaves nothing to explain."""
 _RESOLVED_GAP_SHARE = 0.03
-"""Share of the gap that an explanation may leave before no further effect is worth its time."""
+"""Share of the gap that a hypothesis may leave before no further effect is worth its time."""
 _PROGRESS_SHARE = 0.35
 """Share of the rest of a phase that each batch of work counts for, as their number is open."""
 
 
 def search(
     problem: Problem, progress: Progress = lambda *_: None, workers: int = 1
-) -> list[Explanation]:
-    """Every explanation that was fitted and is worth its effects, tolerances alone first.
+) -> list[Hypothesis]:
+    """Every hypothesis that was fitted and is worth its effects, tolerances alone first.
 
     With more than one worker, candidates are simulated and fitted in as many processes.
     """
@@ -75,10 +75,10 @@ def search(
 
 
 class _Search:
-    """The explanations that were found, on all rows of a problem or on those of its sketch."""
+    """The hypotheses that were found, on all rows of a problem or on those of its subsample."""
 
     def __init__(
-        self, problem: Problem, pool: WorkerPool, progress: Progress, none: Explanation
+        self, problem: Problem, pool: WorkerPool, progress: Progress, none: Hypothesis
     ) -> None:
         self._whole = problem
         self._problem = problem
@@ -89,13 +89,13 @@ class _Search:
         self._done = 0.0
         self._until = 0.75
         candidates = problem.simulator.candidates
-        self._cheap = [c for c in candidates if not c.history_dependent]
-        self._expensive = [c for c in candidates if c.history_dependent]
-        self._history = {c.effect for c in self._expensive}
-        self._found: dict[tuple[str, ...], Explanation] = {}
+        self._memoryless = [c for c in candidates if not c.history_dependent]
+        self._history_dependent = [c for c in candidates if c.history_dependent]
+        self._history = {c.effect for c in self._history_dependent}
+        self._found: dict[tuple[str, ...], Hypothesis] = {}
         self._expanded: set[frozenset[tuple[str, str]]] = set()
-        self._refined: set[Explanation] = set()
-        self._fitted_in: dict[Explanation, Problem] = {}
+        self._refined: set[Hypothesis] = set()
+        self._fitted_in: dict[Hypothesis, Problem] = {}
 
     def _map(
         self,
@@ -107,11 +107,11 @@ class _Search:
 
         Progress shows the value's `name`, if that is given.
         """
-        sketch = self._whole.sketch
+        subsample = self._whole.subsample
         tasks = tuple(values)
-        on_sketch = sketch is not None and self._problem is sketch.problem
-        other = None if on_sketch or self._problem is self._whole else self._problem
-        results = self._pool.map(partial(_called, function, on_sketch, other), tasks)
+        on_subsample = subsample is not None and self._problem is subsample.problem
+        other = None if on_subsample or self._problem is self._whole else self._problem
+        results = self._pool.map(partial(_called, function, on_subsample, other), tasks)
         done_before = self._done
         share = _PROGRESS_SHARE * (self._until - self._done)
         for k, task in enumerate(tasks, 1):
@@ -120,24 +120,24 @@ class _Search:
             yield next(results)
             self._done = done_before + share * k / len(tasks)
 
-    def run(self) -> list[Explanation]:
-        """The best explanation for every set of effects that is worth it."""
-        self._nominal = self._columns(self._cheap, self._none)
+    def run(self) -> list[Hypothesis]:
+        """The best hypothesis for every set of effects that is worth it."""
+        self._nominal = self._columns(self._memoryless, self._none)
         self._expand(self._none, self._nominal)
         if not self._is_resolved():
-            self._climb([])
-        if not self._expensive:
+            self._take_search_steps([])
+        if not self._history_dependent:
             self._exchange_best()
         elif not self._is_resolved() and self._may_be_the_past():
-            self._add_expensive()
+            self._add_history_dependent()
         self._compare()
         self._progress("done", 1.0)
-        worth_it = [h for h in self._found.values() if not self._is_idle(h)]
+        worth_it = [h for h in self._found.values() if not self._is_redundant(h)]
         return sorted(worth_it, key=lambda h: (len(h.effects), h.held_out_rmse))
 
-    def _climb(self, known: Sequence[LinearEffect]) -> None:
-        """Expands the best explanations; `known` columns of effects serve as they are."""
-        judged = self._problem.judged
+    def _take_search_steps(self, known: Sequence[LinearEffect]) -> None:
+        """Expands the best hypotheses; `known` columns of effects serve as they are."""
+        score = self._problem.score
         fruitless = 0
         for _ in range(_MOST_EXPANDED):
             if self._best().effects:
@@ -150,42 +150,42 @@ class _Search:
                 break
             if resolved and start is not best:
                 break
-            columns = [*known, *self._columns(self._cheap, start)]
+            columns = [*known, *self._columns(self._memoryless, start)]
             self._expand(start, columns)
             if self._best() is best is start and not resolved:
                 self._exchange(best, columns, _FITTED_ADDITIONS)
             fruitless = (
-                0 if judged(self._best()) < _IMPROVED_COST_RATIO * judged(best) else fruitless + 1
+                0 if score(self._best()) < _IMPROVED_COST_RATIO * score(best) else fruitless + 1
             )
 
-    def _next(self, worth_it: bool) -> Explanation | None:
+    def _next(self, worth_it: bool) -> Hypothesis | None:
         """The best that was not expanded, unless the best of all has all its effects and more.
 
         `worth_it`: only if it is better than none. Each of four equal effects explains 13 % of the
         residual, less than its penalty: where the past may act, no single effect need be worth it.
         """
         best = self._best()
-        judged = self._problem.judged
-        most = min(_RIVAL_COST_RATIO * judged(best), judged(self._none) if worth_it else np.inf)
+        score = self._problem.score
+        most = min(_RIVAL_COST_RATIO * score(best), score(self._none) if worth_it else np.inf)
         waiting = [
             h
             for h in self._found.values()
-            if frozenset(h.sites) not in self._expanded
-            and judged(h) <= most
+            if frozenset(h.locations) not in self._expanded
+            and score(h) <= most
             and not set(h.effects) < set(best.effects)
         ]
-        return min(waiting, key=judged, default=None)
+        return min(waiting, key=score, default=None)
 
     def _columns(
-        self, candidates: Sequence[Candidate], about: Explanation | None
+        self, candidates: Sequence[Candidate], about: Hypothesis | None
     ) -> list[LinearEffect]:
-        """Columns of each candidate in each place, linear about an explanation."""
+        """Columns of each candidate in each place, linear about a hypothesis."""
         linear = partial(linear_effects, about=about)
         return list(chain.from_iterable(self._map(linear, candidates, lambda c: c.effect)))
 
-    def _expand(self, start: Explanation, columns: Sequence[LinearEffect]) -> None:
-        """Fits the most promising additions, and the rest without each effect that is idle."""
-        self._expanded.add(frozenset(start.sites))
+    def _expand(self, start: Hypothesis, columns: Sequence[LinearEffect]) -> None:
+        """Fits the most promising additions, and the hypothesis without each redundant effect."""
+        self._expanded.add(frozenset(start.locations))
         if offered := _that_fit(start, columns):
             self._progress("choosing effects", self._done)
             proposals = Selection(self._problem, start, offered).additions()
@@ -198,8 +198,8 @@ class _Search:
         if len(start.effects) > 1:
             own_effects = Selection(self._problem, *own_columns(self._problem, start))
             most = _RIVAL_COST_RATIO * self._problem.cost_of(start)
-            idle = [(e,) for e in start.effects if own_effects.left_without(e) < most]
-            self._keep_all(self._without(start, idle))
+            redundant = [(e,) for e in start.effects if own_effects.left_without(e) < most]
+            self._keep_all(self._without(start, redundant))
 
     def _fit_by_count(self, proposals: Sequence[Proposal], usual: Sequence[Proposal]) -> None:
         """The most promising with one effect, and with two and more if those explain too little.
@@ -220,7 +220,7 @@ class _Search:
         least = min((p.forecast for p in proposals), default=0.0)
         return [p for p in proposals if p.forecast <= _RIVAL_COST_RATIO * least][:most]
 
-    def _at_usual_size(self, proposals: Sequence[Proposal], start: Explanation) -> list[Proposal]:
+    def _at_usual_size(self, proposals: Sequence[Proposal], start: Hypothesis) -> list[Proposal]:
         """Every history-dependent effect that was not fitted: it is far from linear."""
         most_left = (_IMPROVED_COST_RATIO * start.held_out_rmse) ** 2
         ranges = self._problem.parameters
@@ -237,31 +237,30 @@ class _Search:
         for fitted in self._map(fit, proposals, lambda p: " + ".join(p.effects)):
             self._keep_all(fitted)
 
-    def _keep_all(self, explanations: Iterable[Explanation]) -> None:
-        """Keeps the better of two explanations with the same effects."""
-        for explanation in explanations:
-            known = self._found.get(explanation.effects, self._none)
-            if explanation.effects and (
-                not known.effects
-                or self._problem.judged(explanation) < self._problem.judged(known)
+    def _keep_all(self, hypotheses: Iterable[Hypothesis]) -> None:
+        """Keeps the better of two hypotheses with the same effects."""
+        for hypothesis in hypotheses:
+            known = self._found.get(hypothesis.effects, self._none)
+            if hypothesis.effects and (
+                not known.effects or self._problem.score(hypothesis) < self._problem.score(known)
             ):
-                self._found[explanation.effects] = explanation
-                self._fitted_in[explanation] = self._problem
+                self._found[hypothesis.effects] = hypothesis
+                self._fitted_in[hypothesis] = self._problem
 
     def _without(
-        self, explanation: Explanation, gone: Iterable[tuple[str, ...]]
-    ) -> list[Explanation]:
-        """The explanation without each of some sets of effects, fitted again."""
-        rests = self._map(partial(without, explanation=explanation), gone)
+        self, hypothesis: Hypothesis, gone: Iterable[tuple[str, ...]]
+    ) -> list[Hypothesis]:
+        """The hypothesis without each of some sets of effects, fitted again."""
+        rests = self._map(partial(without, hypothesis=hypothesis), gone)
         return [h for h in rests if h is not None]
 
     def _exchange(
-        self, explanation: Explanation, columns: Sequence[LinearEffect], most: int, out: int = 1
+        self, hypothesis: Hypothesis, columns: Sequence[LinearEffect], most: int, out: int = 1
     ) -> None:
-        """Puts one other effect in place of one, or of up to `out`, that an explanation has."""
-        gone = chain(*(combinations(explanation.effects, n + 1) for n in range(out)))
-        others = [e for e in columns if e.effect not in explanation.effects]
-        rests = self._without(explanation, gone)
+        """Puts one other effect in place of one, or of up to `out`, that a hypothesis has."""
+        gone = chain(*(combinations(hypothesis.effects, n + 1) for n in range(out)))
+        others = [e for e in columns if e.effect not in hypothesis.effects]
+        rests = self._without(hypothesis, gone)
         self._keep_all(rests)
         proposals = chain(
             *(Selection(self._problem, r, others).singles() for r in rests if others)
@@ -269,7 +268,7 @@ class _Search:
         self._fit(sorted(proposals, key=lambda p: p.forecast)[:most])
 
     def _exchange_best(self) -> None:
-        """Exchanges effects of the best explanation until that no longer helps.
+        """Exchanges effects of the best hypothesis until that no longer helps.
 
         The columns are linear about the nominal mechanism: next to the effect that it replaces,
         as a mass next to a shifted centre, an effect would change nothing.
@@ -278,12 +277,12 @@ class _Search:
             best = self._best()
             self._exchange(best, self._nominal, 2 * _FITTED_ADDITIONS, out=2)
             self._exchange_alike(best)
-            if self._problem.judged(self._best()) >= _IMPROVED_COST_RATIO * self._problem.judged(
+            if self._problem.score(self._best()) >= _IMPROVED_COST_RATIO * self._problem.score(
                 best
             ):
                 break
 
-    def _exchange_alike(self, explanation: Explanation) -> None:
+    def _exchange_alike(self, hypothesis: Hypothesis) -> None:
         """Puts another effect in the places of one or two that have the same choice of places.
 
         Such effects imitate each other (a mass, a shifted centre and a payload change the same ten
@@ -292,17 +291,17 @@ class _Search:
         """
         candidates = {c.effect: c for c in self._problem.simulator.candidates}
         variants = []
-        for gone in chain(*(combinations(explanation.effects, n) for n in (1, 2))):
+        for gone in chain(*(combinations(hypothesis.effects, n) for n in (1, 2))):
             offered = {candidates[effect].places for effect in gone}
             gone_places = list(
-                dict.fromkeys(p for effect, p in explanation.sites if effect in gone)
+                dict.fromkeys(p for effect, p in hypothesis.locations if effect in gone)
             )
             tried = (
                 [gone_places]
                 if len(gone_places) == 1
                 else [gone_places, *([place] for place in gone_places)]
             )
-            rest = {t: v for t, v in explanation.values.items() if t.effect not in gone}
+            rest = {t: v for t, v in hypothesis.values.items() if t.effect not in gone}
             variants += [
                 rest
                 | {
@@ -310,31 +309,31 @@ class _Search:
                     for new_place in places
                     for p in c.parameters
                 }
-                for c in self._cheap
+                for c in self._memoryless
                 for places in tried
-                if offered == {c.places} and c.effect not in explanation.effects
+                if offered == {c.places} and c.effect not in hypothesis.effects
             ]
         rough = filter(None, self._map(partial(refit, most_steps=_ROUGH_STEPS), variants))
-        best = sorted(rough, key=self._problem.judged)[:_FITTED_ADDITIONS]
+        best = sorted(rough, key=self._problem.score)[:_FITTED_ADDITIONS]
         for fitted in self._map(refitted, best):
             self._keep_all(fitted)
 
-    def _add_expensive(self) -> None:
-        """Continues with history-dependent effects, on the sketch; all rows judge the results."""
-        sketch = self._whole.sketch
+    def _add_history_dependent(self) -> None:
+        """Continues with history-dependent effects on the subsample; all rows score results."""
+        subsample = self._whole.subsample
         self._until = 0.95
-        if sketch is None:
-            self._climb_with_expensive()
+        if subsample is None:
+            self._take_search_steps_with_history()
             self._problem = self._whole
             return
         without_effects = self._none
         known = self._found
         nominal = self._nominal
-        reduced = {effects: sketch.explanation(h) for effects, h in known.items()}
+        reduced = {effects: subsample.hypothesis(h) for effects, h in known.items()}
         self._found = dict(reduced)
-        self._problem = sketch.problem
-        self._none = sketch.explanation(without_effects)
-        self._climb_with_expensive()
+        self._problem = subsample.problem
+        self._none = subsample.hypothesis(without_effects)
+        self._take_search_steps_with_history()
         self._compare()
         self._doing = "judging on all rows"
         most = _SUBSAMPLE_RIVAL_COST_RATIO * self._problem.cost_of(self._best())
@@ -343,34 +342,34 @@ class _Search:
             for effects, h in self._found.items()
             if h is not reduced.get(effects)
             and self._problem.cost_of(h) <= most
-            and not self._is_idle(h)
+            and not self._is_redundant(h)
         ]
         self._found = known
         self._nominal = nominal
         self._problem = self._whole
         self._none = without_effects
-        judged = [h for h in self._map(_on_all_rows, new) if h is not None]
-        self._keep_all(judged)
-        self._refined.update(judged)
+        on_all_rows = [h for h in self._map(_on_all_rows, new) if h is not None]
+        self._keep_all(on_all_rows)
+        self._refined.update(on_all_rows)
 
-    def _climb_with_expensive(self) -> None:
+    def _take_search_steps_with_history(self) -> None:
         self._expanded.clear()
-        columns = self._columns(self._expensive, None)
+        columns = self._columns(self._history_dependent, None)
         self._expand(self._none, columns)
-        best = min(self._found.values(), key=self._problem.judged, default=self._none)
+        best = min(self._found.values(), key=self._problem.score, default=self._none)
         if best.effects and not self._is_resolved():
-            self._expand(best, [*columns, *self._columns(self._cheap, best)])
-        self._climb(columns)
+            self._expand(best, [*columns, *self._columns(self._memoryless, best)])
+        self._take_search_steps(columns)
 
     def _compare(self) -> None:
-        """Refines the best explanations, and the best without each of its effects."""
+        """Refines the best hypotheses, and the best without each of its effects."""
         self._until = 0.97
         self._refine_best()
         best = self._best()
         cost_of = self._problem.cost_of
         while len(best.effects) > 1:
-            if self._problem.sketch and self._history & set(best.effects):
-                break  # this was done on the sketch
+            if self._problem.subsample and self._history & set(best.effects):
+                break  # this was done on the subsample
             rests = self._without(best, [(e,) for e in best.effects])
             self._keep_all(rests)
             # with tolerances as apt as those of the best
@@ -386,15 +385,15 @@ class _Search:
 
     def _refine_best(self) -> None:
         """The rivals of the best, and the best with one effect and with two."""
-        judged = self._problem.judged
-        ranked = sorted(self._found.values(), key=judged)
-        rivals = [h for h in ranked if judged(h) <= _RIVAL_COST_RATIO * judged(ranked[0])]
+        score = self._problem.score
+        ranked = sorted(self._found.values(), key=score)
+        rivals = [h for h in ranked if score(h) <= _RIVAL_COST_RATIO * score(ranked[0])]
         one, two = ([h for h in ranked if len(h.effects) == count][:1] for count in (1, 2))
         self._refine([*rivals[:1], *self._quick(rivals)[: 2 * _FITTED_ADDITIONS], *one, *two])
 
-    def _quick(self, explanations: Iterable[Explanation]) -> list[Explanation]:
+    def _quick(self, hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]:
         """Those without a history-dependent effect."""
-        return [h for h in explanations if not self._history & set(h.effects)]
+        return [h for h in hypotheses if not self._history & set(h.effects)]
 
     def _refine_history(self) -> None:
         """Refines the best if it depends on history; later fits use its tolerances.
@@ -405,30 +404,30 @@ class _Search:
             self._refine([self._best()])
             self._problem = self._fitted_in[self._best()]
 
-    def _refine(self, rough: Iterable[Explanation]) -> None:
+    def _refine(self, rough: Iterable[Hypothesis]) -> None:
         waiting = dict.fromkeys(
-            explanation for explanation in rough if explanation not in self._refined
+            hypothesis for hypothesis in rough if hypothesis not in self._refined
         )
         for fitted, tolerances in self._map(final_refinement, waiting):
             self._found[fitted.effects] = fitted
             self._fitted_in[fitted] = tolerances
             self._refined.add(fitted)
 
-    def _best(self) -> Explanation:
-        return min([self._none, *self._found.values()], key=self._problem.judged)
+    def _best(self) -> Hypothesis:
+        return min([self._none, *self._found.values()], key=self._problem.score)
 
-    def _is_idle(self, explanation: Explanation) -> bool:
+    def _is_redundant(self, hypothesis: Hypothesis) -> bool:
         """Whether fewer of its effects do about as well."""
-        fewer = [h for h in self._found.values() if set(h.effects) < set(explanation.effects)]
-        cost = self._problem.cost_of(explanation)
+        fewer = [h for h in self._found.values() if set(h.effects) < set(hypothesis.effects)]
+        cost = self._problem.cost_of(hypothesis)
         return any(
             self._problem.cost_of(h) < _REDUNDANT_COST_RATIO * cost
-            or not self._problem.shows(explanation, h)
+            or not self._problem.shows(hypothesis, h)
             for h in fewer
         )
 
     def _may_be_the_past(self) -> bool:
-        """Whether history-dependent effects may cause the residual of the best explanation.
+        """Whether history-dependent effects may cause the residual of the best hypothesis.
 
         Residual and past are compared in the rows that show both.
         """
@@ -438,12 +437,14 @@ class _Search:
             return True
         best = min((self._none, *self._found.values()), key=lambda h: h.held_out_rmse)
         residual = (problem.readings - best.held_out)[past.rows]
-        return past.rms > _HISTORY_SHARE * excess(float((residual**2).mean()), problem.floor)
+        return past.rms > _HISTORY_SHARE * noise_corrected_rms(
+            float((residual**2).mean()), problem.floor
+        )
 
     def _is_resolved(self) -> bool:
         """Whether so little is unexplained that no further effect is worth its time.
 
-        Tolerances alone leave little more than the floor, or an explanation little of the gap.
+        Tolerances alone leave little more than the floor, or a hypothesis little of the gap.
         """
         floor = self._problem.floor
         unexplained_rmse = self._none.held_out_rmse
@@ -452,50 +453,50 @@ class _Search:
             and self._problem.has_usual_tolerances(self._none)
         ):
             return True
-        little = _RESOLVED_GAP_SHARE * excess(unexplained_rmse**2, floor)
+        little = _RESOLVED_GAP_SHARE * noise_corrected_rms(unexplained_rmse**2, floor)
         return any(
             self._problem.cost_of(h) <= little or self._problem.is_explained(h)
             for h in self._found.values()
         )
 
 
-def _that_fit(start: Explanation, columns: Sequence[LinearEffect]) -> list[LinearEffect]:
-    """Sites that an explanation may have in addition: no effect both everywhere and in places."""
-    whole = {effect for effect, place in start.sites if place == WHOLE_ARM}
+def _that_fit(start: Hypothesis, columns: Sequence[LinearEffect]) -> list[LinearEffect]:
+    """Sites that a hypothesis may have in addition: no effect both everywhere and in places."""
+    whole = {effect for effect, place in start.locations if place == WHOLE_ARM}
     return [
         e
         for e in columns
         if e.effect not in whole
-        and (e.effect, e.place) not in start.sites
+        and (e.effect, e.place) not in start.locations
         and not (e.place == WHOLE_ARM and e.effect in start.effects)
     ]
 
 
 def _called(
     function: Callable[..., Any],
-    on_sketch: bool,
+    on_subsample: bool,
     other: Problem | None,
     problem: Problem,
     value: Any,
 ) -> Any:
-    """The function of the problem that processes have, of its sketch, or of another one."""
+    """The function of the problem that processes have, of its subsample, or of another one."""
     if other is not None:
         return function(other, value)
-    if on_sketch:
-        assert problem.sketch is not None
-        problem = problem.sketch.problem
+    if on_subsample:
+        assert problem.subsample is not None
+        problem = problem.subsample.problem
     return function(problem, value)
 
 
-def _on_all_rows(problem: Problem, found: tuple[Explanation, Problem]) -> Explanation | None:
-    """An explanation of the sketch, with the tolerances in its fit."""
-    explanation, of_sketch = found
-    sketch = problem.sketch
-    assert sketch is not None
+def _on_all_rows(problem: Problem, found: tuple[Hypothesis, Problem]) -> Hypothesis | None:
+    """A hypothesis of the subsample, with the tolerances in its fit."""
+    hypothesis, of_subsample = found
+    subsample = problem.subsample
+    assert subsample is not None
     with_fitted = problem
-    if of_sketch.tolerances_at != problem.tolerances_at:
-        columns = sketch.over_all_rows(of_sketch.tolerance_columns)
-        with_fitted = with_tolerances(problem, of_sketch.tolerances_at, columns)
-    predicted = with_fitted.predict([explanation.values])[0]
-    start = predicted, sketch.over_all_rows(explanation.columns)
-    return refit(with_fitted, explanation.values, 0, start)
+    if of_subsample.tolerances_at != problem.tolerances_at:
+        columns = subsample.over_all_rows(of_subsample.tolerance_columns)
+        with_fitted = with_tolerances(problem, of_subsample.tolerances_at, columns)
+    predicted = with_fitted.predict([hypothesis.values])[0]
+    start = predicted, subsample.over_all_rows(hypothesis.columns)
+    return refit(with_fitted, hypothesis.values, 0, start)

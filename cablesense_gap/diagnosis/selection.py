@@ -1,9 +1,9 @@
-"""Effects as columns, and which of them explain a residual: chosen linear about one explanation.
+"""Effects as columns, and which of them explain a residual: chosen linear about one hypothesis.
 
 A column is the change of the readings by one number of an effect in one place. The tolerances and
-the effects of the explanation are fitted along. A set of additions is grown site by site; a site
-is an effect in one place. Several sets are grown at once, because the first site that helps most
-is not always part of the best set.
+the effects of the hypothesis are fitted along. A set of additions is grown location by location; a
+location is an effect in one place. Several sets are grown at once, because the first location that
+helps most is not always part of the best set.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from cablesense_gap.diagnosis.linear_fit import (
     weight,
 )
 from cablesense_gap.diagnosis.problem import (
-    Explanation,
+    Hypothesis,
     Problem,
     from_scaled,
     is_logarithmic,
@@ -70,12 +70,12 @@ class LinearEffect:
 
 
 def linear_effects(
-    problem: Problem, candidate: Candidate, about: Explanation | None = None
+    problem: Problem, candidate: Candidate, about: Hypothesis | None = None
 ) -> list[LinearEffect]:
     """The candidate in every place, for each combination of starting shapes.
 
-    It is linear about the nominal mechanism, or about an explanation without its history-dependent
-    effects. Places that the explanation has already are left out, as are those with which the
+    It is linear about the nominal mechanism, or about a hypothesis without its history-dependent
+    effects. Places that the hypothesis has already are left out, as are those with which the
     mechanism cannot be simulated. A history-dependent effect is simulated in all places and shapes
     in one call: its cost hardly depends on the number of variants.
     """
@@ -186,36 +186,38 @@ def _columns(varied: list[Parameter], start: Mapping[str, float], changes: Array
     )
 
 
-def own_columns(problem: Problem, fitted: Explanation) -> tuple[Explanation, list[LinearEffect]]:
-    """An explanation as additions to the nominal mechanism, linear about it.
+def own_columns(problem: Problem, fitted: Hypothesis) -> tuple[Hypothesis, list[LinearEffect]]:
+    """A hypothesis as additions to the nominal mechanism, linear about it.
 
-    Gives the base to add to and its sites; sizes that the fit held at zero are left out.
+    Gives the base to add to and its locations; sizes that the fit held at zero are left out.
     """
     ranges = problem.parameters
     base = fitted.without_tolerances
     for column, (term, value) in zip(fitted.columns, fitted.values.items(), strict=True):
         if ranges[term].role == "size":
             base = base - to_scaled(ranges[term], value) * column
-    sites = []
-    for site in fitted.sites:
+    locations = []
+    for location in fitted.locations:
         column_of = {
             term: k
             for k, (term, value) in enumerate(fitted.values.items())
-            if term[:2] == site and (value != 0.0 or ranges[term].low < 0.0)
+            if term[:2] == location and (value != 0.0 or ranges[term].low < 0.0)
         }
         if terms := tuple(column_of):
             precision = np.array([prior_precision(ranges[term]) for term in terms])
             columns = fitted.columns[list(column_of.values())]
             zero_start = np.zeros(len(column_of))
-            sites.append(LinearEffect(site[1], terms, zero_start, columns, precision, terms))
+            locations.append(
+                LinearEffect(location[1], terms, zero_start, columns, precision, terms)
+            )
     nothing = replace(
         fitted, effects=(), values={}, columns=fitted.columns[:0], without_tolerances=base
     )
-    return nothing, sites
+    return nothing, locations
 
 
 MOST_EFFECTS = 7
-"""In one explanation: a recording of the usual protocol does not distinguish more."""
+"""In one hypothesis: a recording of the usual protocol does not distinguish more."""
 
 _WIDTH = 6
 """Sets that are grown at once: the place that helps most at first is not always in the best."""
@@ -232,19 +234,19 @@ _WEIGHTINGS = 2
 
 @dataclass(frozen=True)
 class Proposal:
-    """Effects to add to an explanation.
+    """Effects to add to a hypothesis.
 
     Attributes:
         added: in the order in which they were chosen.
         coefficients: (K,) of their columns, scaled.
-        beside: the explanation.
+        beside: the hypothesis.
         forecast: cost of what the sum leaves on held-out trials, with the penalty.
         most_left: mean square; no fit if its starts leave more.
     """
 
     added: tuple[LinearEffect, ...]
     coefficients: Array
-    beside: Explanation
+    beside: Hypothesis
     forecast: float
     most_left: float = np.inf
 
@@ -255,14 +257,14 @@ class Proposal:
 
 
 _Scored = tuple[float, list[int]]
-"""The cost with its penalty, and the chosen sites by their positions among the offered ones."""
+"""The cost with its penalty, and the chosen locations by their positions among those offered."""
 
 
 class Selection:
-    """Linear effects among which additions to one explanation are chosen."""
+    """Linear effects among which additions to one hypothesis are chosen."""
 
     def __init__(
-        self, problem: Problem, about: Explanation, offered: Sequence[LinearEffect]
+        self, problem: Problem, about: Hypothesis, offered: Sequence[LinearEffect]
     ) -> None:
         self._problem = problem
         self._about = about
@@ -278,7 +280,7 @@ class Selection:
         self._data = products(np.concatenate(columns), residual, fold_of_row, problem.used)
         self._precision = np.concatenate([np.ones(self._base), *(e.precision for e in offered)])
         self._folds = np.arange(len(self._data.count))
-        self._known = Counter(effect for effect, _ in about.sites)
+        self._known = Counter(effect for effect, _ in about.locations)
         ranges = problem.parameters
         self._positive = [
             np.array(
@@ -315,8 +317,8 @@ class Selection:
                     if score < longer.get(effects, (np.inf, []))[0]:
                         longer[effects] = score, extended
             tried = sorted(longer.values())[: 2 * _WIDTH]
-            judged = [(self._score(chosen), chosen) for _, chosen in tried]
-            level = sorted(each for each in judged if np.isfinite(each[0]))[:_WIDTH]
+            scored = [(self._score(chosen), chosen) for _, chosen in tried]
+            level = sorted(each for each in scored if np.isfinite(each[0]))[:_WIDTH]
             for score, chosen in level:
                 effects = self._effects(chosen)
                 if score < best.get(effects, (np.inf, []))[0]:
@@ -330,7 +332,7 @@ class Selection:
         return self._proposals([*best.values(), *others])
 
     def _grown(self, among: Sequence[int], *, strict: bool) -> _Scored | None:
-        """One effect's sites added while each, or two at once, is worth its penalty."""
+        """One effect's locations added while each, or two at once, is worth its penalty."""
         score = np.inf
         chosen = list[int]()
         while True:
@@ -342,7 +344,7 @@ class Selection:
             score, chosen = best
 
     def _extended(self, chosen: Sequence[int], among: Sequence[int]) -> Iterator[_Scored]:
-        """The chosen sites with one more, or two of one effect, each with a forecast."""
+        """The chosen locations with one more, or two of one effect, each with a forecast."""
         first = np.concatenate([np.arange(self._base), *(self._owned[k] for k in chosen)])
         new = [k for k in among if self._fits(k, chosen)]
         if not new:
@@ -388,7 +390,7 @@ class Selection:
                 )
 
     def _fits(self, k: int, chosen: Sequence[int]) -> bool:
-        """Whether a site may stand together with those that are chosen."""
+        """Whether a location may stand together with those that are chosen."""
         linear = self._offered[k]
         same = [self._offered[c].place for c in chosen if self._offered[c].effect == linear.effect]
         if not same and linear.effect not in self._known:
@@ -425,7 +427,7 @@ class Selection:
         return sorted(proposals, key=lambda proposal: proposal.forecast)
 
     def kept(self) -> list[int]:
-        """Offered sites that are worth their penalty: one site or effect is removed at a time."""
+        """Offered locations that are worth their penalty: one, or an effect, goes at a time."""
         chosen = list(range(len(self._offered)))
         score = self._score(chosen, strict=False)
         while len(chosen) > 1:
@@ -440,7 +442,7 @@ class Selection:
         return chosen
 
     def left_without(self, effect: str) -> float:
-        """The cost of all offered sites without one effect."""
+        """The cost of all offered locations without one effect."""
         rest = [k for k, linear in enumerate(self._offered) if linear.effect != effect]
         return self._problem.cost(*self._fitted(rest)[1:])
 

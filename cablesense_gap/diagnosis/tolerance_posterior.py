@@ -2,7 +2,7 @@
 
 Fits move tolerances in the directions that readings show (`problem.tolerance_directions`). Whoever
 continues with the machine wants all of them with their covariance. Here they are linear about the
-explanation, with normal priors: the posterior is that of a Kalman update with the recording.
+hypothesis, with normal priors: the posterior is that of a Kalman update with the recording.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_gap.diagnosis.linear_fit import weight
 from cablesense_gap.diagnosis.problem import (
-    Explanation,
+    Hypothesis,
     Problem,
     from_scaled,
     prior_precision,
@@ -25,7 +25,7 @@ from cablesense_gap.simulator import Term, small_changes
 _STEP_OF_STD = 0.1
 """For derivatives, of a standard deviation."""
 _MOST_STEPS = 4
-"""Gauss-Newton steps: the explanation is near the best values already."""
+"""Gauss-Newton steps: the hypothesis is near the best values already."""
 _SMALL_STEP = 0.1
 """A step that is too small to continue, in deviations of the posterior."""
 
@@ -45,23 +45,23 @@ class TolerancePosterior:
     covariance: Array
 
 
-def tolerance_posterior(problem: Problem, explanation: Explanation) -> TolerancePosterior:
-    """Tolerances beside an explanation's effects.
+def tolerance_posterior(problem: Problem, hypothesis: Hypothesis) -> TolerancePosterior:
+    """Tolerances beside a hypothesis's effects.
 
-    Gauss-Newton's method from the explanation: what a recording shows best, it shows to a
+    Gauss-Newton's method from the hypothesis: what a recording shows best, it shows to a
     thousandth of a tolerance, and there no column is linear. Columns of tolerances are without
-    friction and creep, which are expensive to simulate; those of effects are the explanation's. A
-    residual that the explanation leaves counts as in all fits: it makes readings count less.
+    friction and creep, which are expensive to simulate; those of effects are the hypothesis's. A
+    residual that the hypothesis leaves counts as in all fits: it makes readings count less.
     """
     terms = problem.tolerance_terms
     if not terms:
         return TolerancePosterior((), np.zeros(0), np.zeros((0, 0)))
-    fit = _Fit(problem, explanation)
+    fit = _Fit(problem, hypothesis)
     std = problem.tolerance_std
-    scaled = np.array([explanation.tolerances.get(term, 0.0) for term in terms]) / std
-    effects = (to_scaled(fit.parameters[t], v) for t, v in explanation.values.items())
+    scaled = np.array([hypothesis.tolerances.get(term, 0.0) for term in terms]) / std
+    effects = (to_scaled(fit.parameters[t], v) for t, v in hypothesis.values.items())
     point = np.concatenate([scaled, np.fromiter(effects, float)])
-    residual = problem.readings - explanation.prediction
+    residual = problem.readings - hypothesis.prediction
     covariance, step = fit.step(point, residual)
     cost = np.inf
     for _ in range(_MOST_STEPS):
@@ -82,11 +82,11 @@ def tolerance_posterior(problem: Problem, explanation: Explanation) -> Tolerance
 class _Fit:
     """Tolerances, in standard deviations, and scaled values of the effects, as one vector (K,)."""
 
-    def __init__(self, problem: Problem, explanation: Explanation) -> None:
+    def __init__(self, problem: Problem, hypothesis: Hypothesis) -> None:
         self._problem = problem
-        self._columns = explanation.columns
-        self.parameters = {term: problem.parameters[term] for term in explanation.values}
-        values = explanation.values.items()
+        self._columns = hypothesis.columns
+        self.parameters = {term: problem.parameters[term] for term in hypothesis.values}
+        values = hypothesis.values.items()
         expected = [
             to_scaled(self.parameters[t], v) if self.parameters[t].role == "shape" else 0.0
             for t, v in values
@@ -95,7 +95,7 @@ class _Fit:
         nothing = np.zeros(len(problem.tolerance_terms))
         self._expected = np.concatenate([nothing, expected])
         self._precision = np.concatenate([nothing + 1.0, of_effects])
-        self._weight = weight(explanation.held_out_rmse**2, problem.floor)
+        self._weight = weight(hypothesis.held_out_rmse**2, problem.floor)
 
     def _assignment(self, point: Array) -> dict[Term, float]:
         count = len(self._problem.tolerance_terms)

@@ -16,7 +16,7 @@ from cablesense_base import Array
 from cablesense_gap.diagnosis.fitting import joint_step, refine, refit
 from cablesense_gap.diagnosis.problem import (
     RESOLUTION,
-    Explanation,
+    Hypothesis,
     Problem,
     from_scaled,
     to_scaled,
@@ -38,7 +38,7 @@ _SAME_OF_STD = 0.01
 _MOST_OFF = 3.0
 """Standard deviations up to which tolerances are a place to be linear about."""
 _STEPS_ANEW = 3
-"""Of Gauss-Newton with tolerances linear anew: the explanation is near its best values already."""
+"""Of Gauss-Newton with tolerances linear anew: the hypothesis is near its best values already."""
 _LEAST_CHANGE = 1e-12
 """RMS change below which a column counts as zero, in the unit of the channels: rounding."""
 
@@ -54,8 +54,8 @@ def with_fitted_tolerances(problem: Problem) -> Problem:
     return final_refinement(problem, without_effects)[1]
 
 
-def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explanation, Problem]:
-    """Fit the same effects with tolerances that are linear about the explanation.
+def final_refinement(problem: Problem, hypothesis: Hypothesis) -> tuple[Hypothesis, Problem]:
+    """Fit the same effects with tolerances that are linear about the hypothesis.
 
     The search takes tolerances linear about a mechanism without effects, which is near enough to
     choose by. Tolerances that are farther off than usual may carry a part of an effect. Effects
@@ -63,11 +63,9 @@ def final_refinement(problem: Problem, explanation: Explanation) -> tuple[Explan
     usual or nothing is gained. The best of these fits counts: a step may lead too far.
     Gives the problem with these tolerances too.
     """
-    best = explanation, problem
+    best = hypothesis, problem
     latest = best
-    done = (_is_usual(explanation) or not explanation.values) and _is_consistent(
-        problem, explanation
-    )
+    done = (_is_usual(hypothesis) or not hypothesis.values) and _is_consistent(problem, hypothesis)
     for _ in range(0 if done else _MOST_REPEATED):
         before, used = latest
         linear = _linear_about(used, before)
@@ -96,20 +94,20 @@ def _place_of(problem: Problem, tolerances: Assignment) -> Array:
     return np.clip(off, -most, most)
 
 
-def _is_linear_there(problem: Problem, explanation: Explanation) -> bool:
+def _is_linear_there(problem: Problem, hypothesis: Hypothesis) -> bool:
     """Whether tolerances are linear about these already, so that nothing would change."""
-    off = _place_of(problem, explanation.tolerances) - _place_of(problem, problem.tolerances_at)
+    off = _place_of(problem, hypothesis.tolerances) - _place_of(problem, problem.tolerances_at)
     return bool((np.abs(off) <= _SAME_OF_STD * problem.tolerance_std).all())
 
 
-def _is_usual(explanation: Explanation) -> bool:
-    return explanation.tolerance_chi2 <= explanation.tolerance_count
+def _is_usual(hypothesis: Hypothesis) -> bool:
+    return hypothesis.tolerance_chi2 <= hypothesis.tolerance_count
 
 
-def _is_consistent(problem: Problem, explanation: Explanation) -> bool:
+def _is_consistent(problem: Problem, hypothesis: Hypothesis) -> bool:
     """Whether the simulator predicts each trial the same with the fitted, linear tolerances."""
-    predicted = problem.simulator.predict([{**explanation.values, **explanation.tolerances}])[0]
-    off = np.where(problem.used[:, None], predicted - explanation.prediction, 0.0)
+    predicted = problem.simulator.predict([{**hypothesis.values, **hypothesis.tolerances}])[0]
+    off = np.where(problem.used[:, None], predicted - hypothesis.prediction, 0.0)
     squares = np.bincount(problem.trial, (off**2).mean(1), len(problem.fold))
     used = np.bincount(problem.trial, problem.used, len(problem.fold))
     limit = (RESOLUTION * problem.floor) ** 2
@@ -117,9 +115,9 @@ def _is_consistent(problem: Problem, explanation: Explanation) -> bool:
 
 
 def _linear_about(
-    problem: Problem, explanation: Explanation
+    problem: Problem, hypothesis: Hypothesis
 ) -> tuple[Problem, tuple[Array, Array]] | None:
-    """The problem with tolerances linear about an explanation with its tolerances.
+    """The problem with tolerances linear about a hypothesis with its tolerances.
 
     Gives its prediction (R, C) and the columns (K, R, C) of its effects there too: an effect that
     changes readings as a tolerance does must have the same column. None if the simulator cannot
@@ -129,7 +127,7 @@ def _linear_about(
         return None
     std = problem.tolerance_std
     terms = problem.tolerance_terms
-    off = _place_of(problem, explanation.tolerances)
+    off = _place_of(problem, hypothesis.tolerances)
     tolerances_at = dict(zip(terms, off.tolist(), strict=True))
     change = np.sqrt((problem.tolerance_columns[:, problem.used] ** 2).mean(axis=(1, 2)))
     size = 1.0 / np.maximum(1.0 / _STEP_OF_STD, change / (_STEP_OF_FLOOR * problem.floor))
@@ -137,16 +135,16 @@ def _linear_about(
     steps = -np.copysign(size, problem.coefficients_of(tolerances_at))
     moved = off + steps[:, None] * (problem.tolerance_mix.T * std)
     # numbers that fade matter in few rows, and their columns stay
-    varied = [t for t in explanation.values if not problem.parameters[t].fades]
-    base = {**explanation.values, **tolerances_at}
-    scaled, values = _effect_steps(problem, explanation, varied)
+    varied = [t for t in hypothesis.values if not problem.parameters[t].fades]
+    base = {**hypothesis.values, **tolerances_at}
+    scaled, values = _effect_steps(problem, hypothesis, varied)
     prediction = problem.simulator.predict([base])[0]
     variants = [{**base, **dict(zip(terms, row, strict=True))} for row in moved.tolist()]
     variants += [{**base, t: v} for t, v in zip(varied, values, strict=True)]
     changes = small_changes(problem.simulator, base, variants)
     columns = changes[: len(steps)] / steps[:, None, None]
-    effects = explanation.columns.copy()
-    varied_indices = [list(explanation.values).index(term) for term in varied]
+    effects = hypothesis.columns.copy()
+    varied_indices = [list(hypothesis.values).index(term) for term in varied]
     effects[varied_indices] = changes[len(steps) :] / scaled[:, None, None]
     linearised = with_tolerances(problem, tolerances_at, columns)
     arrays = prediction, columns, effects, linearised.tolerances_change
@@ -169,17 +167,17 @@ def with_tolerances(problem: Problem, at: Assignment, columns: Array) -> Problem
 
 
 def _effect_steps(
-    problem: Problem, explanation: Explanation, varied: Sequence[Term]
+    problem: Problem, hypothesis: Hypothesis, varied: Sequence[Term]
 ) -> tuple[Array, list[float]]:
     """Scaled steps (K,) of values, such that readings change as by tolerances; and the values."""
-    column_of = dict(zip(explanation.values, explanation.columns, strict=True))
+    column_of = dict(zip(hypothesis.values, hypothesis.columns, strict=True))
     scaled = []
     values = []
     for term in varied:
         parameter = problem.parameters[term]
         change = float(np.sqrt((column_of[term][problem.used] ** 2).mean()))
         step = min(_STEP_OF_EFFECT, _STEP_OF_FLOOR * problem.floor / max(change, _LEAST_CHANGE))
-        scaled_value = to_scaled(parameter, explanation.values[term])
+        scaled_value = to_scaled(parameter, hypothesis.values[term])
         step = step if scaled_value + step <= to_scaled(parameter, parameter.high) else -step
         scaled.append(step)
         values.append(from_scaled(parameter, scaled_value + step))

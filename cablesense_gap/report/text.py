@@ -154,7 +154,7 @@ def causes_and_advice(verdict: Verdict) -> list[tuple[str, str]]:
 
 
 def rival_names(verdict: Verdict) -> list[str]:
-    """Explanations that the recording cannot distinguish from the verdict's."""
+    """Hypotheses that the recording cannot distinguish from the verdict's."""
     others = [name for name in verdict.ambiguity_group if name != joined(verdict.effects)]
     return [candidate_name(name.split("+")) for name in others]
 

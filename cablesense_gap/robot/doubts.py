@@ -1,4 +1,4 @@
-"""Doubts about a robot's recording, its explanations and the verdict."""
+"""Doubts about a robot's recording, its hypotheses and the verdict."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cablesense_base import Array, some_of
-from cablesense_gap.diagnosis.problem import Explanation, Problem
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.robot.model import Change, Robot
 from cablesense_gap.robot.motion import Motion
 from cablesense_gap.robot.recording import RobotRecording
@@ -134,34 +134,36 @@ def starts_at_zero(recording: RobotRecording) -> list[str]:
     return ["All trials start at zero; if encoders were set to zero there, say so with --zeroed."]
 
 
-def weighed(problem: Problem, explanation: Explanation) -> Explanation:
-    """The explanation, with what its tolerances, sizes and places cost.
+def weighed(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis, with what its tolerances, sizes and places cost.
 
     One tolerance far off counts as much as all of them off. A robot has dozens of tolerances. A
     single one, for example a delay of many samples, would not show in the sum of their squares.
     """
-    largest = problem.worst_tolerance(explanation)
-    least = len(explanation.tolerances) * (largest / problem.far_off) ** 4
+    largest = problem.worst_tolerance(hypothesis)
+    least = len(hypothesis.tolerances) * (largest / problem.far_off) ** 4
     return replace(
-        explanation,
-        tolerance_chi2=max(explanation.tolerance_chi2, least),
-        surprise=_surprise(problem, explanation),
+        hypothesis,
+        tolerance_chi2=max(hypothesis.tolerance_chi2, least),
+        log_prior_penalty=_log_prior_penalty(problem, hypothesis),
     )
 
 
-def _surprise(problem: Problem, explanation: Explanation) -> float:
+def _log_prior_penalty(problem: Problem, hypothesis: Hypothesis) -> float:
     """Sizes cost nothing within their expected range, and beyond it the same for each decade.
 
-    The size that is surely farthest off counts for its site.
+    The size that is surely farthest off counts for its location.
     """
-    far: dict[tuple[str, str], list[float]] = {site: [] for site in explanation.sites}
-    for term, value in explanation.values.items():
+    far: dict[tuple[str, str], list[float]] = {location: [] for location in hypothesis.locations}
+    for term, value in hypothesis.values.items():
         parameter = problem.parameters[term]
         if parameter.role == "size":
-            sure = max(abs(value) - explanation.deviations[term], 0.0)
+            sure = max(abs(value) - hypothesis.deviations[term], 0.0)
             far[term[:2]].append(sure / (parameter.spread * parameter.typical))
-    first = {site[0]: site for site in reversed(far)}
-    numbers = sum(len(distances) for site, distances in far.items() if site != first[site[0]])
+    first = {location[0]: location for location in reversed(far)}
+    numbers = sum(
+        len(distances) for location, distances in far.items() if location != first[location[0]]
+    )
     return (
         float(2.0 * sum(np.log(max(1.0, *distances)) for distances in far.values()))
         + _FURTHER * numbers

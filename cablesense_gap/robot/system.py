@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
 from cablesense_gap.diagnosis.discrepancy import Conditions
-from cablesense_gap.diagnosis.problem import Explanation, Problem
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.reference import Reference
 from cablesense_gap.robot import doubts
@@ -51,7 +51,7 @@ _USUAL = 0.1
 """Error of a zero that is usual in a trial, rad or m."""
 
 _FITS = 2.0
-"""Floors that an explanation leaves at most at a joint where the model is exact."""
+"""Floors that a hypothesis leaves at most at a joint where the model is exact."""
 _MODEL_ERROR = 0.1
 """Share of the torque that models of real machines leave: the middle of the usual 5 to 15 %."""
 
@@ -208,15 +208,15 @@ class RobotSystem(System):
             return None
         return Altered(usual, gain)
 
-    def model_error(self, problem: Problem, found: Sequence[Explanation]) -> Array | None:
-        """A tenth of the torque, if the best explanation is far from every joint's floor."""
+    def model_error(self, problem: Problem, found: Sequence[Hypothesis]) -> Array | None:
+        """A tenth of the torque, if the best hypothesis is far from every joint's floor."""
         best = min(found, key=lambda each: each.held_out_rmse)
         residual_rms = np.sqrt(((problem.readings - best.held_out) ** 2).mean(0))
         if not isinstance(self.comparison, InverseComparison) or residual_rms.min() < _FITS:
             return None
         return np.asarray(_MODEL_ERROR * np.sqrt((self.readings**2).mean(0)))
 
-    def completed(self, problem: Problem, found: Sequence[Explanation]) -> list[Explanation]:
+    def completed(self, problem: Problem, found: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The same; far tolerances, implausible sizes and further places count against them."""
         return [doubts.weighed(problem, each) for each in found]
 

@@ -179,7 +179,7 @@ def ranked_singles(found: TableDiagnosis) -> list[Explained]:
 
 def _best_explanations(found: TableDiagnosis) -> Iterator[str]:
     """The best single effect and the best pair, as sentences."""
-    ranked = sorted(found.explanations, key=lambda h: h.held_out_rmse)
+    ranked = sorted(found.hypotheses, key=lambda h: h.held_out_rmse)
     for count, what in ((1, "one effect"), (2, "two effects at once")):
         best = next((h for h in ranked if len(h.effects) == count), None)
         if best is not None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.fitting import refine
-from cablesense_gap.diagnosis.problem import Explanation, Problem, prepare
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem, prepare
 from cablesense_gap.simulator import Assignment, Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 
@@ -122,7 +122,7 @@ def amount(effect: str, place: str) -> Term:
     return Term(effect, place, "amount")
 
 
-def explanation(*effects: str, left: float = 1.0) -> Explanation:
+def hypothesis(*effects: str, left: float = 1.0) -> Hypothesis:
     """These effects, each with one size, leaving so much (root mean square) in every trial."""
     fitted = refine(problem_of(Sums({}), {}), {}, [[]])
     assert fitted is not None

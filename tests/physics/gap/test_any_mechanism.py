@@ -60,12 +60,12 @@ def test_what_was_planted_is_found_with_right_numbers(truth: dict[Term, float]) 
     best = best_of(*truth.items())
     assert best.effects == tuple(sorted({term.effect for term in truth}))
     assert best.probability > 0.5
-    assert best.explanation is not None
+    assert best.hypothesis is not None
     for term, value in truth.items():
-        assert best.explanation.values[term] == pytest.approx(value, abs=WITHIN[term]), term
-    for term in best.explanation.values.keys() - truth.keys():
-        assert best.explanation.values[term] == pytest.approx(0.0, abs=WITHIN[term]), term
-    assert best.explanation.held_out_rmse < 1.2 * Pulley.floor
+        assert best.hypothesis.values[term] == pytest.approx(value, abs=WITHIN[term]), term
+    for term in best.hypothesis.values.keys() - truth.keys():
+        assert best.hypothesis.values[term] == pytest.approx(0.0, abs=WITHIN[term]), term
+    assert best.hypothesis.held_out_rmse < 1.2 * Pulley.floor
 
 
 def test_what_a_workshop_leaves_is_no_effect() -> None:
@@ -80,13 +80,13 @@ def test_an_unlisted_cause_is_unknown_and_no_listed_effect_removes_it() -> None:
     ranked = judged(simulator, readings + np.outer(1.5 * teeth, [1.0, 0.0, 0.0]) / NOISE)
     assert ranked[0].effects == ("unknown",)
     assert ranked[0].probability > 0.5
-    left = {b.effects: b.explanation.held_out_rmse for b in ranked if b.explanation}
+    left = {b.effects: b.hypothesis.held_out_rmse for b in ranked if b.hypothesis}
     assert min(left.values()) > 0.8 * left["none",]
 
 
 def test_the_amended_simulator_predicts_work_that_it_has_not_seen() -> None:
     truth = DOUBLES[0]
-    best = best_of(*truth.items()).explanation
+    best = best_of(*truth.items()).hypothesis
     assert best is not None
     new = Pulley(work(seed=77))
     after, before, real = (new.predict([v])[0] for v in (best.values, {}, truth))

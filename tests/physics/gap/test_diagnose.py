@@ -19,7 +19,7 @@ from cablesense_gap.system import FOLDS, problem_of
 from cablesense_recording.recording import Recording, RecordingError
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.replay import read_tensions_n, replay_arm
-from tests.helpers.gap_problem import explanation
+from tests.helpers.gap_problem import hypothesis
 from tests.helpers.gap_recordings import LAB, placed_recording, small_recording
 
 PROTOCOL = small_recording(peak_n=25.0)
@@ -86,7 +86,7 @@ def test_where_tensions_show_the_moment_alone_it_is_stated_and_no_mass_below_zer
     values = {mass: 0.2, middle: 0.0}
     alone = np.array([-0.2 / 0.5 / 0.3, 1.0 / 0.3])  # keeps the product; in typical sizes
     known = replace(
-        explanation("payload"),
+        hypothesis("payload"),
         values=values,
         deviations=dict(zip(values, 1.96 * 0.3 * np.abs(alone) * [0.3, 0.3], strict=True)),
         covariance=0.3**2 * np.outer(alone, alone),

@@ -1,4 +1,4 @@
-"""The experiment that distinguishes explanations, where physics says which one must."""
+"""The experiment that distinguishes hypotheses, where physics says which one must."""
 
 from __future__ import annotations
 

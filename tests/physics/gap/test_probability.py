@@ -1,4 +1,4 @@
-"""Probabilities of explanations, and which of them a recording cannot distinguish."""
+"""Probabilities of hypotheses, and which of them a recording cannot distinguish."""
 
 from __future__ import annotations
 
@@ -19,49 +19,49 @@ from cablesense_gap.diagnosis.probability import (
     imitated_share,
     posterior,
 )
-from cablesense_gap.diagnosis.problem import Explanation, Problem
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.diagnosis.search import search
-from tests.helpers.gap_problem import SIGNALS, Sums, amount, explanation, linear, problem_of
+from tests.helpers.gap_problem import SIGNALS, Sums, amount, hypothesis, linear, problem_of
 
 FLOOR = 0.1
 BUNDLED = bundled_calibration()
 
 left = st.floats(0.05, 20.0)
-explanation_of = cache(explanation)
+explanation_of = cache(hypothesis)
 few = settings(deadline=None, max_examples=20)
 
 
-def leaving(rmse: float, *effects: str) -> Explanation:
-    """An explanation that leaves so much on held-out trials."""
+def leaving(rmse: float, *effects: str) -> Hypothesis:
+    """A hypothesis that leaves so much on held-out trials."""
     nothing = explanation_of(*effects)
     return replace(nothing, squares=rmse**2 * nothing.count)
 
 
 def judged(none: float, **others: float) -> dict[tuple[str, ...], float]:
-    explanations = [leaving(none)]
-    explanations += [leaving(rmse, *name.split("_")) for name, rmse in others.items()]
-    return {b.effects: b.probability for b in posterior(explanations, FLOOR, BUNDLED)}
+    hypotheses = [leaving(none)]
+    hypotheses += [leaving(rmse, *name.split("_")) for name, rmse in others.items()]
+    return {b.effects: b.probability for b in posterior(hypotheses, FLOOR, BUNDLED)}
 
 
 @given(left, st.lists(left, max_size=4))
 @few
 def test_probabilities_add_up_to_one_and_stand_in_their_order(none, others):
-    explanations = [leaving(none), *(leaving(r, n) for r, n in zip(others, "abcd", strict=False))]
-    probabilities = [each.probability for each in posterior(explanations, FLOOR, BUNDLED)]
+    hypotheses = [leaving(none), *(leaving(r, n) for r, n in zip(others, "abcd", strict=False))]
+    probabilities = [each.probability for each in posterior(hypotheses, FLOOR, BUNDLED)]
     assert sum(probabilities) == pytest.approx(1.0)
     # those that nearly equal the most probable one stand in the order of their residuals
     near = sum(each > 0.9 * max(probabilities) for each in probabilities)
     assert min(probabilities[:near]) > 0.9 * max(probabilities)
     assert probabilities[near:] == sorted(probabilities[near:], reverse=True)
     assert min(probabilities) >= 0.0
-    assert len(probabilities) == len(explanations) + 1
+    assert len(probabilities) == len(hypotheses) + 1
 
 
 @pytest.mark.parametrize("better", ["a", "b"])
 def test_of_two_that_reach_the_floor_the_one_that_leaves_less_is_first(better):
     left = {"a": 0.6 * FLOOR, "b": 0.6 * FLOOR, better: 0.5 * FLOOR}
-    explanations = [leaving(20.0 * FLOOR), *(leaving(rmse, name) for name, rmse in left.items())]
-    assert posterior(explanations, FLOOR, BUNDLED)[0].effects == (better,)
+    hypotheses = [leaving(20.0 * FLOOR), *(leaving(rmse, name) for name, rmse in left.items())]
+    assert posterior(hypotheses, FLOOR, BUNDLED)[0].effects == (better,)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_the_most_probable_explanation(none, others, first):
 ONE, OTHER = SIGNALS[:2]
 
 
-def explained(problem: Problem, effects: str, change: np.ndarray) -> Explanation:
+def explained(problem: Problem, effects: str, change: np.ndarray) -> Hypothesis:
     """Effects, joined by `+`, that make one change, with one number each."""
     names = tuple(effects.split("+"))
     nothing = refine(problem, {}, [[]])

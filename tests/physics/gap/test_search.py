@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cablesense_gap.diagnosis.problem import Past, sketched
+from cablesense_gap.diagnosis.problem import Past, subsampled
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.simulator import Candidate, Term
 from tests.helpers.gap_problem import (
@@ -73,16 +73,16 @@ class OnSomeRows(Sums):
     """The same mechanism that goes through some of the rows alone."""
 
     def predict(self, variants):
-        return super().predict(variants)[:, ROWS_OF_THE_SKETCH]
+        return super().predict(variants)[:, ROWS_OF_THE_SUBSAMPLE]
 
 
-ROWS_OF_THE_SKETCH = np.flatnonzero(np.isin(np.arange(len(TRIAL)) % 20, [0, 1, 3, 7, 12, 19]))
+ROWS_OF_THE_SUBSAMPLE = np.flatnonzero(np.isin(np.arange(len(TRIAL)) % 20, [0, 1, 3, 7, 12, 19]))
 
 
-def test_what_a_sketch_chooses_is_judged_on_all_rows():
+def test_what_a_subsample_chooses_is_scored_on_all_rows():
     problem = problem_of(Sums(LIBRARY), {GAIN_A: 1.0, **FADING_X})
     on_some = OnSomeRows(LIBRARY)
-    found = best(search(sketched(problem, on_some, ROWS_OF_THE_SKETCH)))
+    found = best(search(subsampled(problem, on_some, ROWS_OF_THE_SUBSAMPLE)))
     assert found.effects == ("fading", "gain")
     assert found.held_out.shape == problem.readings.shape
     assert found.count.sum() == problem.readings.size
@@ -91,10 +91,14 @@ def test_what_a_sketch_chooses_is_judged_on_all_rows():
     assert len(whole) < 0.1 * len(on_some.asked)
 
 
-def test_processes_that_share_a_sketch_find_the_same():
+def test_processes_that_share_a_subsample_find_the_same():
     problem = problem_of(Sums(LIBRARY), {GAIN_A: 1.0, **FADING_X})
     one, two = (
-        best(search(sketched(problem, OnSomeRows(LIBRARY), ROWS_OF_THE_SKETCH), workers=workers))
+        best(
+            search(
+                subsampled(problem, OnSomeRows(LIBRARY), ROWS_OF_THE_SUBSAMPLE), workers=workers
+            )
+        )
         for workers in (1, 2)
     )
     assert one.values == two.values
@@ -130,15 +134,17 @@ def test_five_effects_at_once_are_found_with_their_sizes_and_nothing_else():
 
 @pytest.mark.slow  # the whole search, twice as deep
 @pytest.mark.parametrize(
-    ("sketch", "others"), [(False, (3, -2, 1.5)), (True, (1.2, -1, 1.1))], ids=["large", "small"]
+    ("subsample", "others"),
+    [(False, (3, -2, 1.5)), (True, (1.2, -1, 1.1))],
+    ids=["large", "small"],
 )
-def test_what_depends_on_history_is_found_beside_several_others(sketch, others):
+def test_what_depends_on_history_is_found_beside_several_others(subsample, others):
     library = several(3) | {FADING: FADES}
     linear_truth = {amount(n, "b"): size for n, size in zip("def", others, strict=True)}
     truth = {**linear_truth, AMOUNT: 4.0, RATE: 3.0}
     problem = problem_of(Sums(library), truth)
-    if sketch:
-        problem = sketched(problem, OnSomeRows(library), ROWS_OF_THE_SKETCH)
+    if subsample:
+        problem = subsampled(problem, OnSomeRows(library), ROWS_OF_THE_SUBSAMPLE)
     found = best(search(problem))
     assert found.effects == ("d", "e", "f", "fading")
     assert found.values == pytest.approx(truth, rel=0.1)
