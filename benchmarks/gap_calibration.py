@@ -81,7 +81,7 @@ def _search(path: Path) -> dict[str, object]:
         "effects": [h.effects for h in hypotheses],
         "left": [h.held_out_rmse for h in hypotheses],
         "sizes": [h.sizes for h in hypotheses],
-        "strains": [h.tolerance_chi2 for h in hypotheses],
+        "strains": [h.nuisance_chi2 for h in hypotheses],
         "tolerances": int(problem.acting_directions.sum()),
     }
 

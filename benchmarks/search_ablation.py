@@ -42,11 +42,11 @@ from cablesense_gap.diagnosis import (
     discrepancy,
     fitting,
     linear_fit,
+    nuisance,
     probability,
     problem,
     search,
     selection,
-    tolerances,
 )
 from cablesense_gap.pipeline import diagnose_system
 from cablesense_gap.reference import Reference
@@ -82,7 +82,7 @@ ALIKE = 0.01
 """Difference of the probability of a verdict that is none."""
 AS_IS = "as is"
 
-_MODULES = (discrepancy, fitting, linear_fit, probability, problem, search, selection, tolerances)
+_MODULES = (discrepancy, fitting, linear_fit, probability, problem, search, selection, nuisance)
 
 
 @dataclass(frozen=True)
@@ -163,13 +163,13 @@ CONSTANTS = (
     Constant(fitting, "_STEPS_OF_PART", fitting.MOST_STEPS),
     Constant(fitting, "_LEAST_DIVISOR", 1e-3),
     Constant(fitting, "_LEAST_START", 1e-3),
-    Constant(tolerances, "_STEP_OF_STD", 0.01),
-    Constant(tolerances, "_STEP_OF_EFFECT", 0.003),
-    Constant(tolerances, "_STEP_OF_FLOOR", np.inf),
-    Constant(tolerances, "_MOST_REPEATED", 0),
-    Constant(tolerances, "_SAME_OF_STD", 0.0),
-    Constant(tolerances, "_MOST_OFF", np.inf),
-    Constant(tolerances, "_STEPS_ANEW", fitting.MOST_STEPS),
+    Constant(nuisance, "_STEP_OF_STD", 0.01),
+    Constant(nuisance, "_STEP_OF_EFFECT", 0.003),
+    Constant(nuisance, "_STEP_OF_FLOOR", np.inf),
+    Constant(nuisance, "_MOST_REPEATED", 0),
+    Constant(nuisance, "_SAME_OF_STD", 0.0),
+    Constant(nuisance, "_MOST_OFF", np.inf),
+    Constant(nuisance, "_STEPS_ANEW", fitting.MOST_STEPS),
     Constant(probability, "_EQUAL", 1.0),
     Constant(probability, "PARALLEL", 1.1),
     Constant(probability, "_SEVERAL_LEFT", 0.0),

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_gap.diagnosis.tolerance_posterior import TolerancePosterior
+from cablesense_gap.diagnosis.nuisance_posterior import NuisancePosterior
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.arm import Arm
 from cablesense_sim.effects.effect import WHOLE_ARM
@@ -94,11 +94,11 @@ def tolerance_candidates(arm: Arm) -> tuple[Candidate, ...]:
 
 def expected_parameters(arm: Arm) -> FittedParameters:
     """Uncertain parameters of an arm that nobody has recorded, by its tolerances."""
-    nothing = TolerancePosterior((), np.zeros(0), np.zeros((0, 0)))
+    nothing = NuisancePosterior((), np.zeros(0), np.zeros((0, 0)))
     return fitted_parameters(arm, arm, nothing)
 
 
-def fitted_parameters(nominal: Arm, amended: Arm, known: TolerancePosterior) -> FittedParameters:
+def fitted_parameters(nominal: Arm, amended: Arm, known: NuisancePosterior) -> FittedParameters:
     """Uncertain parameters of an arm after a diagnosis.
 
     What the tolerances say beyond the `nominal` arm adds to what its file lists of them. The

@@ -142,7 +142,7 @@ def remainder(problem: Problem, hypothesis: Hypothesis) -> Remainder:
     unexplained, whole = (
         float(np.sqrt(max(size**2 - floor**2, 0.0))) for size in (hypothesis.held_out_rmse, gap)
     )
-    tolerances = _rms((hypothesis.prediction - hypothesis.without_tolerances)[used])
+    tolerances = _rms((hypothesis.prediction - hypothesis.without_nuisance)[used])
     share = min(1.0, unexplained / whole) if whole > 0.0 else 0.0
     return Remainder(tolerances, unexplained, share)
 
@@ -203,7 +203,7 @@ class _Part(NamedTuple):
 
 def _part(problem: Problem, best: Hypothesis, effects: set[str]) -> _Part:
     others = {t: v for t, v in best.values.items() if t.effect not in effects}
-    change = (best.without_tolerances - problem.predict([others])[0])[problem.used]
+    change = (best.without_nuisance - problem.predict([others])[0])[problem.used]
     size = _rms(change)
     slope = np.zeros(len(best.values))
     if size > 0.0:

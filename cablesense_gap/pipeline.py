@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cablesense_base import Array
+from cablesense_gap.diagnosis.nuisance_posterior import NuisancePosterior, nuisance_posterior
 from cablesense_gap.diagnosis.probability import (
     ambiguity,
     bundled_calibration,
@@ -22,7 +23,6 @@ from cablesense_gap.diagnosis.probability import (
     rivals_of,
 )
 from cablesense_gap.diagnosis.search import search
-from cablesense_gap.diagnosis.tolerance_posterior import TolerancePosterior, tolerance_posterior
 from cablesense_gap.explained import (
     candidate_results,
     gap_size,
@@ -58,7 +58,7 @@ class Outcome:
     verdict: Verdict
     values: dict[Term, float]
     tolerances: Mapping[Term, float]
-    known: TolerancePosterior
+    known: NuisancePosterior
     nominal: Array
     held_out: Array
 
@@ -172,5 +172,5 @@ def diagnose_system(
         compared=system.compared,
     )
     progress("done", 1.0)
-    known = tolerance_posterior(problem, explained)
-    return Outcome(verdict, values, explained.tolerances, known, nominal, held_out)
+    known = nuisance_posterior(problem, explained)
+    return Outcome(verdict, values, explained.nuisance, known, nominal, held_out)

@@ -369,7 +369,7 @@ class RecordedArm:
         loaded = recording.load_segment > 0
         segment = np.maximum(recording.load_segment, 1) - 1
         at_m = loads_at_m(recording, self._law.arm)
-        noise_corrected_rms = 0.0
+        beyond_noise_n2 = 0.0
         channels = 0
         for chosen, seen in self._seen(rows):
             chosen_segment = segment[chosen]
@@ -383,10 +383,10 @@ class RecordedArm:
             expected_n = np.einsum("bmj,bj->bm", seen.by_torque, torque_n_m)
             residual_n = seen.innovation_n - expected_n
             spread_n2 = np.linalg.inv(seen.information_n2)
-            noise_corrected_rms += float((residual_n**2).sum())
-            noise_corrected_rms -= float(np.trace(spread_n2, axis1=1, axis2=2).sum())
+            beyond_noise_n2 += float((residual_n**2).sum())
+            beyond_noise_n2 -= float(np.trace(spread_n2, axis1=1, axis2=2).sum())
             channels += residual_n.size
-        return max(noise_corrected_rms / max(channels, 1), 0.0)
+        return max(beyond_noise_n2 / max(channels, 1), 0.0)
 
     def _seen(self, rows: Rows) -> Iterator[tuple[NDArray[np.int64], LawOutput]]:
         """Some of the rows (R,) at a time, and what their readings say."""

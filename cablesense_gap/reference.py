@@ -134,14 +134,14 @@ class Reference:
         assert without_effects is not None
         used = problem.used
         nominal = problem.readings - problem.nominal
-        self.tolerances = dict(without_effects.tolerances)
+        self.tolerances = dict(without_effects.nuisance)
         system = system.with_listed(self.tolerances)
         problem = replace(
             problem,
             simulator=system,
             nominal=system.predict([{}])[0],
-            tolerances_at={},
-            tolerances_change=0.0 * nominal,
+            nuisance_at={},
+            nuisance_change=0.0 * nominal,
         )
         conditions = system.conditions()
         self._smooth = None if conditions is None else SmoothColumns.like(conditions)
@@ -235,9 +235,9 @@ def since(problem: Problem, expected: Expected) -> Problem:
         simulator=_Weighted(problem.simulator, expected),
         readings=weighted(problem.readings - expected.mean),
         nominal=weighted(problem.nominal),
-        tolerance_columns=weighted(problem.tolerance_columns),
-        tolerance_rest=weighted(problem.tolerance_rest),
-        tolerances_change=weighted(problem.tolerances_change),
+        nuisance_columns=weighted(problem.nuisance_columns),
+        nuisance_remainder=weighted(problem.nuisance_remainder),
+        nuisance_change=weighted(problem.nuisance_change),
         past=None,
         subsample=subsample,
     )

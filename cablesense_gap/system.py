@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError
 from cablesense_gap.diagnosis.discrepancy import Conditions
+from cablesense_gap.diagnosis.nuisance import with_fitted_nuisance
 from cablesense_gap.diagnosis.problem import Hypothesis, Past, Problem, prepare, subsampled
-from cablesense_gap.diagnosis.tolerances import with_fitted_tolerances
 from cablesense_gap.explained import estimates
 from cablesense_gap.simulator import Assignment, Candidate, Simulator, Term
 from cablesense_gap.verdict import ChannelGap, FittedNumber, Gap, Where
@@ -171,7 +171,7 @@ class System(ABC):
 
 def problem_of(system: System) -> Problem:
     """The recording as the search works on it."""
-    problem = with_fitted_tolerances(
+    problem = with_fitted_nuisance(
         prepare(system, system.readings, system.trial, system.fold, system.counted)
     )
     problem = replace(problem, past=system.past(), far_off=system.far_off)

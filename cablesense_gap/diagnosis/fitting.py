@@ -1,9 +1,9 @@
 """Effects fitted to the recording with the simulator itself: damped Gauss-Newton.
 
-Tolerances enter linearly and are fitted along. The unexplained part is correlated from row to row,
-so its weight is not that of white noise (`linear_fit.weight`). Held-out trials are predicted with
-effects fitted to the other folds, linear about the fit to all (the one-step estimate of Giordano
-et al., A Swiss Army infinitesimal jackknife, AISTATS 2019).
+Nuisance parameters enter linearly and are fitted along. The unexplained part is correlated from
+row to row, so its weight is not that of white noise (`linear_fit.weight`). Held-out trials are
+predicted with effects fitted to the other folds, linear about the fit to all (the one-step
+estimate of Giordano et al., A Swiss Army infinitesimal jackknife, AISTATS 2019).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _CONVERGED_SHARE = 5e-3
 """Relative gain of the log posterior that is too small to continue a history-dependent fit."""
 _CONVERGED_GAIN = 1.0
 """A gain of twice the log posterior that is too small to continue. It is absolute, because an
-effect takes over from tolerances by gains that are small compared with the whole."""
+effect takes over from nuisance parameters by gains that are small compared with the whole."""
 _FIRST_DAMPING = 1e-3
 """Of Levenberg and Marquardt, relative to the diagonal: first steps are almost Gauss-Newton's."""
 _LEAST_DAMPING = 1e-6
@@ -80,7 +80,7 @@ def refit(
 ) -> Hypothesis | None:
     """Fit values again, from `values`; None if these cannot be simulated.
 
-    With no step allowed, they stay and only the tolerances are fitted.
+    With no step allowed, they stay and only the nuisance parameters are fitted.
     """
     parameters = {term: problem.parameters[term] for term in values}
     start = [to_scaled(parameters[term], value) for term, value in values.items()]
@@ -97,11 +97,12 @@ def refit_part(
 
 
 def joint_step(problem: Problem, hypothesis: Hypothesis) -> Hypothesis | None:
-    """Values and tolerances where their joint linear model is best; the rest stays as it is.
+    """Values and nuisance parameters where their joint linear model is best.
 
-    None if that promises too little. `refine` simulates a change of effects and takes tolerances
-    linearly. If an effect and a tolerance are the same number, the two then differ by the effect's
-    curvature, and `refine` stops after a short step.
+    All else stays as it is. None if that promises too little. `refine` simulates a change of
+    effects and takes nuisance parameters linearly. If an effect and a nuisance parameter are the
+    same number, the two then differ by the effect's curvature, and `refine` stops after a short
+    step.
     """
     parameters = {term: problem.parameters[term] for term in hypothesis.values}
     return _Fit(problem, parameters).joint_step(hypothesis)
@@ -112,9 +113,9 @@ class _Fit:
         self._problem = problem
         self._terms = tuple(parameters)
         self._parameters = tuple(parameters.values())
-        self._tolerances = len(problem.tolerance_columns)
+        self._nuisance_count = len(problem.nuisance_columns)
         self._prior = np.array([prior_precision(p) for p in self._parameters])
-        self._precision = np.concatenate([np.ones(self._tolerances), self._prior])
+        self._precision = np.concatenate([np.ones(self._nuisance_count), self._prior])
         self._low = np.array([to_scaled(p, p.low) for p in self._parameters])
         self._high = np.array([to_scaled(p, p.high) for p in self._parameters])
         self._lasting = np.flatnonzero([not p.fades for p in self._parameters])
@@ -175,12 +176,12 @@ class _Fit:
     def joint_step(self, hypothesis: Hypothesis) -> Hypothesis | None:
         """As the function of this name."""
         problem = self._problem
-        tolerance_end = self._tolerances
+        nuisance_end = self._nuisance_count
         values = zip(self._parameters, hypothesis.values.values(), strict=True)
         point = np.array([to_scaled(parameter, value) for parameter, value in values])
         self._expected = np.where(self._shape, point, 0.0)
-        predicted = hypothesis.without_tolerances
-        all_columns = np.concatenate([problem.tolerance_columns, hypothesis.columns])
+        predicted = hypothesis.without_nuisance
+        all_columns = np.concatenate([problem.nuisance_columns, hypothesis.columns])
         data = self._products(predicted, all_columns)
         offset = self._offset(point)
         weight_ = weight(self._cost(point, predicted, None)[1], problem.floor)
@@ -188,17 +189,17 @@ class _Fit:
         moment = data.moment.sum(0)
         precision = self._precision
         solution = solve(gram, moment, precision, offset, weight_)
-        t = slice(None, tolerance_end)
+        t = slice(None, nuisance_end)
         step = solution.copy()
         step[t] -= solve(gram[t, t], moment[t], precision[t], offset[t], weight_)
         if step @ (weight_ * gram + np.diag(precision)) @ step < _CONVERGED_GAIN:
             return None
-        ahead = np.clip(point + solution[tolerance_end:], self._low, self._high)
-        tolerances = problem.tolerances_of(solution[t])
-        return replace(hypothesis, values=self._assignment(ahead), tolerances=tolerances)
+        ahead = np.clip(point + solution[nuisance_end:], self._low, self._high)
+        nuisance = problem.nuisance_values_of(solution[t])
+        return replace(hypothesis, values=self._assignment(ahead), nuisance=nuisance)
 
     def _best(self, starts: Array) -> tuple[Array, float]:
-        """The start with the least residual, tolerances fitted, and its mean square."""
+        """The start with the least residual, nuisance parameters fitted, and its mean square."""
         if len(starts) == 1:
             return starts[0], 0.0
         self._expected = starts[0]
@@ -246,29 +247,30 @@ class _Fit:
         return {term: from_scaled(parameter, value) for term, parameter, value in numbers}
 
     def _offset(self, point: Array) -> Array:
-        return np.concatenate([np.zeros(self._tolerances), point - self._expected])
+        return np.concatenate([np.zeros(self._nuisance_count), point - self._expected])
 
     def _step(
         self, point: Array, predicted: Array, columns: Array, mean_square: float, damping: float
     ) -> Array:
-        all_columns = np.concatenate([self._problem.tolerance_columns, columns])
+        all_columns = np.concatenate([self._problem.nuisance_columns, columns])
         data = self._products(predicted, all_columns)
-        tolerance_end = self._tolerances
+        nuisance_end = self._nuisance_count
         weight_ = weight(mean_square, self._problem.floor)
         offset = self._offset(point)
         gram = data.gram.sum(0)
         moment = data.moment.sum(0)
-        # damped by the part that tolerances do not imitate: else an effect like one hardly moves
-        of_tolerances = weight_ * gram[:tolerance_end, :tolerance_end] + np.diag(
-            self._precision[:tolerance_end]
+        # damped by the part that nuisance parameters do not imitate: else an effect like one
+        # hardly moves
+        of_nuisance = weight_ * gram[:nuisance_end, :nuisance_end] + np.diag(
+            self._precision[:nuisance_end]
         )
-        imitated = np.linalg.solve(of_tolerances, gram[:tolerance_end, tolerance_end:])
+        imitated = np.linalg.solve(of_nuisance, gram[:nuisance_end, nuisance_end:])
         unimitated = np.zeros(len(gram))
-        unimitated[tolerance_end:] = (
-            gram[tolerance_end:, tolerance_end:]
-            - weight_ * gram[tolerance_end:, :tolerance_end] @ imitated
+        unimitated[nuisance_end:] = (
+            gram[nuisance_end:, nuisance_end:]
+            - weight_ * gram[nuisance_end:, :nuisance_end] @ imitated
         ).diagonal()
-        unimitated[tolerance_end:] += self._prior / weight_
+        unimitated[nuisance_end:] += self._prior / weight_
         damped = gram + damping * np.diag(unimitated)
         free = np.ones(len(gram), dtype=bool)
         for _ in range(_BOUND_PASSES):
@@ -281,60 +283,60 @@ class _Fit:
                 offset[free_indices],
                 weight_,
             )
-            ahead = point + step[tolerance_end:]
+            ahead = point + step[nuisance_end:]
             below = (ahead < self._low) & (point <= self._low)
             stuck = below | ((ahead > self._high) & (point >= self._high))
-            if not (stuck & free[tolerance_end:]).any():
+            if not (stuck & free[nuisance_end:]).any():
                 break
-            free[tolerance_end:] &= ~stuck
-        return step[tolerance_end:]
+            free[nuisance_end:] &= ~stuck
+        return step[nuisance_end:]
 
     def _products(self, predicted: Array, columns: Array) -> Products:
-        """Products of columns (K, R, C), tolerances first, and the residual of a prediction."""
+        """Products of columns (K, R, C), nuisance first, and the residual of a prediction."""
         problem = self._problem
         residual = self._residual(predicted)
-        known = problem.tolerance_gram
+        known = problem.nuisance_gram
         return products(columns, residual, problem.trial, problem.used, known)
 
     def _residual(self, predicted: Array) -> Array:
-        return self._problem.readings - predicted - self._problem.tolerance_rest
+        return self._problem.readings - predicted - self._problem.nuisance_remainder
 
     def _cost(
         self, point: Array, prediction: Array, mean_square: float | None
     ) -> tuple[float, float]:
-        """Negative log posterior, tolerances fitted, and the mean square residual."""
+        """Negative log posterior, nuisance parameters fitted, and the mean square residual."""
         problem = self._problem
         if not np.isfinite(prediction).all():
             return np.inf, np.inf
         residual = self._residual(prediction)
         residual[~problem.used] = 0.0
-        gram = problem.tolerance_gram.sum(0)
+        gram = problem.nuisance_gram.sum(0)
         count = residual[problem.used].size
-        moment = np.tensordot(problem.tolerance_columns, residual, axes=2)
+        moment = np.tensordot(problem.nuisance_columns, residual, axes=2)
         square = float((residual**2).sum())
         zero_offset = np.zeros(len(moment))
         used = square / count if mean_square is None else mean_square
         for _ in range(2):
             weight_ = weight(used, problem.floor)
-            tolerances = solve(gram, moment, np.ones(len(moment)), zero_offset, weight_)
-            square_left = square - 2.0 * moment @ tolerances + tolerances @ gram @ tolerances
+            nuisance = solve(gram, moment, np.ones(len(moment)), zero_offset, weight_)
+            square_left = square - 2.0 * moment @ nuisance + nuisance @ gram @ nuisance
             if mean_square is None:
                 used = float(square_left / count)
-        prior = tolerances @ tolerances + self._prior @ (point - self._expected) ** 2
+        prior = nuisance @ nuisance + self._prior @ (point - self._expected) ** 2
         return float(weight_ * square_left + prior), float(square_left / count)
 
     def _hypothesis(
         self, point: Array, predicted: Array, columns: Array, mean_square: float
     ) -> Hypothesis:
         problem = self._problem
-        tolerance_end = self._tolerances
-        all_columns = np.concatenate([problem.tolerance_columns, columns])
+        nuisance_end = self._nuisance_count
+        all_columns = np.concatenate([problem.nuisance_columns, columns])
         data = self._products(predicted, all_columns)
         weight_ = weight(mean_square, problem.floor)
         off = self._offset(point)
         # at a bound the one-step refits of the folds may not move either
         inside = (point > self._low) & (point < self._high)
-        free_indices = np.flatnonzero(np.concatenate([np.ones(tolerance_end, dtype=bool), inside]))
+        free_indices = np.flatnonzero(np.concatenate([np.ones(nuisance_end, dtype=bool), inside]))
         part = data.columns(free_indices)
         precision = self._precision[free_indices]
         offset = off[free_indices]
@@ -342,21 +344,21 @@ class _Fit:
         moment = part.moment.sum(0)
         solution = solve(gram, moment, precision, offset, weight_)
         # of the values as they are: the effects' part of `solution` is a step that is not made
-        t = slice(None, tolerance_end)
-        tolerances = solve(gram[t, t], moment[t], precision[t], offset[t], weight_)
+        t = slice(None, nuisance_end)
+        nuisance = solve(gram[t, t], moment[t], precision[t], offset[t], weight_)
         all_columns = all_columns[free_indices]
         held_out_effects = predicted.copy()
         tolerated = np.zeros_like(predicted)
-        without = fold_solutions(part, tolerance_end, precision, offset, weight_, problem.fold)
+        without = fold_solutions(part, nuisance_end, precision, offset, weight_, problem.fold)
         for k, coefficients in enumerate(without):
             rows = problem.fold[problem.trial] == k
             tolerated[rows] = np.tensordot(
-                coefficients[:tolerance_end], all_columns[:tolerance_end, rows], axes=1
+                coefficients[:nuisance_end], all_columns[:nuisance_end, rows], axes=1
             )
             held_out_effects[rows] += np.tensordot(
-                coefficients[tolerance_end:], all_columns[tolerance_end:, rows], axes=1
+                coefficients[nuisance_end:], all_columns[nuisance_end:, rows], axes=1
             )
-        held_out = held_out_effects + tolerated + problem.tolerance_rest
+        held_out = held_out_effects + tolerated + problem.nuisance_remainder
         covariance = np.zeros(2 * self._precision.shape)
         covariance[np.ix_(free_indices, free_indices)] = _covariance(
             part, solution, precision, weight_
@@ -370,21 +372,21 @@ class _Fit:
         return Hypothesis(
             effects=tuple(sorted({term.effect for term in self._terms})),
             values=values,
-            deviations=dict(zip(self._terms, 1.96 * spread[tolerance_end:] * units, strict=True)),
-            tolerances=problem.tolerances_of(tolerances),
+            deviations=dict(zip(self._terms, 1.96 * spread[nuisance_end:] * units, strict=True)),
+            nuisance=problem.nuisance_values_of(nuisance),
             prediction=predicted
-            + np.tensordot(tolerances, problem.tolerance_columns, axes=1)
-            + problem.tolerance_rest,
-            without_tolerances=predicted,
+            + np.tensordot(nuisance, problem.nuisance_columns, axes=1)
+            + problem.nuisance_remainder,
+            without_nuisance=predicted,
             columns=columns,
-            covariance=covariance[tolerance_end:, tolerance_end:],
+            covariance=covariance[nuisance_end:, nuisance_end:],
             held_out=held_out,
             held_out_effects=held_out_effects,
             squares=problem.squares_by_trial(held_out)[0],
             count=data.count,
             sizes=int((~self._shape & columns.any(axis=(1, 2))).sum()),
-            tolerance_chi2=float((tolerances**2).sum()),
-            tolerance_count=int(problem.acting_directions.sum()),
+            nuisance_chi2=float((nuisance**2).sum()),
+            nuisance_count=int(problem.acting_directions.sum()),
         )
 
 
@@ -392,7 +394,8 @@ def _covariance(part: Products, found: Array, precision: Array, weight_: float) 
     """Covariance (K, K) that allows for residuals that are correlated within a trial.
 
     The sandwich of White, generalised to clusters (Liang and Zeger, Biometrika 1986); the priors
-    count as one more, or an effect like a tolerance would be known better than the tolerance is.
+    count as one more, or an effect like a nuisance parameter would be known better than the
+    nuisance parameter is.
     """
     bread = np.linalg.inv(weight_ * part.gram.sum(0) + np.diag(precision))
     scores = weight_ * (part.moment - part.gram @ found)

@@ -1,14 +1,15 @@
 """Linear fits of a residual, scored on held-out trials.
 
 A fit needs only the products X'X, X'y and y'y of each trial, so a fit without some of the trials
-is the solution of a small system. If tolerances b are always fitted and a few other columns c are
-chosen among many, b is eliminated once (Schur complement) over the trials outside a fold:
+is the solution of a small system. If nuisance parameters b are always fitted and a few other
+columns c are chosen among many, b is eliminated once (Schur complement) over the trials outside a
+fold:
 
     b = b₀ - B c,    b₀ = w S X_b'y,    B = w S X_b'X_c,    S = (w X_b'X_b + P_b)⁻¹
 
 The residual sum of squares in the fold is then a quadratic form of c. It stays one when the
-tolerances t, a part of b, are fitted to all trials. They move by w (w X_t'X_t + P_t)⁻¹ X_t'r. The
-first product is over all trials, and r is the residual in the fold.
+nuisance parameters t, a part of b, are fitted to all trials. They move by w (w X_t'X_t + P_t)⁻¹
+X_t'r. The first product is over all trials, and r is the residual in the fold.
 """
 
 from __future__ import annotations
@@ -98,17 +99,18 @@ def solve(gram: Array, moment: Array, precision: Array, offset: Array, weight_: 
 
 
 def fold_solutions(
-    data: Products, tolerances: int, precision: Array, offset: Array, weight_: float, fold: Indices
+    data: Products, nuisance: int, precision: Array, offset: Array, weight_: float, fold: Indices
 ) -> Array:
     """(F, K) the coefficients without each of the folds 0 … F - 1.
 
-    The first `tolerances` coefficients are then fitted to all trials, with the others as they are:
-    often one trial alone shows a tolerance, and then no fit to the rest predicts it.
+    The first `nuisance` coefficients are then fitted to all trials, with the others as
+    they are: often one trial alone shows a nuisance parameter, and then no fit to the rest
+    predicts it.
     """
     gram = data.gram.sum(0)
     moment = data.moment.sum(0)
-    t = slice(None, tolerances)
-    e = slice(tolerances, None)
+    t = slice(None, nuisance)
+    e = slice(nuisance, None)
     solutions = []
     for k in range(int(fold.max()) + 1):
         fold_gram = data.gram[fold == k].sum(0)
@@ -121,10 +123,10 @@ def fold_solutions(
 
 
 def held_out_squares(
-    data: Products, tolerances: int, precision: Array, offset: Array, weight_: float, fold: Indices
+    data: Products, nuisance: int, precision: Array, offset: Array, weight_: float, fold: Indices
 ) -> Array:
     """(T,) sum of squares left in each trial by the solution without its fold."""
-    trial_solutions = fold_solutions(data, tolerances, precision, offset, weight_, fold)[fold]
+    trial_solutions = fold_solutions(data, nuisance, precision, offset, weight_, fold)[fold]
     explained = (
         (data.gram @ trial_solutions[..., None])[..., 0] - 2.0 * data.moment
     ) * trial_solutions
@@ -132,12 +134,12 @@ def held_out_squares(
 
 
 class Reduced:
-    """Held-out mean squares of sets of columns, the tolerances eliminated, at one weight."""
+    """Held-out mean squares of sets of columns at one weight, nuisance parameters eliminated."""
 
     def __init__(
         self,
         data: Products,
-        tolerances: int,
+        nuisance: int,
         base: int,
         precision: Array,
         weight_: float,
@@ -145,9 +147,9 @@ class Reduced:
     ) -> None:
         """The first `base` columns of `data` are always fitted along.
 
-        The first `tolerances` of them are tolerances.
+        The first `nuisance` of them are nuisance parameters.
         """
-        self._tolerances = tolerances
+        self._nuisance_count = nuisance
         self._count = data.count.sum()
         system = []
         moment = []
@@ -156,10 +158,10 @@ class Reduced:
         constant = 0.0
         gram = data.gram.sum(0)
         product = data.moment.sum(0)
-        t = slice(None, tolerances)
+        t = slice(None, nuisance)
         b = slice(None, base)
         c = slice(base, None)
-        of_tolerances = weight_ * gram[t, t] + np.diag(precision[t])
+        of_nuisance = weight_ * gram[t, t] + np.diag(precision[t])
 
         def eliminated(g: Array, m: Array) -> tuple[Array, Array]:
             eliminations = np.linalg.solve(
@@ -178,7 +180,7 @@ class Reduced:
             first, by = eliminated(gram - fold_gram, product - fold_product)
             across = fold_gram[b, b] @ by - fold_gram[b, c]
             pull = np.column_stack([fold_product[t] - fold_gram[t, b] @ first, -across[t]])
-            moved = weight_ * np.linalg.solve(of_tolerances, pull)
+            moved = weight_ * np.linalg.solve(of_nuisance, pull)
             gain = pull.T @ moved
             gain += gain.T - moved.T @ fold_gram[t, t] @ moved
             form.append(fold_gram[c, c] - fold_gram[c, b] @ by + by.T @ across - gain[1:, 1:])
@@ -195,7 +197,7 @@ class Reduced:
     def left(self, sets: NDArray[np.int64]) -> tuple[Array, Array]:
         """(N,) mean squares that N sets (N, K) of columns leave, counted from behind the base.
 
-        Also (N,) the sums of squares of the tolerances, fitted to all trials.
+        Also (N,) the sums of squares of the nuisance parameters, fitted to all trials.
         """
         system = self._system[:, sets[:, :, None], sets[:, None, :]]
         solved = np.linalg.solve(system, self._moment[:, sets][..., None])[..., 0]
@@ -204,7 +206,7 @@ class Reduced:
         form = self._form[:, sets[:, :, None], sets[:, None, :]]
         pulled = (form @ of_folds[..., None])[..., 0] - 2.0 * self._slope[:, sets]
         square = (of_folds * pulled).sum((0, -1)) + self._constant
-        count = self._tolerances
+        count = self._nuisance_count
         by = np.moveaxis(self._by[:count][:, sets], 0, 1)
         base = self._first[:count] - (by * of_all[:, None]).sum(-1)
         return np.maximum(square, 0.0) / self._count, np.asarray((base**2).sum(-1))

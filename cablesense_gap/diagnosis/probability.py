@@ -7,9 +7,9 @@ The log weight of a hypothesis with k effects and n sizes is
 r is the noise-corrected RMS: that of the residual on held-out trials, beyond the sensors' floor.
 s is the sum of squares of the m nuisance parameters in standard deviations, at least m; τ is below
 the m / 2 of independent Gaussian ones because residuals are correlated. p is the log-prior penalty
-of implausible sizes and places, where a kind of machine has one. Tolerances alone have their own
-power κ₀ beyond the least r that can be resolved. An unlisted effect is weighed as if the best
-listed one imitated it, down to a share φ of the gap, and to γ floors if the gap is small
+of implausible sizes and places, where a kind of machine has one. Nuisance parameters alone have
+their own power κ₀ beyond the least r that can be resolved. An unlisted effect is weighed as if the
+best listed one imitated it, down to a share φ of the gap, and to γ floors if the gap is small
 (docs/diagnosis_method.md):
 
     log w = -κ log(least) - κ₀ log(r / least) - τ (s / m - 1)                   for none
@@ -17,8 +17,8 @@ listed one imitated it, down to a share φ of the gap, and to γ floors if the g
 
 `benchmarks/gap_calibration.py` fits these numbers to simulated cases by their mean log
 probability, so the probabilities are calibrated. Two effects are alike if one can imitate the
-other's change of the readings with free numbers, and with tolerances as far as manufacturing
-allows.
+other's change of the readings with free numbers, and with nuisance parameters as far as
+manufacturing allows.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _RIDGE = 1e-6
 class ProbabilityCalibration:
     """The numbers of the formula above.
 
-    `floor_share` is the noise_corrected_rms that no hypothesis can avoid, as a share of the floor.
+    `floor_share` is the noise-corrected RMS that no hypothesis can avoid, as a share of the floor.
     """
 
     power: float  # κ
@@ -95,14 +95,14 @@ def posterior(
 ) -> list[Ranked]:
     """Probabilities of all hypotheses and of an unlisted effect, the most probable first.
 
-    `hypotheses` contain the one of tolerances alone, which is named `none`.
+    `hypotheses` contain the one of nuisance parameters alone, which is named `none`.
     """
     weights = log_weights(
         np.array([h.held_out_rmse for h in hypotheses]),
         np.array([len(h.effects) for h in hypotheses]),
         np.array([h.sizes for h in hypotheses]),
-        np.array([h.tolerance_chi2 for h in hypotheses]),
-        max(hypotheses[0].tolerance_count, 1),
+        np.array([h.nuisance_chi2 for h in hypotheses]),
+        max(hypotheses[0].nuisance_count, 1),
         floor,
         calibration,
         np.array([h.log_prior_penalty for h in hypotheses]),
@@ -202,15 +202,15 @@ def log_weights(
     held_out_rmse: Array,
     counts: np.ndarray,
     sizes: np.ndarray,
-    tolerance_chi2: Array,
-    tolerance_count: float,
+    nuisance_chi2: Array,
+    nuisance_count: float,
     floor: float,
     calibration: ProbabilityCalibration,
     log_prior_penalty: Array | float = 0.0,
 ) -> Array:
     """One for each hypothesis, and the last for an unlisted effect.
 
-    `counts` of effects are 0 for tolerances alone.
+    `counts` of effects are 0 for nuisance parameters alone.
     """
     c = calibration
     floor_share = c.floor_share * floor
@@ -218,12 +218,12 @@ def log_weights(
         [np.hypot(noise_corrected_rms(e**2, floor), floor_share) for e in held_out_rmse]
     )
     least = np.hypot(noise_corrected_rms(0.0, floor), floor_share)
-    tolerances_alone = beyond_floor[np.flatnonzero(counts == 0)[0]]
+    nuisance_alone = beyond_floor[np.flatnonzero(counts == 0)[0]]
     power = np.where(counts == 0, c.none, c.power)
     several = c.one + (counts - 1) * (c.two - c.one)
     penalty = np.where(counts == 0, 0.0, several) + c.size * sizes + log_prior_penalty
-    penalty += c.tolerance_chi2 * (np.maximum(tolerance_chi2 / tolerance_count, 1.0) - 1.0)
-    stand_in = np.hypot(c.share * tolerances_alone, c.stand_in * floor)
+    penalty += c.tolerance_chi2 * (np.maximum(nuisance_chi2 / nuisance_count, 1.0) - 1.0)
+    stand_in = np.hypot(c.share * nuisance_alone, c.stand_in * floor)
     unknown = -c.power * np.log(stand_in / least) - c.unknown
     return np.append(-power * np.log(beyond_floor / least) - penalty, unknown)
 
@@ -261,14 +261,15 @@ def _names_an_effect(ranked: Ranked) -> bool:
 def imitated_share(problem: Problem, one: Hypothesis, other: Hypothesis) -> float:
     """Share of what one hypothesis changes that the other can imitate, 0 to 1.
 
-    It is a share of the RMS of the change without its tolerances; the other's numbers are free.
+    It is a share of the RMS of the change without its nuisance parameters; the other's numbers are
+    free.
     """
-    change = _beyond_tolerances(problem, _change(problem, one), one)
+    change = _beyond_nuisance(problem, _change(problem, one), one)
     whole = float(change @ change)
     if whole == 0.0:
         return 1.0
     other_changes = [_change(problem, other), *other.columns]
-    columns = np.array([_beyond_tolerances(problem, column, one) for column in other_changes])
+    columns = np.array([_beyond_nuisance(problem, column, one) for column in other_changes])
     gram = columns @ columns.T
     gram += _RIDGE * np.diag(gram.diagonal()) + np.finfo(float).tiny * np.eye(len(gram))
     moment = columns @ change
@@ -291,7 +292,7 @@ def _reason(problem: Problem, best: Ranked, rival: Ranked, unit: str) -> str:
             f"noise floor of {floor}: too little to be sure of it."
         )
     share = imitated_share(problem, one, other)
-    change = _beyond_tolerances(problem, _change(problem, one), one)
+    change = _beyond_nuisance(problem, _change(problem, one), one)
     size = float(np.sqrt((change**2).sum() / (problem.used.sum() * problem.nominal.shape[1])))
     imitates = (
         f"{'+'.join(rival.effects)}, with its own numbers, imitates {100.0 * share:.0f} % of "
@@ -309,21 +310,21 @@ def _reason(problem: Problem, best: Ranked, rival: Ranked, unit: str) -> str:
 
 def _change(problem: Problem, hypothesis: Hypothesis) -> Array:
     """(R, C) the change by the effects with their fitted numbers."""
-    fitted = problem.coefficients_of(hypothesis.tolerances)
-    of_tolerances = np.tensordot(fitted, problem.tolerance_columns, axes=1)
-    known = problem.nominal + problem.tolerance_rest
-    return np.asarray(hypothesis.prediction - of_tolerances - known)
+    fitted = problem.coefficients_of(hypothesis.nuisance)
+    of_nuisance = np.tensordot(fitted, problem.nuisance_columns, axes=1)
+    known = problem.nominal + problem.nuisance_remainder
+    return np.asarray(hypothesis.prediction - of_nuisance - known)
 
 
-def _beyond_tolerances(problem: Problem, change: Array, fitted: Hypothesis) -> Array:
-    """The part of a change over the used rows, flat, that tolerances do not imitate.
+def _beyond_nuisance(problem: Problem, change: Array, fitted: Hypothesis) -> Array:
+    """The part of a change over the used rows, flat, that nuisance parameters do not imitate.
 
     The cost of their priors is appended, so that products of two such vectors are those of the
     marginal likelihood of the readings.
     """
     weight_ = weight(fitted.held_out_rmse**2, problem.floor)
-    tolerances = problem.tolerance_columns[:, problem.used]
-    flat = tolerances.reshape(len(tolerances), int(problem.used.sum()) * change.shape[1])
+    nuisance = problem.nuisance_columns[:, problem.used]
+    flat = nuisance.reshape(len(nuisance), int(problem.used.sum()) * change.shape[1])
     target = change[problem.used].ravel()
     coefficients = np.linalg.solve(flat @ flat.T + np.eye(len(flat)) / weight_, flat @ target)
     return np.concatenate([target - coefficients @ flat, coefficients / np.sqrt(weight_)])

@@ -23,10 +23,11 @@ RESOLUTION = 0.2
 """Residuals below this share of the sensors' floor are not distinguished."""
 
 _UNSEEN = 0.1
-"""Share of the floor below which a change by tolerances is left out: half of what residuals can
-show."""
+"""Share of the floor below which a change by nuisance parameters is left out: half of what
+residuals can show."""
 _WORTH_MIXING = 0.2
-"""Share of the directions to be left out, from which on tolerances are fitted by directions."""
+"""Share of the directions to be left out, from which on nuisance parameters are fitted by
+directions."""
 
 EFFECT_WORTH = 1.08
 """The factor by which an effect must make the cost smaller."""
@@ -47,19 +48,19 @@ class Hypothesis:
     """Effects with places and values, fitted together with the manufacturing tolerances.
 
     Attributes:
-        effects: names in alphabetical order; none for tolerances alone.
+        effects: names in alphabetical order; none for nuisance parameters alone.
         deviations: 95 % half-widths of the values.
-        prediction: (R, C) with effects and tolerances.
-        without_tolerances: (R, C) with the effects alone.
+        prediction: (R, C) with effects and nuisance parameters.
+        without_nuisance: (R, C) with the effects alone.
         columns: (K, R, C) sensitivities to the scaled values, in the order of `values`.
         covariance: (K, K) of the scaled values; zero for those at the end of their range.
         held_out: (R, C) each trial predicted with effects fitted without its fold.
-        held_out_effects: (R, C) the same with the effects alone, without tolerances.
+        held_out_effects: (R, C) the same with the effects alone, without nuisance parameters.
         squares: (T,) sum of squared held-out residuals of each trial.
         count: (T,) numbers in each trial.
         sizes: how many of the values are sizes that change a reading.
-        tolerance_chi2: sum of the squares of the tolerances, each in standard deviations.
-        tolerance_count: of the directions in which they were fitted, whose sum it is.
+        nuisance_chi2: sum of the squares of the nuisance parameters, each in standard deviations.
+        nuisance_count: of the directions in which they were fitted, whose sum it is.
         log_prior_penalty: by how much its sizes and places are less probable than usual ones,
             natural logarithm.
     """
@@ -67,9 +68,9 @@ class Hypothesis:
     effects: tuple[str, ...]
     values: Mapping[Term, float]
     deviations: Mapping[Term, float]
-    tolerances: Mapping[Term, float]
+    nuisance: Mapping[Term, float]
     prediction: Array
-    without_tolerances: Array
+    without_nuisance: Array
     columns: Array
     covariance: Array
     held_out: Array
@@ -77,8 +78,8 @@ class Hypothesis:
     squares: Array
     count: Array
     sizes: int
-    tolerance_chi2: float
-    tolerance_count: int
+    nuisance_chi2: float
+    nuisance_count: int
     log_prior_penalty: float = 0.0
 
     @property
@@ -120,15 +121,16 @@ class Problem:
         fold: (T,) trials of one fold are held out together.
         used: (R,) rows that count.
         nominal: (R, C) prediction without any effect.
-        tolerance_std: (K,) standard deviation of each of the K terms.
-        tolerance_mix: (K, J) directions in which fits move them: deviations of the terms, in
+        nuisance_std: (K,) standard deviation of each of the K terms.
+        nuisance_mix: (K, J) directions in which fits move them: deviations of the terms, in
             standard deviations, by coefficients that are normal and independent.
-        tolerance_columns: (J, R, C) sensitivities to these coefficients.
-        tolerance_rest: (R, C) change by tolerances beyond these, where the columns were taken.
-        tolerances_at: the tolerances where they were; without any, the nominal ones.
-        tolerances_change: (R, C) change of the nominal prediction by them.
+        nuisance_columns: (J, R, C) sensitivities to these coefficients.
+        nuisance_remainder: (R, C) change by nuisance parameters beyond these, where the columns
+            were taken.
+        nuisance_at: the nuisance parameters where they were; without any, the nominal ones.
+        nuisance_change: (R, C) change of the nominal prediction by them.
         past: by how much readings depend on it; None if unknown.
-        far_off: standard deviations beyond which one tolerance imitates an effect.
+        far_off: standard deviations beyond which one nuisance parameter imitates an effect.
         subsample: the same for some of the rows, if these suffice to choose among effects that
             depend on history.
     """
@@ -139,13 +141,13 @@ class Problem:
     fold: NDArray[np.int64]
     used: NDArray[np.bool_]
     nominal: Array
-    tolerance_terms: tuple[Term, ...]
-    tolerance_std: Array
-    tolerance_mix: Array
-    tolerance_columns: Array
-    tolerance_rest: Array
-    tolerances_at: Assignment
-    tolerances_change: Array
+    nuisance_terms: tuple[Term, ...]
+    nuisance_std: Array
+    nuisance_mix: Array
+    nuisance_columns: Array
+    nuisance_remainder: Array
+    nuisance_at: Assignment
+    nuisance_change: Array
     past: Past | None = None
     far_off: float = 5.0
     subsample: Subsample | None = None
@@ -158,34 +160,35 @@ class Problem:
     def predict(self, variants: Sequence[Assignment]) -> Array:
         """Readings (P, R, C) of P variants of the nominal mechanism.
 
-        An effect changes them as it does together with the tolerances about which they are linear.
+        An effect changes them as it does together with the nuisance parameters about which they
+        are linear.
         """
-        if not self.tolerances_at:
+        if not self.nuisance_at:
             return self.simulator.predict(variants)
-        beside = [{**self.tolerances_at, **variant} for variant in variants]
-        return self.simulator.predict(beside) - self.tolerances_change
+        beside = [{**self.nuisance_at, **variant} for variant in variants]
+        return self.simulator.predict(beside) - self.nuisance_change
 
     @cached_property
-    def tolerance_gram(self) -> Array:
-        """(T, J, J) of the tolerances' columns in the used rows of each trial."""
+    def nuisance_gram(self) -> Array:
+        """(T, J, J) of the nuisance parameters' columns in the used rows of each trial."""
         nothing = np.zeros_like(self.readings)
-        return products(self.tolerance_columns, nothing, self.trial, self.used).gram
+        return products(self.nuisance_columns, nothing, self.trial, self.used).gram
 
     @cached_property
     def acting_directions(self) -> NDArray[np.bool_]:
-        """(J,) in which directions tolerances change anything; some do so only with friction."""
-        return np.asarray(self.tolerance_columns.any(axis=(1, 2)))
+        """(J,) in which directions nuisance parameters act; some do so only with friction."""
+        return np.asarray(self.nuisance_columns.any(axis=(1, 2)))
 
-    def tolerances_of(self, coefficients: Array) -> dict[Term, float]:
+    def nuisance_values_of(self, coefficients: Array) -> dict[Term, float]:
         """Those that change anything, of the coefficients (J,) of a fit."""
-        values = self.tolerance_std * (self.tolerance_mix @ coefficients)
-        acting = np.flatnonzero((self.tolerance_mix * self.acting_directions != 0.0).any(axis=1))
-        return {self.tolerance_terms[k]: float(values[k]) for k in acting}
+        values = self.nuisance_std * (self.nuisance_mix @ coefficients)
+        acting = np.flatnonzero((self.nuisance_mix * self.acting_directions != 0.0).any(axis=1))
+        return {self.nuisance_terms[k]: float(values[k]) for k in acting}
 
-    def coefficients_of(self, tolerances: Assignment) -> Array:
-        """(J,) of tolerances, without what these change less than can be resolved."""
-        values = np.array([tolerances.get(term, 0.0) for term in self.tolerance_terms])
-        return np.asarray((values / self.tolerance_std) @ self.tolerance_mix)
+    def coefficients_of(self, nuisance: Assignment) -> Array:
+        """(J,) of nuisance parameters, without what these change less than can be resolved."""
+        values = np.array([nuisance.get(term, 0.0) for term in self.nuisance_terms])
+        return np.asarray((values / self.nuisance_std) @ self.nuisance_mix)
 
     @cached_property
     def parameters(self) -> dict[Term, Parameter]:
@@ -216,42 +219,42 @@ class Problem:
         sums = [np.bincount(self.trial, each, len(self.fold)) for each in (of_row, row_counts)]
         return sums[0].astype(float), sums[1].astype(float)
 
-    def cost(self, mean_square: float, tolerance_chi2: float) -> float:
-        """RMS residual beyond the floor, larger if tolerances would have to be far off.
+    def cost(self, mean_square: float, nuisance_chi2: float) -> float:
+        """RMS residual beyond the floor, larger if nuisance parameters would have to be far off.
 
-        The search ranks hypotheses by it. It grows with small surpluses of tolerances as the
-        posterior does, but less with large ones: linear columns exaggerate these.
+        The search ranks hypotheses by it. It grows with small surpluses of nuisance parameters as
+        the posterior does, but less with large ones: linear columns exaggerate these.
         """
         usual = max(int(self.acting_directions.sum()), 1)
-        return noise_corrected_rms(mean_square, self.floor) * max(tolerance_chi2 / usual, 1.0)
+        return noise_corrected_rms(mean_square, self.floor) * max(nuisance_chi2 / usual, 1.0)
 
     def cost_of(self, hypothesis: Hypothesis) -> float:
         """The cost of a hypothesis on held-out trials."""
-        return self.cost(hypothesis.held_out_rmse**2, hypothesis.tolerance_chi2)
+        return self.cost(hypothesis.held_out_rmse**2, hypothesis.nuisance_chi2)
 
-    def worst_tolerance(self, hypothesis: Hypothesis) -> float:
+    def worst_nuisance(self, hypothesis: Hypothesis) -> float:
         """In standard deviations."""
-        std = dict(zip(self.tolerance_terms, self.tolerance_std, strict=True))
-        off = (abs(value) / std[term] for term, value in hypothesis.tolerances.items())
+        std = dict(zip(self.nuisance_terms, self.nuisance_std, strict=True))
+        off = (abs(value) / std[term] for term, value in hypothesis.nuisance.items())
         return max(off, default=0.0)
 
-    def has_usual_tolerances(self, hypothesis: Hypothesis) -> bool:
-        """Whether none of its tolerances is so far off that it imitates an effect."""
-        return self.worst_tolerance(hypothesis) <= self.far_off
+    def has_usual_nuisance(self, hypothesis: Hypothesis) -> bool:
+        """Whether none of its nuisance parameters is so far off that it imitates an effect."""
+        return self.worst_nuisance(hypothesis) <= self.far_off
 
     def is_explained(self, hypothesis: Hypothesis) -> bool:
-        """Whether its residual is near the least that can be resolved, with usual tolerances."""
+        """Whether its residual is near the least that can be resolved, its nuisance usual."""
         near = self.cost_of(hypothesis) <= _EXPLAINED_RATIO * noise_corrected_rms(0.0, self.floor)
-        return near and self.has_usual_tolerances(hypothesis)
+        return near and self.has_usual_nuisance(hypothesis)
 
     def shows(self, hypothesis: Hypothesis, part: Hypothesis) -> bool:
         """Whether a hypothesis explains clearly more than a part of it.
 
         The least is half a noise floor and more than chance. It also does if the part needs a
-        tolerance that imitates an effect.
+        nuisance parameter that imitates an effect.
         """
-        worst = max(self.far_off, self.worst_tolerance(hypothesis))
-        if self.worst_tolerance(part) > worst:
+        worst = max(self.far_off, self.worst_nuisance(hypothesis))
+        if self.worst_nuisance(part) > worst:
             return True
         more = part.held_out_rmse**2 - hypothesis.held_out_rmse**2
         return more > (_SHOWN_FLOORS * self.floor) ** 2 and hypothesis.is_clearly_better_than(part)
@@ -276,7 +279,7 @@ class Subsample:
         return replace(
             whole,
             prediction=whole.prediction[self.rows],
-            without_tolerances=whole.without_tolerances[self.rows],
+            without_nuisance=whole.without_nuisance[self.rows],
             columns=whole.columns[:, self.rows],
             held_out=held_out,
             held_out_effects=whole.held_out_effects[self.rows],
@@ -303,9 +306,9 @@ def subsampled(problem: Problem, simulator: Simulator, rows: NDArray[np.int64]) 
         trial=problem.trial[rows],
         used=problem.used[rows],
         nominal=simulator.predict([{}])[0],
-        tolerance_columns=problem.tolerance_columns[:, rows],
-        tolerance_rest=problem.tolerance_rest[rows],
-        tolerances_change=problem.tolerances_change[rows],
+        nuisance_columns=problem.nuisance_columns[:, rows],
+        nuisance_remainder=problem.nuisance_remainder[rows],
+        nuisance_change=problem.nuisance_change[rows],
     )
     return replace(problem, subsample=Subsample(rows, part))
 
@@ -317,14 +320,14 @@ def prepare(
     fold: NDArray[np.int64],
     used: NDArray[np.bool_],
 ) -> Problem:
-    """Predict the nominal mechanism, and the change by tolerances."""
+    """Predict the nominal mechanism, and the change by nuisance parameters."""
     nominal = simulator.predict([{}])[0]
     std = {term: p.typical for term, p in parameters_of(simulator.tolerances).items()}
     columns = np.zeros((0, *nominal.shape))
     if std:
         alone = [{term: value} for term, value in std.items()]
         columns = small_changes(simulator, {}, alone)
-    mix = tolerance_directions(columns[:, used], simulator.floor)
+    mix = nuisance_directions(columns[:, used], simulator.floor)
     return Problem(
         simulator=simulator,
         readings=readings,
@@ -332,24 +335,24 @@ def prepare(
         fold=fold,
         used=used,
         nominal=nominal,
-        tolerance_terms=tuple(std),
-        tolerance_std=np.array(list(std.values())),
-        tolerance_mix=mix,
-        tolerance_columns=np.tensordot(mix.T, columns, axes=1),
-        tolerance_rest=np.zeros_like(nominal),
-        tolerances_at={},
-        tolerances_change=np.zeros_like(nominal),
+        nuisance_terms=tuple(std),
+        nuisance_std=np.array(list(std.values())),
+        nuisance_mix=mix,
+        nuisance_columns=np.tensordot(mix.T, columns, axes=1),
+        nuisance_remainder=np.zeros_like(nominal),
+        nuisance_at={},
+        nuisance_change=np.zeros_like(nominal),
     )
 
 
-def tolerance_directions(columns: Array, floor: float) -> Array:
-    """(K, J) orthonormal directions of K tolerances that their columns (K, R, C) distinguish.
+def nuisance_directions(columns: Array, floor: float) -> Array:
+    """(K, J) orthonormal directions of K nuisance parameters that columns (K, R, C) distinguish.
 
-    Many tolerances of an arm change readings alike. With independent normal priors of their own,
-    any orthonormal directions have such priors too. Those directions are left out that together
-    are expected to change the readings by less than `_UNSEEN` of the floor. Tolerances that
-    change nothing now may do so with friction, and are directions of their own. So are all if no
-    more than a few directions would be left out.
+    Many nuisance parameters of an arm change readings alike. With independent normal priors of
+    their own, any orthonormal directions have such priors too. Those directions are left out that
+    together are expected to change the readings by less than `_UNSEEN` of the floor. Nuisance
+    parameters that change nothing now may do so with friction, and are directions of their own. So
+    are all if no more than a few directions would be left out.
     """
     count = len(columns)
     acts = columns.any(axis=(1, 2))

@@ -19,6 +19,7 @@ import numpy as np
 
 from cablesense_base.workers import WorkerPool
 from cablesense_gap.diagnosis.fitting import fit, refine, refit, refitted, without
+from cablesense_gap.diagnosis.nuisance import final_refinement, with_nuisance_at
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem, noise_corrected_rms
 from cablesense_gap.diagnosis.selection import (
     LinearEffect,
@@ -27,7 +28,6 @@ from cablesense_gap.diagnosis.selection import (
     linear_effects,
     own_columns,
 )
-from cablesense_gap.diagnosis.tolerances import final_refinement, with_tolerances
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import WHOLE_ARM
 
@@ -54,7 +54,7 @@ _IMPROVED_COST_RATIO = 0.95
 _REDUNDANT_COST_RATIO = 1.12
 """A hypothesis is redundant if fewer of its effects cost less than this many times as much."""
 _RESOLVED_FLOOR_RATIO = 1.1
-"""Noise floors up to which the residual of tolerances alone leaves nothing to explain."""
+"""Noise floors up to which the residual of nuisance parameters alone leaves nothing to explain."""
 _RESOLVED_GAP_SHARE = 0.03
 """Share of the gap that a hypothesis may leave before no further effect is worth its time."""
 _PROGRESS_SHARE = 0.35
@@ -64,7 +64,7 @@ _PROGRESS_SHARE = 0.35
 def search(
     problem: Problem, progress: Progress = lambda *_: None, workers: int = 1
 ) -> list[Hypothesis]:
-    """Every hypothesis that was fitted and is worth its effects, tolerances alone first.
+    """Every hypothesis that was fitted and is worth its effects, nuisance parameters alone first.
 
     With more than one worker, candidates are simulated and fitted in as many processes.
     """
@@ -372,7 +372,7 @@ class _Search:
                 break  # this was done on the subsample
             rests = self._without(best, [(e,) for e in best.effects])
             self._keep_all(rests)
-            # with tolerances as apt as those of the best
+            # with nuisance parameters as apt as those of the best
             self._refine(self._quick(self._found[rest.effects] for rest in rests))
             least = min((self._found[rest.effects] for rest in rests), key=cost_of, default=best)
             if least is best or (
@@ -396,9 +396,9 @@ class _Search:
         return [h for h in hypotheses if not self._history & set(h.effects)]
 
     def _refine_history(self) -> None:
-        """Refines the best if it depends on history; later fits use its tolerances.
+        """Refines the best if it depends on history; later fits use its nuisance parameters.
 
-        Friction changes the columns of tolerances.
+        Friction changes the columns of nuisance parameters.
         """
         if self._history & set(self._best().effects):
             self._refine([self._best()])
@@ -408,9 +408,9 @@ class _Search:
         waiting = dict.fromkeys(
             hypothesis for hypothesis in rough if hypothesis not in self._refined
         )
-        for fitted, tolerances in self._map(final_refinement, waiting):
+        for fitted, nuisance in self._map(final_refinement, waiting):
             self._found[fitted.effects] = fitted
-            self._fitted_in[fitted] = tolerances
+            self._fitted_in[fitted] = nuisance
             self._refined.add(fitted)
 
     def _best(self) -> Hypothesis:
@@ -444,13 +444,13 @@ class _Search:
     def _is_resolved(self) -> bool:
         """Whether so little is unexplained that no further effect is worth its time.
 
-        Tolerances alone leave little more than the floor, or a hypothesis little of the gap.
+        Nuisance parameters alone leave little more than the floor, or a hypothesis little of the
+        gap.
         """
         floor = self._problem.floor
         unexplained_rmse = self._none.held_out_rmse
-        if (
-            unexplained_rmse <= _RESOLVED_FLOOR_RATIO * floor
-            and self._problem.has_usual_tolerances(self._none)
+        if unexplained_rmse <= _RESOLVED_FLOOR_RATIO * floor and self._problem.has_usual_nuisance(
+            self._none
         ):
             return True
         little = _RESOLVED_GAP_SHARE * noise_corrected_rms(unexplained_rmse**2, floor)
@@ -489,14 +489,14 @@ def _called(
 
 
 def _on_all_rows(problem: Problem, found: tuple[Hypothesis, Problem]) -> Hypothesis | None:
-    """A hypothesis of the subsample, with the tolerances in its fit."""
+    """A hypothesis of the subsample, with the nuisance parameters in its fit."""
     hypothesis, of_subsample = found
     subsample = problem.subsample
     assert subsample is not None
     with_fitted = problem
-    if of_subsample.tolerances_at != problem.tolerances_at:
-        columns = subsample.over_all_rows(of_subsample.tolerance_columns)
-        with_fitted = with_tolerances(problem, of_subsample.tolerances_at, columns)
+    if of_subsample.nuisance_at != problem.nuisance_at:
+        columns = subsample.over_all_rows(of_subsample.nuisance_columns)
+        with_fitted = with_nuisance_at(problem, of_subsample.nuisance_at, columns)
     predicted = with_fitted.predict([hypothesis.values])[0]
     start = predicted, subsample.over_all_rows(hypothesis.columns)
     return refit(with_fitted, hypothesis.values, 0, start)

@@ -1,9 +1,9 @@
 """Effects as columns, and which of them explain a residual: chosen linear about one hypothesis.
 
-A column is the change of the readings by one number of an effect in one place. The tolerances and
-the effects of the hypothesis are fitted along. A set of additions is grown location by location; a
-location is an effect in one place. Several sets are grown at once, because the first location that
-helps most is not always part of the best set.
+A column is the change of the readings by one number of an effect in one place. The nuisance
+parameters and the effects of the hypothesis are fitted along. A set of additions is grown location
+by location; a location is an effect in one place. Several sets are grown at once, because the
+first location that helps most is not always part of the best set.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def linear_effects(
     everything = {} if about is None else dict(about.values)
     slow = {c.effect for c in problem.simulator.candidates if c.history_dependent}
     known = {term: value for term, value in everything.items() if term.effect not in slow}
-    base = problem.nominal if about is None else about.without_tolerances
+    base = problem.nominal if about is None else about.without_nuisance
     if len(known) < len(everything):
         base = problem.predict([known])[0]
     taken = {term.place for term in everything if term.effect == candidate.effect}
@@ -192,7 +192,7 @@ def own_columns(problem: Problem, fitted: Hypothesis) -> tuple[Hypothesis, list[
     Gives the base to add to and its locations; sizes that the fit held at zero are left out.
     """
     ranges = problem.parameters
-    base = fitted.without_tolerances
+    base = fitted.without_nuisance
     for column, (term, value) in zip(fitted.columns, fitted.values.items(), strict=True):
         if ranges[term].role == "size":
             base = base - to_scaled(ranges[term], value) * column
@@ -211,7 +211,7 @@ def own_columns(problem: Problem, fitted: Hypothesis) -> tuple[Hypothesis, list[
                 LinearEffect(location[1], terms, zero_start, columns, precision, terms)
             )
     nothing = replace(
-        fitted, effects=(), values={}, columns=fitted.columns[:0], without_tolerances=base
+        fitted, effects=(), values={}, columns=fitted.columns[:0], without_nuisance=base
     )
     return nothing, locations
 
@@ -269,14 +269,14 @@ class Selection:
         self._problem = problem
         self._about = about
         self._offered = offered
-        columns = [problem.tolerance_columns, about.columns, *(e.columns for e in offered)]
-        self._base = len(problem.tolerance_columns) + len(about.columns)
+        columns = [problem.nuisance_columns, about.columns, *(e.columns for e in offered)]
+        self._base = len(problem.nuisance_columns) + len(about.columns)
         ends = self._base + np.cumsum([len(e.columns) for e in offered], dtype=np.int64)
         self._owned = [
             np.arange(n - len(e.columns), n) for n, e in zip(ends, offered, strict=True)
         ]
         fold_of_row = problem.fold[problem.trial]
-        residual = problem.readings - about.without_tolerances - problem.tolerance_rest
+        residual = problem.readings - about.without_nuisance - problem.nuisance_remainder
         self._data = products(np.concatenate(columns), residual, fold_of_row, problem.used)
         self._precision = np.concatenate([np.ones(self._base), *(e.precision for e in offered)])
         self._folds = np.arange(len(self._data.count))
@@ -353,7 +353,7 @@ class Selection:
         weight_ = weight(self._fitted(chosen)[1], self._problem.floor)
         reduced = Reduced(
             self._data.columns(order),
-            len(self._problem.tolerance_columns),
+            len(self._problem.nuisance_columns),
             len(first),
             self._precision[order],
             weight_,
@@ -447,7 +447,7 @@ class Selection:
         return self._problem.cost(*self._fitted(rest)[1:])
 
     def _fitted(self, chosen: Sequence[int]) -> tuple[Array, float, float]:
-        """Coefficients, the mean square left on held-out trials, and that of tolerances."""
+        """Coefficients, the mean square left on held-out trials, and the nuisance chi-square."""
         column_indices: Indices = np.concatenate(
             [np.arange(self._base), *(self._owned[k] for k in chosen)]
         )
@@ -457,13 +457,13 @@ class Selection:
         count = part.count.sum()
         mean_square = self._data.mean_square
         problem = self._problem
-        tolerances = len(problem.tolerance_columns)
+        nuisance = len(problem.nuisance_columns)
         for _ in range(_WEIGHTINGS):
             weight_ = weight(mean_square, problem.floor)
             squares_left = held_out_squares(
-                part, tolerances, precision, zero_offset, weight_, self._folds
+                part, nuisance, precision, zero_offset, weight_, self._folds
             )
             mean_square = float(squares_left.sum() / count)
         coefficients = solve(part.gram.sum(0), part.moment.sum(0), precision, zero_offset, weight_)
-        chi2 = float((coefficients[:tolerances] ** 2).sum())
+        chi2 = float((coefficients[:nuisance] ** 2).sum())
         return coefficients, mean_square, chi2

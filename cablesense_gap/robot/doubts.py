@@ -140,11 +140,11 @@ def weighed(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
     One tolerance far off counts as much as all of them off. A robot has dozens of tolerances. A
     single one, for example a delay of many samples, would not show in the sum of their squares.
     """
-    largest = problem.worst_tolerance(hypothesis)
-    least = len(hypothesis.tolerances) * (largest / problem.far_off) ** 4
+    largest = problem.worst_nuisance(hypothesis)
+    least = len(hypothesis.nuisance) * (largest / problem.far_off) ** 4
     return replace(
         hypothesis,
-        tolerance_chi2=max(hypothesis.tolerance_chi2, least),
+        nuisance_chi2=max(hypothesis.nuisance_chi2, least),
         log_prior_penalty=_log_prior_penalty(problem, hypothesis),
     )
 

@@ -17,7 +17,7 @@ from cablesense_gap.arm_nuisance import (
 from cablesense_gap.arm_simulator import ArmSimulator
 from cablesense_gap.arm_system import ArmSystem
 from cablesense_gap.diagnosis.fitting import refine
-from cablesense_gap.diagnosis.tolerance_posterior import tolerance_posterior
+from cablesense_gap.diagnosis.nuisance_posterior import nuisance_posterior
 from cablesense_gap.simulator import parameters_of, predicted_changes
 from cablesense_gap.system import problem_of
 from cablesense_sim.arm import open_arm
@@ -114,8 +114,8 @@ def known():
         problem = problem_of(ArmSystem(BUILT, replace(recording, tensions_n=read_n)))
         none = refine(problem, {}, [[]])
         assert none.held_out_rmse < 1.1 * problem.floor
-        assert problem.tolerance_mix.shape[1] < problem.tolerance_mix.shape[0]
-        posterior = tolerance_posterior(problem, none)
+        assert problem.nuisance_mix.shape[1] < problem.nuisance_mix.shape[0]
+        posterior = nuisance_posterior(problem, none)
         found.append((theta, fitted_parameters(BUILT, BUILT, posterior)))
     return found
 

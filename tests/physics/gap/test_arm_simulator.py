@@ -341,8 +341,8 @@ def test_tolerances_of_a_very_stiff_arm_are_found(seed):
     readings_n = system.predict([planted])[0] + noise_n
     problem = problem_of(ArmSystem(stiff, replace(recording, tensions_n=readings_n)))
     found = refine(problem, {}, [[]])
-    off = problem.coefficients_of(found.tolerances) - problem.coefficients_of(planted)
-    change = np.sqrt((problem.tolerance_columns[:, problem.used] ** 2).sum(axis=(1, 2)))
+    off = problem.coefficients_of(found.nuisance) - problem.coefficients_of(planted)
+    change = np.sqrt((problem.nuisance_columns[:, problem.used] ** 2).sum(axis=(1, 2)))
     shown = change > 10.0 * system.floor
     assert shown.sum() > 15
     assert_allclose(off[shown], 0.0, atol=0.5)

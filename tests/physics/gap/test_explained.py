@@ -71,7 +71,7 @@ def test_effects_that_one_recording_hardly_distinguishes_are_one_item():
     assert traded.ci95_n[0] < together < traded.ci95_n[1]
     assert traded.ci95_n[1] - traded.ci95_n[0] < 0.2 * together
     # other numbers of both, with nearly the same predictions
-    moved = problem.simulator.predict([trade.elsewhere])[0] - best.without_tolerances
+    moved = problem.simulator.predict([trade.elsewhere])[0] - best.without_nuisance
     assert size_of(moved) < 0.2 * together
     assert abs(trade.elsewhere[amount("other", "a")] - best.values[amount("other", "a")]) > 0.05
     assert trades(*fitted_together(SIGNALS[5])) == []

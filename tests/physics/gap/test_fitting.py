@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cablesense_gap.diagnosis.fitting import joint_step, refine
+from cablesense_gap.diagnosis.nuisance import final_refinement, with_fitted_nuisance
 from cablesense_gap.diagnosis.problem import from_scaled, to_scaled
 from cablesense_gap.diagnosis.selection import linear_effects
-from cablesense_gap.diagnosis.tolerances import final_refinement, with_fitted_tolerances
 from cablesense_gap.simulator import Candidate, Term
 from cablesense_sim.effects.effect import Parameter
 from tests.helpers.gap_problem import (
@@ -110,11 +110,11 @@ def test_held_out_trials_are_predicted_by_fits_that_have_not_seen_them():
     for k in range(4):
         rows = problem.fold[problem.trial] == k
         others = problem.fold[problem.trial] != k
-        columns = np.concatenate([problem.tolerance_columns, SIGNALS[:1]])
+        columns = np.concatenate([problem.nuisance_columns, SIGNALS[:1]])
         x = columns[:, others].reshape(3, -1)
         y = problem.readings[others].ravel()
         best = np.linalg.solve(strong * x @ x.T + np.diag([1, 1, 1 / 9]), strong * x @ y)
-        t = problem.tolerance_columns.reshape(2, -1)
+        t = problem.nuisance_columns.reshape(2, -1)
         beside = (problem.readings - best[2] * columns[2]).ravel()
         best[:2] = np.linalg.solve(strong * t @ t.T + np.eye(2), strong * t @ beside)
         expected = np.tensordot(best, columns[:, rows], axes=1)
@@ -131,7 +131,7 @@ def test_an_effect_takes_over_from_the_tolerance_that_is_the_same_number():
     """Two priors share one number by their variances, here 9 and 0.05²: it is all the effect's."""
     problem = problem_of(Sums(ALIKE, scatter(0.05), floor=1e-3), {GAIN: 0.2})
     found = fitted(problem, {GAIN: 0.0})
-    (tolerance,) = (v for t, v in found.tolerances.items() if t.place == "a")
+    (tolerance,) = (v for t, v in found.nuisance.items() if t.place == "a")
     assert found.values[GAIN] == pytest.approx(0.2, abs=0.02)
     assert abs(tolerance) < 0.02
 
@@ -172,18 +172,18 @@ class Curved(Sums):
 def test_tolerances_are_taken_as_they_act_where_they_are():
     simulator = Curved(linear("gain", ["a"]), scatter())
     linear_about_zero = problem_of(simulator, {GAIN: 0.0, OFF: 0.1})
-    problem = with_fitted_tolerances(linear_about_zero)
+    problem = with_fitted_nuisance(linear_about_zero)
     before, after = (refine(each, {}, [[]]) for each in (linear_about_zero, problem))
-    assert before.tolerances[OFF] > 0.15
+    assert before.nuisance[OFF] > 0.15
     assert after.held_out_rmse < 1.05 * FLOOR
-    assert after.tolerances[OFF] == pytest.approx(0.1, rel=0.1)
-    both = with_fitted_tolerances(problem_of(simulator, {GAIN: 2.0, OFF: 0.1}))
+    assert after.nuisance[OFF] == pytest.approx(0.1, rel=0.1)
+    both = with_fitted_nuisance(problem_of(simulator, {GAIN: 2.0, OFF: 0.1}))
     refined = final_refinement(both, fitted(both, {GAIN: 2.0}))[0]
     assert refined.held_out_rmse < 1.1 * FLOOR
     assert refined.values[GAIN] == pytest.approx(2.0, abs=0.05)
     straight = problem_of(Sums(linear("gain", ["a"]), scatter()), {OFF: 0.1})
-    kept = with_fitted_tolerances(straight).tolerance_columns
-    assert kept is straight.tolerance_columns
+    kept = with_fitted_nuisance(straight).nuisance_columns
+    assert kept is straight.nuisance_columns
 
 
 class Same(Sums):
@@ -198,8 +198,8 @@ class Same(Sums):
 def test_an_effect_that_a_tolerance_imitates_has_the_same_column():
     problem = problem_of(Same(linear("gain", ["a"]), scatter()), {GAIN: 2.0, OFF: 0.15})
     refined, about = final_refinement(problem, fitted(problem, {GAIN: 2.0}))
-    assert refined.tolerances[OFF] == pytest.approx(0.15, rel=0.1)
-    assert_allclose(refined.columns[0], about.tolerance_columns[0] / 0.05, atol=0.1)
+    assert refined.nuisance[OFF] == pytest.approx(0.15, rel=0.1)
+    assert_allclose(refined.columns[0], about.nuisance_columns[0] / 0.05, atol=0.1)
 
 
 def test_a_joint_step_of_effect_and_tolerance_leads_to_the_best_of_both():
@@ -207,7 +207,7 @@ def test_a_joint_step_of_effect_and_tolerance_leads_to_the_best_of_both():
     stepped = joint_step(problem, fitted(problem, {GAIN: 0.5}, most_steps=0))
     best = fitted(problem, {GAIN: 0.5}, most_steps=20)
     assert stepped.values == pytest.approx(best.values, abs=1e-3)
-    assert stepped.tolerances == pytest.approx(best.tolerances, abs=1e-3)
+    assert stepped.nuisance == pytest.approx(best.nuisance, abs=1e-3)
     assert joint_step(problem, best) is None
 
 
@@ -215,11 +215,11 @@ def test_effects_act_beside_the_tolerances_that_fit_best():
     """As the tolerance that is the same number acts there, and not as on the nominal mechanism."""
     simulator = Same(linear("gain", ["a"]), scatter())
     nominal = problem_of(simulator, {GAIN: 0.12})
-    problem = with_fitted_tolerances(nominal)
+    problem = with_fitted_nuisance(nominal)
     none = refine(problem, {}, [[]])
     assert none.held_out_rmse < 1.1 * FLOOR
     (effect,) = linear_effects(problem, simulator.candidates[0], none)
-    as_tolerance = problem.tolerance_columns[0] / 0.05
+    as_tolerance = problem.nuisance_columns[0] / 0.05
     assert_allclose(effect.columns[0], as_tolerance, atol=0.12 * np.abs(as_tolerance).max())
     assert_array_equal(problem.predict([{}])[0], nominal.nominal)
 
@@ -227,8 +227,8 @@ def test_effects_act_beside_the_tolerances_that_fit_best():
 @pytest.mark.parametrize("imitating", [0.05, 0.4])
 def test_a_tolerance_that_imitates_an_effect_leaves_others_where_they_are(imitating):
     truth = {OFF: 0.08, amount("scatter", "a"): imitating}
-    problem = with_fitted_tolerances(problem_of(Curved({}, scatter()), truth))
-    k = problem.tolerance_terms.index(OFF)
-    straight = problem_of(Sums({}, scatter()), {}).tolerance_columns[k]
-    bent = problem.tolerance_columns[k] - straight
+    problem = with_fitted_nuisance(problem_of(Curved({}, scatter()), truth))
+    k = problem.nuisance_terms.index(OFF)
+    straight = problem_of(Sums({}, scatter()), {}).nuisance_columns[k]
+    bent = problem.nuisance_columns[k] - straight
     assert_allclose(bent, 0.05 * 1800.0 * 0.08 * SIGNALS[3], rtol=0.2)

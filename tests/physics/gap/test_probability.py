@@ -94,7 +94,7 @@ def explained(problem: Problem, effects: str, change: np.ndarray) -> Hypothesis:
         effects=names,
         values={amount(name, "x"): 1.0 for name in names},
         deviations={amount(name, "x"): 0.1 for name in names},
-        tolerances={},
+        nuisance={},
         prediction=problem.nominal + change,
         columns=np.array([change] * len(names)),
         held_out=problem.nominal + change,

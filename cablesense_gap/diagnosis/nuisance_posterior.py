@@ -1,8 +1,9 @@
-"""What a recording says about the tolerances of a machine, beside the effects that were found.
+"""What a recording says about a machine's nuisance parameters, beside its effects.
 
-Fits move tolerances in the directions that readings show (`problem.tolerance_directions`). Whoever
-continues with the machine wants all of them with their covariance. Here they are linear about the
-hypothesis, with normal priors: the posterior is that of a Kalman update with the recording.
+Fits move nuisance parameters in the directions that readings show (`problem.nuisance_directions`).
+Whoever continues with the machine wants all of them with their covariance. Here they are linear
+about the hypothesis, with normal priors: the posterior is that of a Kalman update with the
+recording.
 """
 
 from __future__ import annotations
@@ -31,13 +32,14 @@ _SMALL_STEP = 0.1
 
 
 @dataclass(frozen=True)
-class TolerancePosterior:
-    """Tolerances after a recording.
+class NuisancePosterior:
+    """Nuisance parameters after a recording.
 
     Attributes:
-        terms: the K tolerances that were fitted.
+        terms: the K nuisance parameters that were fitted.
         mean: (K,) in their units.
-        covariance: (K, K) of them; effects and all other tolerances may be anything beside them.
+        covariance: (K, K) of them; effects and all other nuisance parameters may be anything
+            beside them.
     """
 
     terms: tuple[Term, ...]
@@ -45,20 +47,21 @@ class TolerancePosterior:
     covariance: Array
 
 
-def tolerance_posterior(problem: Problem, hypothesis: Hypothesis) -> TolerancePosterior:
-    """Tolerances beside a hypothesis's effects.
+def nuisance_posterior(problem: Problem, hypothesis: Hypothesis) -> NuisancePosterior:
+    """Nuisance parameters beside a hypothesis's effects.
 
     Gauss-Newton's method from the hypothesis: what a recording shows best, it shows to a
-    thousandth of a tolerance, and there no column is linear. Columns of tolerances are without
-    friction and creep, which are expensive to simulate; those of effects are the hypothesis's. A
-    residual that the hypothesis leaves counts as in all fits: it makes readings count less.
+    thousandth of a nuisance parameter, and there no column is linear. Columns of nuisance
+    parameters are without friction and creep, which are expensive to simulate; those of effects
+    are the hypothesis's. A residual that the hypothesis leaves counts as in all fits: it makes
+    readings count less.
     """
-    terms = problem.tolerance_terms
+    terms = problem.nuisance_terms
     if not terms:
-        return TolerancePosterior((), np.zeros(0), np.zeros((0, 0)))
+        return NuisancePosterior((), np.zeros(0), np.zeros((0, 0)))
     fit = _Fit(problem, hypothesis)
-    std = problem.tolerance_std
-    scaled = np.array([hypothesis.tolerances.get(term, 0.0) for term in terms]) / std
+    std = problem.nuisance_std
+    scaled = np.array([hypothesis.nuisance.get(term, 0.0) for term in terms]) / std
     effects = (to_scaled(fit.parameters[t], v) for t, v in hypothesis.values.items())
     point = np.concatenate([scaled, np.fromiter(effects, float)])
     residual = problem.readings - hypothesis.prediction
@@ -76,11 +79,11 @@ def tolerance_posterior(problem: Problem, hypothesis: Hypothesis) -> TolerancePo
         if (step**2 < _SMALL_STEP**2 * covariance.diagonal()).all():
             break
     k = slice(None, len(terms))
-    return TolerancePosterior(terms, std * point[k], covariance[k, k] * np.outer(std, std))
+    return NuisancePosterior(terms, std * point[k], covariance[k, k] * np.outer(std, std))
 
 
 class _Fit:
-    """Tolerances, in standard deviations, and scaled values of the effects, as one vector (K,)."""
+    """Nuisance parameters in standard deviations and scaled values of effects, one vector (K,)."""
 
     def __init__(self, problem: Problem, hypothesis: Hypothesis) -> None:
         self._problem = problem
@@ -92,15 +95,15 @@ class _Fit:
             for t, v in values
         ]
         of_effects = [prior_precision(parameter) for parameter in self.parameters.values()]
-        nothing = np.zeros(len(problem.tolerance_terms))
+        nothing = np.zeros(len(problem.nuisance_terms))
         self._expected = np.concatenate([nothing, expected])
         self._precision = np.concatenate([nothing + 1.0, of_effects])
         self._weight = weight(hypothesis.held_out_rmse**2, problem.floor)
 
     def _assignment(self, point: Array) -> dict[Term, float]:
-        count = len(self._problem.tolerance_terms)
-        tolerances = (self._problem.tolerance_std * point[:count]).tolist()
-        assignment = dict(zip(self._problem.tolerance_terms, tolerances, strict=True))
+        count = len(self._problem.nuisance_terms)
+        nuisance = (self._problem.nuisance_std * point[:count]).tolist()
+        assignment = dict(zip(self._problem.nuisance_terms, nuisance, strict=True))
         for (term, parameter), scaled in zip(
             self.parameters.items(), point[count:].tolist(), strict=True
         ):
@@ -123,7 +126,7 @@ class _Fit:
         problem = self._problem
         history = {c.effect for c in problem.simulator.candidates if c.history_dependent}
         base = {t: v for t, v in self._assignment(point).items() if t.effect not in history}
-        steps = dict(zip(problem.tolerance_terms, problem.tolerance_std.tolist(), strict=True))
+        steps = dict(zip(problem.nuisance_terms, problem.nuisance_std.tolist(), strict=True))
         variants = [{**base, t: base[t] + _STEP_OF_STD * std} for t, std in steps.items()]
         columns = small_changes(problem.simulator, base, variants) / _STEP_OF_STD
         columns[~np.isfinite(columns).all(axis=(1, 2))] = 0.0
