@@ -23,7 +23,7 @@ from cablesense_sim.replay import Replay, reading_variance_n2
 _SAME_N = 1e-3
 """Tensions that differ by less are of one equilibrium, which is balanced to some 1e-5 N."""
 _FOLLOWED = 16
-"""Rows over which a rest is followed at most: one that a load has turned to may last as long."""
+"""Rows over which an equilibrium is followed: one that a load turned to may last so long."""
 _SIMILAR_ARMS = 16
 """Arms with other tolerances, by whose scatter rows are judged: enough for a scatter to a
 fifth."""
@@ -137,18 +137,18 @@ def counted_rows(arm: Arm, recording: Recording, predicted_n: Array) -> NDArray[
     """
     replay = Replay(arm, *recording.inputs)
     (direct_n,) = replay.readings_n([[]], predicted_n)
-    rest_rad = replay.rest_rad
+    equilibrium_rad = replay.equilibrium_rad
     others: list[Array] = []
     for axis in range(2):
-        mirrored_rad = rest_rad.copy()
-        mirrored_rad[:, axis::2] = (2.0 * recording.command_rad - rest_rad)[:, axis::2]
+        mirrored_rad = equilibrium_rad.copy()
+        mirrored_rad[:, axis::2] = (2.0 * recording.command_rad - equilibrium_rad)[:, axis::2]
         others.append(replay.begun_at(mirrored_rad).readings_n([[]], predicted_n)[0])
     for step in (1, -1):
-        follower = replay.begun_at(rest_rad)
+        follower = replay.begun_at(equilibrium_rad)
         followed_n = direct_n
         for _ in range(_FOLLOWED):
             before_n = followed_n
-            begin_rad = np.roll(follower.rest_rad, step, axis=0)
+            begin_rad = np.roll(follower.equilibrium_rad, step, axis=0)
             follower = follower.begun_at(begin_rad)
             followed_n = follower.readings_n([[]], predicted_n)[0]
             if np.abs(followed_n - before_n).max() < _SAME_N:

@@ -9,7 +9,7 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_msgs_py.messages import Load
 from cablesense_sim.arm import Sensors
-from cablesense_sim.dynamics import ArmDynamics, RestToRestArm
+from cablesense_sim.dynamics import ArmDynamics, ArmQuasiStatics
 from cablesense_sim.effects.effect import Sensing
 from cablesense_sim.joint_motion import JointMotion
 from cablesense_sim.replay import read_tensions_n
@@ -66,7 +66,7 @@ class SimulatedArm:
 
     def __init__(
         self,
-        dynamics: ArmDynamics | RestToRestArm,
+        dynamics: ArmDynamics | ArmQuasiStatics,
         timestep_s: float,
         joint_speed_rad_s: float,
         load_timeout_s: float,
@@ -130,7 +130,7 @@ class SimulatedArm:
                 del self._loads[segment]
         due = self.pacer.steps_due(now_s)
         # an arm that comes to rest when it is read needs no set-points in between
-        steps = due if isinstance(self._dynamics, RestToRestArm) else 1
+        steps = due if isinstance(self._dynamics, ArmQuasiStatics) else 1
         step_s = steps * self._timestep_s
         while due > 0 and (self._motion.moving or self._offset_motion.moving):
             if self._offset_motion.moving:

@@ -5,7 +5,7 @@ Short names for programs that use the arm:
     from cablesense_sim import open_arm, mechanism_of, solve_equilibrium
 
     arm = open_arm("cdsm")
-    rest = solve_equilibrium(mechanism_of(arm), command_rad, forces_n)
+    equilibrium = solve_equilibrium(mechanism_of(arm), command_rad, forces_n)
 
 A name is imported when it is first used, so that `import cablesense_sim` itself costs nothing.
 """

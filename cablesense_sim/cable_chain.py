@@ -7,7 +7,8 @@ two sides of a node are always within the bounds
 
 and cable passes only at that bound (Coulomb's law on a round guide, after Euler and Eytelwein). A
 piece between two nodes that stick carries what its own stretch gives and nothing else. How much
-cable has passed is the state; it changes from rest to rest, by one implicit step each.
+cable has passed is the state; it changes from equilibrium to equilibrium, by one implicit step
+each.
 
 In the passed lengths this is a complementarity problem with two bounds and an M-matrix, so the
 tensions are unique (Cottle, Pang and Stone, The Linear Complementarity Problem, 1992, chapter 3).
@@ -28,7 +29,7 @@ from cablesense_base import Array
 from cablesense_sim.cable_pull import CablePull
 from cablesense_sim.compiled import compiled
 
-_LEAST_GIVE_M = 1e-8
+_LEAST_PRESLIDING_M = 1e-8
 """Presliding displacement that counts as none."""
 _MOST_STEPS = 40
 """Newton steps for one cable: most need fewer than ten."""
@@ -55,9 +56,9 @@ class _Cables(NamedTuple):
     """C cables of K pieces and K - 1 nodes."""
 
     stiffness_n_m: Array  # (C, K) of the pieces, zero beyond the end of a cable
-    give_m: Array  # (C, K - 1) of bristles, zero where a node sticks rigidly
+    presliding_m: Array  # (C, K - 1) of bristles, zero where a node sticks rigidly
     rounding: Array  # (C, K - 1) Dahl's exponent of bristles
-    natural_m: Array  # (C, K) material that lay in the pieces at the last rest, unstretched
+    natural_m: Array  # (C, K) material that lay in the pieces at the last equilibrium, unstretched
     share: Array  # (C, K - 1) of the limit that bristles carried there
     slips: Array  # (C, K - 1) which way a node slipped when last looked at, where a search begins
     passed_m: Array  # (C, K - 1) cable that had passed it then, towards the actuator
@@ -88,7 +89,7 @@ class CableChains:
         lengths_m: Array,
         limit: Array,
         share: Array,
-        give_m: Array | float = 0.0,
+        presliding_m: Array | float = 0.0,
         rounding: Array | float = 0.0,
     ) -> None:
         """Cables (...) whose nodes carry a share of their limit, from -1 to 1.
@@ -99,17 +100,17 @@ class CableChains:
                 where they add up to zero.
             limit: (..., K - 1) the limit φ of each node.
             share: (..., K - 1) of it that each carries.
-            give_m: broadcast to (..., K - 1): cable that passes a node while the share grows by
-                one before it slips (bristles); zero sticks rigidly.
+            presliding_m: broadcast to (..., K - 1): cable that passes a node while the share grows
+                by one before it slips (bristles); zero sticks rigidly.
             rounding: broadcast likewise, Dahl's exponent from 0 to below 1: bristles stiffen by
-                (1 - share)^rounding / give on the way to their limit, at 0 evenly.
+                (1 - share)^rounding / presliding on the way to their limit, at 0 evenly.
         """
         self._shape = np.shape(lengths_m)
         nodes = (*self._shape[:-1], self._shape[-1] - 1)
         compliance = np.broadcast_to(compliance_m_n, self._shape)
         exists = compliance > 0.0
         share = np.broadcast_to(share, nodes)
-        give = np.broadcast_to(give_m, nodes)
+        presliding = np.broadcast_to(presliding_m, nodes)
         passed_on = kept(share, limit)
         parts = compliance * np.concatenate([np.ones_like(passed_on[..., :1]), passed_on], axis=-1)
         whole = lengths_m.sum(-1, keepdims=True)
@@ -117,7 +118,7 @@ class CableChains:
         natural = lengths_m - parts / parts.sum(-1, keepdims=True) * whole
         self._cables = _Cables(
             stiffness_n_m=_flat(np.where(exists, 1.0 / np.where(exists, compliance, 1.0), 0.0)),
-            give_m=_flat(np.where(give > _LEAST_GIVE_M, give, 0.0)),
+            presliding_m=_flat(np.where(presliding > _LEAST_PRESLIDING_M, presliding, 0.0)),
             rounding=_flat(np.broadcast_to(rounding, nodes)),
             natural_m=_flat(natural),
             share=_flat(share.copy()),
@@ -207,7 +208,9 @@ def _settle(cables: _Cables, lengths_m: Array, limit: Array) -> None:
             for k in range(pieces):
                 natural[k] -= _gained(passed, k)
             for k in range(pieces - 1):
-                bent = _bent(cables, c, k, passed[k])[0] if cables.give_m[c, k] > 0.0 else 0.0
+                bent = (
+                    _bent(cables, c, k, passed[k])[0] if cables.presliding_m[c, k] > 0.0 else 0.0
+                )
                 cables.share[c, k] = min(max(bent, -1.0), 1.0)
             passed[:] = 0.0
         else:
@@ -245,22 +248,22 @@ def _stretched(stiffness: Array, held: Array, passed: Array, tensions: Array) ->
 def _bent(cables: _Cables, c: int, k: int, passed: float) -> tuple[float, float]:
     """Share that bristles would carry if they could carry any, and by how much it grows, 1/m.
 
-    The remainder to the limit, u, falls as du/dx = -u^rounding / give (Dahl, A solid friction
-    model, Aerospace Corp. TOR-0158, 1968); a bristle at rest is taken to be as stiff as it is on
-    its way back.
+    The remainder to the limit, u, falls as du/dx = -u^rounding / presliding (Dahl, A solid
+    friction model, Aerospace Corp. TOR-0158, 1968); a bristle at rest is taken to be as stiff as
+    it is on its way back.
     """
-    give = cables.give_m[c, k]
+    presliding = cables.presliding_m[c, k]
     share = cables.share[c, k]
     rounding = cables.rounding[c, k]
     if rounding == 0.0:
-        return share + passed / give, 1.0 / give
+        return share + passed / presliding, 1.0 / presliding
     if passed == 0.0:
-        return share, (1.0 + abs(share)) ** rounding / give
+        return share, (1.0 + abs(share)) ** rounding / presliding
     way = np.sign(passed)
     evenly = 1.0 - rounding
-    far = max(max(1.0 - way * share, 0.0) ** evenly - evenly * abs(passed) / give, -1.0)
+    far = max(max(1.0 - way * share, 0.0) ** evenly - evenly * abs(passed) / presliding, -1.0)
     remainder = np.sign(far) * abs(far) ** (1.0 / evenly)
-    return way * (1.0 - remainder), max(remainder, 0.0) ** rounding / give
+    return way * (1.0 - remainder), max(remainder, 0.0) ** rounding / presliding
 
 
 @compiled
@@ -268,7 +271,7 @@ def _slip_m(cables: _Cables, c: int, k: int, way: float) -> float:
     """Cable that passes a node until its bristles slip a way; none where it sticks rigidly."""
     evenly = 1.0 - cables.rounding[c, k]
     remainder = max(1.0 - way * cables.share[c, k], 0.0)
-    return way * cables.give_m[c, k] * remainder**evenly / evenly
+    return way * cables.presliding_m[c, k] * remainder**evenly / evenly
 
 
 @compiled
@@ -281,7 +284,7 @@ def _pass(cables: _Cables, c: int, held: Array, limit: Array, rows: _Rows) -> No
     before it continues.
     """
     stiffness = cables.stiffness_n_m[c]
-    give = cables.give_m[c]
+    presliding = cables.presliding_m[c]
     passed = cables.passed_m[c]
     tensions = np.empty(len(held))
     last = np.empty(len(passed))
@@ -292,8 +295,8 @@ def _pass(cables: _Cables, c: int, held: Array, limit: Array, rows: _Rows) -> No
             _relax(cables, c, held, limit)
             _stretched(stiffness, held, passed, tensions)
             for k in range(len(passed)):
-                bent = _bent(cables, c, k, passed[k])[0] if give[k] > 0.0 else passed[k]
-                slips = abs(bent) >= 1.0 or give[k] == 0.0
+                bent = _bent(cables, c, k, passed[k])[0] if presliding[k] > 0.0 else passed[k]
+                slips = abs(bent) >= 1.0 or presliding[k] == 0.0
                 cables.slips[c, k] = np.sign(bent) if slips else 0.0
         last[:] = passed
         _set_rows(cables, c, passed, tensions, limit, rows)
@@ -303,9 +306,9 @@ def _pass(cables: _Cables, c: int, held: Array, limit: Array, rows: _Rows) -> No
         still = True
         for k in range(len(passed)):
             # the way back is as stiff as can be, and begins at rest
-            if cables.rounding[c, k] > 0.0 and give[k] > 0.0 and passed[k] * last[k] < 0.0:
+            if cables.rounding[c, k] > 0.0 and presliding[k] > 0.0 and passed[k] * last[k] < 0.0:
                 passed[k] = 0.0
-            if give[k] > 0.0 and abs(passed[k] - last[k]) > _ROUNDING:
+            if presliding[k] > 0.0 and abs(passed[k] - last[k]) > _ROUNDING:
                 still = False
         _stretched(stiffness, held, passed, tensions)
         if not _slip(cables, c, passed, tensions, limit, room) and still:
@@ -329,7 +332,7 @@ def _slip(
         if cables.stiffness_n_m[c, k + 1] == 0.0:
             continue
         slips = cables.slips[c, k]
-        if cables.give_m[c, k] > 0.0:
+        if cables.presliding_m[c, k] > 0.0:
             bent = _bent(cables, c, k, passed[k])[0]
             beyond = bent > 1.0 + _ROUNDING
             below = bent < -1.0 - _ROUNDING
@@ -362,7 +365,7 @@ def _set_rows(
         if cables.slips[c, k] != 0.0:
             rows.moves[k] = 1.0
             rows.ratio[k] = np.exp(cables.slips[c, k] * limit[k])
-        elif cables.give_m[c, k] > 0.0:
+        elif cables.presliding_m[c, k] > 0.0:
             bent, stiffer = _bent(cables, c, k, passed[k])
             share = min(max(bent, -1.0), 1.0)
             ratio = np.exp(share * limit[k])
@@ -428,7 +431,7 @@ def _relax(cables: _Cables, c: int, held: Array, limit: Array) -> None:
             low = _slip_m(cables, c, k, -1.0)
             high = _slip_m(cables, c, k, 1.0)
             moved = 0.0
-            if cables.give_m[c, k] > 0.0:
+            if cables.presliding_m[c, k] > 0.0:
                 for _ in range(_HALVINGS):  # what passes if the node does not slip
                     moved = 0.5 * (low + high)
                     share = min(max(_bent(cables, c, k, moved)[0], -1.0), 1.0)

@@ -69,8 +69,8 @@ def contact_response(
     forces = np.zeros((len(n), mechanism.segment_count, 3))
     forces[rows, n] = (axes[rows, n] @ forces_n[..., None])[..., 0]
     touched = replace(mechanism, contact_m=at_m)
-    rest = solve_equilibrium(touched, command_rad, forces, held_m=held_m)
-    angles = rest.joint_angles_rad
+    equilibrium = solve_equilibrium(touched, command_rad, forces, held_m=held_m)
+    angles = equilibrium.joint_angles_rad
     at_joint, slope = (
         each[rows, n] for each in kinematics.contact_torques(mechanism, angles, axes)
     )
@@ -78,7 +78,7 @@ def contact_response(
     by_place = forces_n[:, :, None] @ slope
     columns = np.concatenate([by_force, by_place], axis=2)
     columns = columns.reshape(len(n), -1, mechanism.joint_count)
-    hessian = stiffness_matrix_n_m(touched, angles, rest.tensions_n, forces)
+    hessian = stiffness_matrix_n_m(touched, angles, equilibrium.tensions_n, forces)
     moved = np.linalg.solve(hessian, np.swapaxes(columns, 1, 2))
     jacobian = kinematics.cable_jacobian_m(mechanism, angles)
     if held_m is None:

@@ -1,9 +1,9 @@
-"""An arm that is commanded and loaded in time: stepped by MuJoCo, or from rest to rest.
+"""An arm that is commanded and loaded in time: stepped by MuJoCo, or quasi-static.
 
 `ArmDynamics` steps MuJoCo, with the effects on the arm itself and on its actuators. A cable or a
 joint that sticks must hold at rest and not creep. As a force in time that is a stiffness of
 megapascals over micrometres, which an explicit step does not bear, and a regularised one creeps.
-An arm with history-dependent effects is therefore a `RestToRestArm`: it comes to rest at once,
+An arm with history-dependent effects is therefore an `ArmQuasiStatics`: in equilibrium at once,
 with the state that it had kept, and there is no swinging.
 """
 
@@ -42,14 +42,14 @@ _SLIGHTLY_M = 1e-6
 
 def moving_arm(
     arm: Arm, timestep_s: float, built: BuiltArm | None = None
-) -> ArmDynamics | RestToRestArm:
+) -> ArmDynamics | ArmQuasiStatics:
     """The arm of a file with its effects, as it was `built`; its sensors are left to who reads.
 
     Raises:
-        EquilibriumError: it has no rest under its own weight.
+        EquilibriumError: it has no equilibrium under its own weight.
     """
     if transmissions([entries_of(arm)]):
-        return RestToRestArm(arm, built)
+        return ArmQuasiStatics(arm, built)
     return ArmDynamics(arm, timestep_s, built)
 
 
@@ -169,7 +169,7 @@ class ArmDynamics(_CommandedArm):
         """Build the model.
 
         Raises:
-            EquilibriumError: the arm has history-dependent effects, or no rest.
+            EquilibriumError: the arm has history-dependent effects, or no equilibrium.
         """
         super().__init__(arm, built)
         if transmissions([self._entries]):
@@ -192,14 +192,14 @@ class ArmDynamics(_CommandedArm):
         self._offset_m = np.zeros(self.arm.cable_count)
         fresh = actuations([self._entries])
         held = self._actuated_m(command, fresh, 0.0)
-        rest = solve_equilibrium(self.mechanism, command, held_m=held)
+        equilibrium = solve_equilibrium(self.mechanism, command, held_m=held)
         mujoco.mj_resetData(self.model, self.data)
         self._forces_n[:] = 0.0
         self._actuations = fresh
         self.command(command)
-        self.data.qpos[self._joints] = rest.joint_angles_rad
+        self.data.qpos[self._joints] = equilibrium.joint_angles_rad
         if not self._rigid:
-            sag = rest.tensions_n / self.mechanism.actuator_stiffness_n_m
+            sag = equilibrium.tensions_n / self.mechanism.actuator_stiffness_n_m
             for i, retraction in enumerate(self.data.ctrl - sag):
                 self.data.joint(f"screw_{i + 1}").qpos = retraction
         mujoco.mj_forward(self.model, self.data)
@@ -260,8 +260,8 @@ class ArmDynamics(_CommandedArm):
         mujoco.mj_tendon(self.model, self.data)
 
 
-class RestToRestArm(_CommandedArm):
-    """One arm without motion between its rests.
+class ArmQuasiStatics(_CommandedArm):
+    """One arm without motion between its equilibria.
 
     It comes to rest when it is read, and no sooner than `LEAST_PERIOD_S` after the last time.
     """
@@ -270,15 +270,15 @@ class RestToRestArm(_CommandedArm):
         super().__init__(arm, built)
         self._time_s = 0.0
         self.reset()
-        # a rest elsewhere has all code compiled or loaded before time runs
-        self._resting.step(0.0, self._held_m[None] + _SLIGHTLY_M, self._forces_n)
+        # an equilibrium elsewhere has all code compiled or loaded before time runs
+        self._quasi_static.step(0.0, self._held_m[None] + _SLIGHTLY_M, self._forces_n)
         self.reset()
 
     def reset(self, command_rad: ArrayLike | None = None) -> None:
         """Rest, unloaded, at a command (2N,), straight by default; without a past, at time zero.
 
         Raises:
-            EquilibriumError: as `command`, or the arm finds no rest there.
+            EquilibriumError: as `command`, or the arm finds no equilibrium there.
         """
         from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
 
@@ -289,13 +289,13 @@ class RestToRestArm(_CommandedArm):
         resting = QuasiStaticArm([self.mechanism], [self._entries])
         tensions = resting.step(0.0, held[None], np.zeros_like(self._forces_n))[0]
         self._actuations = actuating
-        self._resting = resting
+        self._quasi_static = resting
         self._command_rad = command
         self._held_m = held
         self._tensions_n = tensions
         self._forces_n[:] = 0.0
         self._time_s = 0.0
-        self._rested_s = 0.0
+        self._solved_s = 0.0
 
     def _hold(self, held_m: Array) -> None:
         self._held_m = held_m
@@ -312,21 +312,21 @@ class RestToRestArm(_CommandedArm):
     @property
     def joint_angles_rad(self) -> Array:
         """(2N,) true joint angles."""
-        self._come_to_rest()
-        return self._resting.joint_angles_rad[0]
+        self._find_equilibrium()
+        return self._quasi_static.joint_angles_rad[0]
 
     @property
     def tensions_n(self) -> Array:
-        """(M,) true cable tensions at the actuators; NaN where the arm finds no rest."""
-        self._come_to_rest()
+        """(M,) true cable tensions at the actuators; NaN where the arm finds no equilibrium."""
+        self._find_equilibrium()
         return self._tensions_n.copy()
 
-    def _come_to_rest(self) -> None:
-        if self._time_s - self._rested_s < LEAST_PERIOD_S - _ROUNDING_S:
+    def _find_equilibrium(self) -> None:
+        if self._time_s - self._solved_s < LEAST_PERIOD_S - _ROUNDING_S:
             return
-        self._rested_s = self._time_s
+        self._solved_s = self._time_s
         try:
-            tensions = self._resting.step(
+            tensions = self._quasi_static.step(
                 self._time_s, self._held_m[None], self._forces_n, self._places_m
             )
             self._tensions_n = tensions[0]

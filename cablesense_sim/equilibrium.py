@@ -1,14 +1,15 @@
-"""Static equilibrium: where the arm rests under a command and loads, and with which tensions.
+"""Static equilibrium: the arm's pose under a command and loads, and the tensions of its cables.
 
 While the actuators hold the cable lengths of the commanded angles c, cable i carries T_i =
-max(0, k_i s_i) with s_i = l_i(q) - l_i(c) + T0_i / k_i, and the arm rests where the potential
+max(0, k_i s_i) with s_i = l_i(q) - l_i(c) + T0_i / k_i, and the arm is in equilibrium where the
+potential
 
     V(q) = sum_i k_i max(0, s_i)^2 / 2  -  sum_n A_n · x_n(q)
 
 is least (A_n: weight and loads on segment n's unit axis x_n, `kinematics.load_arms`). The loads
 keep their direction in the base frame, so V exists, and slack cables only make it piecewise:
-continuously differentiable, twice so between kinks. `rest` finds the minimum; slack cables
-need no special case. It is compiled, and imported when the first equilibrium is asked for.
+continuously differentiable, twice so between kinks. `equilibrium_search` finds the minimum; slack
+cables need no special case. It is compiled, and imported when the first equilibrium is asked for.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from cablesense_sim import kinematics
 from cablesense_sim.mechanism import Mechanism
 
 if TYPE_CHECKING:
-    from cablesense_sim.rest import Imbalance
+    from cablesense_sim.equilibrium_search import Imbalance
 
 RESIDUAL_LIMIT_N_M = 1e-7
 """Largest joint torque left unbalanced in a pose that counts as an equilibrium.
@@ -53,7 +54,7 @@ class EquilibriumError(CableSenseError):
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """Resting poses, batched on the leading axes of the input.
+    """Poses of equilibrium, batched on the leading axes of the input.
 
     Attributes:
         joint_angles_rad: (..., 2N) true joint angles.
@@ -76,7 +77,7 @@ def solve_equilibrium(
     held_m: ArrayLike | None = None,
     start_rad: ArrayLike | None = None,
 ) -> Equilibrium:
-    """Resting pose and tensions for commands (..., 2N) and forces (..., N, 3) in base axes.
+    """Pose of equilibrium and tensions for commands (..., 2N) and forces (..., N, 3) in base axes.
 
     `held_m` (..., M) are the cable lengths that the actuators hold, relative to the straight arm;
     by default those that this very mechanism has at the commanded angles. An arm that differs
@@ -87,7 +88,7 @@ def solve_equilibrium(
         EquilibriumError: a shape does not fit, a number is not finite, or no pose balances a case
             to within `RESIDUAL_LIMIT_N_M`.
     """
-    from cablesense_sim.rest import search_rest, springs_of
+    from cablesense_sim.equilibrium_search import search_equilibrium, springs_of
 
     command, forces = _checked(mechanism, command_rad, forces_n)
     leading = command.shape[:-1]
@@ -95,20 +96,22 @@ def solve_equilibrium(
     forces = forces.reshape(-1, mechanism.segment_count, 3)
     enough = max(_SEARCHED_SHARE * RESIDUAL_LIMIT_N_M, _rounding_n_m(mechanism))
     if held_m is None:
-        rest = _spanned_m(mechanism, command)
+        slack_m = _spanned_m(mechanism, command)
     else:
         held = np.broadcast_to(np.asarray(held_m, float), (*leading, mechanism.cable_count))
         straight = _spanned_m(mechanism, np.zeros(mechanism.joint_count))
-        rest = straight + held.reshape(-1, mechanism.cable_count)
-    rest = rest - mechanism.pretension_n / mechanism.stiffness_n_m
+        slack_m = straight + held.reshape(-1, mechanism.cable_count)
+    slack_m = slack_m - mechanism.pretension_n / mechanism.stiffness_n_m
     start = command if start_rad is None else np.asarray(start_rad, float).reshape(command.shape)
     arms = kinematics.load_arms(mechanism, forces)
     # contiguous, so that one kind of array is compiled for
-    contiguous = (np.array(each, order="C") for each in (rest, arms, start))
+    contiguous = (np.array(each, order="C") for each in (slack_m, arms, start))
     springs = springs_of(mechanism)
     rounding_m = _rounding_m(mechanism)
-    angles, tensions, residual, iterations = search_rest(springs, enough, rounding_m, *contiguous)
-    _require_rest(mechanism, command, forces, angles, residual)
+    angles, tensions, residual, iterations = search_equilibrium(
+        springs, enough, rounding_m, *contiguous
+    )
+    _require_equilibrium(mechanism, command, forces, angles, residual)
     return Equilibrium(
         joint_angles_rad=angles.reshape(*leading, mechanism.joint_count),
         tensions_n=tensions.reshape(*leading, mechanism.cable_count),
@@ -159,7 +162,7 @@ def balance_at(
     They are the first and second derivative of the potential with these tensions (..., M) and
     forces (..., N, 3), slack cables at zero tension.
     """
-    from cablesense_sim.rest import balanced, plates_of, posed
+    from cablesense_sim.equilibrium_search import balanced, plates_of, posed
 
     arms = kinematics.load_arms(mechanism, forces_n)
     leading = np.broadcast_shapes(
@@ -244,7 +247,7 @@ def _checked(
     )
 
 
-def _require_rest(
+def _require_equilibrium(
     mechanism: Mechanism, command: Array, forces: Array, angles: Array, residual: Array
 ) -> None:
     """Require that every case is at rest, at bends at which no guide plates touch."""

@@ -14,7 +14,7 @@ _LOCKED = 3.0  # no cable reaches a ratio of tensions of exp(3) at one guide bef
 def along_guides(
     spans_m: Array,
     bends_rad: Array,
-    rest_m: Array,
+    slack_m: Array,
     evenly: Array,
     longer_m: Array,
     coefficient: Array,
@@ -29,7 +29,7 @@ def along_guides(
     Args:
         spans_m: (P, M, N) of cable between the plates of a joint.
         bends_rad: (P, M, N, 2) turn of a cable at the guides before and behind a joint.
-        rest_m: (P, M) sum of the spans at which a cable is just slack.
+        slack_m: (P, M) sum of the spans at which a cable is just slack.
         evenly: (P, M, 1 + 2N) shares of the pieces in a cable's gain of length.
         longer_m: (P, M) that gain.
         coefficient: (P, M) of friction.
@@ -43,7 +43,7 @@ def along_guides(
         half = 0.5 * guide_wrap_rad[p]
         for m in range(cables):
             friction = coefficient[p, m]
-            lengths[p, m, 0] = -rest_m[p, m]
+            lengths[p, m, 0] = -slack_m[p, m]
             limit[p, m, 0] = min(friction * pulley_wrap_rad[p], _LOCKED)
             for n in range(joints):
                 before, behind = bends_rad[p, m, n]

@@ -60,7 +60,7 @@ class JointMotion:
         t = move_duration_s(largest_turn_rad, self.joint_speed_rad_s)
         hardest = _PEAK_ACCELERATION * self.joint_speed_rad_s / t
         acceleration = np.clip(acceleration, -hardest, hardest)
-        rest = target_rad - angle - speed * t - 0.5 * acceleration * t**2
+        remaining = target_rad - angle - speed * t - 0.5 * acceleration * t**2
         to_lose = -speed - acceleration * t
         to_ease = -acceleration
         coefficients = np.stack(
@@ -68,9 +68,9 @@ class JointMotion:
                 angle,
                 speed,
                 0.5 * acceleration,
-                (10 * rest - 4 * to_lose * t + 0.5 * to_ease * t**2) / t**3,
-                (-15 * rest + 7 * to_lose * t - to_ease * t**2) / t**4,
-                (6 * rest - 3 * to_lose * t + 0.5 * to_ease * t**2) / t**5,
+                (10 * remaining - 4 * to_lose * t + 0.5 * to_ease * t**2) / t**3,
+                (-15 * remaining + 7 * to_lose * t - to_ease * t**2) / t**4,
+                (6 * remaining - 3 * to_lose * t + 0.5 * to_ease * t**2) / t**5,
             ]
         )
         target = np.array(target_rad, dtype=np.float64)

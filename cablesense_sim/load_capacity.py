@@ -97,7 +97,8 @@ def load_capacity(arm: Arm) -> LoadCapacity:
     """Sag and greatest loads of an arm with the effects of its file.
 
     Raises:
-        WeakArmError: it finds no rest under its own weight, or bears no contact of a millinewton.
+        WeakArmError: it finds no equilibrium under its own weight, or bears no contact of a
+            millinewton.
     """
     mechanism = amended(mechanism_of(arm), entries_of(arm))
     straight = np.zeros(arm.joint_count)
@@ -245,7 +246,8 @@ def hidden_force(arm: Arm, commands_rad: ArrayLike, load_n: float) -> HiddenForc
 
     Raises:
         LoadError: `load_n` is no positive number.
-        EquilibriumError: a command that the arm cannot take, or it finds no rest under the load.
+        EquilibriumError: a command that the arm cannot take, or it finds no equilibrium under the
+            load.
     """
     if not (np.isfinite(load_n) and load_n > 0.0):
         raise LoadError(f"load_n = {load_n:g}: must be a finite force above 0 N")

@@ -1,12 +1,12 @@
-"""An arm that goes from rest to rest: the static solver with history-dependent effects.
+"""An arm that goes from equilibrium to equilibrium: statics with history-dependent effects.
 
-Between two samples the arm comes to rest again, and where it does depends on where it was: a cable
+At each sample the arm is in static equilibrium again, and in which depends on the last: a cable
 that sticks on its guide keeps its tension, a cable that creeps is longer than before. Several arms
 of the same kind, with different numbers, are simulated side by side, as a fit needs.
 
-Each rest is found by Newton's method on the balance of joint torques, which with friction is no
-longer the slope of a potential. Without friction a cable has one tension k max(0, s), with the
-stretch s of the whole; with it, every span has its own (`cablesense_sim.cable_chain`).
+Each equilibrium is found by Newton's method on the balance of joint torques, which with friction
+is no longer the slope of a potential. Without friction a cable has one tension k max(0, s), with
+the stretch s of the whole; with it, every span has its own (`cablesense_sim.cable_chain`).
 """
 
 from __future__ import annotations
@@ -22,11 +22,18 @@ from cablesense_base import Array
 from cablesense_sim import kinematics
 from cablesense_sim.cable_pull import CablePull
 from cablesense_sim.compiled import compiled, eliminate
-from cablesense_sim.effects.effect import ArmRest
+from cablesense_sim.effects.effect import ArmEquilibrium
 from cablesense_sim.effects.registry import Variants, transmissions
 from cablesense_sim.equilibrium import RESIDUAL_LIMIT_N_M, EquilibriumError, solve_equilibrium
+from cablesense_sim.equilibrium_search import (
+    Imbalance,
+    Pose,
+    balanced,
+    escape_step,
+    plates_of,
+    posed,
+)
 from cablesense_sim.mechanism import Mechanism, stack
-from cablesense_sim.rest import Imbalance, Pose, balanced, escape_step, plates_of, posed
 
 _TOLERATED_N_M = 1e-4
 """Torque that may remain in an equilibrium: it changes a reading by some mN."""
@@ -73,7 +80,7 @@ class _Steps(NamedTuple):
 
 
 class QuasiStaticArm:
-    """P arms from rest to rest; holds their state."""
+    """P arms from equilibrium to equilibrium; holds their state."""
 
     def __init__(
         self, mechanisms: Sequence[Mechanism], variants: Variants, *, some_may_fail: bool = False
@@ -109,7 +116,7 @@ class QuasiStaticArm:
 
     @property
     def joint_angles_rad(self) -> Array:
-        """(P, 2N) where the arms rest; straight before the first step."""
+        """(P, 2N) where the arms are in equilibrium; straight before the first step."""
         return self._angles_rad.copy()
 
     def step(
@@ -120,48 +127,50 @@ class QuasiStaticArm:
         contact_m: Array | None = None,
         expected_turn_rad: Array | None = None,
     ) -> Array:
-        """Tensions (P, M) at the actuators at the next rest.
+        """Tensions (P, M) at the actuators at the next equilibrium.
 
         `held_m` (P, M) are the cable lengths that the actuators hold, relative to the straight
         arm; `forces_n` (N, 3), or (P, N, 3) for each arm its own, act in base axes. They act at
         `contact_m` (N,) or (P, N) on the axes, from the joint centres, or at the mechanisms'
-        contact points. The search begins at the last rest plus the `expected_turn_rad` (2N,), for
-        example that of an arm with similar numbers.
+        contact points. The search begins at the last equilibrium plus the `expected_turn_rad`
+        (2N,), for example that of an arm with similar numbers.
 
         Raises:
-            EquilibriumError: an arm finds no rest; its `failed` names them all.
+            EquilibriumError: an arm finds no equilibrium; its `failed` names them all.
         """
-        rest_m = self._straight_m + held_m
+        slack_m = self._straight_m + held_m
         longer_m = np.zeros_like(held_m)
         forces = np.broadcast_to(forces_n, (len(self._each), *forces_n.shape[-2:]))
         places = self._mechanism.contact_m if contact_m is None else contact_m
         places = np.broadcast_to(places, forces.shape[:-1])
         if not self._begun:
             self._longer_m = longer_m
-            self._hold(rest_m)
+            self._hold(slack_m)
             self._begin(time_s, held_m, forces, places)
         for transmission in self._transmissions:
             longer = transmission.lengthening_m(time_s)
             if longer is not None:
                 longer_m = longer_m + longer
         self._longer_m = longer_m
-        rest_m = rest_m + longer_m
-        self._hold(rest_m)
+        slack_m = slack_m + longer_m
+        self._hold(slack_m)
         loaded = replace(self._mechanism, contact_m=places, segment_length_m=self._lengths_m)
         arms = kinematics.load_arms(loaded, forces)
-        with np.errstate(all="ignore"):  # an arm without a rest may go anywhere
+        with np.errstate(all="ignore"):  # an arm without an equilibrium may go anywhere
             while True:
                 try:
-                    pose = self._next(rest_m, arms, expected_turn_rad)
+                    pose = self._next(slack_m, arms, expected_turn_rad)
                     self._require_room(pose.angles_rad)
                     break
                 except EquilibriumError as error:
                     self._lose(error)
         self._angles_rad = pose.angles_rad
         shape = pose.shape
-        rest = ArmRest(time_s, pose.angles_rad, shape.span_m, shape.bend_rad, pose.tensions_n)
+        equilibrium = ArmEquilibrium(
+            time_s, pose.angles_rad, shape.span_m, shape.bend_rad, pose.tensions_n
+        )
         for transmission in self._transmissions:
-            transmission.settle(rest)
+            transmission.settle(equilibrium)
         return np.where(self._lost[:, None], np.nan, pose.tensions_n)
 
     def _lose(self, error: EquilibriumError) -> None:
@@ -169,25 +178,25 @@ class QuasiStaticArm:
             raise error
         self._lost[error.failed] = True
 
-    def _hold(self, rest_m: Array) -> None:
+    def _hold(self, slack_m: Array) -> None:
         for transmission in self._transmissions:
-            transmission.hold(rest_m - self._longer_m, self._longer_m)
+            transmission.hold(slack_m - self._longer_m, self._longer_m)
 
-    def _next(self, rest_m: Array, arms: Array, turn_rad: Array | None) -> _TrialPose:
+    def _next(self, slack_m: Array, arms: Array, turn_rad: Array | None) -> _TrialPose:
         """The next equilibrium, which is the last one if nothing has changed."""
         if self._last is not None:
-            last_rest_m, last_arms, pose = self._last
-            if np.array_equal(rest_m, last_rest_m) and np.array_equal(arms, last_arms):
+            last_slack_m, last_arms, pose = self._last
+            if np.array_equal(slack_m, last_slack_m) and np.array_equal(arms, last_arms):
                 return pose
-        start = self._followed(rest_m) if turn_rad is None else self._angles_rad + turn_rad
+        start = self._followed(slack_m) if turn_rad is None else self._angles_rad + turn_rad
         try:
-            pose = self._search(start, rest_m, arms)
+            pose = self._search(start, slack_m, arms)
         except EquilibriumError:
-            pose = self._in_small_steps(rest_m, arms)
-        self._last = rest_m, arms, pose
+            pose = self._in_small_steps(slack_m, arms)
+        self._last = slack_m, arms, pose
         return pose
 
-    def _followed(self, rest_m: Array) -> Array:
+    def _followed(self, slack_m: Array) -> Array:
         """Where to begin: moved so that every cable, slack or not, keeps the stretch that it had.
 
         With slack cables, Newton's method does not know how far the others were drawn.
@@ -197,9 +206,9 @@ class QuasiStaticArm:
             return angles
         last_m = self._last[0]
         stiffness = self._mechanism.stiffness_n_m
-        if (stiffness * np.abs(rest_m - last_m)).max() < _FOLLOWED_FROM_N:
+        if (stiffness * np.abs(slack_m - last_m)).max() < _FOLLOWED_FROM_N:
             return angles
-        wanted = self._last[2].shape.span_m.sum(-1) - last_m + rest_m
+        wanted = self._last[2].shape.span_m.sum(-1) - last_m + slack_m
         for _ in range(_FOLLOWING_STEPS):
             shape = posed(self._plates, angles)
             jacobian = shape.by_turn_m.reshape(*wanted.shape, -1)
@@ -209,12 +218,12 @@ class QuasiStaticArm:
             angles = angles + np.linalg.solve(pull @ jacobian, pull @ missing)[..., 0]
         return np.asarray(angles)
 
-    def _in_small_steps(self, rest_m: Array, arms: Array) -> _TrialPose:
-        """The same rest by way of others, which change no state."""
+    def _in_small_steps(self, slack_m: Array, arms: Array) -> _TrialPose:
+        """The same equilibrium by way of others, which change no state."""
         angles = self._angles_rad
-        last_m, last_arms = (rest_m, 0.0 * arms) if self._last is None else self._last[:2]
+        last_m, last_arms = (slack_m, 0.0 * arms) if self._last is None else self._last[:2]
         for share in np.linspace(0.0, 1.0, _SMALL_STEPS + 1)[1:]:
-            on_the_way_m = last_m + share * (rest_m - last_m)
+            on_the_way_m = last_m + share * (slack_m - last_m)
             self._hold(on_the_way_m)
             pose = self._search(angles, on_the_way_m, last_arms + share * (arms - last_arms))
             angles = pose.angles_rad
@@ -232,20 +241,20 @@ class QuasiStaticArm:
             held = held_m[arms]
             try:
                 touched = replace(self._each[arms][0], contact_m=contact_m[arms])
-                rest = solve_equilibrium(touched, start, forces, held_m=held)
+                equilibrium = solve_equilibrium(touched, start, forces, held_m=held)
             except EquilibriumError as error:
                 self._lose(EquilibriumError(str(error), np.arange(len(self._each))[arms]))
                 continue
-            self._angles_rad[arms] = rest.joint_angles_rad
-            tensions[arms] = rest.tensions_n
+            self._angles_rad[arms] = equilibrium.joint_angles_rad
+            tensions[arms] = equilibrium.tensions_n
         shape = posed(self._plates, self._angles_rad)
-        first_rest = ArmRest(time_s, self._angles_rad, shape.span_m, shape.bend_rad, tensions)
+        first = ArmEquilibrium(time_s, self._angles_rad, shape.span_m, shape.bend_rad, tensions)
         for transmission in self._transmissions:
-            transmission.begin(self._mechanism, first_rest)
+            transmission.begin(self._mechanism, first)
         self._begun = True
 
-    def _search(self, start: Array, rest_m: Array, arms: Array) -> _TrialPose:
-        pose = self._pose(start, rest_m, arms)
+    def _search(self, start: Array, slack_m: Array, arms: Array) -> _TrialPose:
+        pose = self._pose(start, slack_m, arms)
         count = len(start)
         no_step = np.zeros_like(start)
         fraction = np.ones(count)
@@ -255,7 +264,7 @@ class QuasiStaticArm:
         for _ in range(_MOST_STEPS):
             if np.abs(pose.balance.torque_n_m).max() <= RESIDUAL_LIMIT_N_M:
                 return pose
-            pose = self._pose(_step_on(steps, pose.angles_rad, *pose.balance), rest_m, arms)
+            pose = self._pose(_step_on(steps, pose.angles_rad, *pose.balance), slack_m, arms)
         unbalanced = np.abs(pose.balance.torque_n_m).max(-1)
         if unbalanced.max() <= _TOLERATED_N_M:
             return pose
@@ -281,9 +290,9 @@ class QuasiStaticArm:
             np.flatnonzero((bend >= limit).any(-1)),
         )
 
-    def _pose(self, angles: Array, rest_m: Array, arms: Array) -> _TrialPose:
+    def _pose(self, angles: Array, slack_m: Array, arms: Array) -> _TrialPose:
         shape = posed(self._plates, angles)
-        pull = self._pull(shape.span_m, shape.bend_rad, rest_m)
+        pull = self._pull(shape.span_m, shape.bend_rad, slack_m)
         resisted = self._spring_n_m_rad * angles
         stiffer = self._spring_n_m_rad
         for transmission in self._transmissions:
@@ -300,12 +309,12 @@ class QuasiStaticArm:
             balance.slope_n_m[self._lost] = np.eye(angles.shape[-1])
         return _TrialPose(angles, shape, pull.tensions_n[..., 0], balance)
 
-    def _pull(self, spans_m: Array, bends_rad: Array, rest_m: Array) -> CablePull:
+    def _pull(self, spans_m: Array, bends_rad: Array, slack_m: Array) -> CablePull:
         for transmission in self._transmissions:
             pull = transmission.pull(spans_m, bends_rad)
             if pull is not None:
                 return pull
-        stretch = spans_m.sum(-1) - rest_m
+        stretch = spans_m.sum(-1) - slack_m
         stiffness = self._mechanism.stiffness_n_m * (stretch > 0.0)
         count = 1 + spans_m.shape[-1]
         return CablePull(

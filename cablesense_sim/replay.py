@@ -1,7 +1,7 @@
 """Readings of an arm under given commands and loads, and the noise of its sensors.
 
-A memoryless arm rests where its potential is least, sample by sample and in any order; equal
-samples are solved once. With history-dependent effects the samples are solved in time order.
+A memoryless arm is in equilibrium where its potential is least, sample by sample and in any order;
+equal samples are solved once. With history-dependent effects the samples are solved in time order.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ from cablesense_sim.equilibrium import (
     held_lengths_m,
     solve_equilibrium,
 )
+from cablesense_sim.equilibrium_response import EquilibriumResponse
 from cablesense_sim.mechanism import Mechanism
-from cablesense_sim.rest_response import RestResponse
 
 _HARMONICS = 100
 """Terms of the series of rounding. What the others would add is below 1 % of step² / 12."""
 _KEPT = 4  # arms whose tensions are kept: the next ones often differ in their sensors alone
-_FADED_N = 2e-4  # change of a tension that counts as none: rests are balanced to some 1e-5 N
+_FADED_N = 2e-4  # change of a tension that counts as none: equilibria are balanced to some 1e-5 N
 
 
 class _Course(NamedTuple):
-    """One history-dependent arm from rest to rest."""
+    """One history-dependent arm from equilibrium to equilibrium."""
 
     tensions_n: Array  # (R, M)
-    turn_rad: Array  # (R, 2N) from the rest before
+    turn_rad: Array  # (R, 2N) from the equilibrium before
 
 
 class Replay:
@@ -61,8 +61,8 @@ class Replay:
         command_rad: (R, 2N) commanded joint angles.
         forces_n: (R, N, 3) loads in base axes, as recorded.
         alike: (R,) a number that rows with the same command and loads share.
-        rest_rad: (R, 2N) joint angles at the rests that were found last, without memory of the
-            past; the commands before any was.
+        equilibrium_rad: (R, 2N) joint angles at the equilibria that were found last, without
+            memory of the past; the commands before any was.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Replay:
             flat, axis=0, return_index=True, return_inverse=True
         )
         self._start_rad: Array | None = None
-        self.rest_rad = command_rad
+        self.equilibrium_rad = command_rad
         self._latest: dict[tuple[object, ...], Array] = {}
         self._courses: dict[tuple[object, ...], _Course] = {}
 
@@ -105,7 +105,7 @@ class Replay:
         cannot bear; one that is history-dependent reads NaN from there on.
 
         Raises:
-            EquilibriumError: an arm finds no rest.
+            EquilibriumError: an arm finds no equilibrium.
         """
         if not transmissions(variants):
             return self._through(sensings(variants), self._memoryless_n(variants, unborne_n))
@@ -118,7 +118,7 @@ class Replay:
         To first order. The variants have the same effects as the base, with other numbers.
 
         Raises:
-            EquilibriumError: the base finds no rest.
+            EquilibriumError: the base finds no equilibrium.
         """
         together = [base, *variants]
         mechanisms, held_m, forces_n = self._moved(together)
@@ -127,10 +127,12 @@ class Replay:
         if not np.array_equal(held_m, held_m[:, first][:, same]):
             first = np.arange(len(self.time_s))
             same = first
-        rest = self._rest(mechanisms[0], first, held_m[0], forces_n[0])
+        equilibrium = self._equilibrium(mechanisms[0], first, held_m[0], forces_n[0])
         touched = [self._touched(mechanism, first) for mechanism in mechanisms]
         loads_n = forces_n[:, first]
-        response = RestResponse(touched[0], rest.joint_angles_rad, rest.tensions_n, loads_n[0])
+        response = EquilibriumResponse(
+            touched[0], equilibrium.joint_angles_rad, equilibrium.tensions_n, loads_n[0]
+        )
         tensions_n = [
             response.tensions_n(mechanism, held, loads)
             for mechanism, held, loads in zip(touched, held_m[:, first], loads_n, strict=True)
@@ -142,7 +144,7 @@ class Replay:
         """The same, but the search for each row's rest begins at joint angles (R, 2N)."""
         other = copy(self)
         other._start_rad = start_rad
-        other.rest_rad = start_rad
+        other.equilibrium_rad = start_rad
         other._latest = {}
         other._first = np.arange(len(start_rad))
         other.alike = other._first
@@ -164,19 +166,21 @@ class Replay:
             brief[:] = False
         lasting = [each for each, is_brief in zip(others, brief, strict=True) if not is_brief]
         if not brief.any():
-            tensions[1:] = self._rests_n(lasting, course, some_may_fail=some_may_fail)
+            tensions[1:] = self._path_tensions_n(lasting, course, some_may_fail=some_may_fail)
             return tensions
         together = [
             replace(entry, values=dict(ChainMap(*(c[k] for c in fading if c), entry.values)))
             for k, entry in enumerate(first)
         ]
-        rests_n = self._rests_n([*lasting, together], course, some_may_fail=some_may_fail)
-        tensions[1:][~brief] = rests_n[:-1]
-        differs = ~(np.abs(rests_n[-1] - course.tensions_n).max(axis=1) < _FADED_N)
+        path_n = self._path_tensions_n([*lasting, together], course, some_may_fail=some_may_fail)
+        tensions[1:][~brief] = path_n[:-1]
+        differs = ~(np.abs(path_n[-1] - course.tensions_n).max(axis=1) < _FADED_N)
         rows = int(np.flatnonzero(differs).max(initial=-1)) + 1
         fading_arms = [each for each, is_brief in zip(others, brief, strict=True) if is_brief]
         begin = _Course(*(each[:rows] for each in course))
-        tensions[1:][brief, :rows] = self._rests_n(fading_arms, begin, some_may_fail=some_may_fail)
+        tensions[1:][brief, :rows] = self._path_tensions_n(
+            fading_arms, begin, some_may_fail=some_may_fail
+        )
         return tensions
 
     def _fading_changes(
@@ -198,27 +202,29 @@ class Replay:
         key = some_may_fail, *_key(entries)
         course = self._courses.get(key)
         if course is None:
-            rests = self._rests([entries], None, some_may_fail=some_may_fail)
+            rests = self._equilibria([entries], None, some_may_fail=some_may_fail)
             tensions, angles = (np.stack(each, axis=1)[0] for each in zip(*rests, strict=True))
             course = _Course(tensions, np.diff(angles, axis=0, prepend=angles[:1]))
         self._courses = dict(list({**self._courses, key: course}.items())[-_KEPT:])
         return course
 
-    def _rests_n(self, variants: Variants, along: _Course, *, some_may_fail: bool) -> Array:
+    def _path_tensions_n(
+        self, variants: Variants, along: _Course, *, some_may_fail: bool
+    ) -> Array:
         """Tensions (P, rows, M), with turns like those of another arm."""
         tensions_n = np.empty((len(variants), *along.tensions_n.shape))
         if variants:
-            rests = self._rests(variants, along.turn_rad, some_may_fail=some_may_fail)
+            rests = self._equilibria(variants, along.turn_rad, some_may_fail=some_may_fail)
             for row, (tensions, _) in enumerate(rests):
                 tensions_n[:, row] = tensions
         return tensions_n
 
-    def _rests(
+    def _equilibria(
         self, variants: Variants, turn_rad: Array | None, *, some_may_fail: bool
     ) -> Iterator[tuple[Array, Array]]:
-        """Tensions (P, M) and joint angles (P, 2N) at one rest after another.
+        """Tensions (P, M) and joint angles (P, 2N) at one equilibrium after another.
 
-        With expected turns (rows, 2N) there are as many rests.
+        With expected turns (rows, 2N) there are as many equilibria.
         """
         from cablesense_sim.quasi_static import QuasiStaticArm  # compiled: others need not wait
 
@@ -284,24 +290,24 @@ class Replay:
             same = first
         borne = np.ones(len(first), dtype=bool)
         try:
-            rest = self._rest(mechanism, first, held_m, forces_n)
+            equilibrium = self._equilibrium(mechanism, first, held_m, forces_n)
         except EquilibriumError as error:
             if unborne_n is None or not error.failed.size:
                 raise
             borne[error.failed] = False
-            rest = self._rest(mechanism, first[borne], held_m, forces_n)
+            equilibrium = self._equilibrium(mechanism, first[borne], held_m, forces_n)
         tensions = np.empty((len(first), mechanism.cable_count))
-        tensions[borne] = rest.tensions_n
+        tensions[borne] = equilibrium.tensions_n
         if unborne_n is not None:
             tensions[~borne] = unborne_n[first][~borne]
         angles_rad = self.command_rad[first]
-        angles_rad[borne] = rest.joint_angles_rad
-        self.rest_rad = angles_rad[same]
+        angles_rad[borne] = equilibrium.joint_angles_rad
+        self.equilibrium_rad = angles_rad[same]
         if self._start_rad is None:
-            self._start_rad = self.rest_rad
+            self._start_rad = self.equilibrium_rad
         return np.asarray(tensions[same])
 
-    def _rest(
+    def _equilibrium(
         self, mechanism: Mechanism, rows: NDArray[np.int64], held_m: Array, forces_n: Array
     ) -> Equilibrium:
         start = self.command_rad if self._start_rad is None else self._start_rad
@@ -334,7 +340,7 @@ def replay_arm(
     The course is as in `Replay`.
 
     Raises:
-        EquilibriumError: the arm finds no rest.
+        EquilibriumError: the arm finds no equilibrium.
     """
     replay = Replay(arm, time_s, command_rad, forces_n, places_m)
     return replay.readings_n([entries_of(arm)])[0]

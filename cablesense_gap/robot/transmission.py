@@ -15,7 +15,7 @@ from cablesense_gap.robot.motion import Motion, Recent, Trajectory, derivatives,
 
 _LEAST_KG_M2 = 1e-9
 """Inertia of a joint behind its drive, at least: it is divided by."""
-_LEAST_GIVE = 1e-4
+_LEAST_PRESLIDING = 1e-4
 """Cable gives at least this share of the length that passes a guide."""
 _LEAST_M = 1e-9
 """Length, lever or path that counts as zero, m."""
@@ -171,19 +171,23 @@ class GuidedTendons:
         limit = change.capstan_friction[k] * turn_rad
         beyond = np.cumsum(lever_m[:, :0:-1], axis=1)[:, ::-1]
         way_m = (np.abs(beyond).max(0) * np.ptp(self._motion.position, axis=0)).sum(1)
-        gives_m = np.maximum(change.capstan_presliding[k], _LEAST_GIVE * way_m + _LEAST_M)
+        presliding_m = np.maximum(
+            change.capstan_presliding[k], _LEAST_PRESLIDING * way_m + _LEAST_M
+        )
         if known_n is None:
-            kept_shares = self._left_rigid(k, sign, beyond, limit, gives_m)
+            kept_shares = self._left_rigid(k, sign, beyond, limit, presliding_m)
         else:
-            kept_shares = self._left_elastic(known_n[:, k], sign, beyond, limit, gives_m.max())
+            kept_shares = self._left_elastic(
+                known_n[:, k], sign, beyond, limit, presliding_m.max()
+            )
         return np.einsum("rp,rpj->rj", kept_shares - 1.0, lever_m[:, 1:])
 
     def _left_elastic(
-        self, known_n: Array, sign: Array, beyond: Array, limit: Array, give_m: float
+        self, known_n: Array, sign: Array, beyond: Array, limit: Array, presliding_m: float
     ) -> Array:
         """(R, P - 1) what elastic cable beyond each guide has of the tension at the actuator.
 
-        It is so stiff that at its usual tension it goes from rest to slip within `give_m`.
+        It is so stiff that at its usual tension it goes from rest to slip within `presliding_m`.
         """
         from cablesense_sim.guides import pulled_over_guides_n  # slow to compile
 
@@ -194,13 +198,13 @@ class GuidedTendons:
         between = 0.5 * (beyond[1:] + beyond[:-1])
         moved = np.diff(position, axis=0)
         longer = np.vstack([0.0 * limit[:1], np.einsum("rpj,rj->rp", between, moved)])
-        pulled_n = limit.mean() * near_n.mean() / give_m * sign[:, None] * longer
+        pulled_n = limit.mean() * near_n.mean() / presliding_m * sign[:, None] * longer
         begins = (np.diff(trial, prepend=trial[0] - 1) != 0).astype(float)
         beyond_n = pulled_over_guides_n(near_n, pulled_n, np.exp(limit), begins)
         return np.asarray(beyond_n / near_n[:, None])
 
     def _left_rigid(
-        self, k: int, sign: Array, beyond: Array, limit: Array, gives_m: Array
+        self, k: int, sign: Array, beyond: Array, limit: Array, presliding_m: Array
     ) -> Array:
         """The same of rigid cable that slips the other way by Dahl's law."""
         from cablesense_sim.cable_chain import kept
@@ -211,11 +215,11 @@ class GuidedTendons:
                 same = p and np.allclose(beyond[:, p], beyond[:, p - 1], rtol=0.0, atol=_LEAST_M)
                 slid = self._motion.slid_along
                 slip_shares[:, p] = (
-                    slip_shares[:, p - 1] if same else slid(-beyond[:, p], gives_m[p])
+                    slip_shares[:, p - 1] if same else slid(-beyond[:, p], presliding_m[p])
                 )
             return slip_shares
 
-        share = self._shares.of((k, float(gives_m.max())), shares)
+        share = self._shares.of((k, float(presliding_m.max())), shares)
         return kept(share * sign[:, None], limit)
 
 

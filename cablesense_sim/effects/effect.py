@@ -218,7 +218,7 @@ def shifted(place: str, offset_n: Array) -> Sensing:
     return Instant(lambda _, n: n + offset_n[:, None] * chosen(place, n.shape[-1]))
 
 
-class ArmRest(NamedTuple):
+class ArmEquilibrium(NamedTuple):
     """Where P arms side by side rest at one moment.
 
     Attributes:
@@ -237,23 +237,23 @@ class ArmRest(NamedTuple):
 
 
 class Transmission:
-    """Base: an ideal transmission. Holds the state of P arms side by side, from rest to rest.
+    """Base: an ideal transmission. Holds the state of P quasi-static arms side by side.
 
     The search for the next equilibrium calls every method but `settle` at trial poses, as often
     as it needs. `settle` gives the equilibrium that was found; only it may change the state.
     """
 
-    def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
-        """Set the state before the first sample; `rest` is that of the arm without history."""
+    def begin(self, mechanism: Mechanism, equilibrium: ArmEquilibrium) -> None:
+        """Set the state before the first sample; `equilibrium` is that without history."""
 
     def lengthening_m(self, time_s: float) -> Array | None:
         """(P, M) by which the cables are longer than when they were tensioned."""
         return None
 
-    def hold(self, rest_m: Array, longer_m: Array) -> None:
+    def hold(self, slack_m: Array, longer_m: Array) -> None:
         """Take the lengths that hold the cables, before a search; each (P, M).
 
-        A cable is just slack where its spans add up to `rest_m`, which the actuators set, and
+        A cable is just slack where its spans add up to `slack_m`, which the actuators set, and
         to the length `longer_m` that it has gained since it was tensioned.
         """
 
@@ -265,5 +265,5 @@ class Transmission:
         """Torques (P, 2N) that resist, and their derivative by each joint's own angle."""
         return None
 
-    def settle(self, rest: ArmRest) -> None:
+    def settle(self, equilibrium: ArmEquilibrium) -> None:
         """Take the equilibrium that was reached."""

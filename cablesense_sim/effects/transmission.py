@@ -10,7 +10,7 @@ from cablesense_base import Array
 from cablesense_sim.cable_pull import CablePull
 from cablesense_sim.effects.effect import (
     Actuation,
-    ArmRest,
+    ArmEquilibrium,
     Effect,
     Parameter,
     Transmission,
@@ -174,14 +174,14 @@ class _Guides(Transmission):
     def __init__(self, values: Values) -> None:
         self._values = values
 
-    def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
+    def begin(self, mechanism: Mechanism, equilibrium: ArmEquilibrium) -> None:
         zeros = np.zeros_like(self._values["coefficient"])
         self._coefficient = self._values["coefficient"][:, None] * mechanism.relative_friction
         names = (f"start_{cable}" for cable in cables(mechanism.cable_count))
         start = np.stack([self._values.get(name, zeros) for name in names], axis=-1)
         compliance_m_n = self._pieces_m_n(mechanism)
         self._longer = compliance_m_n / compliance_m_n.sum(-1, keepdims=True)
-        lengths_m, limit = self._at(rest.spans_m, rest.bends_rad)
+        lengths_m, limit = self._at(equilibrium.spans_m, equilibrium.bends_rad)
         borne = self._values.get("weight_borne", zeros + 1.0)[:, None, None]
         if (borne < 1.0).any():
             lengths_m = (1.0 - borne) * self._weightless_m(mechanism) + borne * lengths_m
@@ -206,8 +206,8 @@ class _Guides(Transmission):
         lengths_m[..., 2::2] = spans_m
         return lengths_m
 
-    def hold(self, rest_m: Array, longer_m: Array) -> None:
-        self._rest_m = rest_m
+    def hold(self, slack_m: Array, longer_m: Array) -> None:
+        self._slack_m = slack_m
         self._longer_m = longer_m
 
     def pull(self, spans_m: Array, bends_rad: Array) -> CablePull:
@@ -215,8 +215,8 @@ class _Guides(Transmission):
         pieces = [0, *range(2, tensions.shape[-1], 2)]  # at the actuator, and across the joints
         return CablePull(tensions[..., pieces], slope[..., pieces, :][..., pieces])
 
-    def settle(self, rest: ArmRest) -> None:
-        self._chains.settle(*self._at(rest.spans_m, rest.bends_rad))
+    def settle(self, equilibrium: ArmEquilibrium) -> None:
+        self._chains.settle(*self._at(equilibrium.spans_m, equilibrium.bends_rad))
 
     def _pieces_m_n(self, mechanism: Mechanism) -> Array:
         """(P, M, 1 + 2N) compliances, which add up to that of the cable and its actuator."""
@@ -241,7 +241,7 @@ class _Guides(Transmission):
 
         evenly = self._longer, self._longer_m
         wraps = self._values["pulley_wrap_rad"], self._values["guide_wrap_rad"]
-        return along_guides(spans_m, bends_rad, self._rest_m, *evenly, self._coefficient, *wraps)
+        return along_guides(spans_m, bends_rad, self._slack_m, *evenly, self._coefficient, *wraps)
 
 
 def run_compliance(mechanism: Mechanism, ratio: float | Array, by_length: float | Array) -> Array:
@@ -298,7 +298,7 @@ class _DryJoints(Transmission):
 
     A share moves with the joint until it slips. One part of the contact is sharp: it yields evenly
     over `give_rad` and then slips at once (Prandtl 1928). The other part is rounded: it approaches
-    its limit as exp(-moved / give) (Dahl, as above).
+    its limit as exp(-moved / presliding) (Dahl, as above).
     """
 
     def __init__(self, place: str, values: Values) -> None:
@@ -308,7 +308,7 @@ class _DryJoints(Transmission):
         self._rounded = values["rounded"][:, None]
         self._at: Array | None = None
 
-    def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
+    def begin(self, mechanism: Mechanism, equilibrium: ArmEquilibrium) -> None:
         affected = np.repeat(chosen(self._place, mechanism.segment_count), 2)
         self._limit_n_m = self._values["torque_n_m"][:, None] * affected
         start = np.stack([self._values["start_pitch"], self._values["start_yaw"]], axis=-1)
@@ -316,7 +316,7 @@ class _DryJoints(Transmission):
         self._round = self._sharp
 
     def joint_torque_n_m(self, angles_rad: Array) -> tuple[Array, Array]:
-        if self._at is None:  # it yields nothing until the first rest is found
+        if self._at is None:  # it yields nothing until the first equilibrium is found
             return self._limit_n_m * self._sharp, np.zeros_like(angles_rad)
         sharp, round_, free, full = self._moved(angles_rad - self._at)
         round_slope = np.where(angles_rad == self._at, 1.0, np.abs(full - round_))
@@ -325,10 +325,10 @@ class _DryJoints(Transmission):
         slope = (even * (np.abs(free) < 1.0) + self._rounded * round_slope) / self._give
         return self._limit_n_m * share, self._limit_n_m * slope
 
-    def settle(self, rest: ArmRest) -> None:
+    def settle(self, equilibrium: ArmEquilibrium) -> None:
         if self._at is not None:
-            self._sharp, self._round, *_ = self._moved(rest.angles_rad - self._at)
-        self._at = rest.angles_rad
+            self._sharp, self._round, *_ = self._moved(equilibrium.angles_rad - self._at)
+        self._at = equilibrium.angles_rad
 
     def _moved(self, by_rad: Array) -> tuple[Array, Array, Array, Array]:
         moved = by_rad / self._give
@@ -395,30 +395,30 @@ class _Creep(Transmission):
         self._settled = values["settled"][:, None]
         self._begun = values["begun"][:, None]
 
-    def begin(self, mechanism: Mechanism, rest: ArmRest) -> None:
+    def begin(self, mechanism: Mechanism, equilibrium: ArmEquilibrium) -> None:
         affected = own_cables(self._place, mechanism)
-        self._give_m_n = self._share * affected / mechanism.stiffness_n_m
-        self._reference_n = self._settled * rest.tensions_n
-        target = self._give_m_n * (rest.tensions_n - self._reference_n)
+        self._compliance_m_n = self._share * affected / mechanism.stiffness_n_m
+        self._reference_n = self._settled * equilibrium.tensions_n
+        target = self._compliance_m_n * (equilibrium.tensions_n - self._reference_n)
         self._parts_m = np.repeat((self._begun * target)[..., None] / 3.0, 3, axis=-1)
-        self._rest = rest
+        self._equilibrium = equilibrium
 
     def lengthening_m(self, time_s: float) -> Array:
-        """Each element follows the load of the last rest: the next one is not known yet."""
-        return np.asarray(self._parts_at(time_s, self._rest.tensions_n).sum(-1))
+        """Each element follows the load of the last equilibrium: the next one is not known yet."""
+        return np.asarray(self._parts_at(time_s, self._equilibrium.tensions_n).sum(-1))
 
-    def settle(self, rest: ArmRest) -> None:
-        self._parts_m = self._parts_at(rest.time_s, rest.tensions_n)
-        self._rest = rest
+    def settle(self, equilibrium: ArmEquilibrium) -> None:
+        self._parts_m = self._parts_at(equilibrium.time_s, equilibrium.tensions_n)
+        self._equilibrium = equilibrium
 
     def _parts_at(self, time_s: float, tensions_n: Array) -> Array:
         """Each element follows its share of a tension that changes evenly to `tensions_n`."""
-        periods = max(time_s - self._rest.time_s, 0.0) / self._times_s
+        periods = max(time_s - self._equilibrium.time_s, 0.0) / self._times_s
         done = -np.expm1(-periods)
         on_average = np.divide(done, periods, out=np.ones_like(done), where=periods > 0.0)
         before, after = (
-            (self._give_m_n * (n - self._reference_n) / 3.0)[..., None]
-            for n in (self._rest.tensions_n, tensions_n)
+            (self._compliance_m_n * (n - self._reference_n) / 3.0)[..., None]
+            for n in (self._equilibrium.tensions_n, tensions_n)
         )
         late = (after - before) * (1.0 - on_average)
         return np.asarray(self._parts_m + done * (before - self._parts_m) + late)

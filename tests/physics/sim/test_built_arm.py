@@ -6,7 +6,7 @@ import pytest
 from cablesense_sim.arm import open_arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.built_arm import as_described, built_arm
-from cablesense_sim.dynamics import ArmDynamics, RestToRestArm, moving_arm
+from cablesense_sim.dynamics import ArmDynamics, ArmQuasiStatics, moving_arm
 from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.tolerances import Tolerances
 from tests.helpers.arm_variants import variant
@@ -74,5 +74,5 @@ def test_listed_friction_has_a_coefficient_of_its_own():
     share = ARM.tolerances.friction_share
     assert np.std(coefficients) == pytest.approx(0.15 * share, rel=0.4)
     moving = moving_arm(arm, 1e-3, built_arm(arm, 2))
-    assert isinstance(moving, RestToRestArm)
+    assert isinstance(moving, ArmQuasiStatics)
     assert np.isfinite(moving.tensions_n).all()

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cablesense_sim import kinematics
-from cablesense_sim.effects.effect import ArmRest
+from cablesense_sim.effects.effect import ArmEquilibrium
 from cablesense_sim.effects.registry import EffectEntry, side_by_side
 from cablesense_sim.quasi_static import QuasiStaticArm
 from tests.helpers.effect_arms import MECHANISM, entry, small, up_and_down
@@ -19,10 +19,10 @@ from tests.helpers.joint_torques import load_torques_n_m
 CREEP = entry("cable_creep", share=0.2, time_s=10.0)
 
 
-def rest(time_s: float, tensions_n: np.ndarray) -> ArmRest:
+def rest(time_s: float, tensions_n: np.ndarray) -> ArmEquilibrium:
     nothing = np.zeros((1, 12, 4))
     tensions = np.broadcast_to(tensions_n, (1, 12))
-    return ArmRest(time_s, np.zeros((1, 8)), nothing, np.zeros((1, 12, 4, 2)), tensions)
+    return ArmEquilibrium(time_s, np.zeros((1, 8)), nothing, np.zeros((1, 12, 4, 2)), tensions)
 
 
 def creeping(entry_: EffectEntry, tensions_n: float = 50.0, **values: float):
@@ -83,9 +83,11 @@ def dry(entry_: EffectEntry = FRICTION, start: float = 0.0, **values: float):
     return friction
 
 
-def at(angles_rad: np.ndarray) -> ArmRest:
+def at(angles_rad: np.ndarray) -> ArmEquilibrium:
     nothing = np.zeros((1, 12, 4))
-    return ArmRest(0.0, angles_rad[None], nothing, np.zeros((1, 12, 4, 2)), np.zeros((1, 12)))
+    return ArmEquilibrium(
+        0.0, angles_rad[None], nothing, np.zeros((1, 12, 4, 2)), np.zeros((1, 12))
+    )
 
 
 def course_of(friction, turns_rad: np.ndarray) -> np.ndarray:

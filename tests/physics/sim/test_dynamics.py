@@ -1,4 +1,4 @@
-"""The arm in time, from rest to rest, and on the way to commands: equilibria, loads, refusals."""
+"""The arm in time, quasi-static, and on the way to commands: equilibria, loads, refusals."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from cablesense_sim import kinematics
 from cablesense_sim.arm import open_arm
-from cablesense_sim.dynamics import ArmDynamics, RestToRestArm
+from cablesense_sim.dynamics import ArmDynamics, ArmQuasiStatics
 from cablesense_sim.equilibrium import EquilibriumError, solve_equilibrium
 from cablesense_sim.joint_motion import JointMotion, move_duration_s
 from cablesense_sim.loads import LoadError
@@ -126,7 +126,7 @@ def test_it_goes_through_a_course_as_the_replay_does(names: tuple[str, ...]) -> 
     loads = up_and_down(rows=5)
     commands = np.linspace(0.0, 1.0, len(loads))[:, None] * bent(3, most_deg=6.0)
     times = 0.2 * np.arange(len(loads))
-    moving = RestToRestArm(arm)
+    moving = ArmQuasiStatics(arm)
     found = []
     for row, time in enumerate(times):
         if row:
@@ -138,7 +138,7 @@ def test_it_goes_through_a_course_as_the_replay_does(names: tuple[str, ...]) -> 
 
 
 def test_reset_forgets_the_past() -> None:
-    moving = RestToRestArm(with_effects(*KINDS))
+    moving = ArmQuasiStatics(with_effects(*KINDS))
     first = moving.tensions_n
     moving.command(bent(3, most_deg=6.0))
     moving.load(3, [0.0, 10.0, 0.0])

@@ -1,4 +1,4 @@
-"""Where arms rest, compiled: cables and joint torques in a pose, and the search for equilibria.
+"""Equilibria, compiled: cables and joint torques in a pose, and the search for equilibria.
 
 The quantities of a pose are those of `cablesense_sim.kinematics`, for few arms that go from rest
 to rest, where NumPy's calls would cost more than the arithmetic.
@@ -162,17 +162,17 @@ def span_m(
 def stretch_m(
     plates: Plates,
     m: int,
-    rest_m: float,
+    slack_m: float,
     cos: Array,
     sin: Array,
     lever_m: Array,
     by_turns_m: Array,
 ) -> float:
-    """A cable's stretch, beyond spans of the sum `rest_m`, with the first of P arms at its angles.
+    """A cable's stretch, beyond spans of the sum `slack_m`, at the angles of the first of P arms.
 
     Writes its derivative (2N,), and the second ones (N, 3) of its spans, as of `Pose`.
     """
-    stretch = -rest_m
+    stretch = -slack_m
     for n in range(plates.passed[m]):
         turns = slice(2 * n, 2 * n + 2)
         holes = plates.holes_m[0, m, n]
@@ -283,7 +283,7 @@ def take_load_slope(axis: Array, joint_axis: Array, arms_n_m: Array, slope: Arra
 class _Case(NamedTuple):
     """One case at one pose, overwritten from step to step."""
 
-    rest_m: Array  # (M,), as `search_rest` takes it
+    slack_m: Array  # (M,), as `search_equilibrium` takes it
     arms_n_m: Array  # (N, 3), likewise
     tension_n: Array  # (M,)
     gradient_n_m: Array  # (2N,) of the potential
@@ -295,8 +295,8 @@ class _Case(NamedTuple):
 
 
 @compiled
-def search_rest(
-    springs: Springs, enough: float, rounding_m: float, rest: Array, arms: Array, angles: Array
+def search_equilibrium(
+    springs: Springs, enough: float, rounding_m: float, slack_m: Array, arms: Array, angles: Array
 ) -> tuple[Array, Array, Array, NDArray[np.int64]]:
     """Angles (B, 2N), tensions (B, M), residuals (B,) and steps (B,) for a batch.
 
@@ -307,11 +307,11 @@ def search_rest(
         springs: those of the arm.
         enough: largest joint torque that may stay unbalanced, N·m.
         rounding_m: what double precision leaves open of a stretch.
-        rest: (B, M) sums of the spans at which cables are just slack, m.
+        slack_m: (B, M) sums of the spans at which cables are just slack, m.
         arms: (B, N, 3) loads on the segments' axes, N·m, as `kinematics.load_arms` has them.
         angles: (B, 2N) to begin at, rad; they become those of the answer.
     """
-    (count, cables) = rest.shape
+    (count, cables) = slack_m.shape
     joints = arms.shape[1]
     tensions = np.zeros((count, cables))
     residual = np.full(count, np.inf)
@@ -328,7 +328,7 @@ def search_rest(
         np.zeros((joints, 3)),
     )
     for b in range(count):
-        case.rest_m[:] = rest[b]
+        case.slack_m[:] = slack_m[b]
         case.arms_n_m[:] = arms[b]
         potential = _look(springs, angles[b], case)
         for iteration in range(_MAX_ITERATIONS + 1):
@@ -405,7 +405,7 @@ def _look(springs: Springs, angles: Array, case: _Case) -> float:
     for m in range(len(case.tension_n)):
         passed = plates.passed[m]
         lever = case.jacobian_m[m]
-        stretch = stretch_m(plates, m, case.rest_m[m], cos, sin, lever, second)
+        stretch = stretch_m(plates, m, case.slack_m[m], cos, sin, lever, second)
         stiffness = springs.cable_n_m[m]
         tension = stiffness * max(stretch, 0.0)
         case.tension_n[m] = tension
