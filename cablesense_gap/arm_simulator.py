@@ -44,7 +44,7 @@ class ArmSimulator:
     """
 
     def __init__(self, arm: Arm, recording: Recording) -> None:
-        """Effects that the arm file lists are part of the nominal arm."""
+        """Take an arm, with the effects that its file lists as its nominal state, and R rows."""
         self.arm = arm
         self.floor = float(np.sqrt(reading_variance_n2(arm.sensors)))
         sizes = arm.segment_count, arm.cable_count

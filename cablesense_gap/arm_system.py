@@ -80,7 +80,7 @@ class ArmSystem(ArmSimulator, System):
         return self.recording.rows(self.counted)
 
     def with_listed(self, values: Assignment) -> ArmSystem:
-        """They follow the effects of the arm file."""
+        """The same arm with these values listed behind the effects of its file."""
         system = ArmSystem(amended_arm(self.arm, {}, values), self.recording, self._unseen)
         system.row_count = self.row_count
         return system
@@ -103,7 +103,7 @@ class ArmSystem(ArmSimulator, System):
         return Past(returned[0], rows)
 
     def subsample(self) -> tuple[Simulator, NDArray[np.int64]] | None:
-        """Rows along the path of commands and loads."""
+        """The arm at rows along the path of commands and loads, and these rows (K,)."""
         rows = rows_along_path(self.recording)
         if len(rows) > _SUBSAMPLE_SHARE * len(self.recording):
             return None
@@ -127,7 +127,7 @@ class ArmSystem(ArmSimulator, System):
         return fitted_numbers
 
     def next_experiment(self, rivals: Sequence[Assignment], question: str) -> str:
-        """A block of the standard protocol."""
+        """The block of the standard protocol that shows how the rivals differ, as text."""
         return next_experiment(self.arm, rivals, self.floor, question=question).text
 
     def repetition(self, residual: Array) -> str:

@@ -48,7 +48,7 @@ _RANGE_SHARE = 0.9
 _WORTH_FLOORS = 20.0
 """Noise floors by which a load must change the reading of some cable: it is then known to 5 %."""
 _FROM_THE_ENDS = 1.0 / 6.0
-"""Near and far loads act this share of the reach from its ends, amid its outer thirds."""
+"""Near and far loads act this share of the contact range from its ends: amid its outer thirds."""
 
 _STRAIGHT_SIDES = ("down", "to the left", "up and to the right")
 _SLACKENING_SIDES = ("down", "to the right")
@@ -123,7 +123,7 @@ class Block:
 
     @property
     def duration_s(self) -> float:
-        """How long it takes."""
+        """How long the block takes."""
         return float(self.knots_s[-1])
 
 
@@ -181,12 +181,12 @@ def standard_protocol(arm: Arm) -> tuple[Block, ...]:
 def load_places_m(arm: Arm) -> Array:
     """(N, 3) where loads act on each segment: near its joint, at its contact point, and far out.
 
-    All are within the reach of `touched_places`, in whole mm, so that a person can measure them.
+    All are within the contact range of `touched_places`, in whole mm, so that a person can measure them.
     """
-    reach = touched_places(arm).reach_m
-    inside = _FROM_THE_ENDS * (reach[:, 1] - reach[:, 0])
-    near = reach[:, 0] + inside
-    far = reach[:, 1] - inside
+    contact_range_m = touched_places(arm).reach_m
+    inside = _FROM_THE_ENDS * (contact_range_m[:, 1] - reach[:, 0])
+    near = contact_range_m[:, 0] + inside
+    far = contact_range_m[:, 1] - inside
     middle = np.clip(mechanism_of(arm).contact_m, near, far)
     return np.asarray(np.round(np.stack([near, middle, far], axis=1), 3))
 
@@ -278,8 +278,8 @@ def _increasing_loads(
     (segment, at_m) = where
     mechanism = replace(mechanism, contact_m=np.full(mechanism.segment_count, at_m))
     radius_m = np.hypot(mechanism.hole_y_m, mechanism.hole_z_m)
-    moment_nm = float((mechanism.pretension_n * radius_m).sum())
-    most_n = min(STRONGEST_N, 3.0 * moment_nm / float(mechanism.segment_length_m.sum()))
+    moment_n_m = float((mechanism.pretension_n * radius_m).sum())
+    most_n = min(STRONGEST_N, 3.0 * moment_n_m / float(mechanism.segment_length_m.sum()))
     loads_n: Array = np.zeros(1)
     tensions: Array = np.zeros((1, mechanism.cable_count))
     most = 0

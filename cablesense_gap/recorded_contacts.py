@@ -55,7 +55,7 @@ class ArmLaw(Law, Protocol):
 
     @property
     def arm(self) -> Arm:
-        """The arm that it was made for."""
+        """The arm that the law was made for."""
         ...
 
 

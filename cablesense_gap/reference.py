@@ -128,7 +128,7 @@ class Reference:
     """
 
     def __init__(self, system: System) -> None:
-        """`system` is the nominal machine with the reference."""
+        """Take the nominal machine with the recording of when it was healthy."""
         problem = problem_of(system)
         without_effects = refine(problem, {}, [[]])
         assert without_effects is not None

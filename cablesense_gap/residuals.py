@@ -88,11 +88,11 @@ class Decomposition:
 
     @property
     def rms_n(self) -> float:
-        """Of the whole residual."""
+        """Root mean square of the whole residual, N."""
         return self.of_group(ALL)[0].rms_n
 
     def of_group(self, group: str) -> tuple[Part, ...]:
-        """The members of one group."""
+        """The parts of one group, such as `cable`, in their order."""
         return tuple(part for part in self.parts if part.group == group)
 
 

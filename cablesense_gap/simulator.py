@@ -23,7 +23,7 @@ class Term(NamedTuple):
     parameter: str
 
     def __str__(self) -> str:
-        """As in `sensor_gain.cable_3.gain`."""
+        """Effect, place and parameter with dots between, such as `sensor_gain.cable_3.gain`."""
         return f"{self.effect}.{self.place}.{self.parameter}"
 
 

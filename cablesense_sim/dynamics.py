@@ -301,7 +301,7 @@ class ArmQuasiStatics(_CommandedArm):
         self._held_m = held_m
 
     def advance(self, duration_s: float) -> None:
-        """Let time pass."""
+        """Let time pass, with command and loads as they are."""
         self._time_s += duration_s
 
     @property

@@ -136,8 +136,8 @@ def joint_positions_m(mechanism: Mechanism, joint_angles_rad: Array) -> Array:
 def contact_points_m(mechanism: Mechanism, joint_angles_rad: Array) -> Array:
     """Contact points (..., N, 3) on the segments' axes, base frame."""
     pose = chain(mechanism, joint_angles_rad)
-    reach = mechanism.contact_m
-    return pose.joint_m + reach[:, None] * pose.rotation[..., 0]
+    contact_m = mechanism.contact_m
+    return pose.joint_m + contact_m[:, None] * pose.rotation[..., 0]
 
 
 def load_arms(mechanism: Mechanism, forces_n: Array) -> Array:
@@ -146,13 +146,15 @@ def load_arms(mechanism: Mechanism, forces_n: Array) -> Array:
     Weights and contact forces act on the axes, so their potential is `-sum_n A_n · x_n` with x_n
     the unit axis of segment n; this gives A_n for contact forces (..., N, 3) in base axes.
     """
-    reach = mechanism.contact_m
+    contact_m = mechanism.contact_m
     centre = mechanism.centre_of_mass_m
     length = mechanism.segment_length_m
     weight = mechanism.mass_kg[..., None] * mechanism.gravity_m_s2[..., None, :]
     total = weight + forces_n
     beyond = np.cumsum(total[..., ::-1, :], axis=-2)[..., ::-1, :] - total
-    return centre[..., None] * weight + reach[..., None] * forces_n + length[..., None] * beyond
+    return (
+        centre[..., None] * weight + contact_m[..., None] * forces_n + length[..., None] * beyond
+    )
 
 
 def contact_jacobians_m(mechanism: Mechanism, joint_angles_rad: Array) -> Array:

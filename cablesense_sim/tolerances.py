@@ -192,7 +192,7 @@ class ArmParameters:
 
     @property
     def units(self) -> list[str]:
-        """(P,) of each."""
+        """Unit of each of the P parameters."""
         return [group.unit for group in self.groups for _ in group.places]
 
     @property

@@ -74,7 +74,7 @@ class Conditions(NamedTuple):
     load: Array
 
     def only(self, channels: NDArray[np.int64]) -> Conditions:
-        """Those of some channels."""
+        """The same of K of the C channels, given by their positions (K,)."""
         return Conditions(*(quantity[:, channels] for quantity in self))
 
 
@@ -106,7 +106,7 @@ class SmoothColumns:
 
     @staticmethod
     def like(conditions: Conditions) -> SmoothColumns:
-        """For the ranges of these conditions."""
+        """The functions whose ranges are those of conditions (R, C)."""
         sizes = (np.sqrt((c**2).mean(0)) + _LEAST for c in (conditions.speed, conditions.load))
         return SmoothColumns(conditions.position.min(0), conditions.position.max(0), *sizes)
 
@@ -128,7 +128,7 @@ class SmoothColumns:
         return np.asarray(np.abs(place - np.clip(place, 0.0, 1.0)) / _MARGIN)
 
     def only(self, channels: NDArray[np.int64]) -> SmoothColumns:
-        """Those of some channels."""
+        """The same of K of the C channels, given by their positions (K,)."""
         return SmoothColumns(
             *(of[channels] for of in (self.low, self.high, self.speed, self.load))
         )
@@ -148,7 +148,7 @@ class SmoothColumns:
         return named_waves
 
     def of(self, conditions: Conditions) -> dict[Key, Array]:
-        """(R, C) by name: waves, and functions of the load."""
+        """Columns (R, C) by name at conditions (R, C): waves, and functions of the load."""
         columns = {key: column for _, key, column in self.waves(conditions)}
         load = conditions.load / self.load
         size = np.abs(load)
@@ -251,7 +251,7 @@ class AlongTheWay:
         )
 
     def of(self, conditions: Conditions, channels: NDArray[np.int64]) -> Array:
-        """(R, K) at conditions (R, C), in K of the channels."""
+        """The residual (R, K) that is expected at conditions (R, C), in K of the channels."""
         smooth = self.smooth.only(channels)
         channel_conditions = conditions.only(channels)
         waves = self.discrepancy.part(smooth.of(channel_conditions), channels)

@@ -174,7 +174,7 @@ class _Fit:
         return self._hypothesis(point, predicted, columns, mean_square)
 
     def joint_step(self, hypothesis: Hypothesis) -> Hypothesis | None:
-        """As the function of this name."""
+        """Take the step that is best for values and nuisance parameters together, or give None."""
         problem = self._problem
         nuisance_end = self._nuisance_count
         values = zip(self._parameters, hypothesis.values.values(), strict=True)

@@ -45,7 +45,7 @@ class Products:
     count: Array
 
     def columns(self, chosen: Indices | Sequence[int]) -> Products:
-        """Those of some of the columns."""
+        """The products of the chosen ones of the K columns, in this order."""
         indices = np.asarray(chosen, dtype=np.int64)
         return Products(
             self.gram[:, indices[:, None], indices],
@@ -56,7 +56,7 @@ class Products:
 
     @property
     def mean_square(self) -> float:
-        """Of y."""
+        """Mean square of y over all trials, in its unit squared."""
         return float(self.square.sum() / self.count.sum())
 
 

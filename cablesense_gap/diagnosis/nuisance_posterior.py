@@ -111,7 +111,7 @@ class _Fit:
         return assignment
 
     def residual(self, point: Array) -> Array:
-        """(R, C) with the simulator itself."""
+        """Readings (R, C) less what the simulator predicts at a point (K,)."""
         predicted = self._problem.simulator.predict([self._assignment(point)])[0]
         return np.asarray(self._problem.readings - predicted)
 

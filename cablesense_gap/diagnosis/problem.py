@@ -233,7 +233,7 @@ class Problem:
         return self.cost(hypothesis.held_out_rmse**2, hypothesis.nuisance_chi2)
 
     def worst_nuisance(self, hypothesis: Hypothesis) -> float:
-        """In standard deviations."""
+        """The largest nuisance parameter of a hypothesis, in standard deviations."""
         std = dict(zip(self.nuisance_terms, self.nuisance_std, strict=True))
         off = (abs(value) / std[term] for term, value in hypothesis.nuisance.items())
         return max(off, default=0.0)
@@ -381,7 +381,7 @@ def is_logarithmic(parameter: Parameter) -> bool:
 
 
 def to_scaled(parameter: Parameter, value: float) -> float:
-    """The scaled value."""
+    """The value in typical sizes, or its logarithm where it is never zero."""
     if parameter.relative:
         return float(np.log1p(value) / np.log1p(parameter.typical))
     return float(np.log(value)) if is_logarithmic(parameter) else value / parameter.typical
@@ -397,7 +397,7 @@ def from_scaled(parameter: Parameter, scaled: float) -> float:
 
 
 def unit_of(parameter: Parameter, value: float) -> float:
-    """Derivative of the value by the scaled one."""
+    """Derivative of the value by the scaled one, in the parameter's unit."""
     if parameter.relative:
         return float((1.0 + value) * np.log1p(parameter.typical))
     return value if is_logarithmic(parameter) else parameter.typical

@@ -65,7 +65,7 @@ class LinearEffect:
 
     @property
     def effect(self) -> str:
-        """Its name."""
+        """Name of the effect."""
         return self.terms[0].effect
 
 
@@ -252,7 +252,7 @@ class Proposal:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """All names, in alphabetical order."""
+        """Names of all effects, of the hypothesis and added, in alphabetical order."""
         return tuple(sorted({*self.beside.effects, *(e.effect for e in self.added)}))
 
 
@@ -414,7 +414,7 @@ class Selection:
         return self._problem.cost(mean_square, chi2) * self._penalty(chosen)
 
     def _proposals(self, found: Iterable[_Scored]) -> list[Proposal]:
-        """The most promising first."""
+        """Proposals of scored choices, the most promising first."""
         proposals = [
             Proposal(
                 added=tuple(self._offered[k] for k in chosen),

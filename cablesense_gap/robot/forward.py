@@ -50,7 +50,7 @@ class ForwardComparison(MotionComparison):
     """Positions and speeds of all joints at the ends of windows, see `MotionComparison`."""
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
-        """`motion` is what was measured."""
+        """Take a robot and its motion as it was measured."""
         self._robot = robot
         self._smoothed_hz = motion.smoothed_hz
         rate_hz = motion.rate_hz
@@ -97,7 +97,7 @@ class ForwardComparison(MotionComparison):
         return smoothed(drive, self._rate_hz, self._smoothed_hz)
 
     def predicted(self, change: Change) -> Array:
-        """(Q, C) by a variant of the robot."""
+        """Positions and speeds (Q, C) at the ends of the windows, by a variant of the robot."""
         robot = self._robot
         moved = np.eye(len(robot.joints)) + change.coupling
         back = np.linalg.inv(moved)
@@ -135,7 +135,7 @@ class ForwardComparison(MotionComparison):
         return self._beyond_coasting(position * true + change.zero, speed * true)
 
     def conditions(self, change: Change) -> Conditions:
-        """In the middle of each window."""
+        """Position, speed and load (Q, C) of each channel in the middle of each window."""
         middle = self._path[0].shape[1] // 2
         position, speed = (np.tile(each[:, middle], 2) for each in self._path[:2])
         return Conditions(position, speed, self.predicted(change))

@@ -46,7 +46,7 @@ class InverseDynamics:
     """Torques that variants of a robot need for one motion."""
 
     def __init__(self, robot: Robot, motion: Trajectory) -> None:
-        """`motion` is a measured or a planned one."""
+        """Take a robot and its motion, measured or planned."""
         self._robot = robot
         self._motion = motion
         self._nominal = robot.nominal()
@@ -186,7 +186,7 @@ class InverseComparison(MotionComparison):
     """
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
-        """`motion` is what was measured."""
+        """Take a robot and its motion as it was measured."""
         self._motion = motion
         self._dynamics = InverseDynamics(robot, motion)
         self._joints = np.flatnonzero(motion.counts.any(0))
@@ -211,7 +211,7 @@ class InverseComparison(MotionComparison):
         return self._compared(self._dynamics.torques(change))
 
     def conditions(self, change: Change) -> Conditions:
-        """At the motion's rows, before the low-pass."""
+        """Position, speed and load (R, C) of channels at all rows, before the low-pass."""
         motion = self._motion
         load = self._dynamics.torques(change)
         return Conditions(motion.position, motion.speed, load).only(self._joints)
@@ -222,11 +222,11 @@ class InverseComparison(MotionComparison):
         return position[:, self._joints], speed[:, self._joints]
 
     def of_channels(self, by_joint: Array) -> Array:
-        """(C,) of values (J,)."""
+        """Values (C,) by channel, of values (J,) by joint."""
         return by_joint[self._joints]
 
     def compared(self, column: Array) -> Array:
-        """As torques are."""
+        """A function (R, C) of the conditions behind the low-pass of torques, (Q, C)."""
         whole = np.zeros_like(self._motion.position)
         whole[:, self._joints] = column
         return self._compared(whole)
@@ -328,7 +328,7 @@ class ServoComparison(MotionComparison):
         return motion.passed(read - self._target)
 
     def conditions(self, change: Change) -> Conditions:
-        """As compared."""
+        """Position, speed and load (Q, C) of each channel at the compared rows."""
         motion = self._motion
         parts = motion.position, motion.speed, self._torque(change)
         return Conditions(*map(motion.passed, parts))

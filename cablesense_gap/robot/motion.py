@@ -75,12 +75,12 @@ class Recent(dict[tuple[Any, ...], Array]):
         return self[key]
 
     def __reduce__(self) -> tuple[type[Recent], tuple[()]]:
-        """An empty one."""
+        """Pickle the type alone: the copy begins without results."""
         return Recent, ()
 
 
 def rms(values: Array) -> float:
-    """Root mean square."""
+    """Root mean square of all values, in their unit."""
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -304,7 +304,7 @@ class MotionComparison(ABC):
 
     @abstractmethod
     def predicted(self, change: Change) -> Array:
-        """(Q, C) by a variant of the robot."""
+        """Channels (Q, C) by a variant of the robot, in their own units."""
 
     @abstractmethod
     def conditions(self, change: Change) -> Conditions:

@@ -122,7 +122,7 @@ class RobotSystem(System):
         )
 
     def predict(self, variants: Sequence[Assignment]) -> Array:
-        """Channels (P, Q, C)."""
+        """Channels (P, Q, C) of P variants, in floors."""
         return np.array([self._predicted(variant) for variant in variants])
 
     def _predicted(self, variant: Assignment) -> Array:
@@ -170,7 +170,7 @@ class RobotSystem(System):
         return tuple(zeros_by_trial)
 
     def with_listed(self, values: Assignment) -> RobotSystem:
-        """Values of the same number are added."""
+        """The same robot with these values added to those that it lists."""
         system = RobotSystem(self.robot, self.motion, added(self.listed, values))
         system.recording_name = self.recording_name
         system.row_count = self.row_count
@@ -185,7 +185,7 @@ class RobotSystem(System):
         return self.comparison.conditions(changed(self.robot, [self.listed]))
 
     def compared_columns(self, column: Array) -> Array:
-        """As the comparison does."""
+        """A function (R, C) of the conditions as the comparison takes it, (Q, C) in floors."""
         return self.comparison.compared(column)
 
     def altered(self, variant: Assignment) -> Altered | None:
@@ -230,7 +230,7 @@ class RobotSystem(System):
         )
 
     def next_experiment(self, rivals: Sequence[Assignment], question: str) -> str:
-        """A block of the robot's protocol."""
+        """The block of the robot's protocol that shows how the rivals differ, as text."""
         text = next_experiment(self.robot, rivals, self.motion.floor)
         return f"To find out {question}: {text}" if text and question else text
 

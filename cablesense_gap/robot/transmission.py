@@ -35,7 +35,7 @@ class BacklashMotion:
     """
 
     def __init__(self, robot: Robot, motion: Motion) -> None:
-        """`motion` is what was measured."""
+        """Take a robot and its motion as it was measured."""
         self._robot = robot
         self._motion = motion
         self.rows = motion.rows

@@ -184,7 +184,7 @@ class _Signal:
         return values
 
     def along(self, time_s: Array, values: Array) -> Array:
-        """The same (P, R, M) at R moments one after another."""
+        """Values (P, R, M) behind the effect, of values at R moments (R,) one after another."""
         rows = [self.step(t, values[:, row]) for row, t in enumerate(time_s)]
         return np.stack(rows, axis=1)
 

@@ -44,7 +44,7 @@ class RobotEffect(EffectDescription):
     of_servos: ClassVar[bool] = False
 
     def places(self, robot: Robot) -> tuple[str, ...]:
-        """Where it can be."""
+        """Places of a robot that the effect can be in, by name."""
         names: dict[str, tuple[str, ...]] = {
             "joints": robot.joints,
             "bodies": robot.bodies,
