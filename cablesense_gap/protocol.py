@@ -48,7 +48,7 @@ _RANGE_SHARE = 0.9
 _WORTH_FLOORS = 20.0
 """Noise floors by which a load must change the reading of some cable: it is then known to 5 %."""
 _FROM_THE_ENDS = 1.0 / 6.0
-"""Near and far loads act this share of the contact range from its ends: amid its outer thirds."""
+"""Near and far loads act this share of the contact range from its ends, in its outer thirds."""
 
 _STRAIGHT_SIDES = ("down", "to the left", "up and to the right")
 _SLACKENING_SIDES = ("down", "to the right")
@@ -181,10 +181,10 @@ def standard_protocol(arm: Arm) -> tuple[Block, ...]:
 def load_places_m(arm: Arm) -> Array:
     """(N, 3) where loads act on each segment: near its joint, at its contact point, and far out.
 
-    All are within the contact range of `touched_places`, in whole mm, so that a person can measure them.
+    All are within the range of `touched_places`, in whole mm, so that a person can measure them.
     """
     contact_range_m = touched_places(arm).reach_m
-    inside = _FROM_THE_ENDS * (contact_range_m[:, 1] - reach[:, 0])
+    inside = _FROM_THE_ENDS * (contact_range_m[:, 1] - contact_range_m[:, 0])
     near = contact_range_m[:, 0] + inside
     far = contact_range_m[:, 1] - inside
     middle = np.clip(mechanism_of(arm).contact_m, near, far)

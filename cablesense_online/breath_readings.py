@@ -20,8 +20,9 @@ from cablesense_msgs_py.messages import BREATH_END
 _REST_NS = 100_000_000
 """Readings at rest are averaged over this time to find the friction, and over one at least."""
 _FEWEST = 8
+"""Readings of a turn, at least."""
 _LARGEST_GAP = 0.2
-"""Readings of a turn, and the longest time between two of them, in turns."""
+"""The longest time between two of them, in turns."""
 _SHIFT_N = 1.0
 """Added before the logarithm: that of a slack cable's noise would weigh as much as a load's."""
 _BEYOND_N = 1.0

@@ -34,20 +34,27 @@ from cablesense_sim.equilibrium import held_lengths_m, solve_equilibrium
 from cablesense_sim.mechanism import Mechanism
 
 SET_POINTS_A_TURN: Final = 20
+"""Of the circle: neighbours differ by a third of its radius."""
 _RISE = 10
+"""Set-points from rest to the full circle."""
 _LEAD = 10
+"""Set-points on the full circle until the arm has followed."""
 _FALL = 10
-"""Set-points up to the full circle, until the arm has followed, and back."""
+"""Set-points from the full circle back to rest."""
 _LOADED = 2.0
 """The circle still turns a cable at this multiple of its unloaded tension."""
 _LOADED_BEND_RAD = 0.1
 """Total bend of the joints by a load, beyond their command."""
 _LEAST_RAD: Final = np.radians(0.03)
+"""Smallest radius of the circle where the cables' friction asks for less."""
 MOST_RAD: Final = np.radians(2.0)
+"""Largest radius of the circle: a larger one is a motion of its own, and is refused."""
 _ROUNDED = 2.0
 """Rounded bristles carry 95 % of their limit after three times the `give_m` of sharp ones."""
 _SLACK_N = 1.0
+"""Tension below which a cable is as good as slack."""
 _PHASES = 8
+"""Poses of the circle in which cables must stay taut."""
 
 
 class BreathError(CableSenseError):

@@ -10,7 +10,9 @@ from cablesense_online.samples import ProblemKind, SampleError
 _UNNUMBERED: Final = 2**64 - 1
 """In place of a number where the middleware gives none."""
 _MOST_LOST: Final = 1000
+"""Samples in turn that may be lost; a larger step of the number is of another publisher."""
 _OTHERS_KEPT = 16
+"""Latest numbers of other publishers by which theirs are told apart."""
 
 
 class FollowedPublisher:

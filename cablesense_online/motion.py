@@ -21,14 +21,15 @@ _POSE_STEP_RAD = 2e-3
 """The pose follows a set-point in motion only beyond this distance: a new pose costs
 milliseconds."""
 _KEPT = 0.8
+"""Share of the last average of changes of the command that each new one keeps."""
 _NOISE = 0.5
-"""Changes of the command are averaged, and each new average keeps the first share of the last one.
-Changes by noise cancel: their mean is less than the second share of their mean size."""
+"""Share of their mean size below which the mean of changes is noise: these cancel."""
 _ROUNDING_S = 1e-6
 """Waits that differ by less are the same: stamps are whole nanoseconds."""
 _SETTLED = 3.0
+"""Exponent by which a swing falls within `settle_s`: to a twentieth."""
 _SWINGS = 2.0
-"""A swing falls to a twentieth within `settle_s`, and is forgotten after twice that time."""
+"""A swing is forgotten after this many times `settle_s`."""
 _CLOCK_JITTER_S = 0.02
 """Between the stamps' clock and the monotonic one; a larger difference means a clock was set."""
 

@@ -24,8 +24,9 @@ from cablesense_sim.arm import Arm
 from cablesense_sim.equilibrium import EquilibriumError
 
 _BLIND_S = 3.0
+"""Time without an estimate after which a warning is due,"""
 _SOME_COMMANDS = 3
-"""A warning is due after this time without an estimate, if this number of commands came."""
+"""if this number of commands came."""
 
 
 class SampleCounts:

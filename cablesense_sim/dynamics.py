@@ -175,7 +175,7 @@ class ArmDynamics(_CommandedArm):
         if transmissions([self._entries]):
             raise EquilibriumError(
                 f"arm {arm.identity} has history-dependent effects; it goes from rest to rest "
-                "(cablesense_sim.dynamics.RestToRestArm), not in time"
+                "(cablesense_sim.dynamics.ArmQuasiStatics), not in time"
             )
         self.model = build_spec(self.mechanism, arm.name).compile()
         self.model.opt.timestep = timestep_s

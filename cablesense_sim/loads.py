@@ -84,8 +84,9 @@ def contact_of_wrench(
 ) -> tuple[int, float]:
     """The segment, from 1, and the place from its joint centre, m, where a wrench acts on the arm.
 
-    It is the point of the axis, within the contact range (N, 2) of each segment, that is nearest to the
-    line of action of a force (3,), base axes, whose torque (3,) is about the base frame's origin.
+    It is the point of the axis, within the contact range (N, 2) of each segment, that is nearest
+    to the line of action of a force (3,), base axes, whose torque (3,) is about the base frame's
+    origin.
 
     Raises:
         LoadError: no force, or its line passes the axis too far away, or meets two segments, as
