@@ -365,12 +365,18 @@ def _finished(set_name: str, until_s: float, path: Path) -> Any:
     )
 
 
+def _systems(set_name: str, path: Path) -> tuple[Any, Any]:
+    """The machine with its recording, and with that of when it was healthy, if there is one."""
+    if set_name == "robots":
+        return _robot_system(path), None
+    reference = path.parent / "reference" / path.name
+    return _arm_system(path), _arm_system(reference) if set_name == "references" else None
+
+
 def _outcomes(set_name: str, path: Path) -> dict[str, Any]:
     """The outcome of a recording by the constant that is off."""
-    system: Any = _robot_system(path) if set_name == "robots" else _arm_system(path)
-    healthy = None
-    if set_name == "references":
-        healthy = _arm_system(path.parent / "reference" / path.name)
+    _diagnosed(*_systems(set_name, path))  # compiles what is compiled when it is first used
+    system, healthy = _systems(set_name, path)
     system.subsample()  # so that its first prediction counts in none
     outcomes = {AS_IS: _diagnosed(system, healthy)}
     for constant in _constants_of(set_name):

@@ -31,7 +31,7 @@ from cablesense_gap.explained import (
     significant_values,
     trades,
 )
-from cablesense_gap.reference import Expected, Reference, imperfect, since
+from cablesense_gap.reference import Expected, Reference, expected_of_inexact_model, problem_since
 from cablesense_gap.simulator import Term
 from cablesense_gap.system import System, problem_of
 from cablesense_gap.verdict import Verdict
@@ -83,12 +83,12 @@ def diagnose_system(
     usual = Expected(nothing, nothing + 1.0, problem.floor)
     if reference is not None:
         usual = reference.expected(system, problem)
-        problem = since(problem, usual)
+        problem = problem_since(problem, usual)
     hypotheses = system.completed(problem, search(problem, progress, workers))
     error = None if reference is not None else system.model_error(problem, hypotheses)
     if error is not None:
-        usual = imperfect(system, problem, error, hypotheses)
-        problem = since(problem, usual)
+        usual = expected_of_inexact_model(system, problem, error, hypotheses)
+        problem = problem_since(problem, usual)
         hypotheses = system.completed(problem, search(problem, progress, workers))
     ranked = named(problem, posterior(hypotheses, problem.floor, calibration), calibration)
     progress("describing the verdict", 0.98)

@@ -14,10 +14,10 @@ import numpy as np
 
 from cablesense_base import Array
 from cablesense_gap.diagnosis.discrepancy import (
-    AlongTheWay,
     Conditions,
     Discrepancy,
     Key,
+    ResidualByPosition,
     SmoothColumns,
     effect_columns,
 )
@@ -42,7 +42,7 @@ class MovingMean:
     """
 
     system: System
-    along: AlongTheWay
+    along: ResidualByPosition
     mean: Array
     usual: Conditions
     here: Array
@@ -90,7 +90,7 @@ class Expected:
         return predicted / self.weight + self.mean
 
 
-def imperfect(
+def expected_of_inexact_model(
     system: System, problem: Problem, error: Array, found: Sequence[Hypothesis]
 ) -> Expected:
     """The residual that is expected where the model has an unknown error, (C,) RMS.
@@ -151,11 +151,13 @@ class Reference:
         trial = problem.trial[used]
         discrepancy = Discrepancy(columns, residual * system.scale, problem.fold[trial])
         self._discrepancy = discrepancy
-        self._along = None
+        self._by_position = None
         if self._smooth is not None and conditions is not None:
             powers = [system.compared_columns(p)[used] for p in self._smooth.powers(conditions)]
             others = {name: column[used] for name, column in effects.items()}
-            self._along = AlongTheWay.learnt(self._smooth, discrepancy, others, np.array(powers))
+            self._by_position = ResidualByPosition.learnt(
+                self._smooth, discrepancy, others, np.array(powers)
+            )
         before = nominal[used]
         unexplained = residual - discrepancy.held_out / system.scale
         self.left = ReferenceGap(
@@ -177,9 +179,9 @@ class Reference:
         floor = float(np.sqrt((deviation[system.counted] ** 2).mean()))
         mean = mean / system.scale
         moving = None
-        if self._along is not None and conditions is not None:
-            mean_here = self._along.of(conditions, np.arange(mean.shape[1]))
-            moving = MovingMean(system, self._along, mean, conditions, mean_here)
+        if self._by_position is not None and conditions is not None:
+            mean_here = self._by_position.of(conditions, np.arange(mean.shape[1]))
+            moving = MovingMean(system, self._by_position, mean, conditions, mean_here)
         return Expected(mean, floor / deviation, floor, moving)
 
     def _columns(self, system: System, effects: dict[Key, Array]) -> dict[Key, Array]:
@@ -222,14 +224,14 @@ class _Weighted:
         return self._expected.weighted(small_changes(self._simulator, base, variants))
 
 
-def since(problem: Problem, expected: Expected) -> Problem:
+def problem_since(problem: Problem, expected: Expected) -> Problem:
     """The problem of what changed: weighted readings beyond the expected ones."""
     weighted = expected.weighted
     subsample = problem.subsample
     if subsample is not None:
         rows = subsample.rows
         part = Expected(expected.mean[rows], expected.weight[rows], expected.floor)
-        subsample = replace(subsample, problem=since(subsample.problem, part))
+        subsample = replace(subsample, problem=problem_since(subsample.problem, part))
     return replace(
         problem,
         simulator=_Weighted(problem.simulator, expected),

@@ -226,7 +226,7 @@ class Discrepancy:
 
 
 @dataclass(frozen=True)
-class AlongTheWay:
+class ResidualByPosition:
     """The residual that a discrepancy expects at given positions and speeds of each channel.
 
     Attributes:
@@ -242,11 +242,11 @@ class AlongTheWay:
     @staticmethod
     def learnt(
         smooth: SmoothColumns, found: Discrepancy, others: Mapping[Key, Array], powers: Array
-    ) -> AlongTheWay:
+    ) -> ResidualByPosition:
         """Fit the powers (K, R, C) of one recording to the other columns (R, C) of it."""
         rest = found.part(others, np.arange(powers.shape[2]))
         by_channel = zip(powers.transpose(2, 1, 0), rest.T, strict=True)
-        return AlongTheWay(
+        return ResidualByPosition(
             smooth, found, np.stack([np.linalg.lstsq(x, y)[0] for x, y in by_channel], axis=1)
         )
 

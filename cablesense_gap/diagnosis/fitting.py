@@ -427,7 +427,7 @@ def fit(problem: Problem, proposal: Proposal) -> list[Hypothesis]:
     slow = [c for c in problem.simulator.candidates if c.history_dependent and c.effect in names]
     starts = [[*before, *start.values()]]
     if slow and not known:
-        starts = [list(each.values()) for each in _elsewhere(problem, start, slow)]
+        starts = [list(each.values()) for each in _other_starts(problem, start, slow)]
     if impossible:
         # far from its linear columns, the sum of a size's and a shape's change means nothing
         for scale in _SCALES:
@@ -492,7 +492,7 @@ def _start(problem: Problem, proposal: Proposal) -> tuple[dict[Term, float], dic
     return start, impossible
 
 
-def _elsewhere(
+def _other_starts(
     problem: Problem, start: Mapping[Term, float], slow: Sequence[Candidate]
 ) -> Iterator[dict[Term, float]]:
     """The start with other sizes of the effects `slow`, and with every combination of shapes."""

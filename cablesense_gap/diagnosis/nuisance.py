@@ -68,7 +68,9 @@ def final_refinement(problem: Problem, hypothesis: Hypothesis) -> tuple[Hypothes
     """
     best = hypothesis, problem
     latest = best
-    done = (_is_usual(hypothesis) or not hypothesis.values) and _is_consistent(problem, hypothesis)
+    done = (_has_usual_nuisance(hypothesis) or not hypothesis.values) and _is_consistent(
+        problem, hypothesis
+    )
     for _ in range(0 if done else _MOST_REPEATED):
         before, used = latest
         linear = _linear_about(used, before)
@@ -80,7 +82,7 @@ def final_refinement(problem: Problem, hypothesis: Hypothesis) -> tuple[Hypothes
         assert fitted is not None
         if problem.cost_of(fitted) < problem.cost_of(best[0]):
             best = fitted, about
-        settled = _is_usual(fitted) or joint_step(about, unmoved) is None
+        settled = _has_usual_nuisance(fitted) or joint_step(about, unmoved) is None
         if settled and (_is_linear_there(about, fitted) or _is_consistent(about, fitted)):
             break
         latest = joint_step(about, fitted) or fitted, about
@@ -90,7 +92,7 @@ def final_refinement(problem: Problem, hypothesis: Hypothesis) -> tuple[Hypothes
     return replace(best[0], without_nuisance=alone), best[1]
 
 
-def _place_of(problem: Problem, nuisance: Assignment) -> Array:
+def _linearisation_point(problem: Problem, nuisance: Assignment) -> Array:
     """(K,) nuisance parameters to be linear about."""
     most = _MOST_OFF * problem.nuisance_std
     off = np.array([nuisance.get(term, 0.0) for term in problem.nuisance_terms])
@@ -99,11 +101,13 @@ def _place_of(problem: Problem, nuisance: Assignment) -> Array:
 
 def _is_linear_there(problem: Problem, hypothesis: Hypothesis) -> bool:
     """Whether nuisance parameters are linear about these already, so that nothing would change."""
-    off = _place_of(problem, hypothesis.nuisance) - _place_of(problem, problem.nuisance_at)
+    off = _linearisation_point(problem, hypothesis.nuisance) - _linearisation_point(
+        problem, problem.nuisance_at
+    )
     return bool((np.abs(off) <= _SAME_OF_STD * problem.nuisance_std).all())
 
 
-def _is_usual(hypothesis: Hypothesis) -> bool:
+def _has_usual_nuisance(hypothesis: Hypothesis) -> bool:
     return hypothesis.nuisance_chi2 <= hypothesis.nuisance_count
 
 
@@ -130,7 +134,7 @@ def _linear_about(
         return None
     std = problem.nuisance_std
     terms = problem.nuisance_terms
-    off = _place_of(problem, hypothesis.nuisance)
+    off = _linearisation_point(problem, hypothesis.nuisance)
     nuisance_at = dict(zip(terms, off.tolist(), strict=True))
     change = np.sqrt((problem.nuisance_columns[:, problem.used] ** 2).mean(axis=(1, 2)))
     size = 1.0 / np.maximum(1.0 / _STEP_OF_STD, change / (_STEP_OF_FLOOR * problem.floor))

@@ -92,7 +92,7 @@ class _Search:
         self._memoryless = [c for c in candidates if not c.history_dependent]
         self._history_dependent = [c for c in candidates if c.history_dependent]
         self._history = {c.effect for c in self._history_dependent}
-        self._found: dict[tuple[str, ...], Hypothesis] = {}
+        self._fitted_by_effects: dict[tuple[str, ...], Hypothesis] = {}
         self._expanded: set[frozenset[tuple[str, str]]] = set()
         self._refined: set[Hypothesis] = set()
         self._fitted_in: dict[Hypothesis, Problem] = {}
@@ -111,7 +111,7 @@ class _Search:
         tasks = tuple(values)
         on_subsample = subsample is not None and self._problem is subsample.problem
         other = None if on_subsample or self._problem is self._whole else self._problem
-        results = self._pool.map(partial(_called, function, on_subsample, other), tasks)
+        results = self._pool.map(partial(_call_on_problem, function, on_subsample, other), tasks)
         done_before = self._done
         share = _PROGRESS_SHARE * (self._until - self._done)
         for k, task in enumerate(tasks, 1):
@@ -128,11 +128,11 @@ class _Search:
             self._take_search_steps([])
         if not self._history_dependent:
             self._exchange_best()
-        elif not self._is_resolved() and self._may_be_the_past():
+        elif not self._is_resolved() and self._may_depend_on_history():
             self._add_history_dependent()
         self._compare()
         self._progress("done", 1.0)
-        worth_it = [h for h in self._found.values() if not self._is_redundant(h)]
+        worth_it = [h for h in self._fitted_by_effects.values() if not self._is_redundant(h)]
         return sorted(worth_it, key=lambda h: (len(h.effects), h.held_out_rmse))
 
     def _take_search_steps(self, known: Sequence[LinearEffect]) -> None:
@@ -169,7 +169,7 @@ class _Search:
         most = min(_RIVAL_COST_RATIO * score(best), score(self._none) if worth_it else np.inf)
         waiting = [
             h
-            for h in self._found.values()
+            for h in self._fitted_by_effects.values()
             if frozenset(h.locations) not in self._expanded
             and score(h) <= most
             and not set(h.effects) < set(best.effects)
@@ -186,11 +186,11 @@ class _Search:
     def _expand(self, start: Hypothesis, columns: Sequence[LinearEffect]) -> None:
         """Fits the most promising additions, and the hypothesis without each redundant effect."""
         self._expanded.add(frozenset(start.locations))
-        if offered := _that_fit(start, columns):
+        if offered := _compatible_columns(start, columns):
             self._progress("choosing effects", self._done)
             proposals = Selection(self._problem, start, offered).additions()
             self._done += _PROGRESS_SHARE * (self._until - self._done)
-            usual = self._at_usual_size(proposals, start)
+            usual = self._at_typical_size(proposals, start)
             if start.effects:
                 self._fit([*self._promising(proposals), *usual])
             else:
@@ -199,7 +199,7 @@ class _Search:
             own_effects = Selection(self._problem, *own_columns(self._problem, start))
             most = _RIVAL_COST_RATIO * self._problem.cost_of(start)
             redundant = [(e,) for e in start.effects if own_effects.left_without(e) < most]
-            self._keep_all(self._without(start, redundant))
+            self._keep_better(self._without(start, redundant))
 
     def _fit_by_count(self, proposals: Sequence[Proposal], usual: Sequence[Proposal]) -> None:
         """The most promising with one effect, and with two and more if those explain too little.
@@ -220,14 +220,14 @@ class _Search:
         least = min((p.forecast for p in proposals), default=0.0)
         return [p for p in proposals if p.forecast <= _RIVAL_COST_RATIO * least][:most]
 
-    def _at_usual_size(self, proposals: Sequence[Proposal], start: Hypothesis) -> list[Proposal]:
+    def _at_typical_size(self, proposals: Sequence[Proposal], start: Hypothesis) -> list[Proposal]:
         """Every history-dependent effect that was not fitted: it is far from linear."""
         most_left = (_IMPROVED_COST_RATIO * start.held_out_rmse) ** 2
         ranges = self._problem.parameters
         usual = []
         for p in proposals:
             new = set(p.effects) - set(start.effects)
-            if len(new) == 1 and new <= self._history and p.effects not in self._found:
+            if len(new) == 1 and new <= self._history and p.effects not in self._fitted_by_effects:
                 first = p.added[0]
                 sizes = np.array([float(ranges[term].role == "size") for term in first.varied])
                 usual.append(replace(p, added=(first,), coefficients=sizes, most_left=most_left))
@@ -235,16 +235,16 @@ class _Search:
 
     def _fit(self, proposals: Sequence[Proposal]) -> None:
         for fitted in self._map(fit, proposals, lambda p: " + ".join(p.effects)):
-            self._keep_all(fitted)
+            self._keep_better(fitted)
 
-    def _keep_all(self, hypotheses: Iterable[Hypothesis]) -> None:
+    def _keep_better(self, hypotheses: Iterable[Hypothesis]) -> None:
         """Keeps the better of two hypotheses with the same effects."""
         for hypothesis in hypotheses:
-            known = self._found.get(hypothesis.effects, self._none)
+            known = self._fitted_by_effects.get(hypothesis.effects, self._none)
             if hypothesis.effects and (
                 not known.effects or self._problem.score(hypothesis) < self._problem.score(known)
             ):
-                self._found[hypothesis.effects] = hypothesis
+                self._fitted_by_effects[hypothesis.effects] = hypothesis
                 self._fitted_in[hypothesis] = self._problem
 
     def _without(
@@ -261,7 +261,7 @@ class _Search:
         gone = chain(*(combinations(hypothesis.effects, n + 1) for n in range(out)))
         others = [e for e in columns if e.effect not in hypothesis.effects]
         rests = self._without(hypothesis, gone)
-        self._keep_all(rests)
+        self._keep_better(rests)
         proposals = chain(
             *(Selection(self._problem, r, others).singles() for r in rests if others)
         )
@@ -316,7 +316,7 @@ class _Search:
         rough = filter(None, self._map(partial(refit, most_steps=_ROUGH_STEPS), variants))
         best = sorted(rough, key=self._problem.score)[:_FITTED_ADDITIONS]
         for fitted in self._map(refitted, best):
-            self._keep_all(fitted)
+            self._keep_better(fitted)
 
     def _add_history_dependent(self) -> None:
         """Continues with history-dependent effects on the subsample; all rows score results."""
@@ -327,10 +327,10 @@ class _Search:
             self._problem = self._whole
             return
         without_effects = self._none
-        known = self._found
+        known = self._fitted_by_effects
         nominal = self._nominal
         reduced = {effects: subsample.hypothesis(h) for effects, h in known.items()}
-        self._found = dict(reduced)
+        self._fitted_by_effects = dict(reduced)
         self._problem = subsample.problem
         self._none = subsample.hypothesis(without_effects)
         self._take_search_steps_with_history()
@@ -339,24 +339,24 @@ class _Search:
         most = _SUBSAMPLE_RIVAL_COST_RATIO * self._problem.cost_of(self._best())
         new = [
             (h, self._fitted_in[h])
-            for effects, h in self._found.items()
+            for effects, h in self._fitted_by_effects.items()
             if h is not reduced.get(effects)
             and self._problem.cost_of(h) <= most
             and not self._is_redundant(h)
         ]
-        self._found = known
+        self._fitted_by_effects = known
         self._nominal = nominal
         self._problem = self._whole
         self._none = without_effects
         on_all_rows = [h for h in self._map(_on_all_rows, new) if h is not None]
-        self._keep_all(on_all_rows)
+        self._keep_better(on_all_rows)
         self._refined.update(on_all_rows)
 
     def _take_search_steps_with_history(self) -> None:
         self._expanded.clear()
         columns = self._columns(self._history_dependent, None)
         self._expand(self._none, columns)
-        best = min(self._found.values(), key=self._problem.score, default=self._none)
+        best = min(self._fitted_by_effects.values(), key=self._problem.score, default=self._none)
         if best.effects and not self._is_resolved():
             self._expand(best, [*columns, *self._columns(self._memoryless, best)])
         self._take_search_steps(columns)
@@ -371,10 +371,16 @@ class _Search:
             if self._problem.subsample and self._history & set(best.effects):
                 break  # this was done on the subsample
             rests = self._without(best, [(e,) for e in best.effects])
-            self._keep_all(rests)
+            self._keep_better(rests)
             # with nuisance parameters as apt as those of the best
-            self._refine(self._quick(self._found[rest.effects] for rest in rests))
-            least = min((self._found[rest.effects] for rest in rests), key=cost_of, default=best)
+            self._refine(
+                self._without_history(self._fitted_by_effects[rest.effects] for rest in rests)
+            )
+            least = min(
+                (self._fitted_by_effects[rest.effects] for rest in rests),
+                key=cost_of,
+                default=best,
+            )
             if least is best or (
                 cost_of(least) > _RIVAL_COST_RATIO * cost_of(best)
                 and self._problem.shows(best, least)
@@ -386,12 +392,14 @@ class _Search:
     def _refine_best(self) -> None:
         """The rivals of the best, and the best with one effect and with two."""
         score = self._problem.score
-        ranked = sorted(self._found.values(), key=score)
+        ranked = sorted(self._fitted_by_effects.values(), key=score)
         rivals = [h for h in ranked if score(h) <= _RIVAL_COST_RATIO * score(ranked[0])]
         one, two = ([h for h in ranked if len(h.effects) == count][:1] for count in (1, 2))
-        self._refine([*rivals[:1], *self._quick(rivals)[: 2 * _FITTED_ADDITIONS], *one, *two])
+        self._refine(
+            [*rivals[:1], *self._without_history(rivals)[: 2 * _FITTED_ADDITIONS], *one, *two]
+        )
 
-    def _quick(self, hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]:
+    def _without_history(self, hypotheses: Iterable[Hypothesis]) -> list[Hypothesis]:
         """Those without a history-dependent effect."""
         return [h for h in hypotheses if not self._history & set(h.effects)]
 
@@ -409,16 +417,18 @@ class _Search:
             hypothesis for hypothesis in rough if hypothesis not in self._refined
         )
         for fitted, nuisance in self._map(final_refinement, waiting):
-            self._found[fitted.effects] = fitted
+            self._fitted_by_effects[fitted.effects] = fitted
             self._fitted_in[fitted] = nuisance
             self._refined.add(fitted)
 
     def _best(self) -> Hypothesis:
-        return min([self._none, *self._found.values()], key=self._problem.score)
+        return min([self._none, *self._fitted_by_effects.values()], key=self._problem.score)
 
     def _is_redundant(self, hypothesis: Hypothesis) -> bool:
         """Whether fewer of its effects do about as well."""
-        fewer = [h for h in self._found.values() if set(h.effects) < set(hypothesis.effects)]
+        fewer = [
+            h for h in self._fitted_by_effects.values() if set(h.effects) < set(hypothesis.effects)
+        ]
         cost = self._problem.cost_of(hypothesis)
         return any(
             self._problem.cost_of(h) < _REDUNDANT_COST_RATIO * cost
@@ -426,7 +436,7 @@ class _Search:
             for h in fewer
         )
 
-    def _may_be_the_past(self) -> bool:
+    def _may_depend_on_history(self) -> bool:
         """Whether history-dependent effects may cause the residual of the best hypothesis.
 
         Residual and past are compared in the rows that show both.
@@ -435,7 +445,7 @@ class _Search:
         problem = self._problem
         if past is None:
             return True
-        best = min((self._none, *self._found.values()), key=lambda h: h.held_out_rmse)
+        best = min((self._none, *self._fitted_by_effects.values()), key=lambda h: h.held_out_rmse)
         residual = (problem.readings - best.held_out)[past.rows]
         return past.rms > _HISTORY_SHARE * noise_corrected_rms(
             float((residual**2).mean()), problem.floor
@@ -456,11 +466,11 @@ class _Search:
         little = _RESOLVED_GAP_SHARE * noise_corrected_rms(unexplained_rmse**2, floor)
         return any(
             self._problem.cost_of(h) <= little or self._problem.is_explained(h)
-            for h in self._found.values()
+            for h in self._fitted_by_effects.values()
         )
 
 
-def _that_fit(start: Hypothesis, columns: Sequence[LinearEffect]) -> list[LinearEffect]:
+def _compatible_columns(start: Hypothesis, columns: Sequence[LinearEffect]) -> list[LinearEffect]:
     """Sites that a hypothesis may have in addition: no effect both everywhere and in places."""
     whole = {effect for effect, place in start.locations if place == WHOLE_ARM}
     return [
@@ -472,7 +482,7 @@ def _that_fit(start: Hypothesis, columns: Sequence[LinearEffect]) -> list[Linear
     ]
 
 
-def _called(
+def _call_on_problem(
     function: Callable[..., Any],
     on_subsample: bool,
     other: Problem | None,

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from cablesense_gap.reference import Reference, since
+from cablesense_gap.reference import Reference, problem_since
 from cablesense_gap.robot.model import load_robot
 from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import read_recording
@@ -95,7 +95,7 @@ def test_unmodelled_torques_move_with_a_zero_and_are_read_with_a_torque_s_scale(
     def left(name, values, **more):
         again = system(name, 3, **more).with_listed(reference.tolerances)
         problem = problem_of(again)
-        since_then = since(problem, reference.expected(again, problem))
+        since_then = problem_since(problem, reference.expected(again, problem))
         predicted = since_then.simulator.predict([values])[0]
         return np.sqrt(((since_then.readings - predicted) ** 2).mean())
 
