@@ -442,10 +442,10 @@ def _force(seen: LawOutput) -> tuple[float, float, float, float]:
     _, y, z = seen.force_n[0].tolist()
     low_n, high_n = seen.magnitude_ci95_n[0].tolist()
     (yy, yz), (_, zz) = seen.contact_covariance[0, 2:, 2:].tolist()
-    size_n = max(float(np.hypot(y, z)), _LEAST_N)
-    across_n2 = max(z**2 * yy + y**2 * zz - 2.0 * y * z * yz, 0.0) / size_n**2
+    magnitude_n = max(float(np.hypot(y, z)), _LEAST_N)
+    across_n2 = max(z**2 * yy + y**2 * zz - 2.0 * y * z * yz, 0.0) / magnitude_n**2
     angle, angle_std = _turns(y, z, across_n2**0.5)
-    return angle, size_n, (high_n - low_n) / (2.0 * NORMAL_95), angle_std
+    return angle, magnitude_n, (high_n - low_n) / (2.0 * NORMAL_95), angle_std
 
 
 def _force_at(seen: LawOutput, at_m: float) -> tuple[float, float, float, float]:
@@ -455,14 +455,14 @@ def _force_at(seen: LawOutput, at_m: float) -> tuple[float, float, float, float]
     y_std, z_std = (seen.moment_std_n_m[0, ::-1] / at_m).tolist()
     y = around_z
     z = -around_y
-    size_n = max(float(np.hypot(y, z)), _LEAST_N)
-    along_std_n = float(np.hypot(y * y_std, z * z_std)) / size_n
-    angle, angle_std = _turns(y, z, float(np.hypot(z * y_std, y * z_std)) / size_n)
-    return angle, size_n, along_std_n, angle_std
+    magnitude_n = max(float(np.hypot(y, z)), _LEAST_N)
+    along_std_n = float(np.hypot(y * y_std, z * z_std)) / magnitude_n
+    angle, angle_std = _turns(y, z, float(np.hypot(z * y_std, y * z_std)) / magnitude_n)
+    return angle, magnitude_n, along_std_n, angle_std
 
 
 def _turns(y: float, z: float, across_std_n: float) -> tuple[float, float]:
     """The angle of a force, and its deviation by that of the force across it, deg."""
-    size_n = max(float(np.hypot(y, z)), _LEAST_N)
+    magnitude_n = max(float(np.hypot(y, z)), _LEAST_N)
     angle = float(np.rad2deg(np.arctan2(y, z))) % 360.0
-    return angle, float(np.rad2deg(np.arctan2(across_std_n, size_n)))
+    return angle, float(np.rad2deg(np.arctan2(across_std_n, magnitude_n)))

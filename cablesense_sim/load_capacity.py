@@ -140,11 +140,11 @@ def pose_range_deg(arm: Arm, usual_deg: float, force_n: float) -> float:
     shares = rng.uniform(-1.0, 1.0, (_POSES, arm.joint_count))
     segments = rng.integers(1, arm.segment_count + 1, _POSES)
     angles_deg = rng.uniform(0.0, 360.0, _POSES)
-    sizes_n = rng.uniform(0.0, force_n, _POSES)
+    magnitudes_n = rng.uniform(0.0, force_n, _POSES)
     range_deg = usual_deg
     while range_deg > _LEAST_RANGE_SHARE * usual_deg:
         command = np.deg2rad(range_deg) * shares
-        forces = normal_force_n(mechanism, command, segments, angles_deg, sizes_n)
+        forces = normal_force_n(mechanism, command, segments, angles_deg, magnitudes_n)
         try:
             solve_equilibrium(mechanism, command, forces)
         except EquilibriumError as error:

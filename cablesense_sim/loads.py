@@ -92,14 +92,14 @@ def contact_of_wrench(
         LoadError: no force, or its line passes the axis too far away, or meets two segments, as
             that of an axial force does.
     """
-    size_n = float(np.linalg.norm(force_n))
-    if not size_n > 0.0:
+    magnitude_n = float(np.linalg.norm(force_n))
+    if not magnitude_n > 0.0:
         raise LoadError(f"a wrench of force {force_n} N has no line on which it acts")
     pose = kinematics.chain(mechanism, joint_angles_rad)
     usual_m = mechanism.contact_m
     points_m = pose.joint_m + usual_m[:, None] * pose.rotation[..., 0]
-    missing = (torque_n_m - np.cross(points_m, force_n)) / size_n
-    slope = np.cross(pose.rotation[..., 0], force_n) / size_n
+    missing = (torque_n_m - np.cross(points_m, force_n)) / magnitude_n
+    slope = np.cross(pose.rotation[..., 0], force_n) / magnitude_n
     further_m = (missing * slope).sum(-1) / np.maximum((slope * slope).sum(-1), 1e-12)
     place_m = np.clip(usual_m + further_m, *contact_range_m.T)
     off_m = np.linalg.norm(missing - (place_m - usual_m)[:, None] * slope, axis=-1)

@@ -16,7 +16,7 @@ class TouchedPlaces(NamedTuple):
     Attributes:
         reach_m: (N, 2) from each segment's joint centre, along its axis.
         radius_m: (N,) of the surface, from the axis; zero where contacts act on the axis.
-        friction: bound to axial over lateral forces; zero where contacts act on the axis with any
+        friction: bound to axial over normal forces; zero where contacts act on the axis with any
             axial force.
     """
 
