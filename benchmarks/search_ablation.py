@@ -1,13 +1,14 @@
 """What each constant of the search does: diagnoses as they are, and with one constant off.
 
-    python benchmarks/search_ablation.py [--arms 8] [--robots 2] [--references 1] [--write]
+    python benchmarks/search_ablation.py [--arms 6] [--history 1] [--robots 2] [--write]
 
 Recordings come from the independent plant, with none to three effects that are known, thinned to
 one row a second. Each is diagnosed with all constants as they are, then with one of them at a
 neutral value: a limit without an end, a margin of zero, a step that is so small that it no longer
 matters. A constant that changes neither a verdict, nor a probability by 0.01, nor the number of
-simulated variants, did nothing here. Constants of the residual that a healthy machine leaves are
-tried on arms with a reference alone.
+simulated variants, did nothing here. Constants of history-dependent effects are tried on arms with
+friction and creep, which take minutes, and those of the residual that a healthy machine leaves on
+arms with a reference.
 
 Predictions of one recording are remembered over its diagnoses. The seconds are those of one
 diagnosis on its own: the time of each remembered prediction counts where it is asked for. With
@@ -72,6 +73,9 @@ ARM = Path(__file__).with_name("arms") / "two_segments.yaml"
 """A small arm: a diagnosis repeats in a second or two."""
 RATE_HZ = 1.0
 """Of the arm's recordings: a fifth of the rows of other benchmarks."""
+HISTORY = ("cable_creep", "capstan_friction", "joint_friction")
+"""Effects of the plant's list that make readings depend on the past."""
+MEMORYLESS = tuple(name for name in LISTED if name not in HISTORY)
 COUNTS = (1, 2, 3, 0)
 """Hidden effects of the cases in turn."""
 ROBOTS = ("finger", "two_links")
@@ -124,9 +128,7 @@ CONSTANTS = (
     Constant(search, "_MOST_FRUITLESS", NO_END),
     Constant(search, "_FITTED_ADDITIONS", 1),
     Constant(search, "_ROUGH_STEPS", fitting.MOST_STEPS),
-    Constant(search, "_HISTORY_SHARE", 0.0),
     Constant(search, "_RIVAL_COST_RATIO", np.inf),
-    Constant(search, "_SUBSAMPLE_RIVAL_COST_RATIO", np.inf),
     Constant(search, "_IMPROVED_COST_RATIO", 1.0),
     Constant(search, "_REDUNDANT_COST_RATIO", 1.0),
     Constant(search, "_RESOLVED_FLOOR_RATIO", 0.0),
@@ -153,7 +155,6 @@ CONSTANTS = (
     Constant(fitting, "_DERIVATIVE_STEP", 0.003),
     Constant(fitting, "_NEAR", 0.0),
     Constant(fitting, "_CONVERGED_STEP", 1e-9),
-    Constant(fitting, "_CONVERGED_SHARE", 0.0),
     Constant(fitting, "_CONVERGED_GAIN", 0.0),
     Constant(fitting, "_FIRST_DAMPING", 1e-6),
     Constant(fitting, "_LEAST_DAMPING", 0.0),
@@ -162,7 +163,6 @@ CONSTANTS = (
     Constant(fitting, "_SCALES", (1.0,)),
     Constant(fitting, "_STEPS_OF_PART", fitting.MOST_STEPS),
     Constant(fitting, "_LEAST_DIVISOR", 1e-3),
-    Constant(fitting, "_LEAST_START", 1e-3),
     Constant(nuisance, "_STEP_OF_STD", 0.01),
     Constant(nuisance, "_STEP_OF_EFFECT", 0.003),
     Constant(nuisance, "_STEP_OF_FLOOR", np.inf),
@@ -173,11 +173,22 @@ CONSTANTS = (
     Constant(probability, "_EQUAL", 1.0),
     Constant(probability, "PARALLEL", 1.1),
     Constant(probability, "_SEVERAL_LEFT", 0.0),
-    Constant(probability, "_AGAINST_MOTION_LEFT", 1e-6),
     Constant(probability, "_NEEDED_COST_RATIO", 1.0),
 )
 """Those that decide something. What only keeps a division from zero is left out, as are
 `NEAR_BEST`, which is for the report, and the share of the progress."""
+
+OF_HISTORY = (
+    Constant(search, "_HISTORY_SHARE", 0.0),
+    Constant(search, "_SUBSAMPLE_RIVAL_COST_RATIO", np.inf),
+    Constant(fitting, "_CONVERGED_SHARE", 0.0),
+    Constant(fitting, "_LEAST_START", 1e-3),
+    Constant(probability, "_AGAINST_MOTION_LEFT", 1e-6),
+    Constant(fitting, "_SCALES", (1.0,)),
+    Constant(search, "_MOST_FRUITLESS", NO_END),
+    Constant(search, "_RIVAL_COST_RATIO", np.inf),
+)
+"""Those of history-dependent effects, and limits of the time that their fits take."""
 
 OF_A_REFERENCE = (
     Constant(discrepancy, "_WAVES", 1),
@@ -196,7 +207,8 @@ references move, and are left out."""
 def main() -> None:
     """Records, diagnoses, counts and prints; keeps the figures with `--write`."""
     parser = harness.parser(__doc__, "search_ablation.json")
-    parser.add_argument("--arms", type=int, default=8, help="recordings of arms")
+    parser.add_argument("--arms", type=int, default=6, help="recordings of arms")
+    parser.add_argument("--history", type=int, default=1, help="of arms with friction or creep")
     parser.add_argument("--robots", type=int, default=2, help="recordings of robots")
     parser.add_argument("--references", type=int, default=1, help="of arms with a reference")
     parser.add_argument("--seed", type=int, default=9811, help="of the plant")
@@ -208,9 +220,10 @@ def main() -> None:
     until_s = time.time() + 60.0 * options.minutes
     seed = options.seed
     sets: dict[str, Callable[[Path], tuple[Truth, ...]]] = {
-        "arms": lambda own: _drawn_arms(own, options.arms, seed, imperfect=False),
+        "arms": lambda own: _drawn_arms(own, options.arms, seed, MEMORYLESS),
+        "history": lambda own: _drawn_arms(own, options.history, seed + 1, HISTORY),
+        "references": lambda own: _drawn_arms(own, options.references, seed + 2, MEMORYLESS),
         "robots": lambda own: _drawn_robots(own, options.robots, seed),
-        "references": lambda own: _drawn_arms(own, options.references, seed + 1, imperfect=True),
     }
     figures: dict[str, Any] = {"arm": ARM.stem, "robots": ROBOTS, "seed": options.seed}
     for name, drawn in sets.items():
@@ -225,7 +238,7 @@ def main() -> None:
 
 
 def _constants_of(name: str) -> tuple[Constant, ...]:
-    return OF_A_REFERENCE if name == "references" else CONSTANTS
+    return {"references": OF_A_REFERENCE, "history": OF_HISTORY}.get(name, CONSTANTS)
 
 
 def _path(folder: Path, answer: Truth) -> Path:
@@ -247,11 +260,12 @@ def _names(seed: int, listed: Sequence[str], count: int) -> list[list[str]]:
     return cases
 
 
-def _drawn_arms(folder: Path, count: int, seed: int, *, imperfect: bool) -> tuple[Truth, ...]:
+def _drawn_arms(folder: Path, count: int, seed: int, effects: Sequence[str]) -> tuple[Truth, ...]:
     answers_file = folder / "answers" / "answers.csv"
     if not answers_file.exists() and count:
         nominal = replace(read_nominal(find_arm(str(ARM))), rate_hz=RATE_HZ)
-        kinds = ["+".join(names) or NONE for names in _names(seed, list(LISTED), count)]
+        kinds = ["+".join(names) or NONE for names in _names(seed, effects, count)]
+        imperfect = folder.name == "references"
         made = record_cases(folder, answers_file, nominal, count, seed, kinds, imperfect=imperfect)
         list(made)
     return read_answers(answers_file) if count else ()
@@ -485,7 +499,7 @@ def _sums(
 
 
 def _print(figures: Mapping[str, Any]) -> None:
-    for name in ("arms", "robots", "references"):
+    for name in ("arms", "history", "references", "robots"):
         found = figures[name]
         if not found["cases"]:
             continue

@@ -2,12 +2,14 @@
 
 import pytest
 import search_ablation
-from search_ablation import CONSTANTS, OF_A_REFERENCE
+from search_ablation import CONSTANTS, OF_A_REFERENCE, OF_HISTORY
 
 from cablesense_gap.diagnosis import nuisance, problem
 
 
-@pytest.mark.parametrize("constant", [*CONSTANTS, *OF_A_REFERENCE], ids=lambda one: one.label)
+@pytest.mark.parametrize(
+    "constant", [*CONSTANTS, *OF_HISTORY, *OF_A_REFERENCE], ids=lambda one: one.label
+)
 def test_a_constant_is_off_in_the_block_alone(constant):
     usual = constant.value
     with constant.off():
