@@ -27,6 +27,9 @@ TRADING = 0.8
 """Correlation of two fitted shares, in size, from which on they trade against each other."""
 NEGLIGIBLE = 0.1
 """A place that changes the readings by less than this share of the largest one is not named."""
+_LEFT_AT_MOST = 0.9
+"""Share of the gap that named effects may leave on held-out trials: what removes less than a tenth
+says nothing about the machine that someone could act on."""
 _UNSURE = 0.1
 """Relative standard deviation of a share below which the share is known and trades with none."""
 _DRAWS = 2000
@@ -132,6 +135,28 @@ def shares(
             alternatives=_alternatives(ranked, effect),
         )
     return share_of
+
+
+def removes(problem: Problem, hypothesis: Hypothesis) -> bool:
+    """Whether the effects of a hypothesis make predictions better, and each of them changes them.
+
+    On held-out trials they leave less than `_LEFT_AT_MOST` of the gap of the nominal machine. The
+    share of each effect is larger than its own standard deviation, or that of a pair is in which
+    it trades with another.
+    """
+    before = _rms((problem.readings - problem.nominal)[problem.used])
+    if hypothesis.held_out_rmse >= _LEFT_AT_MOST * before:
+        return False
+    pairs = trades(problem, hypothesis)
+    in_known_pairs = {
+        effect
+        for trade in pairs
+        if trade.traded.ci95_n[0] > 0.0
+        for effect in trade.traded.effects
+    }
+    parts = {effect: _part(problem, hypothesis, {effect}) for effect in hypothesis.effects}
+    known_alone = {effect for effect, part in parts.items() if part.size > part.deviation}
+    return set(hypothesis.effects) <= known_alone | in_known_pairs
 
 
 def remainder(problem: Problem, hypothesis: Hypothesis) -> Remainder:

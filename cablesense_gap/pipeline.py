@@ -8,7 +8,7 @@ depends on the kind of machine.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,17 +16,22 @@ import numpy as np
 from cablesense_base import Array
 from cablesense_gap.diagnosis.nuisance_posterior import NuisancePosterior, nuisance_posterior
 from cablesense_gap.diagnosis.probability import (
+    ProbabilityCalibration,
+    Ranked,
     ambiguity,
     bundled_calibration,
     named,
     posterior,
     rivals_of,
+    without,
 )
+from cablesense_gap.diagnosis.problem import Hypothesis, Problem
 from cablesense_gap.diagnosis.search import search
 from cablesense_gap.explained import (
     candidate_results,
     gap_size,
     remainder,
+    removes,
     shares,
     significant_values,
     trades,
@@ -63,6 +68,22 @@ class Outcome:
     held_out: Array
 
 
+def _named_that_removes(
+    problem: Problem, hypotheses: Sequence[Hypothesis], calibration: ProbabilityCalibration
+) -> list[Ranked]:
+    """The hypotheses, first the one that the verdict names: one whose effects remove something.
+
+    One that removes nothing is no hypothesis: the others share its probability.
+    """
+    ranked = posterior(hypotheses, problem.floor, calibration)
+    while True:
+        chosen = named(problem, ranked, calibration)
+        best = chosen[0].hypothesis
+        if best is None or not best.effects or removes(problem, best):
+            return chosen
+        ranked = without(ranked, best)
+
+
 def diagnose_system(
     system: System,
     progress: Callable[[str, float], None] = lambda *_: None,
@@ -90,7 +111,7 @@ def diagnose_system(
         usual = expected_of_inexact_model(system, problem, error, hypotheses)
         problem = problem_since(problem, usual)
         hypotheses = system.completed(problem, search(problem, progress, workers))
-    ranked = named(problem, posterior(hypotheses, problem.floor, calibration), calibration)
+    ranked = _named_that_removes(problem, hypotheses, calibration)
     progress("describing the verdict", 0.98)
     best = ranked[0].hypothesis
     used = problem.used

@@ -155,6 +155,13 @@ def named(problem: Problem, ranked: Sequence[Ranked], c: ProbabilityCalibration)
     return [chosen, *rest, replace(first, probability=first.probability - exact)]
 
 
+def without(ranked: Sequence[Ranked], excluded: Hypothesis) -> list[Ranked]:
+    """The hypotheses without one of them, whose probability the others share."""
+    others = [each for each in ranked if each.hypothesis is not excluded]
+    total = sum(each.probability for each in others)
+    return [replace(each, probability=each.probability / total) for each in others]
+
+
 def _together(problem: Problem, ranked: Sequence[Ranked]) -> list[Ranked]:
     """The most probable hypothesis with effects, and those that it and they imitate mutually."""
     fitted = [(each, h) for each in ranked if _names_an_effect(each) and (h := each.hypothesis)]

@@ -59,12 +59,35 @@ def headline(verdict: Verdict) -> str:
         return (
             f"Something that no known effect explains makes a gap of {gap}{where}{since} ({sure})."
         )
-    causes = ", and from ".join(cause(verdict, name) for name in verdict.effects)
-    comes = "probably comes" if verdict.probability > PROBABLE else "may come"
-    if verdict.probability >= SURE:
-        comes = "comes"
     what = f"What changed{since}" if since else "The gap"
-    return f"{what} {comes} from {causes} ({sure})."
+    if len(verdict.effects) == 1:
+        (name,) = verdict.effects
+        return f"{what} {_comes(verdict.probability)} from {cause(verdict, name)} ({sure})."
+    return f"{what} {_causes(verdict)}; together they are {sure}."
+
+
+def _comes(probability: float) -> str:
+    if probability >= SURE:
+        return "comes"
+    return "probably comes" if probability > PROBABLE else "may come"
+
+
+def _causes(verdict: Verdict) -> str:
+    """What each of several effects is to the gap, the most probable first, with its own doubt.
+
+    An effect is there if any hypothesis with it is true, so each is at least as probable as all of
+    them together.
+    """
+    probabilities = {
+        name: share.probability for name, share in verdict.shares.items()
+    } or dict.fromkeys(verdict.effects, verdict.probability)
+    by_phrase: dict[str, list[str]] = {}
+    for name in sorted(verdict.effects, key=lambda name: -probabilities[name]):
+        doubt = f"{cause(verdict, name)} ({percent(probabilities[name])})"
+        by_phrase.setdefault(_comes(probabilities[name]), []).append(doubt)
+    return ", and ".join(
+        f"{comes} from {', and from '.join(causes)}" for comes, causes in by_phrase.items()
+    )
 
 
 def _how_sure(verdict: Verdict) -> str:

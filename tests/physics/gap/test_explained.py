@@ -7,7 +7,7 @@ import pytest
 
 from cablesense_gap.diagnosis.fitting import refine, refit
 from cablesense_gap.diagnosis.probability import Ranked
-from cablesense_gap.explained import gap_size, remainder, rmse_interval_n, shares, trades
+from cablesense_gap.explained import gap_size, remainder, removes, rmse_interval_n, shares, trades
 from tests.helpers.gap_problem import FLOOR, SIGNALS, Sums, amount, linear, problem_of
 
 TRUTH = {amount("gain", "b"): 2.0, amount("other", "a"): -0.7}
@@ -47,6 +47,26 @@ def test_the_unexplained_part_is_stated(problem):
     assert half.unexplained == pytest.approx(size_of(PLANTED["other"]), rel=0.1)
     nothing = remainder(problem, refine(problem, {}, [[]]))
     assert nothing.share == pytest.approx(1.0, abs=0.05)
+
+
+def test_effects_remove_something_or_are_not_named(problem):
+    right = refit(problem, TRUTH, 4)
+    assert removes(problem, right)
+    # an effect that is not there, beside one that is: its share is within its own deviation
+    idle = refit(problem, TRUTH | {amount("gain", "a"): 0.0, amount("gain", "c"): 0.0}, 4)
+    assert removes(problem, idle)  # places of one effect count together
+    smaller = {amount("other", "b"): 0.3}
+    assert not removes(problem, refit(problem, smaller, 4))
+
+
+def test_a_size_that_may_be_zero_is_not_named():
+    library = linear("gain", "b", [SIGNALS[1]]) | linear("other", "a", [SIGNALS[5]])
+    problem = problem_of(Sums(library), {amount("gain", "b"): 0.5}, seed=4)
+    with_other = refit(problem, {amount("gain", "b"): 0.5, amount("other", "a"): 0.001}, 4)
+    fitted_size = abs(with_other.values[amount("other", "a")])
+    assert fitted_size < with_other.deviations[amount("other", "a")]
+    assert not removes(problem, with_other)
+    assert removes(problem, refit(problem, {amount("gain", "b"): 0.5}, 4))
 
 
 NEAR = SIGNALS[1] + 0.05 * SIGNALS[5]

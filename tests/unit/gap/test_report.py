@@ -14,7 +14,7 @@ from cablesense_gap.arm_system import Diagnosis
 from cablesense_gap.report.page import report_page, write_diagnosis
 from cablesense_gap.report.text import headline
 from cablesense_gap.simulator import Term
-from cablesense_gap.verdict import EstimatorErrors, FittedNumber, read_verdict
+from cablesense_gap.verdict import EstimatorErrors, FittedNumber, Share, read_verdict
 from cablesense_sim.arm import load_arm
 from tests.helpers.gap_recordings import LAB, small_recording
 from tests.helpers.html_page import Page, draw_no_pictures
@@ -146,6 +146,18 @@ def test_probable_is_said_of_more_than_half_alone(effects, probability, others, 
     said = headline(verdict_of(effects, probability, others=others))
     assert said.startswith(begins)
     assert said.endswith(ends)
+
+
+def test_each_of_several_effects_has_its_own_probability():
+    def share(probability):
+        return Share(share_n=1.0, ci95_n=(0.9, 1.1), left_n=0.2, probability=probability)
+
+    shares = {"payload": share(0.997), "sensor_gain": share(0.57)}
+    said = headline(verdict_of("payload+sensor_gain", 0.57, shares=shares))
+    payload, gain = said.split(", and probably comes from ")
+    assert payload.startswith("The gap comes from ")
+    assert payload.endswith("(> 99 %)")
+    assert gain.endswith("(57 %); together they are 57 % sure.")
 
 
 @pytest.mark.parametrize(
