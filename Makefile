@@ -60,7 +60,7 @@ build/compiled: $(shell grep -l '^@compiled' cablesense_sim/*.py)
 # What the default arm does without.
 build/compiled-all: build/compiled
 	@echo 'Compiling the law of friction …'
-	@$(BIN)/python -c 'from cablesense_sim.arm import open_arm; from cablesense_sim.dynamics import RestToRestArm; RestToRestArm(open_arm("cdsm_friction"))'
+	@$(BIN)/python -c 'from cablesense_sim.arm import open_arm; from cablesense_sim.dynamics import ArmQuasiStatics; ArmQuasiStatics(open_arm("cdsm_friction"))'
 	@touch $@
 
 setup: $(VENV)/.all  ## everything that developing needs, in .venv

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cablesense_sim import kinematics, rest
+from cablesense_sim import equilibrium_search, kinematics
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
 from cablesense_sim.loads import LoadError, contact_angle_deg, normal_force_n
@@ -110,7 +110,7 @@ def test_the_compiled_pose_is_the_same(arm: Arm) -> None:
     stacked = stack([mechanism] * 4)
     span = kinematics.spans(stacked, angles)
     chain = kinematics.chain(stacked, angles)
-    pose = rest.posed(rest.plates_of(stacked, 4), angles)
+    pose = equilibrium_search.posed(equilibrium_search.plates_of(stacked, 4), angles)
     by_turn = np.stack([span.by_pitch, span.by_yaw], axis=-1)
     same = partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-12)
     same(pose.span_m, span.length_m)
@@ -126,7 +126,7 @@ def test_the_compiled_pose_is_the_same(arm: Arm) -> None:
     none = np.zeros_like(pose.span_m)
     still = np.zeros_like(angles)
     by_span = np.zeros((*none.shape, none.shape[-1]))
-    balance = rest.balanced(pose, none, by_span, loads, still, still)
+    balance = equilibrium_search.balanced(pose, none, by_span, loads, still, still)
     same(-balance.torque_n_m, axis_torques_n_m(chain, loads))
 
     def torque_n_m(q: np.ndarray) -> np.ndarray:
