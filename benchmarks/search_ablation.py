@@ -157,7 +157,6 @@ CONSTANTS = (
     Constant(fitting, "_CONVERGED_STEP", 1e-9),
     Constant(fitting, "_CONVERGED_GAIN", 0.0),
     Constant(fitting, "_FIRST_DAMPING", 1e-6),
-    Constant(fitting, "_LEAST_DAMPING", 0.0),
     Constant(fitting, "_MOST_DAMPING", 0.0),
     Constant(fitting, "_BOUND_PASSES", 1),
     Constant(fitting, "_SCALES", (1.0,)),
@@ -296,6 +295,10 @@ class _Remembered:
         self.saved_s = 0.0
         super().__init__(*arguments)
 
+    def forget(self) -> None:
+        """Predict anew from now on."""
+        self._known.clear()
+
     def _once(self, key: Hashable, count: int, predicted: Callable[[], Array]) -> Array:
         self.variants += count
         if key in self._known:
@@ -389,20 +392,29 @@ def _systems(set_name: str, path: Path) -> tuple[Any, Any]:
 
 def _outcomes(set_name: str, path: Path) -> dict[str, Any]:
     """The outcome of a recording by the constant that is off."""
-    _diagnosed(*_systems(set_name, path))  # compiles what is compiled when it is first used
     system, healthy = _systems(set_name, path)
-    system.subsample()  # so that its first prediction counts in none
-    outcomes = {AS_IS: _diagnosed(system, healthy)}
+    outcomes = {AS_IS: _as_is(system, healthy)}
     for constant in _constants_of(set_name):
         with constant.off():
             outcomes[constant.label] = _diagnosed(system, healthy)
     return outcomes
 
 
+def _as_is(system: Any, healthy: Any) -> dict[str, Any]:
+    """The usual outcome, after a first one that compiles and finds what a system keeps."""
+    _diagnosed(system, healthy)
+    for simulator in _simulators(system, healthy):
+        simulator.forget()
+    return _diagnosed(system, healthy)
+
+
+def _simulators(system: Any, healthy: Any) -> list[Any]:
+    part = system.subsample()
+    return [each for each in (system, healthy, part and part[0]) if each]
+
+
 def _diagnosed(system: Any, healthy: Any) -> dict[str, Any]:
-    simulators = [system, *([] if healthy is None else [healthy])]
-    if (part := system.subsample()) is not None:
-        simulators.append(part[0])
+    simulators = _simulators(system, healthy)
     variants = sum(each.variants for each in simulators)
     saved_s = sum(each.saved_s for each in simulators)
     began_s = time.process_time()

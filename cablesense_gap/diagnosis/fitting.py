@@ -44,8 +44,6 @@ _CONVERGED_GAIN = 1.0
 effect takes over from nuisance parameters by gains that are small compared with the whole."""
 _FIRST_DAMPING = 1e-3
 """Of Levenberg and Marquardt, relative to the diagonal: first steps are almost Gauss-Newton's."""
-_LEAST_DAMPING = 1e-6
-"""Below which damping changes no step."""
 _MOST_DAMPING = 30.0
 """Above which a step that gains nothing ends the fit: it is a thirtieth of Gauss-Newton's."""
 _DAMPING_RISE = 30.0
@@ -161,7 +159,7 @@ class _Fit:
             point = tried
             predicted = ahead
             mean_square = after[1]
-            damping = max(damping / _DAMPING_FALL, _LEAST_DAMPING)
+            damping /= _DAMPING_FALL
             if far:
                 columns = (
                     self._linear(tried, columns)[1] if linear_model is None else linear_model[1]
