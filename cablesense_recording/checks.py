@@ -16,15 +16,16 @@ from scipy.optimize import linear_sum_assignment
 
 from cablesense_base import Array
 from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD, MAX_LOAD_N
-from cablesense_recording.csv_file import (
+from cablesense_recording.channel_checks import constant_channels, time_findings
+from cablesense_recording.channels import (
     LOAD,
     LOAD_AT,
     LOAD_SEGMENT,
     TIME,
     command_columns,
-    read_csv,
     tension_columns,
 )
+from cablesense_recording.csv_file import read_csv
 from cablesense_recording.mcap_file import is_bag, read_mcap
 from cablesense_recording.recording import (
     EXCHANGED,
@@ -141,13 +142,9 @@ def _numbers(recording: Recording, arm: Arm) -> Iterator[Finding]:
 def _time(recording: Recording, arm: Arm) -> Iterator[Finding]:
     steps = np.diff(recording.time_s)
     same_trial = np.diff(recording.trial) == 0
-    back = np.append(False, steps <= 0.0)
-    if back.any():
-        yield refuse(
-            "time",
-            f"{TIME} does not increase in {rows_named(back)}; each row must be later than "
-            "the one before: sort the rows, and leave out those that stand twice",
-        )
+    wrong = list(time_findings(recording.time_s, np.zeros(len(recording), dtype=bool)))
+    if wrong:
+        yield from wrong
         return
     within = steps[same_trial]
     if within.size:
@@ -285,7 +282,7 @@ def _channels(
                 f"tension_{cable + 1}_n is {read[0, cable]:g} N in every row, whatever loads and "
                 "poses; see whether its sensor is connected",
             )
-            for cable in np.flatnonzero(np.ptp(read, axis=0) == 0.0)
+            for cable in constant_channels(tension_columns(arm.cable_count), read)
         ]
     if nominal_n is None:
         return findings

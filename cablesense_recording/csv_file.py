@@ -15,17 +15,21 @@ from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
 from cablesense_base.files import written_whole
+from cablesense_recording.channels import (
+    LOAD,
+    LOAD_AT,
+    LOAD_SEGMENT,
+    TIME,
+    TRIAL,
+    arm_channels,
+    command_columns,
+    tension_columns,
+)
 from cablesense_recording.recording import MAX_NUMBERS, Recording, RecordingError, given_places
 from cablesense_sim.arm import Arm
 
-TIME: Final = "time_s"
 LONGEST_S: Final = 1e10
 """Any time is nearer to any epoch, and rows a microsecond apart can still be distinguished."""
-TRIAL: Final = "trial"
-LOAD_SEGMENT: Final = "load_segment"
-LOAD: Final = ("load_x_n", "load_y_n", "load_z_n")
-LOAD_AT: Final = "load_at_m"
-"""Optional: where on its segment a load acts; an empty cell is the arm file's `contact_m`."""
 CSV_ENDINGS: Final = (".csv", ".csv.gz")
 
 MAX_FILE_BYTES = 500_000_000
@@ -35,20 +39,9 @@ _DECIMALS = 6
 """A microradian changes the tension of a stiff cable by less than a sensor's step."""
 
 
-def command_columns(joint_count: int) -> list[str]:
-    """`q1_cmd_rad` … for 2N joint angles, pitch then yaw of each joint, base first."""
-    return [f"q{i + 1}_cmd_rad" for i in range(joint_count)]
-
-
-def tension_columns(cable_count: int) -> list[str]:
-    """`tension_1_n` … for M cables."""
-    return [f"tension_{i + 1}_n" for i in range(cable_count)]
-
-
 def all_columns(joint_count: int, cable_count: int) -> list[str]:
     """Every column that an arm's recording must have, in the order of the file."""
-    labels = [TIME, TRIAL, *command_columns(joint_count), LOAD_SEGMENT, *LOAD]
-    return labels + tension_columns(cable_count)
+    return [each.label for each in arm_channels(joint_count, cable_count) if each.needed]
 
 
 def csv_stem(path: Path) -> str:

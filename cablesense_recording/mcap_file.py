@@ -27,13 +27,19 @@ from cablesense_msgs_py.messages import (
 from cablesense_msgs_py.qos import INPUTS
 from cablesense_msgs_py.serialized import require_bounded
 from cablesense_msgs_py.topics import ContractError, Frames
-from cablesense_recording.mcap_messages import McapMessages, RawMessage, parsed_message
+from cablesense_recording.mcap_messages import (
+    LEAST_BYTES,
+    McapMessages,
+    RawMessage,
+    parsed_message,
+)
 from cablesense_recording.recording import (
     MAX_NUMBERS,
     Recording,
     RecordingError,
     derive_trials,
     given_places,
+    one_clock,
 )
 from cablesense_sim.arm import Arm
 from cablesense_sim.build import mechanism_of
@@ -42,6 +48,9 @@ from cablesense_sim.touch import touched_places
 
 MAX_FILE_BYTES = 2_000_000_000
 """An hour at 1 kHz."""
+
+PACKED_ENDING = ".mcap.zstd"
+"""Of a file that `ros2 bag record --compression-mode file` packed as a whole."""
 
 _LOG = logging.getLogger(__name__)
 _REQUIRED = (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS)
@@ -109,8 +118,9 @@ class BagRows:
                 f"{topics.JOINT_COMMANDS}; record on after the command"
             )
         logs_ns, stamps_ns = np.array(self._times_ns).reshape(-1, 2).T
-        # a clock that stamps only some messages is none
-        clock_ns = stamps_ns if stamps_ns.all() else logs_ns
+        clock_ns, odd = one_clock(logs_ns, stamps_ns)
+        if odd:
+            _LOG.warning("%s: %s", path, odd)
         time_s: Array = (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9
         numbers = np.array(self._numbers).reshape(len(time_s), -1)
         ends = np.cumsum([1, 1, 1, 3, self._arm.joint_count])
@@ -190,8 +200,14 @@ def read_mcap(path: str | Path, arm: Arm) -> Recording:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether `read_mcap` reads a path, by its ending or its metadata."""
-    return path.suffix.lower() == ".mcap" or (path / "metadata.yaml").is_file()
+    """Whether `read_mcap` reads a path: a .mcap file, or a folder of `ros2 bag`.
+
+    A recorder that was killed leaves a folder without its metadata.
+    """
+    if path.is_dir():
+        inside = (path / "metadata.yaml").is_file() or any(path.glob("*.mcap"))
+        return inside or any(path.glob("*.db3")) or any(path.glob(f"*{PACKED_ENDING}"))
+    return path.name.lower().endswith((".mcap", PACKED_ENDING))
 
 
 def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
@@ -266,16 +282,36 @@ def raw_messages(path: Path) -> Iterator[RawMessage]:
             f"{path}: {size / 1e9:.1f} GB; a recording has at most {MAX_FILE_BYTES / 1e9:g} GB: "
             "record the needed topics alone"
         )
+    _refuse_packed(path)
     inside = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
     for file in inside if path.is_dir() else [path]:
+        if path.is_dir() and file.stat().st_size < LEAST_BYTES:
+            _LOG.warning("%s: breaks off at its begin; what came before is used", file)
+            continue
         messages = McapMessages(file)
         yield from messages
         if messages.cut:
             _LOG.warning("%s: %s; what came before is used", file, messages.cut)
     if inside or not path.is_dir():
         return
+    if not (path / "metadata.yaml").is_file():
+        raise RecordingError(
+            f"{path}: has no metadata.yaml, as its recorder was killed; make it with: ros2 bag "
+            "reindex"
+        )
     from rosbags.rosbag2 import Reader
 
     with Reader(path) as reader:
         for connection, log_ns, data in reader.messages():
             yield RawMessage(connection.topic, connection.msgtype, log_ns, data)
+
+
+def _refuse_packed(path: Path) -> None:
+    """Files that are packed as a whole; of a whole folder `rosbags` unpacks them."""
+    single = [path] if path.name.lower().endswith(PACKED_ENDING) else []
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        single = sorted(path.glob(f"*{PACKED_ENDING}"))
+    if single:
+        raise RecordingError(
+            f"{single[0]}: is packed as a whole; unpack it first: zstd -d {single[0].name}"
+        )

@@ -40,6 +40,8 @@ CHUNK_S: Final = 0.5
 """A chunk holds no more than this of the messages' time."""
 
 _MAGIC: Final = b"\x89MCAP0\r\n"
+LEAST_BYTES: Final = len(_MAGIC)
+"""A file that is shorter was begun and never written to."""
 _HEAD = struct.Struct("<BQ")
 _BAG_VERSION: Final = 9
 """That of ROS 2 Jazzy."""
@@ -128,7 +130,13 @@ class McapMessages:
         from mcap.opcode import Opcode
 
         read = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK}
-        if file.read(len(_MAGIC)) != _MAGIC:
+        begin = file.read(len(_MAGIC))
+        if size < LEAST_BYTES:
+            raise RecordingError(
+                f"{self._path}: has {size} bytes, so it is no MCAP file; its recorder was stopped "
+                "before it wrote anything"
+            )
+        if begin != _MAGIC:
             raise RecordingError(f"{self._path}: no MCAP file; `ros2 bag info` should know it")
         offset = len(_MAGIC)
         while True:

@@ -141,6 +141,31 @@ refuse = partial(Finding, True)
 warn = partial(Finding, False)
 
 
+def one_clock(
+    arrival_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], str]:
+    """The one clock (R,) of messages that came at `arrival_ns`, and a sentence if it is odd.
+
+    Stamps count, also from 0 on, as simulated time begins. Where some are missing, which 0 stands
+    for, the times of arrival count for all: rows of two clocks have no order.
+    """
+    missing = stamp_ns == 0
+    steps_ns = np.diff(stamp_ns)
+    begins_at_zero = (
+        len(stamp_ns) > 1
+        and bool((steps_ns > 0).all())
+        and float(steps_ns[0]) <= _GAP_INTERVALS * float(np.median(steps_ns))
+    )
+    if not missing.any() or begins_at_zero:
+        return stamp_ns, ""
+    if missing.all():
+        return arrival_ns, ""
+    return arrival_ns, (
+        f"Stamps are missing in {int(missing.sum())} of {len(stamp_ns)} messages, so the times of "
+        "arrival count."
+    )
+
+
 def refuse_unusable(
     recording: Recording, findings: Sequence[Finding], *, force: bool = False
 ) -> None:

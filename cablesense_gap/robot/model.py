@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import copy
 import re
-from collections import Counter
+import unicodedata
 from dataclasses import dataclass, field
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,9 @@ class Robot:
         name: of the model.
         path: of its file.
         model: compiled; nobody changes it.
-        joints: names of its J joints, in the model's order, which is that of its coordinates.
+        joints: names of its J joints, in the model's order, which is that of its coordinates, as
+            they may stand in a parameter's name.
+        joint_names: (J,) the same as the model's file spells them.
         torque_units: of the drive's generalised force at each joint, N·m or N.
         bodies: names of the B bodies that move and have mass.
         body_ids: (B,) their numbers in the model.
@@ -71,6 +74,7 @@ class Robot:
     path: Path
     model: mujoco.MjModel = field(compare=False)
     joints: tuple[str, ...]
+    joint_names: tuple[str, ...]
     torque_units: tuple[str, ...]
     bodies: tuple[str, ...]
     body_ids: NDArray[np.int64] = field(compare=False)
@@ -259,12 +263,12 @@ def load_robot(path: str | Path) -> Robot:
         )
     if not all(names):
         raise RobotError(f"{path}: joint number {names.index('')} has no name; give each one")
-    joints = _as_places(path, names)
+    joints = _as_places(names)
     geared, left_out = _geared(model)
     body_numbers = [
         b for b in range(1, model.nbody) if model.body_weldid[b] and model.body_mass[b] > 0.0
     ]
-    bodies = _as_places(path, [model.body(b).name for b in body_numbers])
+    bodies = _as_places([model.body(b).name for b in body_numbers])
     guided = _guided(model)
     tendons = [model.tendon(t).name or f"tendon_{t}" for t in guided]
     return Robot(
@@ -272,11 +276,12 @@ def load_robot(path: str | Path) -> Robot:
         path=path,
         model=model,
         joints=joints,
+        joint_names=tuple(names),
         torque_units=tuple("N·m" if kind == _HINGE else "N" for kind in model.jnt_type),
         bodies=bodies,
         body_ids=np.array(body_numbers, dtype=np.int64),
         actuators=tuple(model.actuator(a).name or f"actuator_{a}" for a in range(model.nu)),
-        tendons=_as_places(path, tendons),
+        tendons=_as_places(tendons),
         tendon_ids=np.array(guided, dtype=np.int64),
         geared=geared,
         left_out=left_out,
@@ -374,12 +379,22 @@ def _guided(model: mujoco.MjModel) -> list[int]:
     ]
 
 
-def _as_places(path: Path, names: list[str]) -> tuple[str, ...]:
-    """Names that may stand between the points of a parameter's name."""
-    places = [_FOR_PLACES.sub("_", name) for name in names]
-    twice = [name for name, count in Counter(places).items() if count > 1]
-    if twice:
-        raise RobotError(f"{path}: {some_of(twice)} stands twice; names must differ in letters")
+def _as_places(names: list[str]) -> tuple[str, ...]:
+    """Names that may stand between the points of a parameter's name, each once.
+
+    An umlaut loses its points, other signs become `_`, and a name that is then there already gets
+    a number.
+    """
+    places: list[str] = []
+    for name in names:
+        letters = "".join(
+            letter
+            for letter in unicodedata.normalize("NFKD", name)
+            if not unicodedata.combining(letter)
+        )
+        place = _FOR_PLACES.sub("_", letters)
+        tried = chain([place], (f"{place}_{number}" for number in count(2)))
+        places.append(next(each for each in tried if each not in places))
     return tuple(places)
 
 

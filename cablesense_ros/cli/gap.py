@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import tempfile
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -21,6 +22,7 @@ from cablesense_ros.cli.options import (
     NominalArmOption,
     OptionError,
     RecordingArgument,
+    TopicsOption,
     WorkersOption,
     diagnosis_progress,
     print_json,
@@ -74,7 +76,7 @@ PositionsOption = Annotated[
         "the drives, as by a camera, and are compared with the commands of position servos."
     ),
 ]
-OF_ROBOTS = ("bandwidth", "forward", "zeroed", "positions")
+OF_ROBOTS = ("bandwidth", "forward", "zeroed", "positions", "topic")
 ADAPTED_MODEL = "estimator.onnx"
 CALIBRATION = "calibration.npz"
 _SHOWN_N = 0.05
@@ -93,6 +95,7 @@ def diagnose(
     forward: ForwardOption = None,
     zeroed: ZeroedOption = False,
     positions: PositionsOption = "drive",
+    topic: TopicsOption = None,
     reference: ReferenceOption = None,
     workers: WorkersOption = 2,
     force: ForcedDiagnosisOption = False,
@@ -109,6 +112,7 @@ def diagnose(
     [bold]cablesense gap diagnose recording.csv --model robot.xml --out diagnosis[/bold]
     """
     console = Console(stderr=json_output)
+    notes: tuple[str, ...] = ()
     if model is None:
         refuse_given(context, OF_ROBOTS, "without --model")
         verdict, lines = _diagnosed_arm(recording, out, arm, reference, workers, force, console)
@@ -123,8 +127,9 @@ def diagnose(
         _refuse_forward(context, positions)
         robot, beside = load_amended(model)
         output_folder(out, ROBOT_FILES, force=force, inputs=(recording, robot.path))
-        recorded = read_recording(recording, robot)
-        healthy = None if reference is None else read_recording(reference, robot)
+        read = partial(read_recording, robot=robot, topics=topic or (), force=force)
+        recorded = read(recording)
+        healthy = None if reference is None else read(reference)
         with diagnosis_progress(console) as (show, _):
             diagnosis = make(
                 recorded,
@@ -141,8 +146,11 @@ def diagnose(
             )
         write_robot_diagnosis(out, diagnosis)
         verdict = diagnosis.verdict
+        notes = recorded.notes
         lines = [*diagnosis.findings, headline(verdict), *verdict.doubts]
     if json_output:
+        for note in notes:
+            console.print(note, soft_wrap=True, markup=False, highlight=False)
         print_json(verdict.model_dump(mode="json", exclude_none=True))
         return
     for line in (*lines, f"Report: {out / 'report.html'}"):
@@ -200,6 +208,7 @@ def predict(
     forward: ForwardOption = None,
     zeroed: ZeroedOption = False,
     positions: PositionsOption = "drive",
+    topic: TopicsOption = None,
     settle: Annotated[
         int,
         typer.Option(
@@ -233,7 +242,7 @@ def predict(
         _refuse_forward(context, positions)
         robot, beside = load_amended(model)
         output_file(out, force=force, inputs=(recording, robot.path))
-        recorded = read_recording(recording, robot)
+        recorded = read_recording(recording, robot, topic or ())
         robot_options = {"zeroed": zeroed, "external": positions == "external"}
         system = RobotSystem(
             robot, prepared(recorded, robot, bandwidth, forward, **robot_options), beside
@@ -244,13 +253,13 @@ def predict(
         sizes = ", ".join(
             f"{name} {gap:.3g} of {size:.3g} {unit}" for name, unit, gap, size in gaps
         )
-        lines = [f"{system.compared} Gap, of the measured values (RMS): {sizes}"]
+        lines = [f"{system.compared} Gap, of the measured values (RMS): {sizes}", *recorded.notes]
     if json_output:
         print_json({"out": str(out), **figures})
         return
     first, *others = lines
     for line in (f"{out}: {first}", *others):
-        console.print(line, soft_wrap=True)
+        console.print(line, soft_wrap=True, markup=False)
 
 
 def _predicted_arm(

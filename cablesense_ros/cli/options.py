@@ -32,6 +32,16 @@ RecordingArgument = Annotated[
         "folder of CSV files."
     ),
 ]
+TopicsOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--topic",
+        metavar="NAME",
+        help="With --model: the bag's topic to read where several fit: of joint states, commands "
+        "or trials. May be given several times.",
+        show_default="the one that fits",
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print as JSON.")]
 DurationOption = Annotated[
     float | None, typer.Option(min=0.1, help="Seconds to record.", show_default="until Ctrl-C")

@@ -50,9 +50,10 @@ class Bag:
         self.put(topics.TRIAL, log_ns, STORE.types[NUMBER_TYPE](number))
 
     def put(self, topic, log_ns, message):
-        kind = INPUTS[topic].kind
+        contract = INPUTS.get(topic, INPUTS[topics.CABLE_TENSIONS])
+        kind = contract.kind
         if topic not in self.channels:
-            self.channels[topic] = self.file.add(resolved(topic), kind, INPUTS[topic].offered)
+            self.channels[topic] = self.file.add(resolved(topic), kind, contract.offered)
         self.file.write(self.channels[topic], log_ns, bytes(STORE.serialize_cdr(message, kind)))
 
 
@@ -76,6 +77,28 @@ def write_mcap(path, recording, arm):
                     point_m = contact_points_m(there, command)[segment - 1]
                     bag.load(at, at, "base_link", force, np.cross(point_m, force))
             bag.joint_state(topics.CABLE_TENSIONS, at, at, arm.cable_names, effort=tensions_n)
+
+
+def write_joint_states(path, table, topic="/joint_states", joints=None):
+    """A robot's table as a bag: a state by row, and a trial's number where the table has them.
+
+    `joints` are the names in the messages by those in the table. An effort that is no number in
+    all joints is left out of its message.
+    """
+    own = [name.partition(".")[2] for name in table if name.startswith("position.")]
+    joints = joints or {name: name for name in own}
+    with Bag(path) as bag:
+        for k, row in enumerate(table.to_dict("records")):
+            log_ns = START_NS * 100 + k * 10_000_000
+            stamp_ns = START_NS + round(1e9 * row["time_s"])
+            if "trial" in row:
+                bag.trial(log_ns, int(row["trial"]))
+            position = [row[f"position.{name}"] for name in own]
+            effort = [row.get(f"torque.{name}", np.nan) for name in own]
+            effort = effort if np.isfinite(effort).any() else []
+            names = [joints[name] for name in own]
+            bag.joint_state(topic, log_ns, stamp_ns, names, position=position, effort=effort)
+    return path
 
 
 def _header(stamp_ns, frame_id):

@@ -81,7 +81,7 @@ def test_gross_effects_of_an_arm_are_no_fault_of_the_recording(changes):
     [
         (with_((9, 4), "tensions_n", np.nan), "numbers", "tension_5_n .* row 10;"),
         (with_((0, 7), "command_rad", np.inf), "numbers", "q8_cmd_rad"),
-        (with_(30, "time_s", 1.0), "time", "does not increase in row 31"),
+        (with_(30, "time_s", 1.0), "time", "time_s is 1 in row 31, of another clock"),
         (with_(slice(40, 45), "load_segment", 0), "label", "row"),
         (with_(12, "load_segment", 5), "segment", r"is 5 in row 13; it must be from 1 to 4"),
         (with_(12, "load_segment", -1), "segment", "is -1"),

@@ -7,16 +7,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cablesense_gap.robot import recording
 from cablesense_gap.robot.amending import load_amended, write_amended
 from cablesense_gap.robot.inverse import InverseDynamics
 from cablesense_gap.robot.model import RobotError, load_robot
 from cablesense_gap.robot.motion import Trajectory
 from cablesense_gap.robot.preparation import prepared
-from cablesense_gap.robot.recording import bag_table, read_recording
+from cablesense_gap.robot.recording import channels_of, read_recording
 from cablesense_gap.simulator import Term
 from cablesense_msgs_py.topics import CABLE_TENSIONS, JOINT_COMMANDS
-from cablesense_recording import csv_file, mcap_file
+from cablesense_recording import csv_file, joint_states, mcap_file
+from cablesense_recording.joint_states import bag_table
 from cablesense_recording.recording import RecordingError
 from tests.helpers.bags import Bag
 from tests.helpers.two_link import recorded, write_model
@@ -131,7 +131,7 @@ def test_a_recording_that_is_too_large_or_not_there_is_refused_in_one_line(
         read_recording(path, robot)
     with Bag(path) as bag:
         bag.joint_state(CABLE_TENSIONS, 1, 1, robot.joints, position=[0.0, 0.0])
-    for module in (csv_file, recording):
+    for module in (csv_file, joint_states):
         monkeypatch.setattr(module, "MAX_NUMBERS", 5)
     with pytest.raises(RecordingError, match=r"^\S*run\.mcap: more than 5 numbers; split it$"):
         read_recording(path, robot)
@@ -156,10 +156,12 @@ def test_a_bag_without_torques_begins_with_its_first_command_and_any_trial(tmp_p
             position = [row[f"position.{name}"] for name in names]
             stamp_ns = 1_000_000_000 + round(1e9 * row["time_s"])
             bag.joint_state(CABLE_TENSIONS, 10 * k + 3, stamp_ns, names, position=position)
-    found = bag_table(path, robot)
-    assert found["time_s"][[0, -1]] == pytest.approx([0.0, table.time_s[59] - table.time_s[20]])
-    assert found["command.elbow"] == pytest.approx(table["torque.elbow"][20:60].to_numpy())
-    assert (np.diff(found["trial"]) != 0).nonzero()[0].tolist() == [9]
+    found = read_recording(path, robot)
+    assert np.ptp(found.time_s) == pytest.approx(table.time_s[59] - table.time_s[20])
+    assert found.command[:, 1] == pytest.approx(table["torque.elbow"][20:60].to_numpy())
+    assert "The first 20 of 60 rows are left out, before all commands have begun." in found.notes
+    numbered, _ = bag_table(path, channels_of(robot))
+    assert (np.diff(numbered["trial"]) != 0).nonzero()[0].tolist() == [29]
 
 
 def test_trials_are_parted_by_pauses(tmp_path, table, robot):

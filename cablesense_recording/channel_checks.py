@@ -1,0 +1,272 @@
+"""Checks that hold for the channels of any machine and of any format: clocks and dead channels.
+
+Rows are counted from 1, as people count them in a file; a row of a bag is a message of the topic
+that its readings came from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from cablesense_base import Array, some_of
+from cablesense_recording.channels import TIME
+from cablesense_recording.recording import Finding, refuse, rows_named, warn
+
+DEAD = "dead"
+"""The kind of the finding that a channel does not follow what it measures."""
+
+_FOREIGN_INTERVALS = 10.0
+"""A single stamp that is off by more of the usual intervals is of another clock."""
+_LEAP_INTERVALS = 5.0
+_LEAP_S = 0.1
+"""Time leaps where rows are farther apart than both: nothing is known of what lies between."""
+_MOST_LEAPS = 0.05
+_UNEVEN = 3.0
+"""Share of rows before which time leaps, and mean by median interval, from which on time is none
+that rows were sampled by."""
+_DEAD_ROWS = 20
+_DEAD_SHARE = 0.2
+_DOUBTFUL_SHARE = 0.05
+"""Least rows, and shares of all rows, in which a dead channel stands still."""
+_MOVES = 0.1
+"""A joint moves where it goes to and fro by this share of its whole span."""
+_SPIKE_SHARE = 0.05
+_SPIKE_STEPS = 5.0
+_RETURNS = 0.25
+"""A reading that is off by the share of the span and by that many usual steps, and is back in the
+next row but for the last share, is no motion."""
+_MOST_SPIKES = 5
+_AROUND = 11
+"""Rows around a step whose median is the usual one there."""
+_LEAP_STEPS = 8.0
+_MOST_TIMES = 3.0
+_MOST_PERCENT = 99.0
+_LEAP_SHARE = 0.02
+"""A step is none of a joint that moves where it is off the steps around it by more than these
+multiples of what is usual there and of what nearly all steps are off, and by the share of the
+span."""
+_LAGS = (2, 3)
+_ALTERNATING = 0.5
+"""Readings of several sources by turns: rows a few apart differ less than this by neighbours."""
+
+
+def time_findings(
+    time_s: Array, may_restart: NDArray[np.bool_], first_row: int = 1
+) -> Iterator[Finding]:
+    """Where a clock (R,) stands still, runs back, or gives way to another for one row.
+
+    It may begin anew in rows that `may_restart` (R,) marks. `first_row` is the number of the
+    first.
+    """
+    steps_s = np.diff(time_s)
+    back = np.flatnonzero((steps_s <= 0.0) & ~may_restart[1:])
+    if not back.size:
+        return
+    last = int(back[0])
+    row = last + 1
+    usual_s = float(np.median(steps_s[steps_s > 0.0])) if (steps_s > 0.0).any() else 0.0
+    back_s = -float(steps_s[last])
+    if back_s == 0.0:
+        still = np.zeros(len(time_s) + first_row - 1, dtype=bool)
+        still[first_row - 1 + 1 + np.flatnonzero((steps_s == 0.0) & ~may_restart[1:])] = True
+        yield refuse(
+            "time",
+            f"{TIME} stands still in {rows_named(still)}; each row must be later than the one "
+            "before: leave out rows that stand twice",
+        )
+        return
+    alone = back_s > _FOREIGN_INTERVALS * usual_s
+    if alone and last > 0 and time_s[row] > time_s[last - 1]:
+        foreign = last
+    elif alone and row + 1 < len(time_s) and time_s[row + 1] > time_s[last]:
+        foreign = row
+    else:
+        more = f" (and in {len(back) - 1} more)" if len(back) > 1 else ""
+        yield refuse(
+            "time",
+            f"{TIME} runs back by {back_s:.6g} s in row {row + first_row}{more}; each row must be "
+            "later than the one before: sort the rows, or part the file where its clock was set",
+        )
+        return
+    yield refuse(
+        "time",
+        f"{TIME} is {time_s[foreign]:.6g} in row {foreign + first_row}, of another clock than the "
+        f"rows around it, from which it runs back by {back_s:.6g} s; leave that row out",
+    )
+
+
+def leaps(time_s: Array, trial: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(R,) whether time leaps within a trial before a row."""
+    steps_s = np.diff(time_s)
+    within = np.diff(trial) == 0
+    if not within.any():
+        return np.zeros(len(time_s), dtype=bool)
+    usual_s = float(np.median(steps_s[within]))
+    leap = (steps_s > max(_LEAP_INTERVALS * usual_s, _LEAP_S)) & within
+    return np.append(False, leap)
+
+
+def uneven_time(time_s: Array, trial: NDArray[np.int64]) -> Iterator[Finding]:
+    """Whether times (R,) of rows in trials, already parted at leaps, are none of samples."""
+    steps_s = np.diff(time_s)[np.diff(trial) == 0]
+    parts = len(time_s) - len(steps_s)
+    if not steps_s.size:
+        return
+    mean_s = float(steps_s.mean())
+    usual_s = float(np.median(steps_s))
+    if mean_s > _UNEVEN * usual_s or parts > max(_MOST_LEAPS * len(time_s), 2.0):
+        yield refuse(
+            "uneven",
+            f"{TIME} comes in bursts: rows are {usual_s:.3g} s apart at the median and "
+            f"{np.diff(time_s).mean():.3g} s on average; record the time at which each row was "
+            "measured",
+        )
+
+
+def parted_sentence(time_s: Array, leap: NDArray[np.bool_], first_row: int = 1) -> str:
+    """What is done where time leaps (R,)."""
+    largest_s = float(np.diff(time_s)[leap[1:]].max())
+    marked = np.append(np.zeros(first_row - 1, dtype=bool), leap)
+    return (
+        f"{TIME} leaps over {largest_s:.3g} s before {rows_named(marked)}: the trial is parted "
+        "there, and nothing is interpolated."
+    )
+
+
+def constant_channels(labels: Sequence[str], values: Array) -> list[int]:
+    """Numbers of the channels (R, C) that have one finite value in every row."""
+    return [
+        number
+        for number in range(len(labels))
+        if np.isfinite(values[:, number]).all() and np.ptp(values[:, number]) == 0.0
+    ]
+
+
+def dead_torque(
+    label: str, torque: Array, position: Array, trial: NDArray[np.int64], first_row: int = 1
+) -> Iterator[Finding]:
+    """Whether the torque (R,) of a joint stands still while the joint moves to and fro (R,).
+
+    Friction, weight or inertia changes any torque there; a joint at rest may hold one for ever.
+    """
+    run = longest_run(torque)
+    count = run.stop - run.start
+    share = count / len(torque)
+    moves = to_and_fro(position[run], trial[run]) >= _MOVES * np.ptp(position)
+    if count < _DEAD_ROWS or share < _DOUBTFUL_SHARE or not moves:
+        return
+    finding = refuse if share >= _DEAD_SHARE else warn
+    rows = f"rows {run.start + first_row} to {run.stop + first_row - 1}"
+    yield finding(
+        DEAD,
+        f"{label} is {torque[run.start]:g} in {rows}, while its joint moves to and fro; see "
+        "whether its sensor is connected, and leave these rows out",
+    )
+
+
+def dead_position(
+    labels: Sequence[str], position: Array, number: int, first_row: int = 1
+) -> Iterator[Finding]:
+    """Whether a joint (R, J) stands still from some row on, or up to it, while others move."""
+    run = longest_run(position[:, number])
+    count = run.stop - run.start
+    at_an_end = run.start == 0 or run.stop == len(position)
+    span = np.ptp(position, axis=0)
+    moved = np.ptp(position[run], axis=0) >= _MOVES * np.maximum(span, 1e-12)
+    moving = [labels[other] for other in np.flatnonzero(moved).tolist() if other != number]
+    if count < max(_DEAD_ROWS, _DEAD_SHARE * len(position)) or not (at_an_end and moving):
+        return
+    rows = f"rows {run.start + first_row} to {run.stop + first_row - 1}"
+    where = "every row" if count == len(position) else rows
+    yield warn(
+        DEAD,
+        f"{labels[number]} is {position[run.start, number]:g} in {where}, while "
+        f"{some_of(moving, 3)} {'changes' if len(moving) == 1 else 'change'}; if that joint moved "
+        "there, its encoder is dead and the verdict is wrong",
+    )
+
+
+def leaps_and_returns(
+    label: str, position: Array, trial: NDArray[np.int64], first_row: int = 1
+) -> Iterator[Finding]:
+    """Whether readings (R,) of a joint leap away for a row and return, as no joint moves."""
+    if len(position) < 2 * _DEAD_ROWS or np.ptp(position) == 0.0:
+        return
+    step = np.abs(np.diff(position)) * (np.diff(trial) == 0)
+    off = np.zeros(len(position))
+    off[1:-1] = np.abs(position[1:-1] - 0.5 * (position[2:] + position[:-2]))
+    around = np.zeros(len(position))
+    around[1:-1] = np.abs(position[2:] - position[:-2])
+    usual = median_filter(np.append(step, step[-1:]), size=_AROUND, mode="nearest")
+    spike = off > np.maximum(_SPIKE_SHARE * np.ptp(position), _SPIKE_STEPS * usual)
+    spike &= around < _RETURNS * off
+    spike[1:] &= np.diff(trial) == 0
+    spike[:-1] &= np.diff(trial) == 0
+    marked = np.append(np.zeros(first_row - 1, dtype=bool), spike)
+    remedy = "record one publisher on a topic, and see whether the encoder is well"
+    if spike.sum() >= _MOST_SPIKES:
+        yield refuse(
+            "publishers",
+            f"{label} leaps away and back in {rows_named(marked)}: another publisher's readings "
+            f"among its own, or an encoder that fails; {remedy}",
+        )
+    elif spike.any():
+        yield warn("glitch", f"{label} leaps away and back in {rows_named(marked)}")
+    neighbours = np.sqrt((step**2).mean())
+    for lag in _LAGS:
+        apart = (position[lag:] - position[:-lag])[trial[lag:] == trial[:-lag]]
+        if apart.size and np.sqrt((apart**2).mean()) < _ALTERNATING * neighbours:
+            yield refuse(
+                "publishers",
+                f"{label} goes to and fro from row to row, as readings of {lag} publishers by "
+                f"turns; {remedy}",
+            )
+            return
+
+
+def position_leaps(position: Array, trial: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(R,) whether a joint (R, J) leaps within a trial before a row, as none moves."""
+    step = np.diff(position, axis=0) * (np.diff(trial) == 0)[:, None]
+    if len(step) < _AROUND:
+        return np.zeros(len(position), dtype=bool)
+    off = np.abs(step - median_filter(step, size=(_AROUND, 1), mode="nearest"))
+    usual = median_filter(off, size=(_AROUND, 1), mode="nearest")
+    most = np.percentile(off, _MOST_PERCENT, axis=0)
+    leap = off > np.maximum(_LEAP_STEPS * usual, _MOST_TIMES * most)
+    leap &= off > _LEAP_SHARE * np.ptp(position, axis=0)
+    leap &= (np.diff(trial) == 0)[:, None]
+    return np.append(False, leap.any(axis=1))
+
+
+def leap_sentence(
+    labels: Sequence[str], position: Array, leap: NDArray[np.bool_], first_row: int = 1
+) -> str:
+    """What is done where positions (R, J) leap (R,)."""
+    step = np.abs(np.diff(position, axis=0))[leap[1:]].max(axis=0)
+    worst = int((step / np.maximum(np.ptp(position, axis=0), 1e-12)).argmax())
+    marked = np.append(np.zeros(first_row - 1, dtype=bool), leap)
+    return (
+        f"{labels[worst]} leaps by {step[worst]:.3g} before {rows_named(marked)}, as no joint "
+        "moves: the trial is parted there."
+    )
+
+
+def longest_run(values: Array) -> slice:
+    """The rows (R,) of the longest run of one value."""
+    edges = np.flatnonzero(np.concatenate([[True], np.diff(values) != 0.0, [True]]))
+    longest = int(np.diff(edges).argmax())
+    return slice(int(edges[longest]), int(edges[longest + 1]))
+
+
+def to_and_fro(values: Array, trial: NDArray[np.int64]) -> float:
+    """How far values (R,) go one way and back again; from one trial to the next they may leap."""
+    if len(values) < 2:
+        return 0.0
+    path = np.append(0.0, np.cumsum(np.diff(values) * (np.diff(trial) == 0)))
+    rise = (path - np.minimum.accumulate(path)).max()
+    fall = (np.maximum.accumulate(path) - path).max()
+    return float(min(rise, fall))

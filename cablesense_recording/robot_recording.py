@@ -1,0 +1,418 @@
+"""A recording of a robot: positions, torques and commands under its model's names.
+
+CSV files and bags become the same table of channels, and the same checks are made of both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cablesense_base import Array, some_of
+from cablesense_recording.channel_checks import (
+    constant_channels,
+    dead_position,
+    dead_torque,
+    leap_sentence,
+    leaps,
+    leaps_and_returns,
+    parted_sentence,
+    position_leaps,
+    time_findings,
+    uneven_time,
+)
+from cablesense_recording.channels import TIME, TRIAL, Channel, Kind, RobotChannels
+from cablesense_recording.csv_file import CSV_ENDINGS, csv_stem, read_table
+from cablesense_recording.joint_states import bag_table
+from cablesense_recording.mcap_file import is_bag
+from cablesense_recording.recording import Finding, RecordingError
+
+FEWEST_TRIALS = 5
+"""Fewer are cut into stretches, so that there is something to hold out."""
+
+_PREFIXES = (TIME, "time", TRIAL, "position.", "torque.", "command.")
+_STILL_S = 0.5
+_STILL_SHARE = 0.01
+"""A joint slower than this share of its largest speed is standing still."""
+_MOST_STRETCH_S = 20.0
+_LEAST_STRETCH_S = 1.0
+_MOST_RAD = 4.0 * np.pi
+_MOST_RAD_S = 30.0
+"""No joint with a range goes farther; one without, as a drum, goes farther, but not faster."""
+_MOST_INTERVAL_S = 0.5
+_LEAST_SPEED = 0.005
+"""At longer intervals a joint that is never faster, in rad/s or m/s, has another unit of time."""
+
+_Columns = dict[str, Array]
+
+
+@dataclass(frozen=True)
+class RobotRecording:
+    """R rows in the order of time within each trial, names as the robot has them.
+
+    Attributes:
+        name: of the file or folder.
+        time_s: (R,) beginning anew where a file does.
+        trial: (R,) 0 to T - 1, blocks that are held out whole.
+        position: (R, J) of the joints, rad or m.
+        torque: (R, J) of the drives at the joints, N·m or N; NaN for joints without.
+        command: (R, A) of the actuators; NaN for those without.
+        notes: what was read, what was changed, and what is odd, as sentences.
+    """
+
+    name: str
+    time_s: Array
+    trial: NDArray[np.int64]
+    position: Array
+    torque: Array
+    command: Array
+    notes: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        """How many rows."""
+        return len(self.time_s)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One file, or one bag, in the order of its rows.
+
+    Attributes:
+        path: of it.
+        first_row: number of the first row that is used, from 1.
+        numbered: whether trials have numbers.
+        columns: time_s (R,), trial (R,), position (R, J), torque (R, J), command (R, A).
+        notes: what was changed, as sentences.
+    """
+
+    path: Path
+    first_row: int
+    numbered: bool
+    columns: _Columns
+    notes: tuple[str, ...]
+
+
+def read_robot_recording(
+    path: str | Path, channels: RobotChannels, topics: Sequence[str] = (), *, force: bool = False
+) -> RobotRecording:
+    """Read a .csv or .csv.gz file, a folder of them, a .mcap file or a rosbag2 folder.
+
+    Files of a folder do not share trials. `topics` are those of a bag to read where several fit.
+    With `force` a channel that stands still while its joint moves is no reason to refuse.
+
+    Raises:
+        RecordingError: no such file, neither CSV nor a bag, a column missing or of another robot,
+            a cell that is not a number, degrees or milliseconds, time that does not increase,
+            several topics that fit, several publishers, or a dead channel.
+    """
+    path = Path(path)
+    notes: list[str] = []
+    bag = is_bag(path)
+    if bag:
+        table, notes = bag_table(path, channels, topics)
+        tables = {path: table}
+    else:
+        if topics:
+            raise RecordingError(f"{path}: is no bag, so it has no topic {some_of(topics)}")
+        tables = {file: _labelled(file, channels) for file in _files(path)}
+    parts = [_part(file, table, channels, bag) for file, table in tables.items()]
+    for part in parts:
+        notes += part.notes
+    trial, note = _trials(parts)
+    every = _joined(parts)
+    every[TRIAL] = trial.astype(np.float64)
+    _check_units(path, channels, every)
+    constant = constant_channels(channels.labels(Kind.TORQUE), every["torque"])
+    notes += [
+        f"{channels.labels(Kind.TORQUE)[number]} is {every['torque'][0, number]:g} in every row, "
+        "whatever moves, so it is not compared; see whether its sensor is connected."
+        for number in constant
+    ]
+    for part in parts:
+        findings = list(_dead(channels, part, constant))
+        refusals = [each.text for each in findings if each.refuses and not force]
+        if refusals:
+            more = f" (and {len(refusals) - 1} more)" if len(refusals) > 1 else ""
+            raise RecordingError(f"{part.path}: {refusals[0]}{more}, or continue with --force")
+        notes += [f"{each.text}." for each in findings]
+    torque = every["torque"]
+    torque[:, constant] = np.nan
+    return RobotRecording(
+        name=_shown_name(path),
+        time_s=every[TIME],
+        trial=trial,
+        position=every["position"],
+        torque=torque,
+        command=every["command"],
+        notes=(*notes, note),
+    )
+
+
+def _joined(parts: Sequence[_Part]) -> _Columns:
+    """The columns of all files, one after the other."""
+    kinds = parts[0].columns
+    return {kind: np.concatenate([part.columns[kind] for part in parts]) for kind in kinds}
+
+
+def _shown_name(path: Path) -> str:
+    """The name of a file or folder, where bytes that are no UTF-8 are replaced."""
+    name = path.name if path.is_dir() else csv_stem(path)
+    return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        raise RecordingError(
+            f"{path}: no such file; give a .csv, .csv.gz or .mcap file, or a folder"
+        )
+    files = sorted(f for f in path.iterdir() if f.name.endswith(CSV_ENDINGS) and f.is_file())
+    if not files:
+        raise RecordingError(f"{path}: holds no .csv and no .csv.gz file, and is no rosbag2")
+    return files
+
+
+def _labelled(path: Path, channels: RobotChannels) -> _Columns:
+    """Columns of a CSV file under their labels, however they spell the names."""
+    table: _Columns = {}
+    for column, values in read_table(path, _PREFIXES).items():
+        label = channels.label_of(column)
+        if label in table:
+            raise RecordingError(f"{path}: column {label} appears twice; once is right")
+        table[label] = values
+    return table
+
+
+def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _Part:
+    """One file as arrays, from the first row on in which all its channels have begun.
+
+    Raises:
+        RecordingError: a column is missing or of another robot, a cell is empty, or time does not
+            increase.
+    """
+    if TIME not in table:
+        near = [name for name in table if "time" in name.lower()]
+        hint = f"; {near[0]} is there: it must be time_s, in seconds" if near else ""
+        raise RecordingError(f"{path}: misses column time_s{hint}")
+    rows = len(table[TIME])
+    if rows < 2:
+        raise RecordingError(f"{path}: has {rows} rows; a recording of motion has thousands")
+    _refuse_other_names(path, table, channels)
+    present = [channel for channel in channels.table if channel.label in table]
+    measured = [each for each in present if each.needed or not np.isnan(table[each.label]).all()]
+    begin, end = _begun(table, measured)
+    for channel in measured:
+        _refuse_gaps(path, channel, table[channel.label], begin, end)
+    numbered = any(channel.kind is Kind.TRIAL for channel in measured)
+    trial = np.zeros(rows, dtype=np.int64)
+    if numbered:
+        trial = np.cumsum(np.diff(table[TRIAL], prepend=table[TRIAL][0]) != 0.0)
+    time_s = table[TIME]
+    may_restart = np.append(False, np.diff(trial) != 0) & (not bag)
+    for finding in time_findings(time_s, may_restart):
+        raise RecordingError(f"{path}: {finding.text}")
+    notes = list(_trimmed(measured, rows, begin, end))
+    used = slice(begin, end)
+    if end - begin < 2:
+        raise RecordingError(
+            f"{path}: no two rows have numbers in all of {some_of([c.label for c in measured])}"
+        )
+    trial = trial[used] - trial[begin]
+    if numbered:
+        notes += _returning(table[TRIAL][used], trial)
+    leap = leaps(time_s[used], trial)
+    if leap.any():
+        notes.append(parted_sentence(time_s[used], leap, begin + 1))
+    for finding in uneven_time(time_s[used], trial + np.cumsum(leap)):
+        raise RecordingError(f"{path}: {finding.text}")
+
+    def stacked(kind: Kind) -> Array:
+        labels = channels.labels(kind)
+        columns = [table.get(label, np.full(rows, np.nan))[used] for label in labels]
+        return np.ascontiguousarray(np.array(columns).reshape(len(labels), end - begin).T)
+
+    position = stacked(Kind.POSITION)
+    labels = channels.labels(Kind.POSITION)
+    parted = trial + np.cumsum(leap)
+    for label, own in zip(labels, position.T, strict=True):
+        for finding in leaps_and_returns(label, own, parted, begin + 1):
+            if finding.refuses:
+                raise RecordingError(f"{path}: {finding.text}")
+            notes.append(f"{finding.text}.")
+    jump = position_leaps(position, parted)
+    if jump.any():
+        notes.append(leap_sentence(labels, position, jump, begin + 1))
+    leap |= jump
+    by_number = trial + np.cumsum(leap)
+    trial = by_number if numbered else _by_pauses(time_s[used], position, leap)
+    columns = {
+        TIME: time_s[used],
+        TRIAL: trial.astype(np.float64),
+        "position": position,
+        "torque": stacked(Kind.TORQUE),
+        "command": stacked(Kind.COMMAND),
+    }
+    return _Part(path, begin + 1, numbered, columns, tuple(notes))
+
+
+def _begun(table: _Columns, measured: Sequence[Channel]) -> tuple[int, int]:
+    """The first row in which all channels have begun, and the row behind the last of all.
+
+    Drives are often enabled after the recorder has started: efforts are missing till then, or 0.
+    """
+    labels = [channel.label for channel in measured if channel.kind not in (Kind.TIME, Kind.TRIAL)]
+    known = np.all([np.isfinite(table[label]) for label in labels], axis=0)
+    torques = [table[each.label] for each in measured if each.kind is Kind.TORQUE]
+    if torques:
+        enabled = np.any([np.nan_to_num(torque) != 0.0 for torque in torques], axis=0)
+        known &= np.maximum.accumulate(enabled) if enabled.any() else True
+    rows = np.flatnonzero(known)
+    return (int(rows[0]), int(rows[-1]) + 1) if rows.size else (0, len(known))
+
+
+def _trimmed(measured: Sequence[Channel], rows: int, begin: int, end: int) -> Iterator[str]:
+    kinds = {channel.kind for channel in measured}
+    what = "torques" if Kind.TORQUE in kinds else "commands"
+    if begin:
+        yield f"The first {begin} of {rows} rows are left out, before all {what} have begun."
+    if end < rows:
+        yield f"The last {rows - end} of {rows} rows are left out, after some channels have ended."
+
+
+def _refuse_gaps(path: Path, channel: Channel, values: Array, begin: int, end: int) -> None:
+    gaps = np.flatnonzero(~np.isfinite(values))
+    if channel.kind not in (Kind.TIME, Kind.TRIAL):
+        gaps = gaps[(gaps >= begin) & (gaps < end)]
+    if gaps.size:
+        more = f" and {len(gaps) - 1} more" if len(gaps) > 1 else ""
+        remedy = "" if channel.needed else ", or leave the column out"
+        raise RecordingError(
+            f"{path}: row {gaps[0] + 1}{more}, column {channel.label}: empty or not finite; fill "
+            f"every row{remedy}"
+        )
+
+
+def _returning(numbers: Array, trial: NDArray[np.int64]) -> list[str]:
+    """A sentence if a trial's number comes back after another one."""
+    starts = np.append(True, np.diff(trial) != 0)
+    values, counts = np.unique(numbers[starts], return_counts=True)
+    if not (counts > 1).any():
+        return []
+    return [
+        f"Trial {values[counts > 1][0]:g} comes back after another one; its parts count as trials "
+        "of their own."
+    ]
+
+
+def _refuse_other_names(path: Path, table: _Columns, channels: RobotChannels) -> None:
+    """Joints and actuators of another robot; joints without a position."""
+    known = {channel.label for channel in channels.table}
+    labels = zip(channels.labels(Kind.POSITION), channels.joint_names, strict=True)
+    missing = [name for label, name in labels if label not in table]
+    others = [name for name in table if "." in name and name not in known]
+    surplus = sorted({name.partition(".")[2] for name in others})
+    defects = [f"misses the position of {some_of(missing)}"] if missing else []
+    defects += [f"has {some_of(surplus)}, which the model has not"] if surplus else []
+    if defects:
+        actuators = some_of(channels.actuators, 12)
+        raise RecordingError(
+            f"{path}: {' and '.join(defects)}; {channels.model} has the joints "
+            f"{some_of(channels.joint_names, 12)}"
+            + (f" and the actuators {actuators}" if channels.actuators else "")
+        )
+
+
+def _trials(parts: Sequence[_Part]) -> tuple[NDArray[np.int64], str]:
+    """By column, by file, or by pauses; cut into stretches where there are too few."""
+    trials: list[NDArray[np.int64]] = []
+    begin = 0
+    how = "by their column" if all(part.numbered for part in parts) else "by file and pause"
+    for part in parts:
+        trials.append(begin + part.columns[TRIAL].astype(np.int64))
+        begin = int(trials[-1].max()) + 1
+    trial = np.concatenate(trials)
+    if begin < FEWEST_TRIALS:
+        trial = _cut(np.concatenate([part.columns[TIME] for part in parts]), trial)
+        how += f", {begin} in all, cut into {int(trial.max()) + 1} stretches"
+    return trial, f"Trials {how}."
+
+
+def _by_pauses(time_s: Array, position: Array, leap: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """A trial begins in the middle of each rest of all joints, and where time leaps (R,)."""
+    interval = np.diff(time_s, prepend=time_s[0])
+    typical = float(np.median(interval[1:]))
+    window = max(1, round(0.1 / max(typical, 1e-6)))
+    moved = np.abs(position[window:] - position[:-window])
+    far = np.zeros(len(time_s), dtype=bool)
+    far[: len(moved)] = (moved > _STILL_SHARE * moved.max(0, initial=0.0) + 1e-9).any(1)
+    edges = np.flatnonzero(np.diff(far.astype(int), prepend=1, append=1))
+    rests = [
+        (first + end) // 2
+        for first, end in zip(edges[::2], edges[1::2], strict=False)
+        if time_s[min(end, len(time_s) - 1)] - time_s[first] >= _STILL_S
+        and 0 < first < end < len(time_s)
+        and not leap[first : end + window + 1].any()  # where it leaps, it is parted already
+    ]
+    marks = leap.astype(np.int64)
+    marks[rests] = 1
+    return np.cumsum(marks)
+
+
+def _cut(time_s: Array, trial: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Trials cut into stretches, ten in all where they are long enough."""
+    spans = [np.ptp(time_s[trial == t]) for t in np.unique(trial)]
+    stretch_s = max(_LEAST_STRETCH_S, min(sum(spans) / (2 * FEWEST_TRIALS), _MOST_STRETCH_S))
+    cut = np.zeros_like(trial)
+    begin = 0
+    for t, span in zip(np.unique(trial), spans, strict=True):
+        rows = trial == t
+        pieces = max(1, int(span / stretch_s))
+        since = (time_s[rows] - time_s[rows][0]) / max(span, 1e-9)
+        cut[rows] = begin + np.minimum((since * pieces).astype(int), pieces - 1)
+        begin += pieces
+    return cut
+
+
+def _check_units(path: Path, channels: RobotChannels, every: Mapping[str, Array]) -> None:
+    """Milliseconds, degrees, and a robot that does not move."""
+    interval = np.diff(every[TIME])
+    within = np.diff(every[TRIAL]) == 0
+    position = every["position"]
+    typical = float(np.median(interval[within])) if within.any() else 0.0
+    step = np.abs(np.diff(position, axis=0)[within])
+    speed = (step / interval[within, None]).max(0, initial=0.0)
+    if typical > _MOST_INTERVAL_S and speed.max() < _LEAST_SPEED:
+        raise RecordingError(
+            f"{path}: rows are {typical:g} s apart and joints reach {speed.max():.2g} in 1 s; "
+            "time_s must be in seconds (milliseconds given?)"
+        )
+    hinges = np.array([unit == "rad" for unit in channels.position_units])
+    hinges &= np.array(channels.limited) | (speed > _MOST_RAD_S)
+    largest = np.abs(position[:, hinges]).max(initial=0.0)
+    if largest > _MOST_RAD:
+        raise RecordingError(
+            f"{path}: positions reach {largest:.0f}; they must be in rad (degrees given?)"
+        )
+    moved = np.ptp(position, axis=0)
+    if moved.max(initial=0.0) <= 0.0:
+        raise RecordingError(f"{path}: no joint moves; a recording of motion is right")
+
+
+def _dead(channels: RobotChannels, part: _Part, constant: Sequence[int]) -> Iterator[Finding]:
+    """Channels that do not follow what they measure; torques that are `constant` are known."""
+    positions = channels.labels(Kind.POSITION)
+    torques = channels.labels(Kind.TORQUE)
+    trial = part.columns[TRIAL].astype(np.int64)
+    for number in range(len(positions)):
+        position = part.columns["position"]
+        torque = part.columns["torque"][:, number]
+        yield from dead_position(positions, position, number, part.first_row)
+        if number not in constant and np.isfinite(torque).all():
+            yield from dead_torque(
+                torques[number], torque, position[:, number], trial, part.first_row
+            )
