@@ -38,7 +38,7 @@ def read_bounded_bytes(
         raise refusal(f"{path}: not a file; {what} is one") from error
     except (OSError, ValueError) as error:
         raise refusal(
-            f"{_shown(path)}: cannot be read ({_why(error)}); give the path of {what}"
+            f"{printable_path(path)}: cannot be read ({_why(error)}); give the path of {what}"
         ) from error
     if len(content) > max_bytes:
         raise refusal(f"{path}: larger than {max_bytes} bytes, so not {what}")
@@ -46,18 +46,26 @@ def read_bounded_bytes(
 
 
 def read_bounded_text(
-    path: str | Path, max_bytes: int, what: str, refusal: type[CableSenseError]
+    path: str | Path,
+    max_bytes: int,
+    what: str,
+    refusal: type[CableSenseError],
+    otherwise: str | None = None,
 ) -> str:
-    """The text of a regular file; as `read_bounded_bytes`.
+    """The text of a regular file in UTF-8, or else in the encoding `otherwise`; as bytes are read.
 
     Raises:
         CableSenseError: of the class `refusal`: as `read_bounded_bytes`, or the file is no UTF-8.
     """
+    content = read_bounded_bytes(path, max_bytes, what, refusal)
     try:
-        return read_bounded_bytes(path, max_bytes, what, refusal).decode("utf-8-sig")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        if otherwise is not None and b"\0" not in content:
+            return content.decode(otherwise, "replace")
         raise refusal(
-            f"{path}: cannot be read as text (byte {error.start} is no UTF-8); {what} is text"
+            f"{path}: cannot be read as text (byte {error.start} is no UTF-8); {what} is text: "
+            "save it as UTF-8"
         ) from error
 
 
@@ -143,7 +151,7 @@ def output_folder(
             raise OSError("Permission denied")
     except (OSError, ValueError) as error:
         raise refusal(
-            f"{_shown(folder)}: cannot be written to ({_why(error)}); give another --out"
+            f"{printable_path(folder)}: cannot be written to ({_why(error)}); give another --out"
         ) from error
     for place in sorted(match for pattern in patterns for match in folder.glob(pattern)):
         output_file(place, refusal, force=force, inputs=inputs)
@@ -181,14 +189,21 @@ def write_atomically(
         CableSenseError: of the class `refusal`: the file cannot be written.
     """
     with written_whole(path, refusal) as beside:
-        beside.write_bytes(content.encode() if isinstance(content, str) else content)
+        # a path whose bytes are no UTF-8 may stand in a text
+        text_bytes = content.encode("utf-8", "replace") if isinstance(content, str) else content
+        beside.write_bytes(text_bytes)
+
+
+def plain_name(name: str) -> str:
+    """A file's name for texts, where bytes that are no UTF-8 are replaced."""
+    return os.fsencode(name).decode("utf-8", "replace")
 
 
 def _not_written(
     path: str | Path, error: Exception, refusal: type[CableSenseError]
 ) -> CableSenseError:
     return refusal(
-        f"{_shown(path)}: cannot be written ({_why(error)}); "
+        f"{printable_path(path)}: cannot be written ({_why(error)}); "
         "give a file in a folder that exists and is yours"
     )
 
@@ -197,7 +212,7 @@ def _why(error: Exception) -> str:
     return (isinstance(error, OSError) and error.strerror) or str(error)
 
 
-def _shown(path: str | Path) -> str:
+def printable_path(path: str | Path) -> str:
     """A path in an error; one that holds a null or has no end is shortened."""
     text = str(path)
     return text if len(text) < 200 and text.isprintable() else repr(text[:100])

@@ -11,6 +11,7 @@ from cablesense_base import CableSenseError
 from cablesense_base.files import write_atomically
 from cablesense_gap.report.style import AFTER, BEFORE, WIDTH_IN, image_bytes, style
 from cablesense_gap.verdict import FittedNumber, Verdict, joined
+from cablesense_recording.mcap_file import is_bag
 
 WATCH_FILES = ("drift.csv", "drift.png")
 _SUFFIXES = (".csv", ".csv.gz", ".mcap")
@@ -30,7 +31,7 @@ def series(folder: Path) -> list[Path]:
     """
     names = folder.iterdir() if folder.is_dir() else []
     paths = sorted(
-        p for p in names if p.name.endswith(_SUFFIXES) or (p / "metadata.yaml").is_file()
+        path for path in names if path.name.endswith(_SUFFIXES) or (path.is_dir() and is_bag(path))
     )
     if len(paths) < 2:
         raise SeriesError(

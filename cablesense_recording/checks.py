@@ -25,7 +25,7 @@ from cablesense_recording.channels import (
     command_columns,
     tension_columns,
 )
-from cablesense_recording.csv_file import read_csv
+from cablesense_recording.csv_file import CSV_ENDINGS, read_csv
 from cablesense_recording.mcap_file import is_bag, read_mcap
 from cablesense_recording.recording import (
     EXCHANGED,
@@ -67,13 +67,13 @@ _BETTER = 0.4
 
 
 def read_recording(path: str | Path, arm: Arm) -> Recording:
-    """Read a recording: a `.csv` file, a `.mcap` file or a rosbag2 folder; check its form.
+    """Read a recording: a `.csv` or `.csv.gz` file, a `.mcap` file or a rosbag2 folder; check it.
 
     Raises:
         RecordingError: no such file, another format, or what cannot be used.
     """
     path = Path(path)
-    if path.suffix.lower() == ".csv":
+    if path.name.lower().endswith(CSV_ENDINGS):
         recording = read_csv(path, arm)
     elif is_bag(path):
         recording = read_mcap(path, arm)

@@ -5,8 +5,12 @@
 
 from __future__ import annotations
 
+import csv
+import gzip
 import warnings
+import zlib
 from collections.abc import Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
-from cablesense_base.files import written_whole
+from cablesense_base.files import plain_name, written_whole
 from cablesense_recording.channels import (
     LOAD,
     LOAD_AT,
@@ -35,6 +39,11 @@ CSV_ENDINGS: Final = (".csv", ".csv.gz")
 MAX_FILE_BYTES = 500_000_000
 """Days at 5 Hz; a larger file is not a recording of one protocol."""
 
+_MOST_LINES_BEFORE = 100
+_BEGIN_BYTES = 100_000
+_SHOWN_BYTES = 200
+_AROUND_BYTES = 12
+
 _DECIMALS = 6
 """A microradian changes the tension of a stiff cable by less than a sensor's step."""
 
@@ -46,7 +55,7 @@ def all_columns(joint_count: int, cable_count: int) -> list[str]:
 
 def csv_stem(path: Path) -> str:
     """The file's name without `.csv` or `.csv.gz`."""
-    return path.name.removesuffix(".gz").removesuffix(".csv")
+    return plain_name(path.name.removesuffix(".gz").removesuffix(".csv"))
 
 
 def read_table(path: str | Path, prefixes: Collection[str]) -> dict[str, Array]:
@@ -55,8 +64,9 @@ def read_table(path: str | Path, prefixes: Collection[str]) -> dict[str, Array]:
     Other columns are ignored. An empty cell becomes NaN.
 
     Raises:
-        RecordingError: not a file, too large, not CSV, a column that appears twice, a row with
-            more cells than the header, or a cell that is not a number.
+        RecordingError: not a file, too large, not CSV, not UTF-8, lines before the header, a
+            column that appears twice, a row with more cells than the header, or a cell that is
+            not a number.
     """
     import pandas as pd
 
@@ -68,10 +78,16 @@ def read_table(path: str | Path, prefixes: Collection[str]) -> dict[str, Array]:
             f"{path}: {path.stat().st_size / 1e6:.0f} MB; a recording has at most "
             f"{MAX_FILE_BYTES / 1e6:.0f} MB: split it"
         )
+    if path.stat().st_size == 0:
+        raise RecordingError(
+            f"{path}: is empty; its recorder was stopped before it wrote anything"
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
-            header = pd.read_csv(path, header=None, nrows=1, dtype=str, encoding="utf-8-sig")
+            header = pd.read_csv(
+                path, header=None, nrows=1, dtype=str, encoding="utf-8-sig", skipinitialspace=True
+            )
             names = [str(cell).strip() for cell in header.iloc[0]]
             _check_header(path, names, prefixes)
             most_rows = MAX_NUMBERS // len(names)  # a packed file can hold any number
@@ -83,7 +99,14 @@ def read_table(path: str | Path, prefixes: Collection[str]) -> dict[str, Array]:
                 low_memory=False,
                 nrows=most_rows + 1,
             )
-    except (OSError, ValueError, EOFError, OverflowError, pd.errors.ParserWarning) as error:
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{path}: {_no_utf8(path)}") from error
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise RecordingError(
+            f"{path}: cannot be unpacked ({error}); `zcat` shows what of it is whole, and a file "
+            "that is not packed ends in .csv"
+        ) from error
+    except (OSError, ValueError, OverflowError, pd.errors.ParserWarning) as error:
         line = " ".join(str(error).split())[:200]
         raise RecordingError(
             f"{path}: cannot be read as CSV text ({line}); every row must have as many cells as "
@@ -189,10 +212,55 @@ def _check_header(path: Path, names: list[str], prefixes: Collection[str]) -> No
             f"{path}: {named} separate its columns; a recording has commas there, and a point in "
             "its numbers"
         )
+    if TIME not in names:
+        _refuse_lines_before(path)
     known = [name for name in names if name.startswith(tuple(prefixes))]
     twice = sorted({name for name in known if known.count(name) > 1})
     if twice:
         raise RecordingError(f"{path}: column {some_of(twice)} appears twice; once is right")
+
+
+def _refuse_lines_before(path: Path) -> None:
+    """Comments and the like before the line that names the columns."""
+    begin = _begin_of(path)
+    if b"\0" in begin:
+        raise RecordingError(f"{path}: {_no_utf8(path)}")
+    lines = begin.decode("utf-8-sig", "replace").splitlines()
+    for number, line in enumerate(lines[:_MOST_LINES_BEFORE], start=1):
+        cells = [cell.strip() for cell in next(csv.reader([line], skipinitialspace=True), [])]
+        if TIME in cells:
+            raise RecordingError(
+                f"{path}: names its columns in line {number}; leave out the lines before it, of "
+                f"which the first is {lines[0].strip()[:40]!r}"
+            )
+        if line.lstrip().startswith("#") and TIME in [cell.lstrip("# ") for cell in cells]:
+            raise RecordingError(
+                f"{path}: line {number}, which names the columns, begins with #; leave the # out"
+            )
+
+
+def _begin_of(path: Path) -> bytes:
+    with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+        return file.read(_BEGIN_BYTES)
+
+
+def _no_utf8(path: Path) -> str:
+    """Where a file is no UTF-8 text, and what to do."""
+    begin = _begin_of(path)
+    if b"\0" in begin[:_SHOWN_BYTES]:
+        return "is UTF-16 text or no text at all; save it as CSV in UTF-8"
+    with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
+        for number, line in enumerate(iter(partial(file.readline, _BEGIN_BYTES), b""), start=1):
+            try:
+                line.decode("utf-8")
+            except UnicodeDecodeError as error:
+                around = line[max(error.start - _AROUND_BYTES, 0) : error.start + 2]
+                shown = around.decode("cp1252", "replace").strip()
+                return (
+                    f"line {number} is no UTF-8 text (byte 0x{line[error.start]:02x} in "
+                    f"{shown!r}); save the file as UTF-8"
+                )
+    return "is no UTF-8 text; save it as UTF-8"
 
 
 def _check_columns(path: Path, found: Collection[str], wanted: list[str], arm: Arm) -> None:

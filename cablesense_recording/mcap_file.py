@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
+from cablesense_base.files import plain_name
 from cablesense_msgs_py import topics
 from cablesense_msgs_py.messages import (
     Load,
@@ -132,7 +133,8 @@ class BagRows:
             trials = np.where(named, trial[:, 0], trial[named][0, 0]).astype(np.int64)
         else:
             trials = derive_trials(time_s, command, segments, load_n, at_m)
-        return Recording(path.stem, time_s, trials, command, segments, load_n, tensions_n, at_m)
+        name = plain_name(path.stem)
+        return Recording(name, time_s, trials, command, segments, load_n, tensions_n, at_m)
 
     def _take_load(self, message: Any) -> None:
         name = message.header.frame_id

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, some_of
+from cablesense_base.files import plain_name
 from cablesense_recording.channel_checks import (
     constant_channels,
     dead_position,
@@ -142,7 +143,7 @@ def read_robot_recording(
     torque = every["torque"]
     torque[:, constant] = np.nan
     return RobotRecording(
-        name=_shown_name(path),
+        name=plain_name(path.name) if path.is_dir() else csv_stem(path),
         time_s=every[TIME],
         trial=trial,
         position=every["position"],
@@ -156,12 +157,6 @@ def _joined(parts: Sequence[_Part]) -> _Columns:
     """The columns of all files, one after the other."""
     kinds = parts[0].columns
     return {kind: np.concatenate([part.columns[kind] for part in parts]) for kind in kinds}
-
-
-def _shown_name(path: Path) -> str:
-    """The name of a file or folder, where bytes that are no UTF-8 are replaced."""
-    name = path.name if path.is_dir() else csv_stem(path)
-    return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
 def _files(path: Path) -> list[Path]:

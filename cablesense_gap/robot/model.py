@@ -9,13 +9,14 @@ from dataclasses import dataclass, field
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from cablesense_base import Array, CableSenseError, some_of
-from cablesense_base.files import read_bounded_text
+from cablesense_base.files import printable_path, read_bounded_text
 
 _HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -27,6 +28,8 @@ _LEAST_REACH_M = 0.05
 _UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 _MAX_BYTES = 50_000_000
 _URDF = re.compile(r"<robot[\s>]")
+_XACRO = re.compile(r"<xacro:")
+_COMMENTS = re.compile(r"<!--.*?-->", re.DOTALL)
 _SHAPES = re.compile(r"<(visual|collision)\b(?:[^>]*/>|.*?</\1>)", re.DOTALL)
 _ZERO_BY_JOINT = (
     "play",
@@ -335,6 +338,16 @@ def read_spec(path: Path) -> mujoco.MjSpec:
     """
     text = read_bounded_text(path, _MAX_BYTES, "an MJCF or a URDF", RobotError)
     try:
+        str(path).encode()
+    except UnicodeEncodeError:
+        raise RobotError(
+            f"{printable_path(path)}: the path is no UTF-8 text, which MuJoCo needs; rename it"
+        ) from None
+    if _XACRO.search(_COMMENTS.sub("", text)):
+        name = path.name.removesuffix(".xacro").removesuffix(".urdf")
+        expanded = f"{name}.urdf" if path.suffix == ".xacro" else f"{name}_expanded.urdf"
+        raise RobotError(f"{path}: is a xacro file; expand it: xacro {path.name} > {expanded}")
+    try:
         if _URDF.search(text):
             spec = mujoco.MjSpec.from_string(_SHAPES.sub("", text))
         else:
@@ -348,8 +361,62 @@ def read_spec(path: Path) -> mujoco.MjSpec:
 
 
 def _unreadable(path: Path, error: ValueError) -> RobotError:
+    without = _links_without_mass(path)
+    if without:
+        others = f", nor have {some_of(without[1:])}" if len(without) > 1 else ""
+        return RobotError(
+            f"{path}: link {without[0]} has no <inertial>{others}; masses from shapes are not "
+            "used: give one to each link that a joint moves"
+        )
     line = " ".join(str(error).split())[:300]
     return RobotError(f"{path}: MuJoCo cannot read this as MJCF or URDF ({line})")
+
+
+def _links_without_mass(path: Path) -> list[str]:
+    """Links of a URDF that a joint moves, and that have no mass with all that is fixed to them."""
+    text = read_bounded_text(path, _MAX_BYTES, "an MJCF or a URDF", RobotError)
+    if not _URDF.search(text):
+        return []
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError:
+        return []
+    massive = {link.get("name") for link in root.iter("link") if _mass_kg(link) > 0.0}
+    fixed_to: dict[str | None, list[str | None]] = {}
+    moved: list[str] = []
+    for joint in root.findall("joint"):
+        child = joint.find("child")
+        parent = joint.find("parent")
+        if child is None or parent is None:
+            continue
+        if joint.get("type") == "fixed":
+            fixed_to.setdefault(parent.get("link"), []).append(child.get("link"))
+        else:
+            moved.append(str(child.get("link")))
+    return [link for link in moved if not _weighs(link, massive, fixed_to)]
+
+
+def _mass_kg(link: ElementTree.Element) -> float:
+    mass = link.find("inertial/mass")
+    try:
+        return float(mass.get("value", "0")) if mass is not None else 0.0
+    except ValueError:
+        return 0.0
+
+
+def _weighs(
+    link: str | None, massive: set[str | None], fixed_to: dict[str | None, list[str | None]]
+) -> bool:
+    parts = [link]
+    seen: set[str | None] = set()
+    while parts:
+        part = parts.pop()
+        if part in massive:
+            return True
+        if part not in seen:
+            seen.add(part)
+            parts += fixed_to.get(part, [])
+    return False
 
 
 def _geared(model: mujoco.MjModel) -> tuple[Array, tuple[str, ...]]:

@@ -29,6 +29,8 @@ MAX_MAP_BYTES = 200_000
 """A map or calibration is a page of text."""
 _MAX_DBC_BYTES = 2_000_000
 """The DBC file of a whole car has about a megabyte."""
+_DBC_ENCODING = "cp1252"
+"""Of DBC files that are not UTF-8: the tools that write them are of Windows."""
 _SIZES = re.compile(r"(?m)^\s*(?:BO_[^:\n]*:\s*(\d+)|SG_[^:\n]*:\s*(\d+)\s*\|\s*(\d+))")
 _LARGEST_SIZE = 8 * 1785
 """The bits of J1939's longest message. cantools takes memory for every bit that a line claims."""
@@ -193,7 +195,7 @@ def open_channel_map(name_or_path: str | Path) -> tuple[ChannelMap, Database]:
     text = read_bounded_text(path, MAX_MAP_BYTES, "a channel map", ChannelMapError)
     channel_map = read_plain(text, str(path), ChannelMap, ChannelMapError)
     dbc = path.parent / channel_map.dbc
-    text = read_bounded_text(dbc, _MAX_DBC_BYTES, "a DBC file", ChannelMapError)
+    text = read_bounded_text(dbc, _MAX_DBC_BYTES, "a DBC file", ChannelMapError, _DBC_ENCODING)
     database = parse_database(text, source=str(dbc))
     check_fit(channel_map, database, source=str(dbc))
     return channel_map, database

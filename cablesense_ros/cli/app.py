@@ -7,6 +7,7 @@ message; 130 Ctrl-C, 143 SIGTERM, 129 a terminal that hung up.
 from __future__ import annotations
 
 import gc
+import io
 import signal
 import sys
 from typing import Annotated
@@ -68,6 +69,8 @@ def run_app(command: typer.Typer, name: str) -> None:
     A signal leaves through the `with` statements: workers end, and no part of a file stays.
     """
     handle_end_signals(_on_end_signal)
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal may lack letters, or a frame's lines
+        sys.stdout.reconfigure(errors="replace")
     line, code = _run(command)
     # generators that frames of the error held end here, and with them pools and part files
     gc.collect()

@@ -68,11 +68,16 @@ def refuse_given(context: typer.Context, names: Iterable[str], why: str) -> None
     ignored = [
         parameter.opts[0] if parameter.opts[0].startswith("-") else parameter.opts[0].upper()
         for parameter in context.command.params
-        if parameter.name in set(names) and context.params[parameter.name] != parameter.default
+        if parameter.name in set(names) and _given(context.params[parameter.name], parameter)
     ]
     if ignored:
         have = "has" if len(ignored) == 1 else "have"
         raise OptionError(f"{', '.join(ignored)} {have} no effect {why}; leave it out")
+
+
+def _given(value: Any, parameter: Any) -> bool:
+    """Whether a value is other than the default; a list without one begins empty."""
+    return value != parameter.default and value not in ([], ())
 
 
 def task_bars(console: Console) -> Progress:

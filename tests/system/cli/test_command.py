@@ -49,6 +49,16 @@ def test_help_loads_neither_ros_nor_torch_nor_the_page():
     assert result.returncode == 0
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("encoding", ["latin-1", "cp1252", "koi8-r", "ascii"])
+@pytest.mark.parametrize("words", ["info cdsm", "info --effects", "gap protocol"])
+def test_a_terminal_without_some_letters_shows_the_others(encoding, words):
+    environment = os.environ | {"PYTHONIOENCODING": encoding}
+    result = subprocess.run([*COMMAND, *words.split()], capture_output=True, env=environment)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.decode(encoding)
+
+
 @pytest.mark.parametrize(
     ("arguments", "remedy"),
     [

@@ -91,6 +91,12 @@ def test_a_path_is_taken_and_its_dbc_sought_beside_it(tmp_path):
         open_channel_map(file)
     (tmp_path / "twelve_channel_amplifier.dbc").write_text(TEXT, encoding="utf-8")
     assert open_channel_map(file)[0] == PACKED
+    of_windows = TEXT.replace('"N"', '"µm"', 1)
+    assert of_windows != TEXT
+    (tmp_path / "twelve_channel_amplifier.dbc").write_text(of_windows, encoding="cp1252")
+    _, database = open_channel_map(file)
+    units = {signal.unit for message in database.messages for signal in message.signals}
+    assert "µm" in units
 
 
 @pytest.mark.parametrize(

@@ -226,6 +226,47 @@ def test_a_urdf_is_read_without_its_meshes_and_amended_as_mjcf(tmp_path):
     assert beside == {Term("torque_scale", "turn", "share"): 0.1}
 
 
+MASSLESS = """<robot name="shapes"><link name="base"/>
+<link name="a"><collision><geometry><box size="0.05 0.05 0.3"/></geometry></collision></link>
+<link name="tip"/>{}
+<joint name="fixed" type="fixed"><parent link="a"/><child link="tip"/></joint>
+<joint name="j1" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/></joint>
+</robot>"""
+HAND = """<link name="hand"><inertial><mass value="1"/>
+<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="hold" type="fixed"><parent link="tip"/><child link="hand"/></joint>"""
+
+
+def test_a_urdf_without_masses_names_the_link(tmp_path):
+    path = tmp_path / "shapes.urdf"
+    path.write_text(MASSLESS.format(""))
+    with pytest.raises(RobotError, match="link a has no <inertial>; masses from shapes are"):
+        load_robot(path)
+    path.write_text(MASSLESS.format(HAND))  # what is fixed to a link has its mass
+    assert load_robot(path).joints == ("j1",)
+
+
+@pytest.mark.parametrize("name", ["arm.xacro", "arm.urdf.xacro", "arm.urdf"])
+def test_a_xacro_file_says_how_it_is_expanded(tmp_path, name):
+    path = tmp_path / name
+    path.write_text('<robot name="arm" xmlns:xacro="x"><xacro:arm prefix=""/></robot>')
+    into = "arm.urdf" if name.endswith("xacro") else "arm_expanded.urdf"
+    with pytest.raises(RobotError, match=f"is a xacro file; expand it: xacro {name} > {into}$"):
+        load_robot(path)
+    expanded = URDF.replace("<robot", '<robot xmlns:xacro="x"')
+    path.write_text(f"<!-- by <xacro:arm/> -->{expanded}")
+    assert load_robot(path).joints == ("turn",)
+
+
+def test_a_model_whose_path_is_no_utf8_is_refused_in_one_line(tmp_path):
+    path = write_model(tmp_path).rename(
+        tmp_path / b"r\xf6bot.xml".decode(errors="surrogateescape")
+    )
+    with pytest.raises(RobotError, match="the path is no UTF-8 text") as said:
+        load_robot(path)
+    assert str(said.value).isascii()
+
+
 def course(position, speed=0.0, acceleration=0.0):
     count, joints = position.shape
     still = np.zeros_like(position)
