@@ -420,18 +420,54 @@ def _weighs(
 
 
 def _geared(model: mujoco.MjModel) -> tuple[Array, tuple[str, ...]]:
-    """Ratios of joints that are tied to others, and what of the equalities is left out."""
+    """Ratios of joints that are tied to others, and what of the active equalities is left out."""
     geared = np.zeros((model.njnt, model.njnt))
     others = 0
-    for e in range(model.neq):
-        joint = model.eq_obj1id[e]
-        of = model.eq_obj2id[e]
-        curve = model.eq_data[e, 1:5]
-        if model.eq_type[e] == mujoco.mjtEq.mjEQ_JOINT and of >= 0 and not curve[1:].any():
-            geared[joint, of] = curve[0]
+    for tie in joint_ties(model):
+        if tie.leader is not None and not any(tie.curve[2:]):
+            geared[tie.joint, tie.leader] = tie.curve[1]
         else:
             others += 1
+    of_joints = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & model.eq_active0.astype(bool)
+    others += int(model.eq_active0.sum()) - int(of_joints.sum())
     return geared, (f"{others} equality constraints of the model are left out.",) * bool(others)
+
+
+@dataclass(frozen=True)
+class JointTie:
+    """An equality that ties a joint to another, or to a place.
+
+    Attributes:
+        joint: number of the joint that follows.
+        leader: number of the joint that it follows; None where it is held.
+        curve: (5,) coefficients of its position, from the reference, by the leader's from its own.
+        reference: positions of joint and leader from which the curve counts, rad or m.
+    """
+
+    joint: int
+    leader: int | None
+    curve: tuple[float, ...]
+    reference: tuple[float, float]
+
+    def followed(self, leading: Array) -> Array:
+        """The joint's positions by those of its leader, of the same shape."""
+        away = leading - self.reference[1]
+        return np.asarray(self.reference[0] + np.polynomial.polynomial.polyval(away, self.curve))
+
+
+def joint_ties(model: mujoco.MjModel) -> list[JointTie]:
+    """The active equalities of joints; one that is not active ties nothing."""
+    ties = []
+    for e in range(model.neq):
+        if model.eq_type[e] != mujoco.mjtEq.mjEQ_JOINT or not model.eq_active0[e]:
+            continue
+        joint = int(model.eq_obj1id[e])
+        leader = int(model.eq_obj2id[e])
+        led = leader >= 0
+        reference = float(model.qpos0[joint]), float(model.qpos0[leader]) if led else 0.0
+        curve = tuple(model.eq_data[e, :5].tolist())
+        ties.append(JointTie(joint, leader if led else None, curve, reference))
+    return ties
 
 
 def _guided(model: mujoco.MjModel) -> list[int]:

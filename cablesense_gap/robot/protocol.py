@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cablesense_base import Array
 from cablesense_gap.robot.amending import changed
 from cablesense_gap.robot.inverse import InverseDynamics
-from cablesense_gap.robot.model import Robot
+from cablesense_gap.robot.model import JointTie, Robot, joint_ties
 from cablesense_gap.robot.motion import Trajectory, derivatives
 from cablesense_gap.simulator import Assignment
 from cablesense_recording.csv_file import write_table
@@ -31,6 +31,8 @@ _M_S = 0.1
 _FAST = 2.0
 _LONG = 20.0
 _TOGETHER = 4
+_TRIED = 401
+"""Positions of a joint at which those that follow it are looked up."""
 _SLOW_SPEED = 0.02
 _EVERY = 10
 
@@ -51,25 +53,21 @@ class RobotBlock:
 
 def standard_protocol(robot: Robot) -> list[RobotBlock]:
     """Each joint alone slowly and faster, then all at once."""
-    middle, reach = _ranges(robot)
+    ties = _followed_ties(robot)
+    following = {tie.joint for tie in ties}
+    leading = [j for j in range(len(robot.joints)) if j not in following]
+    middle, reach = _ranges(robot, ties)
     speed = np.where([unit == "rad" for unit in robot.position_units], _RAD_S, _M_S)
     period_s = np.maximum(2.0 * np.pi * reach / speed, _LEAST_PERIOD_S)
     blocks = []
-    for j, joint in enumerate(robot.joints):
+    for j in leading:
         for kind, times in (("slow sweep", 1.0), ("fast sweep", _FAST)):
             own_s = period_s[j] / times
             time_s = np.arange(0.0, max(2.0 * own_s, 6.0), 1.0 / RATE_HZ)
             position = np.tile(middle, (len(time_s), 1))
             position[:, j] += reach[j] * np.sin(2.0 * np.pi * time_s / own_s)
-            low = middle[j] - reach[j]
-            high = middle[j] + reach[j]
-            unit = robot.position_units[j]
-            free = "" if robot.model.jnt_limited[j] else " (the model has no range of it)"
-            does = (
-                f"move {joint} alone between {low:.2g} and {high:.2g} {unit}{free} as a sine, "
-                f"{own_s:.0f} s each time; the others stay at the middle of their ranges"
-            )
-            blocks.append(RobotBlock(kind, does, position))
+            does = _sweep(robot, j, ties, middle[j] - reach[j], middle[j] + reach[j], own_s)
+            blocks.append(RobotBlock(kind, does, _with_followers(position, ties)))
     rng = np.random.default_rng(0)
     for _ in range(_TOGETHER):
         time_s = np.arange(0.0, _LONG, 1.0 / RATE_HZ)
@@ -79,8 +77,59 @@ def standard_protocol(robot: Robot) -> list[RobotBlock]:
             phase_rad = 2.0 * np.pi * times * time_s[:, None] / period_s + begin
             waves += np.sin(phase_rad) * reach / (3.0 * times)
         does = "move all joints at once, each as a sum of three sines"
-        blocks.append(RobotBlock("all joints", does, middle + waves))
+        if ties:
+            named = [robot.joints[tie.joint] for tie in ties]
+            does += f"; {' and '.join(named)} {'follow' if len(named) > 1 else 'follows'}"
+        blocks.append(RobotBlock("all joints", does, _with_followers(middle + waves, ties)))
     return blocks
+
+
+def _sweep(
+    robot: Robot, joint: int, ties: Sequence[JointTie], low: float, high: float, period_s: float
+) -> str:
+    """What to do with one joint."""
+    unit = robot.position_units[joint]
+    free = "" if robot.model.jnt_limited[joint] else " (the model has no range of it)"
+    moved = [joint]
+    for tie in ties:
+        moved += [tie.joint] if tie.leader in moved else []
+    named = [robot.joints[each] for each in moved[1:]]
+    follow = (
+        f"{' and '.join(named)} {'follow' if len(named) > 1 else 'follows'}; " if named else ""
+    )
+    return (
+        f"move {robot.joints[joint]} alone between {low:.2g} and {high:.2g} {unit}{free} as a "
+        f"sine, {period_s:.0f} s each time; {follow}the others stay at the middle of their ranges"
+    )
+
+
+def _followed_ties(robot: Robot) -> list[JointTie]:
+    """Ties by which joints follow, each behind that of its leader.
+
+    Of two ties of one joint the first counts. In a ring of joints that follow each other the first
+    leads.
+    """
+    pending: dict[int, JointTie] = {}
+    for tie in joint_ties(robot.model):
+        pending.setdefault(tie.joint, tie)
+    ordered: list[JointTie] = []
+    while pending:
+        ready = [tie for tie in pending.values() if tie.leader not in pending]
+        if not ready:
+            del pending[next(iter(pending))]
+        for tie in ready:
+            del pending[tie.joint]
+        ordered += ready
+    return ordered
+
+
+def _with_followers(position: Array, ties: Sequence[JointTie]) -> Array:
+    """Positions (T, J) with those of joints that follow."""
+    followed = position.copy()
+    for tie in ties:
+        leading = np.zeros(len(position)) if tie.leader is None else followed[:, tie.leader]
+        followed[:, tie.joint] = tie.followed(leading)
+    return followed
 
 
 def write_protocol(path: Path, robot: Robot, blocks: Sequence[RobotBlock]) -> int:
@@ -133,15 +182,30 @@ def next_experiment(robot: Robot, rivals: Sequence[Assignment], floor: Array) ->
     )
 
 
-def _ranges(robot: Robot) -> tuple[Array, Array]:
-    """Middle and half width (J,) of what each joint goes through."""
-    low, high = robot.model.jnt_range.T
+def _ranges(robot: Robot, ties: Sequence[JointTie]) -> tuple[Array, Array]:
+    """Middle and half width (J,) of what each joint goes through; those that follow stay inside.
+
+    A joint that follows has the width 0 of its own.
+    """
+    low, high = robot.model.jnt_range.T.copy()
     limited = robot.model.jnt_limited.astype(bool)
-    middle = np.where(limited, 0.5 * (low + high), robot.model.qpos0)
-    free = np.where([unit == "rad" for unit in robot.position_units], _FREE_RAD, _FREE_M)
-    return middle, np.where(
-        limited, np.minimum(0.5 * _RANGE_SHARE * (high - low), _MOST_RAD), free
-    )
+    hinges = np.array([unit == "rad" for unit in robot.position_units])
+    free = np.where(hinges, _FREE_RAD, _FREE_M)
+    start = np.where(limited, 0.5 * (low + high), robot.model.qpos0)
+    reach = np.where(limited, np.minimum(0.5 * _RANGE_SHARE * (high - low), _MOST_RAD), free)
+    middle = _with_followers(start[None], ties)[0]
+    following = [tie.joint for tie in ties]
+    for leader in sorted({tie.leader for tie in ties if tie.leader is not None} - {*following}):
+        path = np.tile(start, (_TRIED, 1))
+        path[:, leader] += reach[leader] * np.linspace(-1.0, 1.0, _TRIED)
+        followed = _with_followers(path, ties)[:, following]
+        inside = (followed >= low[following]) & (followed <= high[following])
+        possible = path[(inside | ~limited[following]).all(axis=1), leader]
+        if possible.size:
+            middle[leader] = 0.5 * (possible.min() + possible.max())
+            reach[leader] = 0.5 * (possible.max() - possible.min())
+    reach[following] = 0.0
+    return _with_followers(middle[None], ties)[0], reach
 
 
 def _joined(blocks: Sequence[RobotBlock], every: int = 1) -> tuple[Array, NDArray[np.int64]]:
