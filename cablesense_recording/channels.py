@@ -92,7 +92,7 @@ class RobotChannels:
         model: name of the model's file, for errors.
         joints: (J,) places of the joints.
         joint_names: (J,) as the model spells them.
-        actuators: (A,) names of the actuators, as the model spells them.
+        actuators: (A,) names of the actuators' inputs, as the model spells them.
         position_units: (J,) rad or m.
         torque_units: (J,) N·m or N.
         limited: (J,) whether a joint has a range.

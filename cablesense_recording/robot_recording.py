@@ -61,7 +61,7 @@ class RobotRecording:
         trial: (R,) 0 to T - 1, blocks that are held out whole.
         position: (R, J) of the joints, rad or m.
         torque: (R, J) of the drives at the joints, N·m or N; NaN for joints without.
-        command: (R, A) of the actuators; NaN for those without.
+        command: (R, A) of the actuators' inputs; NaN for those without.
         notes: what was read, what was changed, and what is odd, as sentences.
     """
 

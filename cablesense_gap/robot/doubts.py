@@ -73,7 +73,7 @@ def _changes(recording: RobotRecording, robot: Robot) -> Iterator[tuple[str, Rob
     """Every exchange of two columns of one kind, and every column with the other sign."""
     units = robot.position_units
     driven = "torque" if np.isfinite(recording.torque).any() else "command"
-    names = robot.joints if driven == "torque" else robot.actuators
+    names = robot.joints if driven == "torque" else robot.controls
     for kind, labels, alike in (
         (driven, names, units if driven == "torque" else [""] * len(names)),
         ("position", robot.joints, units),
@@ -106,7 +106,7 @@ def beyond_range(recording: RobotRecording, robot: Robot) -> list[str]:
     least = recording.command.min(0)
     clipped = robot.model.actuator_ctrllimited.astype(bool) & ((most > high) | (least < low))
     return [
-        f"command.{robot.actuators[a]} goes from {least[a]:.3g} to {most[a]:.3g}, which the model "
+        f"command.{robot.controls[a]} goes from {least[a]:.3g} to {most[a]:.3g}, which the model "
         f"clips to its range of {low[a]:.3g} to {high[a]:.3g}."
         for a in np.flatnonzero(clipped)
     ]

@@ -264,7 +264,7 @@ class Servos(NamedTuple):
                 "measured outside are compared with the commands of an actuator `position` at "
                 "every joint"
             )
-        gear = model.actuator_gear[servo, 0]
+        gear = model.actuator_gear[model.actuator_outadr[servo], 0]
         bias = model.actuator_biasprm[servo]
         by_position = -bias[:, 1] * gear
         return Servos(
@@ -292,7 +292,7 @@ class ServoComparison(MotionComparison):
         self._motion = motion
         self._servos = Servos.of(robot)
         self._dynamics = InverseDynamics(robot, motion)
-        servo_command = motion.command[:, robot.servos]
+        servo_command = motion.command[:, robot.servo_controls]
         self._target = servo_command * self._servos.per_command + self._servos.offset
         self._gaps = BacklashMotion(robot, self._of_drives(robot))
         self.names = tuple(f"position.{joint}" for joint in robot.joints)
@@ -340,7 +340,7 @@ class ServoComparison(MotionComparison):
         trials = []
         for trial in motion.trials:
             command = smoothed(trial.command, motion.rate_hz, motion.smoothed_hz)
-            target = command[:, robot.servos] * servos.per_command + servos.offset
+            target = command[:, robot.servo_controls] * servos.per_command + servos.offset
             speed, acceleration = derivatives(trial.position, motion.rate_hz)
             torque = inverse_dynamics(robot.model, trial.position, speed, acceleration)
             yields = (torque + servos.damping * speed) / servos.stiffness

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import re
 import unicodedata
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import chain, count
 from pathlib import Path
@@ -66,6 +67,8 @@ class Robot:
         bodies: names of the B bodies that move and have mass.
         body_ids: (B,) their numbers in the model.
         actuators: names of its A actuators.
+        controls: names of their U inputs, which commands give: that of the actuator, and of one
+            with several `actuator.pos`, `actuator.vel` and so on.
         tendons: names of its K tendons that actuators pull over guides, without pulleys.
         tendon_ids: (K,) their numbers in the model.
         geared: (J, J) by how much joint i moves with joint d, where an equality of the model ties
@@ -82,6 +85,7 @@ class Robot:
     bodies: tuple[str, ...]
     body_ids: NDArray[np.int64] = field(compare=False)
     actuators: tuple[str, ...]
+    controls: tuple[str, ...]
     tendons: tuple[str, ...]
     tendon_ids: NDArray[np.int64] = field(compare=False)
     geared: Array = field(compare=False)
@@ -97,11 +101,21 @@ class Robot:
         """(J,) number of the actuator that is a joint's position servo, -1 where none is."""
         model = self.model
         servo_of_joint = np.full(len(self.joints), -1)
-        for a in range(model.nu):
+        for a in range(model.nactuator):
             at_joint = model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_JOINT
-            if at_joint and model.actuator_biasprm[a, 1] < 0.0:
+            by_position = model.actuator_gaintype[a] == mujoco.mjtGain.mjGAIN_FIXED
+            by_position &= model.actuator_ctrlnum[a] == 1
+            if at_joint and by_position and model.actuator_biasprm[a, 1] < 0.0:
                 servo_of_joint[model.actuator_trnid[a, 0]] = a
         return servo_of_joint
+
+    @property
+    def servo_controls(self) -> NDArray[np.int64]:
+        """(J,) number of the input that commands a joint's position servo, -1 where none is."""
+        servos = self.servos
+        control = np.full(len(servos), -1)
+        control[servos >= 0] = self.model.actuator_ctrladr[servos[servos >= 0]]
+        return control
 
     @property
     def reach_m(self) -> float:
@@ -273,6 +287,7 @@ def load_robot(path: str | Path) -> Robot:
     ]
     bodies = _as_places([model.body(b).name for b in body_numbers])
     guided = _guided(model)
+    actuators = [model.actuator(a).name or f"actuator_{a}" for a in range(model.nactuator)]
     tendons = [model.tendon(t).name or f"tendon_{t}" for t in guided]
     return Robot(
         name=spec.modelname or path.stem,
@@ -283,7 +298,8 @@ def load_robot(path: str | Path) -> Robot:
         torque_units=tuple("N·m" if kind == _HINGE else "N" for kind in model.jnt_type),
         bodies=bodies,
         body_ids=np.array(body_numbers, dtype=np.int64),
-        actuators=tuple(model.actuator(a).name or f"actuator_{a}" for a in range(model.nu)),
+        actuators=tuple(actuators),
+        controls=_controls(model, actuators),
         tendons=_as_places(tendons),
         tendon_ids=np.array(guided, dtype=np.int64),
         geared=geared,
@@ -315,7 +331,7 @@ def inverse_dynamics(
 
 
 def actuated(robot: Robot, position: Array, speed: Array, command: Array) -> Array:
-    """(T, J) what the model's actuators make of commands."""
+    """(T, J) what the model's actuators make of commands (T, U)."""
     model = robot.model
     data = mujoco.MjData(robot.model)
     joint_forces = np.empty_like(position)
@@ -468,6 +484,16 @@ def joint_ties(model: mujoco.MjModel) -> list[JointTie]:
         curve = tuple(model.eq_data[e, :5].tolist())
         ties.append(JointTie(joint, leader if led else None, curve, reference))
     return ties
+
+
+def _controls(model: mujoco.MjModel, actuators: Sequence[str]) -> tuple[str, ...]:
+    """Names of all inputs in their order; those of an actuator follow each other."""
+    controls: list[str] = []
+    for a, name in enumerate(actuators):
+        inputs = range(model.actuator_ctrlnum[a])
+        own = [f"{name}.{mujoco.mj_actuatorInputName(model, a, k) or k}" for k in inputs]
+        controls += own if len(own) > 1 else [name] * len(own)
+    return tuple(controls)
 
 
 def _guided(model: mujoco.MjModel) -> list[int]:

@@ -17,7 +17,7 @@ def channels_of(robot: Robot) -> RobotChannels:
         model=robot.path.name,
         joints=robot.joints,
         joint_names=robot.joint_names,
-        actuators=robot.actuators,
+        actuators=robot.controls,
         position_units=robot.position_units,
         torque_units=robot.torque_units,
         limited=tuple(robot.model.jnt_limited.astype(bool).tolist()),

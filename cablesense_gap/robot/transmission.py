@@ -105,17 +105,20 @@ class GuidedTendons:
         model = robot.model
         of_tendon = model.actuator_trntype == mujoco.mjtTrn.mjTRN_TENDON
         pulls = of_tendon & (model.actuator_trnid[:, 0] == robot.tendon_ids[:, None])
-        self._pulls = np.where(pulls, -model.actuator_gear[:, 0], 0.0)
+        self._pulls = np.zeros((len(robot.tendons), model.nout))
+        for tendon, actuator in np.argwhere(pulls):  # an actuator has one force on a tendon
+            output = model.actuator_outadr[actuator]
+            self._pulls[tendon, output] = -model.actuator_gear[output, 0]
 
     @cached_property
     def _along(self) -> tuple[Array, Array | None, list[list[Array]]]:
-        """Moments (R, A, J) of actuators, tensions (R, K) if known, levers and wrap angles."""
+        """Moments (R, O, J) of forces, tensions (R, K) if known, levers and wrap angles."""
         model = self._robot.model
         motion = self._motion
         data = mujoco.MjData(model)
         rows = len(motion.position)
-        moments = np.zeros((rows, model.nu, model.nv))
-        force = np.empty((rows, model.nu))
+        moments = np.zeros((rows, model.nout, model.nv))
+        force = np.empty((rows, model.nout))
         guides = {t: _guides(model, t) for t in self._robot.tendon_ids.tolist()}
         paths: dict[int, list[tuple[Array, Array]]] = {t: [] for t in guides}
         for row, command in enumerate(np.nan_to_num(motion.command)):
