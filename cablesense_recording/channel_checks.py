@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from cablesense_base import Array, some_of
-from cablesense_recording.channels import TIME
+from cablesense_recording.channels import TIME, Channel
 from cablesense_recording.recording import Finding, refuse, rows_named, warn
 
 DEAD = "dead"
@@ -39,13 +39,15 @@ _SPIKE_STEPS = 5.0
 _RETURNS = 0.25
 """A reading that is off by the share of the span and by that many usual steps, and is back in the
 next row but for the last share, is no motion."""
+_LEAST_SPIKE = {"rad": 0.01, "m": 0.001}
+"""Encoders of joints that rest toggle by less."""
 _MOST_SPIKES = 5
 _AROUND = 11
 """Rows around a step whose median is the usual one there."""
 _LEAP_STEPS = 8.0
 _MOST_TIMES = 3.0
 _MOST_PERCENT = 99.0
-_LEAP_SHARE = 0.02
+_LEAP_SHARE = 0.1
 """A step is none of a joint that moves where it is off the steps around it by more than these
 multiples of what is usual there and of what nearly all steps are off, and by the share of the
 span."""
@@ -191,10 +193,12 @@ def dead_position(
 
 
 def leaps_and_returns(
-    label: str, position: Array, trial: NDArray[np.int64], first_row: int = 1
+    channel: Channel, position: Array, trial: NDArray[np.int64], first_row: int = 1
 ) -> Iterator[Finding]:
     """Whether readings (R,) of a joint leap away for a row and return, as no joint moves."""
-    if len(position) < 2 * _DEAD_ROWS or np.ptp(position) == 0.0:
+    least = _LEAST_SPIKE[channel.unit]
+    label = channel.label
+    if len(position) < 2 * _DEAD_ROWS or np.ptp(position) < least:
         return
     step = np.abs(np.diff(position)) * (np.diff(trial) == 0)
     off = np.zeros(len(position))
@@ -202,7 +206,7 @@ def leaps_and_returns(
     around = np.zeros(len(position))
     around[1:-1] = np.abs(position[2:] - position[:-2])
     usual = median_filter(np.append(step, step[-1:]), size=_AROUND, mode="nearest")
-    spike = off > np.maximum(_SPIKE_SHARE * np.ptp(position), _SPIKE_STEPS * usual)
+    spike = off > np.maximum(_SPIKE_STEPS * usual, max(_SPIKE_SHARE * np.ptp(position), least))
     spike &= around < _RETURNS * off
     spike[1:] &= np.diff(trial) == 0
     spike[:-1] &= np.diff(trial) == 0

@@ -234,8 +234,9 @@ def _part(path: Path, table: _Columns, channels: RobotChannels, bag: bool) -> _P
     position = stacked(Kind.POSITION)
     labels = channels.labels(Kind.POSITION)
     parted = trial + np.cumsum(leap)
-    for label, own in zip(labels, position.T, strict=True):
-        for finding in leaps_and_returns(label, own, parted, begin + 1):
+    of_positions = [channel for channel in channels.table if channel.kind is Kind.POSITION]
+    for channel, own in zip(of_positions, position.T, strict=True):
+        for finding in leaps_and_returns(channel, own, parted, begin + 1):
             if finding.refuses:
                 raise RecordingError(f"{path}: {finding.text}")
             notes.append(f"{finding.text}.")
