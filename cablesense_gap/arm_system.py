@@ -195,7 +195,7 @@ class Diagnosis:
         counted: (R,) rows that count in sizes of the gap (`counted_rows`).
         parameters: what the recording says about the arm's uncertain parameters, beside the
             effects that were found.
-        findings: of the checks of the recording, as sentences.
+        findings: what was read of the recording, and what its checks found, as sentences.
     """
 
     recording: Recording
@@ -299,7 +299,7 @@ def diagnose(
         held_out_n=outcome.held_out,
         counted=system.counted,
         parameters=fitted_parameters(arm, amended, outcome.known),
-        findings=tuple(finding.text for finding in findings),
+        findings=(*recording.notes, *(finding.text for finding in findings)),
     )
 
 

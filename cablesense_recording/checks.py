@@ -6,7 +6,7 @@ ones, those of another arm.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from cablesense_base import Array
+from cablesense_base import Array, some_of
 from cablesense_msgs_py.messages import MAX_JOINT_ANGLE_RAD, MAX_LOAD_N
 from cablesense_recording.channel_checks import constant_channels, time_findings
 from cablesense_recording.channels import (
@@ -66,17 +66,21 @@ _BETTER = 0.4
 """A channel belongs to another cable whose prediction leaves less than this of the residual."""
 
 
-def read_recording(path: str | Path, arm: Arm) -> Recording:
+def read_recording(path: str | Path, arm: Arm, topics: Sequence[str] = ()) -> Recording:
     """Read a recording: a `.csv` or `.csv.gz` file, a `.mcap` file or a rosbag2 folder; check it.
+
+    Of a bag with several arms that is read whose `topics` are given.
 
     Raises:
         RecordingError: no such file, another format, or what cannot be used.
     """
     path = Path(path)
     if path.name.lower().endswith(CSV_ENDINGS):
+        if topics:
+            raise RecordingError(f"{path}: is no bag, so it has no topic {some_of(topics)}")
         recording = read_csv(path, arm)
     elif is_bag(path):
-        recording = read_mcap(path, arm)
+        recording = read_mcap(path, arm, topics)
     else:
         raise RecordingError(
             f"{path}: no recording; give a .csv file, a .mcap file or a rosbag2 folder"

@@ -21,12 +21,9 @@ from numpy.typing import NDArray
 from cablesense_base import Array, some_of
 from cablesense_msgs_py.qos import JOINT_STATE_TYPE, NUMBER_TYPE
 from cablesense_recording.channels import TIME, TRIAL, Kind, RobotChannels, composed
-from cablesense_recording.mcap_file import decoded
+from cablesense_recording.mcap_file import TOPIC_OPTION, decoded
 from cablesense_recording.mcap_messages import RawMessage
 from cablesense_recording.recording import MAX_NUMBERS, RecordingError, one_clock
-
-TOPIC_OPTION = "--topic"
-"""The option of a command that chooses among topics."""
 
 _NUMBERS_TYPE = "std_msgs/msg/Float64MultiArray"
 _COMMAND = "command"

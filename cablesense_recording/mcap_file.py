@@ -8,7 +8,7 @@ from __future__ import annotations
 import logging
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -52,6 +52,9 @@ MAX_FILE_BYTES = 2_000_000_000
 
 PACKED_ENDING = ".mcap.zstd"
 """Of a file that `ros2 bag record --compression-mode file` packed as a whole."""
+
+TOPIC_OPTION = "--topic"
+"""The option of `cablesense gap` that chooses among topics."""
 
 _LOG = logging.getLogger(__name__)
 _REQUIRED = (topics.CABLE_TENSIONS, topics.JOINT_COMMANDS)
@@ -120,8 +123,6 @@ class BagRows:
             )
         logs_ns, stamps_ns = np.array(self._times_ns).reshape(-1, 2).T
         clock_ns, odd = one_clock(logs_ns, stamps_ns)
-        if odd:
-            _LOG.warning("%s: %s", path, odd)
         time_s: Array = (clock_ns - clock_ns[0]).astype(np.float64) * 1e-9
         numbers = np.array(self._numbers).reshape(len(time_s), -1)
         ends = np.cumsum([1, 1, 1, 3, self._arm.joint_count])
@@ -134,7 +135,8 @@ class BagRows:
         else:
             trials = derive_trials(time_s, command, segments, load_n, at_m)
         name = plain_name(path.stem)
-        return Recording(name, time_s, trials, command, segments, load_n, tensions_n, at_m)
+        notes = (odd,) if odd else ()
+        return Recording(name, time_s, trials, command, segments, load_n, tensions_n, at_m, notes)
 
     def _take_load(self, message: Any) -> None:
         name = message.header.frame_id
@@ -177,13 +179,14 @@ class BagRows:
             self._numbers.extend(numbers)
 
 
-def read_mcap(path: str | Path, arm: Arm) -> Recording:
+def read_mcap(path: str | Path, arm: Arm, topics: Sequence[str] = ()) -> Recording:
     """Read a .mcap file, or a rosbag2 folder with its metadata.yaml.
 
     One row per `cable_tensions`; command and load are the latest that came before it. Rows before
     the first command are left out: their pose is unknown; so are those with offset cables, which
     no simulator here knows. Without the topic `trial`, trials are derived
-    (`recording.derive_trials`).
+    (`recording.derive_trials`). Of several arms that is read whose `topics` are given, one or more
+    of them by their full names.
 
     Raises:
         RecordingError: no bag, a topic missing, twice or of another type, a message that breaks
@@ -192,13 +195,16 @@ def read_mcap(path: str | Path, arm: Arm) -> Recording:
     path = Path(path)
     rows = BagRows(arm)
     taken = Counter[str]()
-    for topic, log_ns, message in _messages(path):
+    full_topics: dict[str, str] = {}
+    for topic, log_ns, message in _messages(path, topics, full_topics):
         taken[topic] += 1
         try:
             rows.take(topic, log_ns, message)
         except CableSenseError as error:
             raise RecordingError(f"{path}: {topic}, message {taken[topic]}: {error}") from error
-    return rows.recording(path)
+    recording = rows.recording(path)
+    note = f"Topics are {', '.join(sorted(full_topics.values()))}."
+    return replace(recording, notes=(note, *recording.notes))
 
 
 def is_bag(path: Path) -> bool:
@@ -212,20 +218,30 @@ def is_bag(path: Path) -> bool:
     return path.name.lower().endswith((".mcap", PACKED_ENDING))
 
 
-def _messages(path: Path) -> Iterator[tuple[str, int, Any]]:
-    """Topic, time in ns and content of an arm's messages, in the order they came."""
-    full_topics: dict[str, str] = {}
+def _messages(
+    path: Path, topics: Sequence[str] = (), full_topics: dict[str, str] | None = None
+) -> Iterator[tuple[str, int, Any]]:
+    """Topic, time in ns and content of an arm's messages, in the order they came.
+
+    Of several arms the messages are those in the namespaces of `topics`. `full_topics` is filled
+    with the full name of each topic that is read.
+    """
+    full_topics = {} if full_topics is None else full_topics
+    spaces = {topic.rpartition("/")[0] for topic in topics}
     others: set[str] = set()
 
     def wanted(raw: RawMessage) -> bool:
         topic = raw.topic.rpartition("/")[2]
-        if topic not in INPUTS:
+        if topic not in INPUTS or (spaces and raw.topic.rpartition("/")[0] not in spaces):
             others.add(raw.topic)
             return False
         first = full_topics.setdefault(topic, raw.topic)
         if raw.topic != first:  # `/arm/cable_tensions` is `cable_tensions` while there is one
             named = " and ".join(sorted((raw.topic, first)))
-            raise RecordingError(f"{path}: {named} are both {topic}; record one arm alone")
+            raise RecordingError(
+                f"{path}: {named} are both {topic}; record one arm alone, or choose one, as with "
+                f"{TOPIC_OPTION} {min(raw.topic, first)}"
+            )
         if raw.kind != INPUTS[topic].kind:
             raise RecordingError(
                 f"{path}: {raw.topic} is of type {raw.kind[:80]!r}; it must be "

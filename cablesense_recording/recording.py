@@ -75,6 +75,7 @@ class Recording:
         tensions_n: (R, M) as the sensors at the actuator ends read them.
         load_at_m: (R,) where on its segment's axis the load acts, from the joint centre; NaN for
             the arm file's `contact_m`. None where no row states a place.
+        notes: what was read and how, as sentences.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Recording:
     load_n: Array
     tensions_n: Array
     load_at_m: Array | None = None
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Number of rows R."""
@@ -113,9 +115,11 @@ class Recording:
 
     def rows(self, chosen: NDArray[Any] | slice) -> Recording:
         """The chosen rows: a mask (R,), indices or a slice."""
-        columns = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
-        present = {name: column for name, column in columns.items() if column is not None}
-        return replace(self, **{name: column[chosen] for name, column in present.items()})
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        columns: dict[str, Any] = {
+            name: each[chosen] for name, each in values.items() if isinstance(each, np.ndarray)
+        }
+        return replace(self, **columns)
 
 
 EXCHANGED = "exchanged"
@@ -148,6 +152,7 @@ def one_clock(
 
     Stamps count, also from 0 on, as simulated time begins. Where some are missing, which 0 stands
     for, the times of arrival count for all: rows of two clocks have no order.
+    Stamps that run back are left to the checks of time.
     """
     missing = stamp_ns == 0
     steps_ns = np.diff(stamp_ns)
@@ -156,7 +161,8 @@ def one_clock(
         and bool((steps_ns > 0).all())
         and float(steps_ns[0]) <= _GAP_INTERVALS * float(np.median(steps_ns))
     )
-    if not missing.any() or begins_at_zero:
+    runs_back = bool((np.diff(stamp_ns[~missing]) <= 0).any())
+    if not missing.any() or begins_at_zero or runs_back:
         return stamp_ns, ""
     if missing.all():
         return arrival_ns, ""

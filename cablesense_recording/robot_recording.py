@@ -142,6 +142,8 @@ def read_robot_recording(
         notes += [f"{each.text}." for each in findings]
     torque = every["torque"]
     torque[:, constant] = np.nan
+    if not np.isfinite(torque).any():
+        notes += _constant_commands(channels, every["command"])
     return RobotRecording(
         name=plain_name(path.name) if path.is_dir() else csv_stem(path),
         time_s=every[TIME],
@@ -151,6 +153,16 @@ def read_robot_recording(
         command=every["command"],
         notes=(*notes, note),
     )
+
+
+def _constant_commands(channels: RobotChannels, command: Array) -> list[str]:
+    """Sentences about commands that never change, where nothing else drives the model."""
+    labels = channels.labels(Kind.COMMAND)
+    return [
+        f"{labels[number]} is {command[0, number]:g} in every row, whatever moves; see whether it "
+        "was recorded."
+        for number in constant_channels(labels, command)
+    ]
 
 
 def _joined(parts: Sequence[_Part]) -> _Columns:

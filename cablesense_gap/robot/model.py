@@ -29,7 +29,8 @@ _LEAST_REACH_M = 0.05
 _UPPER = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])
 _MAX_BYTES = 50_000_000
 _URDF = re.compile(r"<robot[\s>]")
-_XACRO = re.compile(r"<xacro:")
+_XACRO = re.compile(r"<xacro:|=\s*[\"'][^\"'<>]*\$[{(]")
+"""Its elements, or an attribute with an expression; an expanded file may keep the name space."""
 _COMMENTS = re.compile(r"<!--.*?-->", re.DOTALL)
 _SHAPES = re.compile(r"<(visual|collision)\b(?:[^>]*/>|.*?</\1>)", re.DOTALL)
 _ZERO_BY_JOINT = (
@@ -359,7 +360,7 @@ def read_spec(path: Path) -> mujoco.MjSpec:
         raise RobotError(
             f"{printable_path(path)}: the path is no UTF-8 text, which MuJoCo needs; rename it"
         ) from None
-    if _XACRO.search(_COMMENTS.sub("", text)):
+    if _URDF.search(text) and _XACRO.search(_COMMENTS.sub("", text)):
         name = path.name.removesuffix(".xacro").removesuffix(".urdf")
         expanded = f"{name}.urdf" if path.suffix == ".xacro" else f"{name}_expanded.urdf"
         raise RobotError(f"{path}: is a xacro file; expand it: xacro {path.name} > {expanded}")
@@ -381,8 +382,8 @@ def _unreadable(path: Path, error: ValueError) -> RobotError:
     if without:
         others = f", nor have {some_of(without[1:])}" if len(without) > 1 else ""
         return RobotError(
-            f"{path}: link {without[0]} has no <inertial>{others}; masses from shapes are not "
-            "used: give one to each link that a joint moves"
+            f"{path}: link {without[0]} has no <inertial> with a mass{others}; masses from shapes "
+            "are not used: give one to each link that a joint moves"
         )
     line = " ".join(str(error).split())[:300]
     return RobotError(f"{path}: MuJoCo cannot read this as MJCF or URDF ({line})")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -76,7 +77,7 @@ PositionsOption = Annotated[
         "the drives, as by a camera, and are compared with the commands of position servos."
     ),
 ]
-OF_ROBOTS = ("bandwidth", "forward", "zeroed", "positions", "topic")
+OF_ROBOTS = ("bandwidth", "forward", "zeroed", "positions")
 ADAPTED_MODEL = "estimator.onnx"
 CALIBRATION = "calibration.npz"
 _SHOWN_N = 0.05
@@ -115,7 +116,9 @@ def diagnose(
     notes: tuple[str, ...] = ()
     if model is None:
         refuse_given(context, OF_ROBOTS, "without --model")
-        verdict, lines = _diagnosed_arm(recording, out, arm, reference, workers, force, console)
+        verdict, lines = _diagnosed_arm(
+            recording, out, arm, reference, workers, force, console, topic or ()
+        )
     else:
         from cablesense_gap.report.page import write_robot_diagnosis
         from cablesense_gap.report.text import headline
@@ -146,8 +149,10 @@ def diagnose(
             )
         write_robot_diagnosis(out, diagnosis)
         verdict = diagnosis.verdict
-        notes = recorded.notes
-        lines = [*diagnosis.findings, headline(verdict), *verdict.doubts]
+        of_reference = () if healthy is None else healthy.notes
+        reference_notes = [f"Reference: {note}" for note in of_reference]
+        notes = (*recorded.notes, *reference_notes)
+        lines = [*diagnosis.findings, *reference_notes, headline(verdict), *verdict.doubts]
     if json_output:
         for note in notes:
             console.print(note, soft_wrap=True, markup=False, highlight=False)
@@ -170,6 +175,7 @@ def _diagnosed_arm(
     workers: int,
     force: bool,
     console: Console,
+    topics: Sequence[str],
 ) -> tuple[Any, list[str]]:
     """The verdict, and lines for people."""
     from cablesense_gap.arm_system import diagnose as make
@@ -181,12 +187,13 @@ def _diagnosed_arm(
     arm_file = find_arm(arm)
     output_folder(out, DIAGNOSIS_FILES, force=force, inputs=(recording, arm_file))
     nominal = load_arm(arm_file)
-    recorded = read_recording(recording, nominal)
-    healthy = None if reference is None else read_recording(reference, nominal)
+    recorded = read_recording(recording, nominal, topics)
+    healthy = None if reference is None else read_recording(reference, nominal, topics)
     with diagnosis_progress(console) as (show, warn):
         diagnosis = make(recorded, nominal, show, workers, warn, reference=healthy, force=force)
     write_diagnosis(out, diagnosis)
-    lines = [headline(diagnosis.verdict), *map(earlier_sentence, diagnosis.verdict.earlier)]
+    lines = [*recorded.notes, headline(diagnosis.verdict)]
+    lines += [*map(earlier_sentence, diagnosis.verdict.earlier)]
     if len(diagnosis.recording) < len(recorded):
         lines.append(f"Used: {len(diagnosis.recording):,} of {len(recorded):,} rows")
     return diagnosis.verdict, lines
@@ -231,7 +238,7 @@ def predict(
     console = Console(stderr=json_output)
     if model is None:
         refuse_given(context, OF_ROBOTS, "without --model")
-        figures, lines = _predicted_arm(recording, out, arm, settle, force, console)
+        figures, lines = _predicted_arm(recording, out, arm, settle, force, console, topic or ())
     else:
         from cablesense_gap.robot.amending import load_amended
         from cablesense_gap.robot.preparation import prepared
@@ -263,7 +270,13 @@ def predict(
 
 
 def _predicted_arm(
-    recording: Path, out: Path, arm: str, settle: int, force: bool, console: Console
+    recording: Path,
+    out: Path,
+    arm: str,
+    settle: int,
+    force: bool,
+    console: Console,
+    topics: Sequence[str],
 ) -> tuple[dict[str, Any], list[str]]:
     """Figures, and lines for people."""
     from cablesense_gap.amended_arm import find_amended
@@ -276,7 +289,7 @@ def _predicted_arm(
     arm_file = find_amended(arm)
     output_file(out, force=force, inputs=(recording, arm_file))
     described = load_arm(arm_file)
-    recorded = read_recording(recording, described)
+    recorded = read_recording(recording, described, topics)
     rows = len(recorded)
     if settle >= rows:
         raise CableSenseError(
@@ -292,7 +305,7 @@ def _predicted_arm(
     difference_n = (recorded.tensions_n - tensions_n)[counted]
     gap_n = float((difference_n**2).mean() ** 0.5) if judged else None
     size = "no row counts" if gap_n is None else f"{gap_n:.3f} N (RMS) from the readings"
-    lines = [f"{rows} rows, {size}"]
+    lines = [f"{rows} rows, {size}", *recorded.notes]
     if settle:
         lines.append(f"Not counted: the first {settle}, that the state was estimated from")
     if other := rows - settle - judged:
@@ -318,6 +331,7 @@ def adapt(
             show_default="that of the arm file",
         ),
     ] = None,
+    topic: TopicsOption = None,
     workers: WorkersOption = 2,
     force: ForcedDiagnosisOption = False,
     json_output: JsonOption = False,
@@ -347,7 +361,7 @@ def adapt(
     written = (*DIAGNOSIS_FILES, ADAPTED_MODEL, CALIBRATION)
     inputs = (recording, arm_file, path) if path else (recording, arm_file)
     output_folder(out, written, force=force, inputs=inputs)
-    recorded = read_recording(recording, nominal)
+    recorded = read_recording(recording, nominal, topic or ())
     words = ["cablesense", "gap", "adapt", recording.name, "--arm", arm, "--out", out.name]
     console = Console(stderr=json_output)
     adapted_model = out / ADAPTED_MODEL
@@ -381,7 +395,12 @@ def adapt(
         )
         return
     kept = str(path) if path else f"the estimator of {nominal.name}"
-    lines = [headline(verdict), _outcome(adaptation, kept), f"Report: {out / 'report.html'}"]
+    lines = [
+        *recorded.notes,
+        headline(verdict),
+        _outcome(adaptation, kept),
+        f"Report: {out / 'report.html'}",
+    ]
     if "capstan_friction" in verdict.effects:
         lines.append(FRICTION_HIDES)
     if made is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from cablesense_ros.cli.options import (
     ModelOption,
     NominalArmOption,
     RecordingFile,
+    TopicsOption,
     WorkersOption,
     print_json,
     print_result,
@@ -168,6 +169,7 @@ def watch(
     out: Annotated[Path, typer.Option(help="Folder for drift.csv and drift.png.")],
     arm: NominalArmOption = "cdsm_lab",
     model: ModelOption = None,
+    topic: TopicsOption = None,
     workers: WorkersOption = 2,
     dask_scheduler: DaskOption = None,
     force: ForceOption = False,
@@ -188,15 +190,23 @@ def watch(
         refuse_given(context, ["workers"], "with --dask-scheduler")
     first, *later = series(folder)
     output_folder(out, WATCH_FILES, force=force, inputs=(first, *later))
-    read, diagnosed, machine = _of_arm(arm) if model is None else _of_robot(model)
-    recordings = map(read, later)
-    shared = (machine, read(first))
+    topics = topic or ()
+    read, diagnosed, machine = _of_robot(model, topics) if model else _of_arm(arm, topics)
+    console = Console(stderr=json_output)
+
+    def read_and_told(path: Path) -> Any:
+        recording = read(path)
+        for note in recording.notes:
+            console.print(f"{path.name}: {note}", soft_wrap=True, markup=False, highlight=False)
+        return recording
+
+    recordings = map(read_and_told, later)
+    shared = (machine, read_and_told(first))
     incoming: Iterator[Verdict] = (diagnosed(*shared, each, workers) for each in recordings)
     if dask_scheduler is not None:
         from cablesense_training.cluster import map_on_cluster
 
         incoming = map_on_cluster(dask_scheduler, diagnosed, recordings, *shared)
-    console = Console(stderr=json_output)
     verdicts: list[Verdict] = []
     for path in later:
         with console.status(f"{path.name}, {len(verdicts) + 1} of {len(later)}"):
@@ -216,20 +226,21 @@ def watch(
     console.print(f"Numbers and picture: {out}", soft_wrap=True)
 
 
-def _of_arm(arm: str) -> _Machine:
+def _of_arm(arm: str, topics: Sequence[str]) -> _Machine:
     from cablesense_recording.checks import read_recording
     from cablesense_sim.arm import open_arm
 
     nominal = open_arm(arm)
-    return partial(read_recording, arm=nominal), _arm_verdict, nominal
+    return partial(read_recording, arm=nominal, topics=topics), _arm_verdict, nominal
 
 
-def _of_robot(model: Path) -> _Machine:
+def _of_robot(model: Path, topics: Sequence[str]) -> _Machine:
     from cablesense_gap.robot.amending import load_amended
     from cablesense_gap.robot.recording import read_recording
 
     robot, beside = load_amended(model)
-    return partial(read_recording, robot=robot), _robot_verdict, (robot, beside)
+    read = partial(read_recording, robot=robot, topics=topics)
+    return read, _robot_verdict, (robot, beside)
 
 
 def _arm_verdict(nominal: Any, healthy: Any, recorded: Any, workers: int = 1) -> Verdict:

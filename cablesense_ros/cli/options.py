@@ -37,8 +37,8 @@ TopicsOption = Annotated[
     typer.Option(
         "--topic",
         metavar="NAME",
-        help="With --model: the bag's topic to read where several fit: of joint states, commands "
-        "or trials. May be given several times.",
+        help="The topic of a bag to read where several fit; of an arm all of its namespace. May "
+        "be given several times.",
         show_default="the one that fits",
     ),
 ]

@@ -21,7 +21,8 @@ START_NS = 1_000_000_000
 class Bag:
     """A file of a recording's topics; `log_ns` is when a message came, 0 is no stamp."""
 
-    def __init__(self, path):
+    def __init__(self, path, space=""):
+        self.space = space
         self.file = TopicFile(path)
         self.channels = {}
 
@@ -53,30 +54,39 @@ class Bag:
         contract = INPUTS.get(topic, INPUTS[topics.CABLE_TENSIONS])
         kind = contract.kind
         if topic not in self.channels:
-            self.channels[topic] = self.file.add(resolved(topic), kind, contract.offered)
+            self.channels[topic] = self.file.add(
+                resolved(topic, self.space or "/"), kind, contract.offered
+            )
         self.file.write(self.channels[topic], log_ns, bytes(STORE.serialize_cdr(message, kind)))
 
 
-def write_mcap(path, recording, arm):
-    """A recording as the topics of a running arm, every value with each row."""
+def write_mcap(path, recording, arm, space="", arrives_s=None):
+    """A recording as the topics of a running arm, every value with each row.
+
+    `space` is the name space of the topics, `arrives_s` when the first row came and how much later
+    each other; without it messages come when their stamps say.
+    """
     mechanism = mechanism_of(arm)
     places_m = recording.load_at_m
     places_m = np.full(len(recording), np.nan) if places_m is None else places_m
-    with Bag(path) as bag:
+    with Bag(path, space) as bag:
         for row in range(len(recording)):
-            at = START_NS + round((recording.time_s[row] - recording.time_s[0]) * 1e9)
+            stamp = START_NS + round((recording.time_s[row] - recording.time_s[0]) * 1e9)
+            at = stamp
+            if arrives_s is not None:
+                at = START_NS + round((arrives_s[0] + arrives_s[1] * row) * 1e9)
             bag.trial(at, int(recording.trial[row]))
             command = recording.command_rad[row]
             tensions_n = recording.tensions_n[row]
-            bag.joint_state(topics.JOINT_COMMANDS, at, at, arm.joint_names, position=command)
+            bag.joint_state(topics.JOINT_COMMANDS, at, stamp, arm.joint_names, position=command)
             for segment in range(1, arm.segment_count + 1):
                 force = (segment == recording.load_segment[row]) * recording.load_n[row]
-                bag.load(at, at, f"segment_{segment}", force)
+                bag.load(at, stamp, f"segment_{segment}", force)
                 if force.any() and np.isfinite(places_m[row]):
                     there = replace(mechanism, contact_m=np.full(arm.segment_count, places_m[row]))
                     point_m = contact_points_m(there, command)[segment - 1]
-                    bag.load(at, at, "base_link", force, np.cross(point_m, force))
-            bag.joint_state(topics.CABLE_TENSIONS, at, at, arm.cable_names, effort=tensions_n)
+                    bag.load(at, stamp, "base_link", force, np.cross(point_m, force))
+            bag.joint_state(topics.CABLE_TENSIONS, at, stamp, arm.cable_names, effort=tensions_n)
 
 
 def write_joint_states(path, table, topic="/joint_states", joints=None):

@@ -142,7 +142,7 @@ def test_no_file_a_folder_bytes_and_too_large_a_file_are_refused(tmp_path, monke
         with pytest.raises(RecordingError, match="no such file"):
             read_csv(path, LAB)
     (tmp_path / "bytes.csv").write_bytes(bytes(range(256)))
-    with pytest.raises(RecordingError, match="cannot be read as CSV text"):
+    with pytest.raises(RecordingError, match="is UTF-16 text or no text at all"):
         read_csv(tmp_path / "bytes.csv", LAB)
     monkeypatch.setattr(csv_file, "MAX_FILE_BYTES", 1000)
     with pytest.raises(RecordingError, match="at most"):

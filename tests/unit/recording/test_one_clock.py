@@ -16,6 +16,7 @@ ARRIVAL_NS = 5_000 + 100 * np.arange(6)
         ([7, 50, 100, 150, 200, 250], "stamp", False),
         ([0, 900_050, 900_100, 900_150, 900_200, 900_250], "arrival", True),
         ([50, 100, 0, 150, 200, 250], "arrival", True),
+        ([50, 100, 0, 90, 200, 250], "stamp", False),
         ([50, 100, 90, 150, 200, 250], "stamp", False),  # runs back, which is another finding
     ],
 )
