@@ -90,13 +90,15 @@ class _Series:
 class _Bag:
     """What a bag holds of a robot, by topic."""
 
-    def __init__(self, path: Path, channels: RobotChannels) -> None:
+    def __init__(self, path: Path, channels: RobotChannels, topics: Sequence[str]) -> None:
         self.path = path
         self.channels = channels
+        self.topics = topics
         self.sources: dict[tuple[str, tuple[str, ...], bool], _Source] = {}
         self.commands: dict[str, _Series] = {}
         self.trials: dict[str, _Series] = {}
         self.named: dict[str, set[str]] = {}
+        self.of_commands: set[str] = set()
         self.ignored: dict[str, str] = {}
         self._command: dict[str, Array] = {}
         self._messages = Counter[str]()
@@ -124,8 +126,10 @@ class _Bag:
     def _take_joint_state(self, raw: RawMessage, message: Any) -> None:
         names = tuple(composed(str(name)) for name in message.name)
         self.named.setdefault(raw.topic, set()).update(names)
+        commands = self._are_commands(raw.topic, names)
         numbers = self.channels.joint_numbers
-        if _COMMAND in raw.topic:
+        if commands:
+            self.of_commands.add(raw.topic)
             numbers = self.channels.actuator_numbers
         known = {place: numbers[name] for place, name in enumerate(names) if name in numbers}
         twice = [name for name, count in Counter(names).items() if count > 1 and name in numbers]
@@ -135,7 +139,7 @@ class _Bag:
             )
         if not known:
             return
-        if _COMMAND in raw.topic:
+        if commands:
             self._take_command(raw, message, names, known)
             return
         position, effort = message.position, message.effort
@@ -162,6 +166,17 @@ class _Bag:
         efforts = effort[list(source.places)] if len(effort) else np.full(len(known), np.nan)
         source.numbers.extend(efforts.tolist())
         self._number_count += 3 + 2 * len(known)
+
+    def _are_commands(self, topic: str, names: tuple[str, ...]) -> bool:
+        """Whether joint states are commands: by the topic's own name, or by their names too.
+
+        A topic that was asked for and names joints alone has states, whatever its name.
+        """
+        of_actuators = any(name in self.channels.actuator_numbers for name in names)
+        of_joints = any(name in self.channels.joint_numbers for name in names)
+        if _COMMAND in topic.rpartition("/")[2]:
+            return of_actuators or not (of_joints and topic in self.topics)
+        return _COMMAND in topic and of_actuators and not of_joints
 
     def _take_command(
         self, raw: RawMessage, message: Any, names: tuple[str, ...], known: dict[int, int]
@@ -195,7 +210,7 @@ def bag_table(
         RecordingError: no bag, one too large, no joint states with all joints, several topics
             that fit, several publishers on one, a joint that stands twice in a message.
     """
-    bag = _Bag(path, channels)
+    bag = _Bag(path, channels, topics)
     for raw, message in decoded(path, _of_robots):
         bag.take(raw, message)
     _refuse_absent(bag, topics)
@@ -218,6 +233,11 @@ def bag_table(
         command = bag.commands[command_topic].at(counts, len(channels.actuators))
         table |= zip(channels.labels(Kind.COMMAND), command.T, strict=True)
         notes.append(f"Commands are those of {command_topic}.")
+    elif bag.of_commands:
+        notes.append(
+            f"{some_of(sorted(bag.of_commands))} names none of the inputs "
+            f"{some_of(channels.actuators) or '(the model has none)'}, so no commands are read."
+        )
     return table, notes
 
 
@@ -296,7 +316,7 @@ def _of_several_topics(bag: _Bag, by_topic: dict[str, list[_Source]]) -> list[_S
 
 def _nothing_fits(bag: _Bag, missing: set[int]) -> str:
     wanted = bag.channels.joint_names
-    states = {topic: names for topic, names in bag.named.items() if _COMMAND not in topic}
+    states = {topic: own for topic, own in bag.named.items() if topic not in bag.of_commands}
     named = sorted({name for names in states.values() for name in names})
     text = (
         f"{bag.path}: holds no {JOINT_STATE_TYPE} with the joints {some_of(wanted)}; it names "
@@ -306,11 +326,11 @@ def _nothing_fits(bag: _Bag, missing: set[int]) -> str:
     if len(lacking) < len(wanted):
         text += f", and lacks {some_of(lacking)}: to fix a joint, remove it from the model"
     without = [f"{topic} {why}" for topic, why in bag.ignored.items()]
-    commands = [topic for topic in bag.named if _COMMAND in topic]
+    commands = sorted(bag.of_commands)
     if without:
         text += f"; {some_of(without)}"
     elif commands and not states:
-        text += f"; {some_of(commands)} is taken for commands, by its name"
+        text += f"; {some_of(commands)} is taken for commands, unless {TOPIC_OPTION} names it"
     return text
 
 
@@ -435,6 +455,8 @@ def _brought_to(
     at_ns: NDArray[np.int64], clock_ns: NDArray[np.int64], values: Array
 ) -> tuple[NDArray[np.bool_], Array]:
     """Which times lie between close readings, and the readings (R, 2, K) straight on between."""
+    if len(clock_ns) < 2:
+        return np.zeros(len(at_ns), dtype=bool), np.repeat(values, len(at_ns), axis=0)
     usual_ns = float(np.median(np.diff(clock_ns)))
     after = np.clip(np.searchsorted(clock_ns, at_ns), 1, len(clock_ns) - 1)
     apart_ns = clock_ns[after] - clock_ns[after - 1]

@@ -404,7 +404,7 @@ def _check_units(path: Path, channels: RobotChannels, every: Mapping[str, Array]
     largest = np.abs(position[:, hinges]).max(initial=0.0)
     if largest > _MOST_RAD:
         raise RecordingError(
-            f"{path}: positions reach {largest:.0f}; they must be in rad (degrees given?)"
+            f"{path}: positions reach {largest:.4g}; they must be in rad (degrees given?)"
         )
     moved = np.ptp(position, axis=0)
     if moved.max(initial=0.0) <= 0.0:

@@ -153,6 +153,8 @@ def prepared(
 def _evenly_sampled(recording: RobotRecording) -> tuple[list[Trial], float]:
     """Every trial at one rate, that of most rows, and its interval, s."""
     same = np.diff(recording.trial) == 0
+    if not same.any():
+        raise _too_short(recording)
     interval_s = float(np.median(np.diff(recording.time_s)[same]))
     trials = []
     for number in np.unique(recording.trial).tolist():
@@ -168,10 +170,14 @@ def _evenly_sampled(recording: RobotRecording) -> tuple[list[Trial], float]:
         )
         trials.append(Trial(number, time_s, position, _without_glitches(torque), command))
     if not trials:
-        raise RecordingError(
-            f"{recording.name}: no trial has {_FEWEST_SAMPLES} rows; record longer ones"
-        )
+        raise _too_short(recording)
     return trials, interval_s
+
+
+def _too_short(recording: RobotRecording) -> RecordingError:
+    return RecordingError(
+        f"{recording.name}: no trial has {_FEWEST_SAMPLES} rows; record longer ones"
+    )
 
 
 def _interpolated(at_s: Array, time_s: Array, values: Array) -> Array:

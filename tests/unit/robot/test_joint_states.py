@@ -91,6 +91,27 @@ def test_a_topic_of_commands_is_no_topic_of_states(tmp_path, table, robot):
     assert "Commands are those of /joint_commands." in recording.notes
 
 
+@pytest.mark.parametrize("topic", ["/commander/joint_states", "/command/states"])
+def test_states_of_a_commander_are_states(tmp_path, table, robot, topic):
+    path = write_joint_states(tmp_path / "one.mcap", table, topic)
+    assert len(read_recording(path, robot)) == len(table)
+
+
+def test_a_topic_that_is_called_a_command_may_be_asked_for(tmp_path, table):
+    model = tmp_path / "motors.xml"
+    model.write_text(XML.replace('motor name="', 'motor name="of_'))
+    path = write_joint_states(tmp_path / "one.mcap", table, "/joint_commands")
+    with pytest.raises(RecordingError, match="taken for commands, unless --topic names it"):
+        read_recording(path, load_robot(model))
+    assert len(read_recording(path, load_robot(model), ["/joint_commands"])) == len(table)
+    path = two_topics(tmp_path / "two.mcap", table, "/joint_states", "/joint_commands", False)
+    notes = read_recording(path, load_robot(model)).notes
+    unread = (
+        "/joint_commands names none of the inputs of_shoulder, of_elbow, so no commands are read."
+    )
+    assert unread in notes
+
+
 def test_of_several_topics_of_commands_that_of_the_namespace_counts(tmp_path, table, robot):
     for name, topics, says in (
         ("a.mcap", ("/left/joint_commands", "/right/joint_commands"), None),
