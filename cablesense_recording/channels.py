@@ -96,6 +96,7 @@ class RobotChannels:
         position_units: (J,) rad or m.
         torque_units: (J,) N·m or N.
         limited: (J,) whether a joint has a range.
+        driven: (J,) whether a drive may act on a joint; the torque of any other is rightly 0.
     """
 
     model: str
@@ -105,6 +106,7 @@ class RobotChannels:
     position_units: tuple[str, ...]
     torque_units: tuple[str, ...]
     limited: tuple[bool, ...]
+    driven: tuple[bool, ...]
 
     @cached_property
     def table(self) -> tuple[Channel, ...]:

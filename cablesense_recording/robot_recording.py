@@ -127,7 +127,11 @@ def read_robot_recording(
     every = _joined(parts)
     every[TRIAL] = trial.astype(np.float64)
     _check_units(path, channels, every)
-    constant = constant_channels(channels.labels(Kind.TORQUE), every["torque"])
+    constant = [
+        number
+        for number in constant_channels(channels.labels(Kind.TORQUE), every["torque"])
+        if channels.driven[number] or every["torque"][0, number] != 0.0
+    ]
     notes += [
         f"{channels.labels(Kind.TORQUE)[number]} is {every['torque'][0, number]:g} in every row, "
         "whatever moves, so it is not compared; see whether its sensor is connected."
@@ -420,7 +424,8 @@ def _dead(channels: RobotChannels, part: _Part, constant: Sequence[int]) -> Iter
         position = part.columns["position"]
         torque = part.columns["torque"][:, number]
         yield from dead_position(positions, position, number, part.first_row)
-        if number not in constant and np.isfinite(torque).all():
+        judged = number not in constant and (channels.driven[number] or torque.any())
+        if judged and np.isfinite(torque).all():
             yield from dead_torque(
                 torques[number], torque, position[:, number], trial, part.first_row
             )

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import mujoco
+
 from cablesense_gap.robot.model import Robot
 from cablesense_recording.channels import RobotChannels
 from cablesense_recording.robot_recording import RobotRecording as RobotRecording
@@ -21,7 +23,17 @@ def channels_of(robot: Robot) -> RobotChannels:
         position_units=robot.position_units,
         torque_units=robot.torque_units,
         limited=tuple(robot.model.jnt_limited.astype(bool).tolist()),
+        driven=_driven(robot),
     )
+
+
+def _driven(robot: Robot) -> tuple[bool, ...]:
+    """Whether a drive may act on each joint: all, where the model does not say."""
+    model = robot.model
+    of_joint = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    if not len(of_joint) or not of_joint.all():
+        return (True,) * len(robot.joints)
+    return tuple(joint in model.actuator_trnid[:, 0] for joint in range(len(robot.joints)))
 
 
 def read_recording(

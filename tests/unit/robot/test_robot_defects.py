@@ -14,7 +14,7 @@ from cablesense_gap.robot.preparation import prepared
 from cablesense_gap.robot.recording import read_recording
 from cablesense_recording.recording import RecordingError
 from tests.helpers.bags import write_joint_states
-from tests.helpers.two_link import recorded, write_model
+from tests.helpers.two_link import XML, recorded, write_model
 
 pytestmark = pytest.mark.slow  # loads the message types
 
@@ -223,6 +223,15 @@ def test_a_constant_torque_is_not_compared(tmp_path, table, robot):
     recording = read_recording(path, robot)
     assert np.isnan(recording.torque[:, 1]).all()
     assert np.isfinite(recording.torque[:, 0]).all()
+
+
+def test_a_joint_without_a_drive_has_no_torque_rightly(tmp_path, table):
+    model = tmp_path / "passive.xml"
+    model.write_text(XML.replace('<motor name="elbow" joint="elbow"/>', ""))
+    path = as_csv(tmp_path / "passive", in_rows("torque.elbow", slice(None), 0.0)(table))
+    recording = read_recording(path, load_robot(model))
+    assert (recording.torque[:, 1] == 0.0).all()
+    assert not any("torque" in note for note in recording.notes)
 
 
 @pytest.mark.parametrize("labels", [("shoulder",), ("shoulder", "elbow")])
