@@ -142,7 +142,8 @@ class _Bag:
         if commands:
             self._take_command(raw, message, names, known)
             return
-        position, effort = message.position, message.effort
+        position = message.position
+        effort = message.effort
         if len(position) == 0:
             self.ignored[raw.topic] = "has no positions"
             return
