@@ -6,7 +6,7 @@ from cablesense_online.settings import EstimationSettings
 
 
 def estimation_settings(**changes: Any) -> EstimationSettings:
-    """The node's, with a tare of few readings that no network judges."""
+    """As the node's, but for a tare of few readings, and joints that any command moves."""
     plain = {
         "contact_threshold": 0.5,
         "stale_after_s": 0.2,

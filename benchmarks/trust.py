@@ -183,7 +183,7 @@ class TestedArm(EstimatedArm):
         self.truth: Truth = AsDescribed(self.mechanism)
         if built:
             self.truth = AsBuilt(_nominal(name), rng)
-        self.reach_m = touched_places(self.arm).reach_m
+        self.reach_m = touched_places(self.arm).touched_m
         self.joint_m = np.concatenate([[0.0], np.cumsum(self.mechanism.segment_length_m)[:-1]])
         self._now_s = 0.0
         self._go_to(np.zeros(len(command_rad)))

@@ -40,7 +40,7 @@ _CONVERGED_N = 1e-4
 """The fit ends where a step changes no reading by more."""
 _DETERMINED = 0.5
 """A parameter is determined if its deviation is below this share of its tolerance."""
-_MODEL_STD_N = 0.01
+MODEL_STD_N = 0.01
 """What a reading differs from the law by for other reasons than its noise: rounding of the last
 digits, temperature, small vibrations."""
 
@@ -327,7 +327,7 @@ class Calibrator:
         drift_n = self._drift_n(unloaded.taken_ns, now_ns)
         noise = mean_variance_n2(self._arm.sensors, unloaded.count)
         slack = unloaded.reading_n < self._slack_below_n
-        return np.diag(noise + _MODEL_STD_N**2 + drift_n**2 + slack * _SLACK_STD_N**2)
+        return np.diag(noise + MODEL_STD_N**2 + drift_n**2 + slack * _SLACK_STD_N**2)
 
     def _drift_n(self, from_ns: int, to_ns: int) -> float:
         if not from_ns:

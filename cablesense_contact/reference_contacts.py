@@ -86,7 +86,7 @@ class ReferenceContacts:
         self._segment = segment
         self._direction = direction
         self._place_m = mechanism.contact_m[segment]
-        reach_m = touched_places(arm).reach_m[segment]
+        reach_m = touched_places(arm).touched_m[segment]
         variances = np.empty((len(segment), 4))
         variances[:, 0] = (reach_m[:, 1] - reach_m[:, 0]) ** 2 / 12.0
         variances[:, 1] = _AXIAL_STD_N**2

@@ -183,7 +183,7 @@ def load_places_m(arm: Arm) -> Array:
 
     All are within the range of `touched_places`, in whole mm, so that a person can measure them.
     """
-    contact_range_m = touched_places(arm).reach_m
+    contact_range_m = touched_places(arm).touched_m
     inside = _FROM_THE_ENDS * (contact_range_m[:, 1] - contact_range_m[:, 0])
     near = contact_range_m[:, 0] + inside
     far = contact_range_m[:, 1] - inside

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from cablesense_base import Array, CableSenseError
-from cablesense_contact.calibration import Calibration, Calibrator
+from cablesense_contact.calibration import MODEL_STD_N, Calibration, Calibrator
 from cablesense_contact.law import Law
 from cablesense_contact.reference_contacts import ReferenceContacts
 from cablesense_sim import kinematics
@@ -36,8 +36,6 @@ _PREDICTION_STEPS = 6
 """Newton steps from the pretension to the reading in a pose."""
 _PREDICTED_N = 0.01
 """Change of a reading that is too small to continue them."""
-_MODEL_STD_N = 0.01
-"""What a reading differs from the law by beside its noise, as in `calibration`."""
 
 
 class PoseError(CableSenseError):
@@ -144,7 +142,7 @@ class _Design:
         self._carried = np.zeros(len(prior.mean), dtype=bool)
         self._carried[calibrator.parameters.carried_friction] = True
         self._carried_variance = np.diagonal(prior.covariance)[self._carried]
-        self._mean_variance_n2 = mean_variance_n2(arm.sensors, readings) + _MODEL_STD_N**2
+        self._mean_variance_n2 = mean_variance_n2(arm.sensors, readings) + MODEL_STD_N**2
         contacts = ReferenceContacts(arm)
         seen = contacts.response(law, prior.mean, prior.covariance)
         self._by_contact = seen.by_contact

@@ -125,7 +125,7 @@ class LawContacts:
         self._judge = Judge(arm, contact_threshold)
         mechanism = mechanism_of(arm)
         length_m = np.array(per_segment(arm.segments.length_m, arm.segment_count))
-        self._middle_m = touched_places(arm).reach_m.mean(axis=1)
+        self._middle_m = touched_places(arm).touched_m.mean(axis=1)
         self._joint_m = np.concatenate([[0.0], np.cumsum(length_m)[:-1]])
         self._damping_n_m_s = mechanism.joint_damping_n_m_s
         at_joint, slope = contact_torques(mechanism, np.zeros(arm.joint_count), np.eye(3))

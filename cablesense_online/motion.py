@@ -77,7 +77,10 @@ class Motion:
 
     @property
     def shut(self) -> bool:
-        """Whether the arm may have moved at the last sample, or was commanded since."""
+        """Whether the arm may have moved at the last sample, or was commanded since.
+
+        Then there is no estimate, and commands near the pose are moves, too (`follows`).
+        """
         return self.starting or self.last_ns < self.rest_from_ns
 
     @property

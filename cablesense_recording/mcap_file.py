@@ -154,7 +154,7 @@ class BagRows:
     def _contact_of(self, force_n: Array, torque_n_m: Array) -> tuple[int, float]:
         """Segment and place of a load at the present command."""
         command = np.zeros(self._arm.joint_count) if self._command is None else self._command
-        reach_m = touched_places(self._arm).reach_m
+        reach_m = touched_places(self._arm).touched_m
         return contact_of_wrench(mechanism_of(self._arm), command, reach_m, force_n, torque_n_m)
 
     def _take_tensions(self, log_ns: int, message: Any, command: Array) -> None:

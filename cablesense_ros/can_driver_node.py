@@ -22,7 +22,7 @@ from cablesense_msgs_py.topics import Frames
 from cablesense_online.can.assembler import Sample
 from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.channel_map import (
-    Calibration,
+    SensorCalibration,
     calibrated,
     calibration_status,
     load_calibration,
@@ -48,7 +48,7 @@ class CanDriverNode(ConfiguredNode):
 
     def __init__(self) -> None:
         super().__init__("can_driver")
-        self._calibration: Calibration | None = None
+        self._calibration: SensorCalibration | None = None
         self._refuse = RefusalLog(self)
 
     def _begin(self) -> None:

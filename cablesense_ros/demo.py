@@ -141,7 +141,7 @@ def run_headless(options: DemoOptions, *, duration_s: float, as_json: bool) -> N
     mechanism = mechanism_of(arm)
     if model.metadata.kind == ANYWHERE:
         # between the guide plates, which are in the way of a hand
-        reach_m = np.maximum(touched_places(arm).reach_m, mechanism.plate_offset_m)
+        reach_m = np.maximum(touched_places(arm).touched_m, mechanism.plate_offset_m)
         most_along = demo_pushes.MOST_ALONG
     else:  # it estimates contacts at these points alone
         reach_m = np.repeat(mechanism.contact_m[:, None], 2, axis=1)

@@ -108,7 +108,7 @@ class SimNode(Node):
             self._simulated.offset(cable_offsets_m(message, cables))
 
         mechanism = mechanism_of(arm)
-        reach_m = touched_places(arm).reach_m
+        reach_m = touched_places(arm).touched_m
 
         def contact_of(force_n: Array, torque_n_m: Array) -> tuple[int, float]:
             pose = self._simulated.joint_angles_rad

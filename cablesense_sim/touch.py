@@ -14,13 +14,14 @@ class TouchedPlaces(NamedTuple):
     """Where the N segments of an arm can be touched.
 
     Attributes:
-        reach_m: (N, 2) from each segment's joint centre, along its axis.
+        touched_m: (N, 2) nearest and farthest place, from each segment's joint centre, along its
+            axis.
         radius_m: (N,) of the surface, from the axis; zero where contacts act on the axis.
         friction: bound to axial over normal forces; zero where contacts act on the axis with any
             axial force.
     """
 
-    reach_m: Array
+    touched_m: Array
     radius_m: Array
     friction: float
 
@@ -30,12 +31,12 @@ def touched_places(arm: Arm) -> TouchedPlaces:
     count = arm.segment_count
     touch = arm.touch
     length_m = np.array(per_segment(arm.segments.length_m, count))
-    reach_m = np.stack([np.zeros(count), length_m], axis=1)
+    touched_m = np.stack([np.zeros(count), length_m], axis=1)
     if touch.reach_m is not None:
-        reach_m[:] = touch.reach_m
+        touched_m[:] = touch.reach_m
     radius_m = np.array(per_segment(arm.cables.routing_radius_m, count))
     if touch.radius_m is not None:
         radius_m[:] = touch.radius_m
     if touch.friction == 0.0:
         radius_m[:] = 0.0
-    return TouchedPlaces(reach_m, radius_m, touch.friction)
+    return TouchedPlaces(touched_m, radius_m, touch.friction)

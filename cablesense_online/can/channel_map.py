@@ -313,8 +313,8 @@ class CalibratedSensor(SignalPlace):
     repeatability_n: Number | None = None
 
 
-class Calibration(FilePart):
-    """A calibration file.
+class SensorCalibration(FilePart):
+    """A file with scales and zeros of sensors, as `cablesense sensors calibrate` writes it.
 
     Attributes:
         map: name of the channel map it belongs to.
@@ -332,7 +332,7 @@ class Calibration(FilePart):
 
 
 def calibrated(
-    channel_map: ChannelMap, database: Database, calibration: Calibration, source: str
+    channel_map: ChannelMap, database: Database, calibration: SensorCalibration, source: str
 ) -> ChannelMap:
     """The map with the calibration's scales and zeros; `source` names the calibration in errors.
 
@@ -372,17 +372,17 @@ def calibrated(
     return channel_map.model_copy(update={"channels": channels})
 
 
-def load_calibration(path: str | Path) -> Calibration:
+def load_calibration(path: str | Path) -> SensorCalibration:
     """Read a calibration.
 
     Raises:
         ChannelMapError: the file cannot be read, is not YAML, or has an impossible key or value.
     """
     text = read_bounded_text(path, MAX_MAP_BYTES, "a calibration", ChannelMapError)
-    return read_plain(text, str(path), Calibration, ChannelMapError)
+    return read_plain(text, str(path), SensorCalibration, ChannelMapError)
 
 
-def write_calibration(path: str | Path, calibration: Calibration) -> None:
+def write_calibration(path: str | Path, calibration: SensorCalibration) -> None:
     """Write a calibration.
 
     Raises:
@@ -393,7 +393,7 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
     write_atomically(path, text, ChannelMapError)
 
 
-def calibration_status(calibration: Calibration | None) -> Status:
+def calibration_status(calibration: SensorCalibration | None) -> Status:
     """The origin of scales and zeros, with the calibrated values, for diagnostics."""
     if calibration is None:
         return Status("calibration", Level.OK, "none given; those of the channel map")

@@ -102,7 +102,7 @@ class LiveArm:
         commissioner: str = "commissioner",
     ) -> None:
         self.mechanism = mechanism_of(arm)
-        self._reach_m = touched_places(arm).reach_m
+        self._reach_m = touched_places(arm).touched_m
         self.frames = Frames(arm.segment_count, frame_prefix)
         self.tension_publisher = FollowedPublisher()
         self._estimator = estimator

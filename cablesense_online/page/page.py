@@ -44,7 +44,7 @@ class Page:
         mechanism = self._mechanism
         self._actions = actions
         self._force_limit_n = contact_range_n(arm)
-        self._reach_m = touched_places(arm).reach_m
+        self._reach_m = touched_places(arm).touched_m
         token = secrets.token_urlsafe(16)  # for nobody to guess
         self._server = guarded_server(host, free_port(host, port), token)
         server = self._server

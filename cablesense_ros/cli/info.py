@@ -367,7 +367,7 @@ def _observability(arm: Arm, force_n: float, bend_deg: float) -> Description:
 
     Poses, places and directions are random. A number that tensions do not determine is None.
     """
-    low, high = touched_places(arm).reach_m.T
+    low, high = touched_places(arm).touched_m.T
     known = {
         "place_mm": _DETERMINED * 1e3 * (high - low) / np.sqrt(12.0),
         "lateral_n": np.full(arm.segment_count, _DETERMINED * force_n),
@@ -400,7 +400,7 @@ def _contact_bound(
     """
     rng = np.random.default_rng(n)
     mechanism = mechanism_of(arm)
-    low, high = touched_places(arm).reach_m[n]
+    low, high = touched_places(arm).touched_m[n]
     place_m = rng.uniform(low, high, _DRAWS) if at_m is None else np.full(_DRAWS, at_m)
     bend = np.deg2rad(bend_deg)
     command_rad = rng.uniform(-bend, bend, (_DRAWS, arm.joint_count))
@@ -431,7 +431,7 @@ def _draw_observability(path: Path, arm: Arm, force_n: float, bend_deg: float) -
     """Draw the bound along the arm, as PNG or SVG by the file's ending."""
     from matplotlib.figure import Figure
 
-    reach = touched_places(arm).reach_m
+    reach = touched_places(arm).touched_m
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     titles = {
         "place_mm": "place, mm",

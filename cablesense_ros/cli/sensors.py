@@ -23,7 +23,7 @@ from cablesense_ros.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from cablesense_online.can.channel_map import Calibration
+    from cablesense_online.can.channel_map import SensorCalibration
     from cablesense_online.sensor_check import SensorExpectation, SensorReport
 
 
@@ -108,7 +108,7 @@ def calibrate(
         cables[cable] = sensor_calibration.calibrate_sensor(
             cable, described.channels[cable], database, force_n, raw, common_relative_u
         )
-    calibration = maps.Calibration(
+    calibration = maps.SensorCalibration(
         map=described.name,
         made=datetime.now(UTC).replace(microsecond=0),
         gravity_m_s2=gravity_m_s2 if weighed else None,
@@ -129,7 +129,7 @@ def calibrate(
     console.print(f"{out}: give it to can_driver as -p calibration:={out}", soft_wrap=True)
 
 
-def _calibration_table(calibration: Calibration) -> Table:
+def _calibration_table(calibration: SensorCalibration) -> Table:
     headings = (
         *("loads", "up to", "scale, N/unit", "zero, unit", "tension ±"),
         *("nonlinearity", "hysteresis", "repeatability"),

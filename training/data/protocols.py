@@ -333,7 +333,7 @@ class AnywhereContact(Protocol):
 
     def reach_m(self, arm: Arm) -> Array:
         """(N, 2) the reach of the arm file."""
-        return touched_places(arm).reach_m
+        return touched_places(arm).touched_m
 
     def _contact_dimensions(self, segment_count: int) -> int:
         return 1 + 2 * 4
@@ -403,5 +403,5 @@ def borne_by(arm: Arm, protocol: Any, given: dict[str, Any], contacts: int = 1) 
 
 def _touched_at_its_end(arm: Arm) -> Arm:
     """The arm with its contact points where touch bends it most: at the far ends of the reach."""
-    ends = touched_places(arm).reach_m[:, 1].tolist()
+    ends = touched_places(arm).touched_m[:, 1].tolist()
     return arm.model_copy(update={"segments": arm.segments.model_copy(update={"contact_m": ends})})

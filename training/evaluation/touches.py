@@ -71,7 +71,7 @@ def drawn_touches(arm: Arm, protocol: AnywhereContact, seed: int) -> Touches:
     parts = []
     for chunk, rows in enumerate(chunk_sizes(protocol.samples)):
         points = unit_points(protocol.dimensions(arm.segment_count), seed, chunk)[:rows]
-        cases = protocol.cases(places.reach_m, points)
+        cases = protocol.cases(places.touched_m, points)
         share = np.random.default_rng([seed, chunk]).uniform(size=(CHUNK_SAMPLES, 1))[:rows]
         parts.append(_touches(cases, places, share))
     return Touches._make(np.concatenate(column) for column in zip(*parts, strict=True))

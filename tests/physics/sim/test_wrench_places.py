@@ -13,7 +13,7 @@ from cablesense_sim.touch import touched_places
 from tests.helpers.effect_arms import bent
 
 MECHANISM = mechanism_of(open_arm("cdsm"))
-REACH_M = touched_places(open_arm("cdsm")).reach_m
+REACH_M = touched_places(open_arm("cdsm")).touched_m
 
 
 def point_m(pose, segment, place_m):

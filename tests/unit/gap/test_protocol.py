@@ -64,7 +64,7 @@ def test_blocks_follow_on_without_a_jump_of_the_command():
 @pytest.mark.parametrize("arm", ARMS.values(), ids=ARMS)
 def test_every_segment_is_loaded_at_three_places_within_reach(arm):
     blocks = [b for b in standard_protocol(arm) if b.kind is BlockKind.LOAD_CYCLE]
-    reach_m = touched_places(arm).reach_m
+    reach_m = touched_places(arm).touched_m
     for n in range(1, arm.segment_count + 1):
         places = sorted({b.at_m for b in blocks if b.segment == n})
         assert len(places) == 3

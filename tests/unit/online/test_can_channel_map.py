@@ -9,9 +9,9 @@ from cablesense_base.installation import config_path
 from cablesense_base.plain_yaml import read_plain
 from cablesense_online.can.channel_map import (
     CalibratedSensor,
-    Calibration,
     ChannelMap,
     ChannelMapError,
+    SensorCalibration,
     calibrated,
     check_fit,
     load_calibration,
@@ -181,7 +181,7 @@ def sensor(cable, channel_map=PACKED, database=PACKED_DATABASE, **changed):
 
 
 def calibration(cables, uncalibrated=(), name=PACKED.name):
-    return Calibration(
+    return SensorCalibration(
         map=name, made=datetime.now(UTC), uncalibrated=tuple(uncalibrated), cables=cables
     )
 

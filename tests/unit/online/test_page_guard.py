@@ -36,7 +36,7 @@ LIMIT_DEG = joint_limit_deg(mechanism_of(ARM))
 SLIDERS = ("force, N", "angle, °", "place, mm", "along, N", "joint 3 yaw, °")
 FIRST_CONTACT = Contact(4, 215.0, 60.0, 0.065, 0.0)
 FIRST_PUSH = ("push", FIRST_CONTACT, False)
-NEAREST_M, FARTHEST_M = touched_places(ARM).reach_m[3]
+NEAREST_M, FARTHEST_M = touched_places(ARM).touched_m[3]
 
 
 @pytest.fixture(scope="module")
