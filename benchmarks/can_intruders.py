@@ -20,7 +20,7 @@ import harness
 import numpy as np
 
 from cablesense_base import Array
-from cablesense_online.can.assembler import Sample
+from cablesense_online.can.assembler import AssembledSample
 from cablesense_online.can.bus import CanInterface, FaultLedger
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.emulator import Emulator
@@ -60,7 +60,7 @@ class Line:
             for _ in self.map.channels
         ]
         self.sent: list[tuple[float, Array]] = []
-        self.samples: list[Sample] = []
+        self.samples: list[AssembledSample] = []
 
     def cycle(self) -> Frames:
         """The frames of the next cycle, stamped one after another."""
@@ -91,7 +91,7 @@ class Line:
         """How many samples hold a reading that the amplifiers did not send a moment before."""
         return sum(not self._genuine(sample) for sample in self.samples)
 
-    def _genuine(self, sample: Sample) -> bool:
+    def _genuine(self, sample: AssembledSample) -> bool:
         first_s = sample.time_s - 1.5 * self.map.cycle_time_s
         last_s = sample.time_s + sample.skew_s + 1e-6
         sent_n = [tensions_n for at_s, tensions_n in self.sent if first_s <= at_s <= last_s]

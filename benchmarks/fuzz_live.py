@@ -30,7 +30,7 @@ from sensor_msgs.msg import JointState
 
 from cablesense_base import Array
 from cablesense_online.answer import Answer
-from cablesense_online.can.assembler import Sample
+from cablesense_online.can.assembler import AssembledSample
 from cablesense_online.can.bus import CanInterface, FaultLedger
 from cablesense_online.can.channel_map import open_channel_map
 from cablesense_online.can.emulator import Emulator, frame_line, line_frame
@@ -93,7 +93,7 @@ class _Amplifier:
         low, high = self.map.range_n
         self._carried[-1].update((k, round(n, 6)) for k, n in readings if low < n < high)
 
-    def judge(self, sample: Sample, now_s: float, skew_limit_s: float) -> None:
+    def judge(self, sample: AssembledSample, now_s: float, skew_limit_s: float) -> None:
         """Raise a `FalseAnswerError` for a sample that no frames of its cycle or the last make."""
         for reading in enumerate(sample.tensions_n.round(6).tolist()):
             carried = any(reading in cycle for cycle in self._carried)

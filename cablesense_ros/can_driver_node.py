@@ -19,7 +19,7 @@ from cablesense_msgs_py.messages import (
     put_tensions,
 )
 from cablesense_msgs_py.topics import Frames
-from cablesense_online.can.assembler import Sample
+from cablesense_online.can.assembler import AssembledSample
 from cablesense_online.can.bus import CanInterface
 from cablesense_online.can.channel_map import (
     SensorCalibration,
@@ -104,7 +104,7 @@ class CanDriverNode(ConfiguredNode):
         timer = steady_timer(self, JOINT_STATES_PERIOD_S, publish)
         self._entities.callback(self.destroy_timer, timer)
 
-    def _publish(self, sample: Sample) -> None:
+    def _publish(self, sample: AssembledSample) -> None:
         """In the receiving thread, as a turn through the executor would cost latency."""
         whole_s = int(sample.time_s)
         stamp = self._tensions.header.stamp

@@ -53,7 +53,7 @@ class Decoded(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class AssembledSample:
     """One reading of every channel, all within the skew limit.
 
     Attributes:
@@ -196,7 +196,7 @@ class SampleAssembler:
         self._tensions_n = [0.0] * len(self._names)
         self._missing = set(range(len(self._names)))
         self._open_s: float | None = None
-        self._held: Sample | None = None
+        self._held: AssembledSample | None = None
         self._valid = True
         self._pause_before_s = 0.0
         self._widest_pause_s = 0.0
@@ -205,7 +205,7 @@ class SampleAssembler:
         self.dropped = 0
         self.frame_s = -np.inf
 
-    def take(self, decoded: Decoded, time_s: float) -> Sample | None:
+    def take(self, decoded: Decoded, time_s: float) -> AssembledSample | None:
         """Add a frame with its bus time, and give the sample that may be given now, if any."""
         if self._senders.sent_again(decoded, time_s):
             return None
@@ -220,13 +220,13 @@ class SampleAssembler:
             released = self._add(decoded, time_s) or released
         return released
 
-    def lapse(self) -> Sample | None:
+    def lapse(self) -> AssembledSample | None:
         """Give the held sample, as no frame has come for longer than a cycle."""
         if self._modulo and max(self._senders.frames.values(), default=0) > 1:
             return None  # the next counter frame tells whether it belongs to the second ones
         return self._release(self.frame_s)
 
-    def _add(self, decoded: Decoded, time_s: float) -> Sample | None:
+    def _add(self, decoded: Decoded, time_s: float) -> AssembledSample | None:
         released = None
         channels = [channel for channel, _ in decoded.readings]
         pause_s = time_s - self.frame_s
@@ -262,10 +262,10 @@ class SampleAssembler:
         if not self._valid or self._begins_in_mid_cycle():
             self.dropped += 1
         else:
-            self._held = Sample(opened_s, time_s - opened_s, np.array(self._tensions_n))
+            self._held = AssembledSample(opened_s, time_s - opened_s, np.array(self._tensions_n))
         return released if self._holds else self._release(time_s)
 
-    def _release(self, time_s: float, trusted: bool = True) -> Sample | None:
+    def _release(self, time_s: float, trusted: bool = True) -> AssembledSample | None:
         """The held sample, unless its senders are not trusted."""
         held = self._held
         self._held = None

@@ -18,7 +18,7 @@ from cantools.database.can import Database
 
 from cablesense_base import CableSenseError, some_of
 from cablesense_msgs_py.messages import Level, Status
-from cablesense_online.can.assembler import Sample
+from cablesense_online.can.assembler import AssembledSample
 from cablesense_online.can.bus import (
     BUS_OFF,
     ERROR_ACTIVE,
@@ -54,7 +54,7 @@ class CanDriver:
         channel_map: ChannelMap,
         database: Database,
         interface: CanInterface,
-        on_sample: Callable[[Sample], None],
+        on_sample: Callable[[AssembledSample], None],
     ) -> None:
         """`on_sample` is called in the receiving thread."""
         self._map = channel_map
@@ -202,7 +202,7 @@ class CanDriver:
             bus.send(start_frames([node])[0])
         self._give(self._reader.take(frame, time.time()), now_s)
 
-    def _give(self, sample: Sample | None, now_s: float) -> None:
+    def _give(self, sample: AssembledSample | None, now_s: float) -> None:
         if sample is not None:
             self._last_sample_s = now_s
             self._on_sample(sample)

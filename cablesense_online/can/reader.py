@@ -15,7 +15,7 @@ import numpy as np
 from cantools.database.can import Database, Message
 
 from cablesense_base import Array
-from cablesense_online.can.assembler import Decoded, Sample, SampleAssembler
+from cablesense_online.can.assembler import AssembledSample, Decoded, SampleAssembler
 from cablesense_online.can.bus import ERROR_ACTIVE, BusState, CanInterface, FaultKind, FaultLedger
 from cablesense_online.can.channel_map import Channel, ChannelMap, StuckLimits
 
@@ -211,7 +211,7 @@ class TensionReader:
         """Number of samples not given because they were not whole, late or invalid."""
         return self._withheld + self._assembler.dropped
 
-    def take(self, frame: can.Message, now_s: float) -> Sample | None:
+    def take(self, frame: can.Message, now_s: float) -> AssembledSample | None:
         """The sample that may be given now, if any; `now_s` is the arrival, s since the epoch."""
         self.frames += 1
         if frame.is_error_frame:
@@ -224,11 +224,11 @@ class TensionReader:
             return self._checked(self._assembler.take(decoded, time_s))
         return self.lapse() if time_s - self._assembler.frame_s >= self.hold_s else None
 
-    def lapse(self) -> Sample | None:
+    def lapse(self) -> AssembledSample | None:
         """The sample that is held, if any, after `hold_s` without a frame."""
         return self._checked(self._assembler.lapse())
 
-    def _checked(self, sample: Sample | None) -> Sample | None:
+    def _checked(self, sample: AssembledSample | None) -> AssembledSample | None:
         if sample is None:
             return None
         stuck = self._stuck.stuck(sample.tensions_n, sample.time_s)
