@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 
 from cablesense_online.can.channel_map import (
     CalibratedSensor,
-    Calibration,
+    SensorCalibration,
     signal_conversion,
     write_calibration,
 )
@@ -63,7 +63,7 @@ def driver(link, emulator, start_for_all):
     path = link.with_name("calibration.yaml")
     sensors = {"cable_2": sensor}
     write_calibration(
-        path, Calibration(map=PACKED.name, made=made, uncalibrated=others, cables=sensors)
+        path, SensorCalibration(map=PACKED.name, made=made, uncalibrated=others, cables=sensors)
     )
     bus = {"interface": "slcan", "channel": link, "bitrate_bit_s": 1_000_000}
     return start_for_all("can_driver", calibration=path, **bus)
