@@ -163,9 +163,8 @@ def _text(
         text = f"To find out {question}: {does} There the predictions differ {by}"
     elif not rivals[0]:
         text = (
-            "No further recording is needed. An effect that is hidden by the noise would show "
-            f"most here: {does} With the size that fits best, {others} would change the readings "
-            f"{by}"
+            f"If {others} is there nevertheless, it shows most here: {does} With the size that "
+            f"fits best it would change the readings {by}"
         )
     elif len(rivals) == 1:
         text = f"To confirm it: {does} There {first} must change the readings {by}"

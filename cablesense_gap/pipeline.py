@@ -21,6 +21,7 @@ from cablesense_gap.diagnosis.probability import (
     ambiguity,
     bundled_calibration,
     named,
+    near_none,
     posterior,
     rivals_of,
     without,
@@ -125,7 +126,8 @@ def diagnose_system(
     held_out = explained.held_out
     experiment = ""
     if best:
-        rivals = [r.hypothesis.values for r in rivals_of(ranked) if r.hypothesis is not None]
+        near = rivals_of(ranked) or near_none(ranked)
+        rivals = [r.hypothesis.values for r in near if r.hypothesis is not None]
         if traded and not rivals:
             one, other = (e.replace("_", " ") for e in traded[0].traded.effects)
             question = f"how much is {one} and how much {other}"

@@ -261,6 +261,15 @@ def rivals_of(ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
     return tuple(r for r in ranked[1:] if r.probability >= least and _names_an_effect(r))
 
 
+def near_none(ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
+    """Hypotheses with effects that are not much less probable than `none`, if that is the best."""
+    best = ranked[0]
+    if best.hypothesis is None or best.hypothesis.effects:
+        return ()
+    least = NEAR_BEST * best.probability
+    return tuple(r for r in ranked[1:] if r.probability >= least and _names_an_effect(r))
+
+
 def _names_an_effect(ranked: Ranked) -> bool:
     return ranked.hypothesis is not None and bool(ranked.hypothesis.effects)
 

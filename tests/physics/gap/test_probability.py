@@ -17,6 +17,7 @@ from cablesense_gap.diagnosis.probability import (
     ambiguity,
     bundled_calibration,
     imitated_share,
+    near_none,
     posterior,
 )
 from cablesense_gap.diagnosis.problem import Hypothesis, Problem
@@ -149,3 +150,12 @@ def test_effects_with_one_signal_come_out_of_the_search_as_a_group():
     group, reasons = ambiguity(problem, posterior(search(problem), problem.floor, BUNDLED))
     assert sorted(group) == ["left", "right"]
     assert "cannot distinguish" in reasons[0]
+
+
+def test_effects_near_none_are_worth_another_experiment():
+    none = Ranked(("none",), 0.59, leaving(0.1))
+    payload = Ranked(("a",), 0.17, leaving(0.1, "a"))
+    tilt = Ranked(("b",), 0.02, leaving(0.1, "b"))
+    unknown = Ranked(UNKNOWN, 0.2, None)
+    assert near_none([none, unknown, payload, tilt]) == (payload,)
+    assert near_none([payload, none]) == ()
