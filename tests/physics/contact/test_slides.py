@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cablesense_contact.cable_slides import CableSlides, LastWay
@@ -93,6 +94,7 @@ def test_only_the_last_of_a_way_counts():
     assert way.forgotten.came_from_rad is None
 
 
+@pytest.mark.slow
 def test_slides_are_those_of_the_plant():
     """It knows each guide's: after motions, and at the pulleys when it is pushed and released."""
     friction = 0.05

@@ -115,6 +115,7 @@ def test_a_recording_without_loads_is_refused():
         withheld_trials(idle, LAB)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_estimator_of_a_built_arm_is_repaired(diagnosed_as, seed: int):
     """Beside the hidden gain, no cable, hole or mass is as the file says."""

@@ -60,6 +60,7 @@ def test_a_healthy_arm_is_estimated_right_on_every_segment(
         assert each.errors.magnitude_coverage95 > 0.9
 
 
+@pytest.mark.slow
 def test_with_a_calibration_a_tare_is_taken_before_each_load() -> None:
     """Zeros that wander from trial to trial are in no single calibration of all poses."""
     workshop = open_arm("cdsm_lab")

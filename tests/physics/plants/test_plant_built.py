@@ -225,6 +225,7 @@ def test_a_walk_without_friction_forgets_its_way() -> None:
     np.testing.assert_allclose(walk.go(POSE, PUSHES), arm.tensions_n(POSE, PUSHES), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_walk_with_friction_keeps_its_tensions_when_a_load_is_lifted() -> None:
     """Until cable slips back over the pulley; with a coefficient of 0.1 the bound is e^±0.1."""
     arm = arm_of(friction=0.1)

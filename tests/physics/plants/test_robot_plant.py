@@ -139,6 +139,7 @@ def test_a_controlled_robot_needs_the_torques_of_what_it_is_asked_for():
     assert np.diff(first["time_s"]) == pytest.approx(1.0 / kind.rate_hz)
 
 
+@pytest.mark.slow
 def test_position_servos_move_a_robot_as_those_of_mujoco(tmp_path):
     """But for the lag of the drives' current, 2 ms."""
     kind = SERVOS["two_links"]

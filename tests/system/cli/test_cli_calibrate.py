@@ -94,6 +94,7 @@ def test_info_shows_a_calibration_file_as_calibrate_does(calibrated, command):
     assert "push of 20 N is known to" in text
 
 
+@pytest.mark.slow
 def test_a_touched_arm_that_no_label_tells_of_is_not_as_described(command, tmp_path):
     write_csv(tmp_path / "poses.csv", stays(10, touched=(3, 7), labelled=False))
     ended = command("calibrate", "poses.csv", "--arm", LAB, "--out", "lab.calibration")
@@ -117,6 +118,7 @@ def test_loaded_rows_are_left_out_and_so_are_moves():
     assert timed[0].taken_ns == 10**18 - round(1e9 * 4 * STAY / RATE_HZ)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_used_is_refused_in_one_line(command, tmp_path):
     write_csv(tmp_path / "short.csv", stays(8).rows(np.arange(0, 160, 11)))
     write_csv(tmp_path / "poses.csv", stays(3))

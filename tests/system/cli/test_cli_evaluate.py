@@ -65,6 +65,7 @@ def test_the_law_is_evaluated_on_built_arms_and_on_that_of_its_file():
     assert "as_the_file" in shown
 
 
+@pytest.mark.slow
 def test_a_recording_is_judged_by_segment_and_force_with_several_models(tmp_path):
     recorded = small_recording()
     true_n = replay_arm(LAB, *recorded.inputs)

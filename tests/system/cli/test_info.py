@@ -87,6 +87,7 @@ def test_what_friction_hides_is_shown_by_segment() -> None:
     assert all(median is None or 0.0 < median <= 5.0 for median in medians)
 
 
+@pytest.mark.slow
 def test_what_tensions_tell_of_a_contact_depends_on_pose_segment_and_force(tmp_path: Path) -> None:
     picture = tmp_path / "bound.png"
     ten, forty = (

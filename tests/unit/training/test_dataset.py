@@ -93,6 +93,7 @@ def test_labels_and_forces_say_the_same(arm):
     assert not dataset.forces_n[~touched].any()
 
 
+@pytest.mark.slow
 def test_noise_is_that_of_the_sensor(arm):
     options = {"samples": 4096, "no_contact_fraction": 1.0}
     noisy = draw_dataset(arm, SingleContact(**options), seed=3)

@@ -106,6 +106,7 @@ def test_every_bundled_arm_has_its_estimator():
         find_model_of(own, "own.yaml")
 
 
+@pytest.mark.slow
 def test_constants_stored_in_single_precision_lose_nothing(tmp_path):
     """Weights are trained in float32: the graph with and without casts answers alike."""
     path = tmp_path / "model.onnx"
