@@ -512,12 +512,12 @@ def _sums(
 
 def _print(figures: Mapping[str, Any]) -> None:
     for name in ("arms", "history", "references", "robots"):
-        found = figures[name]
-        if not found["cases"]:
+        group_figures = figures[name]
+        if not group_figures["cases"]:
             continue
-        print(f"{name}: {found['cases']} cases, {found['hidden']} hidden effects")
+        print(f"{name}: {group_figures['cases']} cases, {group_figures['hidden']} hidden effects")
         print(f"{'constant off':42} right false exact other moved variants seconds")
-        for label, entry in found["by_constant"].items():
+        for label, entry in group_figures["by_constant"].items():
             print(
                 f"{label:42} {entry['right_names']:5} {entry['false_names']:5} "
                 f"{entry['exact']:5} {entry['other_verdicts']:5} {entry['moved']:5} "

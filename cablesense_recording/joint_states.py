@@ -270,12 +270,14 @@ def _chosen_sources(bag: _Bag, topics: Sequence[str]) -> list[_Source]:
     for source in bag.sources.values():
         by_topic.setdefault(source.topic, []).append(source)
     if any(topic in by_topic for topic in topics):
-        by_topic = {topic: own for topic, own in by_topic.items() if topic in topics}
+        by_topic = {
+            topic: sources_there for topic, sources_there in by_topic.items() if topic in topics
+        }
     everything = set(range(len(bag.channels.joints)))
     whole = [
         topic
-        for topic, own in by_topic.items()
-        if everything <= {joint for source in own for joint in source.joints}
+        for topic, sources_there in by_topic.items()
+        if everything <= {joint for source in sources_there for joint in source.joints}
     ]
     if len(whole) > 1:
         described = [f"{topic} ({_content(by_topic[topic])})" for topic in sorted(whole)]
@@ -286,7 +288,7 @@ def _chosen_sources(bag: _Bag, topics: Sequence[str]) -> list[_Source]:
         )
     if whole:
         return by_topic[whole[0]]
-    sources = [source for own in by_topic.values() for source in own]
+    sources = [source for sources_there in by_topic.values() for source in sources_there]
     covered = {joint for source in sources for joint in source.joints}
     if everything <= covered:
         return _of_several_topics(bag, by_topic)
@@ -301,8 +303,8 @@ def _content(sources: Sequence[_Source]) -> str:
 def _of_several_topics(bag: _Bag, by_topic: dict[str, list[_Source]]) -> list[_Source]:
     """Sources of topics that have a part of the joints each."""
     joints_of = {
-        topic: {joint for source in own for joint in source.joints}
-        for topic, own in by_topic.items()
+        topic: {joint for source in sources_there for joint in source.joints}
+        for topic, sources_there in by_topic.items()
     }
     for first, second in combinations(joints_of, 2):
         both = joints_of[first] & joints_of[second]
@@ -312,12 +314,14 @@ def _of_several_topics(bag: _Bag, by_topic: dict[str, list[_Source]]) -> list[_S
                 f"{bag.path}: no topic has all joints, and {first} and {second} both have "
                 f"{named}; choose the topics with {TOPIC_OPTION}"
             )
-    return [source for own in by_topic.values() for source in own]
+    return [source for sources_there in by_topic.values() for source in sources_there]
 
 
 def _nothing_fits(bag: _Bag, missing: set[int]) -> str:
     wanted = bag.channels.joint_names
-    states = {topic: own for topic, own in bag.named.items() if topic not in bag.of_commands}
+    states = {
+        topic: messages for topic, messages in bag.named.items() if topic not in bag.of_commands
+    }
     named = sorted({name for names in states.values() for name in names})
     text = (
         f"{bag.path}: holds no {JOINT_STATE_TYPE} with the joints {some_of(wanted)}; it names "
@@ -421,7 +425,7 @@ def _merged(
     position = np.full((len(clock_ns), len(channels.joints)), np.nan)
     torque = position.copy()
     for number, (_, joints, values) in enumerate(series):
-        own = values
+        brought_values = values
         if number != slowest:
             back = np.flatnonzero(np.diff(clocks[number]) <= 0)
             if back.size:
@@ -430,10 +434,10 @@ def _merged(
                     f"{path}: the stamps of {named} stand still or run back in their message "
                     f"{back[0] + 2}; each must be later than the one before"
                 )
-            known, own = _brought_to(clock_ns, clocks[number], values)
+            known, brought_values = _brought_to(clock_ns, clocks[number], values)
             kept &= known
-        position[:, joints] = own[:, 0]
-        torque[:, joints] = own[:, 1]
+        position[:, joints] = brought_values[:, 0]
+        torque[:, joints] = brought_values[:, 1]
     if len(series) > 1:
         names = channels.joint_names
         groups = [some_of([names[joint] for joint in joints], 3) for _, joints, _ in series]

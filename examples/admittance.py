@@ -36,8 +36,8 @@ def next_speeds_rad_s(speeds_rad_s: Array, torques_n_m: Array, period_s: float) 
     """The joint speeds (2N,) after a period of constant contact torques (2N,)."""
     # the law's solution: v(t) = Jᵀf/D + (v(0) - Jᵀf/D) exp(-t D/M)
     steady_rad_s = torques_n_m / DAMPING_N_M_S
-    left = math.exp(-period_s * DAMPING_N_M_S / INERTIA_KG_M2)
-    next_rad_s = steady_rad_s + left * (speeds_rad_s - steady_rad_s)
+    share_left = math.exp(-period_s * DAMPING_N_M_S / INERTIA_KG_M2)
+    next_rad_s = steady_rad_s + share_left * (speeds_rad_s - steady_rad_s)
     # where one joint is too fast all are slowed alike: the direction stays
     fastest_rad_s = float(np.abs(next_rad_s).max())
     return next_rad_s * min(1.0, FASTEST_RAD_S / max(fastest_rad_s, FASTEST_RAD_S))

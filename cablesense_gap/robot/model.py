@@ -492,8 +492,8 @@ def _controls(model: mujoco.MjModel, actuators: Sequence[str]) -> tuple[str, ...
     controls: list[str] = []
     for a, name in enumerate(actuators):
         inputs = range(model.actuator_ctrlnum[a])
-        own = [f"{name}.{mujoco.mj_actuatorInputName(model, a, k) or k}" for k in inputs]
-        controls += own if len(own) > 1 else [name] * len(own)
+        input_names = [f"{name}.{mujoco.mj_actuatorInputName(model, a, k) or k}" for k in inputs]
+        controls += input_names if len(input_names) > 1 else [name] * len(input_names)
     return tuple(controls)
 
 

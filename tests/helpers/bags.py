@@ -72,21 +72,25 @@ def write_mcap(path, recording, arm, space="", arrives_s=None):
     with Bag(path, space) as bag:
         for row in range(len(recording)):
             stamp = START_NS + round((recording.time_s[row] - recording.time_s[0]) * 1e9)
-            at = stamp
+            came_ns = stamp
             if arrives_s is not None:
-                at = START_NS + round((arrives_s[0] + arrives_s[1] * row) * 1e9)
-            bag.trial(at, int(recording.trial[row]))
+                came_ns = START_NS + round((arrives_s[0] + arrives_s[1] * row) * 1e9)
+            bag.trial(came_ns, int(recording.trial[row]))
             command = recording.command_rad[row]
             tensions_n = recording.tensions_n[row]
-            bag.joint_state(topics.JOINT_COMMANDS, at, stamp, arm.joint_names, position=command)
+            bag.joint_state(
+                topics.JOINT_COMMANDS, came_ns, stamp, arm.joint_names, position=command
+            )
             for segment in range(1, arm.segment_count + 1):
                 force = (segment == recording.load_segment[row]) * recording.load_n[row]
-                bag.load(at, stamp, f"segment_{segment}", force)
+                bag.load(came_ns, stamp, f"segment_{segment}", force)
                 if force.any() and np.isfinite(places_m[row]):
                     there = replace(mechanism, contact_m=np.full(arm.segment_count, places_m[row]))
                     point_m = contact_points_m(there, command)[segment - 1]
-                    bag.load(at, stamp, "base_link", force, np.cross(point_m, force))
-            bag.joint_state(topics.CABLE_TENSIONS, at, stamp, arm.cable_names, effort=tensions_n)
+                    bag.load(came_ns, stamp, "base_link", force, np.cross(point_m, force))
+            bag.joint_state(
+                topics.CABLE_TENSIONS, came_ns, stamp, arm.cable_names, effort=tensions_n
+            )
 
 
 def write_joint_states(path, table, topic="/joint_states", joints=None):
